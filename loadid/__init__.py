@@ -1,0 +1,33 @@
+"""Reconstruct applied loads, with their uncertainty, from measured responses and a forward model."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+from typing import Any
+
+__version__ = "0.1.0"
+
+_PUBLIC = {
+    "Deconvolution": "loadid.families.deconvolution",
+    "InputError": "structures.errors",
+    "LoadEstimate": "loadid.estimate",
+    "NotIdentifiable": "structures.errors",
+    "Record": "loadid.record",
+    "read": "loadid.readers",
+    "read_all": "loadid.readers",
+}
+
+__all__ = sorted([*_PUBLIC, "__version__"])
+
+logging.getLogger("loadid").addHandler(logging.NullHandler())
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PUBLIC:
+        return getattr(importlib.import_module(_PUBLIC[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

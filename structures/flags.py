@@ -1,0 +1,99 @@
+"""Flags: what a user must know before a number is trusted. A guard returns one, or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from .errors import InputError
+
+LEVELS = {"E": "refused", "W": "warning", "N": "note"}
+
+
+def canonical(code: str) -> str:
+    """Full form of a guard code: ``"w407"`` and ``"LID-W407"`` both give ``"LID-W407"``.
+
+    Raises
+    ------
+    InputError
+        If it is no guard code.
+    """
+    short = str(code).strip().upper().removeprefix("LID-")
+    if len(short) != 4 or short[0] not in LEVELS or not short[1:].isdigit():
+        raise InputError(
+            "no guard code", where="allow", found=repr(code), expected="a letter E, W or N and three digits, such as W407"
+        )
+    return f"LID-{short}"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The number that triggered a flag, and the threshold that it crossed."""
+
+    name: str
+    value: float | str
+    threshold: float | str | None = None
+
+    def __str__(self) -> str:
+        def show(x: float | str) -> str:
+            return x if isinstance(x, str) else f"{x:.4g}"
+
+        return f"{self.name} = {show(self.value)}" + (
+            "" if self.threshold is None else f" (threshold {show(self.threshold)})"
+        )
+
+
+@dataclass(frozen=True)
+class Flag:
+    """One finding of a guard.
+
+    Parameters
+    ----------
+    code : str
+        ``"LID-W407"``: E refuses, W warns, N notes; the first digit is the stage (1 model, 2 measurement,
+        3 inversion, 4 parameter choice, 5 dynamics, 6 tactile, 7 validation).
+    evidence : Evidence
+        The number that triggered it and the threshold.
+    message, advice : str
+        What was found; what to do next.
+    """
+
+    code: str
+    evidence: Evidence
+    message: str
+    advice: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "code", canonical(self.code))
+
+    @property
+    def level(self) -> str:
+        """``"refused"``, ``"warning"`` or ``"note"``."""
+        return LEVELS[self.code[4]]
+
+    def __str__(self) -> str:
+        return f"{self.code} {self.level}: {self.message} [{self.evidence}] -> {self.advice}"
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain dictionary, for JSON and for result files."""
+        return {
+            "code": self.code,
+            "level": self.level,
+            "evidence": {
+                "name": self.evidence.name,
+                "value": self.evidence.value,
+                "threshold": self.evidence.threshold,
+            },
+            "message": self.message,
+            "advice": self.advice,
+        }
+
+    @classmethod
+    def from_dict(cls, data: dict) -> Flag:
+        """Inverse of `to_dict`."""
+        return cls(data["code"], Evidence(**data["evidence"]), data["message"], data["advice"])
+
+
+def codes(flags: Iterable[Flag]) -> set[str]:
+    """Short codes of some flags, ``{"W407", ...}``."""
+    return {flag.code.removeprefix("LID-") for flag in flags}

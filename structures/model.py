@@ -1,0 +1,216 @@
+"""The forward-model contract: what every family may ask, and how a model refuses what it cannot give."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, NoReturn, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .channels import Channel
+from .errors import InputError
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Outcome of the check of a forward model against a known load.
+
+    Parameters
+    ----------
+    gain : tuple of float
+        Per sensor, the factor that scales the predicted onto the measured response (1 is right).
+    shape : tuple of float
+        Per sensor, correlation of predicted and measured response (1 is right).
+    error : tuple of float
+        Per sensor, norm of measured minus predicted over norm of measured.
+    noise_ratio : tuple of float or None
+        Per sensor, rms residual over the noise std; None where the noise is not known.
+    sensors : tuple of str
+        Labels.
+    source : str
+        What it was checked against.
+    date : str
+        ISO date and time, UTC.
+    """
+
+    gain: tuple[float, ...]
+    shape: tuple[float, ...]
+    error: tuple[float, ...]
+    noise_ratio: tuple[float, ...] | None
+    sensors: tuple[str, ...]
+    source: str
+    date: str
+
+    def __str__(self) -> str:
+        rows = [
+            f"{name}: gain {g:.4g}, shape {s:.4f}, residual {e:.2%}"
+            for name, g, s, e in zip(self.sensors, self.gain, self.shape, self.error, strict=True)
+        ]
+        return f"forward model verified against {self.source} on {self.date[:10]} ({'; '.join(rows)})"
+
+    @classmethod
+    def compare(
+        cls,
+        predicted: NDArray,
+        measured: NDArray,
+        sensors: Sequence[str],
+        *,
+        noise: NDArray | None = None,
+        source: str = "a known load",
+    ) -> Certificate:
+        """Certificate of predicted against measured responses, both (samples, sensors)."""
+        pp, mm, pm = (np.sum(a * b, axis=0) for a, b in ((predicted, predicted), (measured, measured), (predicted, measured)))
+        residual = measured - predicted
+        if np.any(pp == 0) or np.any(mm == 0):
+            raise InputError(
+                "a response is zero: nothing can be compared",
+                where="verify",
+                found=[s for s, a, b in zip(sensors, pp, mm, strict=True) if a == 0 or b == 0],
+                expected="a load that moves every sensor",
+            )
+        ratio = None if noise is None else tuple(np.sqrt(np.mean(residual**2, axis=0)) / noise)
+        return cls(
+            gain=tuple(pm / pp),
+            shape=tuple(pm / np.sqrt(pp * mm)),
+            error=tuple(np.sqrt(np.sum(residual**2, axis=0) / mm)),
+            noise_ratio=ratio,
+            sensors=tuple(sensors),
+            source=source,
+            date=datetime.now(UTC).isoformat(timespec="seconds"),
+        )
+
+
+class Model:
+    """A map from loads to responses. Subclasses override what they can give; the rest refuses by name.
+
+    Shapes: time or frequency first, then sensors, then loads. Units are those of the channels.
+
+    Attributes
+    ----------
+    sensors, loads : tuple of Channel
+        Rows and columns.
+    certificate : Certificate or None
+        Outcome of the last `verify`.
+    """
+
+    sensors: tuple[Channel, ...]
+    loads: tuple[Channel, ...]
+    certificate: Certificate | None = None
+    serves = {
+        "static": "StaticInversion",
+        "frf": "FrequencyInversion",
+        "impulse_response": "Deconvolution",
+        "state_space": "LoadTracker",
+    }
+
+    # -- the contract ---------------------------------------------------------------------------------------------
+    def static(self) -> NDArray[np.float64]:
+        """Static transfer matrix, shape (sensors, loads)."""
+        self._refuse("static")
+
+    def frf(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
+        """Frequency response at `frequencies` (Hz), shape (lines, sensors, loads)."""
+        self._refuse("frf")
+
+    def impulse_response(self, dt: float, samples: int, hold: str = "foh") -> NDArray[np.float64]:
+        """Response to one unit held over one sample, shape (samples, sensors, loads)."""
+        self._refuse("impulse_response")
+
+    def state_space(self, dt: float, hold: str = "foh") -> Any:
+        """Discrete state space at step `dt` (s)."""
+        self._refuse("state_space")
+
+    def perturbed(self, parameter: str, factor: float) -> Self:
+        """A model of the same kind with one parameter multiplied by `factor`."""
+        self._refuse("perturbed")
+
+    @property
+    def noise(self) -> NDArray[np.float64] | None:
+        """Noise std per sensor (sensors,) or covariance (sensors, sensors); None when not all are known."""
+        stds = [s.noise for s in self.sensors]
+        return None if any(s is None for s in stds) else np.array(stds, dtype=float)
+
+    @property
+    def natural_frequencies(self) -> NDArray[np.float64] | None:
+        """Natural frequencies (Hz) that the model retains, ascending; None where a model has no modes."""
+        return None
+
+    @property
+    def decay_rate(self) -> float | None:
+        """Slowest decay rate zeta*omega (1/s) of the model; None when not known."""
+        return None
+
+    @property
+    def fingerprint(self) -> str:
+        """Digest of what the model is made of: two models with the same digest are the same model."""
+        raise NotImplementedError
+
+    def verify(self, load: ArrayLike, response: ArrayLike, dt: float | None = None, *, source: str = "a known load") -> Certificate:
+        """Check the model against a known load, and keep the certificate.
+
+        Parameters
+        ----------
+        load : array, shape (loads,) for a static check, (samples, loads) or (samples,) with `dt`
+        response : array, shape (sensors,), or (samples, sensors)
+        dt : float, optional
+            Step in s; without it the check is static.
+        source : str
+            What the load was: "hanging mass 2.0 kg", "hit 5".
+
+        Returns
+        -------
+        Certificate
+            Also kept as ``model.certificate``, so that it travels in every estimate.
+        """
+        load, response = np.asarray(load, float), np.asarray(response, float)
+        names = [s.label for s in self.sensors]
+        if dt is None:
+            predicted, response = (self.static() @ np.atleast_1d(load))[None], np.atleast_2d(response)
+        else:
+            load = load.reshape(len(load), -1)
+            response = response.reshape(len(load), -1)
+            predicted = self.predict(load, dt)
+        if response.shape != predicted.shape:
+            raise InputError(
+                "the response does not fit the model",
+                where="verify",
+                found=f"shape {response.shape}",
+                expected=f"shape {predicted.shape} for the sensors {names}",
+            )
+        self.certificate = Certificate.compare(predicted, response, names, noise=self._noise_std(), source=source)
+        return self.certificate
+
+    # -- shared ---------------------------------------------------------------------------------------------------
+    def predict(self, load: ArrayLike, dt: float, hold: str = "foh") -> NDArray[np.float64]:
+        """Response (samples, sensors) to a load history (samples, loads), at rest before its first sample."""
+        from scipy.signal import fftconvolve
+
+        load = np.asarray(load, float)
+        load = load.reshape(len(load), -1)
+        if load.shape[1] != len(self.loads):
+            raise InputError(
+                "the load does not fit the model",
+                where="predict",
+                found=f"{load.shape[1]} columns",
+                expected=f"{len(self.loads)} loads: {[c.label for c in self.loads]}",
+            )
+        h = self.impulse_response(dt, len(load), hold)
+        return np.sum(fftconvolve(h, load[:, None, :], axes=0)[: len(load)], axis=2)
+
+    def _noise_std(self) -> NDArray | None:
+        noise = self.noise
+        return noise if noise is None or noise.ndim == 1 else np.sqrt(np.diagonal(noise))
+
+    def _refuse(self, method: str) -> NoReturn:
+        can = [family for name, family in self.serves.items() if getattr(type(self), name) is not getattr(Model, name)]
+        family = self.serves.get(method)
+        raise InputError(
+            f"{type(self).__name__} has no {method}()" + (f": {family} cannot run on it" if family else ""),
+            where="forward model",
+            found=type(self).__name__,
+            expected=f"a model that gives {method}()",
+            hint=f"families that can run on this model: {', '.join(can) or 'none'}",
+        )
