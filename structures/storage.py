@@ -321,7 +321,7 @@ def _get_dataset(item: Any, kind: Any, where: str) -> Any:
             expected=f"{item.size} x {item.dtype.itemsize} bytes",
         )
     if kind == "array":
-        return item[()] if item.ndim else np.array(item[()])
+        return item[...]
     if kind in ("str", "list of str"):
         return item.asstr()[()] if kind == "str" else item.asstr()[()].tolist()
     if kind in {*_SCALARS.values(), *(f"list of {name}" for name in _SCALARS.values())}:
