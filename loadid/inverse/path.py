@@ -1,0 +1,219 @@
+"""The regularization-path contract, and the path of every problem that has been factorised into scalar modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+
+from .posterior import Posterior
+
+
+@dataclass(frozen=True)
+class PathPoint:
+    """What a path says at some lambdas; every array has the shape of lambda. None: this path cannot give it.
+
+    Parameters
+    ----------
+    residual2, penalty2 : array
+        Squared norms of the whitened residual and of L g.
+    edf, edf2 : array or None
+        tr A and tr A^2 of the influence matrix A.
+    sensitivity : array or None
+        Norm of lambda dg/dlambda.
+    objective : array or None
+        Residual plus lambda^2 penalty at its minimum (for the evidence).
+    log_ratio : array or None
+        Sum of ln(1 + gamma^2 / lambda^2) over the modes that the penalty sees (for the evidence).
+    """
+
+    residual2: NDArray[np.float64]
+    penalty2: NDArray[np.float64]
+    edf: NDArray[np.float64] | None = None
+    edf2: NDArray[np.float64] | None = None
+    sensitivity: NDArray[np.float64] | None = None
+    objective: NDArray[np.float64] | None = None
+    log_ratio: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """Data coefficients |u_i^T y| and generalised singular values, for the Picard plot."""
+
+    beta: NDArray
+    gamma: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Load coefficients at one lambda, and what is known of their error."""
+
+    load: NDArray[np.float64]
+    posterior: Posterior | None
+
+
+@runtime_checkable
+class RegularizationPath(Protocol):
+    """What the choice rules, the diagnostics and the families ask of any solver.
+
+    Every `lam` is relative: it is multiplied by `scale`, so that no answer depends on units. `m` counts the data,
+    `null` the dimension of the null space of the penalty. A stacked path carries its lines on the first axis.
+    """
+
+    m: int
+    null: int
+    scale: NDArray[np.float64] | float
+    smooth: bool
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Sensible interval of relative lambda."""
+        ...
+
+    @property
+    def coefficients(self) -> Coefficients | None:
+        """Data coefficients where a factorisation exists."""
+        ...
+
+    def at(self, lam: ArrayLike) -> PathPoint:
+        """Scalars of the path at `lam`."""
+        ...
+
+    def residual(self, lam: float) -> NDArray[np.float64]:
+        """Whitened residual (samples, sensors)."""
+        ...
+
+    def solution(self, lam: float, sigma: float | None) -> Solution:
+        """Load coefficients and posterior at noise level `sigma` of the whitened data."""
+        ...
+
+
+class FactoredPath:
+    """Path of ``min |H g - y|^2 + lambda^2 |L g|^2`` split into modes ``(c_i, s_i)`` by a (generalised) SVD.
+
+    Filter factors f = c^2 / (c^2 + lambda^2 s^2) and everything that follows from them; Hansen, Rank-Deficient and
+    Discrete Ill-Posed Problems, SIAM 1998, ch. 2 and 4. The complement 1 - f is formed directly, never by subtraction.
+
+    Parameters
+    ----------
+    c, s : array, shape (..., modes)
+        Cosines and sines: gamma = c / s. Plain SVD: singular values and ones.
+    beta : array, shape (..., modes)
+        U^T y.
+    outside : array, shape (...)
+        Squared norm of the part of y outside the range of H.
+    m : int
+        Number of data (of one problem of a stack).
+    weight : array, shape (modes,), optional
+        How often a mode counts (conjugate lines of a spectrum count twice).
+    null : int
+        Dimension of the null space of L.
+    truncated : bool
+        Hard cut-off (truncated SVD) in place of Tikhonov's filter.
+    """
+
+    def __init__(
+        self,
+        c: NDArray,
+        s: NDArray,
+        beta: NDArray,
+        outside: NDArray | float,
+        m: int,
+        *,
+        weight: NDArray | None = None,
+        null: int = 0,
+        truncated: bool = False,
+    ) -> None:
+        self.c, self.s, self.beta, self.outside = c, s, beta, np.asarray(outside, float)
+        self.weight = np.ones(c.shape[-1]) if weight is None else weight
+        self.m, self.null, self.smooth = m, null, not truncated
+        seen = s > 1e-10 * s.max(initial=0.0)
+        gamma = np.where(seen, c / np.where(seen, s, 1.0), 0.0)
+        self.scale = gamma.max(axis=-1)
+        if not np.all(np.isfinite(self.scale)) or np.all(self.scale <= 0):
+            raise InputError(
+                "the forward model is zero: no load moves any sensor",
+                where="inverse problem",
+                found="largest singular value 0",
+                expected="a sensor that sees a load",
+                hint="check the sensors, the loads and the units",
+            )
+        self._gamma, self._seen, self._beta2 = gamma, seen, np.abs(beta) ** 2
+
+    @property
+    def coefficients(self) -> Coefficients:
+        """Data coefficients and generalised singular values, largest first."""
+        rank = np.argsort(-self._gamma, axis=-1)
+        return Coefficients(np.take_along_axis(self.beta, rank, -1), np.take_along_axis(self._gamma, rank, -1))
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Relative lambda from below the smallest generalised singular value that rounding leaves, up to 1."""
+        floor = 10 * np.finfo(float).eps * np.sqrt(self.c.shape[-1])
+        relative = self._gamma / np.atleast_1d(self.scale)[..., None]
+        smallest = np.min(relative[relative > floor], initial=1.0)
+        # well-conditioned problems must be able to choose next to no regularisation
+        return float(max(floor, 1e-3 * smallest)), 1.0
+
+    def _filter(self, lam: NDArray) -> tuple[NDArray, NDArray]:
+        """Filter factors and their complements, shape (..., lams, modes)."""
+        c, s = self.c[..., None, :], self.s[..., None, :]
+        x = (lam * self.scale[..., None] if np.ndim(self.scale) else lam * self.scale)[..., None]
+        if not self.smooth:
+            keep = (c > 0) & (c >= x * s * (1 - 1e-12))
+            return keep.astype(float), (~keep).astype(float)
+        d = c**2 + (x * s) ** 2
+        return c**2 / d, (x * s) ** 2 / d
+
+    def at(self, lam: ArrayLike) -> PathPoint:
+        """Scalars of the path at relative `lam`, shape (k,); for a stack (lines, k)."""
+        lam = np.asarray(lam, float)
+        blocks = np.array_split(np.atleast_1d(lam), max(1, int(np.ceil(lam.size * self.c.size / 4e6))), axis=-1)
+        parts = [self._point(block) for block in blocks]
+        shape = np.broadcast_shapes(lam.shape or (), np.shape(self.scale)[:-1] + lam.shape[-1:] if lam.ndim else ())
+
+        def join(name: str) -> NDArray | None:
+            values = [getattr(p, name) for p in parts]
+            if values[0] is None:
+                return None
+            whole = np.concatenate(values, axis=-1)
+            return whole.reshape(np.shape(self.scale) + shape[-1:]) if lam.ndim else whole[..., 0]
+
+        return PathPoint(*(join(name) for name in PathPoint.__dataclass_fields__))  # type: ignore[arg-type]
+
+    def _point(self, lam: NDArray) -> PathPoint:
+        f, g = self._filter(lam)  # g = 1 - f
+        w, b2 = self.weight, self._beta2[..., None, :]
+        c, s = self.c[..., None, :], self.s[..., None, :]
+        gain = np.where(c > 0, f / np.where(c > 0, c, 1.0), 0.0)
+        outside = self.outside[..., None]
+        residual2 = np.sum(w * g**2 * b2, axis=-1) + outside
+        penalty2 = np.sum(w * (s * gain) ** 2 * b2, axis=-1)
+        edf, edf2 = np.sum(w * f, axis=-1), np.sum(w * f**2, axis=-1)
+        if not self.smooth:
+            return PathPoint(residual2, penalty2, edf, edf2)
+        gamma = self._gamma[..., None, :]
+        x = (lam * self.scale[..., None] if np.ndim(self.scale) else lam * self.scale)[..., None]
+        return PathPoint(
+            residual2,
+            penalty2,
+            edf,
+            edf2,
+            sensitivity=2 * self._norm(g * gain * self.beta[..., None, :]),
+            objective=np.sum(w * g * b2, axis=-1) + outside,
+            log_ratio=np.sum(w * self._seen[..., None, :] * np.log1p((gamma / x) ** 2), axis=-1),
+        )
+
+    def _norm(self, coefficients: NDArray) -> NDArray:
+        """Norm of the load with these mode coefficients; the modes are orthonormal unless a subclass says otherwise."""
+        return np.sqrt(np.sum(self.weight * np.abs(coefficients) ** 2, axis=-1))
+
+    def gains(self, lam: ArrayLike) -> NDArray:
+        """Mode coefficients f / c * beta of the solution at one relative `lam` (per line of a stack)."""
+        f, _ = self._filter(np.asarray(lam, float)[..., None])
+        f = f[..., 0, :]
+        return np.where(self.c > 0, f / np.where(self.c > 0, self.c, 1.0), 0.0) * self.beta
