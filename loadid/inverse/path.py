@@ -133,7 +133,7 @@ class FactoredPath:
         self.m, self.null, self.smooth = m, null, not truncated
         seen = s > 1e-10 * s.max(initial=0.0)
         gamma = np.where(seen, c / np.where(seen, s, 1.0), 0.0)
-        self.scale = gamma.max(axis=-1)
+        self.scale = np.asarray(gamma.max(axis=-1))
         if not np.all(np.isfinite(self.scale)) or np.all(self.scale <= 0):
             raise InputError(
                 "the forward model is zero: no load moves any sensor",
@@ -162,7 +162,7 @@ class FactoredPath:
     def _filter(self, lam: NDArray) -> tuple[NDArray, NDArray]:
         """Filter factors and their complements, shape (..., lams, modes)."""
         c, s = self.c[..., None, :], self.s[..., None, :]
-        x = (lam * self.scale[..., None] if np.ndim(self.scale) else lam * self.scale)[..., None]
+        x = self._absolute(lam)
         if not self.smooth:
             keep = (c > 0) & (c >= x * s * (1 - 1e-12))
             return keep.astype(float), (~keep).astype(float)
@@ -172,18 +172,22 @@ class FactoredPath:
     def at(self, lam: ArrayLike) -> PathPoint:
         """Scalars of the path at relative `lam`, shape (k,); for a stack (lines, k)."""
         lam = np.asarray(lam, float)
-        blocks = np.array_split(np.atleast_1d(lam), max(1, int(np.ceil(lam.size * self.c.size / 4e6))), axis=-1)
+        grid = np.atleast_1d(lam)
+        # a long spectrum times a long grid does not fit in memory: evaluate the grid in blocks
+        blocks = np.array_split(grid, min(grid.shape[-1], int(np.ceil(grid.shape[-1] * self.c.size / 4e6))), axis=-1)
         parts = [self._point(block) for block in blocks]
-        shape = np.broadcast_shapes(lam.shape or (), np.shape(self.scale)[:-1] + lam.shape[-1:] if lam.ndim else ())
 
         def join(name: str) -> NDArray | None:
-            values = [getattr(p, name) for p in parts]
-            if values[0] is None:
+            if getattr(parts[0], name) is None:
                 return None
-            whole = np.concatenate(values, axis=-1)
-            return whole.reshape(np.shape(self.scale) + shape[-1:]) if lam.ndim else whole[..., 0]
+            whole = np.concatenate([getattr(p, name) for p in parts], axis=-1)
+            return whole if lam.ndim else whole[..., 0]
 
         return PathPoint(*(join(name) for name in PathPoint.__dataclass_fields__))  # type: ignore[arg-type]
+
+    def _absolute(self, lam: NDArray) -> NDArray:
+        """Absolute lambda, with an axis for the modes at the end: shape (..., lams, 1)."""
+        return (lam * self.scale[..., None])[..., None]
 
     def _point(self, lam: NDArray) -> PathPoint:
         f, g = self._filter(lam)  # g = 1 - f
@@ -197,7 +201,7 @@ class FactoredPath:
         if not self.smooth:
             return PathPoint(residual2, penalty2, edf, edf2)
         gamma = self._gamma[..., None, :]
-        x = (lam * self.scale[..., None] if np.ndim(self.scale) else lam * self.scale)[..., None]
+        x = self._absolute(lam)
         return PathPoint(
             residual2,
             penalty2,
