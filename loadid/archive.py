@@ -1,0 +1,86 @@
+"""A load estimate as a tree for files and for JSON, and back."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from typing import Any
+
+import numpy as np
+
+from loadid.estimate import Axis, LoadEstimate
+from loadid.inverse.choice import Choice, RuleResult, Sweep
+from structures import storage
+from structures.errors import InputError
+from structures.flags import Flag
+from structures.model import Certificate
+
+KIND = "load estimate"
+
+
+def read(path: str | os.PathLike) -> LoadEstimate:
+    """Read a result file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, of another kind, or damaged.
+    """
+    tree = storage.read(path, KIND)
+    try:
+        return from_tree(tree)
+    except InputError:
+        raise
+    except Exception as error:  # a whole file that another release wrote
+        raise InputError(
+            "its content is not what this release expects",
+            where=str(path),
+            found=f"{type(error).__name__}: {error}",
+            hint="read it with the release that wrote it",
+        ) from error
+
+
+def plain(value: Any) -> Any:
+    """Nested lists, text, finite numbers and None."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(v) for v in (sorted(value) if isinstance(value, set | frozenset) else value)]
+    if isinstance(value, complex):
+        return [plain(value.real), plain(value.imag)]
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)
+
+
+def to_tree(e: LoadEstimate) -> dict[str, Any]:
+    """Nested dictionary of everything, as `structures.storage` takes it."""
+    tree: dict[str, Any] = {f.name: getattr(e, f.name) for f in fields(e)}
+    tree["axis"] = e.axis and asdict(e.axis)
+    tree["choice"] = e.choice and asdict(e.choice)
+    tree["certificate"] = e.certificate and asdict(e.certificate)
+    tree["flags"] = [f.to_dict() for f in e.flags]
+    tree["posterior"] = None if e.posterior is None else e.posterior.to_arrays()
+    return tree
+
+
+def from_tree(tree: dict[str, Any]) -> LoadEstimate:
+    """Inverse of `to_tree`."""
+    if tree["axis"] is not None:
+        tree["axis"] = Axis(**tree["axis"])
+    if (choice := tree["choice"]) is not None:
+        choice["rules"] = tuple(RuleResult(**r) for r in choice["rules"])
+        choice["sweep"] = choice["sweep"] and Sweep(**choice["sweep"])
+        tree["choice"] = Choice(**choice)
+    if (certificate := tree["certificate"]) is not None:
+        known: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in certificate.items()}
+        tree["certificate"] = Certificate(**known)
+    tree["flags"] = [Flag.from_dict(f) for f in tree["flags"]]
+    if tree["posterior"] is not None:
+        from loadid.inverse.posterior import from_arrays
+
+        tree["posterior"] = from_arrays(tree["posterior"])
+    return LoadEstimate(**tree)

@@ -1,0 +1,364 @@
+"""The answer of every family: a load with its uncertainty, and all that must be known before it is trusted."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from statistics import NormalDist
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loadid.inverse.choice import Choice
+from structures.errors import InputError
+from structures.flags import Flag, canonical, codes
+from structures.model import Certificate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+NOT_VERIFIED = "forward model not verified"
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """The first axis of a load: its name, unit and values (ascending)."""
+
+    name: str
+    unit: str
+    values: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", _frozen(self.values))
+
+    @property
+    def step(self) -> float:
+        """Step of an even axis."""
+        return float(self.values[-1] - self.values[0]) / (len(self.values) - 1)
+
+
+@dataclass(frozen=True)
+class Functional:
+    """A number made from a load: value and standard deviation (None where the estimate has no posterior)."""
+
+    name: str
+    value: float
+    std: float | None
+    unit: str
+
+    def __str__(self) -> str:
+        from loadid.summary import plus_minus
+
+        return f"{self.name} {plus_minus(self.value, self.std)} {self.unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class Peak:
+    """Largest magnitude of one load, with its sign: value, standard deviation, and where on the axis."""
+
+    label: str
+    value: float
+    std: float
+    unit: str
+    at: float | None
+    index: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoadEstimate:
+    """A reconstructed load with its uncertainty and its history. Immutable.
+
+    Parameters
+    ----------
+    load : array, shape (samples, loads) or (loads,)
+        SI units, as named in `units`.
+    std : array, the shape of `load`
+        Standard deviation of the noise that reaches the load.
+    labels, units : sequence of str
+        One of each per load.
+    axis : Axis, optional
+        Time or frequency; None for a static load of shape (loads,).
+    choice : Choice, optional
+        How lambda was chosen.
+    response, residual : array, shape (samples, sensors) or (sensors,), optional
+        Measured response, and measured minus predicted.
+    sensors, sensor_units : sequence of str
+        One of each per sensor.
+    flags : sequence of Flag
+        Findings of the guards.
+    allowed : sequence of str
+        Codes whose refusal was overridden.
+    certificate : Certificate, optional
+        Check of the forward model against a known load.
+    provenance : mapping
+        Versions, settings, sha256 of the inputs, fingerprint of the model, date, family, prior in words.
+    posterior : object, optional
+        ``variance(w)`` of weights of the shape of `load` (or stacked in front), and ``to_arrays()``.
+    facts : mapping
+        Numbers that are printed with every result: ``m, n, rank, nullity, kappa, edf, residual_to_noise,
+        resolution`` and what else a family knows.
+
+    Raises
+    ------
+    InputError
+        If shapes or names do not fit together, or a number is not finite.
+    """
+
+    load: NDArray
+    std: NDArray
+    labels: Sequence[str]
+    units: Sequence[str]
+    axis: Axis | None = None
+    choice: Choice | None = None
+    response: NDArray | None = None
+    residual: NDArray | None = None
+    sensors: Sequence[str] = ()
+    sensor_units: Sequence[str] = ()
+    flags: Sequence[Flag] = ()
+    allowed: Sequence[str] = ()
+    certificate: Certificate | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    posterior: Any = field(default=None, repr=False)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        for name in ("load", "std", "response", "residual"):
+            if getattr(self, name) is not None:
+                put(self, name, _frozen(getattr(self, name)))
+        for name in ("labels", "units", "sensors", "sensor_units", "flags"):
+            put(self, name, tuple(getattr(self, name)))
+        put(self, "allowed", tuple(canonical(c) for c in self.allowed))
+        put(self, "provenance", MappingProxyType(dict(self.provenance)))
+        put(self, "facts", MappingProxyType(dict(self.facts)))
+        _check(self)
+
+    def __repr__(self) -> str:
+        peaks = ", ".join(f"{p.label}: peak {p.value:.4g} {p.unit}" for p in self.peaks[:3])
+        return f"<LoadEstimate {self.load.shape}, {peaks}; {len(self.flags)} flags>"
+
+    def __reduce__(self) -> tuple:
+        state = {f.name: getattr(self, f.name) for f in fields(self)}
+        return _rebuild, (state | {"provenance": dict(self.provenance), "facts": dict(self.facts)},)
+
+    # -- numbers --------------------------------------------------------------------------------------------------
+    @property
+    def codes(self) -> set[str]:
+        """Short codes of the flags, ``{"W114", ...}``."""
+        return codes(self.flags)
+
+    @property
+    def verified(self) -> str:
+        """The certificate in words, or ``"forward model not verified"``."""
+        return NOT_VERIFIED if self.certificate is None else str(self.certificate)
+
+    @property
+    def predicted(self) -> NDArray | None:
+        """Response that the model predicts for this load, the shape of `response`."""
+        return None if self.response is None or self.residual is None else self.response - self.residual
+
+    def band(self, level: float = 0.95) -> tuple[NDArray, NDArray]:
+        """Lower and upper end of the central band of probability `level`, each of the shape of `load`."""
+        if not 0 < level < 1:
+            raise InputError("no probability", where="level", found=level, expected="between 0 and 1")
+        width = NormalDist().inv_cdf(0.5 + level / 2) * self.std
+        return self.load - width, self.load + width
+
+    @property
+    def peaks(self) -> tuple[Peak, ...]:
+        """Largest magnitude of every load."""
+        load, std = self.load.reshape(-1, len(self.labels)), self.std.reshape(-1, len(self.labels))
+        found = []
+        for j, (label, unit) in enumerate(zip(self.labels, self.units, strict=True)):
+            i = int(np.argmax(np.abs(load[:, j])))
+            value = load[i, j].item() if self.load.dtype.kind != "c" else abs(load[i, j].item())
+            at = None if self.axis is None else float(self.axis.values[i])
+            found.append(Peak(label, value, float(std[i, j]), unit, at, i))
+        return tuple(found)
+
+    def functional(
+        self,
+        w: str | ArrayLike = "impulse",
+        *,
+        load: int | str = 0,
+        window: tuple[float, float] | None = None,
+    ) -> Functional:
+        """A weighted sum of the load with its standard deviation, correlations included.
+
+        Parameters
+        ----------
+        w : ``"impulse"``, ``"mean"`` or array
+            Impulse (step times sum, in unit s), mean, or weights of the shape of `load` or (samples,).
+        load : int or str
+            Which load, by index or label; not used when `w` has the shape of `load`.
+        window : (float, float), optional
+            Part of the axis, both ends included.
+
+        Raises
+        ------
+        InputError
+            If there is no such load, no axis, or the window or the weights do not fit.
+        """
+        j = self._index(load)
+        weights, name, unit = np.zeros(self.load.shape), "functional", self.units[j]
+        if isinstance(w, str):
+            inside = self._window(window)
+            if w == "impulse":
+                weights[inside, j], name, unit = self._axis("time").step, "impulse", f"{unit} s"
+            elif w == "mean":
+                weights[inside, j], name = 1 / np.count_nonzero(inside), "mean"
+            else:
+                raise InputError("no such functional", where="w", found=w, expected="'impulse', 'mean' or an array")
+        else:
+            own = np.asarray(w, float)
+            if own.shape == self.load.shape:
+                weights = own.copy()
+            elif own.ndim == 1 and self.load.ndim == 2 and len(own) == len(self.load):
+                weights[:, j] = own
+            else:
+                raise InputError("the weights do not fit", where="w", found=own.shape, expected=self.load.shape)
+            if window is not None:
+                weights[~self._window(window)] = 0
+        std = None if self.posterior is None else float(np.sqrt(max(float(self.posterior.variance(weights)), 0.0)))
+        return Functional(name, float(np.sum(weights * self.load)), std, unit)
+
+    def _index(self, load: int | str) -> int:
+        if isinstance(load, str) and load in self.labels:
+            return list(self.labels).index(load)
+        if isinstance(load, int | np.integer) and -len(self.labels) <= load < len(self.labels):
+            return int(load) % len(self.labels)
+        raise InputError("no such load", where="load", found=repr(load), expected=f"an index or one of {self.labels}")
+
+    def _axis(self, name: str) -> Axis:
+        if self.axis is None or self.axis.name != name or len(self.axis.values) < 2:
+            found = "a static load" if self.axis is None else f"{len(self.axis.values)} values of {self.axis.name}"
+            raise InputError(f"a load over {name} is needed", where="axis", found=found)
+        return self.axis
+
+    def _window(self, window: tuple[float, float] | None) -> NDArray[np.bool_]:
+        if self.axis is None:
+            raise InputError(
+                "a static load has no axis to take it over", where="w", hint="give the weights as an array"
+            )
+        start, stop = window or (-np.inf, np.inf)
+        inside = (self.axis.values >= start) & (self.axis.values <= stop)
+        if not inside.any():
+            ends = f"{self.axis.values[0]:.6g} to {self.axis.values[-1]:.6g} {self.axis.unit}"
+            raise InputError("the window holds no sample", where="window", found=window, expected=f"inside {ends}")
+        return inside
+
+    # -- words, pictures, files -----------------------------------------------------------------------------------
+    def summary(self) -> str:
+        """What a user must read, as text."""
+        from loadid.summary import summary
+
+        return summary(self)
+
+    def plot(
+        self,
+        kind: str = "load",
+        *,
+        truth: ArrayLike | None = None,
+        ax: Axes | None = None,
+        path: str | os.PathLike | None = None,
+        show: bool = False,
+    ) -> Figure:
+        """Picture of the load, of the ``"response"`` or of the ``"path"`` (how lambda was chosen).
+
+        Parameters
+        ----------
+        truth : array, optional
+            Known load of the shape of `load` (or (samples,) for one load), drawn beside it.
+        ax : matplotlib Axes, optional
+            Draw the first load into these axes instead of making a figure.
+        path : path, optional
+            File to save to, by its suffix.
+        show : bool
+            Open a window.
+        """
+        from loadid import plots
+
+        return plots.plot(self, kind, truth=truth, ax=ax, path=path, show=show)
+
+    def report(self, path: str | os.PathLike, *, truth: ArrayLike | None = None) -> None:
+        """Write one self-contained HTML page."""
+        from loadid.report import write_report
+
+        write_report(self, path, truth=truth)
+
+    def _repr_html_(self) -> str:
+        from loadid.report import fragment
+
+        return fragment(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the posterior as plain lists, text and numbers for strict JSON; not finite becomes None."""
+        from loadid import archive
+
+        tree = archive.to_tree(self)
+        tree.pop("posterior")
+        tree["peaks"] = [asdict(p) for p in self.peaks]
+        tree["verified"] = self.verified
+        return archive.plain(tree)
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write an HDF5 file with checksums, whole or not at all."""
+        from loadid import archive
+        from structures import storage
+
+        storage.write(path, archive.to_tree(self), archive.KIND)
+
+    @classmethod
+    def read(cls, path: str | os.PathLike) -> LoadEstimate:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, of another kind, or damaged.
+        """
+        from loadid import archive
+
+        return archive.read(path)
+
+
+load = LoadEstimate.read
+
+
+# -- helpers ----------------------------------------------------------------------------------------------------------
+def _frozen(value: ArrayLike) -> NDArray:
+    array = np.array(value)  # a copy: the caller's array stays writable and apart
+    array = array if array.dtype.kind in "fc" else array.astype(float)
+    array.setflags(write=False)
+    return array
+
+
+def _check(e: LoadEstimate) -> None:
+    def need(good: bool, what: str, found: object, expected: object) -> None:
+        if not good:
+            raise InputError(what, where="LoadEstimate", found=found, expected=expected)
+
+    n, m = len(e.labels), len(e.sensors)
+    need(e.load.ndim in (1, 2) and e.load.size > 0, "no load", e.load.shape, "(samples, loads) or (loads,)")
+    need(e.load.shape[-1] == n == len(e.units), "labels or units do not fit", (n, len(e.units)), e.load.shape[-1])
+    need(e.std.shape == e.load.shape, "the std does not fit the load", e.std.shape, e.load.shape)
+    need(bool(np.all(np.isfinite(e.load))), "the load is not finite", "NaN or infinity", "finite numbers")
+    need(bool(np.all(np.isfinite(e.std)) and np.all(e.std >= 0)), "the std is no std", "NaN, inf or < 0", ">= 0")
+    rows = e.load.shape[:-1]
+    have = () if e.axis is None else e.axis.values.shape
+    need(have == rows, "the axis does not fit the load", have, rows)
+    for name in ("response", "residual"):
+        array = getattr(e, name)
+        if array is not None:
+            need(array.shape[-1] == m == len(e.sensor_units), f"sensors do not fit the {name}", array.shape, m)
+            need(bool(np.all(np.isfinite(array))), f"the {name} is not finite", "NaN or infinity", "finite numbers")
+    if e.response is not None and e.residual is not None:
+        need(e.response.shape == e.residual.shape, "residual and response differ", e.residual.shape, e.response.shape)
+
+
+def _rebuild(state: dict[str, Any]) -> LoadEstimate:
+    return LoadEstimate(**state)
