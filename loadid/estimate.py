@@ -223,7 +223,8 @@ class LoadEstimate:
                 raise InputError("the weights do not fit", where="w", found=own.shape, expected=self.load.shape)
             if window is not None:
                 weights[~self._window(window)] = 0
-        std = None if self.posterior is None else float(np.sqrt(max(float(self.posterior.variance(weights)), 0.0)))
+        variance = None if self.posterior is None else np.asarray(self.posterior.variance(weights)).item()
+        std = None if variance is None else float(np.sqrt(max(variance, 0.0)))
         return Functional(name, float(np.sum(weights * self.load)), std, unit)
 
     def _index(self, load: int | str) -> int:
@@ -280,9 +281,9 @@ class LoadEstimate:
         show : bool
             Open a window.
         """
-        from loadid import plots
+        from loadid.plots import plot
 
-        return plots.plot(self, kind, truth=truth, ax=ax, path=path, show=show)
+        return plot(self, kind, truth=truth, ax=ax, path=path, show=show)
 
     def report(self, path: str | os.PathLike, *, truth: ArrayLike | None = None) -> None:
         """Write one self-contained HTML page."""

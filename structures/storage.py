@@ -46,7 +46,7 @@ def write(path: str | os.PathLike, tree: Mapping[str, Any], kind: str) -> None:
     """
     path = Path(path)
     body = _encode(tree, str(path))
-    _replace(path, _block(kind, _digest(kind, body)) + body)
+    replace(path, _block(kind, _digest(kind, body)) + body)
 
 
 def read(path: str | os.PathLike, kind: str) -> dict[str, Any]:
@@ -138,8 +138,14 @@ def _verified(path: Path) -> tuple[str, bytes]:
     return kind, data
 
 
-def _replace(path: Path, data: bytes) -> None:
-    """Put `data` at `path`: temporary file, fsync, rename, fsync of the folder."""
+def replace(path: Path, data: bytes) -> None:
+    """Put `data` at `path`, whole or not at all: temporary file, fsync, rename, fsync of the folder.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written; the old one is untouched.
+    """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
     try:
         try:

@@ -1,0 +1,215 @@
+"""One self-contained HTML page of a load estimate: nothing is fetched, every text is escaped."""
+
+from __future__ import annotations
+
+import base64
+import os
+from collections.abc import Iterable, Mapping
+from html import escape
+from importlib.resources import files
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
+
+from loadid.summary import facts, headline, impulses, noise, number, plus_minus, quantity, rules, sort
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from loadid.estimate import LoadEstimate
+
+_DENSE = 20_000  # plotted points beyond which a bitmap is smaller than a vector picture
+_SHOWN = 12
+
+
+def write_report(estimate: LoadEstimate, path: str | os.PathLike, *, truth: ArrayLike | None = None) -> None:
+    """Write the page, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    from structures.storage import replace
+
+    replace(Path(path), page(estimate, truth=truth).encode())
+
+
+def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:
+    """The page as text."""
+    title = f"Load estimate: {', '.join(estimate.labels[:4])}" + (" …" if len(estimate.labels) > 4 else "")
+    sections = [
+        ("Result", _result(estimate) + _picture(estimate, truth)),
+        ("Flags", _flags(estimate)),
+        ("How lambda was chosen", _choice(estimate)),
+        ("What the data cannot tell", _limits(estimate)),
+        ("Measured against predicted", _response(estimate)),
+        ("Verification", _verification(estimate)),
+        ("Provenance", _provenance(estimate)),
+    ]
+    body = "\n".join(f"<section>\n<h2>{escape(name)}</h2>\n{text}\n</section>" for name, text in sections if text)
+    created = estimate.provenance.get("created")
+    line = " · ".join(escape(str(x)) for x in (estimate.provenance.get("family"), created) if x)
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
+<title>{escape(title)}</title>
+<style>
+{files("loadid").joinpath("report.css").read_text(encoding="utf-8")}</style>
+</head>
+<body>
+<header>
+<h1>{escape(title)}</h1>
+<p class="quiet">{line}</p>
+{_notices(estimate)}
+</header>
+<main>
+{body}
+</main>
+</body>
+</html>
+"""
+
+
+def fragment(estimate: LoadEstimate) -> str:
+    """Short form for notebooks: result, picture and flags."""
+    return f"<div>{_notices(estimate)}{_result(estimate)}{_picture(estimate, None)}{_flags(estimate)}</div>"
+
+
+# -- sections ---------------------------------------------------------------------------------------------------------
+def _notices(e: LoadEstimate) -> str:
+    good = " good" if e.certificate is not None else ""
+    text = f'<p class="notice{good}" role="note">{escape(e.verified)}</p>'
+    if e.allowed:
+        text += f'<p class="notice" role="note">overridden refusals: {escape(", ".join(e.allowed))}</p>'
+    return text
+
+
+def _result(e: LoadEstimate) -> str:
+    order = sorted(zip(e.peaks, impulses(e), strict=True), key=lambda pair: -abs(pair[0].value))
+    cards = []
+    for peak, impulse in order[:_SHOWN]:
+        kind = "" if e.axis is None else "peak "
+        at = "" if peak.at is None or e.axis is None else f" at {quantity(peak.at, e.axis.unit)}"
+        lines = [escape(peak.label), f"<b>{escape(f'{plus_minus(peak.value, peak.std)} {peak.unit}')}</b>"]
+        lines.append(escape(" · ".join(x for x in (f"{kind}{at}".strip(), str(impulse) if impulse else "") if x)))
+        cards.append(f"<li>{lines[0]}{lines[1]}{lines[2]}</li>")
+    more = len(order) - len(cards)
+    note = "± one standard deviation" + (f"; {more} smaller loads not listed" if more else "")
+    return f'<ul class="results">{"".join(cards)}</ul><p class="quiet">{note}</p>'
+
+
+def _flags(e: LoadEstimate) -> str:
+    if not e.flags:
+        return "<p>No guard raised a flag.</p>" + _silent(e)
+    rows = "".join(
+        f'<li class="{flag.level}"><b>{escape(flag.code)} {escape(flag.level)}</b>: {escape(flag.message)}'
+        f'<br><span class="quiet">{escape(str(flag.evidence))}</span><br>What to do: {escape(flag.advice)}</li>'
+        for flag in sort(e.flags)
+    )
+    return f'<ul class="flags">{rows}</ul>' + _silent(e)
+
+
+def _silent(e: LoadEstimate) -> str:
+    checked = e.facts.get("guards_checked") or ()
+    silent = [c for c in map(str, checked) if c.removeprefix("LID-") not in e.codes]
+    return f'<p class="quiet">Checked and silent: {escape(", ".join(silent))}</p>' if silent else ""
+
+
+def _choice(e: LoadEstimate) -> str:
+    if e.choice is None:
+        return "<p>No lambda was chosen.</p>"
+    rows = [*rules(e.choice)]
+    text = f"<p>{escape(headline(e.choice))}</p><p>noise: {escape(noise(e.choice))}</p>"
+    text += _table(rows, ("rule", "relative lambda", "remark")) if rows else ""
+    if e.choice.sweep is None:
+        return text
+    from loadid.plots import path_figure
+
+    return text + _image(
+        path_figure(e), f"L-curve and residual over lambda; verdict {e.choice.verdict}", e.choice.sweep.lam.size
+    )
+
+
+def _limits(e: LoadEstimate) -> str:
+    if not e.facts:
+        return ""
+    rows = [row for row in facts(e) if row[0] != "guards checked"]
+    prior = e.provenance.get("prior")
+    said = f"<p>What the data do not determine is filled by the prior: {escape(str(prior))}.</p>" if prior else ""
+    return said + _table(rows)
+
+
+def _response(e: LoadEstimate) -> str:
+    if e.response is None or e.residual is None:
+        return ""
+    from loadid.plots import response_figure
+
+    names = ", ".join(e.sensors[:8])
+    return _image(response_figure(e), f"measured and predicted response of {names}", 3 * e.response.size)
+
+
+def _verification(e: LoadEstimate) -> str:
+    c = e.certificate
+    if c is None:
+        advice = "Check the model against a known load (model.verify) and the certificate travels with every estimate."
+        return f"<p>{escape(e.verified)}.</p><p>{escape(advice)}</p>"
+    ratios = c.noise_ratio or ("not known",) * len(c.sensors)
+    rows = [
+        (s, number(g), number(r), f"{x:.2%}", number(q))
+        for s, g, r, x, q in zip(c.sensors, c.gain, c.shape, c.error, ratios, strict=True)
+    ]
+    head = ("sensor", "gain (1 is right)", "shape (1 is right)", "residual", "residual / noise")
+    return f"<p>Checked against {escape(c.source)} on {escape(c.date)}.</p>" + _table(rows, head)
+
+
+def _provenance(e: LoadEstimate) -> str:
+    return _table(_flat(e.provenance)) if e.provenance else "<p>Not recorded.</p>"
+
+
+# -- pieces -----------------------------------------------------------------------------------------------------------
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    for key, value in tree.items():
+        name = f"{prefix}{str(key).replace('_', ' ')}"
+        rows += _flat(value, f"{name}: ") if isinstance(value, Mapping) else [(name, number(value, 6))]
+    return rows
+
+
+def _table(rows: Iterable[tuple[str, ...]], head: tuple[str, ...] = ()) -> str:
+    top = "<thead><tr>" + "".join(f'<th scope="col">{escape(h)}</th>' for h in head) + "</tr></thead>" if head else ""
+    lines = (
+        f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{escape(str(x))}</td>" for x in row[1:]) + "</tr>"
+        for row in rows
+    )
+    return f'<div class="scroll"><table>{top}<tbody>{"".join(lines)}</tbody></table></div>'
+
+
+def _picture(e: LoadEstimate, truth: ArrayLike | None) -> str:
+    from loadid.plots import load_figure
+
+    peaks = "; ".join(f"{p.label} peaks at {p.value:.4g} {p.unit}" for p in e.peaks[:3])
+    return _image(load_figure(e, truth=truth), f"load with its 95 % band: {peaks}", 6 * e.load.size)
+
+
+def _image(figure: Figure, words: str, points: int) -> str:
+    """A figure as an image inside the page: its names and styles cannot meet those of the page or of another figure."""
+    dense = points > _DENSE
+    kind = "image/png" if dense else "image/svg+xml"
+    data = base64.b64encode(_drawn(figure, "png" if dense else "svg")).decode()
+    return f'<figure tabindex="0"><img src="data:{kind};base64,{data}" alt="{escape(words)}"></figure>'
+
+
+def _drawn(figure: Figure, suffix: str) -> bytes:
+    from matplotlib import rc_context
+
+    buffer = BytesIO()
+    keep: dict[str, Any] = {"metadata": {"Date": None}} if suffix == "svg" else {"dpi": 160}
+    with rc_context({"svg.hashsalt": "loadid", "svg.fonttype": "path"}):
+        figure.savefig(buffer, format=suffix, **keep)
+    return buffer.getvalue()
