@@ -235,9 +235,10 @@ def _at_rail(y: Vector, step: float) -> tuple[Runs, str]:
     """Stretches at the upper rail that cut a crest off, and how sure that is."""
     top, span = float(y.max()), float(np.ptp(y))
     exact = [(a, b) for a, b in _runs(y == top) if b - a >= RAIL_RUN]
-    if exact and span >= 16 * step:
+    # What stays at its top for half of the record is a plateau; one of fewer than 16 bits has crests of several samples.
+    if exact and span >= 16 * step and sum(b - a for a, b in exact) < 0.5 * len(y):
         tolerance = max(2.0 * step, 1e-6 * span)
-        if any(_cut(y, r, top, tolerance) for r in exact):
+        if any(_cut(y, r, top, tolerance) for r in exact) or _leaps(y, exact, top, step):
             return exact, "certain" if sum(b - a for a, b in exact) >= 2 * RAIL_RUN else "likely"
     # An amplifier that saturates before the converter leaves a plateau with a little noise on it.
     near = [(a, b) for a, b in _runs(y >= top - 0.005 * span) if b - a >= RAIL_RUN and a > 1 and b < len(y) - 1]
@@ -261,6 +262,14 @@ def _cut(y: Vector, run: tuple[int, int], top: float, tolerance: float) -> bool:
         return False
     near, far = (min(y[a - 1 - k], y[b + k]) - top for k in (0, reach))
     return near + (near - far) * half**2 / ((half + reach) ** 2 - half**2) > 1.5 * tolerance
+
+
+def _leaps(y: Vector, runs: Runs, top: float, step: float) -> bool:
+    """Whether a signal that otherwise never repeats a value jumps onto the rail and off it: broadband and cut."""
+    equal = int((y[1:] == y[:-1]).sum()) - sum(b - a - 1 for a, b in runs)
+    inner = [(a, b) for a, b in runs if a > 0 and b < len(y)]
+    jumps = any(top - max(y[a - 1], y[b]) > 16 * step for a, b in inner)
+    return jumps and len(y) >= 32 and equal < 0.1 * len(y)
 
 
 def _entry(y: Vector, run: tuple[int, int], top: float, both: bool = False) -> float:
