@@ -7,6 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.errors import InputError
+
+from .path import RegularizationPath
+
 
 @dataclass(frozen=True)
 class RuleResult:
@@ -82,3 +86,107 @@ class Choice:
     sigma_source: str = "not known"
     edf: float | None = None
     sweep: Sweep | None = field(default=None, repr=False)
+
+
+DEFAULT_RULES = ("discrepancy", "upre", "gcv", "robust_gcv", "predicted_error", "l_curve", "ncp", "quasi_optimality", "evidence")
+COMPARED = ("gcv", "l_curve", "ncp")  # rules of different origin: where they agree the data determine lambda
+
+
+def choose(
+    path: RegularizationPath, choice: str | float | None = None, *, sigma: float | None = None, source: str = "not known"
+) -> Choice:
+    """Choose lambda on a path, ask the other rules too, and grade their agreement.
+
+    Parameters
+    ----------
+    path : RegularizationPath
+    choice : str, float or None
+        Rule, or relative lambda. None: discrepancy where the noise level is known, else robust GCV with one step
+        towards the smallest error of the load (`rules.predicted_error`). Where the solution spends more than a fifth
+        of the data as degrees of freedom the residual lies below the noise by construction, so discrepancy hands over
+        to UPRE; robust GCV hands over to GCV when it ends at the edge of the sweep.
+    sigma : float, optional
+        Noise level of the whitened data.
+    source : str
+        Where it comes from.
+
+    Raises
+    ------
+    InputError
+        Unknown rule, a lambda that is not a finite number >= 0, or a rule that refuses.
+    """
+    from . import rules
+
+    sweep = rules.Sweep.over(path, sigma)
+    asked = {name: rules.run(name, sweep) for name in DEFAULT_RULES}
+    if isinstance(choice, str) and choice not in asked:
+        asked[choice] = rules.run(choice, sweep)
+    lam, rule = _pick(path, choice, asked, sigma)
+    spread, verdict = agreement([asked[name] for name in COMPARED])
+    point = path.at(lam)
+    return Choice(
+        lam=lam,
+        scale=float(path.scale),
+        rule=rule,
+        rules=tuple(asked.values()),
+        spread=spread,
+        verdict=verdict,
+        odds=MEANING[verdict],
+        sigma=sigma,
+        sigma_source=source,
+        edf=None if point.edf is None else float(point.edf),
+        sweep=Sweep(
+            sweep.lam,
+            np.sqrt(sweep.point.residual2),
+            np.sqrt(sweep.point.penalty2),
+            sweep.point.edf,
+            None if sweep.point.left is None else rules.gcv_function(path, sweep.point),
+        ),
+    )
+
+
+MEANING = {
+    "determined": "the rules lie within half a decade",
+    "usable": "the rules lie within one decade",
+    "rules disagree": "the rules lie more than one decade apart: correlated noise or model error is likely",
+    "not determined": "the rules lie more than two decades apart, or none found an optimum: lambda is not determined by the data",
+}
+
+
+def agreement(results: list[RuleResult]) -> tuple[float, str]:
+    """Spread in decades of the rules that found an optimum inside the sweep, and the verdict."""
+    found = [r.lam for r in results if r.lam is not None and not r.edge]
+    if len(found) < 2:
+        return float("inf") if not found else 0.0, "not determined"
+    spread = float(np.ptp(np.log10(found)))
+    names = ("determined", "usable", "rules disagree", "not determined")
+    return spread, names[int(np.searchsorted([0.5, 1.0, 2.0], spread, side="right"))]
+
+
+def _pick(
+    path: RegularizationPath, choice: str | float | None, asked: dict[str, RuleResult], sigma: float | None
+) -> tuple[float, str]:
+    if isinstance(choice, str):
+        return _given(asked[choice]), choice
+    if choice is not None:
+        if not (np.isfinite(choice) and choice >= 0):
+            raise InputError("no relative lambda", where="choice", found=choice, expected="a finite number >= 0, or the name of a rule")
+        return float(choice), "given"
+    order = ["predicted_error", "robust_gcv", "gcv", "l_curve"] if sigma is None else ["discrepancy", "upre", "gcv"]
+    first = asked[order[0]]
+    if sigma is not None and first.lam is not None:
+        edf = path.at(first.lam).edf
+        if first.edge or (edf is not None and edf > 0.2 * path.m):
+            order = order[1:]
+    inside = [asked[name] for name in order if asked[name].lam is not None and not asked[name].edge]
+    running = inside or [r for r in asked.values() if r.lam is not None]
+    if not running:
+        raise InputError("no rule can run on this path", where="choice", found="; ".join(r.note for r in asked.values()),
+                         expected="a relative lambda", hint="pass choice=<relative lambda>")  # fmt: skip
+    return _given(running[0]), running[0].rule
+
+
+def _given(result: RuleResult) -> float:
+    if result.lam is None:
+        raise InputError(f"the rule {result.rule} cannot run here", where="choice", found=result.note, expected="another rule or a relative lambda")
+    return result.lam

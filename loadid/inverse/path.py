@@ -23,6 +23,8 @@ class PathPoint:
         Squared norms of the whitened residual and of L g.
     edf, edf2 : array or None
         tr A and tr A^2 of the influence matrix A.
+    left : array or None
+        m - edf, formed without cancellation.
     sensitivity : array or None
         Norm of lambda dg/dlambda.
     objective : array or None
@@ -35,6 +37,7 @@ class PathPoint:
     penalty2: NDArray[np.float64]
     edf: NDArray[np.float64] | None = None
     edf2: NDArray[np.float64] | None = None
+    left: NDArray[np.float64] | None = None
     sensitivity: NDArray[np.float64] | None = None
     objective: NDArray[np.float64] | None = None
     log_ratio: NDArray[np.float64] | None = None
@@ -81,6 +84,10 @@ class RegularizationPath(Protocol):
 
     def at(self, lam: ArrayLike) -> PathPoint:
         """Scalars of the path at `lam`."""
+        ...
+
+    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64] | None:
+        """Squared load error expected at `lam` if the estimate at `pilot` were the load."""
         ...
 
     def residual(self, lam: float) -> NDArray[np.float64]:
@@ -198,8 +205,9 @@ class FactoredPath:
         residual2 = np.sum(w * g**2 * b2, axis=-1) + outside
         penalty2 = np.sum(w * (s * gain) ** 2 * b2, axis=-1)
         edf, edf2 = np.sum(w * f, axis=-1), np.sum(w * f**2, axis=-1)
+        left = (self.m - np.sum(w)) * (self.m > np.sum(w) * (1 + 1e-12)) + np.sum(w * g, axis=-1)
         if not self.smooth:
-            return PathPoint(residual2, penalty2, edf, edf2)
+            return PathPoint(residual2, penalty2, edf, edf2, left)
         gamma = self._gamma[..., None, :]
         x = self._absolute(lam)
         return PathPoint(
@@ -207,10 +215,26 @@ class FactoredPath:
             penalty2,
             edf,
             edf2,
+            left,
             sensitivity=2 * self._norm(g * gain * self.beta[..., None, :]),
             objective=np.sum(w * g * b2, axis=-1) + outside,
             log_ratio=np.sum(w * self._seen[..., None, :] * np.log1p((gamma / x) ** 2), axis=-1),
         )
+
+    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64]:
+        """Squared load error at each `lam` (k,) that would be made if the load were the estimate at `pilot`.
+
+        Bias of the filter on the pilot's load plus the variance of the noise: the parametric bootstrap in closed form.
+        """
+        fp, _ = self._filter(np.atleast_1d(np.asarray(pilot, float)))
+        f, g = self._filter(np.atleast_1d(np.asarray(lam, float)))
+        safe = np.where(self.c > 0, self.c, np.inf)
+        bias = self._norm(g * (fp * self.beta / safe)[..., :1, :])
+        return bias**2 + sigma**2 * np.sum(self.weight * self._lengths2() * (f / safe) ** 2, axis=-1)
+
+    def _lengths2(self) -> NDArray | float:
+        """Squared length of each mode of the load."""
+        return 1.0
 
     def _norm(self, coefficients: NDArray) -> NDArray:
         """Norm of the load with these mode coefficients; the modes are orthonormal unless a subclass says otherwise."""

@@ -79,6 +79,9 @@ class SVDPath(FactoredPath):
         inverse = self.X.T if self._orthonormal else np.linalg.solve(self.X, np.eye(len(self.X)))
         return (self.X * f[0]) @ inverse
 
+    def _lengths2(self) -> NDArray | float:
+        return 1.0 if self._orthonormal else np.sum(self.X**2, axis=0)
+
     def _norm(self, coefficients: NDArray) -> NDArray:
         if self._orthonormal:
             return super()._norm(coefficients)

@@ -1,0 +1,162 @@
+"""Convolution as an operator: the dense block Toeplitz matrix, and the zero-padded FFT path for long decayed records."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError
+
+from . import stacked
+from .path import FactoredPath, Solution
+from .penalties import symbol
+from .posterior import SpectralPosterior, twice
+
+
+def toeplitz(h: NDArray) -> NDArray[np.float64]:
+    """Lower block triangular Toeplitz operator of impulse responses (samples, sensors, loads).
+
+    Returns
+    -------
+    array, shape (samples, sensors, samples * loads)
+    """
+    N, m, p = h.shape
+    padded = np.concatenate([np.zeros((N - 1, m, p)), h])
+    # row t holds h[t], h[t-1], ... h[t-N+1]: windows of the padded history, read backwards
+    windows = np.lib.stride_tricks.sliding_window_view(padded, N, axis=0)[..., ::-1]  # (N, m, p, N)
+    return np.ascontiguousarray(windows.transpose(0, 1, 3, 2)).reshape(N, m, N * p)
+
+
+def padded_length(samples: int) -> int:
+    """Fast transform length of at least twice the record: no part of the response wraps round."""
+    from scipy.fft import next_fast_len
+
+    return int(next_fast_len(2 * samples, real=True))
+
+
+class SpectralPath(FactoredPath):
+    """Zero-padded frequency-domain Tikhonov of a whole record with one lambda; right where the response has decayed.
+
+    Each line is a small problem (sensors x loads) solved by SVD; all lines share lambda and every rule sees them as one
+    problem. The record is padded to twice its length, so that the convolution is linear and what the solution puts
+    after the record is dropped.
+
+    Parameters
+    ----------
+    H : array, shape (lines, sensors, loads)
+        Frequency response at the lines of the padded transform.
+    y : array, shape (samples, sensors)
+        Data.
+    power : array, shape (lines, sensors)
+        Expected energy of the noise in the transform of each channel.
+    penalty : str
+        Named penalty.
+    variance : array, shape (lines, sensors, loads), optional
+        Variance of H; widens the posterior.
+    """
+
+    def __init__(
+        self,
+        H: NDArray,
+        y: NDArray,
+        power: NDArray,
+        *,
+        penalty: str = "identity",
+        variance: NDArray | None = None,
+        truncated: bool = False,
+    ) -> None:
+        from scipy import fft
+
+        self.samples, sensors = y.shape
+        self.padded = padded_length(self.samples)
+        lines, loads = self.padded // 2 + 1, H.shape[2]
+        if H.shape[:2] != (lines, sensors) or power.shape != (lines, sensors) or np.any(power <= 0):
+            raise InputError("lines do not fit the record", where="spectral path", found=f"H {H.shape}, noise power {power.shape}",
+                             expected=f"({lines}, {sensors}, loads) and positive ({lines}, {sensors})")  # fmt: skip
+        root = np.sqrt(power)
+        self.H, self.Y = H / root[..., None], fft.rfft(y, self.padded, axis=0) / root
+        self.U, c, self.V, beta, outside = stacked.factor(self.H, self.Y)
+        self.penalty_lines = symbol(penalty, 2 * np.pi * np.arange(lines) / self.padded)
+        self.variance = None if variance is None else variance / power[..., None]
+        weight = twice(self.padded) * self.samples / self.padded
+        modes = c.shape[1]
+        super().__init__(
+            c.reshape(-1),
+            np.repeat(self.penalty_lines, modes),
+            beta.reshape(-1),
+            float(weight @ outside),
+            self.samples * sensors,
+            weight=np.repeat(weight, modes),
+            null=loads if self.penalty_lines[0] == 0 else 0,
+            truncated=truncated,
+        )
+        self.shape = (lines, modes)
+
+    @property
+    def rank(self) -> int:
+        """Modes (of lines times loads) above rounding."""
+        return int(np.sum(self.weight[self.c > self.c.size * np.finfo(float).eps * self.c.max()]))
+
+    def spectrum(self, lam: float) -> NDArray[np.complex128]:
+        """Load spectrum (lines, loads) of the padded transform."""
+        return np.einsum("klr,kr->kl", self.V, self.gains(lam).reshape(self.shape))
+
+    def residual(self, lam: float) -> NDArray[np.float64]:
+        """Whitened residual (samples, sensors), unit variance where the noise level is right."""
+        from scipy import fft
+
+        lines = self.Y - np.einsum("ksl,kl->ks", self.H, self.spectrum(lam))
+        return fft.irfft(lines, self.padded, axis=0)[: self.samples] * np.sqrt(self.samples)
+
+    def solution(self, lam: float, sigma: float | None) -> Solution:
+        """Load history (samples, loads) and its posterior, FRF variance included."""
+        from scipy import fft
+
+        G = self.spectrum(lam)
+        load = fft.irfft(G, self.padded, axis=0)[: self.samples]
+        if sigma is None:
+            return Solution(load, None)
+        return Solution(load, SpectralPosterior(self._covariance(lam, sigma, G), self.samples, self.padded))
+
+    def point_spread(self, lam: float) -> NDArray[np.float64]:
+        """Answer to a unit impulse at sample 0, mean over the loads, shape (padded,)."""
+        from scipy import fft
+
+        f = self._filter(np.array([lam]))[0].reshape(self.shape)
+        return fft.irfft(f.mean(axis=1), self.padded)
+
+    def _covariance(self, lam: float, sigma: float, G: NDArray) -> NDArray:
+        """Covariance (lines, loads, loads) of the load spectrum: noise, prior and FRF variance."""
+        c = self.c.reshape(self.shape)
+        if self.smooth:
+            prior = (lam * float(self.scale) * self.penalty_lines[:, None]) ** 2
+            inside = 1.0 / (c**2 + prior)
+            gain = c * inside
+        else:
+            keep = self._filter(np.array([lam]))[0].reshape(self.shape) > 0
+            gain = np.where(keep, 1.0 / np.where(keep, c, 1.0), 0.0)
+            inside = gain**2
+        C = sigma**2 * np.einsum("kir,kr,kjr->kij", self.V, inside, self.V.conj())
+        loads = G.shape[1]
+        if self.smooth and c.shape[1] < loads:  # what no sensor sees keeps the variance of the prior
+            rest = np.eye(loads) - np.einsum("kir,kjr->kij", self.V, self.V.conj())
+            C = C + sigma**2 * rest / np.maximum(prior, np.finfo(float).tiny)[..., None]
+        if self.variance is None:
+            return C
+        spread = np.einsum("ksl,kl->ks", self.variance, smooth_lines(np.abs(G) ** 2))
+        Q = np.einsum("kir,kr,ksr->kis", self.V, gain, self.U.conj())
+        return C + np.einsum("kis,ks,kjs->kij", Q, spread, Q.conj())
+
+
+def smooth_lines(power: NDArray, half: int = 5) -> NDArray:
+    """Hann-weighted mean over neighbouring lines (2 half + 1), the ends mirrored; shape (lines, ...)."""
+    if half < 1 or len(power) <= 2 * half + 1:
+        return power
+    kernel = np.hanning(2 * half + 3)[1:-1]
+    kernel /= kernel.sum()
+    flat = power.reshape(len(power), -1)
+    padded = np.concatenate([flat[1 : half + 1][::-1], flat, flat[-half - 1 : -1][::-1]])
+    from scipy.signal import oaconvolve
+
+    out = oaconvolve(padded, kernel[:, None], mode="valid", axes=0)
+    return np.maximum(out, flat.min(axis=0)).reshape(power.shape)
