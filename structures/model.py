@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, NoReturn, Self
+from typing import Any, ClassVar, NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,7 +62,9 @@ class Certificate:
         source: str = "a known load",
     ) -> Certificate:
         """Certificate of predicted against measured responses, both (samples, sensors)."""
-        pp, mm, pm = (np.sum(a * b, axis=0) for a, b in ((predicted, predicted), (measured, measured), (predicted, measured)))
+        pp, mm, pm = (
+            np.sum(a * b, axis=0) for a, b in ((predicted, predicted), (measured, measured), (predicted, measured))
+        )
         residual = measured - predicted
         if np.any(pp == 0) or np.any(mm == 0):
             raise InputError(
@@ -71,11 +73,11 @@ class Certificate:
                 found=[s for s, a, b in zip(sensors, pp, mm, strict=True) if a == 0 or b == 0],
                 expected="a load that moves every sensor",
             )
-        ratio = None if noise is None else tuple(np.sqrt(np.mean(residual**2, axis=0)) / noise)
+        ratio = None if noise is None else tuple((np.sqrt(np.mean(residual**2, axis=0)) / noise).tolist())
         return cls(
-            gain=tuple(pm / pp),
-            shape=tuple(pm / np.sqrt(pp * mm)),
-            error=tuple(np.sqrt(np.sum(residual**2, axis=0) / mm)),
+            gain=tuple((pm / pp).tolist()),
+            shape=tuple((pm / np.sqrt(pp * mm)).tolist()),
+            error=tuple(np.sqrt(np.sum(residual**2, axis=0) / mm).tolist()),
             noise_ratio=ratio,
             sensors=tuple(sensors),
             source=source,
@@ -99,7 +101,7 @@ class Model:
     sensors: tuple[Channel, ...]
     loads: tuple[Channel, ...]
     certificate: Certificate | None = None
-    serves = {
+    serves: ClassVar[dict[str, str]] = {
         "static": "StaticInversion",
         "frf": "FrequencyInversion",
         "impulse_response": "Deconvolution",
@@ -148,7 +150,9 @@ class Model:
         """Digest of what the model is made of: two models with the same digest are the same model."""
         raise NotImplementedError
 
-    def verify(self, load: ArrayLike, response: ArrayLike, dt: float | None = None, *, source: str = "a known load") -> Certificate:
+    def verify(
+        self, load: ArrayLike, response: ArrayLike, dt: float | None = None, *, source: str = "a known load"
+    ) -> Certificate:
         """Check the model against a known load, and keep the certificate.
 
         Parameters
@@ -165,14 +169,16 @@ class Model:
         Certificate
             Also kept as ``model.certificate``, so that it travels in every estimate.
         """
-        load, response = np.asarray(load, float), np.asarray(response, float)
+        load, response = _finite(load, "load"), _finite(response, "response")
         names = [s.label for s in self.sensors]
         if dt is None:
-            predicted, response = (self.static() @ np.atleast_1d(load))[None], np.atleast_2d(response)
+            load, response = np.atleast_1d(load), np.atleast_2d(response)
+            if load.shape != (len(self.loads),):
+                raise self._bad_load("verify", f"shape {load.shape}", "one number per load; give dt for a history")
+            predicted = (self.static() @ load)[None]
         else:
-            load = load.reshape(len(load), -1)
-            response = response.reshape(len(load), -1)
             predicted = self.predict(load, dt)
+            response = response[:, None] if response.ndim == 1 else response
         if response.shape != predicted.shape:
             raise InputError(
                 "the response does not fit the model",
@@ -184,21 +190,32 @@ class Model:
         return self.certificate
 
     # -- shared ---------------------------------------------------------------------------------------------------
-    def predict(self, load: ArrayLike, dt: float, hold: str = "foh") -> NDArray[np.float64]:
+    @property
+    def default_hold(self) -> str:
+        """Hold that `predict` uses when none is named."""
+        return "foh"
+
+    def predict(self, load: ArrayLike, dt: float, hold: str | None = None) -> NDArray[np.float64]:
         """Response (samples, sensors) to a load history (samples, loads), at rest before its first sample."""
         from scipy.signal import fftconvolve
 
-        load = np.asarray(load, float)
-        load = load.reshape(len(load), -1)
-        if load.shape[1] != len(self.loads):
-            raise InputError(
-                "the load does not fit the model",
-                where="predict",
-                found=f"{load.shape[1]} columns",
-                expected=f"{len(self.loads)} loads: {[c.label for c in self.loads]}",
-            )
-        h = self.impulse_response(dt, len(load), hold)
-        return np.sum(fftconvolve(h, load[:, None, :], axes=0)[: len(load)], axis=2)
+        load = _finite(load, "load")
+        load = load[:, None] if load.ndim == 1 else load
+        if load.ndim != 2 or load.shape[1] != len(self.loads) or len(load) == 0:
+            raise self._bad_load("predict", f"shape {load.shape}", "(samples, loads)")
+        h = self.impulse_response(dt, len(load), hold or self.default_hold)
+        response = np.zeros((len(load), len(self.sensors)))
+        for j in range(len(self.loads)):
+            response += fftconvolve(h[:, :, j], load[:, j, None], axes=0)[: len(load)]
+        return response
+
+    def _bad_load(self, where: str, found: str, shape: str) -> InputError:
+        return InputError(
+            "the load does not fit the model",
+            where=where,
+            found=found,
+            expected=f"{shape}; loads: {[c.label for c in self.loads]}",
+        )
 
     def _noise_std(self) -> NDArray | None:
         noise = self.noise
@@ -214,3 +231,12 @@ class Model:
             expected=f"a model that gives {method}()",
             hint=f"families that can run on this model: {', '.join(can) or 'none'}",
         )
+
+
+def _finite(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    array = np.asarray(values, float)
+    if not np.all(np.isfinite(array)):
+        raise InputError(
+            "NaN or infinity", where=name, found=f"{np.sum(~np.isfinite(array))} entries", expected="finite"
+        )
+    return array

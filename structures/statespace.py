@@ -1,0 +1,309 @@
+"""Discrete state space: matrices at one step and one hold, and everything that they answer."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .channels import Channel
+from .discretise import check
+from .errors import InputError, NotIdentifiable
+from .factor import MECHANISM
+from .model import Model
+
+BLOCK = 64  # Markov parameters per matrix product
+SINGULAR = 1e13  # condition of I - A above which there is no static response
+
+
+class StateSpace(Model):
+    """``x_{k+1} = A x_k + B u_k``, ``y_k = C x_k + D u_k``.
+
+    Parameters
+    ----------
+    A : array (nx, nx)
+    B : array (nx, loads), or (samples, nx, loads) for loads that move
+    C : array (sensors, nx)
+    D : array (sensors, loads), or (samples, sensors, loads)
+    dt : float
+        Step in s.
+    hold : ``"zoh"`` or ``"foh"``
+        How the load runs between its samples: what B and D were made for.
+    sensors, loads : sequence of Channel or str, optional
+        What the rows and columns are; ``y0, y1, ...`` and ``u0, ...`` by default.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, a number is not finite, or the step or the hold is none.
+    """
+
+    def __init__(
+        self,
+        A: ArrayLike,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: ArrayLike,
+        dt: float,
+        hold: str = "zoh",
+        *,
+        sensors: Sequence[Any] | None = None,
+        loads: Sequence[Any] | None = None,
+    ) -> None:
+        check(dt, hold)
+        self.A, self.B, self.C, self.D = (frozen(x, name) for x, name in ((A, "A"), (B, "B"), (C, "C"), (D, "D")))
+        self.dt, self.hold = float(dt), hold
+        self._check_shapes()
+        self.sensors = channels(sensors, self.C.shape[0], "y", "sensors")
+        self.loads = channels(loads, self.B.shape[-1], "u", "loads")
+
+    def _check_shapes(self) -> None:
+        shapes = {name: getattr(self, name).shape for name in "ABCD"}
+        A, B, C, D = shapes.values()
+        fits = (
+            len(A) == len(C) == 2
+            and len(B) in (2, 3)
+            and len(D) in (2, 3)
+            and A[0] == A[1] == B[-2] == C[1]
+            and D[-2:] == (C[0], B[-1])
+            and (len(B) == 2 or len(D) == 2 or B[0] == D[0])
+            and min(C[0], B[-1]) > 0
+        )
+        if not fits:
+            raise InputError(
+                "the matrices do not fit each other",
+                where="StateSpace",
+                found=", ".join(f"{name} {shape}" for name, shape in shapes.items()),
+                expected="A (nx, nx), B (nx, loads), C (sensors, nx), D (sensors, loads); B and D may be led by time",
+            )
+
+    def __repr__(self) -> str:
+        moving = ", moving loads" if self.moving else ""
+        return (
+            f"StateSpace({len(self.A)} states, {len(self.sensors)} sensors, {len(self.loads)} loads, "
+            f"dt={self.dt:g} s, hold={self.hold!r}{moving})"
+        )
+
+    @property
+    def moving(self) -> bool:
+        """B or D change with time."""
+        return self.B.ndim == 3 or self.D.ndim == 3
+
+    @property
+    def default_hold(self) -> str:
+        """The hold that the matrices were made for."""
+        return self.hold
+
+    def static(self) -> NDArray[np.float64]:
+        """Static gain ``C (I - A)^-1 B + D`` (sensors, loads).
+
+        Raises
+        ------
+        NotIdentifiable
+            If a rigid-body motion or an integrator never settles.
+        """
+        self._refuse_moving("static")
+        rest = np.eye(len(self.A)) - self.A
+        if len(rest) and np.linalg.cond(rest) > SINGULAR:
+            raise NotIdentifiable(
+                f"a constant load never settles: I - A is singular (condition {np.linalg.cond(rest):.2g})",
+                advice="support the structure, or use the dynamic response",
+                code=MECHANISM,
+            )
+        return self.C @ np.linalg.solve(rest, self.B) + self.D
+
+    def frf(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
+        """Frequency response of the sampled system at `frequencies` (Hz, up to Nyquist): (lines, sensors, loads)."""
+        from scipy.linalg import schur
+
+        self._refuse_moving("frf")
+        f = lines(frequencies, nyquist=0.5 / self.dt)
+        z = np.exp(2j * np.pi * f * self.dt)
+        T, Q = schur(self.A, output="complex")
+        B, C = Q.conj().T @ self.B, self.C @ Q
+        H = np.broadcast_to(self.D.astype(complex), (len(f), *self.D.shape)).copy()
+        step = max(1, 4_000_000 // max(1, len(T) * B.shape[1]))
+        for a in range(0, len(f), step):
+            # Back substitution on z I - T for many lines at once.
+            zz = z[a : a + step, None]
+            x = np.empty((len(T), len(zz), B.shape[1]), dtype=complex)
+            for i in range(len(T) - 1, -1, -1):
+                known = np.tensordot(T[i, i + 1 :], x[i + 1 :], axes=1)
+                pivot = zz - T[i, i]
+                if np.any(pivot == 0):
+                    raise NotIdentifiable(
+                        "the response is unbounded on a line: an undamped pole lies there",
+                        advice="leave the line out",
+                        code=MECHANISM,
+                    )
+                x[i] = (B[i] + known) / pivot
+            H[a : a + step] += np.einsum("si,ilp->lsp", C, x, optimize=True)
+        return H
+
+    def impulse_response(self, dt: float, samples: int, hold: str | None = None) -> NDArray[np.float64]:
+        """Markov parameters ``D, CB, CAB, ...`` (samples, sensors, loads); only at its own step and hold."""
+        self._own(dt, hold, "impulse_response")
+        self._refuse_moving("impulse_response")
+        h = np.empty((count(samples), *self.D.shape))
+        h[0] = self.D
+        # Rows C A^j of one block, then one product per block with the state that starts it.
+        block = max(1, min(BLOCK, samples - 1))
+        rows = np.empty((block, *self.C.shape))
+        rows[0], power, known = self.C, self.A, 1
+        while known < block:
+            more = min(known, block - known)
+            rows[known : known + more] = rows[:more] @ power
+            power, known = power @ power, known + more
+        jump = np.linalg.matrix_power(self.A, block)
+        rows, x = rows.reshape(-1, len(self.A)), self.B
+        for a in range(1, samples, block):
+            part = (rows @ x).reshape(block, *self.D.shape)
+            h[a : a + block] = part[: samples - a]
+            x = jump @ x
+        return h
+
+    def state_space(self, dt: float, hold: str | None = None) -> StateSpace:
+        """Itself; refuses another step or hold."""
+        self._own(dt, hold, "state_space")
+        return self
+
+    def simulate(self, load: ArrayLike, x0: ArrayLike | None = None) -> NDArray[np.float64]:
+        """Response (samples, sensors) to a load history (samples, loads).
+
+        Parameters
+        ----------
+        load : array (samples, loads), or (samples,) for one load
+        x0 : array (nx,), optional
+            State at the first sample; at rest by default.
+        """
+        u = frozen(load, "load")
+        u = u[:, None] if u.ndim == 1 and len(self.loads) == 1 else u
+        length = next((len(M) for M in (self.B, self.D) if M.ndim == 3), None)
+        if u.ndim != 2 or u.shape[1] != len(self.loads) or (length is not None and len(u) != length):
+            raise InputError(
+                "the load does not fit the model",
+                where="simulate",
+                found=f"shape {u.shape}",
+                expected=f"({'samples' if length is None else length}, {len(self.loads)})",
+            )
+        x = np.zeros(len(self.A)) if x0 is None else np.array(frozen(x0, "x0"))
+        if x.shape != (len(self.A),):
+            raise InputError("the state does not fit", where="simulate", found=x.shape, expected=(len(self.A),))
+        driven, direct = (np.einsum("...ij,...j->...i", M, u) for M in (self.B, self.D))
+        states = np.empty((len(u), len(x)))
+        for k, push in enumerate(driven):
+            states[k] = x
+            x = self.A @ x + push
+        return states @ self.C.T + direct
+
+    def predict(self, load: ArrayLike, dt: float, hold: str | None = None) -> NDArray[np.float64]:
+        """Response (samples, sensors) to a load history (samples, loads), at rest before its first sample."""
+        self._own(dt, hold, "predict")
+        return self.simulate(load)
+
+    @property
+    def decay_rate(self) -> float:
+        """Slowest decay rate (1/s), from the eigenvalues; 0 where something never decays."""
+        if not len(self.A):
+            return float("inf")
+        size = float(np.abs(np.linalg.eigvals(self.A)).max())
+        return float("inf") if size == 0 else max(0.0, -float(np.log(size)) / self.dt)
+
+    @property
+    def fingerprint(self) -> str:
+        """Sha256 of the matrices, the step, the hold and the channels."""
+        return digest("StateSpace", self.A, self.B, self.C, self.D, self.dt, self.hold, self.sensors, self.loads)
+
+    def _own(self, dt: float, hold: str | None, method: str) -> None:
+        same = np.ndim(dt) == 0 and np.isfinite(dt) and abs(dt - self.dt) <= 1e-9 * self.dt
+        if not same or hold not in (None, self.hold):
+            raise InputError(
+                f"a state space exists at one step and one hold only: {method}() cannot change them",
+                where="StateSpace",
+                found=f"dt={dt!r}, hold={hold!r}",
+                expected=f"dt={self.dt:g}, hold={self.hold!r}",
+                hint="resample the record, or discretise the model again",
+            )
+
+    def _refuse_moving(self, method: str) -> None:
+        if self.moving:
+            raise InputError(
+                f"loads that move have no {method}(): B or D change with time",
+                where="StateSpace",
+                found="a time axis in B or D",
+                expected="fixed loads",
+                hint="simulate(), or a family that uses state_space()",
+            )
+
+
+def frozen(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Read-only float copy; refuses NaN, infinity, complex numbers and text."""
+    try:
+        raw = np.asarray(values)
+        if np.iscomplexobj(raw):
+            raise TypeError("complex")
+        array = np.array(raw, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError("not a real array", where=name, found=str(error), expected="numbers") from None
+    if not np.all(np.isfinite(array)):
+        raise InputError(
+            "NaN or infinity",
+            where=name,
+            found=f"{np.sum(~np.isfinite(array))} of {array.size} entries",
+            expected="finite",
+        )
+    array.flags.writeable = False
+    return array
+
+
+def lines(frequencies: ArrayLike, nyquist: float = np.inf) -> NDArray[np.float64]:
+    """Frequencies in Hz as a checked array (lines,)."""
+    f = np.atleast_1d(frozen(frequencies, "frequencies"))
+    if f.ndim != 1 or np.any(f < 0) or np.any(f > nyquist * (1 + 1e-9)):
+        raise InputError(
+            "no list of frequencies",
+            where="frequencies",
+            found=f"shape {f.shape}, {f.min(initial=0):g} to {f.max(initial=0):g} Hz",
+            expected=f"one axis, 0 to {nyquist:g} Hz",
+        )
+    return f
+
+
+def count(samples: int) -> int:
+    """A number of samples, checked."""
+    if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or samples < 1:
+        raise InputError("no number of samples", where="samples", found=repr(samples), expected="an integer >= 1")
+    return int(samples)
+
+
+def channels(given: Sequence[Any] | None, number: int, prefix: str, where: str) -> tuple[Channel, ...]:
+    """Channels from channels or labels; ``prefix0, prefix1, ...`` where nothing is given."""
+    if given is None:
+        return tuple(Channel(label=f"{prefix}{i}") for i in range(number))
+    out = tuple(
+        c if isinstance(c, Channel) else Channel(label=str(c)) for c in ([given] if isinstance(given, str) else given)
+    )
+    labels = [c.label for c in out]
+    if len(out) != number or len(set(labels)) != number:
+        raise InputError("labels do not fit", where=where, found=labels, expected=f"{number} different labels")
+    return out
+
+
+def digest(*parts: Any) -> str:
+    """Sha256 (hex) of arrays, numbers and channels, each with its shape."""
+    h = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            part = np.ascontiguousarray(part)
+            h.update(f"{part.dtype.str}{part.shape}".encode())
+            h.update(part.tobytes())
+        elif isinstance(part, tuple):
+            for c in part:
+                h.update(repr((c.label, c.quantity, c.unit, c.noise, c.highpass, c.measure)).encode())
+        else:
+            h.update(repr(part).encode())
+        h.update(b"\0")
+    return h.hexdigest()
