@@ -46,7 +46,9 @@ def number(value: Any, digits: int = 4) -> str:
         return "not available"
     if isinstance(value, float):
         return f"{value:.{digits}g}"
-    return ", ".join(number(v, digits) for v in value) if isinstance(value, list | tuple) else str(value)
+    if isinstance(value, list | tuple):
+        return ", ".join(number(v, digits) for v in value) or "none"
+    return str(value)
 
 
 def quantity(value: float, unit: str) -> str:

@@ -1,0 +1,98 @@
+"""What all commands that read logs have in common."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from structures.errors import InputError
+
+from . import names
+
+if TYPE_CHECKING:
+    from loadid.record import Record
+    from structures.measured import MeasuredModel
+
+
+def add_log_options(parser: ArgumentParser, *, several: bool = False) -> None:
+    """Options that say how a log is read."""
+    group = parser.add_argument_group("reading logs")
+    group.add_argument("--fs", type=float, metavar="HZ", help="sampling frequency, where the file does not tell it")
+    group.add_argument(
+        "--columns", type=names, metavar="CH,...", help="columns to read, or the names of all where the file has none"
+    )
+    group.add_argument("--axis", type=int, choices=(0, 1), help="axis of a bare array that is time")
+    more = "; may repeat, default all" if several else ""
+    group.add_argument("--record", action="append", metavar="NAME", help=f"record of a file that holds several{more}")
+    group.add_argument(
+        "--unit",
+        action="append",
+        default=[],
+        metavar="CH=UNIT",
+        help="unit of a channel; overrides the file; may repeat",
+    )
+
+
+def units(options: list[str]) -> dict[str, str]:
+    """``["F=N"]`` as a dictionary.
+
+    Raises
+    ------
+    InputError
+        If a part is not CH=UNIT.
+    """
+    pairs = {}
+    for option in options:
+        channel, sign, unit = option.rpartition("=")
+        if not (sign and channel.strip() and unit.strip()):
+            raise InputError("not CH=UNIT", where="--unit", found=repr(option), expected="for example --unit force=N")
+        pairs[channel.strip()] = unit.strip()
+    return pairs
+
+
+def settings(args: Namespace) -> dict[str, Any]:
+    """Keyword arguments of `loadid.readers.read` from the options; those not given are left out."""
+    given = {"fs": args.fs, "columns": args.columns, "axis": args.axis, "units": units(args.unit) or None}
+    return {k: v for k, v in given.items() if v is not None}
+
+
+def one_record(args: Namespace) -> str | None:
+    """The record that a command of one log is to read.
+
+    Raises
+    ------
+    InputError
+        If several are named.
+    """
+    if args.record and len(args.record) > 1:
+        raise InputError("one record is needed", where="--record", found=args.record)
+    return args.record[0] if args.record else None
+
+
+def read_records(path: str | Path, chosen: list[str] | None, settings: dict[str, Any]) -> list[Record]:
+    """Some or all records of a file.
+
+    Raises
+    ------
+    InputError
+        From the reader, or if a name is not in the file.
+    """
+    from loadid.readers import read, read_all
+
+    if chosen:
+        return [read(path, record=name, **settings) for name in chosen]
+    return list(read_all(path, **settings))
+
+
+def load_model(path: str | Path) -> MeasuredModel:
+    """Model of a file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, or no model.
+    """
+    from structures.measured import MeasuredModel
+
+    return MeasuredModel.load(path)
