@@ -1,0 +1,158 @@
+"""Damping: Rayleigh (a matrix) and modal ratios (never a matrix)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from .errors import InputError
+
+
+@dataclass(frozen=True)
+class Rayleigh:
+    """Damping matrix C = alpha M + beta K.
+
+    Parameters
+    ----------
+    alpha : float
+        Mass-proportional part (1/s), at least 0.
+    beta : float
+        Stiffness-proportional part (s), at least 0.
+
+    Raises
+    ------
+    InputError
+        If one is negative: some frequencies would then gain energy.
+    """
+
+    alpha: float = 0.0
+    beta: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("alpha", self.alpha), ("beta", self.beta)):
+            if not (math.isfinite(value) and value >= 0):
+                raise InputError(f"{name} must not be negative", where="Rayleigh damping", found=value, expected=">= 0")
+
+    @classmethod
+    def from_ratios(cls, f1: float, z1: float, f2: float, z2: float) -> Rayleigh:
+        """Rayleigh damping with ratio `z1` at `f1` and `z2` at `f2` (Hz).
+
+        Raises
+        ------
+        InputError
+            If the frequencies are equal or not positive, a ratio is not between 0 and 1, or the two ratios differ so
+            much that alpha or beta would be negative; the message names the range that is possible.
+        """
+        if f1 > f2:
+            f1, z1, f2, z2 = f2, z2, f1, z1
+        _check_ratios((z1, z2), "Rayleigh damping")
+        if not (math.isfinite(f2) and 0 < f1 < f2):
+            raise InputError(
+                "two different positive frequencies are needed",
+                where="Rayleigh damping",
+                found=f"{f1:g} Hz and {f2:g} Hz",
+                expected="0 < f1 < f2",
+            )
+        w1, w2 = 2 * math.pi * f1, 2 * math.pi * f2
+        alpha = 2 * w1 * w2 * (z1 * w2 - z2 * w1) / (w2**2 - w1**2)
+        beta = 2 * (z2 * w2 - z1 * w1) / (w2**2 - w1**2)
+        # a purely mass- or stiffness-proportional pair is possible: rounding must not refuse it
+        alpha = 0.0 if abs(alpha) < 1e-13 * w2 else alpha
+        beta = 0.0 if abs(beta) < 1e-13 / w2 else beta
+        if alpha < 0 or beta < 0:
+            negative, low, high = "alpha" if alpha < 0 else "beta", z1 * f1 / f2, z1 * f2 / f1
+            raise InputError(
+                f"the ratios {z1:g} at {f1:g} Hz and {z2:g} at {f2:g} Hz make {negative} negative",
+                where="Rayleigh damping",
+                found=f"alpha = {alpha:.4g} 1/s, beta = {beta:.4g} s",
+                expected=f"with {z1:g} at {f1:g} Hz, a ratio from {low:.4g} to {high:.4g} at {f2:g} Hz",
+                hint="bring the two ratios closer together, or use Modal ratios",
+            )
+        return cls(alpha, beta)
+
+    def ratio(self, omega: ArrayLike) -> NDArray[np.float64]:
+        """Damping ratio at the angular frequencies `omega` (rad/s, positive), same shape."""
+        omega = np.asarray(omega, float)
+        if np.any(omega <= 0):
+            raise InputError(
+                "a ratio needs a positive frequency",
+                where="Rayleigh damping",
+                found=float(np.min(omega)),
+                expected="> 0 rad/s",
+                hint="coefficient() is also defined at zero",
+            )
+        return self.alpha / (2 * omega) + self.beta * omega / 2
+
+    def coefficient(self, omega: ArrayLike) -> NDArray[np.float64]:
+        """Modal damping coefficient 2 zeta omega = alpha + beta omega^2 (1/s) of each mode, same shape as `omega`."""
+        return self.alpha + self.beta * np.asarray(omega, float) ** 2
+
+    def matrix(self, K: sparse.csr_array, M: sparse.csr_array) -> sparse.csr_array:
+        """The damping matrix alpha M + beta K."""
+        return (self.alpha * M + self.beta * K).tocsr()
+
+    def scaled(self, factor: float) -> Rayleigh:
+        """Damping multiplied by `factor`."""
+        return Rayleigh(self.alpha * factor, self.beta * factor)
+
+
+@dataclass(frozen=True)
+class Modal:
+    """Damping ratio of each mode.
+
+    Parameters
+    ----------
+    ratios : float or sequence of float
+        One ratio for all modes, or one per mode in ascending order of frequency. Modes above the last given one take
+        the last ratio. Ratios are fractions of critical damping: 0.02, not 2.
+
+    Raises
+    ------
+    InputError
+        If a ratio is not between 0 and 1.
+    """
+
+    ratios: float | Sequence[float]
+
+    def __post_init__(self) -> None:
+        values = tuple(float(z) for z in np.atleast_1d(np.asarray(self.ratios, float)).ravel())
+        if not values:
+            raise InputError(
+                "no damping ratio", where="modal damping", found="an empty sequence", expected="one or more"
+            )
+        _check_ratios(values, "modal damping")
+        object.__setattr__(self, "ratios", values[0] if np.ndim(self.ratios) == 0 else values)
+
+    def ratio(self, omega: ArrayLike) -> NDArray[np.float64]:
+        """Damping ratio of the modes with frequencies `omega` (rad/s, ascending from the first mode), same shape."""
+        omega = np.asarray(omega, float)
+        values = np.atleast_1d(np.asarray(self.ratios, float))
+        return values[np.minimum(np.arange(omega.size), values.size - 1)].reshape(omega.shape)
+
+    def coefficient(self, omega: ArrayLike) -> NDArray[np.float64]:
+        """Modal damping coefficient 2 zeta omega (1/s) of the modes with frequencies `omega`, same shape."""
+        return 2 * self.ratio(omega) * np.asarray(omega, float)
+
+    def scaled(self, factor: float) -> Modal:
+        """Damping multiplied by `factor`."""
+        return Modal(np.asarray(self.ratios, float) * factor)  # type: ignore[arg-type]
+
+
+Damping = Rayleigh | Modal
+
+
+def _check_ratios(ratios: Sequence[float], where: str) -> None:
+    for z in ratios:
+        if not 0 <= z < 1:
+            raise InputError(
+                "a damping ratio is not possible",
+                where=where,
+                found=f"{z:g}",
+                expected="0 <= ratio < 1",
+                hint="give the fraction of critical damping: 0.02 for 2 %",
+            )

@@ -1,0 +1,194 @@
+"""Cubic Hermite functions on an evenly divided line: what beams and plates (as a tensor product) are built from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from .errors import InputError
+
+SNAP = 1e-9  # a point this close to a node (in element lengths) is that node: rounding of x - origin, not geometry
+Array = NDArray[np.float64]
+
+
+def shape(xi: float, h: float, order: int = 0) -> Array:
+    """Hermite functions of (v1, v1', v2, v2') at ``xi = x / h``, or their derivative of `order` up to 2 in x; (4,)."""
+    if order == 0:
+        n2, n4 = xi * (1 - xi) ** 2, xi**2 * (xi - 1)
+        n3 = xi**2 * (3 - 2 * xi)
+        return np.array([1 - n3, h * n2, n3, h * n4])
+    if order == 1:
+        n1 = 6 * xi * (xi - 1) / h
+        return np.array([n1, 1 - 4 * xi + 3 * xi**2, -n1, 3 * xi**2 - 2 * xi])
+    return np.array([(12 * xi - 6) / h**2, (6 * xi - 4) / h, (6 - 12 * xi) / h**2, (6 * xi - 2) / h])
+
+
+def mass_matrix(h: float) -> Array:
+    """Integral of N N^T over one element, closed form, (4, 4)."""
+    a, b, c, d = 22 * h, 13 * h, 4 * h * h, 3 * h * h
+    return h / 420 * np.array([[156, a, 54, -b], [a, c, b, -d], [54, b, 156, -a], [-b, -d, -a, c]])
+
+
+def slope_matrix(h: float) -> Array:
+    """Integral of N' N'^T over one element, closed form, (4, 4)."""
+    a, b, c = 3 * h, 4 * h * h, h * h
+    return np.array([[36, a, -36, a], [a, b, -a, -c], [-36, -a, 36, -a], [a, -c, -a, b]]) / (30 * h)
+
+
+def curvature_matrix(h: float) -> Array:
+    """Integral of N'' N''^T over one element, closed form, (4, 4)."""
+    a, b, c = 6 * h, 4 * h * h, 2 * h * h
+    return np.array([[12, a, -12, a], [a, b, -a, c], [-12, -a, 12, -a], [a, c, -a, b]]) / h**3
+
+
+def mixed_matrix(h: float) -> Array:
+    """Integral of N'' N^T over one element: by parts, -slope_matrix plus the terms at the two ends; (4, 4)."""
+    q = -slope_matrix(h)
+    q[3, 2] += 1.0
+    q[1, 0] -= 1.0
+    return q
+
+
+def gauss(points: int) -> tuple[Array, Array]:
+    """Gauss points and weights on [0, 1]."""
+    x, w = np.polynomial.legendre.leggauss(points)
+    return np.asarray(x + 1, float) / 2, np.asarray(w, float) / 2
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of equal Hermite elements; node i carries the unknowns 2 i (value) and 2 i + 1 (slope).
+
+    Everything is computed from the distance to `origin`, so that moving the line changes nothing.
+
+    Parameters
+    ----------
+    length : float
+        Length (m).
+    elements : int
+        Number of elements.
+    origin : float
+        Coordinate of node 0 (m).
+    name : str
+        Name of the coordinate, for messages.
+    """
+
+    length: float
+    elements: int
+    origin: float = 0.0
+    name: str = "x"
+
+    def __post_init__(self) -> None:
+        if isinstance(self.elements, bool) or not isinstance(self.elements, int | np.integer) or self.elements < 1:
+            raise InputError(
+                "no number of elements",
+                where=f"mesh along {self.name}",
+                found=self.elements,
+                expected="an integer, at least 1",
+            )
+        if not (math.isfinite(self.length) and self.length > 0 and math.isfinite(self.origin)):
+            raise InputError(
+                "no length", where=f"mesh along {self.name}", found=self.length, expected="a positive number of metres"
+            )
+
+    @property
+    def h(self) -> float:
+        """Element length."""
+        return self.length / self.elements
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return 2 * (self.elements + 1)
+
+    @property
+    def nodes(self) -> Array:
+        """Coordinates of the nodes, origin included, (elements + 1,)."""
+        return self.origin + self.local_nodes
+
+    @property
+    def local_nodes(self) -> Array:
+        """Distances of the nodes from the first one, (elements + 1,)."""
+        return np.asarray(np.arange(self.elements + 1) * self.h, float)
+
+    # -- points ---------------------------------------------------------------------------------------------------
+    def inside(self, x: float) -> bool:
+        """Whether `x` lies on the line (rounding forgiven)."""
+        s = (x - self.origin) / self.h
+        return bool(-SNAP <= s <= self.elements + SNAP)
+
+    def station(self, x: float) -> float:
+        """Distance of `x` from the first node in element lengths; a point at a node is exactly an integer.
+
+        Raises
+        ------
+        InputError
+            If `x` lies outside, naming the range.
+        """
+        s = (x - self.origin) / self.h
+        if not self.inside(x):
+            raise InputError(
+                "the point lies outside the structure",
+                where=f"{self.name} = {x:.6g} m",
+                found=f"{self.name} = {x:.9g}",
+                expected=f"{self.origin:.9g} <= {self.name} <= {self.origin + self.length:.9g}",
+            )
+        nearest = round(s)
+        return float(nearest) if abs(s - nearest) <= SNAP else float(s)
+
+    def row(self, x: float, order: int = 0) -> Array:
+        """Row that gives the field, or its derivative of `order` 0, 1, 2, at `x` from the unknowns; (size,).
+
+        The second derivative jumps from element to element: at a node it is the mean of both sides.
+        """
+        s = self.station(x)
+        cells = [min(int(s), self.elements - 1)]
+        if order == 2 and s == int(s) and 0 < s < self.elements:
+            cells.insert(0, int(s) - 1)
+        row = np.zeros(self.size)
+        for cell in cells:
+            row[2 * cell : 2 * cell + 4] += shape(s - cell, self.h, order) / len(cells)
+        return row
+
+    def integral(self, start: float, stop: float) -> Array:
+        """Row of the integral of the field from `start` to `stop`, partial elements included; (size,)."""
+        a, b = self.station(start), self.station(stop)
+        row, (points, weights) = np.zeros(self.size), gauss(2)  # two points integrate the cubics exactly
+        for cell in range(int(a), min(math.ceil(b), self.elements)):
+            lo, hi = max(a - cell, 0.0), min(b - cell, 1.0)
+            for xi, weight in zip(lo + (hi - lo) * points, weights, strict=True):
+                row[2 * cell : 2 * cell + 4] += weight * (hi - lo) * self.h * shape(float(xi), self.h)
+        return row
+
+    def cells(self, start: float, stop: float) -> range:
+        """Elements that a span shares; a point (``start == stop``) at a node belongs to both elements."""
+        a, b = self.station(start), self.station(stop)
+        first = math.ceil(a) - 1 if a == b else int(a)
+        last = int(b) if a == b else math.ceil(b) - 1
+        return range(max(first, 0), min(last, self.elements - 1) + 1)
+
+    # -- matrices -------------------------------------------------------------------------------------------------
+    def assemble(self, element: ArrayLike) -> sparse.csr_array:
+        """Sparse (size, size) matrix from one element matrix for all, (4, 4), or one for each, (elements, 4, 4)."""
+        blocks = np.broadcast_to(np.asarray(element, float), (self.elements, 4, 4))
+        dofs = 2 * np.arange(self.elements)[:, None] + np.arange(4)
+        i, j = np.broadcast_arrays(dofs[:, :, None], dofs[:, None, :])
+        return sparse.coo_array((blocks.ravel(), (i.ravel(), j.ravel())), shape=(self.size, self.size)).tocsr()
+
+    def tension(self, T: float | Callable[[float], float], points: int = 4) -> sparse.csr_array:
+        """Geometric stiffness of an axial force `T` (N), constant or a function of the coordinate.
+
+        A function is integrated with Gauss points: one mid-point value per element would cost an order.
+        """
+        if not callable(T):
+            return self.assemble(float(T) * slope_matrix(self.h))
+        xi, weights = gauss(points)
+        x = self.origin + self.h * (np.arange(self.elements)[:, None] + xi)
+        force = np.array([[float(T(value)) for value in row] for row in x])
+        slopes = np.array([shape(float(value), self.h, 1) for value in xi])
+        return self.assemble(self.h * np.einsum("ep,p,pi,pj->eij", force, weights, slopes, slopes))

@@ -1,0 +1,116 @@
+"""Rigid-body motions and mechanisms: which motions cost a supported structure no energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+if TYPE_CHECKING:
+    from .structure import Structure
+
+Array = NDArray[np.float64]
+ZERO = 1e-14  # strain energy over the energy with all other DOFs held: 1e-16 is rounding, a 3000-element beam has 1e-14
+DENSE = 600
+CANDIDATES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBodyMotion:
+    """A motion that costs no strain energy.
+
+    Parameters
+    ----------
+    name : str
+        In words: ``"translation Z"``, ``"rotation RY"``, or the DOFs that move most.
+    vector : array, shape (n,)
+        The motion of all DOFs, largest entry 1, zero at the supports.
+    """
+
+    name: str
+    vector: Array
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def motions(structure: Structure) -> tuple[RigidBodyMotion, ...]:
+    """All motions that cost no energy: from the geometry where it is known, else from the stiffness matrix."""
+    if structure.free.size == 0:
+        return ()
+    candidates = _geometric(structure) if structure.field is not None else _algebraic(structure)
+    return tuple(RigidBodyMotion(name, vector / vector[np.argmax(np.abs(vector))]) for name, vector in candidates)
+
+
+def _energy_free(structure: Structure, V: Array) -> Array:
+    """Combinations (columns) of the columns of `V` that cost no energy, judged against the energy of single DOFs."""
+    D = _scale(structure)[:, None]
+    V = V / np.sqrt(np.sum(V**2 * D, axis=0))
+    w, X = linalg.eigh(V.T @ (structure.K @ V), V.T @ (D * V))
+    return X[:, w < ZERO]
+
+
+def _scale(structure: Structure) -> Array:
+    """Energy of each DOF alone; one that nothing holds counts like a middling one."""
+    D = np.abs(structure.K.diagonal())
+    return np.where(D > 0, D, np.mean(D) or 1.0)
+
+
+def _geometric(structure: Structure) -> list[tuple[str, Array]]:
+    """The rigid motions that the supports leave free and that no prestress resists."""
+    assert structure.field is not None
+    rigid = structure.field.rigid()
+    names, R = list(rigid), np.column_stack(list(rigid.values()))
+    held = R[structure.supported]
+    sizes = np.linalg.norm(held, axis=1)
+    held = held[sizes > 0] / sizes[sizes > 0, None]  # rows of different units count alike
+    combos = linalg.null_space(held, rcond=1e-9) if len(held) else np.eye(len(names))
+    if combos.shape[1] == 0:
+        return []
+    V = R @ combos
+    V[structure.supported] = 0.0
+    free = combos @ _energy_free(structure, V)
+    if free.shape[1] == len(names):
+        free = np.eye(len(names))
+    out = []
+    for mix in free.T:
+        mix = np.where(np.abs(mix) < 1e-9 * np.abs(mix).max(), 0.0, mix)
+        vector = R @ mix
+        vector[structure.supported] = 0.0
+        out.append((_words(names, mix), vector))
+    return out
+
+
+def _words(names: Sequence[str], mix: Array) -> str:
+    """Name of a combination; a rotation about a distant axis also translates, and is called a rotation."""
+    parts = [name for name, share in zip(names, mix, strict=True) if share]
+    turns = [name for name in parts if name.startswith("rotation")]
+    return " and ".join(turns or parts)
+
+
+def _algebraic(structure: Structure) -> list[tuple[str, Array]]:
+    """Null vectors of the supported stiffness matrix, each named by the DOFs that move most."""
+    K, free = structure.K_free, structure.free
+    scale = 1 / np.sqrt(_scale(structure)[free])
+    A = sparse.diags_array(scale) @ K @ sparse.diags_array(scale)
+    if free.size <= DENSE:
+        _, X = linalg.eigh(A.toarray(), subset_by_index=[0, min(CANDIDATES, free.size) - 1])
+    else:
+        from scipy.sparse.linalg import eigsh
+
+        # a shift just below zero keeps the factor regular; a fixed start vector keeps the answer the same every time
+        start = np.random.default_rng(0).standard_normal(free.size)
+        _, X = eigsh(A.tocsc(), k=CANDIDATES, sigma=-1e-9, which="LM", v0=start)
+    V = np.zeros((structure.n, X.shape[1]))
+    V[free] = scale[:, None] * X
+    return [(_most_moving(structure, vector), vector) for vector in (V @ _energy_free(structure, V)).T]
+
+
+def _most_moving(structure: Structure, vector: Array, count: int = 4) -> str:
+    size = np.abs(vector)
+    order = [i for i in np.argsort(-size, kind="stable")[:count] if size[i] > 0.1 * size.max()]
+    return "motion of " + ", ".join(str(structure.dofs[i]) for i in order)
