@@ -1,1 +1,212 @@
-"""."""
+"""Files to records: one module per format, found by suffix and content.
+
+A new format is one file in this folder. It registers a function that turns the file into tables; names, time column,
+step, units and errors are then treated as in every other format::
+
+    # loadid/readers/myformat.py
+    from .registry import register
+    from .source import Options, Source, Table
+
+    @register("my format", suffixes=(".my",), sniff=lambda head: head.startswith(b"MYFT"))
+    def load(source: Source, options: Options) -> list[Table]:
+        values = ...                                        # (samples, columns), as recorded
+        return [Table(values, name="run 1", columns=("F", "a"), units=("N", "g"), dt=1e-3)]
+
+A reader compares what a file declares with what it delivers (`truncated` gives the flag), asks `source.allow(bytes)`
+before it unpacks, and never evaluates or unpickles anything. Whatever else it raises leaves `read` as an InputError.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pkgutil
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from structures import units as _units
+from structures.errors import InputError
+
+from .registry import Format, formats, known_suffixes, recognise, register
+from .source import Options, Source, Table, truncated
+
+if TYPE_CHECKING:
+    from ..record import Record
+
+__all__ = ["Format", "Options", "Source", "Table", "formats", "read", "read_all", "register", "scan", "truncated"]
+
+for _module in pkgutil.iter_modules(__path__):  # a format is found because its file lies here
+    importlib.import_module(f".{_module.name}", __name__)
+
+
+def read(
+    path: str | os.PathLike[str],
+    record: str | int | None = None,
+    *,
+    fs: float | None = None,
+    columns: Sequence[str | int] | None = None,
+    axis: int | None = None,
+    units: Mapping[str | int, Any] | None = None,
+) -> Record:
+    """The record of a file, in SI.
+
+    Parameters
+    ----------
+    path : path
+        CSV and other text tables, NPY, NPZ, HDF5, LabVIEW LVM.
+    record : str or int, optional
+        Which record of a file that holds several: its name, or its index from 0.
+    fs : float, optional
+        Sampling frequency in Hz; replaces what the file says.
+    columns : sequence of str or int, optional
+        Where the file names its columns: the ones to read. Where it does not: the names of all of them, in order.
+    axis : int, optional
+        Axis of an array that is time; default the longer one (said in ``record.notes``).
+    units : dict, optional
+        ``{channel: unit}``, replaces what the file says; "arbitrary" is a unit. A time column takes one too, default s.
+
+    Returns
+    -------
+    Record
+        With ``flags`` (W209 where the file ends early) and ``notes`` (what was decided).
+
+    Raises
+    ------
+    InputError
+        Whatever is wrong with the file or with what was asked of it; no other exception leaves a reader.
+    """
+    found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
+    return _guarded(source, lambda: _settle(_chosen(found, record, source), source, options, found))
+
+
+def read_all(
+    path: str | os.PathLike[str],
+    *,
+    fs: float | None = None,
+    columns: Sequence[str | int] | None = None,
+    axis: int | None = None,
+    units: Mapping[str | int, Any] | None = None,
+) -> tuple[Record, ...]:
+    """All records of a file; arguments and errors as for `read`."""
+    found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
+    return _guarded(source, lambda: tuple(_settle(table, source, options, found) for table in found))
+
+
+def scan(path: str | os.PathLike[str], *, axis: int | None = None) -> tuple[Table, ...]:
+    """Raw tables of a file, before names, steps and units are settled: nothing need be stated for it.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    return tuple(_scan(path, axis=axis)[0])
+
+
+def _scan(
+    path: str | os.PathLike[str],
+    *,
+    fs: float | None = None,
+    columns: Sequence[str | int] | None = None,
+    axis: int | None = None,
+    units: Mapping[str | int, Any] | None = None,
+) -> tuple[list[Table], Source, Options]:
+    source = _open(path)
+    if isinstance(columns, str):
+        columns = [c.strip() for c in columns.split(",")]
+    try:
+        listed = None if columns is None else [c if isinstance(c, str) else int(c) for c in columns]
+    except (TypeError, ValueError):
+        source.refuse("columns are no names", repr(columns), "names or indices of columns")
+    options = Options(fs=fs, columns=listed, axis=axis, units=_units.as_mapping(units))
+    form = recognise(source)
+    found = _guarded(source, lambda: form.load(source, options), form.name)
+    if not found:
+        source.refuse("the file holds no record", "nothing", f"samples in {form.name} form")
+    return found, source, options
+
+
+def _open(path: str | os.PathLike[str]) -> Source:
+    try:
+        place = Path(path)
+        if not place.exists():
+            near = _neighbours(place)
+            raise InputError("there is no such file", where=str(place), hint=f"did you mean {near}?" if near else "")
+        if not place.is_file():
+            raise InputError("this is no file", where=str(place), found="a folder or a device", expected="a file")
+        with place.open("rb") as file:
+            source = Source(place, os.fstat(file.fileno()).st_size, file.read(4096))
+    except (OSError, TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("the file cannot be opened", where=repr(path), found=str(error)) from None
+    if place.suffix.lower() not in known_suffixes():
+        likely = [f.name for f in formats() if not f.generic and f.sniff(source.head)]
+        source.refuse(
+            "unknown suffix",
+            place.suffix or "no suffix",
+            f"one of {', '.join(known_suffixes())}",
+            f"the content looks like {likely[0]}: rename the file"
+            if likely
+            else "export the record in one of these formats",
+        )
+    if source.size == 0:
+        source.refuse("the file is empty", "0 bytes", "a record")
+    return source
+
+
+def _neighbours(place: Path) -> str:
+    import difflib
+
+    try:
+        names = [p.name for p, _ in zip(place.parent.iterdir(), range(1000), strict=False)]
+    except OSError:
+        return ""
+    return next(iter(difflib.get_close_matches(place.name, names, n=1, cutoff=0.75)), "")
+
+
+def _chosen(found: list[Table], record: str | int | None, source: Source) -> Table:
+    from ..record import find
+
+    names = [t.name or f"record_{i + 1}" for i, t in enumerate(found)]
+    if record is not None:
+        return found[find(record, names, what="record", where=str(source.path))]
+    if len(found) > 1:
+        listed = [
+            f"{i}: {n} {'x'.join(map(str, t.values.shape))}" for i, (n, t) in enumerate(zip(names, found, strict=True))
+        ]
+        source.refuse(
+            "the file holds several records",
+            ", ".join(listed[:50]) + (", ..." if len(listed) > 50 else ""),
+            "one of them, by name or index",
+            "choose: --record NAME on the command line, record=NAME or read_all in Python",
+        )
+    return found[0]
+
+
+def _settle(table: Table, source: Source, options: Options, found: list[Table]) -> Record:
+    from .settle import check_unit_keys, settle
+
+    check_unit_keys(found, source, options)
+    return settle(table, source, options)
+
+
+def _guarded(source: Source, action: Any, form: str = "a record") -> Any:
+    """Run a reader; damage that it did not foresee is still bad input, and says where."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return action()
+    except InputError:
+        raise
+    except Exception as error:
+        kind = type(error).__name__
+        raise InputError(
+            f"the file cannot be read as {form}",
+            where=str(source.path),
+            found=f"{kind}: {str(error)[:300]}",
+            expected="an undamaged file",
+            hint="transfer or export it again",
+        ) from error

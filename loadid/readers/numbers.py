@@ -1,0 +1,115 @@
+"""Rows of numbers from lines of text: fast where all is well, exact about the place where it is not."""
+
+from __future__ import annotations
+
+import io
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .source import Source
+
+NUMBER = re.compile(
+    r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,3})?|[+-]?(?:nan|inf|infinity)", re.ASCII | re.IGNORECASE
+)
+
+
+def rows_of(
+    body: list[tuple[int, str]],
+    separator: str | None,
+    decimal: str,
+    columns: NDArray[np.int64],
+    width: int,
+    source: Source,
+) -> NDArray[np.float64]:
+    """Numbers of some columns, shape (rows, len(columns)); an empty cell is NaN.
+
+    Parameters
+    ----------
+    body : list of (line number, line)
+    separator : str or None
+        None is any white space.
+    decimal : str
+        ``"."`` or ``","``.
+    columns : array of int
+        Columns to read.
+    width : int
+        Cells that every line must have at least.
+
+    Raises
+    ------
+    InputError
+        Names the line and the cell.
+    """
+    if not body:
+        return np.empty((0, len(columns)))
+    fast = _fast([line for _, line in body], separator, decimal, columns)
+    return fast if fast is not None else _slow(body, separator, decimal, columns, width, source)
+
+
+def _fast(
+    lines: list[str], separator: str | None, decimal: str, columns: NDArray[np.int64]
+) -> NDArray[np.float64] | None:
+    text = "\n".join(lines)
+    if '"' in text or "\n\n" in text or "inf" in text.lower():
+        return None
+    if decimal == ",":
+        if "." in text:
+            return None
+        text = text.replace(",", ".")
+    try:
+        table = np.loadtxt(io.StringIO(text), float, None, separator, usecols=columns.tolist(), ndmin=2)
+    except (ValueError, IndexError, OverflowError):
+        return None
+    return table if table.shape == (len(lines), len(columns)) else None
+
+
+def _slow(
+    body: list[tuple[int, str]],
+    separator: str | None,
+    decimal: str,
+    columns: NDArray[np.int64],
+    width: int,
+    source: Source,
+) -> NDArray[np.float64]:
+    table = np.empty((len(body), len(columns)))
+    for row, (number, line) in enumerate(body):
+        cells = split(line, separator)
+        if len(cells) < width:
+            source.refuse("a line is too short", f"line {number}: {len(cells)} cells", f"{width} cells")
+        for k, column in enumerate(columns):
+            value = number_of(cells[column], decimal)
+            if value is None:
+                source.refuse(
+                    "a cell is no number",
+                    f"line {number}, column {int(column) + 1}: {cells[column][:40]!r}",
+                    f"a number with the decimal sign '{decimal}'",
+                )
+            table[row, k] = value
+    return table
+
+
+def split(line: str, separator: str | None) -> list[str]:
+    """Cells of a line, without quotes."""
+    if separator is None:
+        return line.split()
+    if '"' in line:
+        import csv
+
+        return [c.strip() for c in next(csv.reader([line], delimiter=separator))]
+    return [c.strip() for c in line.split(separator)]
+
+
+def number_of(cell: str, decimal: str) -> float | None:
+    """Number of a cell, NaN when it is empty, None when it is no number."""
+    text = cell.strip()
+    if not text:
+        return float("nan")
+    if decimal == ",":
+        if "." in text:
+            return None
+        text = text.replace(",", ".")
+    if not NUMBER.fullmatch(text):
+        return None
+    return float(text.replace("d", "e").replace("D", "e") if "n" not in text.lower() else text)

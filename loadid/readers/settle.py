@@ -1,0 +1,215 @@
+"""From a table as the file holds it to a record: names, time column, step, units, in this order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures import units as _units
+from structures.channels import Channel
+from structures.errors import InputError
+
+from ..record import Record, find
+from .source import COLUMNS, Options, Source, Table
+from .timebase import fill, timebase
+
+TIME_NAMES = {"time", "t", "zeit", "temps", "tiempo", "tempo", "x_value", "seconds", "timestamp", "time stamp", "t_s"}
+
+
+def settle(table: Table, source: Source, options: Options) -> Record:
+    """The record of a table.
+
+    Raises
+    ------
+    InputError
+        Wrong names, no step, missing or unknown units, a time column that is not uniform.
+    """
+    if table.values.ndim != 2 or table.values.size == 0:
+        source.refuse("the file holds no samples", f"{table.name}: shape {table.values.shape}".lstrip(": "), "numbers")
+    if table.values.shape[1] > COLUMNS:
+        source.refuse("too many columns", table.values.shape[1], f"at most {COLUMNS}")
+    table = _named(table, source, options)
+    table, dt = _stepped(table, source, options)
+    names = table.columns or ()
+    keep = _selection(names, source, options) if options.columns is not None else list(range(len(names)))
+    stated = {
+        find(k, names, what="channel", where=str(source.path)): u for k, u in options.units.items() if _has(k, names)
+    }
+    described, recorded, columns = [], [], []
+    for i in keep:
+        text = stated.get(i, table.units[i] if table.units else None)
+        unit = _units.parse(text, channel=names[i])
+        described.append(Channel(label=names[i], quantity=unit.quantity, unit=unit.si))
+        recorded.append(unit.symbol)
+        columns.append(_units.to_si(table.values[:, i], unit))
+    return Record(
+        np.column_stack(columns),
+        dt,
+        described,
+        units=recorded,
+        name=table.name,
+        source=str(source.path),
+        flags=table.flags,
+        notes=table.notes,
+    )
+
+
+def check_unit_keys(tables: list[Table], source: Source, options: Options) -> None:
+    """Nothing, if every key of ``units=`` is a column somewhere in the file.
+
+    Raises
+    ------
+    InputError
+        Lists the names and the nearest one.
+    """
+    names: list[str] = []
+    for table in tables:
+        names += [n for n in _all_names(table, options) if n not in names]
+    for key in options.units:
+        if not _has(key, names):
+            find(key, names, what="channel", where=str(source.path))
+
+
+def _all_names(table: Table, options: Options) -> tuple[str, ...]:
+    if table.columns is not None:
+        return table.columns
+    given = [str(c) for c in options.columns or ()]
+    return (*given, *(f"ch{i + 1}" for i in range(len(given), table.values.shape[1])), "time")
+
+
+def _has(key: str | int, names: tuple[str, ...] | list[str]) -> bool:
+    if isinstance(key, str) and key in names:
+        return True
+    text = str(key).strip()
+    return (
+        not isinstance(key, bool) and text.isascii() and text.isdecimal() and len(text) < 9 and int(text) < len(names)
+    )
+
+
+def _named(table: Table, source: Source, options: Options) -> Table:
+    """The table with a name for every column and a decision which column is time."""
+    if table.columns is not None:
+        labels = _unique(table.columns)
+        time = table.time
+        if time is None:
+            likely = [i for i, n in enumerate(labels) if n.strip().lower() in TIME_NAMES]
+            time = likely[0] if likely else None
+        return replace(table, columns=labels, time=time)
+    columns = table.values.shape[1]
+    time = table.time
+    if time is None and columns > 1 and _looks_like_time(table.values[:, 0]):
+        time = 0
+        table = replace(table, notes=(*table.notes, "column 0 rises uniformly and is taken as time"))
+    given = None if options.columns is None else list(options.columns)
+    if given is None or not all(isinstance(c, str) for c in given) or all(c.isdecimal() for c in map(str, given)):
+        number = iter(range(1, columns + 1))
+        names = ["time" if i == time else f"ch{next(number)}" for i in range(columns)]
+        return replace(table, columns=tuple(names), time=time)
+    names = [str(c) for c in given]
+    if len(names) == columns - 1 and time is not None:
+        names.insert(time, "time")
+    if len(names) != columns:
+        source.refuse(
+            "the column names do not fit the file",
+            f"{len(names)} names {names} for {columns} columns"
+            + ("" if time is None else f", of which {time} is time"),
+            f"{columns} names",
+            "the file names no columns itself: --columns (columns=) names them all, in order",
+        )
+    if len(set(names)) < len(names):
+        source.refuse("column names are doubled", names, "unique names")
+    named_time = [i for i, n in enumerate(names) if n.strip().lower() in TIME_NAMES]
+    return replace(table, columns=tuple(names), time=named_time[0] if named_time else time)
+
+
+def _looks_like_time(x: NDArray) -> bool:
+    if x.dtype.kind not in "fiu" or len(x) < 3 or not np.all(np.isfinite(x)):
+        return False
+    steps = np.diff(x.astype(float))
+    return bool(steps.min() > 0 and np.ptp(steps) < 0.01 * steps.mean())
+
+
+def _stepped(table: Table, source: Source, options: Options) -> tuple[Table, float]:
+    """The table without its time column, and its step."""
+    dt, notes, values = table.dt, list(table.notes), table.values
+    if table.time is not None:
+        column, names = table.time, table.columns or ()
+        stated = [u for k, u in options.units.items() if k == names[column]]
+        text = stated[0] if stated else (table.units[column] if table.units else None)
+        scale = _units.check(text, "time", channel=names[column]).factor if text else 1.0
+        base = timebase(values[:, column].astype(float) * scale, source)
+        values = fill(np.delete(values, column, axis=1), base)
+        if base.missing:
+            notes.append(f"{base.missing} samples are missing in the time column {names[column]}, first after sample "
+                         f"{base.first}: set to NaN")  # fmt: skip
+        if dt is None or options.fs is None:
+            notes.append(
+                f"step {base.dt:.9g} s from the time column {names[column]}" + ("" if text else ", taken as seconds")
+            )
+        dt = base.dt
+        keep = [i for i in range(len(names)) if i != column]
+        unit_texts = tuple(table.units[i] for i in keep) if table.units else None
+        table = replace(table, values=values, columns=tuple(names[i] for i in keep), units=unit_texts, time=None)
+        if not keep:
+            source.refuse("there is a time column and nothing else", names, "at least one channel")
+    if options.fs is not None:
+        rate = _positive(options.fs, source)
+        if dt is not None and not math.isclose(dt * rate, 1.0, rel_tol=1e-12):
+            notes.append(f"fs = {rate:g} Hz as stated replaces the step {dt:.9g} s of the file")
+        dt = 1.0 / rate
+    if dt is None:
+        source.refuse(
+            "the sampling frequency is not known",
+            "no time column and no step in the file",
+            "a time column, or the sampling frequency in Hz",
+            "state it: --fs HZ on the command line, fs=HZ in Python",
+        )
+    if not (math.isfinite(dt) and dt > 0):
+        source.refuse("the step is not positive", f"dt = {dt}", "seconds, > 0", "state it: --fs HZ, fs=HZ")
+    return replace(table, notes=tuple(notes)), dt
+
+
+def _positive(fs: object, source: Source) -> float:
+    try:
+        rate = float(fs)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        rate = math.nan
+    if isinstance(fs, bool) or not (math.isfinite(rate) and rate > 0 and math.isfinite(1 / rate)):
+        source.refuse("the sampling frequency is not positive", f"fs = {fs!r}", "Hz, > 0")
+    return rate
+
+
+def _selection(names: tuple[str, ...], source: Source, options: Options) -> list[int]:
+    """Columns that ``columns=`` asks for, by name or index among the channels; a time column may be named too."""
+    wanted = options.columns or ()
+    if isinstance(wanted, str):
+        wanted = [wanted]
+    found = []
+    for key in wanted:
+        if isinstance(key, str) and key not in names and key.strip().lower() in TIME_NAMES:
+            continue
+        found.append(find(key, names, what="column", where=str(source.path)))
+    if not found or len(set(found)) < len(found):
+        raise InputError(
+            "columns are doubled" if found else "no column is asked for", where=str(source.path), found=list(wanted),
+            expected=f"some of {', '.join(names[:50])}",
+        )  # fmt: skip
+    return found
+
+
+def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names with empty and doubled ones numbered: two columns ``acc`` are acc and acc_2."""
+    taken: set[str] = set()
+    result = []
+    for i, name in enumerate(n.strip() for n in names):
+        base = name or f"ch{i + 1}"
+        label, count = base, 1
+        while label in taken:
+            count += 1
+            label = f"{base}_{count}"
+        taken.add(label)
+        result.append(label)
+    return tuple(result)

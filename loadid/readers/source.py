@@ -1,0 +1,153 @@
+"""What a reader is given, what it hands back, and how much of a file it may unpack."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError
+from structures.flags import Evidence, Flag
+
+BUDGET = 2**31  # bytes that one file may hold when unpacked
+EXPANSION = 100  # a file that unpacks to more than this multiple of its size is not a log ...
+FREE = 2**26  # ... once it takes more than this many bytes
+COLUMNS = 4096
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that is being read.
+
+    Parameters
+    ----------
+    path : Path
+    size : int
+        Bytes on disk.
+    head : bytes
+        The first 4096 bytes, for sniffing.
+    """
+
+    path: Path
+    size: int
+    head: bytes
+
+    def data(self) -> bytes:
+        """The whole file.
+
+        Raises
+        ------
+        InputError
+            If it exceeds the byte budget.
+        """
+        self.allow(self.size)
+        return self.path.read_bytes()
+
+    def allow(self, declared: int, what: str = "the file") -> None:
+        """Nothing, if so many bytes may be unpacked from this file.
+
+        Raises
+        ------
+        InputError
+            If the declared size exceeds the budget, or is out of proportion to the file.
+        """
+        limit = min(BUDGET, max(FREE, EXPANSION * self.size))
+        if declared > limit:
+            self.refuse(f"{what} declares more than may be read", f"{declared} bytes", f"at most {limit} bytes")
+
+    def refuse(self, what: str, found: object = None, expected: object = None, hint: str = "") -> NoReturn:
+        """Raise an InputError that names this file."""
+        raise InputError(what, where=str(self.path), found=found, expected=expected, hint=hint)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the caller of `read` stated; see there."""
+
+    fs: float | None = None
+    columns: Sequence[str | int] | None = None
+    axis: int | None = None
+    units: Mapping[str | int, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Table:
+    """One record as the file holds it: nothing named, scaled or left out yet.
+
+    Parameters
+    ----------
+    values : array, shape (samples, columns)
+        Numbers as recorded, a time column included.
+    name : str
+        Name of the record within the file.
+    columns : tuple of str or None
+        Names of the columns; None where the file gives none.
+    units : tuple of (str or None) or None
+        Unit texts of the columns, None where the file gives none.
+    dt : float or None
+        Step that the file states, in s.
+    time : int or None
+        Column that is known to be time; None: to be recognised.
+    flags : tuple of Flag
+    notes : tuple of str
+        What was decided.
+    """
+
+    values: NDArray[Any]
+    name: str = ""
+    columns: tuple[str, ...] | None = None
+    units: tuple[str | None, ...] | None = None
+    dt: float | None = None
+    time: int | None = None
+    flags: tuple[Flag, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def time_first(table: Table, source: Source, options: Options) -> Table:
+    """A table from a bare array with time along its first axis; says which axis was taken.
+
+    Raises
+    ------
+    InputError
+        More than two axes, none at all, or a square array without ``axis=``.
+    """
+    x, known = table.values, table.columns
+    if x.ndim == 1:
+        return replace(table, values=x[:, None])
+    if x.ndim != 2 or x.size == 0:
+        source.refuse(
+            "the array is no record", f"{table.name or 'array'}: shape {x.shape}", "(samples,) or (samples, channels)"
+        )
+    axis, long = options.axis, int(np.argmax(x.shape))
+    if axis is None and known is not None and x.shape.count(len(known)) == 1:
+        axis, said = 1 - x.shape.index(len(known)), "the other one fits the channel names"
+    elif axis is None:
+        if x.shape[0] == x.shape[1]:
+            source.refuse(
+                "the array is square: either axis may be time",
+                f"shape {x.shape}",
+                "axis=0 (rows are samples) or axis=1 (columns are samples)",
+                "state it: --axis 0 or --axis 1",
+            )
+        axis, said = long, "the longer one"
+    else:
+        said = "as stated"
+    if axis not in (0, 1, -1, -2):
+        source.refuse("there is no such axis", f"axis = {axis!r}", "0 or 1")
+    axis = int(axis) % 2
+    note = f"axis {axis} of {x.shape} is time ({said}; axis= states it)"
+    return replace(table, values=x.T if axis == 1 else x, notes=(*table.notes, note))
+
+
+def truncated(delivered: int, declared: int, what: str = "samples") -> Flag:
+    """Flag W209: a file that ends before what it declares."""
+    return Flag(
+        "W209",
+        Evidence("delivered", float(delivered), float(declared)),
+        f"truncated: {delivered} of {declared} {what}",
+        "use it only if what is left covers the memory of the system; transfer the file again if you can",
+    )
