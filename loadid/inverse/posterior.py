@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
+from structures.spectra import multiplicity
 
 
 @runtime_checkable
@@ -79,27 +80,18 @@ class SpectralPosterior:
     def std(self) -> NDArray[np.float64]:
         """Standard deviation, shape (samples, loads): the same at every sample."""
         diagonal = np.einsum("kii->ki", self.lines).real
-        level = np.sqrt(twice(self.padded) @ diagonal / (self.padded * self.samples))
+        level = np.sqrt(multiplicity(self.padded) @ diagonal / (self.padded * self.samples))
         return np.tile(level, (self.samples, 1))
 
     def variance(self, w: NDArray) -> NDArray[np.float64]:
         """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
         W = np.fft.rfft(np.asarray(w, float), self.padded, axis=-2)
         quadratic = np.einsum("...ki,kij,...kj->...k", W.conj(), self.lines, W).real
-        return quadratic @ twice(self.padded) / (self.padded * self.samples)
+        return quadratic @ multiplicity(self.padded) / (self.padded * self.samples)
 
     def to_arrays(self) -> dict[str, object]:
         """Plain arrays, for a result file."""
         return {"kind": self.kind, "lines": self.lines, "samples": self.samples, "padded": self.padded}
-
-
-def twice(padded: int) -> NDArray[np.float64]:
-    """How often each line of a real transform of this length stands in the full one: 1 for DC and Nyquist, else 2."""
-    count = np.full(padded // 2 + 1, 2.0)
-    count[0] = 1.0
-    if padded % 2 == 0:
-        count[-1] = 1.0
-    return count
 
 
 def from_arrays(tree: dict) -> Posterior:

@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
+from structures.spectra import multiplicity, padded_length, smooth_lines
 
 from . import stacked
 from .path import FactoredPath, Solution
 from .penalties import symbol
-from .posterior import SpectralPosterior, twice
+from .posterior import SpectralPosterior
 
 
 def toeplitz(h: NDArray) -> NDArray[np.float64]:
@@ -25,13 +26,6 @@ def toeplitz(h: NDArray) -> NDArray[np.float64]:
     # row t holds h[t], h[t-1], ... h[t-N+1]: windows of the padded history, read backwards
     windows = np.lib.stride_tricks.sliding_window_view(padded, N, axis=0)[..., ::-1]  # (N, m, p, N)
     return np.ascontiguousarray(windows.transpose(0, 1, 3, 2)).reshape(N, m, N * p)
-
-
-def padded_length(samples: int) -> int:
-    """Fast transform length of at least twice the record: no part of the response wraps round."""
-    from scipy.fft import next_fast_len
-
-    return int(next_fast_len(2 * samples, real=True))
 
 
 class SpectralPath(FactoredPath):
@@ -78,7 +72,7 @@ class SpectralPath(FactoredPath):
         self.U, c, self.V, beta, outside = stacked.factor(self.H, self.Y)
         self.penalty_lines = symbol(penalty, 2 * np.pi * np.arange(lines) / self.padded)
         self.variance = None if variance is None else variance / power[..., None]
-        weight = twice(self.padded) * self.samples / self.padded
+        weight = multiplicity(self.padded) * self.samples / self.padded
         modes = c.shape[1]
         super().__init__(
             c.reshape(-1),
@@ -143,20 +137,6 @@ class SpectralPath(FactoredPath):
             C = C + sigma**2 * rest / np.maximum(prior, np.finfo(float).tiny)[..., None]
         if self.variance is None:
             return C
-        spread = np.einsum("ksl,kl->ks", self.variance, smooth_lines(np.abs(G) ** 2))
+        spread = np.einsum("ksl,kl->ks", self.variance, smooth_lines(np.abs(G) ** 2, 5))
         Q = np.einsum("kir,kr,ksr->kis", self.V, gain, self.U.conj())
         return C + np.einsum("kis,ks,kjs->kij", Q, spread, Q.conj())
-
-
-def smooth_lines(power: NDArray, half: int = 5) -> NDArray:
-    """Hann-weighted mean over neighbouring lines (2 half + 1), the ends mirrored; shape (lines, ...)."""
-    if half < 1 or len(power) <= 2 * half + 1:
-        return power
-    kernel = np.hanning(2 * half + 3)[1:-1]
-    kernel /= kernel.sum()
-    flat = power.reshape(len(power), -1)
-    padded = np.concatenate([flat[1 : half + 1][::-1], flat, flat[-half - 1 : -1][::-1]])
-    from scipy.signal import oaconvolve
-
-    out = oaconvolve(padded, kernel[:, None], mode="valid", axes=0)
-    return np.maximum(out, flat.min(axis=0)).reshape(power.shape)
