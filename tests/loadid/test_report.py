@@ -1,0 +1,147 @@
+"""The report is one page that fetches nothing, hides nothing and runs nothing."""
+
+import base64
+import re
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from loadid.report import fragment, page
+from structures.errors import InputError
+from structures.flags import Evidence, Flag
+from tests.loadid.made import CERTIFICATE, half_sine, impact, static
+
+VOID = {"meta", "br", "img"}
+
+
+def small(**changes):
+    """One picture instead of three."""
+    return impact(**{"choice": None, "response": None, "residual": None, **changes})
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return page(impact(allowed=["W407"]), truth=half_sine()[1])
+
+
+class Page(HTMLParser):
+    """Collects tags, attributes and text, and checks the nesting."""
+
+    def __init__(self, source):
+        super().__init__()
+        self.tags, self.attributes, self.texts, self.open = [], [], [], []
+        self.feed(source)
+        assert not self.open, self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += [(tag, *a) for a in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.texts).split())
+
+    def values(self, name):
+        return [value for _, key, value in self.attributes if key == name]
+
+
+def test_the_page_says_all_that_must_be_known(whole):
+    read = Page(whole)
+    for word in ("Result", "Flags", "How lambda was chosen", "What the data cannot tell", "Measured against predicted",
+                 "Verification", "Provenance", "forward model not verified", "overridden refusals: LID-W407",
+                 "LID-W114 warning", "What to do: hang a known mass", "impulse 1.3", "robust_gcv", "sigma is not known",
+                 "9 of 10 such problems", "nullity", "white noise", "numpy", "abab", "± 15 N"):  # fmt: skip
+        assert word in read.text, word
+    assert read.tags.count("img") == 3
+    assert all(read.values("alt"))
+
+
+def test_the_certificate_replaces_the_warning():
+    read = Page(page(small(certificate=CERTIFICATE)))
+    assert "not verified" not in read.text
+    assert "hanging mass 2 kg" in read.text
+    assert "0.999" in read.text
+
+
+def test_nothing_is_fetched(whole):
+    read = Page(whole)
+    assert all(source.startswith("data:image/") for source in read.values("src"))
+    assert not set(read.tags) & {"script", "link", "iframe", "object", "embed", "base", "form"}
+    assert not read.values("href")
+    style = next(t for t in read.texts if "color-scheme" in t)
+    assert "url(" not in style
+    assert "@import" not in style
+    assert "width=device-width" in whole
+    for source in read.values("src"):
+        for element in ET.fromstring(base64.b64decode(source.split(",")[1])).iter():
+            links = [v for k, v in element.attrib.items() if k.endswith("href")]
+            assert all(link.startswith("#") for link in links)
+
+
+EVIL = '"><script>alert(1)</script><img src=x onerror=alert(1)> $\\'
+
+
+@pytest.mark.parametrize("make", [page, fragment])
+def test_every_text_is_escaped(make):
+    e = impact(
+        labels=[EVIL], units=[EVIL], sensors=[EVIL] * 3, sensor_units=[EVIL] * 3,
+        flags=[Flag("W114", Evidence(EVIL, EVIL, EVIL), EVIL, EVIL)],
+        provenance={EVIL: {EVIL: [EVIL]}, "family": EVIL, "prior": EVIL, "created": EVIL},
+        facts={EVIL: EVIL, "guards_checked": [EVIL]},
+        certificate=type(CERTIFICATE)((1.0,), (1.0,), (0.1,), None, (EVIL,), EVIL, EVIL),
+    )  # fmt: skip
+    read = Page(make(e))
+    assert "script" not in read.tags
+    assert not read.values("onerror")
+    assert "alert(1)" in read.text  # shown as text
+
+
+def test_dense_records_are_bitmaps_and_small_ones_vectors(whole):
+    kinds = {s[5:].split(";")[0] for s in Page(whole).values("src")}
+    assert kinds == {"image/svg+xml"}
+    source = page(small(samples=6000, posterior=None))
+    assert "image/png" in source
+    assert len(source) < 2e6
+
+
+def test_static_loads_and_missing_parts_make_a_page():
+    read = Page(page(static()))
+    assert "No lambda was chosen" in read.text
+    assert "No guard raised a flag" in read.text
+    Page(page(static(20, response=None, residual=None)))
+
+
+def test_guards_that_were_checked_and_silent_are_listed():
+    text = Page(page(small(facts={"guards_checked": ["LID-W114", "W207"]}))).text
+    assert "Checked and silent: W207" in text
+
+
+def test_it_is_written_whole_and_is_the_same_each_time(tmp_path):
+    e = small()
+    e.report(tmp_path / "a.html")
+    e.report(tmp_path / "b.html")
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+    with pytest.raises(InputError, match="cannot be written"):
+        e.report(tmp_path / "none" / "a.html")
+
+
+def test_notebooks_get_a_fragment():
+    text = impact()._repr_html_()
+    assert "<html" not in text
+    read = Page(text)
+    assert "forward model not verified" in read.text
+    assert read.tags.count("img") == 1
+
+
+def test_numbers_that_are_not_finite_do_not_break_the_page():
+    assert re.search(r"condition number.*inf", page(small(facts={"kappa": np.inf})), re.S)
