@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -107,7 +107,50 @@ def _algebraic(structure: Structure) -> list[tuple[str, Array]]:
         _, X = eigsh(A.tocsc(), k=CANDIDATES, sigma=-1e-9, which="LM", v0=start)
     V = np.zeros((structure.n, X.shape[1]))
     V[free] = scale[:, None] * X
-    return [(_most_moving(structure, vector), vector) for vector in (V @ _energy_free(structure, V)).T]
+    return _named(structure, V @ _energy_free(structure, V))
+
+
+def _named(structure: Structure, N: Array) -> list[tuple[str, Array]]:
+    """Null vectors sorted into rigid motions, where these are among them, and motions of a few DOFs."""
+    if N.shape[1] == 0:
+        return []
+    root = np.sqrt(_scale(structure))[:, None]
+    Q, _ = np.linalg.qr(root * N)
+    found: list[tuple[str, Array]] = []
+    for name, vector in _candidates(structure):
+        unit = root[:, 0] * vector
+        unit = unit / np.linalg.norm(unit)
+        # new only if it lies in the null space and not in the span of those already found
+        taken = np.linalg.qr(np.column_stack([root[:, 0] * v for _, v in found]))[0] if found else Q[:, :0]
+        if np.linalg.norm(unit - Q @ (Q.T @ unit)) < 1e-6 < np.linalg.norm(unit - taken @ (taken.T @ unit)):
+            found.append((name, vector))
+    if found:
+        taken, _ = np.linalg.qr(np.column_stack([root[:, 0] * v for _, v in found]))
+        U, s, _ = np.linalg.svd(Q - taken @ (taken.T @ Q), full_matrices=False)
+        Q = U[:, s > 1e-3]
+    return found + [(_most_moving(structure, vector), vector) for vector in (Q / root).T]
+
+
+def _candidates(structure: Structure) -> Iterator[tuple[str, Array]]:
+    """Rigid motions that the DOF table and the coordinates suggest, zero at the supports."""
+    dofs = structure.dofs
+    places = np.zeros((structure.n, 3))
+    if structure.coordinates is not None:
+        row = {node: i for i, node in enumerate(sorted({dof.node for dof in dofs}))}
+        x = structure.coordinates - structure.coordinates.mean(axis=0)
+        places[:, : x.shape[1]] = x[[row[dof.node] for dof in dofs]]
+    axes, signs = np.array([dof.axis for dof in dofs]), np.array([dof.sign for dof in dofs])
+    for k, name in enumerate(
+        ("translation X", "translation Y", "translation Z", "rotation RX", "rotation RY", "rotation RZ")
+    ):
+        moved = np.cross(np.eye(3)[k - 3], places) if k >= 3 else np.tile(np.eye(3)[k], (structure.n, 1))
+        vector = np.where(axes == k + 1, 1.0, 0.0)
+        for axis in range(1, 4):
+            vector = np.where(axes == axis, moved[:, axis - 1], vector)
+        vector = signs * vector
+        vector[structure.supported] = 0.0
+        if np.any(vector) and (k < 3 or structure.coordinates is not None):
+            yield name, vector
 
 
 def _most_moving(structure: Structure, vector: Array, count: int = 4) -> str:
