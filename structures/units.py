@@ -118,7 +118,7 @@ class Unit:
         return si_symbol(self.quantity) if self.quantity != "other" else _spell(self.dimension)
 
 
-def parse(text: str | Unit | None, *, channel: str = "") -> Unit:
+def parse(text: str | Unit | None, *, channel: str = "", where: str = "") -> Unit:
     """Unit of a text such as ``m/s^2``, ``m/s2``, ``g``, ``um/m``, ``kN*m``, ``arbitrary``.
 
     Parameters
@@ -127,6 +127,8 @@ def parse(text: str | Unit | None, *, channel: str = "") -> Unit:
         Symbols are case-sensitive (mPa is not MPa); None and "" are a missing unit. A ``Unit`` passes through.
     channel : str, optional
         Channel the unit belongs to, for the message.
+    where : str, optional
+        File it stands in, for the message.
 
     Raises
     ------
@@ -136,13 +138,13 @@ def parse(text: str | Unit | None, *, channel: str = "") -> Unit:
     if isinstance(text, Unit):
         return text
     if text is None or not isinstance(text, str) or not text.strip():
-        _refuse("the unit is missing", text if text is None else repr(text), channel)
+        _refuse("the unit is missing", text if text is None else repr(text), channel, where)
     if len(text) > 60:
-        _refuse("the unit is too long to be one", f"{text[:40]!r}...", channel)
+        _refuse("the unit is too long to be one", f"{text[:40]!r}...", channel, where)
     unit = _read(text.strip())
     if unit is None:
         near = _nearest(text.strip())
-        _refuse("unknown unit", repr(text) + (f" (did you mean {near}?)" if near else ""), channel)
+        _refuse("unknown unit", repr(text) + (f" (did you mean {near}?)" if near else ""), channel, where)
     return unit
 
 
@@ -310,10 +312,10 @@ def _how_to_state(channel: str) -> str:
     )
 
 
-def _refuse(what: str, found: object, channel: str) -> NoReturn:
+def _refuse(what: str, found: object, channel: str, where: str) -> NoReturn:
     raise InputError(
         what,
-        where=f"channel {channel}" if channel else "units",
+        where=", ".join(filter(None, (where, f"channel {channel}" if channel else ""))) or "units",
         found="nothing" if found is None else found,
         expected="a unit such as m/s^2, g, N, kN, mm, um/m, Pa, V",
         hint=_how_to_state(channel),

@@ -28,8 +28,8 @@ def tables_of(
     """Tables of some arrays that lie together.
 
     Every 2-D array of numbers is a record of its own; 1-D arrays of one length are the channels of one record; a 1-D
-    array named time is the time of all that have its length. Scalars ``fs`` or ``dt`` give the step, text arrays ``channels``
-    and ``units`` describe columns. Arrays of more axes are passed over.
+    array named time is the time of all that have its length. Scalars ``fs`` or ``dt`` give the step, text arrays
+    ``channels`` and ``units`` describe columns. Arrays of more axes are passed over.
 
     Raises
     ------

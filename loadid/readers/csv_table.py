@@ -180,7 +180,7 @@ def _heading(lines: list[str], layout: _Layout) -> tuple[tuple[str, ...] | None,
     for line in reversed(lines):
         if not line.strip():
             continue
-        cells = split(line.strip().lstrip("#%").strip(" "), layout.separator)
+        cells = _names_of(line.strip().lstrip("#%").strip(" "), layout)
         if len(cells) == layout.width + 1 and not cells[-1]:
             cells.pop()
         if len(cells) != layout.width:
@@ -196,6 +196,15 @@ def _heading(lines: list[str], layout: _Layout) -> tuple[tuple[str, ...] | None,
         return tuple(names), tuple(c or _split(n)[1] for c, n in zip(bare, rows[1], strict=True))
     pairs = [_split(c) for c in rows[0]]
     return tuple(n for n, _ in pairs), tuple(u for _, u in pairs)
+
+
+def _names_of(line: str, layout: _Layout) -> list[str]:
+    if layout.separator is not None:
+        return split(line, layout.separator)
+    if layout.width == 1:
+        return [line]
+    cells = line.split()
+    return cells if len(cells) == layout.width else re.sub(r"\s+(?=[\[(])", "", line).split()  # "F [N]" is one name
 
 
 def _bare(cell: str) -> str:

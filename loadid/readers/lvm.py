@@ -10,6 +10,7 @@ file cut exactly between two of them cannot be told from a whole one.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ def load(source: Source, options: Options) -> list[Table]:
         at = stop
     if not tables:
         source.refuse("the file ends in its header", f"{len(lines)} lines", "a segment with samples")
-    return [Table(**{**vars(t), "name": f"record_{i + 1}"}) for i, t in enumerate(tables)]
+    return [replace(t, name=f"record_{i + 1}") for i, t in enumerate(tables)]
 
 
 def _header(lines: list[str], at: int, source: Source, separator: str = "\t") -> tuple[dict[str, list[str]], int]:
@@ -107,12 +108,10 @@ def _segment(
         source.refuse("a segment ends in its header", f"line {first}", "column names and samples")
     names, width, x_columns = _names(lines[0], separator, channels, shape, source)
     body = list(enumerate(lines[1:], first + 2))
+    lost = cut and bool(body) and bool(body[-1][1])
+    if lost:  # a line without an end may be cut in the middle of a number
+        body.pop()
     while body and not body[-1][1].strip():
-        body.pop()
-    if cut and body:  # a line without an end may be cut in the middle of a number
-        body.pop()
-    last_is_short = bool(body) and body[-1][1].count(separator) < width - 1
-    if last_is_short and cut:
         body.pop()
     values = rows_of(body, separator, _sign(decimal, body, separator), x_columns, width, source)
     dt = _common(header, "Delta_X", decimal, channels, source)
@@ -121,7 +120,11 @@ def _segment(
         texts = texts[::2]  # cells of the time columns are left empty
     units = texts[:channels]
     units += [None] * (channels - len(units))
-    return _cut_into_records(values, declared[0], names, units, dt, shape, source)
+    tables = _cut_into_records(values, declared[0], names, units, dt, shape, source)
+    if lost and not tables[-1].flags:
+        ended = truncated(0, declared[0], f"samples of the record that begins in line {first + 2 + len(body)}")
+        tables[-1] = replace(tables[-1], flags=(ended,))
+    return tables
 
 
 def _names(
@@ -139,7 +142,7 @@ def _names(
         names = cells[1 : channels + 1]
         read = [*([0] if shape == "one" else []), *range(1, channels + 1)]
         width = channels + 1
-    if len(names) < channels:
+    if len(names) < channels or (names[-1] == "Comment" and len(cells) == max(read) + 1):
         source.refuse("column names do not fit the channels", names, f"{channels} names")
     if channels > COLUMNS:
         source.refuse("too many channels", channels, f"at most {COLUMNS}")

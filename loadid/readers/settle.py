@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from .source import COLUMNS, Options, Source, Table
 from .timebase import fill, timebase
 
 TIME_NAMES = {"time", "t", "zeit", "temps", "tiempo", "tempo", "x_value", "seconds", "timestamp", "time stamp", "t_s"}
+TIME_LIKE = re.compile(r"\s*(t|time|zeit|timestamp)[\s_.\-(]", re.IGNORECASE)
 
 
 def settle(table: Table, source: Source, options: Options) -> Record:
@@ -38,10 +40,11 @@ def settle(table: Table, source: Source, options: Options) -> Record:
     stated = {
         find(k, names, what="channel", where=str(source.path)): u for k, u in options.units.items() if _has(k, names)
     }
+    texts = {i: stated.get(i, table.units[i] if table.units else None) for i in keep}
+    _refuse_missing_units([names[i] for i, text in texts.items() if not text], source)
     described, recorded, columns = [], [], []
-    for i in keep:
-        text = stated.get(i, table.units[i] if table.units else None)
-        unit = _units.parse(text, channel=names[i])
+    for i, text in texts.items():
+        unit = _units.parse(text, channel=names[i], where=str(source.path))
         described.append(Channel(label=names[i], quantity=unit.quantity, unit=unit.si))
         recorded.append(unit.symbol)
         columns.append(_units.to_si(table.values[:, i], unit))
@@ -55,6 +58,18 @@ def settle(table: Table, source: Source, options: Options) -> Record:
         flags=table.flags,
         notes=table.notes,
     )
+
+
+def _refuse_missing_units(missing: list[str], source: Source) -> None:
+    if missing:
+        command = " ".join(f"--unit {n}=UNIT" for n in missing[:12])
+        python = ", ".join(f'"{n}": "UNIT"' for n in missing[:12])
+        source.refuse(
+            "the file does not state the unit of " + ("a channel" if len(missing) == 1 else f"{len(missing)} channels"),
+            ", ".join(missing[:50]),
+            "a unit such as m/s^2, g, N, kN, mm, um/m, Pa, V",
+            f'state it: {command} on the command line, units={{{python}}} in Python; "arbitrary" is a unit',
+        )
 
 
 def check_unit_keys(tables: list[Table], source: Source, options: Options) -> None:
@@ -96,7 +111,8 @@ def _named(table: Table, source: Source, options: Options) -> Table:
         time = table.time
         if time is None:
             likely = [i for i, n in enumerate(labels) if n.strip().lower() in TIME_NAMES]
-            time = likely[0] if likely else None
+            nearly = [i for i, n in enumerate(labels) if TIME_LIKE.match(n) and _looks_like_time(table.values[:, i])]
+            time = next(iter(likely + nearly), None)
         return replace(table, columns=labels, time=time)
     columns = table.values.shape[1]
     time = table.time

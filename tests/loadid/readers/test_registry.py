@@ -1,0 +1,135 @@
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import loadid
+from loadid.readers import formats, read, read_all, registry, scan
+from loadid.readers.registry import register
+from loadid.readers.source import Table
+from structures.errors import InputError
+from tests.benchmarks.fuzz import outcomes
+
+from .files import A, F, csv, npy, small_files
+
+
+def test_public_names():
+    assert loadid.read is read
+    assert loadid.read_all is read_all
+
+
+def test_all_formats_give_the_same_record(tmp_path):
+    for suffix, path in small_files(tmp_path).items():
+        records = read_all(path, fs=1000, units={0: "N", 1: "g"})
+        values = np.vstack([r.values for r in records])
+        np.testing.assert_allclose(values, np.column_stack((F, A * 9.80665)), err_msg=suffix)
+        assert {r.dt for r in records} == {0.001}
+        assert {r.source for r in records} == {str(path)}
+
+
+def test_missing_file_names_the_nearest(tmp_path):
+    (tmp_path / "hammer.csv").write_text(csv())
+    with pytest.raises(InputError, match=r"did you mean hammer\.csv"):
+        read(tmp_path / "hamer.csv")
+    for bad in (tmp_path, tmp_path / "a\0b.csv", None, 3):
+        with pytest.raises(InputError):
+            read(bad)
+
+
+def test_unknown_suffix_lists_the_known_ones(tmp_path):
+    path = tmp_path / "log.xyz"
+    path.write_bytes(npy(F))
+    with pytest.raises(InputError, match=r"unknown suffix.*\.csv.*\.lvm.*looks like NPY"):
+        read(path)
+    path.with_suffix("").write_text(csv())
+    with pytest.raises(InputError, match="no suffix"):
+        read(path.with_suffix(""))
+
+
+@pytest.mark.parametrize("suffix", [s for f in formats() for s in f.suffixes])
+@pytest.mark.parametrize(
+    "content", [b"", b"\0", b"\xff" * 5000, bytes(range(256)) * 20, b"hello", b"1\n", b"PK\x03\x04", b"\x93NUMPY"]
+)
+def test_junk_of_every_suffix(tmp_path, suffix, content):
+    path = tmp_path / f"junk{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="junk"):
+        read(path)
+
+
+def test_content_beats_the_suffix(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(npy(F))
+    assert len(read(path, fs=1, units={0: "N"})) == 16
+    path = tmp_path / "log.npy"
+    path.write_text(csv())
+    with pytest.raises(InputError, match="the content is not NPY"):
+        read(path)
+
+
+@pytest.mark.parametrize("fs", [0, -1, np.nan, np.inf, "fast", True])
+def test_fs_must_be_positive(tmp_path, fs):
+    for path in small_files(tmp_path).values():
+        with pytest.raises(InputError, match="sampling frequency is not positive"):
+            read_all(path, fs=fs, units={0: "N", 1: "g"})
+
+
+def test_a_new_format_is_one_function(tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "_FORMATS", dict(registry._FORMATS))
+
+    @register("pairs", suffixes=(".pairs",), sniff=lambda head: head.startswith(b"PAIRS"))
+    def load(source, options):
+        return [Table(np.ones((3, 2)), columns=("F", "a"), units=("N", "g"), dt=0.1)]
+
+    path = tmp_path / "x.pairs"
+    path.write_bytes(b"PAIRS")
+    assert read(path).units == ("N", "g")
+    with pytest.raises(InputError, match="registered"):
+        register("pairs", suffixes=(".p",), sniff=lambda head: True)(load)
+
+    @register("broken", suffixes=(".broken",), sniff=lambda head: True)
+    def broken(source, options):
+        raise RecursionError("deep")
+
+    path = tmp_path / "x.broken"
+    path.write_bytes(b"?")
+    with pytest.raises(InputError, match=r"cannot be read as broken.*RecursionError: deep"):
+        read(path)
+
+
+def test_scan_needs_nothing(tmp_path):
+    path = tmp_path / "x.npy"
+    path.write_bytes(npy(np.column_stack((F, A))))
+    (table,) = scan(path)
+    assert table.values.shape == (16, 2)
+    assert table.columns is None
+
+
+def test_reading_text_imports_nothing_heavy(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(csv())
+    code = f"""
+import sys
+from loadid import read
+read({str(path)!r}).health()
+print([m for m in ("scipy", "h5py", "matplotlib") if m in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("suffix", ["csv", "lvm", "npy", "npz", "h5"])
+def test_damaged_files(tmp_path, suffix):
+    """300 mutants: nothing but an InputError leaves a reader, nothing hangs, no declared length is cut silently."""
+    path = small_files(tmp_path)[suffix]
+    seen = list(outcomes(path, 300, tmp_path))
+    assert max(seconds for _, _, seconds in seen) < 5
+    cut = [outcome for kind, outcome, _ in seen if kind == "truncated"]
+    assert len(cut) > 80
+    if suffix in ("npy", "npz", "h5"):
+        assert set(cut) == {"refused"}
+    if suffix == "lvm":  # a cut between two records leaves a whole file with fewer of them
+        assert cut.count("shorter") <= 2
+        assert "other values" not in cut
+    assert sum(outcome == "refused" for _, outcome, _ in seen) > 60
