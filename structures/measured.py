@@ -310,19 +310,6 @@ class MeasuredModel(Model):
         h.update("|".join(c.label for c in (*self.sensors, *self.loads)).encode())
         return h.hexdigest()
 
-    def subset(self, sensors: Sequence[int]) -> MeasuredModel:
-        """The model seen by some of its sensors only."""
-        pick = list(sensors)
-
-        def cut(x: NDArray | None) -> NDArray | None:
-            return None if x is None else x[:, pick]
-
-        return MeasuredModel(
-            self.frequencies, self.H[:, pick], sensors=[self.sensors[i] for i in pick], loads=self.loads,
-            variance=cut(self.variance), noise_power=cut(self.noise_power), coherence=cut(self.coherence), hits=self.hits,
-            samples=self.samples,
-        )  # fmt: skip
-
     # -- files ------------------------------------------------------------------------------------------------------
     def save(self, path: str | os.PathLike) -> None:
         """Write the model to HDF5, whole or not at all, with checksums."""

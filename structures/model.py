@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .channels import Channel
 from .errors import InputError
+from .flags import Flag
 
 
 @dataclass(frozen=True)
@@ -96,11 +97,14 @@ class Model:
         Rows and columns.
     certificate : Certificate or None
         Outcome of the last `verify`.
+    flags : tuple of Flag
+        What the guards of the forward model found when it was built.
     """
 
     sensors: tuple[Channel, ...]
     loads: tuple[Channel, ...]
     certificate: Certificate | None = None
+    flags: tuple[Flag, ...] = ()
     serves: ClassVar[dict[str, str]] = {
         "static": "StaticInversion",
         "frf": "FrequencyInversion",

@@ -73,6 +73,14 @@ class SVDPath(FactoredPath):
             factor = self.X[:, keep] * (sigma / self.c[keep])
         return Solution(load, DensePosterior(factor, self.problem.shape))
 
+    def resolution_column(self, lam: float, k: int) -> NDArray[np.float64]:
+        """Answer (n,) to a unit load in unknown k: one column of the resolution matrix."""
+        f, _ = self._filter(np.array([lam]))
+        unit = np.zeros(self.X.shape[0])
+        unit[k] = 1.0
+        modal = self.X[k] if self._orthonormal else np.linalg.solve(self.X, unit)
+        return self.X @ (f[0] * modal)
+
     def resolution(self, lam: float) -> NDArray[np.float64]:
         """Resolution matrix R with E[g] = R g_true, shape (n, n)."""
         f, _ = self._filter(np.array([lam]))

@@ -47,6 +47,8 @@ class SpectralPath(FactoredPath):
         Named penalty.
     variance : array, shape (lines, sensors, loads), optional
         Variance of H; widens the posterior.
+    excess : array, shape (lines, sensors), optional
+        Noise energy beyond `power` on single lines: it does not enter the weights, but widens the posterior.
     """
 
     def __init__(
@@ -57,6 +59,7 @@ class SpectralPath(FactoredPath):
         *,
         penalty: str = "identity",
         variance: NDArray | None = None,
+        excess: NDArray | None = None,
         truncated: bool = False,
     ) -> None:
         from scipy import fft
@@ -72,6 +75,7 @@ class SpectralPath(FactoredPath):
         self.U, c, self.V, beta, outside = stacked.factor(self.H, self.Y)
         self.penalty_lines = symbol(penalty, 2 * np.pi * np.arange(lines) / self.padded)
         self.variance = None if variance is None else variance / power[..., None]
+        self.excess = None if excess is None else excess / power
         weight = multiplicity(self.padded) * self.samples / self.padded
         modes = c.shape[1]
         super().__init__(
@@ -85,11 +89,13 @@ class SpectralPath(FactoredPath):
             truncated=truncated,
         )
         self.shape = (lines, modes)
+        self.unknowns = self.samples * loads
 
     @property
     def rank(self) -> int:
         """Modes (of lines times loads) above rounding."""
-        return int(np.sum(self.weight[self.c > self.c.size * np.finfo(float).eps * self.c.max()]))
+        seen = self.c > self.c.size * np.finfo(float).eps * self.c.max()
+        return int(round(float(np.sum(self.weight[seen]))))
 
     def spectrum(self, lam: float) -> NDArray[np.complex128]:
         """Load spectrum (lines, loads) of the padded transform."""
@@ -135,8 +141,18 @@ class SpectralPath(FactoredPath):
         if self.smooth and c.shape[1] < loads:  # what no sensor sees keeps the variance of the prior
             rest = np.eye(loads) - np.einsum("kir,kjr->kij", self.V, self.V.conj())
             C = C + sigma**2 * rest / np.maximum(prior, np.finfo(float).tiny)[..., None]
-        if self.variance is None:
+        spread = self._model_error(G, C)
+        if spread is None:
             return C
-        spread = np.einsum("ksl,kl->ks", self.variance, smooth_lines(np.abs(G) ** 2, 5))
         Q = np.einsum("kir,kr,ksr->kis", self.V, gain, self.U.conj())
         return C + np.einsum("kis,ks,kjs->kij", Q, spread, Q.conj())
+
+    def _model_error(self, G: NDArray, C: NDArray) -> NDArray | None:
+        """Whitened energy (lines, sensors) that the noise level does not hold: FRF variance and excess."""
+        spread = self.excess
+        if self.variance is not None:
+            # the power of the load itself: its estimate carries noise that must not be counted twice
+            power = np.maximum(np.abs(G) ** 2 - np.einsum("kii->ki", C).real, 0.0)
+            frf = np.einsum("ksl,kl->ks", self.variance, smooth_lines(power, 5))
+            spread = frf if spread is None else spread + frf
+        return spread
