@@ -182,16 +182,19 @@ def null_vector(K: Any, lu: Any = None) -> NDArray[np.float64] | None:
         Factor of `K`; None when it has an exactly zero pivot.
     """
     size = abs(K)
+    diagonal = size.diagonal()
+    loose = np.flatnonzero(np.asarray(size.sum(axis=0)).ravel() == 0)
+    if loose.size:
+        return np.eye(1, K.shape[0], loose[0])[0]
     if lu is None:
         # The smallest shift that does not change K beyond its own rounding gives the factor a pivot.
-        diagonal = size.diagonal()
-        shift = 1e-15 * np.where(diagonal > 0, diagonal, diagonal.max(initial=0.0) or 1.0)
+        shift = 1e-15 * np.where(diagonal > 0, diagonal, diagonal.max())
         try:
             lu = splu((K + sparse.diags(shift)).tocsc(), permc_spec="COLAMD")
         except RuntimeError:
             return None
     x = np.random.default_rng(0).standard_normal(K.shape[0]).astype(K.dtype)
-    scale = np.sqrt(np.maximum(size.diagonal(), np.finfo(float).tiny))  # rows of mixed units made comparable
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, diagonal.max() or 1.0))  # rows of mixed units made comparable
     for _ in range(3):
         # x must stay balanced in energy: m and rad, or stiff and soft parts, otherwise differ by decades
         x = lu.solve(x * scale)

@@ -51,7 +51,7 @@ def modes(structure: Any, count: int | None = None) -> Modes:
     """The lowest `count` modes of a structure (all of them by default).
 
     Sparse shift-invert Lanczos with the one factor of the stiffness; a dense solve for a small structure or when most
-    modes are asked. A free structure is shifted by ``-(0.1 omega_1)^2``, `omega_1` its first elastic frequency.
+    modes are asked. A free structure is shifted by a tenth of its first elastic ``omega^2``, downwards.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def anchor(structure: Any) -> tuple[int, float, Factor]:
         trial = -1e-8 * top
         lam = _lanczos(structure, 12, trial, Factor(K - trial * M, structure=structure))[0]
         rigid = int(np.sum(np.abs(lam) <= 1e-5 * abs(trial)))
-    shift = -0.01 * float(lam[rigid]) if rigid < len(lam) else -1e-4 * top
+    shift = -0.1 * float(lam[rigid]) if rigid < len(lam) else -1e-4 * top
     return rigid, shift, Factor(K - shift * M, structure=structure)
 
 
@@ -130,11 +130,13 @@ def _dense(structure: Any, k: int, shift: float, rigid: int, factor: Factor) -> 
     first = max(high[min(rigid, len(high) - 1)], np.finfo(float).tiny)
     middle = int(np.searchsorted(high, np.sqrt(first * high[-1])))
     low, top = max(rigid + 1, middle // 2), min(len(high) - 1, middle + middle // 2 + 1)
-    if k <= low or low >= top:
-        return lam, phi
-    # Cut at the widest gap near the middle: never through a pair of equal frequencies.
-    cut = low + int(np.argmax(high[low:top] / high[low - 1 : top - 1]))
-    return np.concatenate([lam[:cut], high[cut:]]), np.hstack([phi[:, :cut], phi_high[:, cut:]])
+    if k > low and low < top:
+        # Cut at the widest gap near the middle: never through a pair of equal frequencies.
+        cut = low + int(np.argmax(high[low:top] / high[low - 1 : top - 1]))
+        lam, phi = np.concatenate([lam[:cut], high[cut:]]), np.hstack([phi[:, :cut], phi_high[:, cut:]])
+    # The solve brings traces of low modes into higher ones: take them out again, the lowest mode first.
+    R = linalg.cholesky(phi[:, :k].T @ (M @ phi[:, :k]))
+    return lam[:k], linalg.solve_triangular(R, phi[:, :k].T, trans="T").T
 
 
 def _dense_direct(K: NDArray, M: NDArray) -> tuple[NDArray, NDArray]:

@@ -1,0 +1,124 @@
+import numpy as np
+import pytest
+from scipy import sparse
+
+from structures import InputError, NotIdentifiable, Structure, beams, chains, plates
+from structures.factor import BLOCK, Factor
+from structures.materials import steel
+
+SETTINGS = {"length": 1.2, "EI": 800.0, "mass_per_length": 3.0}
+
+
+def laplacian(n, shift=0.01):
+    return sparse.diags_array([-np.ones(n - 1), (2 + shift) * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1]).tocsc()
+
+
+@pytest.mark.parametrize("shape", [(60,), (60, 1), (60, 2 * BLOCK + 3)])
+def test_solution_is_that_of_a_dense_solver(shape):
+    K, B = laplacian(60), np.random.default_rng(0).standard_normal(shape)
+    assert np.allclose(Factor(K).solve(B), np.linalg.solve(K.toarray(), B), rtol=1e-11)
+
+
+def test_sparse_and_complex_right_hand_sides():
+    K, rng = laplacian(30), np.random.default_rng(1)
+    B = sparse.random_array((30, 4), density=0.2, rng=rng).tocsr()
+    factor = Factor(K)
+    assert np.allclose(factor.solve(B), np.linalg.solve(K.toarray(), B.toarray()))
+    z = rng.standard_normal((30, 2)) + 1j * rng.standard_normal((30, 2))
+    assert np.allclose(factor.solve(z), np.linalg.solve(K.toarray(), z))
+
+
+@pytest.mark.parametrize(("sensors", "loads"), [(3, 7), (7, 3), (4, 4), (1, 500)])
+def test_reciprocity_costs_the_fewer_solves(sensors, loads):
+    K, rng = laplacian(50), np.random.default_rng(2)
+    S, B = rng.standard_normal((sensors, 50)), rng.standard_normal((50, loads))
+    factor = Factor(K)
+    H = factor.transfer(S, B)
+    assert factor.solves == min(sensors, loads)
+    assert np.allclose(H, S @ np.linalg.solve(K.toarray(), B), rtol=1e-11)
+
+
+@pytest.mark.parametrize(("sensors", "loads"), [(2, 5), (5, 2)])
+def test_complex_symmetric_uses_the_plain_transpose(sensors, loads):
+    """With a conjugate, the answer through the rows would differ from the answer through the columns."""
+    rng = np.random.default_rng(3)
+    D = (laplacian(40) - 0.5 * sparse.eye_array(40) + 0.3j * laplacian(40)).tocsc()
+    S, B = rng.standard_normal((sensors, 40)), rng.standard_normal((40, loads))
+    assert np.allclose(Factor(D).transfer(S, B), S @ np.linalg.solve(D.toarray(), B), rtol=1e-11)
+
+
+def test_condensed_stiffness_is_the_inverse_of_the_flexibility_block():
+    K = plates.plate(lengths=(0.5, 0.4), thickness=3e-3, material=steel, elements=(4, 4), edges="CFFF").K_free
+    dofs = [79, 3, 17, 41]
+    flexibility = np.linalg.solve(K.toarray(), np.eye(K.shape[0]))[np.ix_(dofs, dofs)]
+    condensed = Factor(K).condense(dofs)
+    assert np.array_equal(condensed, condensed.T)
+    assert np.allclose(condensed @ flexibility, np.eye(4), atol=1e-8)
+    everything = np.arange(K.shape[0])
+    assert np.array_equal(Factor(K).condense(everything), K.toarray())
+
+
+def test_a_fine_cantilever_is_no_mechanism():
+    beam = beams.cantilever(elements=2000, **SETTINGS)
+    tip = np.zeros(beam.free.size)
+    tip[-2] = 1.0
+    assert Factor.of(beam).solve(tip)[-2] == pytest.approx(1.2**3 / 3 / 800, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("structure", "words"),
+    [
+        (beams.free(elements=30, **SETTINGS), "translation Z.*rotation RY"),
+        (beams.beam(left="pinned", right="free", elements=300, **SETTINGS), "rotation RY"),
+        (beams.beam(left="free", right="guided", elements=7, **SETTINGS), "translation Z"),
+        (plates.plate(lengths=(0.5, 0.4), thickness=3e-3, material=steel, elements=(5, 5), edges="SFFF"), "rotation"),
+        (chains.chain(masses=[1.0, 2.0, 3.0], springs=[5.0, 7.0], left="free", right="free"), "translation|motion"),
+    ],
+)
+def test_a_mechanism_is_refused_by_name(structure, words):
+    with pytest.raises(NotIdentifiable, match=words) as caught:
+        Factor.of(structure)
+    assert caught.value.code == "LID-E116"
+    assert "supports" in caught.value.advice
+
+
+def test_an_inner_mechanism_names_its_dofs():
+    K = np.zeros((5, 5))
+    K[:3, :3] = [[2.0, -1, 0], [-1, 2, -1], [0, -1, 1]]
+    K[3:, 3:] = [[4.0, -4], [-4, 4]]
+    structure = Structure.from_matrices(K, np.eye(5), dofs=["1+X", "2+X", "3+X", "8+X", "9+X"])
+    with pytest.raises(NotIdentifiable, match=r"8\+X, 9\+X"):
+        Factor.of(structure)
+    with pytest.raises(NotIdentifiable, match=r"index \[.*3, 4"):
+        Factor(sparse.csc_array(K))
+
+
+@pytest.mark.parametrize(
+    ("K", "words"),
+    [
+        (np.ones((2, 3)), "not square"),
+        (np.array([[1.0, np.nan], [np.nan, 1.0]]), "NaN"),
+        (np.array([[2.0, 1.0], [0.0, 2.0]]), "not symmetric"),
+    ],
+)
+def test_a_bad_matrix_is_refused(K, words):
+    with pytest.raises(InputError, match=words):
+        Factor(K)
+
+
+def test_bad_right_hand_sides_and_dofs_are_refused():
+    factor = Factor(laplacian(5))
+    with pytest.raises(InputError, match="5 rows"):
+        factor.solve(np.ones(4))
+    with pytest.raises(InputError, match="NaN"):
+        factor.solve(np.array([1.0, np.nan, 0, 0, 0]))
+    for dofs in ([0, 0], [5], [-1], [], [0.5]):
+        with pytest.raises(InputError, match="condense"):
+            factor.condense(dofs)
+
+
+def test_an_indefinite_shifted_matrix_keeps_its_accuracy():
+    beam = beams.simply_supported(elements=60, **SETTINGS)
+    D = beam.K_free - (2 * np.pi * 400.0) ** 2 * beam.M_free
+    x = np.random.default_rng(4).standard_normal(D.shape[0])
+    assert np.linalg.norm(Factor(D).solve(D @ x) - x) < 1e-7 * np.linalg.norm(x)
