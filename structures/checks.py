@@ -29,11 +29,18 @@ def matrix(name: str, value: Any, size: int | None = None) -> sparse.csr_array:
         largest entry.
     """
     where = f"matrix {name}"
-    if np.ndim(value) != 2 or value.shape[0] != value.shape[1] or value.shape[0] == 0:
-        raise InputError("not a square matrix", where=where, found=f"shape {np.shape(value)}", expected="(n, n)")
+    if not sparse.issparse(value):
+        try:
+            value = np.asarray(value, None if np.iscomplexobj(value) else float)
+        except (TypeError, ValueError):
+            raise InputError(
+                "not a matrix of numbers", where=where, found=type(value).__name__, expected="(n, n)"
+            ) from None
+    if value.ndim != 2 or value.shape[0] != value.shape[1] or value.shape[0] == 0:
+        raise InputError("not a square matrix", where=where, found=f"shape {value.shape}", expected="(n, n)")
     if size is not None and value.shape[0] != size:
         raise InputError("wrong size", where=where, found=f"shape {value.shape}", expected=f"({size}, {size}), as K")
-    if np.iscomplexobj(value if not sparse.issparse(value) else value.data):
+    if np.iscomplexobj(value.data if sparse.issparse(value) else value):
         raise InputError(
             "complex entries", where=where, expected="real numbers", hint="give damping as C, Rayleigh or Modal"
         )

@@ -12,7 +12,7 @@ from scipy import sparse
 
 from .errors import InputError
 
-SNAP = 1e-9  # a point this close to a node (in element lengths) is that node: rounding of x - origin, not geometry
+EPS = float(np.finfo(float).eps)
 Array = NDArray[np.float64]
 
 
@@ -117,10 +117,14 @@ class Line:
         return np.asarray(np.arange(self.elements + 1) * self.h, float)
 
     # -- points ---------------------------------------------------------------------------------------------------
+    def _rounding(self, x: float) -> float:
+        """How far (in element lengths) rounding may have moved `x`: no more than that is forgiven."""
+        return 1e-12 + 8 * EPS * (abs(x) + abs(self.origin)) / self.h
+
     def inside(self, x: float) -> bool:
         """Whether `x` lies on the line (rounding forgiven)."""
-        s = (x - self.origin) / self.h
-        return bool(-SNAP <= s <= self.elements + SNAP)
+        s, slack = (x - self.origin) / self.h, self._rounding(x)
+        return bool(-slack <= s <= self.elements + slack)
 
     def station(self, x: float) -> float:
         """Distance of `x` from the first node in element lengths; a point at a node is exactly an integer.
@@ -139,7 +143,7 @@ class Line:
                 expected=f"{self.origin:.9g} <= {self.name} <= {self.origin + self.length:.9g}",
             )
         nearest = round(s)
-        return float(nearest) if abs(s - nearest) <= SNAP else float(s)
+        return float(nearest) if abs(s - nearest) <= self._rounding(x) else float(s)
 
     def row(self, x: float, order: int = 0) -> Array:
         """Row that gives the field, or its derivative of `order` 0, 1, 2, at `x` from the unknowns; (size,).

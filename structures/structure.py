@@ -100,7 +100,7 @@ class Structure:
     ) -> Structure:
         """Structure from a user's own matrices; without `dofs` they are the scalars ``0+S, 1+S, ...``."""
         if dofs is None:
-            dofs = [Dof(i, 0) for i in range(np.shape(K)[0] if np.ndim(K) else 0)]
+            dofs = [Dof(i, 0) for i in range(checks.matrix("K", K).shape[0])]
         table = tuple(Dof.parse(d) for d in dofs)
         held = tuple(Dof.parse(d) for d in supports)
         return cls(K, M, C, table, None if coordinates is None else np.asarray(coordinates, float), held, damping)
