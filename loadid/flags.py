@@ -16,7 +16,15 @@ from .inverse.choice import Choice
 MEMORY = 0.01  # share of the first response that may be left at the end of a record
 DECADE = 1.0  # spread of the rules, decades
 FLAT = 1.05  # GCV: highest over lowest within half a decade
-KNOWN_SOURCES = ("quiet segment", "unloaded record", "repeatability", "covariance", "data sheet", "residual", "roughness")
+KNOWN_SOURCES = (
+    "quiet segment",
+    "unloaded record",
+    "repeatability",
+    "covariance",
+    "data sheet",
+    "residual",
+    "roughness",
+)
 
 
 def collect(flags: Iterable[Flag | None]) -> tuple[Flag, ...]:
@@ -62,8 +70,8 @@ def null_space(m: int, n: int, rank: int) -> Flag | None:
     return Flag(
         "W201",
         Evidence("rank", rank, n),
-        f"m = {m} data, n = {n} unknowns, rank r = {rank}, nullity {n - rank}: what lies in ker(H) leaves no trace in the "
-        "data and is set by the prior",
+        f"m = {m} data, n = {n} unknowns, rank r = {rank}, nullity {n - rank}: what lies in ker(H) leaves no trace "
+        "in the data and is set by the prior",
         "add sensors, shrink the load basis, or state the prior",
     )
 
@@ -75,8 +83,8 @@ def lost_channels(before: tuple[float, int, int], after: tuple[float, int, int],
     return Flag(
         "W202",
         Evidence("nullity", after[2], before[2]),
-        f"kappa fell from {before[0]:.3g} to {after[0]:.3g} because modes were lost with {', '.join(lost)}; rank fell from "
-        f"{before[1]} to {after[1]}, nullity rose from {before[2]} to {after[2]}",
+        f"kappa fell from {before[0]:.3g} to {after[0]:.3g} because modes were lost with {', '.join(lost)}; rank fell "
+        f"from {before[1]} to {after[1]}, nullity rose from {before[2]} to {after[2]}",
         "restore the channels, or accept the smaller identifiable space",
     )
 
@@ -126,7 +134,8 @@ def resolution(nullity: int, prior: str, width: float, unit: str, bias: float | 
 def index_offset(ratio: float, load: str, shift: int | None) -> InputError:
     """E506: the first sample of the impulse response is zero and no shift helps."""
     return InputError(
-        f"the impulse response of load {load} has no usable diagonal: |h(0)| is {ratio:.2g} of its maximum and no shift helps",
+        f"the impulse response of load {load} has no usable diagonal: |h(0)| is {ratio:.2g} of its maximum "
+        "and no shift helps",
         where="deconvolution",
         found="a zero impulse response" if shift is None else f"first usable sample {shift}",
         expected="a response that begins within the record",
@@ -166,9 +175,15 @@ def gcv_minimum(choice: Choice) -> Flag | None:
     ratio = float(G.max() / G.min()) if len(G) else np.inf
     if not found.edge and ratio >= FLAT:
         return None
-    evidence = Evidence("GCV lambda", found.lam, "inside the sweep") if found.edge else Evidence("GCV max/min", ratio, FLAT)
-    return Flag("W402", evidence, f"GCV did not find a minimum (relative lambda {found.lam:.3g})",
-                "at the lower end the data ask for no regularisation; at the upper end they carry no information")  # fmt: skip
+    evidence = (
+        Evidence("GCV lambda", found.lam, "inside the sweep") if found.edge else Evidence("GCV max/min", ratio, FLAT)
+    )
+    return Flag(
+        "W402",
+        evidence,
+        f"GCV did not find a minimum (relative lambda {found.lam:.3g})",
+        "at the lower end the data ask for no regularisation; at the upper end they carry no information",
+    )
 
 
 def noise_source(choice: Choice, deltas: Sequence[float | None]) -> Flag | None:
@@ -181,7 +196,7 @@ def noise_source(choice: Choice, deltas: Sequence[float | None]) -> Flag | None:
     return Flag(
         "W406",
         Evidence("source of the noise level", choice.sigma_source, "unloaded record, repeatability or covariance"),
-        f"the noise level comes from {choice.sigma_source!r}; relative lambda at half, once and twice the level: {values}",
+        f"the noise level comes from {choice.sigma_source!r}; relative lambda at half, once and twice of it: {values}",
         "record the unloaded sensors for a minute, or name the source with noise_source=",
     )
 
@@ -219,7 +234,8 @@ def memory(decay_rate: float | None, duration: float, h: NDArray | None = None) 
     return Flag(
         "W505",
         Evidence("response left after the record", left, MEMORY),
-        f"the record is shorter than the memory: {left:.1%} of the response is left at its end, so start and end are contaminated",
+        f"the record is shorter than the memory: {left:.1%} of the response is left at its end, "
+        "so start and end are contaminated",
         "record longer, begin before the load, or use a state-space method",
     )
 
@@ -234,7 +250,7 @@ def aliased(frequencies: NDArray | None, dt: float) -> Flag | None:
     return Flag(
         "W509",
         Evidence("highest natural frequency, Hz", float(np.max(frequencies)), nyquist),
-        f"{count} modes lie above the Nyquist frequency {nyquist:.4g} Hz and are aliased in the sampled impulse response",
+        f"{count} modes lie above the Nyquist frequency {nyquist:.4g} Hz and are aliased in the sampled response",
         "keep fewer modes (the static residual stands for the rest), or sample faster",
     )
 

@@ -9,7 +9,9 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 
-def provenance(family: str, *, settings: Mapping[str, Any], inputs: Mapping[str, str], model: str, prior: str) -> dict[str, Any]:
+def provenance(
+    family: str, *, settings: Mapping[str, Any], inputs: Mapping[str, str], model: str, prior: str
+) -> dict[str, Any]:
     """Record of how an estimate was made.
 
     Parameters

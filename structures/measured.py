@@ -126,8 +126,13 @@ class MeasuredModel(Model):
             hits.append(Hit(name, not reason, reason, float(f[np.argmax(np.abs(f))]), digest(f, y)))
         keep = np.array([h.used for h in hits])
         if not keep.any():
-            raise InputError("no usable hit", where="from_hits", found="; ".join(f"{h.name}: {h.reason}" for h in hits),
-                             expected="at least one clean hit", hint="repeat the hits, or pass reject=False")  # fmt: skip
+            raise InputError(
+                "no usable hit",
+                where="from_hits",
+                found="; ".join(f"{h.name}: {h.reason}" for h in hits),
+                expected="at least one clean hit",
+                hint="repeat the hits, or pass reject=False",
+            )
         return cls._estimate(replace(data, force=data.force[keep], responses=data.responses[keep]), hits)
 
     @classmethod
@@ -140,8 +145,12 @@ class MeasuredModel(Model):
         Y = fft.rfft(data.responses, padded, axis=1)
         Sff = np.sum(np.abs(F) ** 2, axis=0)
         if np.any(Sff == 0):
-            raise InputError("the force has lines without any energy", where="from_hits", found=f"{int(np.sum(Sff == 0))} lines",
-                             expected="a broadband force")  # fmt: skip
+            raise InputError(
+                "the force has lines without any energy",
+                where="from_hits",
+                found=f"{int(np.sum(Sff == 0))} lines",
+                expected="a broadband force",
+            )
         Sfy = np.sum(F.conj()[..., None] * Y, axis=0)
         H = Sfy / Sff[:, None]
         extra: dict[str, Any] = {}
@@ -196,8 +205,14 @@ class MeasuredModel(Model):
             Kind missing (LID-W208), wrong shapes, a grid that is not uniform.
         """
         if kind not in KINDS:
-            raise InputError("receptance, mobility or accelerance?", where="from_frf", found=f"kind={kind!r}",
-                             expected=" or ".join(KINDS), hint="pass kind=", code="LID-W208")  # fmt: skip
+            raise InputError(
+                "receptance, mobility or accelerance?",
+                where="from_frf",
+                found=f"kind={kind!r}",
+                expected=" or ".join(KINDS),
+                hint="pass kind=",
+                code="LID-W208",
+            )
         f = np.atleast_1d(np.asarray(frequencies, float))
         H = _cube(np.asarray(H, complex))
         spread = None if variance is None else _cube(np.asarray(variance, float))
@@ -234,7 +249,8 @@ class MeasuredModel(Model):
             factor = np.where(omega[:, None] == 0, (power == 0).astype(complex), omega[:, None] ** power)
         quantity = QUANTITY[kind]
         sensors = [
-            replace(s, quantity=quantity, unit=UNIT[quantity], noise=None) if s.quantity in have else s for s in self.sensors
+            replace(s, quantity=quantity, unit=UNIT[quantity], noise=None) if s.quantity in have else s
+            for s in self.sensors
         ]
         size = np.abs(factor) ** 2
         return MeasuredModel(
@@ -268,7 +284,7 @@ class MeasuredModel(Model):
         return None if self.variance is None else _interpolate(frequencies, self.frequencies, self.variance)
 
     def noise_spectrum(self, frequencies: ArrayLike) -> NDArray[np.float64] | None:
-        """Mean squared residual of the training hits, per sample of record, shape (lines, sensors); None for one hit."""
+        """Mean squared residual of the hits, per sample of record, shape (lines, sensors); None for one hit."""
         return None if self.noise_power is None else _interpolate(frequencies, self.frequencies, self.noise_power)
 
     def impulse_response(self, dt: float, samples: int, hold: str = "foh") -> NDArray[np.float64]:
@@ -280,8 +296,13 @@ class MeasuredModel(Model):
             Another step than the model's.
         """
         if abs(dt / self.dt - 1) > 1e-6:
-            raise InputError("the record and the model have different steps", where="impulse_response", found=f"dt = {dt:.9g} s",
-                             expected=f"dt = {self.dt:.9g} s", hint="resample the record, or give --fs / dt= as recorded")  # fmt: skip
+            raise InputError(
+                "the record and the model have different steps",
+                where="impulse_response",
+                found=f"dt = {dt:.9g} s",
+                expected=f"dt = {self.dt:.9g} s",
+                hint="resample the record, or give --fs / dt= as recorded",
+            )
         from scipy import fft
 
         h = fft.irfft(self.H, axis=0)
@@ -292,11 +313,20 @@ class MeasuredModel(Model):
     def perturbed(self, parameter: str, factor: float) -> MeasuredModel:
         """The same model with its gain multiplied by `factor`; nothing else of a measured model has a name."""
         if parameter != "gain":
-            raise InputError("a measured model has no such parameter", where="perturbed", found=repr(parameter), expected="'gain'")
+            raise InputError(
+                "a measured model has no such parameter", where="perturbed", found=repr(parameter), expected="'gain'"
+            )
         return MeasuredModel(
-            self.frequencies, self.H * factor, sensors=self.sensors, loads=self.loads, variance=self.variance,
-            noise_power=self.noise_power, coherence=self.coherence, hits=self.hits, samples=self.samples,
-        )  # fmt: skip
+            self.frequencies,
+            self.H * factor,
+            sensors=self.sensors,
+            loads=self.loads,
+            variance=self.variance,
+            noise_power=self.noise_power,
+            coherence=self.coherence,
+            hits=self.hits,
+            samples=self.samples,
+        )
 
     @property
     def training(self) -> frozenset[str]:
@@ -347,7 +377,8 @@ class MeasuredModel(Model):
         tree = storage.read(path, "measured model")
         certificate = tree.pop("certificate")
         if certificate is not None:
-            certificate = Certificate(**{k: tuple(v) if isinstance(v, list) else v for k, v in certificate.items()})
+            fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in certificate.items()}
+            certificate = Certificate(**fields)
         return cls(
             tree.pop("frequencies"),
             tree.pop("H"),
@@ -372,8 +403,12 @@ class MeasuredModel(Model):
         if f.shape == own.shape and np.allclose(f, own, rtol=1e-9, atol=1e-9 * top):
             return H
         if np.any(f < 0) or np.any(f > top * (1 + 1e-9)):
-            raise InputError("a frequency outside the measured range", where="frf", found=f"{f.min():.6g} to {f.max():.6g} Hz",
-                             expected=f"0 to {top:.6g} Hz")  # fmt: skip
+            raise InputError(
+                "a frequency outside the measured range",
+                where="frf",
+                found=f"{f.min():.6g} to {f.max():.6g} Hz",
+                expected=f"0 to {top:.6g} Hz",
+            )
         n = len(f) - 1
         if n > 1 and np.allclose(f, np.linspace(0, top, n + 1), rtol=1e-9, atol=1e-9 * top):
             return resample_lines(H, 2 * n)
@@ -430,7 +465,9 @@ def _gather(records: Sequence[Any], dt: float | None, force: str | int, response
     parts = [_columns(r, dt, [force, *responses], i) for i, r in enumerate(records)]
     steps = sorted({p[1] for p in parts})
     if steps[-1] / steps[0] - 1 > 1e-6:
-        raise InputError("the records have different steps", where="from_hits", found=f"dt = {steps} s", expected="one dt")
+        raise InputError(
+            "the records have different steps", where="from_hits", found=f"dt = {steps} s", expected="one dt"
+        )
     longest = max(len(p[0]) for p in parts)
     stack = np.zeros((len(parts), longest, 1 + len(responses)))
     for row, (values, *_) in zip(stack, parts, strict=True):
@@ -446,7 +483,9 @@ def _columns(record: Any, dt: float | None, wanted: list, i: int) -> tuple[NDArr
     if step is None:
         raise InputError("the step of a bare array is not known", where=name, found="no dt", expected="dt= in s")
     if values.ndim != 2:
-        raise InputError("a record is a table", where=name, found=f"shape {values.shape}", expected="(samples, channels)")
+        raise InputError(
+            "a record is a table", where=name, found=f"shape {values.shape}", expected="(samples, channels)"
+        )
     channels = getattr(record, "channels", None) or [Channel(label=f"channel {j}") for j in range(values.shape[1])]
     labels = [c.label if isinstance(c, Channel) else str(c) for c in channels]
     index = []
@@ -462,17 +501,30 @@ def _columns(record: Any, dt: float | None, wanted: list, i: int) -> tuple[NDArr
 def _check(m: MeasuredModel) -> None:
     f, H = m.frequencies, m.H
     if H.ndim != 3 or H.shape != (len(f), len(m.sensors), len(m.loads)):
-        raise InputError("FRF, lines and channels do not fit", where="measured model", found=f"H {H.shape}, {len(f)} lines, "
-                         f"{len(m.sensors)} sensors, {len(m.loads)} loads", expected="H (lines, sensors, loads)")  # fmt: skip
+        raise InputError(
+            "FRF, lines and channels do not fit",
+            where="measured model",
+            found=f"H {H.shape}, {len(f)} lines, {len(m.sensors)} sensors, {len(m.loads)} loads",
+            expected="H (lines, sensors, loads)",
+        )
     step = np.diff(f)
     if len(f) < 3 or f[0] != 0 or np.any(np.abs(step - step.mean()) > 1e-6 * step.mean()):
-        raise InputError("the lines of a measured model run uniformly from 0 Hz", where="measured model",
-                         found=f"{len(f)} lines from {f[0] if len(f) else 'none'} Hz", expected="uniform spacing, first line 0 Hz",
-                         hint="interpolate the FRF onto a uniform grid first")  # fmt: skip
+        raise InputError(
+            "the lines of a measured model run uniformly from 0 Hz",
+            where="measured model",
+            found=f"{len(f)} lines from {f[0] if len(f) else 'none'} Hz",
+            expected="uniform spacing, first line 0 Hz",
+            hint="interpolate the FRF onto a uniform grid first",
+        )
     for name in ("H", "variance", "noise_power", "coherence"):
         x = getattr(m, name)
         if x is not None and not np.all(np.isfinite(x)):
-            raise InputError("NaN or inf", where=f"measured model, {name}", expected="finite numbers", hint="mask or repair the lines")
+            raise InputError(
+                "NaN or inf",
+                where=f"measured model, {name}",
+                expected="finite numbers",
+                hint="mask or repair the lines",
+            )
     labels = [c.label for c in m.sensors]
     if len(set(labels)) != len(labels):
         raise InputError("sensor labels are not unique", where="measured model", found=labels, expected="unique labels")
@@ -493,7 +545,9 @@ def _cube(H: NDArray) -> NDArray:
 
 def _rows(sensors: Sequence[str | Channel] | None, count: int, quantity: str) -> tuple[Channel, ...]:
     given = sensors or [f"sensor {i + 1}" for i in range(count)]
-    return tuple(s if isinstance(s, Channel) else Channel(label=s, quantity=quantity, unit=UNIT[quantity]) for s in given)
+    return tuple(
+        s if isinstance(s, Channel) else Channel(label=s, quantity=quantity, unit=UNIT[quantity]) for s in given
+    )
 
 
 def _channel(c: Channel) -> dict[str, Any]:

@@ -63,11 +63,15 @@ def gather(record: Any, dt: float | None, model: Model, sensors: Sequence[str | 
     """
     rows = np.arange(len(model.sensors)) if sensors is None else np.array([_row(s, model) for s in sensors])
     if len(rows) == 0 or len(set(rows.tolist())) != len(rows):
-        raise InputError("choose each sensor once", where="sensors", found=sensors, expected="distinct sensors of the model")
+        raise InputError(
+            "choose each sensor once", where="sensors", found=sensors, expected="distinct sensors of the model"
+        )
     if not isinstance(record, Record):
         record = _record(record, dt, model, rows)
     elif dt is not None and abs(dt / record.dt - 1) > 1e-9:
-        raise InputError("the record has its own step", where="estimate", found=f"dt = {dt}", expected=f"dt = {record.dt}")
+        raise InputError(
+            "the record has its own step", where="estimate", found=f"dt = {dt}", expected=f"dt = {record.dt}"
+        )
     wanted = [model.sensors[i] for i in rows]
     columns = [_column(s, record) for s in wanted]
     picked = record.select(columns)
@@ -97,7 +101,10 @@ def _record(values: Any, dt: float | None, model: Model, rows: NDArray) -> Recor
         raise InputError("the step of a bare array is not known", where="estimate", found="no dt", expected="dt= in s")
     table = np.asarray(values, float)
     table = table[:, None] if table.ndim == 1 else table
-    wanted = [model.sensors[i] for i in (rows if table.ndim == 2 and table.shape[1] == len(rows) else range(len(model.sensors)))]
+    wanted = [
+        model.sensors[i]
+        for i in (rows if table.ndim == 2 and table.shape[1] == len(rows) else range(len(model.sensors)))
+    ]
     if table.ndim != 2 or table.shape[1] != len(wanted):
         raise InputError(
             "the record does not fit the model",

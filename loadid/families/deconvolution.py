@@ -64,8 +64,8 @@ class Deconvolution:
         Anything that gives ``impulse_response`` (and ``frf`` for measured models).
     method : {"tikhonov", "tsvd"}
     penalty : str, array or None
-        ``identity, first_difference, second_difference`` (``gradient``, ``laplacian``), a matrix (rows, samples * loads),
-        or None for plain least squares, which is refused where the data do not determine the load.
+        ``identity, first_difference, second_difference`` (``gradient``, ``laplacian``), a matrix of shape
+        (rows, samples * loads), or None for plain least squares, which is refused where the data do not determine the load.
     choice : str, float or None
         Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
     hold : {"foh", "zoh"}
@@ -107,7 +107,9 @@ class Deconvolution:
             penalties.order(penalty)
         if penalty is None:
             if choice not in (None, 0, 0.0):
-                raise InputError("without a penalty there is no lambda to choose", where="choice", found=choice, expected="None")
+                raise InputError(
+                    "without a penalty there is no lambda to choose", where="choice", found=choice, expected="None"
+                )
             choice = 0.0
         self.model, self.method, self.penalty, self.choice, self.hold = model, method, penalty, choice, hold
         self.noise, self.noise_source, self.sensors = noise, noise_source, sensors
@@ -153,7 +155,7 @@ class Deconvolution:
             std=solution.posterior.std,
             labels=[c.label for c in self.model.loads],
             units=[c.unit for c in self.model.loads],
-            axis=Axis(name="time", unit="s", values=np.arange(len(solution.load)) * data.dt),
+            axis=Axis(name="time", unit="s", values=np.asarray(np.arange(len(solution.load)) * data.dt, float)),
             choice=choice,
             response=posed.values,
             residual=residual,
@@ -169,7 +171,11 @@ class Deconvolution:
                 settings=self._settings(posed),
                 inputs={data.record.source or data.record.name or "record": data.record.sha256},
                 model=self.model.fingerprint,
-                prior=PRIOR[self.penalty] if isinstance(self.penalty, str) else "a penalty of the user" if self.penalty is not None else "none",
+                prior=PRIOR[self.penalty]
+                if isinstance(self.penalty, str)
+                else "a penalty of the user"
+                if self.penalty is not None
+                else "none",
             ),
         )
 
@@ -190,8 +196,13 @@ class Deconvolution:
     def _pose_dense(self, h: NDArray, values: NDArray, level: noises.Noise, data: Data) -> Posed:
         samples, loads = len(values), h.shape[2]
         if samples * loads > 2 * DENSE:
-            raise InputError("a penalty matrix needs the dense path, and the record is too long for it", where="penalty",
-                             found=f"{samples * loads} unknowns", expected=f"at most {2 * DENSE}", hint="use a named penalty, or a window")  # fmt: skip
+            raise InputError(
+                "a penalty matrix needs the dense path, and the record is too long for it",
+                where="penalty",
+                found=f"{samples * loads} unknowns",
+                expected=f"at most {2 * DENSE}",
+                hint="use a named penalty, or a window",
+            )
         used = h[:, data.rows]
         T = toeplitz(used)
         L = None if self.penalty is None else penalties.matrix(self.penalty, samples, loads)
@@ -200,24 +211,53 @@ class Deconvolution:
         full = None
         if len(data.rows) < h.shape[1]:
             scale = np.sqrt(np.mean(h**2, axis=(0, 2)))
-            full = diagnose.layout(np.linalg.svd(toeplitz(h / scale[:, None]).reshape(-1, samples * loads), compute_uv=False), samples * loads)
-        return Posed(path, level, lambda g: (T.reshape(-1, samples * loads) @ g.reshape(-1)).reshape(values.shape), values,
-                     "dense SVD", used, full)  # fmt: skip
+            full = diagnose.layout(
+                np.linalg.svd(toeplitz(h / scale[:, None]).reshape(-1, samples * loads), compute_uv=False),
+                samples * loads,
+            )
+        return Posed(
+            path,
+            level,
+            lambda g: (T.reshape(-1, samples * loads) @ g.reshape(-1)).reshape(values.shape),
+            values,
+            "dense SVD",
+            used,
+            full,
+        )
 
     def _pose_spectral(
-        self, H: NDArray, values: NDArray, level: noises.Noise, data: Data, h: NDArray | None,
-        power: NDArray | None = None, variance: NDArray | None = None, excess: NDArray | None = None,
-    ) -> Posed:  # fmt: skip
+        self,
+        H: NDArray,
+        values: NDArray,
+        level: noises.Noise,
+        data: Data,
+        h: NDArray | None,
+        power: NDArray | None = None,
+        variance: NDArray | None = None,
+        excess: NDArray | None = None,
+    ) -> Posed:
         used = H[:, data.rows]
         if power is None:
             if level.level.ndim == 2:
-                raise InputError("a long record takes a noise std per sensor, not a covariance", where="noise",
-                                 found=f"covariance {level.level.shape}", expected="(sensors,)", hint="use a window of the record")  # fmt: skip
+                raise InputError(
+                    "a long record takes a noise std per sensor, not a covariance",
+                    where="noise",
+                    found=f"covariance {level.level.shape}",
+                    expected="(sensors,)",
+                    hint="use a window of the record",
+                )
             power = np.tile(len(values) * level.level**2, (len(used), 1))
         penalty = "identity" if self.penalty is None else self.penalty
         if not isinstance(penalty, str):
-            raise InputError("a measured model takes a named penalty", where="penalty", found="a matrix", expected=", ".join(penalties.ORDER))
-        path = SpectralPath(used, values, power, penalty=penalty, variance=variance, excess=excess, truncated=self.method == "tsvd")
+            raise InputError(
+                "a measured model takes a named penalty",
+                where="penalty",
+                found="a matrix",
+                expected=", ".join(penalties.ORDER),
+            )
+        path = SpectralPath(
+            used, values, power, penalty=penalty, variance=variance, excess=excess, truncated=self.method == "tsvd"
+        )
         full = None
         if len(data.rows) < H.shape[1]:
             scale = np.sqrt(np.mean(np.abs(H) ** 2, axis=(0, 2)))
@@ -234,8 +274,13 @@ class Deconvolution:
         model, samples = self.model, len(data.values)
         own = model.dt  # type: ignore[attr-defined]
         if abs(data.dt / own - 1) > 1e-6:
-            raise InputError("the record and the model have different steps", where="estimate", found=f"dt = {data.dt:.9g} s",
-                             expected=f"dt = {own:.9g} s", hint="give the sampling rate as recorded (--fs, dt=), or resample")  # fmt: skip
+            raise InputError(
+                "the record and the model have different steps",
+                where="estimate",
+                found=f"dt = {data.dt:.9g} s",
+                expected=f"dt = {own:.9g} s",
+                hint="give the sampling rate as recorded (--fs, dt=), or resample",
+            )
         f = np.linspace(0, 0.5 / own, padded_length(samples) // 2 + 1)
         H = model.frf(f)
         self._shift(np.fft.irfft(H[:, data.rows], axis=0)[:samples])
@@ -244,20 +289,28 @@ class Deconvolution:
         variance = None if variance is None else variance[:, data.rows]
         h = np.fft.irfft(H, axis=0)[: min(samples, model.samples)]  # type: ignore[attr-defined]
         if self.noise is not None:
-            return self._pose_spectral(H, data.values, noises.resolve(self.noise, self.noise_source, model, data), data, h, variance=variance)
+            return self._pose_spectral(
+                H, data.values, noises.resolve(self.noise, self.noise_source, model, data), data, h, variance=variance
+            )
         if spectrum is not None:
             hits = len(model.training)  # type: ignore[attr-defined]
-            level = noises.Noise(np.ones(len(data.rows)), True, f"residual power of {hits} training hits, averaged over neighbouring lines")
+            level = noises.Noise(
+                np.ones(len(data.rows)),
+                True,
+                f"residual power of {hits} training hits, averaged over neighbouring lines",
+            )
             return self._pose_spectral(H, data.values, level, data, h, samples * spectrum[:, data.rows], variance)
         told = self._roughness(H[:, data.rows], data.values)
         if told is not None:
             power, excess = told
-            level = noises.Noise(np.ones(len(data.rows)), True, "roughness of the load spectrum that each sensor gives alone")
+            level = noises.Noise(
+                np.ones(len(data.rows)), True, "roughness of the load spectrum that each sensor gives alone"
+            )
             return self._pose_spectral(H, data.values, level, data, h, power, variance, excess)
         return self._pose_spectral(H, data.values, noises.resolve(None, None, model, data), data, h, variance=variance)
 
     def _roughness(self, H: NDArray, values: NDArray) -> tuple[NDArray, NDArray] | None:
-        """Noise energy and its excess on single lines, (lines, sensors), told by one short load; None for a long one."""
+        """Noise energy and its excess on single lines (lines, sensors), told by one short load, else None."""
         if H.shape[2] != 1 or np.any(H == 0):
             return None
         size = np.abs(H[..., 0]) ** 2
@@ -278,7 +331,9 @@ class Deconvolution:
         first = np.argmax(usable.all(axis=1))
         if not usable.all(axis=1).any() or first > len(h) // 2:
             worst = int(np.argmin(usable[0]))
-            raise guards.index_offset(float(level[0, worst] / largest[worst]), self.model.loads[worst].label, int(np.argmax(usable[:, worst])))
+            raise guards.index_offset(
+                float(level[0, worst] / largest[worst]), self.model.loads[worst].label, int(np.argmax(usable[:, worst]))
+            )
         return int(first)
 
     # -- saying -----------------------------------------------------------------------------------------------------
@@ -287,14 +342,15 @@ class Deconvolution:
         n = _unknowns(posed.path)
         if free and posed.path.rank < n and "LID-E306" not in self.allow:
             raise NotIdentifiable(
-                f"without regularisation the load is not determined: rank {posed.path.rank} of {n} unknowns from {posed.path.m} data",
+                f"without regularisation the load is not determined: rank {posed.path.rank} of {n} unknowns "
+                f"from {posed.path.m} data",
                 advice="add sensors, use a penalty (penalty='identity'), or give lambda > 0",
                 code="LID-E306",
             )
 
     def _facts(self, posed: Posed, choice: Choice, sigma: float, dt: float, load: NDArray) -> dict[str, Any]:
         path, n = posed.path, _unknowns(posed.path)
-        kappa, rank, nullity = diagnose.layout(_singular(path), n)
+        kappa, _rank, _nullity = diagnose.layout(_singular(path), n)
         width, bias = diagnose.resolution(path, choice.lam, load)
         point = path.at(choice.lam)
         return {
@@ -311,7 +367,6 @@ class Deconvolution:
             "resolution": width * dt,
             "resolution_unit": "s",
             "peak_bias": bias,
-            "shift": len(load) and int(round(len(posed.values) - len(load))),
         }
 
     def _flags(self, posed: Posed, choice: Choice, data: Data, facts: dict[str, Any]) -> tuple[Flag, ...]:

@@ -49,8 +49,12 @@ def resolve(given: ArrayLike | None, source: str | None, model: Model, data: Dat
         level = np.asarray(given, float)
         level = np.full(count, float(level)) if level.ndim == 0 else level
         if level.shape not in {(count,), (count, count)} or not np.all(np.isfinite(level)):
-            raise InputError("the noise does not fit the sensors", where="noise", found=f"shape {level.shape}",
-                             expected=f"a number, ({count},) or ({count}, {count})")  # fmt: skip
+            raise InputError(
+                "the noise does not fit the sensors",
+                where="noise",
+                found=f"shape {level.shape}",
+                expected=f"a number, ({count},) or ({count}, {count})",
+            )
         return Noise(level, True, source or ("covariance" if level.ndim == 2 else "a guess of the user"))
     declared = model.noise
     if declared is not None:
@@ -61,12 +65,18 @@ def resolve(given: ArrayLike | None, source: str | None, model: Model, data: Dat
     found = noise_std(data.record.select([c.label for c in data.channels]))
     if found is not None and np.all(found[0] > 0):
         stated = found[1].startswith("stated")
-        return Noise(found[0], True, "data sheet (stated with the channels)" if stated else f"quiet segment ({found[1]})")
+        return Noise(
+            found[0], True, "data sheet (stated with the channels)" if stated else f"quiet segment ({found[1]})"
+        )
     scale = np.sqrt(np.mean(data.values**2, axis=0))
     if len({c.unit for c in data.channels}) < 2:
         scale = np.full(count, float(np.sqrt(np.mean(scale**2))))
     if np.any(scale == 0):
-        raise InputError("a channel is zero throughout", where="record",
-                         found=[c.label for c, s in zip(data.channels, scale, strict=True) if s == 0], expected="a response",
-                         hint="leave the channel out (sensors=[...])")  # fmt: skip
+        raise InputError(
+            "a channel is zero throughout",
+            where="record",
+            found=[c.label for c, s in zip(data.channels, scale, strict=True) if s == 0],
+            expected="a response",
+            hint="leave the channel out (sensors=[...])",
+        )
     return Noise(scale, False, "not known")

@@ -88,12 +88,30 @@ class Choice:
     sweep: Sweep | None = field(default=None, repr=False)
 
 
-DEFAULT_RULES = ("discrepancy", "upre", "gcv", "robust_gcv", "predicted_error", "l_curve", "ncp", "quasi_optimality", "evidence")
-COMPARED = ("gcv", "l_curve", "ncp")  # rules of different origin: where they agree the data determine lambda
+DEFAULT_RULES = (
+    "discrepancy",
+    "upre",
+    "gcv",
+    "robust_gcv",
+    "predicted_error",
+    "l_curve",
+    "ncp",
+    "quasi_optimality",
+    "evidence",
+)
+COMPARED = (
+    ("gcv", "robust_gcv"),
+    ("l_curve",),
+    ("upre",),
+)  # one voice for each kind of rule, the first that found an optimum
 
 
 def choose(
-    path: RegularizationPath, choice: str | float | None = None, *, sigma: float | None = None, source: str = "not known"
+    path: RegularizationPath,
+    choice: str | float | None = None,
+    *,
+    sigma: float | None = None,
+    source: str = "not known",
 ) -> Choice:
     """Choose lambda on a path, ask the other rules too, and grade their agreement.
 
@@ -122,7 +140,7 @@ def choose(
     if isinstance(choice, str) and choice not in asked:
         asked[choice] = rules.run(choice, sweep)
     lam, rule = _pick(path, choice, asked, sigma)
-    spread, verdict = agreement([asked[name] for name in COMPARED])
+    spread, verdict = agreement(asked)
     point = path.at(lam)
     return Choice(
         lam=lam,
@@ -146,19 +164,27 @@ def choose(
 
 
 MEANING = {
-    "determined": "the rules lie within half a decade",
-    "usable": "the rules lie within one decade",
-    "rules disagree": "the rules lie more than one decade apart: correlated noise or model error is likely",
-    "not determined": "the rules lie more than two decades apart, or none found an optimum: lambda is not determined by the data",
+    "determined": "different kinds of rule lie within half a decade",
+    "usable": "different kinds of rule lie within one decade, or only one kind found an optimum",
+    "rules disagree": "different kinds of rule lie over one decade apart: correlated noise or model error is likely",
+    "not determined": "different kinds of rule lie more than two decades apart, or none found an optimum",
 }
 
 
-def agreement(results: list[RuleResult]) -> tuple[float, str]:
-    """Spread in decades of the rules that found an optimum inside the sweep, and the verdict."""
-    found = [r.lam for r in results if r.lam is not None and not r.edge]
-    if len(found) < 2:
-        return float("inf") if not found else 0.0, "not determined"
-    spread = float(np.ptp(np.log10(found)))
+def agreement(asked: dict[str, RuleResult]) -> tuple[float, str]:
+    """Spread in decades between the kinds of rule that found an optimum inside the sweep, and the verdict.
+
+    Rules of one kind (GCV and its variants) fail together, so each kind has one voice.
+    """
+    heard = []
+    for kind in COMPARED:
+        inside = [asked[name].lam for name in kind if asked[name].lam is not None and not asked[name].edge]
+        heard += inside[:1]
+    if not heard:
+        return float("inf"), "not determined"
+    spread = float(np.ptp(np.log10(np.array(heard, float))))
+    if len(heard) == 1:
+        return spread, "usable"
     names = ("determined", "usable", "rules disagree", "not determined")
     return spread, names[int(np.searchsorted([0.5, 1.0, 2.0], spread, side="right"))]
 
@@ -170,7 +196,12 @@ def _pick(
         return _given(asked[choice]), choice
     if choice is not None:
         if not (np.isfinite(choice) and choice >= 0):
-            raise InputError("no relative lambda", where="choice", found=choice, expected="a finite number >= 0, or the name of a rule")
+            raise InputError(
+                "no relative lambda",
+                where="choice",
+                found=choice,
+                expected="a finite number >= 0, or the name of a rule",
+            )
         return float(choice), "given"
     order = ["predicted_error", "robust_gcv", "gcv", "l_curve"] if sigma is None else ["discrepancy", "upre", "gcv"]
     first = asked[order[0]]
@@ -181,12 +212,22 @@ def _pick(
     inside = [asked[name] for name in order if asked[name].lam is not None and not asked[name].edge]
     running = inside or [r for r in asked.values() if r.lam is not None]
     if not running:
-        raise InputError("no rule can run on this path", where="choice", found="; ".join(r.note for r in asked.values()),
-                         expected="a relative lambda", hint="pass choice=<relative lambda>")  # fmt: skip
+        raise InputError(
+            "no rule can run on this path",
+            where="choice",
+            found="; ".join(r.note for r in asked.values()),
+            expected="a relative lambda",
+            hint="pass choice=<relative lambda>",
+        )
     return _given(running[0]), running[0].rule
 
 
 def _given(result: RuleResult) -> float:
     if result.lam is None:
-        raise InputError(f"the rule {result.rule} cannot run here", where="choice", found=result.note, expected="another rule or a relative lambda")
+        raise InputError(
+            f"the rule {result.rule} cannot run here",
+            where="choice",
+            found=result.note,
+            expected="another rule or a relative lambda",
+        )
     return result.lam

@@ -67,10 +67,25 @@ class RegularizationPath(Protocol):
     `null` the dimension of the null space of the penalty. A stacked path carries its lines on the first axis.
     """
 
-    m: int
-    null: int
-    scale: NDArray[np.float64] | float
-    smooth: bool
+    @property
+    def m(self) -> int:
+        """Number of data."""
+        ...
+
+    @property
+    def null(self) -> int:
+        """Dimension of the null space of the penalty."""
+        ...
+
+    @property
+    def scale(self) -> NDArray[np.float64]:
+        """Largest generalised singular value: a relative lambda times this is the absolute one."""
+        ...
+
+    @property
+    def smooth(self) -> bool:
+        """Whether the path is smooth in lambda (Tikhonov) or a staircase (truncation)."""
+        ...
 
     @property
     def range(self) -> tuple[float, float]:

@@ -13,13 +13,15 @@ ORDER = {"identity": 0, "gradient": 1, "first_difference": 1, "laplacian": 2, "s
 def order(penalty: str) -> int:
     """Order of the difference that a named penalty takes: 0, 1 or 2."""
     if penalty not in ORDER:
-        raise InputError("unknown penalty", where="penalty", found=repr(penalty), expected=f"one of {', '.join(ORDER)}, or a matrix")
+        raise InputError(
+            "unknown penalty", where="penalty", found=repr(penalty), expected=f"one of {', '.join(ORDER)}, or a matrix"
+        )
     return ORDER[penalty]
 
 
 def difference(samples: int, degree: int) -> NDArray[np.float64]:
     """Difference matrix of order `degree`, shape (samples - degree, samples): ends are free."""
-    return np.diff(np.eye(samples), n=degree, axis=0)
+    return np.asarray(np.diff(np.eye(samples), n=degree, axis=0), float)
 
 
 def matrix(penalty: str | ArrayLike, samples: int, loads: int = 1) -> NDArray[np.float64] | None:
@@ -41,9 +43,12 @@ def matrix(penalty: str | ArrayLike, samples: int, loads: int = 1) -> NDArray[np
             return None
         if samples <= degree:
             raise InputError(
-                "too few samples for this penalty", where="penalty", found=samples, expected=f"more than {degree} for {penalty}"
+                "too few samples for this penalty",
+                where="penalty",
+                found=samples,
+                expected=f"more than {degree} for {penalty}",
             )
-        return np.kron(difference(samples, degree), np.eye(loads))
+        return np.asarray(np.kron(difference(samples, degree), np.eye(loads)), float)
     L = np.atleast_2d(np.asarray(penalty, float))
     if L.ndim != 2 or L.shape[1] != samples * loads or not np.all(np.isfinite(L)):
         raise InputError(

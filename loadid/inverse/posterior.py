@@ -106,4 +106,6 @@ def from_arrays(tree: dict) -> Posterior:
         return DensePosterior(np.asarray(tree["factor"]), tuple(tree["shape"]))
     if tree.get("kind") == SpectralPosterior.kind:
         return SpectralPosterior(np.asarray(tree["lines"]), tree["samples"], tree["padded"])
-    raise InputError("unknown kind of posterior", where="result file", found=tree.get("kind"), expected="dense or spectral")
+    raise InputError(
+        "unknown kind of posterior", where="result file", found=tree.get("kind"), expected="dense or spectral"
+    )

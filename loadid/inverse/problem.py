@@ -65,11 +65,19 @@ class LinearProblem:
         """
         H, y = np.asarray(H), np.asarray(y)
         if H.shape[:-1] != y.shape:
-            raise InputError("operator and data do not fit", where="inverse problem", found=f"H {H.shape}, y {y.shape}",
-                             expected="H (..., sensors, unknowns) with y (..., sensors)")  # fmt: skip
+            raise InputError(
+                "operator and data do not fit",
+                where="inverse problem",
+                found=f"H {H.shape}, y {y.shape}",
+                expected="H (..., sensors, unknowns) with y (..., sensors)",
+            )
         if not (np.all(np.isfinite(H)) and np.all(np.isfinite(y))):
-            raise InputError("NaN or inf in the operator or the data", where="inverse problem", expected="finite numbers",
-                             hint="leave out or repair the samples")  # fmt: skip
+            raise InputError(
+                "NaN or inf in the operator or the data",
+                where="inverse problem",
+                expected="finite numbers",
+                hint="leave out or repair the samples",
+            )
         Hw, yw = whiten(H, noise, axis=-2), whiten(y[..., None], noise, axis=-2)[..., 0]
         n = H.shape[-1]
         return cls(Hw.reshape(-1, n), yw.reshape(-1), L, y.shape, shape or (n,))
@@ -88,8 +96,12 @@ def whiten(values: NDArray, noise: ArrayLike | None, axis: int) -> NDArray:
     noise = np.asarray(noise, float)
     sensors = values.shape[axis]
     if noise.shape not in {(sensors,), (sensors, sensors)} or not np.all(np.isfinite(noise)):
-        raise InputError("the noise does not fit the sensors", where="noise", found=f"shape {noise.shape}",
-                         expected=f"finite, shape ({sensors},) or ({sensors}, {sensors})")  # fmt: skip
+        raise InputError(
+            "the noise does not fit the sensors",
+            where="noise",
+            found=f"shape {noise.shape}",
+            expected=f"finite, shape ({sensors},) or ({sensors}, {sensors})",
+        )
     moved = np.moveaxis(values, axis, -1)
     if noise.ndim == 1:
         if np.any(noise <= 0):
@@ -98,9 +110,13 @@ def whiten(values: NDArray, noise: ArrayLike | None, axis: int) -> NDArray:
     try:
         factor = np.linalg.cholesky(noise)
     except np.linalg.LinAlgError:
-        raise InputError("the noise covariance is not positive definite", where="noise",
-                         found=f"smallest eigenvalue {np.linalg.eigvalsh(noise)[0]:.3g}", expected="> 0",
-                         hint="drop a channel that is a combination of others") from None  # fmt: skip
+        raise InputError(
+            "the noise covariance is not positive definite",
+            where="noise",
+            found=f"smallest eigenvalue {np.linalg.eigvalsh(noise)[0]:.3g}",
+            expected="> 0",
+            hint="drop a channel that is a combination of others",
+        ) from None
     from scipy.linalg import solve_triangular
 
     flat = moved.reshape(-1, sensors).T

@@ -124,9 +124,15 @@ def predicted_error(sweep: Sweep) -> RuleResult:
         raise Refusal("predicted_error needs a robust GCV minimum inside the sweep")
     point = path.at(pilot.lam)
     sigma = sweep.sigma or float(np.sqrt(point.residual2 / need(point, "left", "predicted_error")))
-    if path.predicted_error(sweep.lam, pilot.lam, sigma) is None:
-        raise Refusal("predicted_error is not defined on this path")
-    return _search("predicted_error", sweep, lambda lam: path.predicted_error(lam, pilot.lam, sigma))
+    start = pilot.lam
+
+    def error(lam: NDArray) -> NDArray:
+        value = path.predicted_error(lam, start, sigma)
+        if value is None:
+            raise Refusal("predicted_error is not defined on this path")
+        return value
+
+    return _search("predicted_error", sweep, error)
 
 
 # -- rules of another form -------------------------------------------------------------------------------------------
@@ -203,8 +209,18 @@ def ncp(sweep: Sweep) -> RuleResult:
 RULES: dict[str, Callable[[Sweep], RuleResult]] = {
     rule.__name__: rule
     for rule in (
-        discrepancy, dof_discrepancy, upre, gcv, robust_gcv, modified_gcv, predicted_error, l_curve, quasi_optimality, ncp, evidence,
-    )  # fmt: skip
+        discrepancy,
+        dof_discrepancy,
+        upre,
+        gcv,
+        robust_gcv,
+        modified_gcv,
+        predicted_error,
+        l_curve,
+        quasi_optimality,
+        ncp,
+        evidence,
+    )
 }
 
 
@@ -217,7 +233,12 @@ def run(name: str, sweep: Sweep) -> RuleResult:
         If there is no such rule.
     """
     if name not in RULES:
-        raise InputError("unknown rule", where="choice", found=repr(name), expected=f"one of {', '.join(RULES)}, or a relative lambda")
+        raise InputError(
+            "unknown rule",
+            where="choice",
+            found=repr(name),
+            expected=f"one of {', '.join(RULES)}, or a relative lambda",
+        )
     try:
         return RULES[name](sweep)
     except Refusal as why:
@@ -253,7 +274,12 @@ def _crossing(name: str, sweep: Sweep, f: Callable[[PathPoint], NDArray]) -> Rul
     value = f(sweep.point)
     below = np.flatnonzero(value < 0)
     if len(below) == 0:
-        return RuleResult(name, float(sweep.lam[0]), True, "the residual stays above the noise: noise level too low, or the model is wrong")
+        return RuleResult(
+            name,
+            float(sweep.lam[0]),
+            True,
+            "the residual stays above the noise: noise level too low, or the model is wrong",
+        )
     k = int(below[-1])
     if k == len(value) - 1:
         return RuleResult(name, float(sweep.lam[-1]), True, "the data are within the noise")

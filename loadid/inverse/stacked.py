@@ -42,8 +42,12 @@ class StackedPath(FactoredPath):
     def __init__(self, H: ArrayLike, Y: ArrayLike) -> None:
         H, Y = np.asarray(H), np.asarray(Y)
         if H.ndim != 3 or H.shape[:2] != Y.shape:
-            raise InputError("lines and data do not fit", where="stacked problem", found=f"H {H.shape}, Y {Y.shape}",
-                             expected="H (lines, sensors, loads), Y (lines, sensors)")  # fmt: skip
+            raise InputError(
+                "lines and data do not fit",
+                where="stacked problem",
+                found=f"H {H.shape}, Y {Y.shape}",
+                expected="H (lines, sensors, loads), Y (lines, sensors)",
+            )
         self.U, c, self.V, beta, outside = factor(H, Y)
         self.H, self.Y = H, Y
         super().__init__(c, np.ones_like(c), beta, outside, H.shape[1])

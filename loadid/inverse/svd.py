@@ -129,7 +129,11 @@ def _refuse_common_null_space(R: NDArray, n: int) -> None:
             direction, sigma = vectors[-1], values[-1] / values[0]
     if direction is not None:
         largest = np.argsort(-np.abs(direction))[:5]
-        shape = "constant" if np.ptp(direction) < 1e-6 * np.abs(direction).max() else f"largest at unknowns {largest.tolist()}"
+        shape = (
+            "constant"
+            if np.ptp(direction) < 1e-6 * np.abs(direction).max()
+            else f"largest at unknowns {largest.tolist()}"
+        )
         raise NotIdentifiable(
             f"a load is seen neither by the sensors nor by the penalty (relative singular value {sigma:.2g}): {shape}",
             advice="add a sensor that sees it, choose penalty='identity', or add a constraint",

@@ -1,4 +1,4 @@
-"""Convolution as an operator: the dense block Toeplitz matrix, and the zero-padded FFT path for long decayed records."""
+"""Convolution as an operator: the dense block Toeplitz matrix, and the zero-padded FFT path of long records."""
 
 from __future__ import annotations
 
@@ -68,8 +68,12 @@ class SpectralPath(FactoredPath):
         self.padded = padded_length(self.samples)
         lines, loads = self.padded // 2 + 1, H.shape[2]
         if H.shape[:2] != (lines, sensors) or power.shape != (lines, sensors) or np.any(power <= 0):
-            raise InputError("lines do not fit the record", where="spectral path", found=f"H {H.shape}, noise power {power.shape}",
-                             expected=f"({lines}, {sensors}, loads) and positive ({lines}, {sensors})")  # fmt: skip
+            raise InputError(
+                "lines do not fit the record",
+                where="spectral path",
+                found=f"H {H.shape}, noise power {power.shape}",
+                expected=f"({lines}, {sensors}, loads) and positive ({lines}, {sensors})",
+            )
         root = np.sqrt(power)
         self.H, self.Y = H / root[..., None], fft.rfft(y, self.padded, axis=0) / root
         self.U, c, self.V, beta, outside = stacked.factor(self.H, self.Y)
@@ -95,7 +99,7 @@ class SpectralPath(FactoredPath):
     def rank(self) -> int:
         """Modes (of lines times loads) above rounding."""
         seen = self.c > self.c.size * np.finfo(float).eps * self.c.max()
-        return int(round(float(np.sum(self.weight[seen]))))
+        return round(float(np.sum(self.weight[seen])))
 
     def spectrum(self, lam: float) -> NDArray[np.complex128]:
         """Load spectrum (lines, loads) of the padded transform."""

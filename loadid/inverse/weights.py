@@ -53,7 +53,7 @@ def roughness(G: NDArray, band: float = 1 / 16) -> Roughness:
     shift = np.exp(2j * np.pi * np.arange(len(G)) * start / padded)
     rough = np.abs(np.diff(G * shift[:, None], n=2, axis=0)) ** 2 / 6
     rough = np.concatenate([rough[:1], rough, rough[-1:]])
-    half = max(1, int(round(band * len(G))))
+    half = max(1, round(band * len(G)))
     tiny = np.finfo(float).tiny
     typical = np.exp(smooth_lines(np.log(np.maximum(rough, tiny)), half)) * EXPECTED_LOG
     power = np.exp(smooth_lines(np.log(np.maximum(np.abs(G[:, best]) ** 2, tiny)), half))
