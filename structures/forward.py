@@ -22,7 +22,8 @@ from .reduction import ReducedModel, highpass, static_residual
 from .statespace import StateSpace, channels, count, digest, lines
 
 DEFAULT_MODES = 60  # of a large structure
-BAND_FACTOR = 2.5  # modes up to this multiple of the band: 0.2 % of the response on its worst line, with the residual
+BAND_FACTOR = 2.5  # modes up to this multiple of the band: with the residual, a per cent of error on the worst lines
+BLIND = 1e-9  # share of a rigid mode in a row or column that is rounding
 DENSE_DIRECT = 2000  # largest structure whose modal damping is written out as a matrix
 
 
@@ -132,6 +133,10 @@ class ForwardModel(Model):
         """The model in modal coordinates."""
         shapes = self.modes
         S, B = self._S @ shapes.phi, self._project(shapes.phi)
+        # A strain gauge sees no rigid motion, a self-balanced load drives none: zero, not rounding.
+        r = shapes.rigid
+        S[:, :r][np.abs(S[:, :r]) < BLIND * np.abs(S).max(axis=1, keepdims=True)] = 0.0
+        B[..., :r, :][np.abs(B[..., :r, :]) < BLIND * np.abs(B).max(axis=-2, keepdims=True)] = 0.0
         residual = None
         if self._settings["residual"] and len(shapes.lam) < self.structure.free.size:
             if not self.moving:

@@ -69,11 +69,10 @@ class ReducedModel:
         c, lam = self.damping[elastic], self.lam[elastic]
         root = np.sqrt(np.maximum(c**2 / 4 - lam, 0.0))
         rates.extend(np.where(root > 0, lam / np.maximum(c / 2 + root, 1e-300), c / 2))
-        for k in np.flatnonzero(~elastic):
+        for k in np.flatnonzero(~elastic).tolist():
             # A free body keeps its place and, undamped, its velocity; an accelerometer sees the load alone.
-            seen = np.abs(self.S[:, k]) > 1e-9 * np.abs(self.S).max(axis=1)
-            for d in self.derivative[seen]:
-                if d == 0 or self.damping[k] > 0 or d == 1:
+            for d in self.derivative[self.S[:, k] != 0]:
+                if d < 2 or self.damping[k] > 0:
                     rates.append(0.0 if d == 0 else float(self.damping[k]))
         return float(min(rates, default=0.0))
 
@@ -100,10 +99,15 @@ class ReducedModel:
             sensors = np.flatnonzero(self.derivative == d)
             for a in range(0, lines, step):
                 w = modal_weights(omega[a : a + step], self.lam, self.damping, elastic, d)
+                unbounded = np.argwhere(np.isnan(w))
+                w[np.isnan(w)] = 0.0
                 for b in range(0, len(sensors), rows):
                     s = sensors[b : b + rows]
                     outer = (self.S[s].T[:, :, None] * self.B[:, None, :]).reshape(k, -1)
-                    part = (w.real @ outer + 1j * (w.imag @ outer)).reshape(len(w), len(s), p)
+                    part = w.real @ outer + 1j * (w.imag @ outer)
+                    for i, mode in unbounded:
+                        part[i, outer[mode] != 0] = np.nan
+                    part = part.reshape(len(w), len(s), p)
                     if self.residual is not None:
                         part += ((1j * omega[a : a + step]) ** d)[:, None, None] * self.residual[s]
                     H[a : a + step, s] = part
@@ -132,7 +136,7 @@ def modal_weights(
     jw = 1j * omega[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         w = jw**derivative / (lam + jw**2 + jw * c)
-        for k in np.flatnonzero(~elastic):
+        for k in np.flatnonzero(~elastic).tolist():
             # One factor j omega cancels, so that the acceleration of a free body is right down to 0 Hz.
             u = jw[:, 0]
             if derivative == 0:

@@ -56,7 +56,7 @@ def test_kinds_and_shapes(shape):
 
 def test_the_kind_must_be_stated():
     for kind in (None, "sampled", ""):
-        with pytest.raises(InputError, match="'held'.*'continuous'"):
+        with pytest.raises(InputError, match=r"'held'.*'continuous'"):
             ImpulseModel(DECAYING, DT, kind=kind)
 
 

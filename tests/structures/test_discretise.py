@@ -21,7 +21,7 @@ def taylor(F):
 
 
 def reference(lam, c, dt, derivative=0, corner=0.0):
-    """Transition and input matrices of one mode in the states (omega q, dq/dt[, filter]), straight from the equations."""
+    """Transition and input matrices of one mode in the states (omega q, dq/dt[, filter])."""
     w = np.sqrt(lam) if lam > 0 else 1.0
     s = 3 if corner else 2
     F = np.zeros((s + 2, s + 2), dtype=np.longdouble)
@@ -148,5 +148,5 @@ def test_a_bad_step_is_refused(dt):
 
 @pytest.mark.parametrize("hold", ["tustin", "", None, "FOH"])
 def test_an_unknown_hold_is_refused(hold):
-    with pytest.raises(InputError, match="'foh'.*'zoh'"):
+    with pytest.raises(InputError, match=r"'foh'.*'zoh'"):
         discretise(reduced([1.0], [0.1], [0], [0.0]), 1e-3, hold)

@@ -107,7 +107,10 @@ def test_a_dashpot_that_couples_the_modes_keeps_its_matrix():
 
 def test_static_residual_is_what_the_left_out_modes_give():
     beam = beams.cantilever(elements=20, **SETTINGS)
-    args = [sensors.Displacement("9+Z"), sensors.StrainGauge(at=0.3, fibre=0.01)], [loads.Point("17+Z"), loads.Point("4+Z")]
+    args = (
+        [sensors.Displacement("9+Z"), sensors.StrainGauge(at=0.3, fibre=0.01)],
+        [loads.Point("17+Z"), loads.Point("4+Z")],
+    )
     few, full = ForwardModel(beam, *args, modes=6), ForwardModel(beam, *args)
     s, b, lam = full.reduced.S[:, 6:], full.reduced.B[6:], full.reduced.lam[6:]
     assert full.reduced.residual is None

@@ -111,7 +111,9 @@ def test_bad_numbers_are_refused():
 
 
 def test_labels_noise_and_fingerprint():
-    model = system(sensors=[Channel(label=x, noise=s) for x, s in (("a", 1.0), ("b", 2.0), ("c", 3.0))], loads=["p", "q"])
+    model = system(
+        sensors=[Channel(label=x, noise=s) for x, s in (("a", 1.0), ("b", 2.0), ("c", 3.0))], loads=["p", "q"]
+    )
     assert [c.label for c in model.loads] == ["p", "q"]
     assert np.array_equal(model.noise, [1, 2, 3])
     assert system().noise is None
