@@ -107,7 +107,7 @@ class Dof:
         if isinstance(value, str):
             for form in _FORMS:
                 match = form.fullmatch(value)
-                if match and (match["name"] != "S" or match["sign"] == "+"):
+                if match:
                     return cls(int(match["node"]), direction_code(match["sign"] + match["name"]))
         elif isinstance(value, tuple) and len(value) == 2:
             return cls(value[0], direction_code(value[1]))

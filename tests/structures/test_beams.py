@@ -52,6 +52,8 @@ def test_varying_tension_converges_fast():
 
     assert first(10) == pytest.approx(first(80), rel=1e-4)
     assert first(20) == pytest.approx(first(80), rel=5e-6)
+    moved = beams.simply_supported(elements=10, tension=lambda x: 100 * (1 + 9 * (x - 50)), origin=50.0, **UNIT)
+    assert frequencies(moved, 1)[0] == pytest.approx(first(10), rel=1e-9)
     constant = beams.simply_supported(elements=10, tension=lambda x: 7.0, **UNIT)
     assert abs(constant.K - beams.simply_supported(elements=10, tension=7.0, **UNIT).K).max() < 1e-10
 
@@ -150,7 +152,8 @@ def test_sections():
 @pytest.mark.parametrize(
     "bad",
     [lambda: Section.rectangle(0, 1), lambda: Section.circle(-1), lambda: Section.tube(0.04, 0.03),
-     lambda: Material(-1, 1), lambda: Material(1, 1, 0.5), lambda: Material(1, np.nan), lambda: beams.beam(left="fixed", right="free", **UNIT),
+     lambda: Material(-1, 1), lambda: Material(1, 1, 0.5), lambda: Material(1, np.nan),
+     lambda: beams.beam(left="fixed", right="free", **UNIT),
      lambda: beams.free(**{**UNIT, "EI": -1.0}), lambda: beams.free(**{**UNIT, "length": 0.0}),
      lambda: beams.free(length=1.0), lambda: beams.free(length=1.0, EI=1.0), lambda: beams.free(elements=0, **UNIT),
      lambda: beams.free(elements=2.5, **UNIT), lambda: beams.free(section=Section.circle(0.1), **UNIT),

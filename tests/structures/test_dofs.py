@@ -38,7 +38,8 @@ def test_scalar_and_twist_are_representable():
 @pytest.mark.parametrize(
     "bad",
     ["12", "12Z", "Z12", "12+z", " 12+Z", "12+Z ", "12+W", "+12+Z", "-1+Z", "12.0+Z", "12+-Z", "12+Z+", "12-S", "١+Z",
-     "", None, 12, 3.5, (12, 8), (12, "Q"), (12,), (-1, 3), (True, 3), (12, True), (1.0, 3), (12, 3.0), [12, 3], b"12+Z"],
+     "", None, 12, 3.5, (12, 8), (12, "Q"), (12,), (-1, 3), (True, 3),
+     (12, True), (1.0, 3), (12, 3.0), [12, 3], b"12+Z"],
 )  # fmt: skip
 def test_anything_else_raises(bad):
     with pytest.raises(InputError, match="found"):

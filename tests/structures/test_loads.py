@@ -113,6 +113,7 @@ def test_a_force_beside_the_structure():
 
 # -- supports ------------------------------------------------------------------------------------------------------
 CANTILEVER = beams.cantilever(elements=10, **UNIT)
+PINNED = beams.simply_supported(elements=10, **UNIT)
 CLAMPED_PLATE = plates.plate(elements=(6, 6), edges="CCCC", **SQUARE)
 
 
@@ -123,7 +124,7 @@ CLAMPED_PLATE = plates.plate(elements=(6, 6), edges="CCCC", **SQUARE)
         (CANTILEVER, Point("0-Z")),
         (CANTILEVER, Point(at=0.0)),
         (CANTILEVER, Moment("0+RY")),
-        (beams.simply_supported(elements=10, **UNIT), Point(at=1.0)),
+        (PINNED, Point(at=1.0)),
         (CLAMPED_PLATE, Point(at=(0.0, 0.31))),
         (EVERY["chain fixed-free"](), Point("0+X")),
     ],
@@ -143,8 +144,7 @@ def test_E104_counts_all_candidates():
 
 
 def test_E104_is_silent_beside_the_support():
-    pinned = beams.simply_supported(elements=10, **UNIT)
-    assert loads.matrix(pinned, [Moment("0+RY"), Point("1+Z"), Patch(x=(0.0, 0.05))]).shape == (pinned.n, 3)
+    assert loads.matrix(PINNED, [Moment("0+RY"), Point("1+Z"), Patch(x=(0.0, 0.05))]).shape == (PINNED.n, 3)
 
 
 @pytest.mark.parametrize(
@@ -156,6 +156,7 @@ def test_E104_is_silent_beside_the_support():
          [Point((16, 3)), Point(at=(0.25, 0.5)), Patch(x=(0.25, 0.75), y=(0.4, 0.6))]),
         (EVERY["user"]().with_supports("1+X"), [Point("2+X")], []),
         (EVERY["oscillator"](), [], [Point("1+X")]),
+        (PINNED, [Patch(x=(0.5, 0.91)), Point("9+Z")], [Patch(x=(0.1, 0.9)), Point("8+Z")]),
         (BEAM, [], [Point("0+Z"), Point("1+Z")]),
     ],
 )  # fmt: skip

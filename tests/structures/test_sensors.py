@@ -80,6 +80,13 @@ def test_a_point_at_a_node_is_the_node():
             assert Displacement(at=(x, y), direction=axis).row(PLATE) == pytest.approx(want, abs=1e-14)
 
 
+def test_a_gauge_at_a_node_reads_the_mean_of_both_sides():
+    u = np.random.default_rng(2).standard_normal(BEAM.n)
+    left, node, right = (StrainGauge(at=3.4 + d, fibre=1.0).row(BEAM) @ u for d in (-1e-7, 0.0, 1e-7))
+    assert abs(left - right) > 1.0
+    assert node == pytest.approx((left + right) / 2, rel=1e-4)
+
+
 @pytest.mark.parametrize("name", sorted(EVERY))
 def test_polarity_flips_the_row_of_every_structure(name):
     s = EVERY[name]()
