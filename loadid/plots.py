@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from loadid.estimate import NOT_VERIFIED
-from loadid.summary import sort
+from loadid.summary import pulse_window, sort
 from structures.errors import InputError
 
 if TYPE_CHECKING:
@@ -87,12 +87,19 @@ def load_figure(
 
 
 def draw_load(
-    ax: Axes, estimate: LoadEstimate, load: int = 0, *, truth: NDArray | None = None, level: float = 0.95
+    ax: Axes,
+    estimate: LoadEstimate,
+    load: int = 0,
+    *,
+    truth: NDArray | None = None,
+    level: float = 0.95,
+    window: tuple[float, float] | None = None,
 ) -> None:
-    """Draw one load over its axis into `ax`."""
+    """Draw one load over its axis, or over a part of it, into `ax`."""
     if estimate.axis is None:
         raise InputError("a static load has no axis", where="draw_load", hint="use load_figure")
-    x = estimate.axis.values * _scale(estimate)[0]
+    scale, name = _scale(estimate, window)
+    x = estimate.axis.values * scale
     lower, upper = estimate.band(level)
     dense = len(x) > _DENSE
     ax.axhline(0, color=GREY, lw=0.6)
@@ -104,24 +111,11 @@ def draw_load(
     ax.plot(x, estimate.load[:, load], color=BLUE, lw=1.2, label="estimate", rasterized=dense)
     ax.set_title(text(estimate.labels[load]), loc="left", fontsize=9)
     ax.set_ylabel(f"load [{unit(estimate.units[load])}]")
+    ax.set_xlabel(f"{estimate.axis.name} [{name}]")
     ax.margins(x=0.01)
+    if window is not None:
+        ax.set_xlim(window[0] * scale, window[1] * scale)
     _tidy(ax)
-
-
-def pulse_window(estimate: LoadEstimate, load: int) -> tuple[float, float] | None:
-    """Part of the axis that holds the pulse, with a margin; None where the load fills more than a fifth of it."""
-    if estimate.axis is None or len(estimate.load) < 16:
-        return None
-    size = np.abs(estimate.load[:, load])
-    large = np.flatnonzero(size > 0.2 * size.max())
-    if len(large) == 0:
-        return None
-    first, last = int(large[0]), int(large[-1])
-    width = max(last - first, 3)
-    start, stop = max(first - 2 * width, 0), min(last + 3 * width, len(size) - 1)
-    if last - first > 0.2 * len(size) or stop - start > 0.6 * len(size):
-        return None
-    return float(estimate.axis.values[start]), float(estimate.axis.values[stop])
 
 
 def _draw_rows(figure: Figure, estimate: LoadEstimate, truth: NDArray | None, level: float) -> None:
@@ -133,17 +127,16 @@ def _draw_rows(figure: Figure, estimate: LoadEstimate, truth: NDArray | None, le
     for row, j in enumerate(shown):
         window = pulse_window(estimate, j)
         ax = figure.add_subplot(grid[row, :3] if window else grid[row, :], sharey=first if alike else None)
-        axes = [ax, figure.add_subplot(grid[row, 3:], sharey=ax)] if window else [ax]
-        for each in axes:
-            draw_load(each, estimate, j, truth=truth, level=level)
-            if row == len(shown) - 1 or window:
-                each.set_xlabel(_axis_label(estimate))
+        draw_load(ax, estimate, j, truth=truth, level=level)
+        if row < len(shown) - 1:
+            ax.set_xlabel("")
         if window:
+            near = figure.add_subplot(grid[row, 3:], sharey=ax)
+            draw_load(near, estimate, j, truth=truth, level=level, window=window)
+            near.set_title("around the peak", loc="left", fontsize=9)
+            near.set_ylabel("")
             scale = _scale(estimate)[0]
             ax.axvspan(window[0] * scale, window[1] * scale, color=GREY, alpha=0.15, lw=0)
-            axes[1].set_xlim(window[0] * scale, window[1] * scale)
-            axes[1].set_title("around the peak", loc="left", fontsize=9)
-            axes[1].set_ylabel("")
         if first is None:
             first = ax
             _legend_above(ax)
@@ -327,14 +320,14 @@ def _largest(estimate: LoadEstimate) -> list[int]:
     return sorted(int(j) for j in np.argsort(-size, kind="stable")[:PANELS])
 
 
-def _scale(estimate: LoadEstimate) -> tuple[float, str]:
-    """Factor and unit that make the axis readable."""
+def _scale(estimate: LoadEstimate, window: tuple[float, float] | None = None) -> tuple[float, str]:
+    """Factor and unit that make the axis, or a part of it, readable."""
     axis = estimate.axis
     assert axis is not None
-    span = float(axis.values[-1] - axis.values[0])
-    if axis.unit != "s" or span >= 1:
+    first, last = window or (float(axis.values[0]), float(axis.values[-1]))
+    if axis.unit != "s" or last - first >= 1:
         return 1.0, axis.unit
-    return (1e3, "ms") if span >= 1e-3 else (1e6, "µs")
+    return (1e3, "ms") if last - first >= 1e-3 else (1e6, "µs")
 
 
 def _axis_label(estimate: LoadEstimate) -> str:

@@ -8,7 +8,7 @@ from typing import Self, TextIO
 
 
 class Bar:
-    """Callable ``bar(what, fraction)`` that redraws one line; silent where the stream is no terminal.
+    """Callable ``bar(fraction, text)`` that redraws one line; silent where the stream is no terminal.
 
     It is what the command line passes as ``progress=``: any callable with these two arguments will do.
 
@@ -27,14 +27,14 @@ class Bar:
         self._last = 0.0
         self._width = 0
 
-    def __call__(self, what: str, fraction: float) -> None:
-        """Show that `fraction` (0 to 1) of `what` is done."""
+    def __call__(self, fraction: float, text: str) -> None:
+        """Show that `fraction` (0 to 1) of the work is done, and what is done now."""
         now = time.monotonic()
         if not self.shown or (now - self._last < self.interval and fraction < 1):
             return
         self._last = now
         full = round(20 * min(max(fraction, 0.0), 1.0))
-        self._draw(f"{what} [{'#' * full}{'.' * (20 - full)}] {fraction:4.0%}")
+        self._draw(f"{text} [{'#' * full}{'.' * (20 - full)}] {fraction:4.0%}")
 
     def __enter__(self) -> Self:
         return self

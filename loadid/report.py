@@ -97,7 +97,7 @@ def _result(e: LoadEstimate) -> str:
         kind = "" if e.axis is None else "peak "
         at = "" if peak.at is None or e.axis is None else f" at {quantity(peak.at, e.axis.unit)}"
         lines = [escape(peak.label), f"<b>{escape(f'{plus_minus(peak.value, peak.std)} {peak.unit}')}</b>"]
-        lines.append(escape(" · ".join(x for x in (f"{kind}{at}".strip(), str(impulse) if impulse else "") if x)))
+        lines.append(escape(" · ".join(x for x in (f"{kind}{at}".strip(), impulse) if x)))
         cards.append(f"<li>{lines[0]}{lines[1]}{lines[2]}</li>")
     more = len(order) - len(cards)
     note = "± one standard deviation" + (f"; {more} smaller loads not listed" if more else "")
@@ -139,7 +139,7 @@ def _choice(e: LoadEstimate) -> str:
 def _limits(e: LoadEstimate) -> str:
     if not e.facts:
         return ""
-    rows = [row for row in facts(e) if row[0] != "guards checked"]
+    rows = facts(e)
     prior = e.provenance.get("prior")
     said = f"<p>What the data do not determine is filled by the prior: {escape(str(prior))}.</p>" if prior else ""
     return said + _table(rows)

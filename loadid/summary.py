@@ -6,10 +6,12 @@ import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from structures.errors import InputError
 
 if TYPE_CHECKING:
-    from loadid.estimate import Functional, LoadEstimate
+    from loadid.estimate import LoadEstimate
     from loadid.inverse.choice import Choice
     from structures.flags import Flag
 
@@ -22,8 +24,11 @@ FACTS = {
     "kappa": "condition number of the visible part",
     "edf": "effective degrees of freedom",
     "residual_to_noise": "residual / noise",
-    "resolution": "resolution",
+    "resolution": "resolution width",
+    "peak_bias": "share of a single-sample peak that is lost",
+    "path": "solved by",
 }
+_SAID = {"resolution_unit", "noise_level", "noise_source", "guards_checked"}
 _MANY = 8
 
 
@@ -64,18 +69,44 @@ def sort(flags: Iterable[Flag]) -> list[Flag]:
     return sorted(flags, key=lambda f: ("EWN".index(f.code[4]), f.code))
 
 
-def impulses(estimate: LoadEstimate) -> list[Functional | None]:
-    """Impulse of every load over the record; None where it has no time axis."""
-    try:
-        return [estimate.functional("impulse", load=j) for j in range(len(estimate.labels))]
-    except InputError:
-        return [None] * len(estimate.labels)
+def pulse_window(estimate: LoadEstimate, load: int) -> tuple[float, float] | None:
+    """Part of the axis that holds the pulse, with a margin; None where the load fills more than a fifth of it."""
+    if estimate.axis is None or len(estimate.load) < 16:
+        return None
+    size = np.abs(estimate.load[:, load])
+    large = np.flatnonzero(size > 0.2 * size.max())
+    if len(large) == 0:
+        return None
+    first, last = int(large[0]), int(large[-1])
+    width = max(last - first, 3)
+    start, stop = max(first - 2 * width, 0), min(last + 3 * width, len(size) - 1)
+    if last - first > 0.2 * len(size) or stop - start > 0.6 * len(size):
+        return None
+    return float(estimate.axis.values[start]), float(estimate.axis.values[stop])
+
+
+def impulses(estimate: LoadEstimate) -> list[str]:
+    """Impulse of every load in words: of its pulse where it has a short one, else of the record; "" without time."""
+    texts = []
+    for j in range(len(estimate.labels)):
+        window = pulse_window(estimate, j)
+        try:
+            found = estimate.functional("impulse", load=j, window=window)
+        except InputError:
+            return [""] * len(estimate.labels)
+        where = f" ({quantity(window[0], 's')} to {quantity(window[1], 's')})" if window else " (whole record)"
+        texts.append(f"{found}{where}")
+    return texts
 
 
 def facts(estimate: LoadEstimate) -> list[tuple[str, str]]:
-    """Name and text of every fact, the known ones first."""
-    known = [(name, estimate.facts[key]) for key, name in FACTS.items() if key in estimate.facts]
-    other = [(k.replace("_", " "), v) for k, v in estimate.facts.items() if k not in FACTS]
+    """Name and text of every fact, the known ones first; what other lines say already is left out."""
+    given = {k: v for k, v in estimate.facts.items() if k not in _SAID}
+    unit = estimate.facts.get("resolution_unit")
+    if unit is not None and isinstance(given.get("resolution"), float):
+        given["resolution"] = quantity(given["resolution"], str(unit))
+    known = [(name, given.pop(key)) for key, name in FACTS.items() if key in given]
+    other = [(key.replace("_", " "), value) for key, value in given.items()]
     return [(name, number(value)) for name, value in known + other]
 
 

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from loadid.record import Record
     from structures.forward import ForwardModel
 
-LENGTH, WIDTH, HEIGHT = 0.8, 0.04, 0.02  # m, steel, simply supported
+LENGTH, WIDTH, HEIGHT = 1.0, 0.04, 0.01  # m, steel, simply supported
 DAMPING = 0.03
-SENSORS = {"A1": 0.15, "A2": 0.33, "A3": 0.61}  # m from the left end
-HIT_AT, PEAK, START, DURATION = 0.47, 1000.0, 0.03, 0.002  # m, N, s, s
-RATE, SAMPLES = 8000.0, 3200
-FINER = 10  # steps of the simulation per sample of the record
+SENSORS = {"A1": 0.19, "A2": 0.41, "A3": 0.76}  # m from the left end
+HIT_AT, PEAK, START, DURATION = 0.59, 1000.0, 0.05, 0.002  # m, N, s, s
+RATE, SAMPLES = 10000.0, 12000  # the first mode rings down to 0.5 % within the record
+FINER = 8  # steps of the simulation per sample of the record
 NOISE = 0.015  # std over the rms of each channel
 
 
@@ -36,7 +36,7 @@ class Simulated:
     force: NDArray
 
 
-def model(elements: int = 16, modes: int = 7) -> ForwardModel:
+def model(elements: int = 30, modes: int = 14) -> ForwardModel:
     """Steel beam with three accelerometers and one force: what the inversion knows."""
     from structures import ForwardModel, beams, loads, sensors
     from structures.damping import Modal
@@ -60,7 +60,7 @@ def simulate(seed: int = 0) -> Simulated:
 
     from loadid.record import Record
 
-    truth = model(elements=60, modes=14)
+    truth = model(elements=80, modes=28)
     step = 1 / (RATE * FINER)
     phase = (np.arange(SAMPLES * FINER) * step - START) / DURATION
     force = np.where((phase >= 0) & (phase <= 1), PEAK * np.sin(np.pi * phase), 0.0)

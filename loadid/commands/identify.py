@@ -59,7 +59,7 @@ def identify(
     module, name = FAMILIES[family]
     chosen = getattr(import_module(module), name)
     given = {key: value for key, value in options.items() if value is not None}
-    return chosen(known, **given).estimate(_responses(found, known, responses))
+    return chosen(known, **given).estimate(responses_of(found, known, responses))
 
 
 def _read(log: str | Path, record: str | None, reading: dict[str, Any] | None) -> Record:
@@ -68,7 +68,7 @@ def _read(log: str | Path, record: str | None, reading: dict[str, Any] | None) -
     return read(log, record=record, **(reading or {}))
 
 
-def _responses(record: Record, model: Model, chosen: Sequence[str] | None) -> Record:
+def responses_of(record: Record, model: Model, chosen: Sequence[str] | None) -> Record:
     """The channels of a record that the model predicts, in the order and under the names of its sensors."""
     from dataclasses import replace
 

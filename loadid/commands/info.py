@@ -6,6 +6,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any
 
+from structures.errors import InputError
+
 from . import Command, emit
 from ._logs import add_log_options, read_records, settings
 
@@ -30,19 +32,38 @@ def info(path: str | Path, records: list[str] | None = None, **reading: Any) -> 
 
     kind = storage.kind_of(path)
     if kind is None:
-        from loadid.quality import describe
-
-        return {
-            "kind": "log",
-            "file": str(path),
-            "records": [describe(r) for r in read_records(path, records, reading)],
-        }
+        return {"kind": "log", "file": str(path), **_log(path, records, reading)}
     if kind == "load estimate":
         from loadid.estimate import LoadEstimate
 
         estimate = LoadEstimate.read(path)
         return {"kind": kind, "file": str(path), "summary": estimate.summary(), **estimate.to_dict()}
     return {"kind": kind, "file": str(path), "content": _outline(storage.read(path, kind))}
+
+
+def _log(path: str | Path, records: list[str] | None, reading: dict[str, Any]) -> dict[str, Any]:
+    """Records of a log; raw tables where units or the step must be stated before it can be read."""
+    from loadid.quality import describe
+    from loadid.readers import scan
+
+    try:
+        return {"records": [describe(r) for r in read_records(path, records, reading)]}
+    except InputError as error:
+        if records or reading.keys() - {"axis"}:
+            raise  # what was asked for does not fit the file
+        tables = scan(path, **reading)  # raises where nothing can be read at all
+        return {"tables": [_raw(table) for table in tables], "to_read_it": str(error)}
+
+
+def _raw(table: Any) -> dict[str, Any]:
+    rows, columns = table.values.shape if table.values.ndim == 2 else (len(table.values), 1)
+    return {
+        "name": table.name,
+        "samples": rows,
+        "columns": list(table.columns or [f"column {i}" for i in range(columns)]),
+        "units": list(table.units or [None] * columns),
+        "dt": table.dt,
+    }
 
 
 def _outline(tree: Any) -> Any:
@@ -82,11 +103,21 @@ def show_record(record: dict[str, Any]) -> str:
 
 def show(data: dict[str, Any]) -> str:
     """Answer of `info` as text."""
+    if "tables" in data:
+        return "\n".join(
+            [f"{data['file']}: {len(data['tables'])} record(s)", *map(_show_raw, data["tables"]), data["to_read_it"]]
+        )
     if data["kind"] == "log":
         return "\n\n".join([f"{data['file']}: {len(data['records'])} record(s)", *map(show_record, data["records"])])
     if "summary" in data:
         return f"{data['file']}: {data['kind']}\n{data['summary']}"
     return "\n".join([f"{data['file']}: {data['kind']}", *_lines(data["content"], "  ")])
+
+
+def _show_raw(table: dict[str, Any]) -> str:
+    named = ", ".join(f"{c} [{u or 'unit not stated'}]" for c, u in zip(table["columns"], table["units"], strict=True))
+    step = f"step {table['dt']:.6g} s" if table["dt"] else "step not stated"
+    return f"  {table['name'] or 'record'}: {table['samples']} samples, {step}, columns {named}"
 
 
 def _lines(tree: Any, indent: str) -> list[str]:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from loadid import plots
 from loadid.estimate import Axis
 from loadid.inverse.choice import Choice
+from loadid.summary import pulse_window
 from structures.errors import InputError
 from tests.loadid.made import CERTIFICATE, half_sine, impact, static
 
@@ -54,7 +54,7 @@ def test_load_picture_shows_load_band_and_truth():
 
 def test_a_long_load_is_not_enlarged():
     e = impact(load=np.sin(np.arange(400) / 20)[:, None])
-    assert plots.pulse_window(e, 0) is None
+    assert pulse_window(e, 0) is None
     assert len(e.plot().axes) == 1
 
 

@@ -1,0 +1,212 @@
+"""``loadid check``: every guard that needs no inversion, on a log, on a model, or on both."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from structures.errors import InputError
+
+from . import Command, emit, names
+from ._logs import add_log_options, load_model, read_records, settings
+
+if TYPE_CHECKING:
+    from loadid.record import Record
+    from structures.flags import Flag
+    from structures.model import Model
+
+NAMES = {
+    "W105": "loads next to a support",
+    "W114": "model checked against a known load",
+    "W201": "fewer sensors than loads, or rank loss",
+    "W204": "sensors of different kinds without noise levels",
+    "W205": "AC-coupled channels and a static load",
+    "W206": "health of the channels",
+    "W207": "causality of the FRF",
+    "W208": "kind of FRF and its units",
+    "W209": "truncated file",
+    "W505": "record shorter than the memory of the structure",
+    "W509": "modes above the Nyquist frequency",
+    "W702": "data simulated by the model that inverts them",
+    "W704": "record used in making the model",
+}
+
+
+@dataclass
+class Findings:
+    """What was checked, what fired, and what is known of the layout."""
+
+    checked: list[str] = field(default_factory=list)
+    flags: list[tuple[str, Flag]] = field(default_factory=list)
+    layout: dict[str, Any] = field(default_factory=dict)
+
+    def run(self, code: str, where: str, guard: Callable[[], Any]) -> None:
+        """Ask one guard, which answers with None, a flag or several of them."""
+        if code not in self.checked:
+            self.checked.append(code)
+        answer = guard()
+        found = [answer] if hasattr(answer, "code") else list(answer or ())
+        self.flags += [(where, f) for f in found]
+
+    @property
+    def silent(self) -> list[str]:
+        """Codes that were checked and did not fire."""
+        fired = {f.code.removeprefix("LID-") for _, f in self.flags}
+        return sorted(c for c in self.checked if c not in fired)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        fired = [{"where": where, **f.to_dict()} for where, f in self.flags]
+        return {"flags": fired, "checked": sorted(self.checked), "silent": self.silent, "layout": self.layout}
+
+
+def check(
+    log: str | Path | Record | None = None,
+    model: str | Path | Model | None = None,
+    *,
+    responses: list[str] | None = None,
+    records: list[str] | None = None,
+    **reading: Any,
+) -> Findings:
+    """Ask every guard that needs no inversion.
+
+    Parameters
+    ----------
+    log : path or Record, optional
+    model : path or Model, optional
+    responses : list of str, optional
+        Channels of the log in the order of the sensors of the model; default those of the same names.
+    records : list of str, optional
+        Names of the records to check; default all.
+    **reading
+        As for `loadid.readers.read`.
+
+    Raises
+    ------
+    InputError
+        If neither is given, or one cannot be read, or they do not fit together.
+    """
+    if log is None and model is None:
+        raise InputError("nothing to check", where="check", expected="a log, --model, or both")
+    findings = Findings()
+    known = load_model(model) if isinstance(model, str | Path) else model
+    if known is not None:
+        check_model(findings, known)
+    found = read_records(log, records, reading) if isinstance(log, str | Path) else [log] if log is not None else []
+    for record in found:
+        where = record.name or Path(record.source).name or "record"
+        findings.run("W206", where, record.health)
+        findings.run("W209", where, partial(_of, record.flags, "W209"))
+        if known is not None:
+            check_pair(findings, known, record, where, responses)
+    return findings
+
+
+def check_model(findings: Findings, model: Model) -> None:
+    """Guards that need the model alone."""
+    from loadid import flags
+
+    own = getattr(model, "flags", ())
+    findings.run("W114", "model", lambda: flags.not_verified(model.certificate))
+    for code in ("W207", "W208") if hasattr(model, "frequencies") else ():
+        findings.run(code, "model", partial(_of, own, code))
+    structure = getattr(model, "structure", None)
+    if structure is not None:
+        from structures.loads import near_support
+
+        findings.run("W105", "model", lambda: near_support(structure, model.loads))  # type: ignore[arg-type]
+    findings.layout = layout(model)
+    if "rank" in findings.layout:
+        size = [findings.layout[k] for k in ("m", "n", "rank")]
+        findings.run("W201", "model", lambda: flags.null_space(*size))
+    dt = getattr(model, "dt", None)
+    if dt is not None and model.natural_frequencies is not None:
+        findings.run("W509", "model", lambda: flags.aliased(model.natural_frequencies, dt))
+
+
+def check_pair(findings: Findings, model: Model, record: Record, where: str, responses: list[str] | None) -> None:
+    """Guards that need the model and a record of its sensors."""
+    from loadid import flags
+    from loadid.quality import noise_std
+
+    from .identify import responses_of
+
+    used = responses_of(record, model, responses)
+    noisy = model.noise is not None or noise_std(used) is not None
+    findings.run("W204", where, lambda: flags.mixed_kinds(used.channels, noisy))
+    findings.run("W205", where, lambda: flags.high_pass(model.sensors, used.duration))
+    h = model.impulse_response(used.dt, len(used))
+    findings.run("W505", where, lambda: flags.memory(model.decay_rate, used.duration, h))
+    if model.natural_frequencies is not None:
+        findings.run("W509", where, lambda: flags.aliased(model.natural_frequencies, used.dt))
+    if record.simulated_by:
+        findings.run("W702", where, lambda: flags.inverse_crime(record.simulated_by, model.fingerprint))
+    training = getattr(model, "training", None)
+    if training and all(c.label in record.labels for c in model.loads):
+        from structures.measured import digest
+
+        force = record.select([c.label for c in model.loads]).values[:, 0]
+        own = digest(force, used.values)
+        findings.run("W704", where, lambda: flags.used_for_training(where, {own} & training))
+
+
+def _of(flags: Iterable[Flag], code: str) -> list[Flag]:
+    return [f for f in flags if f.code == f"LID-{code}"]
+
+
+def layout(model: Model) -> dict[str, Any]:
+    """Sensors, loads, and rank, nullity and median condition number over the lines (or of the static matrix)."""
+    import numpy as np
+
+    facts: dict[str, Any] = {"m": len(model.sensors), "n": len(model.loads)}
+    try:
+        H = model.H[1:] if hasattr(model, "H") and hasattr(model, "frequencies") else model.static()[None]
+    except Exception:  # a model without static response, or a free structure: the layout stays unknown
+        return facts
+    s = np.linalg.svd(H, compute_uv=False)
+    tiny = max(H.shape[1:]) * np.finfo(float).eps
+    rank = int(np.max(np.sum(s > tiny * s[:, :1], axis=1), initial=0))
+    last = s[:, rank - 1] if rank else np.zeros(len(s))
+    fine = last > 0
+    kappa = float(np.median(s[fine, 0] / last[fine])) if np.any(fine) else None
+    return {**facts, "rank": rank, "nullity": facts["n"] - rank, "kappa": kappa}
+
+
+def show(findings: Findings) -> str:
+    """Findings as text."""
+    lines = []
+    if findings.layout:
+        from loadid.summary import number
+
+        words = {"m": "sensors", "n": "loads", "rank": "rank", "nullity": "nullity", "kappa": "condition number"}
+        lines.append(
+            "layout: "
+            + ", ".join(f"{w} {number(findings.layout[k])}" for k, w in words.items() if k in findings.layout)
+        )
+    lines.append(f"fired: {len(findings.flags) or 'none'}")
+    lines += [f"  {where}: {flag}" for where, flag in findings.flags]
+    lines.append("checked and silent:" + ("" if findings.silent else " none"))
+    lines += [f"  {code} {NAMES.get(code, '')}".rstrip() for code in findings.silent]
+    return "\n".join(lines)
+
+
+def _configure(parser: ArgumentParser) -> None:
+    parser.add_argument("log", nargs="?", metavar="LOG", help="log to check")
+    parser.add_argument("--model", metavar="MODEL.h5", help="model file to check, alone or with the log")
+    parser.add_argument(
+        "--response", type=names, metavar="CH,...", help="channels, in the order of the model's sensors"
+    )
+    add_log_options(parser, several=True)
+
+
+def _run(args: Namespace) -> int:
+    findings = check(args.log, args.model, responses=args.response, records=args.record, **settings(args))
+    emit(args, findings.to_dict(), show(findings))
+    return 0
+
+
+command = Command("check", "ask every guard that needs no inversion", _configure, _run)
