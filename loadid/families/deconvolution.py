@@ -65,7 +65,7 @@ class Deconvolution:
     method : {"tikhonov", "tsvd"}
     penalty : str, array or None
         ``identity, first_difference, second_difference`` (``gradient``, ``laplacian``), a matrix of shape
-        (rows, samples * loads), or None for plain least squares, which is refused where the data do not determine the load.
+        (rows, samples * loads), or None for plain least squares, refused where the data do not determine the load.
     choice : str, float or None
         Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
     hold : {"foh", "zoh"}

@@ -18,6 +18,7 @@ from structures.errors import InputError
 from .choice import RuleResult
 from .path import PathPoint, RegularizationPath
 
+TOO_ROBUST = 1.5  # on the plate case the ratio is at most 1.2 where robust GCV is right, and above 2 where it is not
 EDGE = 3  # points of the sweep that count as its end
 LONGEST_NCP = 300_000  # data; beyond, one transform for each lambda costs more than all other rules together
 
@@ -119,9 +120,7 @@ def predicted_error(sweep: Sweep) -> RuleResult:
     The other rules aim at the response; the load wants more regularisation where its fine detail costs much noise.
     Faraway & Jhun, J. Am. Stat. Assoc. 85 (1990) 1119, for the bootstrap choice of a smoothing parameter.
     """
-    path, pilot = sweep.path, robust_gcv(sweep)
-    if pilot.edge or pilot.lam is None:
-        raise Refusal("predicted_error needs a robust GCV minimum inside the sweep")
+    path, pilot = sweep.path, _pilot(sweep)
     point = path.at(pilot.lam)
     sigma = sweep.sigma or float(np.sqrt(point.residual2 / need(point, "left", "predicted_error")))
     start = pilot.lam
@@ -133,6 +132,19 @@ def predicted_error(sweep: Sweep) -> RuleResult:
         return value
 
     return _search("predicted_error", sweep, error)
+
+
+def _pilot(sweep: Sweep) -> RuleResult:
+    """Robust GCV, unless it gives up more than `TOO_ROBUST` of the predictive fit that plain GCV finds."""
+    robust, plain = robust_gcv(sweep), gcv(sweep)
+
+    def fit(result: RuleResult) -> float:
+        return float(gcv_function(sweep.path, sweep.path.at(result.lam or sweep.lam[-1])))
+
+    pilot = plain if not plain.edge and fit(robust) > TOO_ROBUST * fit(plain) else robust
+    if pilot.edge or pilot.lam is None:
+        raise Refusal("predicted_error needs a minimum of robust GCV or GCV inside the sweep")
+    return pilot
 
 
 # -- rules of another form -------------------------------------------------------------------------------------------

@@ -1,0 +1,200 @@
+"""One thin specimen of every family through the two contracts: the forward model and the regularization path."""
+
+import numpy as np
+import pytest
+
+from loadid.inverse import rules
+from loadid.inverse.choice import choose
+from loadid.inverse.path import PathPoint, RegularizationPath, Solution
+from loadid.inverse.problem import LinearProblem, whiten
+from loadid.inverse.stacked import StackedPath
+from loadid.inverse.svd import SVDPath
+from structures import ForwardModel, InputError, beams, damping, loads, sensors
+
+BEAM = beams.simply_supported(
+    length=2.0, section=beams.Section.rectangle(0.05, 0.01), material=beams.materials.steel, elements=20, damping=damping.Modal(0.01)
+)
+DT = 1 / 2000
+
+
+def beam(places, at=(0.65,), kind=sensors.Accelerometer, modes=8):
+    observed = [kind(at=x, direction="Z", label=f"s{i}") for i, x in enumerate(places)]
+    applied = [loads.Point(at=x, direction="Z", label=f"p{i}") for i, x in enumerate(at)]
+    return ForwardModel(BEAM, observed, applied, modes=modes)
+
+
+def test_static_solve_with_a_cone_projected_step():
+    """Tactile: tangential and normal components on a cone; one projected gradient step lowers the misfit and is feasible."""
+    model = beam([0.3, 0.7, 1.1, 1.5, 1.7], at=(0.6, 1.2), kind=sensors.Displacement)
+    H, truth, mu = model.static(), np.array([3.0, 10.0]), 0.5  # (tangential, normal) stand-ins
+    y = H @ truth
+    path = SVDPath(LinearProblem.whitened(H, y))
+    g = path.solution(1e-9, None).load
+    assert g == pytest.approx(truth, rel=1e-6)
+
+    def project(g):
+        t, n = g
+        if abs(t) <= mu * n:
+            return g
+        n = max((n + mu * abs(t)) / (1 + mu**2), 0.0)
+        return np.array([mu * n * np.sign(t), n])
+
+    start = project(np.array([9.0, 5.0]))
+    step = project(start - H.T @ (H @ start - y) / np.linalg.norm(H, 2) ** 2)
+    assert np.linalg.norm(H @ step - y) < np.linalg.norm(H @ start - y)
+    assert abs(step[0]) <= mu * step[1] * (1 + 1e-12)
+
+
+def test_stacked_lines_with_one_lambda_each():
+    """Frequency inversion: all lines in one path, GCV chosen line by line, each line equal to its own dense problem."""
+    model = beam([0.3, 0.8, 1.4, 1.7], at=(0.65, 1.25))
+    f = np.linspace(5, 200, 30)
+    H = model.frf(f)
+    rng = np.random.default_rng(0)
+    G = np.array([10.0, 4.0]) * np.ones((len(f), 2))
+    Y = np.einsum("ksl,kl->ks", H, G) + 1e-3 * (rng.standard_normal(H.shape[:2]) + 1j * rng.standard_normal(H.shape[:2]))
+    path = StackedPath(H, Y)
+    grid = np.geomspace(1e-6, 1, 60)
+    gcv = rules.gcv_function(path, path.at(grid))
+    assert gcv.shape == (30, 60)
+    lam = grid[np.nanargmin(gcv, axis=1)]
+    load = path.solution(lam, None).load
+    assert load.shape == (30, 2)
+    for k in (0, 11, 29):
+        x = lam[k] * path.scale[k]
+        augmented = np.vstack([H[k], x * np.eye(2)])
+        expected = np.linalg.lstsq(augmented, np.concatenate([Y[k], np.zeros(2)]), rcond=None)[0]
+        assert load[k] == pytest.approx(expected, rel=1e-8)
+
+
+def test_one_proximal_step_of_l1():
+    """Sparse family: a proximal step from the path's operator lowers the l1 objective."""
+    model = beam([0.4, 1.3])
+    h = model.impulse_response(DT, 80)
+    from loadid.inverse.toeplitz import toeplitz
+
+    H = toeplitz(h)
+    g = np.zeros(80)
+    g[30] = 100.0
+    problem = LinearProblem.whitened(H, H @ g)
+    A, y = problem.H, problem.y
+    mu = 0.01 * np.abs(A.T @ y).max()
+    x, L = np.zeros(80), np.linalg.norm(A, 2) ** 2
+
+    def objective(x):
+        return 0.5 * np.sum((A @ x - y) ** 2) + mu * np.abs(x).sum()
+
+    z = x - A.T @ (A @ x - y) / L
+    new = np.sign(z) * np.maximum(np.abs(z) - mu / L, 0)
+    assert objective(new) < objective(x)
+    assert np.argmax(np.abs(new)) == 30
+
+
+def test_three_kalman_steps_from_the_state_space():
+    """Online family: the random-walk filter equals batch least squares with L = first difference (load zero before)."""
+    model = beam([0.4, 1.3])
+    ss = model.state_space(DT)
+    rng = np.random.default_rng(1)
+    y, sigma, q = rng.standard_normal((3, 2)), 0.5, 4.0
+    nx, p = ss.B.shape
+    # augmented state [x; g], the load moves before it acts: y_k = C x_k + D g_k
+    F = np.block([[ss.A, ss.B], [np.zeros((p, nx)), np.eye(p)]])
+    x, P = np.zeros(nx + p), np.zeros((nx + p, nx + p))
+    P[nx:, nx:] = q
+    C = np.hstack([ss.C, ss.D])
+    for k in range(3):
+        S = C @ P @ C.T + sigma**2 * np.eye(2)
+        K = np.linalg.solve(S, C @ P).T
+        x, P = x + K @ (y[k] - C @ x), P - K @ S @ K.T
+        filtered = x[nx:].copy()
+        x, P = F @ x, F @ P @ F.T
+        P[nx:, nx:] += q
+    from loadid.inverse.toeplitz import toeplitz
+
+    H = toeplitz(model.impulse_response(DT, 3)).reshape(6, 3) / sigma
+    L = (np.eye(3) - np.eye(3, k=-1)) / np.sqrt(q)
+    batch = np.linalg.lstsq(np.vstack([H, L]), np.concatenate([y.ravel() / sigma, np.zeros(3)]), rcond=None)[0]
+    assert filtered[0] == pytest.approx(batch[-1], rel=1e-8)
+
+
+def test_moving_load():
+    """A load that moves is a basis whose columns change with time: the state space carries B(t)."""
+    start, stop, N = 0.2, 1.8, 60
+    path = np.linspace(start, stop, N)
+    model = ForwardModel(
+        BEAM, [sensors.Displacement(at=1.0, direction="Z", label="mid")], [loads.MovingPoint(path, label="truck")], modes=8
+    )
+    ss = model.state_space(DT)
+    assert ss.B.shape[0] == N
+    with pytest.raises(InputError, match="static"):
+        model.static()
+    moving = ss.simulate(np.full((N, 1), 50.0))
+    # superposition of fixed loads, each on for the hat of its own sample
+    fixed = np.zeros((N, 1))
+    for k in range(N):
+        pulse = np.zeros((N, 1))
+        pulse[k] = 50.0
+        single = ForwardModel(
+            BEAM, model.sensors, [loads.Point(at=path[k], direction="Z", label="p")], modes=8
+        )
+        fixed += single.predict(pulse, DT)
+    assert np.linalg.norm(moving - fixed) <= 1e-9 * np.linalg.norm(fixed)
+
+
+def test_perturbed_model_gives_the_sensitivity_to_a_stiffness_factor():
+    """Families that carry model error ask for a perturbed model: u ~ 1/k, so d ln u / d ln k = -1 for a static load."""
+    model = beam([0.5, 1.2], kind=sensors.Displacement)
+    h = 1e-4
+    up, down = model.perturbed("stiffness", 1 + h), model.perturbed("stiffness", 1 - h)
+    assert type(up) is type(model)
+    derivative = (up.static() - down.static()) / (2 * h)
+    assert derivative == pytest.approx(-model.static(), rel=1e-6)
+    assert up.fingerprint != model.fingerprint
+
+
+def test_correlated_sensor_noise():
+    """Whitening by a full covariance gives the generalised least-squares answer."""
+    model = beam([0.3, 0.8, 1.4], kind=sensors.Displacement)
+    H = model.static()
+    rng = np.random.default_rng(2)
+    root = rng.standard_normal((3, 3))
+    R = root @ root.T + 0.1 * np.eye(3)
+    y = H[:, 0] * 7 + np.linalg.cholesky(R) @ rng.standard_normal(3) * 1e-7
+    path = SVDPath(LinearProblem.whitened(H, y, noise=R * 1e-14))
+    expected = (H.T @ np.linalg.solve(R, y)) / (H.T @ np.linalg.solve(R, H))[0, 0]
+    assert path.solution(0.0, 1.0).load == pytest.approx(expected, rel=1e-10)
+    assert whiten(np.eye(3), R, axis=0) @ R @ whiten(np.eye(3), R, axis=0).T == pytest.approx(np.eye(3), abs=1e-10)
+
+
+class Projected:
+    """A constrained path: its effective degrees of freedom are not defined."""
+
+    m, null, scale, smooth = 10, 0, np.asarray(1.0), True
+    range = (1e-4, 1.0)
+    coefficients = None
+
+    def at(self, lam):
+        lam = np.asarray(lam, float)
+        return PathPoint(residual2=0.1 + lam**2 / (1 + lam), penalty2=1 / (0.01 + lam) ** 2)
+
+    def predicted_error(self, lam, pilot, sigma):
+        return None
+
+    def residual(self, lam):
+        return np.random.default_rng(0).standard_normal((10, 1))
+
+    def solution(self, lam, sigma):
+        return Solution(np.zeros(3), None)
+
+
+def test_a_path_without_degrees_of_freedom():
+    """Rules that need what a path cannot give refuse by name; the others choose."""
+    path = Projected()
+    assert isinstance(path, RegularizationPath)
+    with pytest.raises(InputError, match="gcv needs left"):
+        choose(path, "gcv")
+    found = {r.rule: r for r in choose(path, "discrepancy", sigma=0.2).rules}
+    assert found["discrepancy"].lam is not None
+    assert found["upre"].lam is None
+    assert "upre needs edf" in found["upre"].note
+    assert found["ncp"].lam is not None
