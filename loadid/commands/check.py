@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from structures.errors import InputError
+from structures.errors import InputError, NotIdentifiable
 
 from . import Command, emit, names
 from ._logs import add_log_options, load_model, read_records, settings
@@ -159,13 +159,12 @@ def _of(flags: Iterable[Flag], code: str) -> list[Flag]:
 
 
 def layout(model: Model) -> dict[str, Any]:
-    """Sensors, loads, and rank, nullity and median condition number over the lines (or of the static matrix)."""
+    """Sensors, loads, and rank, nullity and median condition number over the lines."""
     import numpy as np
 
     facts: dict[str, Any] = {"m": len(model.sensors), "n": len(model.loads)}
-    try:
-        H = model.H[1:] if hasattr(model, "H") and hasattr(model, "frequencies") else model.static()[None]
-    except Exception:  # a model without static response, or a free structure: the layout stays unknown
+    H = _transfer(model)
+    if H is None:
         return facts
     s = np.linalg.svd(H, compute_uv=False)
     tiny = max(H.shape[1:]) * np.finfo(float).eps
@@ -174,6 +173,24 @@ def layout(model: Model) -> dict[str, Any]:
     fine = last > 0
     kappa = float(np.median(s[fine, 0] / last[fine])) if np.any(fine) else None
     return {**facts, "rank": rank, "nullity": facts["n"] - rank, "kappa": kappa}
+
+
+def _transfer(model: Model) -> Any:
+    """Transfer matrices (lines, sensors, loads): measured, between the resonances, or static; else None."""
+    import numpy as np
+
+    if hasattr(model, "H") and hasattr(model, "frequencies"):
+        return model.H[1:]
+    modes = model.natural_frequencies
+    try:
+        if modes is not None and np.any(modes > 0):
+            modes = modes[modes > 0][:40]
+            return model.frf(
+                np.sort(np.concatenate([0.7 * modes[:1], np.sqrt(modes[1:] * modes[:-1]), 1.2 * modes[-1:]]))
+            )
+        return model.static()[None]
+    except (InputError, NotIdentifiable):  # a model that gives neither: the layout stays unknown
+        return None
 
 
 def show(findings: Findings) -> str:

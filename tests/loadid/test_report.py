@@ -59,7 +59,7 @@ def test_the_page_says_all_that_must_be_known(whole):
     read = Page(whole)
     for word in ("Result", "Flags", "How lambda was chosen", "What the data cannot tell", "Measured against predicted",
                  "Verification", "Provenance", "forward model not verified", "overridden refusals: LID-W407",
-                 "LID-W114 warning", "What to do: hang a known mass", "impulse 1.3", "robust_gcv", "sigma is not known",
+                 "LID-W114 warning", "What to do: hang a known mass", "impulse 1.2", "robust_gcv", "sigma is not known",
                  "9 of 10 such problems", "nullity", "white noise", "numpy", "abab", "± 15 N"):  # fmt: skip
         assert word in read.text, word
     assert read.tags.count("img") == 3
@@ -93,8 +93,8 @@ EVIL = '"><script>alert(1)</script><img src=x onerror=alert(1)> $\\'
 
 @pytest.mark.parametrize("make", [page, fragment])
 def test_every_text_is_escaped(make):
-    e = impact(
-        labels=[EVIL], units=[EVIL], sensors=[EVIL] * 3, sensor_units=[EVIL] * 3,
+    e = impact(rows=1, choice=None, samples=64,
+        labels=[EVIL], units=[EVIL], sensors=[EVIL], sensor_units=[EVIL],
         flags=[Flag("W114", Evidence(EVIL, EVIL, EVIL), EVIL, EVIL)],
         provenance={EVIL: {EVIL: [EVIL]}, "family": EVIL, "prior": EVIL, "created": EVIL},
         facts={EVIL: EVIL, "guards_checked": [EVIL]},

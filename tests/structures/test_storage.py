@@ -263,7 +263,7 @@ while True:
 """
     rng = np.random.default_rng(1)
     target = tmp_path / "x.h5"
-    for _ in range(4):
+    for _ in range(3):
         writer = subprocess.Popen([sys.executable, "-c", code, str(target)], stdout=subprocess.PIPE)
         assert writer.stdout is not None
         writer.stdout.readline()
