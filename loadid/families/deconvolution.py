@@ -300,7 +300,7 @@ class Deconvolution:
                 f"residual power of {hits} training hits, averaged over neighbouring lines",
             )
             return self._pose_spectral(H, data.values, level, data, h, samples * spectrum[:, data.rows], variance)
-        told = self._roughness(H[:, data.rows], data.values)
+        told = self._roughness(H[:, data.rows], data.values) if model.training else None  # type: ignore[attr-defined]
         if told is not None:
             power, excess = told
             level = noises.Noise(

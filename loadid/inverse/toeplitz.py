@@ -74,8 +74,10 @@ class SpectralPath(FactoredPath):
                 found=f"H {H.shape}, noise power {power.shape}",
                 expected=f"({lines}, {sensors}, loads) and positive ({lines}, {sensors})",
             )
+        # spectra are divided by sqrt(samples): noise has unit energy on each line, and lambda means what it means in time
         root = np.sqrt(power)
-        self.H, self.Y = H / root[..., None], fft.rfft(y, self.padded, axis=0) / root
+        self.H = H * (np.sqrt(self.samples) / root)[..., None]
+        self.Y = fft.rfft(y, self.padded, axis=0) / root
         self.U, c, self.V, beta, outside = stacked.factor(self.H, self.Y)
         self.penalty_lines = symbol(penalty, 2 * np.pi * np.arange(lines) / self.padded)
         self.variance = None if variance is None else variance / power[..., None]
@@ -103,13 +105,13 @@ class SpectralPath(FactoredPath):
 
     def spectrum(self, lam: float) -> NDArray[np.complex128]:
         """Load spectrum (lines, loads) of the padded transform."""
-        return np.einsum("klr,kr->kl", self.V, self.gains(lam).reshape(self.shape))
+        return np.sqrt(self.samples) * np.einsum("klr,kr->kl", self.V, self.gains(lam).reshape(self.shape))
 
     def residual(self, lam: float) -> NDArray[np.float64]:
         """Whitened residual (samples, sensors), unit variance where the noise level is right."""
         from scipy import fft
 
-        lines = self.Y - np.einsum("ksl,kl->ks", self.H, self.spectrum(lam))
+        lines = self.Y - np.einsum("ksl,kl->ks", self.H, self.spectrum(lam) / np.sqrt(self.samples))
         return fft.irfft(lines, self.padded, axis=0)[: self.samples] * np.sqrt(self.samples)
 
     def solution(self, lam: float, sigma: float | None) -> Solution:
@@ -140,15 +142,15 @@ class SpectralPath(FactoredPath):
             keep = self._filter(np.array([lam]))[0].reshape(self.shape) > 0
             gain = np.where(keep, 1.0 / np.where(keep, c, 1.0), 0.0)
             inside = gain**2
-        C = sigma**2 * np.einsum("kir,kr,kjr->kij", self.V, inside, self.V.conj())
+        C = self.samples * sigma**2 * np.einsum("kir,kr,kjr->kij", self.V, inside, self.V.conj())
         loads = G.shape[1]
         if self.smooth and c.shape[1] < loads:  # what no sensor sees keeps the variance of the prior
             rest = np.eye(loads) - np.einsum("kir,kjr->kij", self.V, self.V.conj())
-            C = C + sigma**2 * rest / np.maximum(prior, np.finfo(float).tiny)[..., None]
+            C = C + self.samples * sigma**2 * rest / np.maximum(prior, np.finfo(float).tiny)[..., None]
         spread = self._model_error(G, C)
         if spread is None:
             return C
-        Q = np.einsum("kir,kr,ksr->kis", self.V, gain, self.U.conj())
+        Q = np.sqrt(self.samples) * np.einsum("kir,kr,ksr->kis", self.V, gain, self.U.conj())
         return C + np.einsum("kis,ks,kjs->kij", Q, spread, Q.conj())
 
     def _model_error(self, G: NDArray, C: NDArray) -> NDArray | None:
