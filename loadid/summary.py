@@ -134,7 +134,8 @@ def headline(choice: Choice) -> str:
 
 def noise(choice: Choice) -> str:
     """Noise level and where it comes from."""
-    return choice.sigma_source if choice.sigma is None else f"sigma {choice.sigma:.3g} ({choice.sigma_source})"
+    plain = choice.sigma is None or choice.sigma == 1  # 1: the data were whitened with the known noise
+    return choice.sigma_source if plain else f"sigma {choice.sigma:.3g} ({choice.sigma_source})"
 
 
 def summary(estimate: LoadEstimate) -> str:
