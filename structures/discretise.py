@@ -94,21 +94,20 @@ def blocks(
     """
     k, s = len(lam), 3 if corner > 0 else 2
     w = np.sqrt(lam) * dt
-    fast = np.maximum(w, 1.0)
-    # Time in steps and states (fast q / dt^2, dq/dt / dt): entries of order one from rigid modes to fast ones.
+    # Time in steps, states q / dt^2 and dq/dt / dt: for a slow mode, every entry of the result is of order one.
     F = np.zeros((k, s + 2, s + 2))
-    F[:, 0, 1] = fast
-    F[:, 1, 0], F[:, 1, 1], F[:, 1, s] = -(w**2) / fast, -c * dt, 1.0
+    F[:, 0, 1] = 1.0
+    F[:, 1, 0], F[:, 1, 1], F[:, 1, s] = -(w**2), -c * dt, 1.0
     F[:, s, s + 1] = 1.0
     out = np.empty((k, s))
-    out[:, 0] = np.where(lam > 0, w * dt, dt**2) / fast
+    out[:, 0] = np.where(lam > 0, w * dt, dt**2)
     out[:, 1] = dt
     if corner > 0:
         a, zero = 2 * np.pi * corner * dt, np.zeros(k)
         seen, out[:, 2] = (
-            ((zero + 1, zero, zero), dt**2 / fast),
+            ((zero + 1, zero, zero), dt**2),
             ((zero, zero + 1, zero), dt),
-            ((-((w / fast) ** 2), -c * dt / fast, 1 / fast), fast),
+            ((-(w**2), -c * dt, zero + 1), 1.0),
         )[derivative]
         F[:, 2, 0], F[:, 2, 1], F[:, 2, 3], F[:, 2, 2] = a * seen[0], a * seen[1], a * seen[2], -a
     E = linalg.expm(F)

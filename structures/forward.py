@@ -258,7 +258,7 @@ class ForwardModel(Model):
             D = K - omega**2 * M + 1j * omega * C
             try:
                 H[i] = Factor(D, check=False).transfer(self._S, self._columns)
-            except InputError as error:
+            except (InputError, NotIdentifiable) as error:
                 raise NotIdentifiable(
                     f"the response at {f[i]:.6g} Hz is unbounded: nothing resists the motion there",
                     advice="leave this line out, add damping, or support the structure",

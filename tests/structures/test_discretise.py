@@ -48,6 +48,16 @@ def test_no_digit_is_lost_from_rigid_to_fast_modes(omega_h, zeta, corner):
             assert np.allclose(mine[0], exact.astype(float), rtol=1e-11, atol=0)
 
 
+def test_a_mode_far_above_the_sampling_frequency():
+    """At omega h = 1e4 the error is that of the phase, eps omega h, not its square."""
+    dt, w = 1e-3, 1e7
+    got = blocks(np.array([w**2]), np.zeros(1), dt, "foh")
+    A, G1, G2 = (x.astype(float) for x in reference(w**2, 0.0, dt))
+    assert np.allclose(got.A[0], A, rtol=1e-10)
+    assert np.allclose(got.G1[0], G1, rtol=1e-10)
+    assert np.allclose(got.G2[0], G2, rtol=1e-10)
+
+
 def test_a_rigid_mode_is_a_double_integrator():
     h = 0.02
     for hold, G2 in (("foh", [h**2 / 6, h / 2]), ("zoh", [0, 0])):

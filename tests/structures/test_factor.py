@@ -117,6 +117,26 @@ def test_bad_right_hand_sides_and_dofs_are_refused():
             factor.condense(dofs)
 
 
+def test_a_poor_factor_is_refined_and_a_useless_one_refused():
+    K, B = laplacian(40), np.random.default_rng(5).standard_normal((40, 3))
+
+    class Poor:
+        """What an unpivoted factor of a nearly singular matrix does: an error of 1e-5, or of 100 %."""
+
+        def __init__(self, lu, error):
+            self.lu, self.error = lu, error
+
+        def solve(self, b):
+            return self.lu.solve(b) * (1 + self.error)
+
+    factor, useless = Factor(K), Factor(K)
+    factor._lu, useless._lu = Poor(factor._lu, 1e-5), Poor(useless._lu, 1.0)
+    exact = np.linalg.solve(K.toarray(), B)
+    assert np.linalg.norm(factor.solve(B) - exact) < 1e-9 * np.linalg.norm(exact)
+    with pytest.raises(InputError, match="useless"):
+        useless.solve(B)
+
+
 def test_an_indefinite_shifted_matrix_keeps_its_accuracy():
     beam = beams.simply_supported(elements=60, **SETTINGS)
     D = beam.K_free - (2 * np.pi * 400.0) ** 2 * beam.M_free

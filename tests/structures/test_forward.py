@@ -250,6 +250,19 @@ def test_damping_that_couples_the_modes(hold):
     assert model.decay_rate == pytest.approx(system.decay_rate, rel=1e-6)
 
 
+def test_the_residual_of_few_coupled_modes():
+    base = beams.cantilever(elements=12, **SETTINGS)
+    C = 1e-4 * base.K_free.toarray()
+    C[11, 11] += 3.0
+    structure = Structure.from_matrices(base.K_free, base.M_free, C)
+    args = [sensors.Displacement("2+S"), sensors.Accelerometer("20+S")], [loads.Point("10+S")]
+    model, bare = ForwardModel(structure, *args, modes=3), ForwardModel(structure, *args, modes=3, residual=False)
+    f = np.array([0.1, 0.5])
+    direct = model.frf(f, method="direct")
+    assert not model.reduced.proportional
+    assert worst(model.frf(f), direct) < 0.1 * worst(bare.frf(f), direct)
+
+
 # -- free structures
 def test_a_free_structure_has_dynamics_but_no_statics():
     beam = beams.free(elements=10, damping=Modal(0.01), **SETTINGS)

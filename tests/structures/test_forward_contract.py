@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from structures import ForwardModel, InputError, Structure, beams, chains, loads, sensors
+from structures import ForwardModel, InputError, NotIdentifiable, Structure, beams, chains, loads, sensors
 from structures.damping import Modal
 from structures.materials import steel
 
@@ -217,9 +217,12 @@ def test_statics_without_mass():
             ask()
 
 
-def test_an_undamped_resonance_is_unbounded():
-    structure = chains.oscillator(mass=1.0, stiffness=(2 * np.pi * 4.0) ** 2)
+@pytest.mark.parametrize("method", ["modal", "direct"])
+def test_an_undamped_resonance_is_unbounded(method):
+    f = 4.0
+    structure = chains.oscillator(mass=1.0, stiffness=(2 * np.pi * f) ** 2)
     model = ForwardModel(structure, [sensors.Displacement("1+X")], [loads.Point("1+X")])
-    f = model.natural_frequencies[0]
-    H = np.abs(model.frf([0.999 * f, 1.001 * f]))
-    assert np.all(100 * model.static()[0, 0] < H)
+    H = np.abs(model.frf([0.999 * f, 1.001 * f], method))
+    assert np.all(H / model.static()[0, 0] > 100)
+    with pytest.raises(NotIdentifiable, match="at 4 Hz is unbounded"):
+        model.frf([1.0, f], method)
