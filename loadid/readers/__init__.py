@@ -14,6 +14,7 @@ step, units and errors are then treated as in every other format::
 
 A reader compares what a file declares with what it delivers (`truncated` gives the flag), asks `source.allow(bytes)`
 before it unpacks, and never evaluates or unpickles anything. Whatever else it raises leaves `read` as an InputError.
+With ``native=True`` it runs in a child process, as a C library must that a damaged file can crash.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from structures import units as _units
 from structures.errors import InputError
@@ -120,9 +123,17 @@ def _scan(
         listed = None if columns is None else [c if isinstance(c, str) else int(c) for c in columns]
     except (TypeError, ValueError):
         source.refuse("columns are no names", repr(columns), "names or indices of columns")
+    if axis is not None and (not isinstance(axis, int | np.integer) or axis not in (0, 1, -1, -2)):
+        source.refuse("there is no such axis", f"axis = {axis!r}", "0 or 1")
+    axis = None if axis is None else int(axis) % 2
     options = Options(fs=fs, columns=listed, axis=axis, units=_units.as_mapping(units))
     form = recognise(source)
-    found = _guarded(source, lambda: form.load(source, options), form.name)
+    if form.native:
+        from .child import load_apart
+
+        found = load_apart(form.name, source, options)
+    else:
+        found = _guarded(source, lambda: form.load(source, options), form.name)
     if not found:
         source.refuse("the file holds no record", "nothing", f"samples in {form.name} form")
     return found, source, options

@@ -23,12 +23,14 @@ OBJECTS = 10_000
 ATTRIBUTE_BYTES = 65_536
 
 
-@register("HDF5", suffixes=(".h5", ".hdf5", ".hdf"), sniff=lambda head: head.startswith(b"\x89HDF\r\n\x1a\n"))
+@register(
+    "HDF5", suffixes=(".h5", ".hdf5", ".hdf"), sniff=lambda head: head.startswith(b"\x89HDF\r\n\x1a\n"), native=True
+)
 def load(source: Source, options: Options) -> list[Table]:
     """All records of the file, named by their place in it."""
     import h5py
 
-    with h5py.File(source.path, "r") as file:
+    with h5py.File(source.place or source.path, "r") as file:
         walk = _Walk(source, options)
         walk.group(file, "", {}, 0)
     return walk.tables

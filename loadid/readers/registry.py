@@ -16,7 +16,8 @@ Loader = Callable[[Source, Options], list[Table]]
 class Format:
     """One format: its name, its suffixes, whether some first bytes can be it, and its reader.
 
-    A generic format (plain text) is asked after those that have a mark of their own.
+    A generic format (plain text) is asked after those that have a mark of their own. A native one is parsed by a C
+    library and therefore in a child process.
     """
 
     name: str
@@ -24,13 +25,14 @@ class Format:
     sniff: Callable[[bytes], bool]
     load: Loader
     generic: bool = False
+    native: bool = False
 
 
 _FORMATS: dict[str, Format] = {}
 
 
 def register(
-    name: str, *, suffixes: tuple[str, ...], sniff: Callable[[bytes], bool], generic: bool = False
+    name: str, *, suffixes: tuple[str, ...], sniff: Callable[[bytes], bool], generic: bool = False, native: bool = False
 ) -> Callable[[Loader], Loader]:
     """Decorator that adds a reader, a function (source, options) -> list of tables.
 
@@ -44,6 +46,8 @@ def register(
         First 4096 bytes -> whether the file can be of this format.
     generic : bool
         The format has no mark of its own.
+    native : bool
+        A C library parses it: run it where it can be killed.
 
     Raises
     ------
@@ -54,7 +58,7 @@ def register(
     def add(load: Loader) -> Loader:
         if name in _FORMATS:
             raise InputError("a format of this name is registered", where="readers", found=name)
-        _FORMATS[name] = Format(name, tuple(s.lower() for s in suffixes), sniff, load, generic)
+        _FORMATS[name] = Format(name, tuple(s.lower() for s in suffixes), sniff, load, generic, native)
         return load
 
     return add

@@ -30,11 +30,14 @@ class Source:
         Bytes on disk.
     head : bytes
         The first 4096 bytes, for sniffing.
+    place : Path, optional
+        Where the file is opened, when that differs from the path that messages name.
     """
 
     path: Path
     size: int
     head: bytes
+    place: Path | None = None
 
     def data(self) -> bytes:
         """The whole file.
@@ -136,9 +139,6 @@ def time_first(table: Table, source: Source, options: Options) -> Table:
         axis, said = long, "the longer one"
     else:
         said = "as stated"
-    if axis not in (0, 1, -1, -2):
-        source.refuse("there is no such axis", f"axis = {axis!r}", "0 or 1")
-    axis = int(axis) % 2
     note = f"axis {axis} of {x.shape} is time ({said}; axis= states it)"
     return replace(table, values=x.T if axis == 1 else x, notes=(*table.notes, note))
 
