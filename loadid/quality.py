@@ -235,7 +235,7 @@ def _at_rail(y: Vector, step: float) -> tuple[Runs, str]:
     """Stretches at the upper rail that cut a crest off, and how sure that is."""
     top, span = float(y.max()), float(np.ptp(y))
     exact = [(a, b) for a, b in _runs(y == top) if b - a >= RAIL_RUN]
-    # What stays at its top for half of the record is a plateau; one of fewer than 16 bits has crests of several samples.
+    # At its top for half of the record: a plateau. Fewer than 16 levels: noise repeats the top one by chance.
     if exact and span >= 16 * step and sum(b - a for a, b in exact) < 0.5 * len(y):
         tolerance = max(2.0 * step, 1e-6 * span)
         if any(_cut(y, r, top, tolerance) for r in exact) or _leaps(y, exact, top, step):
