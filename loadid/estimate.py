@@ -77,7 +77,9 @@ class LoadEstimate:
     load : array, shape (samples, loads) or (loads,)
         SI units, as named in `units`.
     std : array, the shape of `load`
-        Standard deviation of the noise that reaches the load.
+        Standard deviation: noise, prior, errors of a measured model, and `bias`.
+    bias : array, the shape of `load`, optional
+        What regularisation is expected to hide, at least: what it would take away from a load like the estimate.
     labels, units : sequence of str
         One of each per load.
     axis : Axis, optional
@@ -123,11 +125,12 @@ class LoadEstimate:
     certificate: Certificate | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     posterior: Any = field(default=None, repr=False)
+    bias: NDArray | None = field(default=None, repr=False)
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        for name in ("load", "std", "response", "residual"):
+        for name in ("load", "std", "response", "residual", "bias"):
             if getattr(self, name) is not None:
                 put(self, name, _frozen(getattr(self, name)))
         for name in ("labels", "units", "sensors", "sensor_units", "flags"):
@@ -224,7 +227,8 @@ class LoadEstimate:
             if window is not None:
                 weights[~self._window(window)] = 0
         variance = None if self.posterior is None else np.asarray(self.posterior.variance(weights)).item()
-        std = None if variance is None else float(np.sqrt(max(variance, 0.0)))
+        hidden = 0.0 if self.bias is None else float(np.sum(weights * self.bias))
+        std = None if variance is None else float(np.sqrt(max(variance, 0.0) + hidden**2))
         return Functional(name, float(np.sum(weights * self.load)), std, unit)
 
     def _index(self, load: int | str) -> int:
@@ -349,6 +353,9 @@ def _check(e: LoadEstimate) -> None:
     need(e.std.shape == e.load.shape, "the std does not fit the load", e.std.shape, e.load.shape)
     need(bool(np.all(np.isfinite(e.load))), "the load is not finite", "NaN or infinity", "finite numbers")
     need(bool(np.all(np.isfinite(e.std)) and np.all(e.std >= 0)), "the std is no std", "NaN, inf or < 0", ">= 0")
+    if e.bias is not None:
+        need(e.bias.shape == e.load.shape, "the bias does not fit the load", e.bias.shape, e.load.shape)
+        need(bool(np.all(np.isfinite(e.bias))), "the bias is not finite", "NaN or infinity", "finite numbers")
     rows = e.load.shape[:-1]
     have = () if e.axis is None else e.axis.values.shape
     need(have == rows, "the axis does not fit the load", have, rows)

@@ -15,7 +15,7 @@ from .damping import Modal
 from .discretise import check, discretise, markov
 from .errors import InputError, NotIdentifiable
 from .factor import MECHANISM, Factor
-from .loads import Load, matrix
+from .loads import Load, matrix, near_support
 from .model import Model
 from .modes import DENSE, Modes, modal_damping, modes
 from .reduction import ReducedModel, highpass, static_residual
@@ -86,6 +86,8 @@ class ForwardModel(Model):
         self._corner = np.array([s.highpass or 0.0 for s in self.sensors])
         self._columns = _columns(structure, self.loads, free)
         _finite_parts(self)
+        found = near_support(structure, self.loads)
+        self.flags = () if found is None else (found,)
 
     def __repr__(self) -> str:
         n = self.structure.free.size

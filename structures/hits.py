@@ -23,15 +23,15 @@ class Hit:
         Why it was rejected; "" when used.
     peak : float
         Force of largest modulus, signed.
-    sha256 : str
-        Digest of the record, so that a later test can tell whether it was used for training.
+    digests : tuple of str
+        Digest of each response, so that a later test can tell whether it was used for training.
     """
 
     name: str
     used: bool
     reason: str
     peak: float
-    sha256: str = ""
+    digests: tuple[str, ...] = ()
 
 
 def judge(force: NDArray, responses: NDArray) -> str:

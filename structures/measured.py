@@ -123,7 +123,7 @@ class MeasuredModel(Model):
         hits = []
         for f, y, name in zip(data.force, data.responses, data.names, strict=True):
             reason = judge(f, y) if reject else ""
-            hits.append(Hit(name, not reason, reason, float(f[np.argmax(np.abs(f))]), digest(f, y)))
+            hits.append(Hit(name, not reason, reason, float(f[np.argmax(np.abs(f))]), digests(y)))
         keep = np.array([h.used for h in hits])
         if not keep.any():
             raise InputError(
@@ -330,8 +330,8 @@ class MeasuredModel(Model):
 
     @property
     def training(self) -> frozenset[str]:
-        """Digests of the records that the model was made from."""
-        return frozenset(h.sha256 for h in self.hits if h.used)
+        """Digests of the responses that the model was made from."""
+        return frozenset(d for h in self.hits if h.used for d in h.digests)
 
     @property
     def fingerprint(self) -> str:
@@ -357,7 +357,7 @@ class MeasuredModel(Model):
             "samples": self.samples,
             "sensors": [asdict(Channel(**_channel(c))) for c in self.sensors],
             "loads": [asdict(Channel(**_channel(c))) for c in self.loads],
-            "hits": [asdict(h) for h in self.hits],
+            "hits": [{**asdict(h), "digests": list(h.digests)} for h in self.hits],
             "flags": [f.to_dict() for f in self.flags if f.code != "LID-W207"],
             "certificate": certificate,
         }
@@ -384,7 +384,7 @@ class MeasuredModel(Model):
             tree.pop("H"),
             sensors=[Channel(**c) for c in tree.pop("sensors")],
             loads=[Channel(**c) for c in tree.pop("loads")],
-            hits=[Hit(**h) for h in tree.pop("hits")],
+            hits=[Hit(**{**h, "digests": tuple(h["digests"])}) for h in tree.pop("hits")],
             flags=[Flag.from_dict(f) for f in tree.pop("flags")],
             certificate=certificate,
             **tree,
@@ -432,12 +432,9 @@ def causality(model: MeasuredModel) -> Flag | None:
     )
 
 
-def digest(*columns: NDArray) -> str:
-    """sha256 of the samples of some columns."""
-    h = hashlib.sha256()
-    for c in columns:
-        h.update(np.ascontiguousarray(np.asarray(c, float)).tobytes())
-    return h.hexdigest()
+def digests(columns: NDArray) -> tuple[str, ...]:
+    """sha256 of the samples of each column of an array (samples, columns)."""
+    return tuple(hashlib.sha256(np.ascontiguousarray(c, float).tobytes()).hexdigest() for c in np.asarray(columns).T)
 
 
 def _leave_one_out(data: _Set, F: NDArray, Y: NDArray, Sff: NDArray, Sfy: NDArray, padded: int) -> Certificate:

@@ -12,7 +12,11 @@ from loadid.inverse.svd import SVDPath
 from structures import ForwardModel, InputError, beams, damping, loads, sensors
 
 BEAM = beams.simply_supported(
-    length=2.0, section=beams.Section.rectangle(0.05, 0.01), material=beams.materials.steel, elements=20, damping=damping.Modal(0.01)
+    length=2.0,
+    section=beams.Section.rectangle(0.05, 0.01),
+    material=beams.materials.steel,
+    elements=20,
+    damping=damping.Modal(0.01),
 )
 DT = 1 / 2000
 
@@ -52,7 +56,9 @@ def test_stacked_lines_with_one_lambda_each():
     H = model.frf(f)
     rng = np.random.default_rng(0)
     G = np.array([10.0, 4.0]) * np.ones((len(f), 2))
-    Y = np.einsum("ksl,kl->ks", H, G) + 1e-3 * (rng.standard_normal(H.shape[:2]) + 1j * rng.standard_normal(H.shape[:2]))
+    Y = np.einsum("ksl,kl->ks", H, G) + 1e-3 * (
+        rng.standard_normal(H.shape[:2]) + 1j * rng.standard_normal(H.shape[:2])
+    )
     path = StackedPath(H, Y)
     grid = np.geomspace(1e-6, 1, 60)
     gcv = rules.gcv_function(path, path.at(grid))
@@ -122,7 +128,10 @@ def test_moving_load():
     start, stop, N = 0.2, 1.8, 60
     path = np.linspace(start, stop, N)
     model = ForwardModel(
-        BEAM, [sensors.Displacement(at=1.0, direction="Z", label="mid")], [loads.MovingPoint(path, label="truck")], modes=8
+        BEAM,
+        [sensors.Displacement(at=1.0, direction="Z", label="mid")],
+        [loads.MovingPoint(path, label="truck")],
+        modes=8,
     )
     ss = model.state_space(DT)
     assert ss.B.shape[0] == N
@@ -134,9 +143,7 @@ def test_moving_load():
     for k in range(N):
         pulse = np.zeros((N, 1))
         pulse[k] = 50.0
-        single = ForwardModel(
-            BEAM, model.sensors, [loads.Point(at=path[k], direction="Z", label="p")], modes=8
-        )
+        single = ForwardModel(BEAM, model.sensors, [loads.Point(at=path[k], direction="Z", label="p")], modes=8)
         fixed += single.predict(pulse, DT)
     assert np.linalg.norm(moving - fixed) <= 1e-9 * np.linalg.norm(fixed)
 

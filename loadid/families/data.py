@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Flag
-from structures.measured import digest
+from structures.measured import digests
 from structures.model import Model
 
 from ..record import Record
@@ -47,10 +47,9 @@ class Data:
         return len(self.values) * self.dt
 
     @property
-    def digests(self) -> set[str]:
-        """Digests under which a model may have met this record in training: any load channel with these responses."""
-        others = [i for i, label in enumerate(self.record.labels) if label not in {c.label for c in self.channels}]
-        return {digest(self.record.values[:, i], self.values) for i in others}
+    def fingerprints(self) -> set[str]:
+        """Digests of the used channels: a model made from hits knows those of its training."""
+        return set(digests(self.values))
 
 
 def gather(record: Any, dt: float | None, model: Model, sensors: Sequence[str | int] | None) -> Data:

@@ -17,7 +17,7 @@ from structures.spectra import padded_length
 from .. import flags as guards
 from ..estimate import Axis, LoadEstimate
 from ..inverse import diagnose, penalties
-from ..inverse.choice import Choice, choose
+from ..inverse.choice import Choice, choose, residual_level
 from ..inverse.problem import LinearProblem
 from ..inverse.svd import SVDPath
 from ..inverse.toeplitz import SpectralPath, toeplitz
@@ -68,8 +68,8 @@ class Deconvolution:
         (rows, samples * loads), or None for plain least squares, refused where the data do not determine the load.
     choice : str, float or None
         Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
-    hold : {"foh", "zoh"}
-        How a load moves between samples.
+    hold : {"foh", "zoh"}, optional
+        How a load moves between samples; default the model's own, which is first order where it has a choice.
     noise : float or array, optional
         Noise std of the sensors, (sensors,) or a covariance (sensors, sensors).
     noise_source : str, optional
@@ -93,7 +93,7 @@ class Deconvolution:
         method: str = "tikhonov",
         penalty: str | ArrayLike | None = "identity",
         choice: str | float | None = None,
-        hold: str = "foh",
+        hold: str | None = None,
         noise: ArrayLike | None = None,
         noise_source: str | None = None,
         sensors: Sequence[str | int] | None = None,
@@ -144,15 +144,19 @@ class Deconvolution:
         self._progress(0.5, "choosing lambda")
         choice = choose(posed.path, self.choice, sigma=posed.noise.sigma, source=posed.noise.source)
         self._progress(0.9, "estimating the load")
-        sigma = posed.noise.sigma or _residual_level(posed.path, choice)
+        # a residual above the stated noise is model error: the band must not be narrower than what is seen
+        seen = residual_level(posed.path, choice.lam)
+        sigma = max(posed.noise.sigma or 0.0, seen or 0.0) or _last_resort(posed.path, choice)
         solution = posed.path.solution(choice.lam, sigma)
         residual = posed.values - posed.predict(solution.load)
         facts = self._facts(posed, choice, sigma, data.dt, solution.load)
         self._progress(1.0, "done")
         assert solution.posterior is not None
+        assert solution.bias is not None
         return LoadEstimate(
             load=solution.load,
-            std=solution.posterior.std,
+            std=np.hypot(solution.posterior.std, solution.bias),
+            bias=solution.bias,
             labels=[c.label for c in self.model.loads],
             units=[c.unit for c in self.model.loads],
             axis=Axis(name="time", unit="s", values=np.asarray(np.arange(len(solution.load)) * data.dt, float)),
@@ -184,7 +188,7 @@ class Deconvolution:
         if getattr(self.model, "noise_spectrum", None) is not None:
             return self._pose_measured(data)
         samples = len(data.values)
-        h = self.model.impulse_response(data.dt, samples, self.hold)
+        h = self.model.impulse_response(data.dt, samples, self.hold or self.model.default_hold)
         shift = self._shift(h[:, data.rows])
         h, values = h[shift:], data.values[shift:]
         level = noises.resolve(self.noise, self.noise_source, self.model, data)
@@ -361,7 +365,7 @@ class Deconvolution:
             "nullity": max(n - path.rank, 0),
             "kappa": kappa,
             "edf": None if point.edf is None else float(point.edf),
-            "residual_to_noise": None if not posed.noise.known else float(_residual_level(path, choice)),
+            "residual_to_noise": residual_level(path, choice.lam) if posed.noise.known else None,
             "noise_level": float(sigma),
             "noise_source": posed.noise.source,
             "resolution": width * dt,
@@ -389,7 +393,7 @@ class Deconvolution:
                 *guards.parameter(choice, deltas),
                 guards.inverse_crime(data.record.simulated_by, model.fingerprint),
                 guards.no_coverage(self.coverage),
-                guards.used_for_training("the record", data.digests & getattr(model, "training", frozenset())),
+                guards.used_for_training("the record", data.fingerprints & getattr(model, "training", frozenset())),
                 guards.resolution(facts["nullity"], prior, facts["resolution"], "s", facts["peak_bias"]),
             ]
         )
@@ -416,8 +420,8 @@ class Deconvolution:
         }
 
 
-def _residual_level(path: SVDPath | SpectralPath, choice: Choice) -> float:
-    """Noise level of the whitened data that the residual shows, sqrt(|r|^2 / (m - edf))."""
+def _last_resort(path: SVDPath | SpectralPath, choice: Choice) -> float:
+    """Noise level from what little the fit leaves, where nothing else tells."""
     point = path.at(choice.lam)
     left = 0.0 if point.left is None else float(point.left)
     return float(np.sqrt(point.residual2 / left)) if left > 0 else 1.0

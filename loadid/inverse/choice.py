@@ -99,6 +99,7 @@ DEFAULT_RULES = (
     "quasi_optimality",
     "evidence",
 )
+BELIEVED = 1.1  # residual over stated noise up to which the noise level is believed
 COMPARED = (
     ("gcv", "robust_gcv"),
     ("l_curve",),
@@ -122,7 +123,8 @@ def choose(
         Rule, or relative lambda. None: discrepancy where the noise level is known, else robust GCV with one step
         towards the smallest error of the load (`rules.predicted_error`). Where the solution spends more than a fifth
         of the data as degrees of freedom the residual lies below the noise by construction, so discrepancy hands over
-        to UPRE; robust GCV hands over to GCV when it ends at the edge of the sweep.
+        to UPRE; to the rule for unknown noise where the residual is above the stated noise (the model errs); and to the
+        evidence where these lie more than a decade below it, in the flat tail of their functions. Robust GCV hands over to GCV when it ends at the edge of the sweep.
     sigma : float, optional
         Noise level of the whitened data.
     source : str
@@ -209,6 +211,9 @@ def _pick(
         edf = path.at(first.lam).edf
         if first.edge or (edf is not None and edf > 0.2 * path.m):
             order = order[1:]
+            if _above_noise(path, asked["upre"], sigma):
+                order = ["predicted_error", *order]
+            order = [name for name in order if not _far_below(asked[name], asked["evidence"])] + ["evidence"]
     inside = [asked[name] for name in order if asked[name].lam is not None and not asked[name].edge]
     running = inside or [r for r in asked.values() if r.lam is not None]
     if not running:
@@ -220,6 +225,29 @@ def _pick(
             hint="pass choice=<relative lambda>",
         )
     return _given(running[0]), running[0].rule
+
+
+def _above_noise(path: RegularizationPath, result: RuleResult, sigma: float) -> bool:
+    """Whether the residual shows more than the stated noise: the model errs, and rules that trust sigma undersmooth."""
+    if result.lam is None:
+        return False
+    return (residual_level(path, result.lam) or 0.0) > BELIEVED * sigma
+
+
+def residual_level(path: RegularizationPath, lam: float) -> float | None:
+    """Noise level of the whitened data that the residual shows, sqrt(|r|^2 / (m - edf)).
+
+    None where the fit leaves less than a fifth of the data: what is left then tells of the prior, not of the noise.
+    """
+    point = path.at(lam)
+    if point.left is None or float(point.left) < 0.2 * path.m:
+        return None
+    return float(np.sqrt(point.residual2 / point.left))
+
+
+def _far_below(low: RuleResult, high: RuleResult) -> bool:
+    """Whether one rule lies more than a decade below another: the flat tail of its function won by chance."""
+    return low.lam is not None and high.lam is not None and not high.edge and low.lam < 0.1 * high.lam
 
 
 def _given(result: RuleResult) -> float:

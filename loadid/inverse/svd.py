@@ -61,8 +61,9 @@ class SVDPath(FactoredPath):
     def solution(self, lam: float, sigma: float | None) -> Solution:
         """Load and, with the noise level `sigma` of the whitened data, its posterior."""
         load = (self.X @ self.gains(lam)).reshape(self.problem.shape)
+        bias = -(self.X @ self.lost(lam)).reshape(self.problem.shape)
         if sigma is None:
-            return Solution(load, None)
+            return Solution(load, None, bias)
         if self.smooth:
             x = lam * float(self.scale)
             d = self.c**2 + (x * self.s) ** 2
@@ -71,7 +72,7 @@ class SVDPath(FactoredPath):
             f, _ = self._filter(np.array([lam]))
             keep = f[0] > 0
             factor = self.X[:, keep] * (sigma / self.c[keep])
-        return Solution(load, DensePosterior(factor, self.problem.shape))
+        return Solution(load, DensePosterior(factor, self.problem.shape), bias)
 
     def resolution_column(self, lam: float, k: int) -> NDArray[np.float64]:
         """Answer (n,) to a unit load in unknown k: one column of the resolution matrix."""

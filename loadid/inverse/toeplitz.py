@@ -105,7 +105,10 @@ class SpectralPath(FactoredPath):
 
     def spectrum(self, lam: float) -> NDArray[np.complex128]:
         """Load spectrum (lines, loads) of the padded transform."""
-        return np.sqrt(self.samples) * np.einsum("klr,kr->kl", self.V, self.gains(lam).reshape(self.shape))
+        return self._expand(self.gains(lam))
+
+    def _expand(self, coefficients: NDArray) -> NDArray[np.complex128]:
+        return np.sqrt(self.samples) * np.einsum("klr,kr->kl", self.V, coefficients.reshape(self.shape))
 
     def residual(self, lam: float) -> NDArray[np.float64]:
         """Whitened residual (samples, sensors), unit variance where the noise level is right."""
@@ -119,10 +122,10 @@ class SpectralPath(FactoredPath):
         from scipy import fft
 
         G = self.spectrum(lam)
-        load = fft.irfft(G, self.padded, axis=0)[: self.samples]
+        load, lost = (fft.irfft(x, self.padded, axis=0)[: self.samples] for x in (G, self._expand(self.lost(lam))))
         if sigma is None:
-            return Solution(load, None)
-        return Solution(load, SpectralPosterior(self._covariance(lam, sigma, G), self.samples, self.padded))
+            return Solution(load, None, -lost)
+        return Solution(load, SpectralPosterior(self._covariance(lam, sigma, G), self.samples, self.padded), -lost)
 
     def point_spread(self, lam: float) -> NDArray[np.float64]:
         """Answer to a unit impulse at sample 0, mean over the loads, shape (padded,)."""
