@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -46,12 +47,12 @@ def wave_numbers() -> NDArray[np.float64]:
         return float(j0(x) * i1e(x) + i0e(x) * j1(x))
 
     grid = np.arange(1.0, 45.0, 0.1)
-    return np.array([brentq(f, a, b) for a, b in zip(grid[:-1], grid[1:], strict=True) if f(a) * f(b) < 0][:MODES])
+    return np.array([brentq(f, a, b) for a, b in pairwise(grid) if f(a) * f(b) < 0][:MODES])
 
 
 def shape(r: NDArray | float, beta: float, derivative: int = 0) -> NDArray[np.float64]:
     """Mode phi = J0(beta r) - J0(beta a) / I0(beta a) I0(beta r), or its second derivative in r."""
-    from scipy.special import i0, j0, jvp, ivp
+    from scipy.special import i0, ivp, j0, jvp
 
     ratio = j0(beta * RADIUS) / i0(beta * RADIUS)
     if derivative == 0:

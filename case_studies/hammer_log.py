@@ -1,0 +1,173 @@
+"""Measured hammer hits: the model from some hits, the force of another rebuilt, by the command line's functions.
+
+Two public records. Five hits with one accelerometer (ladisk/pyFRF, MIT): the model from four hits, the fifth rebuilt,
+all five in turn. Two hits with two accelerometers in the instrument's own LabVIEW file (ladisk/lvm_read, MIT): each hit
+rebuilt from the other. Lambda is automatic and nothing is tuned for one hit. The records are read from the folder that
+the environment variable LOADID_DATA names, or from ``../shared/data`` beside the project.
+
+Run ``python -m case_studies.hammer_log``: prints the tables and saves ``hammer_log.png``.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from loadid import LoadEstimate, Record, read, read_all
+from loadid.commands.calibrate import calibrate
+from loadid.commands.identify import identify
+from structures import InputError
+
+FIVE = {"columns": ("time", "force", "acceleration"), "units": {"force": "N", "acceleration": "m/s^2"}}
+TWO = {"fs": 1024.0, "units": {"F": "arbitrary"}}  # the file's own unit of F is wrong, its step is rounded
+
+
+def folder() -> Path:
+    """Folder of the measured records.
+
+    Raises
+    ------
+    InputError
+        If they are not there.
+    """
+    place = Path(os.environ.get("LOADID_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+    if not place.is_dir():
+        raise InputError(
+            "the measured records are not there",
+            where="hammer_log",
+            found=str(place),
+            expected="a folder with hammer_five_hits and hammer_two_hits",
+            hint="set LOADID_DATA",
+        )
+    return place
+
+
+@dataclass(frozen=True)
+class Rebuilt:
+    """One hit, rebuilt by a model that has not seen it."""
+
+    name: str
+    sensors: tuple[str, ...]
+    force: Record
+    estimate: LoadEstimate
+
+    def error(self, window: slice = slice(None)) -> float:
+        """Relative L2 error of the force in a window of samples."""
+        truth, load = self.force.values[window, 0], self.estimate.load[window, 0]
+        return float(np.linalg.norm(load - truth) / np.linalg.norm(truth))
+
+    @property
+    def peak(self) -> int:
+        """Sample of the measured peak."""
+        return int(np.argmax(np.abs(self.force.values[:, 0])))
+
+    @property
+    def peak_error(self) -> float:
+        """Relative error of the largest force."""
+        return float(np.abs(self.estimate.load[self.around(), 0]).max() / abs(self.force.values[self.peak, 0]) - 1)
+
+    def around(self, before: int = 8, after: int = 30) -> slice:
+        """Samples around the measured peak."""
+        return slice(max(self.peak - before, 0), self.peak + after + 1)
+
+    @property
+    def covered(self) -> float:
+        """Share of the samples inside the stated 95 % band."""
+        low, high = self.estimate.band(0.95)
+        truth = self.force.values
+        return float(np.mean((truth >= low) & (truth <= high)))
+
+
+def five_hits() -> list[Rebuilt]:
+    """Each of five hits, rebuilt from the other four."""
+    paths = [folder() / "hammer_five_hits" / f"measurements_{i}.npy" for i in range(1, 6)]
+    rebuilt = []
+    for path in paths:
+        others = [p for p in paths if p != path]
+        model = calibrate(others, force="force", responses=["acceleration"], **FIVE)
+        record = read(path, **FIVE)
+        rebuilt.append(Rebuilt(path.stem, ("acceleration",), record.select(["force"]), identify(record, model)))
+    return rebuilt
+
+
+def two_hits(sensors: tuple[str, ...] = ("m_1", "m_2")) -> list[Rebuilt]:
+    """Hit 2 from hit 1, and hit 1 from hit 2, out of one LabVIEW file."""
+    path = folder() / "hammer_two_hits" / "long_single_header_multi_ch.lvm"
+    records = read_all(path, **TWO)
+    rebuilt = []
+    for train, test in ((0, 1), (1, 0)):
+        model = calibrate([path], force="F", responses=list(sensors), records=[records[train].name], **TWO)
+        estimate = identify(records[test], model)
+        rebuilt.append(Rebuilt(f"hit {test + 1} from hit {train + 1}", sensors, records[test].select(["F"]), estimate))
+    return rebuilt
+
+
+def table(five: list[Rebuilt], two: list[list[Rebuilt]]) -> str:
+    """Both tables in text."""
+    lines = [
+        "five hits, one accelerometer: model from four hits, the other one rebuilt",
+        f"{'hit':16s} {'error':>7s} {'first 80':>9s} {'peak':>7s} {'in 95 % band':>13s}  rule",
+    ]
+    for hit in five:
+        lines.append(
+            f"{hit.name:16s} {hit.error():7.2%} {hit.error(slice(80)):9.2%} {hit.peak_error:+7.2%} {hit.covered:13.1%}"
+            f"  {hit.estimate.choice.rule}"
+        )
+    mean = [float(np.mean(x)) for x in ([h.error() for h in five], [h.error(slice(80)) for h in five])]
+    lines += [
+        f"{'mean':16s} {mean[0]:7.2%} {mean[1]:9.2%}",
+        "",
+        "two hits, two accelerometers: one rebuilt from the other, error from 8 samples before to 30 after the peak",
+        f"{'sensors':12s} {'hit':18s} {'error':>7s} {'peak':>7s} {'in 95 % band':>13s}  rule",
+    ]
+    for hits in two:
+        for hit in hits:
+            lines.append(
+                f"{'+'.join(hit.sensors):12s} {hit.name:18s} {hit.error(hit.around()):7.2%} {hit.peak_error:+7.2%}"
+                f" {hit.covered:13.1%}  {hit.estimate.choice.rule}"
+            )
+    both = two[0][0].estimate
+    lines.append(f"weights of the sensors: {both.choice.sigma_source}")
+    lines.append(f"flags: {', '.join(sorted(five[0].estimate.codes))}; {', '.join(sorted(both.codes))}")
+    return "\n".join(lines)
+
+
+def picture(path: Path, five: list[Rebuilt], two: list[Rebuilt]) -> None:
+    """Measured and rebuilt force with the band, one hit of each record."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    for ax, hit, title in zip(
+        figure.subplots(1, 2),
+        (five[0], two[0]),
+        ("hit 1 of 5 from the other four", "hit 2 from hit 1, two sensors"),
+        strict=True,
+    ):
+        span = hit.around(20, 60)
+        low, high = hit.estimate.band()
+        t = 1e3 * hit.estimate.axis.values[span]
+        unit = hit.estimate.units[0]
+        ax.fill_between(t, low[span, 0], high[span, 0], alpha=0.3, color="C0", label="95 % band")
+        ax.plot(t, hit.estimate.load[span, 0], color="C0", label="rebuilt")
+        ax.plot(t, hit.force.values[span, 0], "k--", lw=1, label="measured")
+        ax.set(xlabel="time in ms", ylabel=f"force in {unit}" if unit == "N" else f"force ({unit} unit)", title=title)
+        ax.legend()
+    figure.savefig(path, dpi=130)
+
+
+def main() -> None:
+    """Print the tables and save the picture."""
+    five = five_hits()
+    two = [two_hits(sensors) for sensors in (("m_1", "m_2"), ("m_2",), ("m_1",))]
+    sys.stdout.write(table(five, two) + "\n")
+    target = Path("hammer_log.png")
+    picture(target, five, two[0])
+    sys.stdout.write(f"picture: {target}\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""The case studies, pinned: the figures that the README and the reports quote."""
+
+import numpy as np
+import pytest
+
+from case_studies import hammer_log, impact_plate
+
+from .data import measured
+
+
+@pytest.fixture(scope="module")
+def hits():
+    measured("hammer_five_hits", "measurements_1.npy")
+    return hammer_log.five_hits()
+
+
+@pytest.fixture(scope="module")
+def both():
+    measured("hammer_two_hits", "long_single_header_multi_ch.lvm")
+    return hammer_log.two_hits()
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return impact_plate.table(0.01, seeds=20)
+
+
+class TestFiveHits:
+    def test_whole_record(self, hits):
+        errors = [h.error() for h in hits]
+        assert np.mean(errors) <= 0.093
+        assert max(errors) <= 0.104
+
+    def test_first_samples(self, hits):
+        assert max(h.error(slice(80)) for h in hits) <= 0.065
+
+    def test_peak(self, hits):
+        assert max(abs(h.peak_error) for h in hits) <= 0.025
+
+    def test_band(self, hits):
+        assert all(0.90 <= h.covered <= 0.99 for h in hits)
+
+    def test_verified_by_the_hits_themselves(self, hits):
+        assert all("W114" not in h.estimate.codes for h in hits)
+        assert "each predicted from the others" in hits[0].estimate.verified
+
+
+class TestTwoHits:
+    def test_both_sensors(self, both):
+        assert both[0].error(both[0].around()) <= 0.04
+        assert both[1].error(both[1].around()) <= 0.06
+
+    def test_the_poor_sensor_does_not_hurt(self, both):
+        """Both sensors are as good as the good one alone, within a tenth."""
+        alone = hammer_log.two_hits(("m_2",))
+        total = [sum(h.error(h.around()) for h in hits) for hits in (both, alone)]
+        assert total[0] <= 1.1 * total[1]
+        poor = hammer_log.two_hits(("m_1",))
+        assert min(h.error(h.around()) for h in poor) > 0.2
+
+    def test_weights_are_stated(self, both):
+        assert "roughness" in both[0].estimate.choice.sigma_source
+
+    def test_picture(self, both, tmp_path):
+        measured("hammer_five_hits", "measurements_1.npy")
+        hammer_log.picture(tmp_path / "x.png", both, both)
+        assert (tmp_path / "x.png").stat().st_size > 10_000
+
+
+class TestImpactPlate:
+    def test_default_is_near_the_best_lambda(self, rows):
+        assert max(r.ratio["default"] for r in rows) <= 1.20
+
+    def test_the_best_lambda_is_that_of_the_published_set_up(self, rows):
+        """Oracle errors of a dense reference calculation of the same set-up."""
+        assert [r.best for r in rows] == pytest.approx([0.191, 0.233, 0.070, 0.092, 0.067, 0.128], rel=0.05)
+
+    def test_strain_beats_displacement(self, rows):
+        displacement, strain = rows[:2], rows[2:4]
+        assert min(r.best for r in displacement) > 2 * max(r.best for r in strain)
+
+    def test_disagreement_is_flagged_for_displacement(self, rows):
+        assert all(r.flagged > 0.5 and r.spread > 1 for r in rows[:2])
+
+    def test_no_choice_of_lambda_is_no_solution(self):
+        """The unregularised solution is worthless."""
+        plate, g = impact_plate.model("displacement", 0.0), impact_plate.force()
+        y = plate.predict(g, impact_plate.DT)
+        y = y + 0.01 * np.linalg.norm(y) / np.sqrt(len(y)) * np.random.default_rng(0).standard_normal(y.shape)
+        from loadid import Deconvolution, NotIdentifiable
+
+        with pytest.raises(NotIdentifiable):
+            Deconvolution(plate, penalty=None).estimate(y, dt=impact_plate.DT)
+
+    def test_picture(self, tmp_path):
+        impact_plate.picture(tmp_path / "x.png")
+        assert (tmp_path / "x.png").stat().st_size > 10_000
