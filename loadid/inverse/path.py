@@ -166,13 +166,25 @@ class FactoredPath:
         seen = s > 1e-10 * s.max(initial=0.0)
         gamma = np.where(seen, c / np.where(seen, s, 1.0), 0.0)
         self.scale = np.asarray(gamma.max(axis=-1))
-        if not np.all(np.isfinite(self.scale)) or np.all(self.scale <= 0):
+        if not all(np.all(np.isfinite(x)) for x in (c, s, beta)):
+            raise InputError(
+                "NaN or inf in the operator or the data", where="inverse problem", expected="no such number"
+            )
+        if np.all(self.scale <= 0):
             raise InputError(
                 "the forward model is zero: no load moves any sensor",
                 where="inverse problem",
                 found="largest singular value 0",
                 expected="a sensor that sees a load",
                 hint="check the sensors, the loads and the units",
+            )
+        if not 1e-140 < c.max() < 1e140:  # squares of these would leave the range of double precision
+            raise InputError(
+                "the forward model is beyond the range of numbers",
+                where="inverse problem",
+                found=f"largest singular value {c.max():.2g}",
+                expected="between 1e-140 and 1e140",
+                hint="check the units",
             )
         self._gamma, self._seen, self._beta2 = gamma, seen, np.abs(beta) ** 2
 
@@ -186,7 +198,7 @@ class FactoredPath:
     def range(self) -> tuple[float, float]:
         """Relative lambda from below the smallest generalised singular value that rounding leaves, up to 1."""
         floor = 10 * np.finfo(float).eps * np.sqrt(self.c.shape[-1])
-        relative = self._gamma / np.atleast_1d(self.scale)[..., None]
+        relative = self._gamma / np.where(self.scale > 0, self.scale, 1.0)[..., None]
         smallest = np.min(relative[relative > floor], initial=1.0)
         # well-conditioned problems must be able to choose next to no regularisation
         return float(max(floor, 1e-3 * smallest)), 1.0
@@ -199,7 +211,10 @@ class FactoredPath:
             keep = (c > 0) & (c >= x * s * (1 - 1e-12))
             return keep.astype(float), (~keep).astype(float)
         d = c**2 + (x * s) ** 2
-        return c**2 / d, (x * s) ** 2 / d
+        if d.all():
+            return c**2 / d, (x * s) ** 2 / d
+        safe = np.where(d > 0, d, 1.0)  # neither seen nor penalised (lambda 0): nothing is taken from the data
+        return c**2 / safe, np.where(d > 0, (x * s) ** 2 / safe, 1.0)
 
     def at(self, lam: ArrayLike) -> PathPoint:
         """Scalars of the path at relative `lam`, shape (k,); for a stack (lines, k)."""
@@ -219,6 +234,8 @@ class FactoredPath:
 
     def _absolute(self, lam: NDArray) -> NDArray:
         """Absolute lambda, with an axis for the modes at the end: shape (..., lams, 1)."""
+        if not np.all(lam >= 0):
+            raise InputError("no relative lambda", where="lambda", found=lam, expected="finite numbers >= 0")
         return (lam * self.scale[..., None])[..., None]
 
     def _point(self, lam: NDArray) -> PathPoint:
@@ -234,7 +251,8 @@ class FactoredPath:
         if not self.smooth:
             return PathPoint(residual2, penalty2, edf, edf2, left)
         gamma = self._gamma[..., None, :]
-        x = self._absolute(lam)
+        with np.errstate(divide="ignore", invalid="ignore"):  # lambda 0: the ratio is infinite
+            ratio = np.where(self._seen[..., None, :] & (gamma > 0), gamma / self._absolute(lam), 0.0)
         return PathPoint(
             residual2,
             penalty2,
@@ -243,7 +261,7 @@ class FactoredPath:
             left,
             sensitivity=2 * self._norm(g * gain * self.beta[..., None, :]),
             objective=np.sum(w * g * b2, axis=-1) + outside,
-            log_ratio=np.sum(w * self._seen[..., None, :] * np.log1p((gamma / x) ** 2), axis=-1),
+            log_ratio=np.sum(w * np.log1p(ratio**2), axis=-1),
         )
 
     def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64]:

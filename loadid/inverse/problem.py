@@ -78,6 +78,13 @@ class LinearProblem:
                 expected="finite numbers",
                 hint="leave out or repair the samples",
             )
+        if L is not None and not (np.ndim(L) == 2 and np.shape(L)[1] == H.shape[-1] and np.all(np.isfinite(L))):
+            raise InputError(
+                "the penalty matrix does not fit the unknowns",
+                where="penalty",
+                found=f"shape {np.shape(L)}, or NaN",
+                expected=f"finite, shape (rows, {H.shape[-1]})",
+            )
         Hw, yw = whiten(H, noise, axis=-2), whiten(y[..., None], noise, axis=-2)[..., 0]
         n = H.shape[-1]
         return cls(Hw.reshape(-1, n), yw.reshape(-1), L, y.shape, shape or (n,))
@@ -107,6 +114,8 @@ def whiten(values: NDArray, noise: ArrayLike | None, axis: int) -> NDArray:
         if np.any(noise <= 0):
             raise InputError("a noise std must be positive", where="noise", found=noise.tolist(), expected="> 0")
         return np.moveaxis(moved / noise, -1, axis)
+    if not np.allclose(noise, noise.T, rtol=1e-8, atol=0):
+        raise InputError("the noise covariance is not symmetric", where="noise", expected="R = R^T")
     try:
         factor = np.linalg.cholesky(noise)
     except np.linalg.LinAlgError:

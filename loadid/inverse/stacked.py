@@ -48,6 +48,9 @@ class StackedPath(FactoredPath):
                 found=f"H {H.shape}, Y {Y.shape}",
                 expected="H (lines, sensors, loads), Y (lines, sensors)",
             )
+        if not (np.all(np.isfinite(H)) and np.all(np.isfinite(Y))):
+            raise InputError("NaN or inf in the lines or the data", where="stacked problem", expected="finite numbers",
+                             hint="leave out these lines")  # fmt: skip
         self.U, c, self.V, beta, outside = factor(H, Y)
         self.H, self.Y = H, Y
         super().__init__(c, np.ones_like(c), beta, outside, H.shape[1])

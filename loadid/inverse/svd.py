@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.errors import NotIdentifiable
+from structures.errors import InputError, NotIdentifiable
 
 from .path import FactoredPath, Solution
 from .posterior import DensePosterior
@@ -34,6 +34,11 @@ class SVDPath(FactoredPath):
         self.problem = problem
         H, y, L = problem.H, problem.y, problem.L
         m, n = H.shape
+        if np.iscomplexobj(H) or np.iscomplexobj(y):
+            raise InputError(
+                "the dense path takes real problems", where="inverse problem", found="complex numbers",
+                expected="real operator and data", hint="StackedPath takes complex lines",
+            )  # fmt: skip
         if L is None:
             U, c, W = _svd(H)
             c, W = _pad(c, n), W.T
@@ -44,7 +49,9 @@ class SVDPath(FactoredPath):
         beta = _pad(U.T @ y, n)
         outside = float(np.sum((y - U @ (U.T @ y)) ** 2))
         self.singular_values = np.linalg.svdvals(H) if L is not None else c[: min(m, n)]
-        super().__init__(c, s, beta, outside, m, null=null, truncated=truncated)
+        c = np.where(c > max(m, n) * np.finfo(float).eps * c.max(), c, 0.0)  # sums run over the rank, never over n
+        weight = (np.arange(n) < m).astype(float)  # with fewer data than unknowns the other modes meet no data at all
+        super().__init__(c, s, beta, outside, m, weight=weight, null=null, truncated=truncated)
         self._orthonormal = L is None
 
     @property
@@ -67,7 +74,7 @@ class SVDPath(FactoredPath):
         if self.smooth:
             x = lam * float(self.scale)
             d = self.c**2 + (x * self.s) ** 2
-            factor = self.X * (sigma / np.sqrt(d))
+            factor = self.X * np.where(d > 0, sigma / np.sqrt(np.where(d > 0, d, 1.0)), 0.0)
         else:  # a hard cut-off has no prior: the noise of the kept modes only
             f, _ = self._filter(np.array([lam]))
             keep = f[0] > 0
@@ -111,6 +118,8 @@ def _gsvd(H: NDArray, L: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     import scipy.linalg
 
     m, n = H.shape
+    if not np.any(L):
+        raise InputError("the penalty matrix is zero", where="penalty", expected="a matrix that penalises something")
     alpha = np.linalg.norm(H) / np.linalg.norm(L)
     Q, R = scipy.linalg.qr(np.vstack([H, alpha * L]), mode="economic")
     _refuse_common_null_space(R, n)

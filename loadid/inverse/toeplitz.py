@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.errors import InputError
+from structures.errors import InputError, NotIdentifiable
 from structures.spectra import multiplicity, padded_length, smooth_lines
 
 from . import stacked
@@ -74,7 +74,10 @@ class SpectralPath(FactoredPath):
                 found=f"H {H.shape}, noise power {power.shape}",
                 expected=f"({lines}, {sensors}, loads) and positive ({lines}, {sensors})",
             )
-        # spectra are divided by sqrt(samples): noise has unit energy on each line, and lambda means what it means in time
+        if not all(np.all(np.isfinite(x)) for x in (H, y, power, *(v for v in (variance, excess) if v is not None))):
+            raise InputError("NaN or inf in the model, the record or its noise", where="spectral path",
+                             expected="finite numbers", hint="leave out or repair the samples")  # fmt: skip
+        # spectra are divided by sqrt(samples): noise has unit energy on each line, and lambda keeps its meaning in time
         root = np.sqrt(power)
         self.H = H * (np.sqrt(self.samples) / root)[..., None]
         self.Y = fft.rfft(y, self.padded, axis=0) / root
@@ -82,6 +85,8 @@ class SpectralPath(FactoredPath):
         self.penalty_lines = symbol(penalty, 2 * np.pi * np.arange(lines) / self.padded)
         self.variance = None if variance is None else variance / power[..., None]
         self.excess = None if excess is None else excess / power
+        if self.penalty_lines[0] == 0:
+            self._refuse_unseen_constant(c)
         weight = multiplicity(self.padded) * self.samples / self.padded
         modes = c.shape[1]
         super().__init__(
@@ -96,6 +101,16 @@ class SpectralPath(FactoredPath):
         )
         self.shape = (lines, modes)
         self.unknowns = self.samples * loads
+
+    def _refuse_unseen_constant(self, c: NDArray) -> None:
+        least = float(c[0].min() / c.max()) if c.shape[1] == self.H.shape[2] and c.max() > 0 else 0.0
+        if least <= c.size * np.finfo(float).eps:
+            raise NotIdentifiable(
+                "a constant load is seen neither by the sensors nor by the penalty "
+                f"(relative singular value {least:.2g} at zero frequency)",
+                advice="add a sensor that sees a constant load, or choose penalty='identity'",
+                code="LID-E306",
+            )
 
     @property
     def rank(self) -> int:
