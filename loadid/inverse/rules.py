@@ -99,8 +99,27 @@ def upre(sweep: Sweep) -> RuleResult:
 
 
 def quasi_optimality(sweep: Sweep) -> RuleResult:
-    """Smallest change of the load with ln lambda."""
-    return _minimum("quasi_optimality", sweep, lambda p: need(p, "sensitivity", "quasi_optimality"))
+    """Smallest change of the load with ln lambda, above the smallest generalised singular value.
+
+    Below it the load no longer changes whatever the data, so that the smallest change there says nothing.
+    """
+    need(sweep.point, "sensitivity", "quasi_optimality")
+    return _minimum("quasi_optimality", _above_modes(sweep), lambda p: need(p, "sensitivity", "quasi_optimality"))
+
+
+def _above_modes(sweep: Sweep) -> Sweep:
+    """The sweep without what lies below the smallest generalised singular value that rounding leaves."""
+    modes = sweep.path.coefficients
+    if modes is None:
+        return sweep
+    relative = modes.gamma / modes.gamma.max()
+    floor = 10 * np.finfo(float).eps * np.sqrt(len(relative))
+    keep = sweep.lam >= np.min(relative[relative > floor], initial=1.0)
+    if np.sum(keep) < 3:
+        raise Refusal("quasi_optimality needs singular values that differ")
+    p = sweep.point
+    fields = {name: None if value is None else value[keep] for name, value in vars(p).items()}
+    return Sweep(sweep.path, sweep.lam[keep], PathPoint(**fields), sweep.sigma)  # type: ignore[arg-type]
 
 
 def evidence(sweep: Sweep) -> RuleResult:
@@ -109,7 +128,7 @@ def evidence(sweep: Sweep) -> RuleResult:
 
     def negative(p: PathPoint) -> NDArray:
         J, ratio = need(p, "objective", "evidence"), need(p, "log_ratio", "evidence")
-        return ratio + (J / sigma**2 if sigma is not None else (path.m - path.null) * np.log(J))
+        return ratio + (J / sigma**2 if sigma is not None else (path.m - path.null) * _log(J))
 
     return _minimum("evidence", sweep, negative)
 
@@ -120,10 +139,9 @@ def predicted_error(sweep: Sweep) -> RuleResult:
     The other rules aim at the response; the load wants more regularisation where its fine detail costs much noise.
     Faraway & Jhun, J. Am. Stat. Assoc. 85 (1990) 1119, for the bootstrap choice of a smoothing parameter.
     """
-    path, pilot = sweep.path, _pilot(sweep)
-    point = path.at(pilot.lam)
+    path, start = sweep.path, _pilot(sweep)
+    point = path.at(start)
     sigma = sweep.sigma or float(np.sqrt(point.residual2 / need(point, "left", "predicted_error")))
-    start = pilot.lam
 
     def error(lam: NDArray) -> NDArray:
         value = path.predicted_error(lam, start, sigma)
@@ -134,17 +152,17 @@ def predicted_error(sweep: Sweep) -> RuleResult:
     return _search("predicted_error", sweep, error)
 
 
-def _pilot(sweep: Sweep) -> RuleResult:
-    """Robust GCV, unless it gives up more than `TOO_ROBUST` of the predictive fit that plain GCV finds."""
+def _pilot(sweep: Sweep) -> float:
+    """Lambda of robust GCV, unless it gives up more than `TOO_ROBUST` of the predictive fit that plain GCV finds."""
     robust, plain = robust_gcv(sweep), gcv(sweep)
 
     def fit(result: RuleResult) -> float:
-        return float(gcv_function(sweep.path, sweep.path.at(result.lam or sweep.lam[-1])))
+        return float(gcv_function(sweep.path, sweep.path.at(sweep.lam[-1] if result.lam is None else result.lam)))
 
     pilot = plain if not plain.edge and fit(robust) > TOO_ROBUST * fit(plain) else robust
     if pilot.edge or pilot.lam is None:
         raise Refusal("predicted_error needs a minimum of robust GCV or GCV inside the sweep")
-    return pilot
+    return pilot.lam
 
 
 # -- rules of another form -------------------------------------------------------------------------------------------
@@ -169,11 +187,15 @@ def dof_discrepancy(sweep: Sweep) -> RuleResult:
 
 def curvature(lam: NDArray, residual2: NDArray, penalty2: NDArray) -> NDArray:
     """Signed curvature of the L-curve (ln |r|, ln |L g|), positive at a corner; same shape as `lam`."""
-    t, x, y = np.log(lam), 0.5 * np.log(residual2), 0.5 * np.log(np.maximum(penalty2, np.finfo(float).tiny))
+    t, x, y = np.log(lam), 0.5 * _log(residual2), 0.5 * _log(penalty2)
     dx, dy = np.gradient(x, t), np.gradient(y, t)
     ddx, ddy = np.gradient(dx, t), np.gradient(dy, t)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.nan_to_num((dx * ddy - ddx * dy) / (dx**2 + dy**2) ** 1.5, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _log(x: NDArray) -> NDArray:
+    return np.log(np.maximum(x, np.finfo(float).tiny))  # data may be zero throughout
 
 
 def l_curve(sweep: Sweep) -> RuleResult:
@@ -254,7 +276,8 @@ def run(name: str, sweep: Sweep) -> RuleResult:
     try:
         return RULES[name](sweep)
     except Refusal as why:
-        return RuleResult(name, None, note=str(why))
+        note = str(why)
+        return RuleResult(name, None, note=note if name in note else f"{name}: {note}")
 
 
 # -- one-dimensional searches on the grid ----------------------------------------------------------------------------
