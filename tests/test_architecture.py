@@ -1,0 +1,98 @@
+"""The one-way street: structures <- loadid <- tactile <- case_studies, and inside loadid only doors open families."""
+
+from __future__ import annotations
+
+import pytest
+
+from .sources import PACKAGES, imports, modules, within
+
+# package -> what nothing in it may import, at module level, inside a function, for a type or by name
+FORBIDDEN = {
+    "structures": ("loadid", "tactile", "case_studies", "tests"),
+    "loadid": ("tactile", "case_studies", "tests"),
+    "tactile": ("case_studies", "tests"),
+    "loadid.inverse": (
+        "loadid.families", "loadid.readers", "loadid.record", "loadid.quality", "loadid.estimate", "loadid.validate",
+        "loadid.flags", "loadid.summary", "loadid.plots", "loadid.report", "loadid.archive", "loadid.provenance",
+        "loadid.progress", "loadid.cli", "loadid.commands", "loadid.lab", "loadid.batch", "loadid.stream",
+    ),
+    "loadid.readers": ("loadid.families", "loadid.inverse", "loadid.estimate", "loadid.plots", "loadid.report"),
+    "loadid.plots": ("loadid.families", "loadid.readers", "loadid.inverse.svd", "loadid.inverse.toeplitz"),
+    "loadid.families": ("loadid.readers", "loadid.plots", "loadid.report", "loadid.cli", "loadid.commands"),
+}  # fmt: skip
+DOORS = ("loadid.__init__", "loadid.cli", "loadid.commands", "loadid.lab", "loadid.batch", "loadid.stream")
+
+
+def offences(module: str, source: str) -> list[str]:
+    """What a module imports and may not."""
+    loaded = sorted(imports(source, module))
+    bad = [
+        f"{module} imports {name}: {package} may not"
+        for package, banned in FORBIDDEN.items()
+        if within(module.removesuffix(".__init__"), package)
+        for name in loaded
+        if any(within(name, b) for b in banned)
+    ]
+    inside = any(within(module, door) for door in (*DOORS, "loadid.families"))
+    if within(module, "loadid") and not inside:
+        bad += [
+            f"{module} imports {name}: only {', '.join(DOORS)} may"
+            for name in loaded
+            if within(name, "loadid.families")
+        ]
+    return bad
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_imports_run_one_way(package: str) -> None:
+    found = [offence for module, path in modules(package) for offence in offences(module, path.read_text("utf-8"))]
+    assert not found, "\n".join(found)
+
+
+def test_every_package_is_read() -> None:
+    read = {module for module, _ in modules(*PACKAGES)}
+    assert {"structures.model", "loadid.inverse.svd", "loadid.families.deconvolution", "tactile.__init__"} <= read
+
+
+OFFENDERS = [
+    ("structures.model", "import loadid"),
+    ("structures.model", "def f():\n    from loadid.record import Record"),
+    ("structures.model", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from loadid import Record"),
+    ("structures.model", "import numpy, case_studies.impact_plate"),
+    ("structures.__init__", "TABLE = {'Pad': 'tactile.pad'}"),
+    ("loadid.report", "from tactile import pad"),
+    ("loadid.__init__", "import importlib\nimportlib.import_module('tactile.pad')"),
+    ("loadid.readers.csv_table", "from ..families import deconvolution"),
+    ("loadid.inverse.rules", "from ..families.deconvolution import Deconvolution"),
+    ("loadid.inverse.rules", "from .. import estimate"),
+    ("loadid.inverse.rules", "import importlib\nimportlib.import_module('..readers', __package__)"),
+    ("loadid.inverse.__init__", "from ..plots import plot"),
+    ("loadid.plots", "def f():\n    from .inverse.svd import SVDPath"),
+    ("loadid.validate", "from .families.deconvolution import Deconvolution"),
+    ("loadid.validate", "from importlib import import_module\nname = 'loadid.families.deconvolution:Deconvolution'"),
+    ("loadid.estimate", "from . import families"),
+    ("tactile.pad", "from case_studies import hammer_log"),
+]
+CLEAN = [
+    ("structures.model", "import numpy as np\nfrom .errors import InputError\ntext = 'loadid turns it back'"),
+    ("loadid.__init__", "TABLE = {'Deconvolution': 'loadid.families.deconvolution'}"),
+    ("loadid.commands.identify", "from loadid.families.deconvolution import Deconvolution"),
+    ("loadid.cli", "from .families import deconvolution"),
+    ("loadid.batch.run", "from ..families import deconvolution"),
+    (
+        "loadid.families.static",
+        "from .data import gather\nfrom ..inverse.svd import SVDPath\nfrom ..estimate import LoadEstimate",
+    ),
+    ("loadid.inverse.svd", "from structures.errors import InputError\nfrom .path import Solution\nfrom . import rules"),
+    ("tactile.pad", "from loadid import LoadEstimate\nfrom loadid.families.static import StaticInversion"),
+]
+
+
+@pytest.mark.parametrize(("module", "source"), OFFENDERS)
+def test_an_offending_import_is_caught(module: str, source: str) -> None:
+    assert offences(module, source)
+
+
+@pytest.mark.parametrize(("module", "source"), CLEAN)
+def test_a_rightful_import_passes(module: str, source: str) -> None:
+    assert offences(module, source) == []
