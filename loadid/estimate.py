@@ -77,7 +77,7 @@ class LoadEstimate:
     load : array, shape (samples, loads) or (loads,)
         SI units, as named in `units`.
     std : array, the shape of `load`
-        Standard deviation: noise, prior, errors of a measured model, and `bias`.
+        Standard deviation: noise, prior, errors of a measured model; not less than the modulus of `bias`.
     bias : array, the shape of `load`, optional
         What regularisation is expected to hide, at least: what it would take away from a load like the estimate.
     labels, units : sequence of str
@@ -228,7 +228,7 @@ class LoadEstimate:
                 weights[~self._window(window)] = 0
         variance = None if self.posterior is None else np.asarray(self.posterior.variance(weights)).item()
         hidden = 0.0 if self.bias is None else float(np.sum(weights * self.bias))
-        std = None if variance is None else float(np.sqrt(max(variance, 0.0) + hidden**2))
+        std = None if variance is None else max(float(np.sqrt(max(variance, 0.0))), abs(hidden))
         return Functional(name, float(np.sum(weights * self.load)), std, unit)
 
     def _index(self, load: int | str) -> int:

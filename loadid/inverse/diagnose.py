@@ -33,14 +33,22 @@ def width(spread: NDArray, peak: int) -> float:
 
 def resolution(path: SVDPath | SpectralPath, lam: float, load: NDArray) -> tuple[float, float]:
     """Width in samples of the answer to a single-sample load at the peak, and the share of its height that is lost."""
-    if isinstance(path, SpectralPath):
-        spread = np.roll(path.point_spread(lam), len(load))
-        peak = len(load)
-    else:
-        k = int(np.argmax(np.abs(load)))
-        loads = load.shape[1]
-        spread = path.resolution_column(lam, k)[k % loads :: loads]
-        peak = k // loads
-    if spread[peak] <= 0:
+    sample, j = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
+    unit = np.zeros(load.shape)
+    unit[sample, j] = 1.0
+    spread = path.resolve(unit, lam)[:, j]
+    if spread[sample] <= 0:
         return float(len(load)), 1.0
-    return width(spread, peak), float(1 - spread[peak])
+    return width(spread, int(sample)), float(1 - spread[sample])
+
+
+def hidden(path: SVDPath | SpectralPath, lam: float, load: NDArray, std: NDArray) -> NDArray[np.float64]:
+    """What regularisation is expected to hide, (R - I) g for the part of the estimate that stands out of its noise.
+
+    The estimate itself has lost it already (low frequencies that accelerometers do not see, for one, come back as a slow
+    undershoot); its clear part, above three standard deviations and a tenth of the peak, still holds it. Zero for an
+    estimate that is all noise.
+    """
+    size = np.abs(load)
+    clear = np.where(size > np.maximum(3 * std, 0.1 * size.max(axis=0)), load, 0.0)
+    return path.resolve(clear, lam) - clear

@@ -53,20 +53,10 @@ class Coefficients:
 
 @dataclass(frozen=True)
 class Solution:
-    """Load coefficients at one lambda, and what is known of their error.
-
-    Parameters
-    ----------
-    load : array
-    posterior : Posterior or None
-    bias : array or None
-        What regularisation does to a load like the estimate, (R - I) g with the resolution matrix R: a lower bound of
-        what it hides, since the estimate has lost it once already.
-    """
+    """Load coefficients at one lambda, and what is known of their error."""
 
     load: NDArray[np.float64]
     posterior: Posterior | None
-    bias: NDArray[np.float64] | None = None
 
 
 @runtime_checkable
@@ -121,6 +111,10 @@ class RegularizationPath(Protocol):
 
     def solution(self, lam: float, sigma: float | None) -> Solution:
         """Load coefficients and posterior at noise level `sigma` of the whitened data."""
+        ...
+
+    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+        """What would be estimated from the noise-free response of `load`: the resolution matrix applied to it."""
         ...
 
 
@@ -282,11 +276,6 @@ class FactoredPath:
     def _norm(self, coefficients: NDArray) -> NDArray:
         """Norm of the load with these mode coefficients; the modes are orthonormal unless a subclass says otherwise."""
         return np.sqrt(np.sum(self.weight * np.abs(coefficients) ** 2, axis=-1))
-
-    def lost(self, lam: ArrayLike) -> NDArray:
-        """Mode coefficients that filtering the solution once more would take away, (1 - f) gains."""
-        _, g = self._filter(np.asarray(lam, float)[..., None])
-        return g[..., 0, :] * self.gains(lam)
 
     def gains(self, lam: ArrayLike) -> NDArray:
         """Mode coefficients f / c * beta of the solution at one relative `lam` (per line of a stack)."""

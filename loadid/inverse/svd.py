@@ -68,9 +68,8 @@ class SVDPath(FactoredPath):
     def solution(self, lam: float, sigma: float | None) -> Solution:
         """Load and, with the noise level `sigma` of the whitened data, its posterior."""
         load = (self.X @ self.gains(lam)).reshape(self.problem.shape)
-        bias = -(self.X @ self.lost(lam)).reshape(self.problem.shape)
         if sigma is None:
-            return Solution(load, None, bias)
+            return Solution(load, None)
         if self.smooth:
             x = lam * float(self.scale)
             d = self.c**2 + (x * self.s) ** 2
@@ -79,21 +78,14 @@ class SVDPath(FactoredPath):
             f, _ = self._filter(np.array([lam]))
             keep = f[0] > 0
             factor = self.X[:, keep] * (sigma / self.c[keep])
-        return Solution(load, DensePosterior(factor, self.problem.shape), bias)
+        return Solution(load, DensePosterior(factor, self.problem.shape))
 
-    def resolution_column(self, lam: float, k: int) -> NDArray[np.float64]:
-        """Answer (n,) to a unit load in unknown k: one column of the resolution matrix."""
+    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+        """What would be estimated from the noise-free response of `load`: R g with the resolution matrix R."""
         f, _ = self._filter(np.array([lam]))
-        unit = np.zeros(self.X.shape[0])
-        unit[k] = 1.0
-        modal = self.X[k] if self._orthonormal else np.linalg.solve(self.X, unit)
-        return self.X @ (f[0] * modal)
-
-    def resolution(self, lam: float) -> NDArray[np.float64]:
-        """Resolution matrix R with E[g] = R g_true, shape (n, n)."""
-        f, _ = self._filter(np.array([lam]))
-        inverse = self.X.T if self._orthonormal else np.linalg.solve(self.X, np.eye(len(self.X)))
-        return (self.X * f[0]) @ inverse
+        g = load.reshape(-1)
+        modal = self.X.T @ g if self._orthonormal else np.linalg.solve(self.X, g)
+        return (self.X @ (f[0] * modal)).reshape(load.shape)
 
     def _lengths2(self) -> NDArray | float:
         return 1.0 if self._orthonormal else np.sum(self.X**2, axis=0)

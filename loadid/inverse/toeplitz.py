@@ -120,10 +120,7 @@ class SpectralPath(FactoredPath):
 
     def spectrum(self, lam: float) -> NDArray[np.complex128]:
         """Load spectrum (lines, loads) of the padded transform."""
-        return self._expand(self.gains(lam))
-
-    def _expand(self, coefficients: NDArray) -> NDArray[np.complex128]:
-        return np.sqrt(self.samples) * np.einsum("klr,kr->kl", self.V, coefficients.reshape(self.shape))
+        return np.sqrt(self.samples) * np.einsum("klr,kr->kl", self.V, self.gains(lam).reshape(self.shape))
 
     def residual(self, lam: float) -> NDArray[np.float64]:
         """Whitened residual (samples, sensors), unit variance where the noise level is right."""
@@ -137,17 +134,18 @@ class SpectralPath(FactoredPath):
         from scipy import fft
 
         G = self.spectrum(lam)
-        load, lost = (fft.irfft(x, self.padded, axis=0)[: self.samples] for x in (G, self._expand(self.lost(lam))))
+        load = fft.irfft(G, self.padded, axis=0)[: self.samples]
         if sigma is None:
-            return Solution(load, None, -lost)
-        return Solution(load, SpectralPosterior(self._covariance(lam, sigma, G), self.samples, self.padded), -lost)
+            return Solution(load, None)
+        return Solution(load, SpectralPosterior(self._covariance(lam, sigma, G), self.samples, self.padded))
 
-    def point_spread(self, lam: float) -> NDArray[np.float64]:
-        """Answer to a unit impulse at sample 0, mean over the loads, shape (padded,)."""
+    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+        """What would be estimated from the noise-free response of `load` (samples, loads)."""
         from scipy import fft
 
         f = self._filter(np.array([lam]))[0].reshape(self.shape)
-        return fft.irfft(f.mean(axis=1), self.padded)
+        modal = np.einsum("klr,kl->kr", self.V.conj(), fft.rfft(load, self.padded, axis=0))
+        return fft.irfft(np.einsum("klr,kr->kl", self.V, f * modal), self.padded, axis=0)[: self.samples]
 
     def _covariance(self, lam: float, sigma: float, G: NDArray) -> NDArray:
         """Covariance (lines, loads, loads) of the load spectrum: noise, prior and FRF variance."""
