@@ -175,14 +175,17 @@ def gcv_minimum(choice: Choice) -> Flag | None:
     ratio = float(G.max() / G.min()) if len(G) else np.inf
     if not found.edge and ratio >= FLAT:
         return None
-    evidence = (
-        Evidence("GCV lambda", found.lam, "inside the sweep") if found.edge else Evidence("GCV max/min", ratio, FLAT)
-    )
+    if found.edge:
+        evidence = Evidence("GCV lambda", found.lam, "inside the sweep")
+        advice = "at the lower end the data ask for no regularisation; at the upper end they carry no information"
+    else:
+        evidence = Evidence("GCV max/min", ratio, FLAT)
+        advice = "the response hardly depends on lambda here: compare the rules, and state the noise of the sensors"
     return Flag(
         "W402",
         evidence,
         f"GCV did not find a minimum (relative lambda {found.lam:.3g})",
-        "at the lower end the data ask for no regularisation; at the upper end they carry no information",
+        advice,
     )
 
 
