@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 SECOND_HIT = 0.2  # share of the main peak that a separate later pulse must reach
-RAIL = 3  # consecutive samples at the extreme that count as clipped
+RAIL = 3  # consecutive equal samples at the extreme that count as clipped
+QUIET = 8  # peak over scatter of the second half, below which there is no hit
 
 
 @dataclass(frozen=True)
@@ -24,7 +27,7 @@ class Hit:
     peak : float
         Force of largest modulus, signed.
     digests : tuple of str
-        Digest of each response, so that a later test can tell whether it was used for training.
+        Digest of each response as recorded, so that a later test can tell whether it was used for training.
     """
 
     name: str
@@ -34,53 +37,84 @@ class Hit:
     digests: tuple[str, ...] = ()
 
 
-def judge(force: NDArray, responses: NDArray) -> str:
-    """Reason to reject a hit, or "".
+def digests(columns: NDArray) -> tuple[str, ...]:
+    """sha256 of the samples of each column of an array (samples, columns)."""
+    return tuple(hashlib.sha256(np.ascontiguousarray(c, float).tobytes()).hexdigest() for c in np.asarray(columns).T)
+
+
+def unusable(force: NDArray, responses: NDArray, labels: Sequence[str]) -> str:
+    """Why no FRF at all can be made of a record: numbers that are missing, or a channel that never moves; else ""."""
+    if not (np.all(np.isfinite(force)) and np.all(np.isfinite(responses))):
+        return "NaN or inf in the record"
+    if not np.any(force):
+        return "no hit: the force is zero throughout"
+    dead = [label for label, x in zip(labels, responses.T, strict=True) if np.ptp(x) == 0]
+    return f"dead: {', '.join(dead)} never moves" if dead else ""
+
+
+def judge(force: NDArray, responses: NDArray, labels: Sequence[str]) -> str:
+    """Reason to reject a usable record, or "".
 
     Parameters
     ----------
     force : array, shape (samples,)
     responses : array, shape (samples, sensors)
+    labels : sequence of str
+        Names of the sensors.
     """
-    if not (np.all(np.isfinite(force)) and np.all(np.isfinite(responses))):
-        return "NaN or inf in the record"
     k = int(np.argmax(np.abs(force)))
-    peak = abs(force[k])
-    tail = force[len(force) // 2 :]
-    if peak == 0 or peak < 8 * np.std(tail):
-        return f"no hit: peak {peak:.3g} is less than 8 times the scatter {np.std(tail):.3g} of the second half"
-    run = flat_run(force, k)
-    if run >= RAIL:
+    peak, noise = abs(force[k]), scatter(force[len(force) // 2 :])
+    if peak < QUIET * noise:
+        return f"no hit: peak {peak:.3g} is less than {QUIET} times the scatter {noise:.3g} of the second half"
+    run = clipped(force, k)
+    if run:
         return f"clipped force: {run} consecutive samples at the peak {force[k]:.4g}"
-    second = second_pulse(force, k)
+    second = second_pulse(force, k, noise)
     if second is not None:
         return f"double hit: a second pulse of {abs(force[second]) / peak:.0%} at sample {second}"
-    for j in range(responses.shape[1]):
-        top = int(np.argmax(np.abs(responses[:, j])))
-        run = flat_run(responses[:, j], top)
-        if run >= RAIL:
-            return f"overload: response {j} has {run} consecutive samples at {responses[top, j]:.4g}"
+    for label, x in zip(labels, responses.T, strict=True):
+        for top in (int(np.argmax(x)), int(np.argmin(x))):
+            run = clipped(x, top)
+            if run:
+                return f"overload: {label} has {run} consecutive samples at {x[top]:.4g}"
     return ""
 
 
-def flat_run(x: NDArray, k: int) -> int:
-    """Number of consecutive samples equal to ``x[k]`` around sample k."""
-    same = x == x[k]
-    left = k - int(np.argmin(same[k::-1])) if not same[: k + 1].all() else -1
-    right = k + int(np.argmin(same[k:])) if not same[k:].all() else len(x)
-    return right - left - 1
+def scatter(x: NDArray) -> float:
+    """Standard deviation of the noise in `x` from its inner nine tenths: a second hit in there does not count."""
+    return float(np.quantile(np.abs(x - np.median(x)), 0.9) / 1.645)
 
 
-def second_pulse(force: NDArray, k: int) -> int | None:
+def clipped(x: NDArray, k: int) -> int:
+    """Length of the stretch of equal samples around an extreme `k`, 0 where it is too short to be a rail.
+
+    A crest that is only as flat as the last bit is no rail: its neighbours lie one level below. A cut crest leaves its
+    rail in a leap.
+    """
+    start, stop = flat_run(x, k)
+    if stop - start < RAIL:
+        return 0
+    beside = [x[i] for i in (start - 1, stop) if 0 <= i < len(x)]
+    leap = max((abs(x[k] - b) for b in beside), default=0.0)
+    levels = np.diff(np.unique(x))
+    return stop - start if len(levels) and leap > 2.5 * levels.min() else 0
+
+
+def flat_run(x: NDArray, k: int) -> tuple[int, int]:
+    """First sample and end of the stretch of samples equal to ``x[k]`` around sample k."""
+    other = np.flatnonzero(x != x[k])
+    at = int(np.searchsorted(other, k))
+    return (int(other[at - 1]) + 1 if at else 0), (int(other[at]) if at < len(other) else len(x))
+
+
+def second_pulse(force: NDArray, k: int, noise: float = 0.0) -> int | None:
     """Sample of a later or earlier pulse of the same sign that is separate from the one at k, or None.
 
     Separate: more than three widths away (at least 8 samples, so that the ringing of an anti-alias filter is not taken
-    for a hit).
+    for a hit). A pulse: a fifth of the peak, and above the noise.
     """
     x = np.sign(force[k]) * force
-    above = x > 0.5 * x[k]
-    width = flat_run(np.where(above, 1.0, 0.0), k)
-    gap = max(8, 3 * width)
-    far = np.abs(np.arange(len(x)) - k) > gap
-    candidates = np.flatnonzero(far & (x > SECOND_HIT * x[k]))
+    start, stop = flat_run(np.where(x > 0.5 * x[k], 1.0, 0.0), k)
+    far = np.abs(np.arange(len(x)) - k) > max(8, 3 * (stop - start))
+    candidates = np.flatnonzero(far & (x > max(SECOND_HIT * x[k], 6 * noise)))
     return None if len(candidates) == 0 else int(candidates[np.argmax(x[candidates])])

@@ -1,0 +1,196 @@
+"""From the records of an impact test to FRF (H1), its variance, coherence, residual power and certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .channels import Channel
+from .errors import InputError
+from .hits import Hit, digests, judge, unusable
+from .model import Certificate
+from .spectra import padded_length, smooth_lines
+
+NEIGHBOURS = 5  # lines on each side over which residual power is averaged
+
+
+@dataclass(frozen=True)
+class Impact:
+    """One record of an impact test: ``values`` (samples, 1 + sensors) with the force first."""
+
+    values: NDArray[np.float64]
+    dt: float
+    channels: tuple[Channel, ...]
+    name: str
+
+
+def from_hits(
+    records: Sequence[Any], dt: float | None, force: str | int, responses: Sequence[str | int], reject: bool
+) -> dict[str, Any]:
+    """Arguments of a measured model; parameters and errors as for `MeasuredModel.from_hits`."""
+    tests = _gather(records, dt, force, responses)
+    labels = [c.label for c in tests[0].channels[1:]]
+    hits = []
+    for t in tests:
+        f, y = t.values[:, 0], t.values[:, 1:]
+        reason = unusable(f, y, labels) or (judge(f, y, labels) if reject else "")
+        peak = float(f[np.argmax(np.nan_to_num(np.abs(f), posinf=0.0))])
+        hits.append(Hit(t.name, not reason, reason, peak if np.isfinite(peak) else 0.0, digests(y)))
+    used = [t for t, h in zip(tests, hits, strict=True) if h.used]
+    if not used:
+        raise InputError(
+            "no usable hit",
+            where="from_hits",
+            found="; ".join(f"{h.name}: {h.reason}" for h in hits),
+            expected="at least one clean hit",
+            hint="repeat the hits, or pass reject=False where a rejected one is good enough",
+        )
+    longest = max(len(t.values) for t in used)
+    stack = np.zeros((len(used), longest, used[0].values.shape[1]))
+    for row, t in zip(stack, used, strict=True):
+        row[: len(t.values)] = t.values
+    first = tests[0]
+    return {
+        **estimate(stack[..., 0], stack[..., 1:], first.dt, labels),
+        "loads": first.channels[:1],
+        "sensors": first.channels[1:],
+        "hits": hits,
+        "samples": longest,
+    }
+
+
+def estimate(force: NDArray, responses: NDArray, dt: float, labels: Sequence[str]) -> dict[str, Any]:
+    """H1 and what several hits tell of its errors.
+
+    Parameters
+    ----------
+    force : array, shape (hits, samples)
+    responses : array, shape (hits, samples, sensors)
+    dt : float
+    labels : sequence of str
+        Names of the sensors.
+
+    Returns
+    -------
+    dict
+        ``frequencies, H`` and, from two hits on, ``noise_power, variance, coherence, certificate``.
+
+    Notes
+    -----
+    Bendat & Piersol, Random Data, ch. 6 and 9, over records padded to twice their length. H takes one degree of
+    freedom per line, so residual power is divided by hits - 1; the variance of H1 is that power over the summed force.
+    """
+    from scipy import fft
+
+    n, samples, _ = responses.shape
+    padded = padded_length(samples)
+    F, Y = fft.rfft(force, padded, axis=1), fft.rfft(responses, padded, axis=1)
+    Sff = np.sum(np.abs(F) ** 2, axis=0)
+    if np.any(Sff == 0):
+        raise InputError(
+            "the force has lines without any energy",
+            where="from_hits",
+            found=f"{int(np.sum(Sff == 0))} lines",
+            expected="a broadband force",
+        )
+    Sfy = np.sum(F.conj()[..., None] * Y, axis=0)
+    H = Sfy / Sff[:, None]
+    found: dict[str, Any] = {"frequencies": np.fft.rfftfreq(padded, dt), "H": H[..., None]}
+    if n == 1:
+        return found
+    residual = np.sum(np.abs(Y - H * F[..., None]) ** 2, axis=0) / (n - 1)
+    floor = np.finfo(float).eps ** 2 * np.mean(np.abs(Y) ** 2, axis=(0, 1))  # what rounding leaves of exact hits
+    power = np.maximum(smooth_lines(residual, NEIGHBOURS), np.maximum(floor, np.finfo(float).tiny))
+    Syy = np.sum(np.abs(Y) ** 2, axis=0)
+    return {
+        **found,
+        "noise_power": power / samples,
+        "variance": (power / Sff[:, None])[..., None],
+        "coherence": np.minimum(np.abs(Sfy) ** 2 / (Sff[:, None] * np.where(Syy > 0, Syy, 1.0)), 1.0),
+        "certificate": leave_one_out(F, Y, responses, labels, padded),
+    }
+
+
+def leave_one_out(F: NDArray, Y: NDArray, responses: NDArray, labels: Sequence[str], padded: int) -> Certificate:
+    """Certificate of each hit predicted from the others, from spectra F (hits, lines) and Y (hits, lines, sensors)."""
+    from scipy import fft
+
+    Sff, Sfy = np.sum(np.abs(F) ** 2, axis=0), np.sum(F.conj()[..., None] * Y, axis=0)
+    predicted = []
+    for f, y in zip(F, Y, strict=True):
+        rest = Sff - np.abs(f) ** 2
+        H = (Sfy - f.conj()[:, None] * y) / np.where(rest > 0, rest, 1.0)[:, None]
+        predicted.append(fft.irfft(H * f[:, None], padded, axis=0)[: responses.shape[1]])
+    return Certificate.compare(
+        np.concatenate(predicted),
+        np.concatenate(list(responses)),
+        labels,
+        source=f"{len(F)} hits, each predicted from the others",
+    )
+
+
+# -- records ----------------------------------------------------------------------------------------------------------
+def _gather(
+    records: Sequence[Any], dt: float | None, force: str | int, responses: Sequence[str | int]
+) -> tuple[Impact, ...]:
+    if not len(records):
+        raise InputError("no records", where="from_hits", found="an empty list", expected="at least one hit")
+    if isinstance(responses, str | int):
+        responses = [responses]
+    if not len(responses):
+        raise InputError("no responses", where="from_hits", found=responses, expected="at least one channel")
+    tests = tuple(_test(r, dt, [force, *responses], i) for i, r in enumerate(records))
+    steps = sorted({t.dt for t in tests})
+    if steps[-1] / steps[0] - 1 > 1e-6:
+        raise InputError(
+            "the records have different steps", where="from_hits", found=f"dt = {steps} s", expected="one dt"
+        )
+    units = {tuple(c.unit for c in t.channels) for t in tests}
+    if len(units) > 1:
+        raise InputError(
+            "the records have different units", where="from_hits", found=sorted(units), expected="one unit per channel"
+        )
+    return tests
+
+
+def _test(record: Any, dt: float | None, wanted: list[str | int], i: int) -> Impact:
+    values = np.asarray(getattr(record, "values", record), float)
+    name = str(getattr(record, "name", "") or f"hit {i + 1}")
+    if values.ndim != 2 or len(values) < 4:
+        raise InputError(
+            "a record is a table", where=name, found=f"shape {values.shape}", expected="(samples, channels)"
+        )
+    channels = getattr(record, "channels", None) or [Channel(label=f"channel {j}") for j in range(values.shape[1])]
+    described = [c if isinstance(c, Channel) else Channel(label=str(c)) for c in channels]
+    index = [_index(w, [c.label for c in described], name) for w in wanted]
+    if len(set(index)) < len(index):
+        raise InputError("a channel is named twice", where=name, found=wanted, expected="a force and other channels")
+    load, *sensors = (described[j] for j in index)
+    return Impact(values[:, index], _step(record, dt, name), (load, *sensors), name)
+
+
+def _step(record: Any, dt: float | None, name: str) -> float:
+    own = getattr(record, "dt", None)
+    if own is not None and dt is not None and abs(dt / own - 1) > 1e-9:
+        raise InputError("the record has its own step", where=name, found=f"dt = {dt}", expected=f"dt = {own}")
+    step = own if own is not None else dt
+    if step is None:
+        raise InputError("the step of a bare array is not known", where=name, found="no dt", expected="dt= in s")
+    if not (np.isfinite(step) and step > 0):
+        raise InputError("the step is not positive", where=name, found=f"dt = {step}", expected="seconds, > 0")
+    return float(step)
+
+
+def _index(wanted: str | int, labels: Sequence[str], where: str) -> int:
+    if wanted in labels:
+        return list(labels).index(str(wanted))
+    j = int(wanted) if str(wanted).lstrip("-").isdecimal() else None
+    if j is None or not -len(labels) <= j < len(labels):
+        raise InputError(
+            "no such channel", where=where, found=repr(wanted), expected=f"one of {list(labels)} or an index"
+        )
+    return j % len(labels)
