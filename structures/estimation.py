@@ -164,8 +164,13 @@ def _test(record: Any, dt: float | None, wanted: list[str | int], i: int) -> Imp
         raise InputError(
             "a record is a table", where=name, found=f"shape {values.shape}", expected="(samples, channels)"
         )
-    channels = getattr(record, "channels", None) or [Channel(label=f"channel {j}") for j in range(values.shape[1])]
-    described = [c if isinstance(c, Channel) else Channel(label=str(c)) for c in channels]
+    given = getattr(record, "channels", None) or getattr(record, "labels", None)
+    given = [f"channel {j}" for j in range(values.shape[1])] if given is None else given
+    described = [c if isinstance(c, Channel) else Channel(label=str(c)) for c in given]
+    if len(described) != values.shape[1]:
+        raise InputError(
+            "channels and columns do not fit", where=name, found=f"{len(described)}", expected=f"{values.shape[1]}"
+        )
     index = [_index(w, [c.label for c in described], name) for w in wanted]
     if len(set(index)) < len(index):
         raise InputError("a channel is named twice", where=name, found=wanted, expected="a force and other channels")

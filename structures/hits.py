@@ -66,17 +66,17 @@ def judge(force: NDArray, responses: NDArray, labels: Sequence[str]) -> str:
     peak, noise = abs(force[k]), scatter(force[len(force) // 2 :])
     if peak < QUIET * noise:
         return f"no hit: peak {peak:.3g} is less than {QUIET} times the scatter {noise:.3g} of the second half"
-    run = clipped(force, k)
+    run = clipped(force, force[k])
     if run:
         return f"clipped force: {run} consecutive samples at the peak {force[k]:.4g}"
     second = second_pulse(force, k, noise)
     if second is not None:
         return f"double hit: a second pulse of {abs(force[second]) / peak:.0%} at sample {second}"
     for label, x in zip(labels, responses.T, strict=True):
-        for top in (int(np.argmax(x)), int(np.argmin(x))):
+        for top in (x.max(), x.min()):
             run = clipped(x, top)
             if run:
-                return f"overload: {label} has {run} consecutive samples at {x[top]:.4g}"
+                return f"overload: {label} has {run} consecutive samples at {top:.4g}"
     return ""
 
 
@@ -85,26 +85,35 @@ def scatter(x: NDArray) -> float:
     return float(np.quantile(np.abs(x - np.median(x)), 0.9) / 1.645)
 
 
-def clipped(x: NDArray, k: int) -> int:
-    """Length of the stretch of equal samples around an extreme `k`, 0 where it is too short to be a rail.
+def clipped(x: NDArray, top: float) -> int:
+    """Length of the longest stretch of samples at the extreme `top`, 0 where it is no rail.
 
-    A crest that is only as flat as the last bit is no rail: its neighbours lie one level below. A cut crest leaves its
-    rail in a leap.
+    The parabola of a crest whose `n` samples in the middle are hidden falls by 8 times the hidden height over the next
+    `n` samples. A crest that is only as flat as the last bit hides one or two bits; a cut one hides more.
     """
-    start, stop = flat_run(x, k)
-    if stop - start < RAIL:
+    start, stop = max(stretches(x == top), key=np.ptp)
+    n = stop - start
+    if n < RAIL or n == len(x):
         return 0
-    beside = [x[i] for i in (start - 1, stop) if 0 <= i < len(x)]
-    leap = max((abs(x[k] - b) for b in beside), default=0.0)
-    levels = np.diff(np.unique(x))
-    return stop - start if len(levels) and leap > 2.5 * levels.min() else 0
+    fall = max(abs(top - x[max(start - n, 0)]), abs(top - x[min(stop - 1 + n, len(x) - 1)]))
+    return int(n) if fall / 8 > 2.5 * last_bit(x) else 0
 
 
-def flat_run(x: NDArray, k: int) -> tuple[int, int]:
-    """First sample and end of the stretch of samples equal to ``x[k]`` around sample k."""
-    other = np.flatnonzero(x != x[k])
-    at = int(np.searchsorted(other, k))
-    return (int(other[at - 1]) + 1 if at else 0), (int(other[at]) if at < len(other) else len(x))
+def last_bit(x: NDArray) -> float:
+    """Smallest step between the levels of a recorded signal, from above; 0 where two levels or one do not tell."""
+    tiny = 1e-6 * float(np.ptp(x))
+    steps = np.diff(np.unique(x))
+    steps = np.unique(steps[steps > tiny])
+    finer = np.diff(steps)  # on a grid of levels, steps and their differences are multiples of the last bit
+    finer = finer[finer > tiny]
+    return (
+        float(min(steps[0], *finer)) if len(steps) and len(finer) else float(steps[0]) if len(np.unique(x)) > 2 else 0.0
+    )
+
+
+def stretches(mask: NDArray) -> NDArray[np.int_]:
+    """First sample and end of every stretch of a mask, shape (stretches, 2)."""
+    return np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]))).reshape(-1, 2)
 
 
 def second_pulse(force: NDArray, k: int, noise: float = 0.0) -> int | None:
@@ -114,7 +123,7 @@ def second_pulse(force: NDArray, k: int, noise: float = 0.0) -> int | None:
     for a hit). A pulse: a fifth of the peak, and above the noise.
     """
     x = np.sign(force[k]) * force
-    start, stop = flat_run(np.where(x > 0.5 * x[k], 1.0, 0.0), k)
-    far = np.abs(np.arange(len(x)) - k) > max(8, 3 * (stop - start))
+    width = next(stop - start for start, stop in stretches(x > 0.5 * x[k]) if start <= k < stop)
+    far = np.abs(np.arange(len(x)) - k) > max(8, 3 * width)
     candidates = np.flatnonzero(far & (x > max(SECOND_HIT * x[k], 6 * noise)))
     return None if len(candidates) == 0 else int(candidates[np.argmax(x[candidates])])
