@@ -21,7 +21,10 @@ def canonical(code: str) -> str:
     short = str(code).strip().upper().removeprefix("LID-")
     if len(short) != 4 or short[0] not in LEVELS or not short[1:].isdigit():
         raise InputError(
-            "no guard code", where="allow", found=repr(code), expected="a letter E, W or N and three digits, such as W407"
+            "no guard code",
+            where="allow",
+            found=repr(code),
+            expected="a letter E, W or N and three digits, such as W407",
         )
     return f"LID-{short}"
 

@@ -86,7 +86,7 @@ class ForwardModel(Model):
         self._corner = np.array([s.highpass or 0.0 for s in self.sensors])
         self._columns = _columns(structure, self.loads, free)
         _finite_parts(self)
-        found = near_support(structure, self.loads)
+        found = near_support(structure, [p for p in self.loads if isinstance(p, Load)])
         self.flags = () if found is None else (found,)
 
     def __repr__(self) -> str:

@@ -28,7 +28,7 @@ def beam(places, at=(0.65,), kind=sensors.Accelerometer, modes=8):
 
 
 def test_static_solve_with_a_cone_projected_step():
-    """Tactile: tangential and normal components on a cone; one projected gradient step lowers the misfit and is feasible."""
+    """Tactile: tangential and normal parts on a cone; one projected gradient step lowers the misfit and is feasible."""
     model = beam([0.3, 0.7, 1.1, 1.5, 1.7], at=(0.6, 1.2), kind=sensors.Displacement)
     H, truth, mu = model.static(), np.array([3.0, 10.0]), 0.5  # (tangential, normal) stand-ins
     y = H @ truth
