@@ -36,8 +36,8 @@ def roughness(G: NDArray, band: float = 1 / 16) -> Roughness:
     """Error of the load spectrum that each sensor gives alone, from its roughness over the lines.
 
     A load that lasts a small part of the record has a spectrum that is smooth from line to line once it is shifted to
-    its own time; what is rough is error. The second difference over lines keeps exactly the noise that fills the
-    record (its mean square is 6 times the variance) and removes the load.
+    its own time; what is rough is error. The second difference over lines keeps the noise that fills the record, by
+    a known factor, and removes the load.
 
     Parameters
     ----------
@@ -51,7 +51,9 @@ def roughness(G: NDArray, band: float = 1 / 16) -> Roughness:
     best = int(np.argmax(np.max(np.abs(g), axis=0) / np.maximum(np.median(np.abs(g), axis=0), np.finfo(float).tiny)))
     start = int(np.argmax(np.abs(g[:, best])))
     shift = np.exp(2j * np.pi * np.arange(len(G)) * start / padded)
-    rough = np.abs(np.diff(G * shift[:, None], n=2, axis=0)) ** 2 / 6
+    # the second difference multiplies sample t by 4 sin^2(pi t / padded): what is left of noise that fills the record
+    kept = np.mean((2 * np.sin(np.pi * (np.arange(padded // 2) - start) / padded)) ** 4)
+    rough = np.abs(np.diff(G * shift[:, None], n=2, axis=0)) ** 2 / kept
     rough = np.concatenate([rough[:1], rough, rough[-1:]])
     half = max(1, round(band * len(G)))
     tiny = np.finfo(float).tiny
