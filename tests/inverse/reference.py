@@ -20,7 +20,7 @@ class Augmented:
 
 def augmented(H: NDArray, y: NDArray, L: NDArray, lam: float) -> Augmented:
     """Tikhonov solution at an absolute lambda."""
-    m, n = H.shape
+    m = len(H)
     Q, R = np.linalg.qr(np.vstack([H, lam * L]))
     load = np.linalg.solve(R, Q[:m].conj().T @ y)
     return Augmented(load, y - H @ load, float(np.linalg.norm(L @ load) ** 2), Q[:m] @ Q[:m].conj().T)

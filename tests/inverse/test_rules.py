@@ -1,0 +1,330 @@
+"""Every rule against a brute-force search on its definition, from dense influence matrices."""
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from loadid.inverse import rules
+from loadid.inverse.path import PathPoint
+from loadid.inverse.problem import LinearProblem
+from loadid.inverse.svd import SVDPath
+from loadid.inverse.toeplitz import SpectralPath, toeplitz
+from structures.errors import InputError
+from structures.spectra import padded_length
+from tests.benchmarks.rules import cases, ratios
+
+from .reference import augmented, echo, penalty
+
+N, SIGMA = 48, 0.05
+GRID = np.geomspace(3e-4, 1.0, 700)
+
+
+def posed(name: str, seed: int = 0, truncated: bool = False) -> tuple[SVDPath, np.ndarray, np.ndarray, np.ndarray]:
+    T = toeplitz(echo(N, 1, 1, seed=2, decay=12.0)).reshape(N, N)
+    H = np.tril(np.ones((N, N))) @ T / 10
+    g = np.exp(-0.5 * ((np.arange(N) - 18) / 3) ** 2)
+    y = H @ g + SIGMA * np.random.default_rng(seed).standard_normal(N)
+    L = penalty(name, N)
+    problem = LinearProblem.whitened(H[:, None], y[:, None], L=None if name == "identity" else L, shape=(N, 1))
+    return SVDPath(problem, truncated=truncated), H, y, L
+
+
+class Brute:
+    """Dense answers at many lambdas."""
+
+    def __init__(self, name: str, seed: int = 0) -> None:
+        self.path, self.H, self.y, self.L = posed(name, seed)
+        self.lam = GRID[self.path.range[0] < GRID]
+        at = [augmented(self.H, self.y, self.L, x * float(self.path.scale)) for x in self.lam]
+        self.loads = np.array([a.load for a in at])
+        self.residuals = np.array([a.residual for a in at])
+        self.rho, self.eta = np.sum(self.residuals**2, axis=1), np.array([a.penalty2 for a in at])
+        self.edf = np.array([np.trace(a.A) for a in at])
+        self.edf2 = np.array([np.trace(a.A @ a.A) for a in at])
+
+    def values(self, rule: str) -> np.ndarray:
+        m, left = N, N - self.edf
+        x = self.lam * float(self.path.scale)
+        if rule == "gcv":
+            return m * self.rho / left**2
+        if rule == "robust_gcv":
+            return (0.1 + 0.9 * self.edf2 / m) * m * self.rho / left**2
+        if rule == "modified_gcv":
+            d = m - 1.4 * self.edf
+            return np.where(d > 0, m * self.rho / d**2, np.inf)
+        if rule == "upre":
+            return self.rho + 2 * SIGMA**2 * self.edf
+        if rule == "quasi_optimality":
+            return np.linalg.norm(np.gradient(self.loads, np.log(self.lam), axis=0), axis=1)
+        assert rule == "evidence"  # prior on L g, its null space free: ln |H'H / x^2 + L'L| - ln |L'L|+
+        HH, LL = self.H.T @ self.H, self.L.T @ self.L
+        objective = self.rho + x**2 * self.eta
+        free = N - len(self.L)
+        logdet = np.array([np.linalg.slogdet(HH / v**2 + LL)[1] + 2 * free * np.log(v) for v in x])
+        return logdet + objective / SIGMA**2
+
+
+@pytest.fixture(scope="module", params=["identity", "first_difference"])
+def brute(request: pytest.FixtureRequest) -> Brute:
+    return Brute(request.param)
+
+
+@pytest.mark.parametrize("rule", ["gcv", "robust_gcv", "modified_gcv", "upre", "evidence", "quasi_optimality"])
+def test_minimum_is_the_one_of_the_definition(brute: Brute, rule: str) -> None:
+    sweep = rules.Sweep.over(brute.path, SIGMA)
+    found = rules.run(rule, sweep)
+    inside = brute.lam >= (rules._above_modes(sweep).lam[0] if rule == "quasi_optimality" else 0)
+    values = np.where(inside, brute.values(rule), np.inf)
+    best = brute.lam[np.argmin(values)]
+    assert found.edge == (best in (brute.lam[inside][0], brute.lam[-1]))
+    assert found.lam == pytest.approx(best, rel=0.03)
+    at_found = np.interp(np.log(found.lam), np.log(brute.lam), brute.values(rule))
+    assert at_found <= values.min() + 1e-3 * abs(values.min())
+
+
+def test_evidence_without_a_noise_level_profiles_it_out(brute: Brute) -> None:
+    free = N - len(brute.L)
+    x = brute.lam * float(brute.path.scale)
+    objective = brute.rho + x**2 * brute.eta
+    logdet = brute.values("evidence") - objective / SIGMA**2
+    best = brute.lam[np.argmin(logdet + (N - free) * np.log(objective))]
+    assert rules.run("evidence", rules.Sweep.over(brute.path, None)).lam == pytest.approx(best, rel=0.03)
+
+
+def test_ncp_against_its_definition(brute: Brute) -> None:
+    def distance(residual: np.ndarray) -> float:
+        power = np.abs(np.fft.fft(residual))[1 : N // 2 + 1] ** 2
+        return float(np.linalg.norm(np.cumsum(power) / power.sum() - np.arange(1, N // 2 + 1) / (N // 2)))
+
+    found = rules.run("ncp", rules.Sweep.over(brute.path, None))
+    assert found.lam is not None
+    values = np.array([distance(r) for r in brute.residuals])
+    assert distance(brute.path.residual(found.lam).ravel()) <= 1.02 * values.min()
+
+
+def test_ncp_statistic_of_white_noise_and_of_a_walk() -> None:
+    noise = np.random.default_rng(0).standard_normal((2000, 3))
+    assert rules.ncp_statistic(noise)[1] < 1.36
+    assert rules.ncp_statistic(np.cumsum(noise, axis=0))[1] > 10
+    power = np.sum([np.abs(np.fft.rfft(c)[1:]) ** 2 for c in noise.T], axis=0)
+    expected = np.abs(np.cumsum(power) / power.sum() - np.arange(1, 1001) / 1000).max() * np.sqrt(3000)
+    assert rules.ncp_statistic(noise)[1] == pytest.approx(expected)
+    with pytest.raises(rules.Refusal, match="ncp"):
+        rules.ncp_statistic(np.zeros((10, 1)))
+
+
+# -- discrepancy -----------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("m", [1, 20, 1000])
+def test_discrepancy_level_is_the_chi_square_quantile(m: int) -> None:
+    assert rules.discrepancy_level(m, 0.3) == pytest.approx(0.09 * scipy.stats.chi2.ppf(0.95, m), rel=1e-9)
+
+
+def test_discrepancy_meets_its_level_and_grows_with_the_noise(brute: Brute) -> None:
+    assert np.all(np.diff(brute.rho) > 0)  # one crossing
+    found = [rules.run("discrepancy", rules.Sweep.over(brute.path, s)) for s in (0.7 * SIGMA, SIGMA, 2 * SIGMA)]
+    lams = [r.lam for r in found if r.lam is not None]
+    assert len(lams) == 3
+    assert lams == sorted(lams)
+    level = SIGMA**2 * scipy.stats.chi2.ppf(0.95, N)
+    assert float(brute.path.at(lams[1]).residual2) == pytest.approx(level, rel=1e-6)
+    doubled = rules.discrepancy(rules.Sweep.over(brute.path, SIGMA), 2.0)
+    assert doubled.lam == pytest.approx(lams[2], rel=1e-9)
+
+
+def test_dof_discrepancy_is_the_largest_crossing(brute: Brute) -> None:
+    below = brute.rho < SIGMA**2 * (N - brute.edf)
+    expected = brute.lam[np.flatnonzero(below)[-1]]
+    assert rules.run("dof_discrepancy", rules.Sweep.over(brute.path, SIGMA)).lam == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize(("sigma", "end", "note"), [(1e-9, 0, "stays above"), (1e3, -1, "within the noise")])
+def test_discrepancy_without_a_crossing_is_flagged(sigma: float, end: int, note: str) -> None:
+    T = np.vstack([posed("identity")[1]] * 2)  # twice the data: a residual remains
+    y = np.random.default_rng(0).standard_normal(2 * N)
+    sweep = rules.Sweep.over(SVDPath(LinearProblem.whitened(T, y)), sigma)
+    found = rules.run("discrepancy", sweep)
+    assert found.edge
+    assert note in found.note
+    assert found.lam == sweep.lam[end]
+
+
+# -- L-curve ---------------------------------------------------------------------------------------------------------
+def test_curvature_against_the_analytic_formula(brute: Brute) -> None:
+    path = brute.path
+    lam = np.geomspace(3e-3, 0.5, 3000)
+    p, x = path.at(lam), lam * float(path.scale)
+    f = path.c**2 / (path.c**2 + np.outer(x, path.s) ** 2)
+    gain = np.where(path.c > 0, f / np.where(path.c > 0, path.c, 1), 0)
+    slope = -4 / x * np.sum((1 - f) * (path.s * gain * path.beta) ** 2, axis=1)
+    eta, rho = p.penalty2, p.residual2
+    top = x**2 * slope * rho + 2 * x * eta * rho + x**4 * eta * slope
+    expected = -2 * eta * rho / slope * top / (x**4 * eta**2 + rho**2) ** 1.5
+    inner = slice(20, -20)
+    ours = rules.curvature(lam, rho, eta)[inner]
+    assert np.abs(ours - expected[inner]).max() < 2e-3 * np.abs(expected).max()
+    assert np.any(expected > 0)
+    assert np.any(expected < 0)  # the sign matters: the largest magnitude alone may be the wrong bend
+
+
+def test_curvature_of_a_circle_is_one_over_its_radius_with_the_sign_of_a_corner() -> None:
+    t = np.linspace(0.1, np.pi / 2 - 0.1, 400)
+    for radius in (0.5, 3.0):
+        # down, then to the right: the corner of an L
+        corner = rules.curvature(np.exp(t), np.exp(-2 * radius * np.cos(t)), np.exp(-2 * radius * np.sin(t)))
+        np.testing.assert_allclose(corner[5:-5], 1 / radius, rtol=1e-3)
+        bend = rules.curvature(np.exp(t), np.exp(2 * radius * np.sin(t)), np.exp(2 * radius * np.cos(t)))
+        np.testing.assert_allclose(bend[5:-5], -1 / radius, rtol=1e-3)
+
+
+def test_l_curve_takes_the_largest_positive_curvature(brute: Brute) -> None:
+    sweep = rules.Sweep.over(brute.path, None)
+    kappa = rules.curvature(sweep.lam, sweep.point.residual2, sweep.point.penalty2)
+    found = rules.run("l_curve", sweep)
+    k = int(np.argmin(np.abs(sweep.lam - found.lam)))
+    assert kappa[k] == kappa[rules.EDGE : -rules.EDGE].max() > 0
+
+
+def test_an_l_curve_without_a_corner_is_refused() -> None:
+    t = np.linspace(0, 1, 50)
+    point = PathPoint(np.exp(2 * np.sin(t)), np.exp(2 * np.cos(t)))
+    found = rules.run("l_curve", rules.Sweep(posed("identity")[0], np.exp(t), point, None))
+    assert found.lam is None
+    assert "no corner" in found.note
+
+
+# -- predicted error -------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", ["identity", "first_difference"])
+def test_predicted_error_is_the_parametric_bootstrap(name: str) -> None:
+    path, H, _, L = posed(name)
+    rng, pilot, lams = np.random.default_rng(3), 0.02, [3e-3, 0.02, 0.1]
+    load = path.solution(pilot, None).load.ravel()
+    data = (H @ load)[:, None] + SIGMA * rng.standard_normal((N, 4000))
+    drawn = []
+    for lam in lams:
+        error = augmented(H, data, L, lam * float(path.scale)).load - load[:, None]
+        drawn.append(np.mean(np.sum(error**2, axis=0)))
+    np.testing.assert_allclose(path.predicted_error(lams, pilot, SIGMA), drawn, rtol=0.03)
+
+
+def test_predicted_error_of_the_fft_path_is_the_one_of_the_dense_path() -> None:
+    n, pilot = 160, 0.05
+    h = echo(n, 1, 1, seed=1, decay=8.0)
+    padded = padded_length(n)
+    T = toeplitz(h)
+    y = T @ np.exp(-0.5 * ((np.arange(n) - 70) / 3) ** 2) + 0.02 * np.random.default_rng(0).standard_normal((n, 1))
+    dense = SVDPath(LinearProblem.whitened(T, y, shape=(n, 1)))
+    fast = SpectralPath(np.fft.rfft(h, padded, axis=0), y, np.full((padded // 2 + 1, 1), float(n)))
+    x = np.array([0.01, 0.05, 0.2]) * float(dense.scale)
+    a = dense.predicted_error(x / float(dense.scale), pilot, 0.02)
+    b = fast.predicted_error(x / float(fast.scale), pilot * float(dense.scale / fast.scale), 0.02)
+    np.testing.assert_allclose(b, a, rtol=0.1)
+
+
+# -- refusals, edges -------------------------------------------------------------------------------------------------
+class Stub:
+    """A path that knows its residual and its penalty norm, and nothing else."""
+
+    m, null, scale, smooth, range, coefficients = 30, 0, 1.0, True, (1e-4, 1.0), None
+
+    def __init__(self, **known: object) -> None:
+        self.known = known
+
+    def at(self, lam: object) -> PathPoint:
+        lam = np.asarray(lam, float)
+        given = {name: f(lam) for name, f in self.known.items()}
+        return PathPoint(1 + 30 * lam**2, 1 / (lam + 0.01), **given)
+
+    def predicted_error(self, lam: object, pilot: float, sigma: float) -> None:
+        return None
+
+    def residual(self, lam: float) -> np.ndarray:
+        return np.random.default_rng(0).standard_normal((30, 1))
+
+
+MISSING = {
+    "upre": "edf",
+    "gcv": "left",
+    "robust_gcv": "edf2",
+    "modified_gcv": "edf",
+    "quasi_optimality": "sensitivity",
+    "evidence": "objective",
+    "dof_discrepancy": "left",
+    "predicted_error": "",
+}
+
+
+@pytest.mark.parametrize("rule", MISSING)
+def test_a_rule_names_what_the_path_lacks(rule: str) -> None:
+    found = rules.run(rule, rules.Sweep.over(Stub(), 0.1))
+    assert found.lam is None
+    assert rule in found.note
+    assert MISSING[rule] in found.note
+
+
+@pytest.mark.parametrize("rule", ["discrepancy", "l_curve", "ncp"])
+def test_rules_that_need_no_degrees_of_freedom_run(rule: str) -> None:
+    assert rules.run(rule, rules.Sweep.over(Stub(), 0.3)).lam is not None
+
+
+@pytest.mark.parametrize("rule", ["discrepancy", "dof_discrepancy", "upre"])
+def test_rules_of_the_noise_refuse_without_it(rule: str) -> None:
+    found = rules.run(rule, rules.Sweep.over(posed("identity")[0], None))
+    assert found.lam is None
+    assert f"{rule} needs the noise level" == found.note
+
+
+def test_a_path_that_predicts_no_error_is_refused_by_name() -> None:
+    count = {
+        "edf": lambda x: 20 / (1 + 100 * x),
+        "edf2": lambda x: 15 / (1 + 100 * x),
+        "left": lambda x: 30 - 20 / (1 + 100 * x),
+    }
+    found = rules.run("predicted_error", rules.Sweep.over(Stub(**count), None))
+    assert found.lam is None
+    assert "predicted_error" in found.note
+
+
+def test_unknown_rules_are_refused_with_the_list() -> None:
+    with pytest.raises(InputError, match="robust_gcv"):
+        rules.run("l-curve", rules.Sweep.over(posed("identity")[0], None))
+
+
+@pytest.mark.parametrize("rule", ["gcv", "robust_gcv", "upre"])
+def test_an_answer_at_the_end_of_the_sweep_is_flagged(rule: str) -> None:
+    H = np.eye(30) + 0.1 * np.random.default_rng(0).standard_normal((30, 30))
+    sweep = rules.Sweep.over(SVDPath(LinearProblem.whitened(H, np.random.default_rng(1).standard_normal(30))), 1e-3)
+    pure = Stub(edf=lambda x: x * 0 + 5, edf2=lambda x: x * 0 + 5, left=lambda x: x * 0 + 25)
+    assert rules.run(rule, rules.Sweep.over(pure, 1e-3)).edge  # residual falls all the way down
+    if rule == "upre":  # almost no noise, well conditioned: next to no regularisation
+        assert rules.run(rule, sweep).lam < 0.01
+
+
+def test_data_of_zero_do_not_break_a_rule() -> None:
+    _, H, _, L = posed("first_difference")
+    path = SVDPath(LinearProblem.whitened(H, np.zeros(N), L=L))
+    for sigma in (None, 0.1):
+        sweep = rules.Sweep.over(path, sigma)
+        for name in rules.RULES:
+            found = rules.run(name, sweep)
+            assert found.lam is None or found.lam > 0
+
+
+@pytest.mark.parametrize("rule", ["gcv", "robust_gcv", "upre", "discrepancy", "ncp"])
+def test_truncated_paths_keep_the_rules(rule: str) -> None:
+    path, *_ = posed("identity", truncated=True)
+    sweep = rules.Sweep.over(path, SIGMA)
+    found = rules.run(rule, sweep)
+    g = np.exp(-0.5 * ((np.arange(N) - 18) / 3) ** 2)
+    error = [np.linalg.norm(path.X @ path.gains(x) - g) for x in (*sweep.lam, found.lam)]
+    assert error[-1] < 3 * min(error)
+
+
+# -- reliability -----------------------------------------------------------------------------------------------------
+def test_default_without_a_noise_level_is_close_to_the_best_lambda() -> None:
+    found = [ratios(case, known=False) for case in cases(3)]
+    default, gcv = (np.array([r[name] for r, _ in found]) for name in ("default", "gcv"))
+    assert np.mean(default > 3) <= 0.05
+    assert np.median(default) < 1.15
+    assert np.mean(default > 3) < np.mean(gcv > 3)  # GCV alone fails in a fifth of all cases
+    graded = np.array([chosen.verdict in ("determined", "usable") for _, chosen in found])
+    assert np.mean(gcv[graded] > 3) < 0.5 * np.mean(gcv[~graded] > 3)  # the verdict is worth something
