@@ -3,11 +3,11 @@
 import numpy as np
 
 DT = 1 / 1000
-POLES = ((60.0, 0.04, 1.0), (170.0, 0.03, -0.7), (310.0, 0.02, 0.4))  # Hz, damping ratio, amplitude
+POLES = ((60.0, 0.15, 1.0), (170.0, 0.06, -0.7), (310.0, 0.03, 0.4))  # Hz, damping ratio, amplitude
 
 
 def response(samples=400, sensors=1):
-    """Impulse response (samples, sensors): sums of decaying sines, gone after some 400 samples."""
+    """Impulse response (samples, sensors): sums of decaying sines, 1e-9 of it left after 400 samples."""
     t = np.arange(samples) * DT
     modes = np.array([np.exp(-z * 2 * np.pi * f * t) * np.cos(2 * np.pi * f * t) for f, z, _ in POLES])
     shapes = np.array([[a * np.cos(i * (i + 1)) for _, _, a in POLES] for i in range(sensors)])
