@@ -22,6 +22,8 @@ from structures.spectra import padded_length
 from .sources import PACKAGES, called, imports, modules, within
 
 Found = Iterator[tuple[int, str]]
+Rule = Callable[[ast.Module, str], Found]
+Cases = dict[Rule, tuple[str, ...]]
 INVERSES = {"inv", "pinv", "pinvh", "tensorinv", "getI"}
 PRODUCTS = {"dot", "matmul", "vdot"}
 UNSAFE_MODULES = ("pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal")
@@ -77,11 +79,11 @@ def prints(tree: ast.Module, module: str) -> Found:
             yield node.lineno, f"sys.{node.attr} in a library: log instead"
 
 
-RULES: tuple[Callable[[ast.Module, str], Found], ...] = (explicit_inverses, normal_equations, unsafe, prints)
+RULES: tuple[Rule, ...] = (explicit_inverses, normal_equations, unsafe, prints)
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda r: r.__name__)
-def test_the_sources_keep_the_rule(rule: Callable[[ast.Module, str], Found]) -> None:
+def test_the_sources_keep_the_rule(rule: Rule) -> None:
     folders = (*PACKAGES, "case_studies") if rule is unsafe else PACKAGES
     found = [
         f"{path}:{line}: {text}"
@@ -91,7 +93,7 @@ def test_the_sources_keep_the_rule(rule: Callable[[ast.Module, str], Found]) -> 
     assert not found, "\n".join(found)
 
 
-OFFENDERS = {
+OFFENDERS: Cases = {
     explicit_inverses: (
         "np.linalg.inv(K)", "x = scipy.linalg.inv(K) @ f", "inv(K)", "np.linalg.pinv(H)",
         "from scipy.linalg import inv as i",
@@ -110,7 +112,7 @@ OFFENDERS = {
     ),
     prints: ("print(1)", "def f():\n    print('done', file=stream)", "sys.stdout.write('x')", "pprint(x)"),
 }  # fmt: skip
-CLEAN = {
+CLEAN: Cases = {
     explicit_inverses: (
         "np.linalg.solve(K, f)", "gammaincinv(m, 0.95)", "inverse = X.T", "matrix_power(A, 3)", "'inv(K)'",
     ),
@@ -126,17 +128,17 @@ CLEAN = {
 }  # fmt: skip
 
 
-def _cases(table: dict[Callable[[ast.Module, str], Found], tuple[str, ...]]) -> list:
+def _cases(table: Cases) -> list:
     return [pytest.param(rule, text, id=f"{rule.__name__}-{text}") for rule, texts in table.items() for text in texts]
 
 
 @pytest.mark.parametrize(("rule", "text"), _cases(OFFENDERS))
-def test_an_offence_is_caught(rule: Callable[[ast.Module, str], Found], text: str) -> None:
+def test_an_offence_is_caught(rule: Rule, text: str) -> None:
     assert list(rule(ast.parse(text), "structures.made_up"))
 
 
 @pytest.mark.parametrize(("rule", "text"), _cases(CLEAN))
-def test_what_is_right_passes(rule: Callable[[ast.Module, str], Found], text: str) -> None:
+def test_what_is_right_passes(rule: Rule, text: str) -> None:
     assert list(rule(ast.parse(text), "structures.made_up")) == []
 
 
