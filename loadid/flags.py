@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from .inverse.choice import Choice
 
 MEMORY = 0.01  # share of the first response that may be left at the end of a record
 DECADE = 1.0  # spread of the rules, decades
+COVERED = 0.05  # how far the share inside a band may lie below its level
 FLAT = 1.05  # GCV: highest over lowest within half a decade
 KNOWN_SOURCES = (
     "quiet segment",
@@ -145,9 +147,9 @@ def index_offset(ratio: float, load: str, shift: int | None) -> InputError:
 
 
 # -- parameter choice ------------------------------------------------------------------------------------------------
-def parameter(choice: Choice, deltas: Sequence[float | None] = ()) -> tuple[Flag, ...]:
-    """W401, W402, W406 and W407 of one choice of lambda."""
-    return collect([no_corner(choice), gcv_minimum(choice), noise_source(choice, deltas), disagreement(choice)])
+def parameter(choice: Choice, discrepancy: Callable[[float], float | None]) -> tuple[Flag, ...]:
+    """W401, W402, W406 and W407 of one choice; `discrepancy` gives its lambda at a multiple of the noise level."""
+    return collect([no_corner(choice), gcv_minimum(choice), noise_source(choice, discrepancy), disagreement(choice)])
 
 
 def no_corner(choice: Choice) -> Flag | None:
@@ -189,13 +191,13 @@ def gcv_minimum(choice: Choice) -> Flag | None:
     )
 
 
-def noise_source(choice: Choice, deltas: Sequence[float | None]) -> Flag | None:
+def noise_source(choice: Choice, discrepancy: Callable[[float], float | None]) -> Flag | None:
     """W406: the noise level decides and nobody said where it comes from."""
     if choice.sigma is None or choice.rule not in ("discrepancy", "dof_discrepancy", "upre"):
         return None
     if any(choice.sigma_source.startswith(s) or s in choice.sigma_source for s in KNOWN_SOURCES):
         return None
-    values = ", ".join("none" if d is None else f"{d:.3g}" for d in deltas)
+    values = ", ".join("none" if d is None else f"{d:.3g}" for d in map(discrepancy, (0.5, 1.0, 2.0)))
     return Flag(
         "W406",
         Evidence("source of the noise level", choice.sigma_source, "unloaded record, repeatability or covariance"),
@@ -271,15 +273,23 @@ def inverse_crime(simulated_by: str, fingerprint: str) -> Flag | None:
     )
 
 
-def no_coverage(coverage: object | None) -> Flag | None:
-    """W703: a std is shown whose coverage nobody tested on this set-up."""
-    if coverage is not None:
+def no_coverage(coverage: Any) -> Flag | None:
+    """W703: a std is shown whose coverage nobody tested on this set-up, or whose band failed that test."""
+    share, level = getattr(coverage, "share", None), getattr(coverage, "level", None)
+    if share is None or level is None:
+        return Flag(
+            "W703",
+            Evidence("coverage tests", 0, 1),
+            "the std covers noise and prior as assumed; its coverage was not tested on this set-up",
+            "run loadid.validate.coverage(...) with loads like yours and pass coverage=",
+        )
+    if share >= level - COVERED:
         return None
     return Flag(
         "W703",
-        Evidence("coverage tests", 0, 1),
-        "the std covers noise and prior as assumed; its coverage was not tested on this set-up",
-        "run loadid.validate.coverage(...) with loads like yours and pass coverage=",
+        Evidence("share of the true samples inside the band", float(share), float(level - COVERED)),
+        f"{coverage}: the stated std is too small on this set-up",
+        "widen the band by what the test shows, or look for model error and a prior that does not fit such loads",
     )
 
 

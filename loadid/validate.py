@@ -13,10 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.flags import Flag
+from structures.hits import digests
 from structures.model import Model
 
 from . import flags as guards
 from .estimate import LoadEstimate
+from .quality import require_finite
 from .record import Record
 
 
@@ -77,7 +79,7 @@ def coverage(
     Coverage
         Pass it as ``coverage=`` to the family.
     """
-    histories = [np.asarray(g, float) for g in (loads if isinstance(loads, list | tuple) else [loads])]
+    histories = _histories(loads)
     if draws < 1 or not histories or not 0 < level < 1:
         raise InputError(
             "nothing to draw",
@@ -88,7 +90,7 @@ def coverage(
     rng, z = np.random.default_rng(seed), NormalDist().inv_cdf(0.5 + level / 2)
     inside = total = 0
     for i in range(draws):
-        g = histories[i % len(histories)].reshape(len(histories[i % len(histories)]), -1)
+        g = histories[i % len(histories)]
         y = (truth or family.model).predict(g, dt)
         estimate = family.estimate(y + np.asarray(noise) * rng.standard_normal(y.shape), dt)
         hit = np.abs(estimate.load - g[: len(estimate.load)]) <= z * estimate.std
@@ -96,6 +98,17 @@ def coverage(
         if progress is not None:
             progress((i + 1) / draws, "coverage")
     return Coverage(inside / total, level, draws, datetime.now(UTC).isoformat(timespec="seconds"))
+
+
+def _histories(loads: ArrayLike | Sequence[ArrayLike]) -> list[NDArray[np.float64]]:
+    several = isinstance(loads, list | tuple) and any(np.ndim(g) > 0 for g in loads)
+    arrays = [np.asarray(g, float) for g in loads] if several else [np.asarray(loads, float)]  # type: ignore[union-attr]
+    for g in arrays:
+        if g.ndim not in (1, 2) or not g.size:
+            raise InputError(
+                "no load history", where="coverage", found=f"shape {g.shape}", expected="(samples,) or (samples, loads)"
+            )
+    return [g.reshape(len(g), -1) for g in arrays]
 
 
 @dataclass(frozen=True)
@@ -109,7 +122,7 @@ class HeldOut:
         Per channel, norm of the difference over norm of the measured.
     labels : tuple of str
     flags : tuple of Flag
-        W704 where a channel was used in the inversion.
+        W704 where a channel was used in the inversion, or the record in making the model.
     """
 
     predicted: NDArray[np.float64]
@@ -134,7 +147,7 @@ def held_out(estimate: LoadEstimate, model: Model, record: Record) -> HeldOut:
     Raises
     ------
     InputError
-        Channels that are missing, or an estimate without a time axis.
+        Channels, samples or units that do not fit, another step, or an estimate without a time axis.
     """
     if estimate.axis is None or estimate.axis.name != "time":
         raise InputError(
@@ -143,13 +156,48 @@ def held_out(estimate: LoadEstimate, model: Model, record: Record) -> HeldOut:
             found="no time axis",
             expected="an estimate over time",
         )
+    if abs(estimate.axis.step / record.dt - 1) > 1e-6:
+        raise InputError(
+            "the record and the estimate have different steps",
+            where="held_out",
+            found=f"dt = {record.dt:.9g} s",
+            expected=f"dt = {estimate.axis.step:.9g} s",
+        )
     labels = [s.label for s in model.sensors]
-    measured = np.asarray(record.select(labels).values)[: len(estimate.load)]
-    predicted = model.predict(estimate.load, record.dt)[: len(measured)]
+    kept = record.select(labels)
+    require_finite(kept)
+    _check_units(model, kept)
+    whole = np.asarray(kept.values)
+    measured = whole[: len(estimate.load)]
+    predicted = model.predict(_ordered(estimate, model), record.dt)[: len(measured)]
+    measured = measured[: len(predicted)]
     size = np.linalg.norm(measured, axis=0)
     if np.any(size == 0):
         raise InputError("a validation channel is zero", where="held_out", found=labels, expected="measured responses")
-    shared = set(labels) & set(estimate.sensors)
-    flag = guards.used_for_training("a validation channel", shared)
     error = np.linalg.norm(measured - predicted, axis=0) / size
+    flag = guards.used_for_training("a validation channel", set(labels) & set(estimate.sensors))
+    flag = flag or guards.used_for_training("the validation record", set(digests(whole)) & _seen(estimate, model))
     return HeldOut(predicted, measured, tuple(float(e) for e in error), tuple(labels), guards.collect([flag]))
+
+
+def _seen(estimate: LoadEstimate, model: Model) -> set[str]:
+    """Digests of the responses that were inverted, and of those that the validation model was made from."""
+    inverted = () if estimate.response is None else digests(estimate.response)
+    return {*inverted, *getattr(model, "training", ())}
+
+
+def _ordered(estimate: LoadEstimate, model: Model) -> NDArray[np.float64]:
+    """Loads of the estimate in the order of the model, where both name the same ones."""
+    have, want = list(estimate.labels), [c.label for c in model.loads]
+    return estimate.load[:, [have.index(w) for w in want]] if sorted(have) == sorted(want) else estimate.load
+
+
+def _check_units(model: Model, record: Record) -> None:
+    for row, channel in zip(model.sensors, record.channels, strict=True):
+        if "arbitrary" not in (row.unit, channel.unit) and row.unit != channel.unit:
+            raise InputError(
+                "the unit of a channel does not fit the sensor of the model",
+                where=f"channel {channel.label}",
+                found=channel.unit,
+                expected=row.unit,
+            )
