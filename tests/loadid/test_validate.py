@@ -200,7 +200,7 @@ class TestHeldOut:
 
 
 def test_measured_hit_held_out():
-    """Force from one accelerometer, the other predicted: its FRF differs between the hits, by 67 % from 50 to 100 Hz."""
+    """Force from one accelerometer, the other predicted: its FRF differs between the hits, by 67 % at 50-100 Hz."""
     from tests.data import measured
 
     with np.load(measured("hammer_two_hits", "lvm_two_hits.npz")) as file:
