@@ -195,7 +195,7 @@ def noise_source(choice: Choice, discrepancy: Callable[[float], float | None]) -
     """W406: the noise level decides and nobody said where it comes from."""
     if choice.sigma is None or choice.rule not in ("discrepancy", "dof_discrepancy", "upre"):
         return None
-    if any(choice.sigma_source.startswith(s) or s in choice.sigma_source for s in KNOWN_SOURCES):
+    if any(source in choice.sigma_source for source in KNOWN_SOURCES):
         return None
     values = ", ".join("none" if d is None else f"{d:.3g}" for d in map(discrepancy, (0.5, 1.0, 2.0)))
     return Flag(

@@ -80,3 +80,47 @@ def resolve(given: ArrayLike | None, source: str | None, model: Model, data: Dat
             hint="leave the channel out (sensors=[...])",
         )
     return Noise(scale, False, "not known")
+
+
+@dataclass(frozen=True)
+class LineNoise:
+    """Noise of the used channels line by line.
+
+    Parameters
+    ----------
+    power : array, shape (lines, sensors)
+        Expected energy of the noise in the transform of each channel.
+    excess : array, shape (lines, sensors), or None
+        Energy beyond `power` on single lines, for the band only.
+    source : str
+    known : bool
+    """
+
+    power: NDArray[np.float64]
+    excess: NDArray[np.float64] | None
+    source: str
+    known: bool = True
+
+    @property
+    def noise(self) -> Noise:
+        """What remains to be said once lines are whitened."""
+        return Noise(np.ones(self.power.shape[1]), self.known, self.source)
+
+
+def white(noise: Noise, samples: int, lines: int) -> LineNoise:
+    """The same level on every line.
+
+    Raises
+    ------
+    InputError
+        A covariance between channels.
+    """
+    if noise.level.ndim == 2:
+        raise InputError(
+            "a long record takes a noise std per sensor, not a covariance",
+            where="noise",
+            found=f"covariance {noise.level.shape}",
+            expected="(sensors,)",
+            hint="use a window of the record",
+        )
+    return LineNoise(np.tile(samples * noise.level**2, (lines, 1)), None, noise.source, noise.known)

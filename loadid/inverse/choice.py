@@ -124,7 +124,8 @@ def choose(
         towards the smallest error of the load (`rules.predicted_error`). Where the solution spends more than a fifth
         of the data as degrees of freedom the residual lies below the noise by construction, so discrepancy hands over
         to UPRE; to the rule for unknown noise where the residual is above the stated noise (the model errs); and to the
-        evidence where these lie more than a decade below it, in the flat tail of their functions. Robust GCV hands over to GCV when it ends at the edge of the sweep.
+        evidence where these lie more than a decade below it, in the flat tail of their functions. Robust GCV hands over
+        to GCV when it ends at the edge of the sweep.
     sigma : float, optional
         Noise level of the whitened data.
     source : str

@@ -45,7 +45,7 @@ def resolution(path: SVDPath | SpectralPath, lam: float, load: NDArray) -> tuple
 def hidden(path: SVDPath | SpectralPath, lam: float, load: NDArray, std: NDArray) -> NDArray[np.float64]:
     """What regularisation is expected to hide, (R - I) g for the part of the estimate that stands out of its noise.
 
-    The estimate itself has lost it already (low frequencies that accelerometers do not see, for one, come back as a slow
+    The estimate itself has lost it already (low frequencies that accelerometers do not see come back as a slow
     undershoot); its clear part, above three standard deviations and a tenth of the peak, still holds it. Zero for an
     estimate that is all noise.
     """
