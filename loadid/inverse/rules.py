@@ -18,7 +18,7 @@ from structures.errors import InputError
 from .choice import RuleResult
 from .path import PathPoint, RegularizationPath
 
-TOO_ROBUST = 1.5  # on the plate case the ratio is at most 1.2 where robust GCV is right, and above 2 where it is not
+CHANCE = 1e-3  # 0.01 leaves 10 % of failures on the plate case of the tests, 1e-3 none
 EDGE = 3  # points of the sweep that count as its end
 LONGEST_NCP = 300_000  # data; beyond, one transform for each lambda costs more than all other rules together
 
@@ -134,14 +134,16 @@ def evidence(sweep: Sweep) -> RuleResult:
 
 
 def predicted_error(sweep: Sweep) -> RuleResult:
-    """Smallest predicted error of the load itself: one parametric-bootstrap step from the robust GCV solution.
+    """Smallest predicted error of the load itself: one parametric-bootstrap step from a pilot that GCV vouches for.
 
     The other rules aim at the response; the load wants more regularisation where its fine detail costs much noise.
     Faraway & Jhun, J. Am. Stat. Assoc. 85 (1990) 1119, for the bootstrap choice of a smoothing parameter.
     """
-    path, start = sweep.path, _pilot(sweep)
-    point = path.at(start)
-    sigma = sweep.sigma or float(np.sqrt(point.residual2 / need(point, "left", "predicted_error")))
+    path, k = sweep.path, _pilot(sweep)
+    if k == 0:
+        return RuleResult("predicted_error", float(sweep.lam[0]), note="the data ask for no regularisation")
+    start, left = float(sweep.lam[k]), need(sweep.point, "left", "predicted_error")
+    sigma = sweep.sigma or float(np.sqrt(sweep.point.residual2[k] / left[k]))
 
     def error(lam: NDArray) -> NDArray:
         value = path.predicted_error(lam, start, sigma)
@@ -152,17 +154,35 @@ def predicted_error(sweep: Sweep) -> RuleResult:
     return _search("predicted_error", sweep, error)
 
 
-def _pilot(sweep: Sweep) -> float:
-    """Lambda of robust GCV, unless it gives up more than `TOO_ROBUST` of the predictive fit that plain GCV finds."""
-    robust, plain = robust_gcv(sweep), gcv(sweep)
+def _pilot(sweep: Sweep) -> int:
+    """Point of the sweep at a minimum of robust GCV or GCV that is no stroke of chance.
 
-    def fit(result: RuleResult) -> float:
-        return float(gcv_function(sweep.path, sweep.path.at(sweep.lam[-1] if result.lam is None else result.lam)))
+    The residual of a fit that leaves few degrees of freedom may be small by chance, and its minimum then wins. So the
+    search starts at the largest lambda, and moves to a minimum at a smaller one only where the noise level that it
+    shows, |r|^2 / tr (I - A)^2, is below what `CHANCE` makes of the level before (chi-square, left^2 / tr (I - A)^2
+    degrees of freedom).
+    """
+    from scipy.special import gammaincinv
 
-    pilot = plain if not plain.edge and fit(robust) > TOO_ROBUST * fit(plain) else robust
-    if pilot.edge or pilot.lam is None:
+    path, p = sweep.path, sweep.point
+    left, edf, edf2 = (need(p, name, "predicted_error") for name in ("left", "edf", "edf2"))
+    seen = np.maximum(path.m - 2 * edf + edf2, left**2 / path.m)  # tr (I - A)^2; the bound holds where it cancels
+    level, freedom = p.residual2 / seen, left**2 / seen
+    found = _dips(robust_gcv_function(path, p)) | _dips(gcv_function(path, p))
+    minima = np.flatnonzero(found[:-1])[::-1]
+    if len(minima) == 0:
         raise Refusal("predicted_error needs a minimum of robust GCV or GCV inside the sweep")
-    return pilot.lam
+    k = int(minima[0])
+    for j in minima[1:]:
+        if level[j] < level[k] * 2 * gammaincinv(freedom[j] / 2, CHANCE) / freedom[j]:
+            k = int(j)
+    return k
+
+
+def _dips(value: NDArray) -> NDArray[np.bool_]:
+    """Local minima, the ends included."""
+    walled = np.concatenate([[np.inf], np.where(np.isfinite(value), value, np.inf), [np.inf]])
+    return (walled[1:-1] <= walled[:-2]) & (walled[1:-1] < walled[2:])
 
 
 # -- rules of another form -------------------------------------------------------------------------------------------

@@ -64,7 +64,9 @@ def foxgood(n: int) -> Problem:
 def gravity(n: int) -> Problem:
     """Vertical gravity of a mass line at depth 1/4."""
     t, step = _midpoints(0, 1, n)
-    return step * 0.25 * (0.25**2 + (t[:, None] - t[None]) ** 2) ** -1.5, np.sin(np.pi * t) + 0.5 * np.sin(2 * np.pi * t)
+    return step * 0.25 * (0.25**2 + (t[:, None] - t[None]) ** 2) ** -1.5, np.sin(np.pi * t) + 0.5 * np.sin(
+        2 * np.pi * t
+    )
 
 
 def baart(n: int) -> Problem:

@@ -328,3 +328,34 @@ def test_default_without_a_noise_level_is_close_to_the_best_lambda() -> None:
     assert np.mean(default > 3) < np.mean(gcv > 3)  # GCV alone fails in a fifth of all cases
     graded = np.array([chosen.verdict in ("determined", "usable") for _, chosen in found])
     assert np.mean(gcv[graded] > 3) < 0.5 * np.mean(gcv[~graded] > 3)  # the verdict is worth something
+
+
+def error_ratios(H: np.ndarray, g: np.ndarray, eta: float, rule: str, draws: int) -> np.ndarray:
+    """Load error of one rule over the smallest error, noise level not known."""
+    clean, found = H @ g, []
+    for seed in range(draws):
+        noise = np.random.default_rng(seed).standard_normal(len(clean))
+        path = SVDPath(LinearProblem.whitened(H, clean + eta * np.sqrt(np.mean(clean**2)) * noise))
+        lam = rules.run(rule, rules.Sweep.over(path, None)).lam
+        error = [np.linalg.norm(path.X @ path.gains(x) - g) for x in (lam, *np.geomspace(*path.range, 60))]
+        found.append(error[0] / min(error))
+    return np.array(found)
+
+
+def test_a_residual_that_is_small_by_chance_does_not_win() -> None:
+    """All but two modes are needed: the noise shows on two degrees of freedom, and GCV's tail wins every third time."""
+    n = 60
+    rng = np.random.default_rng(0)
+    U, V = (np.linalg.qr(rng.standard_normal((n, n)))[0] for _ in range(2))
+    H = (U * np.concatenate([np.geomspace(1, 3e-2, n - 2), [1e-9, 1e-10]])) @ V.T
+    g = V @ np.concatenate([rng.standard_normal(n - 2), [0, 0]])
+    assert np.mean(error_ratios(H, g, 0.01, "robust_gcv", 30) > 3) > 0.15
+    assert np.mean(error_ratios(H, g, 0.01, "predicted_error", 30) > 3) < 0.05
+
+
+def test_data_that_need_no_regularisation_get_none() -> None:
+    """Robust GCV gives up a factor of ten in the residual to spare degrees of freedom; here they are all needed."""
+    H = toeplitz(echo(120, 1, 1, seed=3, decay=20.0)).reshape(120, 120)
+    g = np.exp(-0.5 * ((np.arange(120) - 50) / 2.0) ** 2)
+    assert np.median(error_ratios(H, g, 0.01, "robust_gcv", 4)) > 3
+    assert np.max(error_ratios(H, g, 0.01, "predicted_error", 4)) < 1.1
