@@ -18,7 +18,7 @@ from structures.errors import InputError
 from .choice import RuleResult
 from .path import PathPoint, RegularizationPath
 
-CHANCE = 1e-3  # 0.01 leaves 10 % of failures on the plate case of the tests, 1e-3 none
+CHANCE = 1e-3  # a residual that is smaller than this share of all noise would leave is not believed to be chance
 EDGE = 3  # points of the sweep that count as its end
 LONGEST_NCP = 300_000  # data; beyond, one transform for each lambda costs more than all other rules together
 
