@@ -17,6 +17,7 @@ from .inverse.choice import Choice
 MEMORY = 0.01  # share of the first response that may be left at the end of a record
 DECADE = 1.0  # spread of the rules, decades
 COVERED = 0.05  # how far the share inside a band may lie below its level
+GCV_RULES = ("gcv", "robust_gcv", "modified_gcv", "predicted_error")
 FLAT = 1.05  # GCV: highest over lowest within half a decade
 PREDICTIVE = ("discrepancy", "dof_discrepancy", "upre", "gcv", "robust_gcv", "predicted_error")
 KNOWN_SOURCES = (
@@ -159,7 +160,7 @@ def no_corner(choice: Choice) -> Flag | None:
     Elsewhere it does no harm: well-conditioned problems have no corner, and the table of the rules says so.
     """
     found = next((r for r in choice.rules if r.rule == "l_curve"), None)
-    if found is None or (found.lam is not None and not found.edge):
+    if choice.rule != "l_curve" or found is None or (found.lam is not None and not found.edge):
         return None
     others = [r for r in choice.rules if r.rule in PREDICTIVE and r.lam is not None and not r.edge]
     if choice.rule != "l_curve" and others:
@@ -174,9 +175,11 @@ def no_corner(choice: Choice) -> Flag | None:
 
 
 def gcv_minimum(choice: Choice) -> Flag | None:
-    """W402: GCV has its minimum at an end of the sweep, or is flat around it."""
+    """W402: lambda was chosen by GCV or from it, and GCV sits at an end of the sweep or is flat around its minimum."""
     found = next((r for r in choice.rules if r.rule == "gcv"), None)
-    if found is None or found.lam is None or choice.sweep is None or choice.sweep.gcv is None:
+    if choice.rule not in GCV_RULES or found is None or found.lam is None:
+        return None
+    if choice.sweep is None or choice.sweep.gcv is None:
         return None
     near = np.abs(np.log10(choice.sweep.lam / found.lam)) <= 0.5
     G = choice.sweep.gcv[near]

@@ -319,14 +319,21 @@ class MeasuredModel(Model):
         )
 
 
+MEDIAN_SQUARE = 0.4549  # median of the square of a standard normal variable
+
+
 def causality(model: MeasuredModel) -> Flag | None:
     """W207: share of the impulse response's energy at negative times (0 for a causal response, 1 for a conjugate).
 
-    A response that rings longer than the inverse of the line spacing wraps round, but never by more than half.
+    A response that rings longer than the inverse of the line spacing wraps round, but never by more than half. Noise
+    fills all times alike: its level, seen furthest from zero on both sides, is taken off.
     """
     h = np.fft.irfft(model.H, axis=0)
     half, skip = len(h) // 2, max(4, len(h) // 200)  # an anti-alias filter rings a little before zero
-    before, after = (np.sum(x[skip : half - skip] ** 2, axis=0) for x in (h[::-1], h))
+    floor = np.median(h[half - half // 4 : half + half // 4] ** 2, axis=0) / MEDIAN_SQUARE
+    before, after = (
+        np.maximum(np.sum(x[skip : half - skip] ** 2, axis=0) - (half - 2 * skip) * floor, 0.0) for x in (h[::-1], h)
+    )
     tiny = np.finfo(float).tiny
     each, share = before / np.maximum(before + after, tiny), before.sum() / max((before + after).sum(), tiny)
     turned = [

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Flag
-from structures.measured import digests
+from structures.measured import MeasuredModel, digests
 from structures.model import Model
 
 from ..record import Record
+
+SHORTEST = 4  # samples
 
 
 @dataclass(frozen=True)
@@ -74,8 +76,17 @@ def gather(record: Any, dt: float | None, model: Model, sensors: Sequence[str | 
     wanted = [model.sensors[i] for i in rows]
     columns = [_column(s, record) for s in wanted]
     picked = record.select(columns)
+    if len(picked.values) < SHORTEST:
+        raise InputError(
+            "too few samples",
+            where=record.source or "record",
+            found=len(picked.values),
+            expected=f"at least {SHORTEST}",
+        )
     for row, channel in zip(wanted, picked.channels, strict=True):
-        if "arbitrary" not in (row.unit, channel.unit) and row.unit != channel.unit:
+        # arrays without units are taken as they come; a model that states its unit wants it stated
+        stated = row.unit != "arbitrary" or isinstance(model, MeasuredModel)
+        if stated and row.unit != channel.unit:
             raise InputError(
                 "the unit of a channel does not fit the sensor of the model",
                 where=f"channel {channel.label}",

@@ -9,29 +9,9 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
+from . import rules
 from .path import RegularizationPath
-
-
-@dataclass(frozen=True)
-class RuleResult:
-    """What one rule said.
-
-    Parameters
-    ----------
-    rule : str
-        Name.
-    lam : float or None
-        Relative lambda (lambda over the scale of the problem); None when the rule refused.
-    edge : bool
-        The answer sits at an end of the sweep.
-    note : str
-        Why it refused, or what is odd about it.
-    """
-
-    rule: str
-    lam: float | None
-    edge: bool = False
-    note: str = ""
+from .rules import RuleResult
 
 
 @dataclass(frozen=True)
@@ -99,6 +79,7 @@ DEFAULT_RULES = (
     "quasi_optimality",
     "evidence",
 )
+LARGEST = 1e3  # relative lambda; at 1 the best-seen component of the load has lost half of its height
 BELIEVED = 1.1  # residual over stated noise up to which the noise level is believed
 COMPARED = (
     ("gcv", "robust_gcv"),
@@ -136,8 +117,6 @@ def choose(
     InputError
         Unknown rule, a lambda that is not a finite number >= 0, or a rule that refuses.
     """
-    from . import rules
-
     sweep = rules.Sweep.over(path, sigma)
     asked = {name: rules.run(name, sweep) for name in DEFAULT_RULES}
     if isinstance(choice, str) and choice not in asked:
@@ -152,7 +131,7 @@ def choose(
         rules=tuple(asked.values()),
         spread=spread,
         verdict=verdict,
-        odds=MEANING[verdict],
+        odds=MEANING[verdict] + ("; lambda itself was given" if rule == "given" else ""),
         sigma=sigma,
         sigma_source=source,
         edf=None if point.edf is None else float(point.edf),
@@ -198,12 +177,12 @@ def _pick(
     if isinstance(choice, str):
         return _given(asked[choice]), choice
     if choice is not None:
-        if not (np.isfinite(choice) and choice >= 0):
+        if not (np.isfinite(choice) and 0 <= choice <= LARGEST):
             raise InputError(
                 "no relative lambda",
                 where="choice",
                 found=choice,
-                expected="a finite number >= 0, or the name of a rule",
+                expected=f"a number from 0 to {LARGEST:g}, or the name of a rule",
             )
         return float(choice), "given"
     order = ["predicted_error", "robust_gcv", "gcv", "l_curve"] if sigma is None else ["discrepancy", "upre", "gcv"]

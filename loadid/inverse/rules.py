@@ -15,12 +15,33 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
-from .choice import RuleResult
 from .path import PathPoint, RegularizationPath
 
 CHANCE = 1e-3  # a residual that is smaller than this share of all noise would leave is not believed to be chance
 EDGE = 3  # points of the sweep that count as its end
 LONGEST_NCP = 300_000  # data; beyond, one transform for each lambda costs more than all other rules together
+
+
+@dataclass(frozen=True)
+class RuleResult:
+    """What one rule said.
+
+    Parameters
+    ----------
+    rule : str
+        Name.
+    lam : float or None
+        Relative lambda (lambda over the scale of the problem); None when the rule refused.
+    edge : bool
+        The answer sits at an end of the sweep.
+    note : str
+        Why it refused, or what is odd about it.
+    """
+
+    rule: str
+    lam: float | None
+    edge: bool = False
+    note: str = ""
 
 
 class Refusal(Exception):

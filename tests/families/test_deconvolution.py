@@ -139,7 +139,7 @@ class TestIndexOffset:
     def test_no_shift_helps(self):
         h = np.zeros(100)
         h[70:] = 1.0
-        with pytest.raises(InputError, match="LID-E506.*no usable diagonal"):
+        with pytest.raises(InputError, match=r"LID-E506.*no usable diagonal"):
             Deconvolution(ImpulseModel(h, DT, kind="held")).estimate(np.ones(100), dt=DT)
 
     def test_a_load_that_no_sensor_sees(self):
@@ -194,6 +194,7 @@ class TestRefusals:
             ("best", "unknown rule"),
             (-1.0, "relative lambda"),
             (float("nan"), "relative lambda"),
+            (1e300, "relative lambda"),
             ("upre", "noise level"),
         ],
     )
@@ -218,6 +219,10 @@ class TestRefusals:
             solve.estimate(Record(y, DT, ["s00", "s1", "s2"]))
         with pytest.raises(InputError, match="m/s\\^2"):
             solve.estimate(Record(y, DT, [Channel(label=f"s{i}", quantity="displacement", unit="m") for i in range(3)]))
+        with pytest.raises(InputError, match=r"--unit s0=m/s\^2"):
+            solve.estimate(Record(y, DT, ["s0", "s1", "s2"]))
+        with pytest.raises(InputError, match="too few samples"):
+            solve.estimate(y[:2], dt=DT)
 
     def test_noise(self):
         model = make_model()
@@ -326,7 +331,7 @@ def test_progress_and_provenance():
     model, said = make_model(), []
     y = noisy(model.predict(pulse(), DT), 0.01)
     estimate = Deconvolution(model, progress=lambda fraction, text: said.append((fraction, text))).estimate(
-        Record(y, DT, ["s0", "s1", "s2"], name="run 7"), None
+        Record(y, DT, model.sensors, name="run 7"), None
     )
     fractions = [f for f, _ in said]
     assert fractions == sorted(fractions)

@@ -532,3 +532,54 @@ def test_fingerprint_changes_with_content():
     seen = {MeasuredModel(**{**parts, **change}).fingerprint for change in ({}, *others)}
     assert len(seen) == 1 + len(others)
     assert model(tables).fingerprint == m.fingerprint == MeasuredModel(**parts).fingerprint
+
+
+def test_the_same_record_twice_is_one_hit():
+    """Repeated records would look like perfect coherence and a perfect certificate."""
+    rng = np.random.default_rng(0)
+    t = np.arange(400)
+    record = np.column_stack(
+        [np.exp(-(((t - 40) / 3) ** 2)), np.exp(-t / 30) * np.cos(t / 5) + 0.01 * rng.standard_normal(400)]
+    )
+    model = MeasuredModel.from_hits([record, record.copy()], dt=1e-3, force=0, responses=[1])
+    assert [h.used for h in model.hits] == [True, False]
+    assert "same record" in model.hits[1].reason
+    assert model.certificate is None
+    assert model.noise_power is None
+
+
+@pytest.mark.parametrize(
+    ("force", "response", "words"),
+    [("acceleration", "acceleration", "no unit of a force"), ("force", "force", "swapped")],
+)
+def test_units_that_cannot_be_what_they_say(force, response, words):
+    units = {"force": "N", "acceleration": "m/s^2"}
+
+    class Table:
+        values, dt, name = np.random.default_rng(0).standard_normal((100, 2)), 1e-3, "log"
+        channels = (
+            Channel(label="f", quantity=force, unit=units[force]),
+            Channel(label="a", quantity=response, unit=units[response]),
+        )
+
+    with pytest.raises(InputError, match=words):
+        MeasuredModel.from_hits([Table()], force="f", responses=["a"])
+
+
+def test_a_symmetric_pulse_may_have_a_zero():
+    """A pulse with a zero at one line is no error: nothing is known there."""
+    force = np.zeros(256)
+    force[20:30] = np.hanning(10)
+    response = np.convolve(force, 0.9 ** np.arange(200) * np.cos(np.arange(200)))[:256]
+    model = MeasuredModel.from_hits([np.column_stack([force, response])], dt=1e-3, force=0, responses=[1])
+    assert np.all(np.isfinite(model.H))
+
+
+def test_noise_on_unexcited_lines_is_not_taken_for_a_wrong_sign():
+    """W207 looks at the response, not at the noise that fills all times alike."""
+    rng = np.random.default_rng(1)
+    h = np.exp(-np.arange(2000) / 50) * np.sin(np.arange(2000) / 7)
+    noisy = h + 0.05 * rng.standard_normal(2000)
+    assert not MeasuredModel.from_frf(np.fft.rfftfreq(2000, 1e-3), np.fft.rfft(noisy), kind="accelerance").flags
+    turned = MeasuredModel.from_frf(np.fft.rfftfreq(2000, 1e-3), np.fft.rfft(noisy).conj(), kind="accelerance")
+    assert [f.code for f in turned.flags] == ["LID-W207"]
