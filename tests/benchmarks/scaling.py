@@ -38,7 +38,7 @@ class Case:
 def case(samples: int, noise: float = 0.01) -> Case:
     """A hit in every 500 samples but the last 20 %, the same response and hits whatever the length of the record."""
     t = np.arange(samples) * DT
-    h = np.exp(-min(samples, 500) ** -1 * 20 * t / DT) * np.sin(2 * np.pi * 60 * t + 0.3)  # h[0] is not zero
+    h = np.exp(-(min(samples, 500) ** -1) * 20 * t / DT) * np.sin(2 * np.pi * 60 * t + 0.3)  # h[0] is not zero
     force = np.zeros(samples)
     for start in range(samples // 20, samples * 4 // 5, min(500, samples // 3)):
         force[start : start + 20] = np.sin(np.pi * np.arange(20) / 20)
