@@ -56,16 +56,32 @@ class Factor:
             self._lu = None
         if self._lu is None or (check and not np.iscomplexobj(self.K)):
             motion = null_vector(self.K, self._lu)
+            if motion is None and self._lu is None and structure is not None:
+                motion = next((m.vector[structure.free] for m in structure.rigid_body_motions()), None)
             if motion is not None:
                 raise mechanism(motion, structure)
             if self._lu is None:
                 raise InputError(
-                    "the matrix cannot be factorised without pivoting", where="Factor", found="a zero pivot"
+                    "the matrix is indefinite: it cannot be factorised without pivoting",
+                    where="Factor",
+                    found="a zero pivot",
+                    expected="a positive definite matrix",
+                    hint="check the signs in K, and a compressive prestress beyond buckling",
                 )
 
     @classmethod
     def of(cls, structure: Any) -> Factor:
-        """Factor of the stiffness of `structure` on its free DOFs."""
+        """Factor of the stiffness of `structure` on its free DOFs.
+
+        Raises
+        ------
+        NotIdentifiable
+            If a motion meets no stiffness: named from the geometry where a builder gave it, else from the matrix.
+        """
+        if structure.field is not None:
+            # Geometry knows the free motions for certain; rounding in a factor may hide them behind tiny pivots.
+            for motion in structure.rigid_body_motions():
+                raise mechanism(motion.vector[structure.free], structure)
         return cls(structure.K_free, structure=structure)
 
     def solve(self, B: Any) -> NDArray:
@@ -187,11 +203,8 @@ def null_vector(K: Any, lu: Any = None) -> NDArray[np.float64] | None:
     if loose.size:
         return np.eye(1, K.shape[0], loose[0])[0]
     if lu is None:
-        # The smallest shift that does not change K beyond its own rounding gives the factor a pivot.
-        shift = 1e-15 * np.where(diagonal > 0, diagonal, diagonal.max())
-        try:
-            lu = splu((K + sparse.diags(shift)).tocsc(), permc_spec="COLAMD")
-        except RuntimeError:
+        lu = _shifted(K, np.where(diagonal > 0, diagonal, diagonal.max()))
+        if lu is None:
             return None
     x = np.random.default_rng(0).standard_normal(K.shape[0]).astype(K.dtype)
     scale = np.sqrt(np.where(diagonal > 0, diagonal, diagonal.max() or 1.0))  # rows of mixed units made comparable
@@ -205,6 +218,16 @@ def null_vector(K: Any, lu: Any = None) -> NDArray[np.float64] | None:
         if rest < SINGULAR:
             return x
         x = x * scale
+    return None
+
+
+def _shifted(K: Any, scale: NDArray[np.float64]) -> Any:
+    """Pivoted factor of `K` with the smallest shift of its diagonal that gives it every pivot, or None."""
+    for shift in (1e-15, 1e-14, 1e-12):
+        try:
+            return splu((K + sparse.diags(shift * scale)).tocsc(), permc_spec="COLAMD")
+        except RuntimeError:
+            continue
     return None
 
 

@@ -68,7 +68,8 @@ def _geometric(structure: Structure) -> list[tuple[str, Array]]:
     held = R[structure.supported]
     sizes = np.linalg.norm(held, axis=1)
     held = held[sizes > 0] / sizes[sizes > 0, None]  # rows of different units count alike
-    combos = linalg.null_space(held, rcond=1e-9) if len(held) else np.eye(len(names))
+    # the triangle has the null space of all the rows, and costs no (rows, rows) factor
+    combos = linalg.null_space(np.linalg.qr(held, mode="r"), rcond=1e-9) if len(held) else np.eye(len(names))
     if combos.shape[1] == 0:
         return []
     V = R @ combos
@@ -117,7 +118,11 @@ def _named(structure: Structure, N: Array) -> list[tuple[str, Array]]:
     root = np.sqrt(_scale(structure))[:, None]
     Q, _ = np.linalg.qr(root * N)
     found: list[tuple[str, Array]] = []
-    for name, vector in _candidates(structure):
+    whole = dict(_candidates(structure))
+    for name, vector in whole.items():
+        vector = np.where(np.isin(np.arange(structure.n), structure.supported), 0.0, vector)
+        if not np.any(vector):
+            continue
         unit = root[:, 0] * vector
         unit = unit / np.linalg.norm(unit)
         # new only if it lies in the null space and not in the span of those already found
@@ -128,11 +133,25 @@ def _named(structure: Structure, N: Array) -> list[tuple[str, Array]]:
         taken, _ = np.linalg.qr(np.column_stack([root[:, 0] * v for _, v in found]))
         U, s, _ = np.linalg.svd(Q - taken @ (taken.T @ Q), full_matrices=False)
         Q = U[:, s > 1e-3]
-    return found + [(_most_moving(structure, vector), vector) for vector in (Q / root).T]
+    return found + [
+        (_combined(whole, vector, root) or _most_moving(structure, vector), vector) for vector in (Q / root).T
+    ]
+
+
+def _combined(rigid: dict[str, Array], vector: Array, root: Array) -> str:
+    """Name of a null vector that is a mixture of rigid motions, such as a rotation about a pin; "" where it is not."""
+    if not rigid:
+        return ""
+    R, q = root * np.column_stack(list(rigid.values())), root[:, 0] * vector
+    sizes = np.linalg.norm(R, axis=0)
+    mix = np.linalg.lstsq(R / sizes, q, rcond=None)[0]
+    if np.linalg.norm(R / sizes @ mix - q) > 1e-6 * np.linalg.norm(q):
+        return ""
+    return _words(list(rigid), np.where(np.abs(mix) < 1e-6 * np.abs(mix).max(), 0.0, mix))
 
 
 def _candidates(structure: Structure) -> Iterator[tuple[str, Array]]:
-    """Rigid motions that the DOF table and the coordinates suggest, zero at the supports."""
+    """Rigid motions that the DOF table and the coordinates suggest, supports not yet regarded."""
     dofs = structure.dofs
     places = np.zeros((structure.n, 3))
     if structure.coordinates is not None:
@@ -148,7 +167,6 @@ def _candidates(structure: Structure) -> Iterator[tuple[str, Array]]:
         for axis in range(1, 4):
             vector = np.where(axes == axis, moved[:, axis - 1], vector)
         vector = signs * vector
-        vector[structure.supported] = 0.0
         if np.any(vector) and (k < 3 or structure.coordinates is not None):
             yield name, vector
 

@@ -142,3 +142,73 @@ def test_an_indefinite_shifted_matrix_keeps_its_accuracy():
     D = beam.K_free - (2 * np.pi * 400.0) ** 2 * beam.M_free
     x = np.random.default_rng(4).standard_normal(D.shape[0])
     assert np.linalg.norm(Factor(D).solve(D @ x) - x) < 1e-7 * np.linalg.norm(x)
+
+
+class TestMechanismsNamed:
+    """Every pair of ends and every plate's edges: either it carries a static load, or its free motion is named."""
+
+    FREE = {  # noqa: RUF012  (pair of ends in any order -> what is left free)
+        frozenset({"pinned", "free"}): "rotation RY",
+        frozenset({"free"}): "translation Z, rotation RY",
+        frozenset({"guided", "free"}): "translation Z",
+        frozenset({"guided"}): "translation Z",
+    }
+
+    @pytest.mark.parametrize("elements", [1, 7, 40, 160])
+    @pytest.mark.parametrize("left", beams.ENDS)
+    @pytest.mark.parametrize("right", beams.ENDS)
+    def test_beam(self, left, right, elements):
+        flat = beams.Section.rectangle(0.04, 0.008)
+        s = beams.beam(length=1.2, elements=elements, left=left, right=right, section=flat, material=steel)
+        words = self.FREE.get(frozenset({left, right}))
+        if s.free.size == 0:
+            return
+        if words is None:
+            assert np.all(np.isfinite(Factor.of(s).solve(np.ones(s.free.size))))
+            return
+        with pytest.raises(NotIdentifiable, match=rf"rigid-body motion left free \({words}\)"):
+            Factor.of(s)
+
+    @pytest.mark.parametrize("elements", [(1, 1), (5, 4), (16, 16)])
+    @pytest.mark.parametrize(
+        ("edges", "words"),
+        [
+            ("FFFF", "translation Z, rotation RX, rotation RY"),
+            ("SFFF", "rotation RY"),
+            ("FSFF", "rotation RX"),
+            ("FFSF", "rotation RY"),
+            ("FFFS", "rotation RX"),
+            ("SSFF", None),
+            ("SFSF", None),
+            ("CFFF", None),
+            ("FFFC", None),
+        ],
+    )
+    def test_plate(self, edges, words, elements):
+        s = plates.plate(lengths=(1.0, 0.7), thickness=4e-3, elements=elements, edges=edges, material=steel)
+        if words is None:
+            assert np.all(np.isfinite(Factor.of(s).solve(np.ones(s.free.size))))
+            return
+        with pytest.raises(NotIdentifiable, match=rf"rigid-body motion left free \({words}\)"):
+            Factor.of(s)
+
+    @pytest.mark.parametrize("corners", [1, 2, 3])
+    def test_plate_on_corner_points(self, corners):
+        """One point leaves two rotations, two points the rotation about their line, three none."""
+        s = plates.plate(lengths=(1.0, 1.0), thickness=4e-3, elements=(4, 4), edges="FFFF", material=steel)
+        s = s.with_supports(*["0+Z", "24+Z", "4+Z"][:corners])
+        if corners == 3:
+            assert np.all(np.isfinite(Factor.of(s).solve(np.ones(s.free.size))))
+            return
+        with pytest.raises(NotIdentifiable, match="rigid-body motion left free .*rotation RX.*rotation RY"):
+            Factor.of(s)
+
+    def test_from_matrices_and_bare(self):
+        """Without geometry the null space of the matrix names the motion, whatever the mesh."""
+        for elements in (10, 40, 41):
+            s = beams.beam(length=1.2, elements=elements, left="pinned", right="free", EI=1.0, mass_per_length=1.0)
+            bare = Structure.from_matrices(s.K, s.M, dofs=s.dofs, supports=s.supports, coordinates=s.coordinates)
+            with pytest.raises(NotIdentifiable, match="rotation RY"):
+                Factor.of(bare)
+            with pytest.raises(NotIdentifiable, match="meets no stiffness"):
+                Factor(s.K_free)
