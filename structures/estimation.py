@@ -40,7 +40,7 @@ def from_hits(
     hits: list[Hit] = []
     for t in tests:
         f, y = t.values[:, 0], t.values[:, 1:]
-        reason = _repeated(y, hits) or unusable(f, y, labels) or (judge(f, y, labels) if reject else "")
+        reason = unusable(f, y, labels) or (judge(f, y, labels) if reject else "") or _repeated(y, hits)
         peak = float(f[np.argmax(np.nan_to_num(np.abs(f), posinf=0.0))])
         hits.append(Hit(t.name, not reason, reason, peak if np.isfinite(peak) else 0.0, digests(y)))
     used = [t for t, h in zip(tests, hits, strict=True) if h.used]
