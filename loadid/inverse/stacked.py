@@ -20,9 +20,11 @@ def factor(H: NDArray, Y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, 
 
     Returns
     -------
-    U (lines, sensors, r), c (lines, r), V (lines, loads, r), beta (lines, r), outside (lines,)
+    U (lines, sensors, r), c (lines, r) with zeros below rounding, V (lines, loads, r), beta (lines, r), outside (lines,)
     """
     U, c, Vh = np.linalg.svd(H, full_matrices=False)
+    # what rounding leaves of a silent direction carries no information: sums run over the rank of each line
+    c = np.where(c > max(H.shape[1:]) * np.finfo(float).eps * c[:, :1], c, 0.0)
     beta = np.einsum("ksr,ks->kr", U.conj(), Y)
     outside = np.sum(np.abs(Y - np.einsum("ksr,kr->ks", U, beta)) ** 2, axis=1)
     return U, c, Vh.conj().swapaxes(1, 2), beta, outside
