@@ -20,7 +20,7 @@ def factor(H: NDArray, Y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, 
 
     Returns
     -------
-    U (lines, sensors, r), c (lines, r) with zeros below rounding, V (lines, loads, r), beta (lines, r), outside (lines,)
+    U (lines, sensors, r), c (lines, r), zero below rounding, V (lines, loads, r), beta (lines, r), outside (lines,)
     """
     U, c, Vh = np.linalg.svd(H, full_matrices=False)
     # what rounding leaves of a silent direction carries no information: sums run over the rank of each line
