@@ -19,7 +19,6 @@ DECADE = 1.0  # spread of the rules, decades
 COVERED = 0.05  # how far the share inside a band may lie below its level
 GCV_RULES = ("gcv", "robust_gcv", "modified_gcv", "predicted_error")
 FLAT = 1.05  # GCV: highest over lowest within half a decade
-PREDICTIVE = ("discrepancy", "dof_discrepancy", "upre", "gcv", "robust_gcv", "predicted_error")
 KNOWN_SOURCES = (
     "quiet segment",
     "unloaded record",
@@ -155,15 +154,12 @@ def parameter(choice: Choice, discrepancy: Callable[[float], float | None]) -> t
 
 
 def no_corner(choice: Choice) -> Flag | None:
-    """W401: no corner, or one at the end of the sweep, where the L-curve decides or no other rule found an optimum.
+    """W401: lambda was chosen by the L-curve, and it has no corner or one at the end of the sweep.
 
-    Elsewhere it does no harm: well-conditioned problems have no corner, and the table of the rules says so.
+    Elsewhere that does no harm: well-conditioned problems have no corner, and the table of the rules says so.
     """
     found = next((r for r in choice.rules if r.rule == "l_curve"), None)
     if choice.rule != "l_curve" or found is None or (found.lam is not None and not found.edge):
-        return None
-    others = [r for r in choice.rules if r.rule in PREDICTIVE and r.lam is not None and not r.edge]
-    if choice.rule != "l_curve" and others:
         return None
     value = "none" if found.lam is None else found.lam
     return Flag(
