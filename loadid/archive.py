@@ -56,6 +56,19 @@ def plain(value: Any) -> Any:
     return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
+def without_arrays(tree: dict[str, Any]) -> dict[str, Any]:
+    """A plain tree of an estimate without what is as long as the record: shapes and ends stand in for it."""
+    short = {k: v for k, v in tree.items() if k not in ("load", "std", "bias", "response", "residual")}
+    load = tree["load"]
+    short["shape"] = [len(load), len(load[0])] if isinstance(load[0], list) else [len(load)]
+    if (axis := tree["axis"]) is not None:
+        x = axis["values"]
+        short["axis"] = {"name": axis["name"], "unit": axis["unit"], "first": x[0], "last": x[-1], "samples": len(x)}
+    if tree["choice"] is not None:
+        short["choice"] = {k: v for k, v in tree["choice"].items() if k != "sweep"}
+    return short
+
+
 def to_tree(e: LoadEstimate) -> dict[str, Any]:
     """Nested dictionary of everything, as `structures.storage` takes it."""
     tree: dict[str, Any] = {f.name: getattr(e, f.name) for f in fields(e)}

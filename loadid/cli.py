@@ -16,19 +16,16 @@ from structures.errors import InputError, NotIdentifiable
 
 from . import __version__
 from .commands import Command
+from .commands._arguments import UsageError
 
 GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
 _OWN = ("demo", "info", "check", "calibrate", "identify")
 
 
-class _Usage(Exception):
-    """Wrong words on the command line."""
-
-
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        raise _Usage(f"{message} (see {self.prog} --help)")
+        raise UsageError(f"{message} (see {self.prog} --help)")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -43,12 +40,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv[:1] == ["--version"]:  # before anything else is imported
         print(f"loadid {__version__}")
         return DONE
-    as_json = "--json" in argv
+    as_json = "--json" in argv or "--json-full" in argv
     try:
         args = _parser().parse_args(argv)
         with _Log(args.log_level):
             return args.run(args)
-    except _Usage as error:
+    except UsageError as error:
         return _fail(as_json, USAGE, {"what": str(error)}, str(error))
     except SystemExit as error:  # --help
         return error.code if isinstance(error.code, int) else DONE

@@ -300,15 +300,22 @@ class LoadEstimate:
 
         return fragment(self)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Everything but the posterior as plain lists, text and numbers for strict JSON; not finite becomes None."""
+    def to_dict(self, *, arrays: bool = True) -> dict[str, Any]:
+        """Everything but the posterior as plain lists, text and numbers for strict JSON; not finite becomes None.
+
+        Parameters
+        ----------
+        arrays : bool
+            False leaves out what is as long as the record.
+        """
         from loadid import archive
 
         tree = archive.to_tree(self)
         tree.pop("posterior")
         tree["peaks"] = [asdict(p) for p in self.peaks]
         tree["verified"] = self.verified
-        return archive.plain(tree)
+        tree = archive.plain(tree)
+        return tree if arrays else archive.without_arrays(tree)
 
     def save(self, path: str | os.PathLike) -> None:
         """Write an HDF5 file with checksums, whole or not at all."""

@@ -7,11 +7,12 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from loadid.estimate import NOT_VERIFIED
-from loadid.summary import pulse_window, sort
+from loadid.summary import allowed, overridden, pulse_window, sort
 from structures.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,7 +23,9 @@ if TYPE_CHECKING:
 # Okabe and Ito: told apart with every kind of colour vision, and in grey by their lightness
 BLUE, ORANGE, GREEN, SKY, PURPLE = "#0072B2", "#D55E00", "#009E73", "#56B4E9", "#CC79A7"
 INK, GREY = "#222222", "#8a8a8a"
+PALE = "#9fc3dd"  # of a broad line below a thin one
 PANELS = 6
+NARROW = 4.0  # inches: the width of a phone
 _DENSE = 5000  # points of a line beyond which a vector picture would be larger than a bitmap
 
 
@@ -57,31 +60,61 @@ def plot(
 
 def save(figure: Figure, path: str | os.PathLike) -> None:
     """Write a figure to a file whose suffix names the format; the old file stays where that fails."""
-    from io import BytesIO
     from pathlib import Path
 
     from structures.storage import replace
 
-    suffix = Path(path).suffix.lstrip(".").lower()
-    if suffix not in figure.canvas.get_supported_filetypes():
-        raise InputError("no picture format", where=str(path), found=suffix or "no suffix", expected="png, svg or pdf")
+    replace(Path(path), rendered(figure, path))
+
+
+def rendered(figure: Figure, path: str | os.PathLike) -> bytes:
+    """Content of the picture file of a figure."""
+    from io import BytesIO
+
     buffer = BytesIO()
-    figure.savefig(buffer, format=suffix, dpi=150)
-    replace(Path(path), buffer.getvalue())
+    figure.savefig(buffer, format=picture_format(path), dpi=150)
+    return buffer.getvalue()
+
+
+def picture_format(path: str | os.PathLike) -> str:
+    """Format of a picture that the suffix of a file names.
+
+    Raises
+    ------
+    InputError
+        If it names none.
+    """
+    from pathlib import Path
+
+    suffix = Path(path).suffix.lstrip(".").lower()
+    if suffix not in FigureCanvasBase.get_supported_filetypes():
+        raise InputError(
+            "no picture format", where=str(path), found=suffix or "no suffix", expected="png, svg or pdf",
+            hint="end the name with .png, .svg or .pdf",
+        )  # fmt: skip
+    return suffix
 
 
 # -- the load ---------------------------------------------------------------------------------------------------------
 def load_figure(
-    estimate: LoadEstimate, *, truth: ArrayLike | None = None, level: float = 0.95, figure: Figure | None = None
+    estimate: LoadEstimate,
+    *,
+    truth: ArrayLike | None = None,
+    level: float = 0.95,
+    figure: Figure | None = None,
+    narrow: bool = False,
 ) -> Figure:
-    """Load with its band, one row per load; a panel beside it enlarges a pulse that is short against the record."""
+    """Load with its band, one row per load; a panel beside it enlarges a pulse that is short against the record.
+
+    A narrow figure is for a phone: its panels stand below each other, the one around the peak first.
+    """
     figure = figure or _figure()
     known = _truth(estimate, truth)
     if estimate.axis is None:
-        figure.set_size_inches(max(6.0, min(14.0, 2 + 0.35 * len(estimate.labels))), 4.2)
+        figure.set_size_inches(NARROW if narrow else max(6.0, min(14.0, 2 + 0.35 * len(estimate.labels))), 4.2)
         _draw_static(figure.subplots(), estimate, known, level)
     else:
-        _draw_rows(figure, estimate, known, level)
+        _draw_rows(figure, estimate, known, level, narrow)
     mark(figure, estimate)
     return figure
 
@@ -118,8 +151,11 @@ def draw_load(
     _tidy(ax)
 
 
-def _draw_rows(figure: Figure, estimate: LoadEstimate, truth: NDArray | None, level: float) -> None:
+def _draw_rows(figure: Figure, estimate: LoadEstimate, truth: NDArray | None, level: float, narrow: bool) -> None:
     shown = _largest(estimate)
+    if narrow:
+        _draw_stack(figure, estimate, truth, level, shown)
+        return
     figure.set_size_inches(10, 1.1 + 2.3 * len(shown) if len(shown) > 1 else 4.0)
     grid = figure.add_gridspec(len(shown), 5)
     alike = len(set(estimate.units)) == 1  # one scale then, so that noise on a quiet load does not look like a load
@@ -144,6 +180,20 @@ def _draw_rows(figure: Figure, estimate: LoadEstimate, truth: NDArray | None, le
         figure.supylabel(f"{len(shown)} largest of {len(estimate.labels)} loads", fontsize=9)
 
 
+def _draw_stack(figure: Figure, estimate: LoadEstimate, truth: NDArray | None, level: float, shown: list[int]) -> None:
+    """Panels below each other: of every load the part around its peak, then its whole record."""
+    panels = [
+        (j, w) for j in shown for w in ([pulse_window(estimate, j)] if pulse_window(estimate, j) else []) + [None]
+    ]
+    figure.set_size_inches(NARROW, 0.9 + 2.3 * len(panels))
+    axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for ax, (j, window) in zip(axes, panels, strict=True):
+        draw_load(ax, estimate, j, truth=truth, level=level, window=window)
+        part = "around the peak" if window else "whole record"
+        ax.set_title(f"{text(estimate.labels[j])}, {part}", loc="left", fontsize=9)
+    axes[0].legend(loc="best", fontsize=8, frameon=False)
+
+
 def _draw_static(ax: Axes, estimate: LoadEstimate, truth: NDArray | None, level: float) -> None:
     x = np.arange(len(estimate.labels))
     lower, upper = estimate.band(level)
@@ -162,25 +212,30 @@ def _draw_static(ax: Axes, estimate: LoadEstimate, truth: NDArray | None, level:
 
 
 # -- the response -----------------------------------------------------------------------------------------------------
-def response_figure(estimate: LoadEstimate, *, figure: Figure | None = None) -> Figure:
-    """Measured against predicted response, and what is left, per sensor."""
+def response_figure(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
+    """Measured against predicted response, and what is left, per sensor; below each other where it is narrow."""
     if estimate.response is None or estimate.residual is None or estimate.predicted is None:
         raise InputError("the estimate carries no response", where="plot", hint="use a family that keeps it")
     figure = figure or _figure()
     if estimate.response.ndim == 1 or estimate.axis is None or len(estimate.axis.values) != len(estimate.response):
-        figure.set_size_inches(7, 4)
+        figure.set_size_inches(NARROW if narrow else 7, 4)
         _draw_static_response(figure.subplots(), estimate)
         mark(figure, estimate)
         return figure
     shown = range(min(len(estimate.sensors), PANELS))
-    figure.set_size_inches(10, 1.1 + 2.0 * len(shown))
-    grid = figure.subplots(len(shown), 2, squeeze=False, sharex=True, width_ratios=[3, 2])
+    if narrow:
+        figure.set_size_inches(NARROW, 0.9 + 3.2 * len(shown))
+        grid = figure.subplots(2 * len(shown), 1, squeeze=False, sharex=True).reshape(len(shown), 2)
+    else:
+        figure.set_size_inches(10, 1.1 + 2.0 * len(shown))
+        grid = figure.subplots(len(shown), 2, squeeze=False, sharex=True, width_ratios=[3, 2])
     x = estimate.axis.values * _scale(estimate)[0]
     dense = len(x) > _DENSE
     for (left, right), j in zip(grid, shown, strict=True):
         measured, residual = estimate.response[:, j], estimate.residual[:, j]
-        left.plot(x, measured, color=GREY, lw=1.8, label="measured", rasterized=dense)
-        left.plot(x, estimate.predicted[:, j], color=ORANGE, lw=0.9, label="predicted", rasterized=dense)
+        # broad and pale under thin and dark: where they agree, both are still seen
+        left.plot(x, measured, color=PALE, lw=4.0, label="measured", rasterized=dense)
+        left.plot(x, estimate.predicted[:, j], color=ORANGE, lw=0.8, label="predicted", rasterized=dense)
         right.plot(x, residual, color=GREEN, lw=0.7, rasterized=dense)
         norm = float(np.linalg.norm(measured))
         share = f"{np.linalg.norm(residual) / norm:.2%} of the signal" if norm > 0 else "the signal is zero"
@@ -191,7 +246,7 @@ def response_figure(estimate: LoadEstimate, *, figure: Figure | None = None) -> 
             ax.margins(x=0.01)
             _tidy(ax)
     _legend_above(grid[0][0])
-    for ax in grid[-1]:
+    for ax in grid[-1][1:] if narrow else grid[-1]:
         ax.set_xlabel(_axis_label(estimate))
     if len(shown) < len(estimate.sensors):
         figure.supylabel(f"first {len(shown)} of {len(estimate.sensors)} sensors", fontsize=9)
@@ -211,14 +266,14 @@ def _draw_static_response(ax: Axes, estimate: LoadEstimate) -> None:
 
 
 # -- how lambda was chosen --------------------------------------------------------------------------------------------
-def path_figure(estimate: LoadEstimate, *, figure: Figure | None = None) -> Figure:
-    """L-curve, residual and GCV over lambda, with what every rule said."""
+def path_figure(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
+    """L-curve, residual and GCV over lambda, with what every rule said; below each other where it is narrow."""
     choice = estimate.choice
     if choice is None or choice.sweep is None:
         raise InputError("the estimate carries no sweep of lambda", where="plot", hint="choose lambda by a rule")
     figure = figure or _figure()
-    figure.set_size_inches(10, 4.0)
-    left, right = figure.subplots(1, 2)
+    figure.set_size_inches(*((NARROW, 7.0) if narrow else (10, 4.0)))
+    left, right = figure.subplots(2, 1) if narrow else figure.subplots(1, 2)
     sweep = choice.sweep
     left.loglog(sweep.residual_norm, sweep.penalty_norm, color=BLUE, lw=1.3)
     left.set(xlabel="residual norm (whitened)", ylabel="penalty norm")
@@ -275,12 +330,12 @@ def mark(figure: Figure, estimate: LoadEstimate) -> None:
         NOT_VERIFIED if estimate.certificate is None else f"forward model verified {estimate.certificate.date[:10]}"
     ]
     if estimate.allowed:
-        words.append("OVERRIDDEN: " + ", ".join(estimate.allowed))
+        words.append(allowed(estimate).replace("overridden refusals", "OVERRIDDEN"))
     found = sorted({f.code for f in sort(estimate.flags) if f.level != "note"})
     words.append("flags: " + (", ".join(c.removeprefix("LID-") for c in found[:14]) or "none"))
     if len(found) > 14:
         words[-1] += f" and {len(found) - 14} more"
-    color, weight = (ORANGE, "bold") if estimate.allowed else (INK, "normal")
+    color, weight = (ORANGE, "bold") if overridden(estimate) else (INK, "normal")
     lines = textwrap.wrap("  |  ".join(words), int(14 * figure.get_figwidth()))
     figure.suptitle("\n".join(lines), fontsize=8, color=color, fontweight=weight, x=0.01, ha="left")
 

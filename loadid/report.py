@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from html import escape
 from importlib.resources import files
 from io import BytesIO
@@ -13,7 +14,22 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from loadid.summary import facts, headline, impulses, noise, number, plus_minus, quantity, rules, sort
+from loadid.summary import (
+    against,
+    allowed,
+    cannot_tell,
+    comparison,
+    facts,
+    headline,
+    impulses,
+    noise,
+    notes,
+    number,
+    plus_minus,
+    quantity,
+    rules,
+    sort,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,6 +38,14 @@ if TYPE_CHECKING:
 
 _DENSE = 20_000  # plotted points beyond which a bitmap is smaller than a vector picture
 _SHOWN = 12
+# what a setting that was not given stands for
+_DEFAULTS = {
+    "choice": "automatic",
+    "hold": "the model's own",
+    "sensors": "all",
+    "penalty": "none (plain least squares)",
+    "noise": "estimated",
+}
 
 
 def write_report(estimate: LoadEstimate, path: str | os.PathLike, *, truth: ArrayLike | None = None) -> None:
@@ -41,7 +65,7 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:
     """The page as text."""
     title = f"Load estimate: {', '.join(estimate.labels[:4])}" + (" …" if len(estimate.labels) > 4 else "")
     sections = [
-        ("Result", _result(estimate) + _picture(estimate, truth)),
+        ("Result", _result(estimate) + _known(estimate, truth) + _picture(estimate, truth) + _notes(estimate)),
         ("Flags", _flags(estimate)),
         ("How lambda was chosen", _choice(estimate)),
         ("What the data cannot tell", _limits(estimate)),
@@ -78,7 +102,9 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:
 
 def fragment(estimate: LoadEstimate) -> str:
     """Short form for notebooks: result, picture and flags."""
-    return f"<div>{_notices(estimate)}{_result(estimate)}{_picture(estimate, None)}{_flags(estimate)}</div>"
+    return (
+        f"<div>{_notices(estimate)}{_result(estimate)}{_picture(estimate, None, phone=False)}{_flags(estimate)}</div>"
+    )
 
 
 # -- sections ---------------------------------------------------------------------------------------------------------
@@ -86,7 +112,7 @@ def _notices(e: LoadEstimate) -> str:
     good = " good" if e.certificate is not None else ""
     text = f'<p class="notice{good}" role="note">{escape(e.verified)}</p>'
     if e.allowed:
-        text += f'<p class="notice" role="note">overridden refusals: {escape(", ".join(e.allowed))}</p>'
+        text += f'<p class="notice" role="note">{escape(allowed(e))}</p>'
     return text
 
 
@@ -102,6 +128,29 @@ def _result(e: LoadEstimate) -> str:
     more = len(order) - len(cards)
     note = "± one standard deviation" + (f"; {more} smaller loads not listed" if more else "")
     return f'<ul class="results">{"".join(cards)}</ul><p class="quiet">{note}</p>'
+
+
+def _known(e: LoadEstimate, truth: ArrayLike | None) -> str:
+    """How far the estimate lies from a known load, where there is one that is not zero."""
+    if truth is None or e.axis is None:
+        return ""
+    import numpy as np
+
+    known = np.asarray(truth, float)
+    known = known.reshape(e.load.shape) if known.size == e.load.size else known
+    if known.shape != e.load.shape:
+        return ""  # the picture refuses it in words
+    lines = [
+        (f"{label}, " if len(e.labels) > 1 else "") + comparison(against(e, known[:, j], j))
+        for j, label in enumerate(e.labels[:_SHOWN])
+        if np.any(known[:, j])
+    ]
+    return "".join(f"<p>{escape(line)}</p>" for line in lines)
+
+
+def _notes(e: LoadEstimate) -> str:
+    lines = "".join(f"<li>{escape(note)}</li>" for note in notes(e))
+    return f'<p class="quiet">Decided while reading the record:</p><ul class="quiet">{lines}</ul>' if lines else ""
 
 
 def _flags(e: LoadEstimate) -> str:
@@ -131,9 +180,8 @@ def _choice(e: LoadEstimate) -> str:
         return text
     from loadid.plots import path_figure
 
-    return text + _image(
-        path_figure(e), f"L-curve and residual over lambda; verdict {e.choice.verdict}", e.choice.sweep.lam.size
-    )
+    words = f"L-curve and residual over lambda; verdict {e.choice.verdict}"
+    return text + _image(partial(path_figure, e), words, e.choice.sweep.lam.size)
 
 
 def _limits(e: LoadEstimate) -> str:
@@ -141,7 +189,8 @@ def _limits(e: LoadEstimate) -> str:
         return ""
     rows = facts(e)
     prior = e.provenance.get("prior")
-    said = f"<p>What the data do not determine is filled by the prior: {escape(str(prior))}.</p>" if prior else ""
+    said = f"<p>{escape(cannot_tell(e))}</p>" if cannot_tell(e) else ""
+    said += f"<p>What the data do not determine is filled by the prior: {escape(str(prior))}.</p>" if prior else ""
     return said + _table(rows)
 
 
@@ -151,7 +200,7 @@ def _response(e: LoadEstimate) -> str:
     from loadid.plots import response_figure
 
     names = ", ".join(e.sensors[:8])
-    return _image(response_figure(e), f"measured and predicted response of {names}", 3 * e.response.size)
+    return _image(partial(response_figure, e), f"measured and predicted response of {names}", 3 * e.response.size)
 
 
 def _verification(e: LoadEstimate) -> str:
@@ -173,11 +222,17 @@ def _provenance(e: LoadEstimate) -> str:
 
 
 # -- pieces -----------------------------------------------------------------------------------------------------------
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+def _flat(tree: Mapping[str, Any], prefix: str = "", parent: str = "") -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
     for key, value in tree.items():
-        name = f"{prefix}{str(key).replace('_', ' ')}"
-        rows += _flat(value, f"{name}: ") if isinstance(value, Mapping) else [(name, number(value, 6))]
+        if key == "notes":
+            continue  # they stand with the result
+        name = prefix + (str(key) if parent == "inputs" else str(key).replace("_", " "))  # paths stay as they are
+        if isinstance(value, Mapping):
+            rows += _flat(value, f"{name}: ", str(key))
+        else:
+            default = _DEFAULTS.get(str(key)) if value is None and parent == "settings" else None
+            rows.append((name, default or number(value, 6)))
     return rows
 
 
@@ -187,22 +242,34 @@ def _table(rows: Iterable[tuple[str, ...]], head: tuple[str, ...] = ()) -> str:
         f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{escape(str(x))}</td>" for x in row[1:]) + "</tr>"
         for row in rows
     )
-    return f'<div class="scroll"><table>{top}<tbody>{"".join(lines)}</tbody></table></div>'
+    kind = ' class="columns"' if head else ""
+    return f'<div class="scroll" tabindex="0"><table{kind}>{top}<tbody>{"".join(lines)}</tbody></table></div>'
 
 
-def _picture(e: LoadEstimate, truth: ArrayLike | None) -> str:
+def _picture(e: LoadEstimate, truth: ArrayLike | None, *, phone: bool = True) -> str:
     from loadid.plots import load_figure
 
     peaks = "; ".join(f"{p.label} peaks at {p.value:.4g} {p.unit}" for p in e.peaks[:3])
-    return _image(load_figure(e, truth=truth), f"load with its 95 % band: {peaks}", 6 * e.load.size)
+    draw = partial(load_figure, e, truth=truth)
+    return _image(draw, f"load with its 95 % band: {peaks}", 6 * e.load.size, phone=phone)
 
 
-def _image(figure: Figure, words: str, points: int) -> str:
-    """A figure as an image inside the page: its names and styles cannot meet those of the page or of another figure."""
-    dense = points > _DENSE
-    kind = "image/png" if dense else "image/svg+xml"
-    data = base64.b64encode(_drawn(figure, "png" if dense else "svg")).decode()
-    return f'<figure tabindex="0"><img src="data:{kind};base64,{data}" alt="{escape(words)}"></figure>'
+def _image(draw: Callable[..., Figure], words: str, points: int, *, phone: bool = True) -> str:
+    """A figure as an image inside the page: its names and styles cannot meet those of the page or of another figure.
+
+    A second one, with its panels below each other, is shown where the screen is narrow.
+    """
+    suffix = "png" if points > _DENSE else "svg"
+    image = f'<img src="{_data(draw(), suffix)}" alt="{escape(words)}">'
+    if not phone:
+        return f'<figure tabindex="0">{image}</figure>'
+    narrow = f'<source media="(max-width: 40rem)" srcset="{_data(draw(narrow=True), suffix)}">'
+    return f'<figure tabindex="0"><picture>{narrow}{image}</picture></figure>'
+
+
+def _data(figure: Figure, suffix: str) -> str:
+    kind = {"png": "image/png", "svg": "image/svg+xml"}[suffix]
+    return f"data:{kind};base64,{base64.b64encode(_drawn(figure, suffix)).decode()}"
 
 
 def _drawn(figure: Figure, suffix: str) -> bytes:

@@ -99,6 +99,95 @@ def impulses(estimate: LoadEstimate) -> list[str]:
     return texts
 
 
+def against(estimate: LoadEstimate, truth: Any, load: int = 0) -> dict[str, Any]:
+    """Comparison of one load with a known one (samples,).
+
+    Returns
+    -------
+    dict
+        ``error`` (relative, L2), ``peak_error`` (relative, signed), ``coverage_95`` (share of all samples inside the
+        95 % band) and, where the load is one short pulse, ``window`` and ``coverage_95_peak`` of it; else None.
+    """
+    found, known = estimate.load[:, load], np.asarray(truth, float)
+    lower, upper = (edge[:, load] for edge in estimate.band())
+    inside = (known >= lower) & (known <= upper)
+    peak, real = (float(x[np.argmax(np.abs(x))]) for x in (found, known))
+    window, near = pulse_window(estimate, load), None
+    if window is not None and estimate.axis is not None:
+        axis = estimate.axis.values
+        near = float(np.mean(inside[(axis >= window[0]) & (axis <= window[1])]))
+    return {
+        "error": float(np.linalg.norm(found - known) / np.linalg.norm(known)),
+        "peak_error": peak / real - 1,
+        "coverage_95": float(np.mean(inside)),
+        "coverage_95_peak": near,
+        "window": window,
+    }
+
+
+def comparison(error: dict[str, Any]) -> str:
+    """Answer of `against` as one line."""
+    text = (
+        f"against the known load: relative error {error['error']:.2%}, peak error {error['peak_error']:+.2%}; the 95 % "
+        f"band holds {share(error['coverage_95'])} of all samples"
+    )
+    if error.get("window") is None:
+        return text
+    start, stop = (quantity(t, "s") for t in error["window"])
+    return f"{text} and {share(error['coverage_95_peak'])} of those around the peak ({start} to {stop})"
+
+
+def share(part: float) -> str:
+    """A share in per cent, rounded down: 100 % is said of all, not of nearly all."""
+    if part >= 1:
+        return "100 %"
+    places = 2 if part > 0.99 else 1
+    return f"{math.floor(part * 10 ** (2 + places) + 1e-9) / 10**places:.{places}f} %"
+
+
+def allowed(estimate: LoadEstimate) -> str:
+    """The codes of ``allow=`` in words: refusals that were overridden, apart from what was allowed without need."""
+    done = overridden(estimate)
+    idle = [code for code in estimate.allowed if code not in done]
+    texts = [f"overridden refusals: {', '.join(done)}"] if done else []
+    return "; ".join([*texts, f"allowed: {', '.join(idle)}"] if idle else texts)
+
+
+def overridden(estimate: LoadEstimate) -> list[str]:
+    """Codes of the refusals that the result owes its existence to."""
+    lam = None if estimate.choice is None else estimate.choice.lam
+    known = estimate.facts.get("rank"), estimate.facts.get("n")
+    short = lam == 0 and None not in known and known[0] < known[1]  # type: ignore[operator]
+    found = {f.code for f in estimate.flags} | ({"LID-E306"} if short else set())
+    return [code for code in estimate.allowed if code[4] == "E" and code in found]
+
+
+def notes(estimate: LoadEstimate) -> list[str]:
+    """What was decided while reading the record."""
+    return [str(n) for n in estimate.provenance.get("notes") or ()]
+
+
+def cannot_tell(estimate: LoadEstimate) -> str:
+    """One sentence on what the data do not determine; "" where it is not known."""
+    nullity, n = estimate.facts.get("nullity"), estimate.facts.get("n")
+    if nullity is None:
+        return ""
+    loads = "component" if nullity == 1 else "components"
+    if nullity > 0:
+        of = f" of {n}" if n else ""
+        return (
+            f"{nullity}{of} {loads} of the load leave no trace in the data: what is shown of them comes from the prior "
+            "alone."
+        )
+    width, bias = estimate.facts.get("resolution"), estimate.facts.get("peak_bias")
+    unit = str(estimate.facts.get("resolution_unit", ""))
+    limits = [f"nothing finer than {quantity(width, unit).strip()} is resolved"] if isinstance(width, float) else []
+    if isinstance(bias, float):
+        limits.append(f"a peak of a single sample is shown at {1 - bias:.0%} of its height")
+    rest = " and ".join(limits) or "weak components are held down by the prior"
+    return f"Every component of the load leaves a trace in the data (nullity 0), but not all equally: {rest}."
+
+
 def facts(estimate: LoadEstimate) -> list[tuple[str, str]]:
     """Name and text of every fact, the known ones first; what other lines say already is left out."""
     given = {k: v for k, v in estimate.facts.items() if k not in _SAID}
@@ -155,7 +244,8 @@ def summary(estimate: LoadEstimate) -> str:
         lines.append("  " + "; ".join(f"{name} {value}" for name, value in facts(estimate)))
     lines.append(f"  verification: {estimate.verified}")
     if estimate.allowed:
-        lines.append(f"  overridden refusals: {', '.join(estimate.allowed)}")
+        lines.append(f"  {allowed(estimate)}")
+    lines += [f"  note: {note}" for note in notes(estimate)]
     lines.append(f"  flags: {len(estimate.flags) or 'none'}")
     lines += [f"    {flag}" for flag in sort(estimate.flags)]
     return "\n".join(lines)

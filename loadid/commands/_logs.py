@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from structures.errors import InputError
 
-from . import names
+from . import _arguments as arguments
 
 if TYPE_CHECKING:
     from loadid.record import Record
@@ -18,9 +19,14 @@ if TYPE_CHECKING:
 def add_log_options(parser: ArgumentParser, *, several: bool = False) -> None:
     """Options that say how a log is read."""
     group = parser.add_argument_group("reading logs")
-    group.add_argument("--fs", type=float, metavar="HZ", help="sampling frequency, where the file does not tell it")
     group.add_argument(
-        "--columns", type=names, metavar="CH,...", help="columns to read, or the names of all where the file has none"
+        "--fs", type=arguments.frequency, metavar="HZ", help="sampling frequency, where the file does not tell it"
+    )
+    group.add_argument(
+        "--columns",
+        type=arguments.channels,
+        metavar="CH,...",
+        help="channels to read, or the names of all where the file has none",
     )
     group.add_argument("--axis", type=int, choices=(0, 1), help="axis of a bare array that is time")
     more = "; may repeat, default all" if several else ""
@@ -29,8 +35,10 @@ def add_log_options(parser: ArgumentParser, *, several: bool = False) -> None:
         "--unit",
         action="append",
         default=[],
+        type=arguments.unit,
         metavar="CH=UNIT",
-        help="unit of a channel; overrides the file; may repeat",
+        help="unit of a channel; overrides the file; may repeat. CH is a name, or an index that counts the channels "
+        "from 0 without the time column, as loadid info lists them",
     )
 
 
@@ -40,13 +48,21 @@ def units(options: list[str]) -> dict[str, str]:
     Raises
     ------
     InputError
-        If a part is not CH=UNIT.
+        If a part is not CH=UNIT, or a channel comes twice.
     """
-    pairs = {}
+    pairs: dict[str, str] = {}
     for option in options:
         channel, sign, unit = option.rpartition("=")
         if not (sign and channel.strip() and unit.strip()):
             raise InputError("not CH=UNIT", where="--unit", found=repr(option), expected="for example --unit force=N")
+        if channel.strip() in pairs:
+            raise InputError(
+                "a channel is given twice",
+                where="--unit",
+                found=f"{channel.strip()}={pairs[channel.strip()]} and {option}",
+                expected="one unit for each channel",
+                hint="leave one of them out",
+            )
         pairs[channel.strip()] = unit.strip()
     return pairs
 
@@ -96,3 +112,24 @@ def load_model(path: str | Path) -> MeasuredModel:
     from structures.measured import MeasuredModel
 
     return MeasuredModel.load(path)
+
+
+def resolved(record: Record, channels: Sequence[str | int], *, where: str) -> list[str]:
+    """Labels of some channels of a record, each named once.
+
+    Raises
+    ------
+    InputError
+        A channel that is not there, or one that is given twice (by name and by index, say).
+    """
+    labels = [record.labels[record.index(c)] for c in channels]
+    twice = next((label for k, label in enumerate(labels) if label in labels[:k]), None)
+    if twice is not None:
+        raise InputError(
+            f"channel {twice!r} is given twice",
+            where=where,
+            found=", ".join(str(c) for c in channels),
+            expected="each channel once",
+            hint="name every channel once; an index counts the channels from 0, without the time column",
+        )
+    return labels

@@ -7,11 +7,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from . import Command, emit, names
-from ._logs import add_log_options, read_records, settings
+from structures.errors import InputError
+
+from . import Command, emit
+from ._arguments import channels
+from ._logs import add_log_options, read_records, resolved, settings
+from ._outputs import require_outputs
 from .info import table
 
 if TYPE_CHECKING:
+    from loadid.record import Record
     from structures.measured import MeasuredModel
 
 
@@ -46,9 +51,22 @@ def calibrate(
     hits = []
     for path in paths:
         for record in read_records(path, records, reading):
-            labels = [record.labels[record.index(c)] for c in (force, *responses)]
-            hits.append(record.select(labels))
+            hits.append(record.select(resolved(record, [force, *responses], where="--force and --response")))
+    _require_one_step(hits)
     return MeasuredModel.from_hits(hits, force=hits[0].labels[0], responses=list(hits[0].labels[1:]))
+
+
+def _require_one_step(hits: Sequence[Record]) -> None:
+    first = hits[0]
+    other = next((h for h in hits if abs(h.dt / first.dt - 1) > 1e-6), None)
+    if other is not None:
+        raise InputError(
+            "the hits have different steps",
+            where=other.source or other.name or "hits",
+            found=f"{other.fs:.9g} Hz, but {first.fs:.9g} Hz in {first.source or first.name or 'the first'}",
+            expected="one sampling frequency",
+            hint="leave one of the files out, or resample it",
+        )
 
 
 def describe(model: MeasuredModel) -> dict[str, Any]:
@@ -97,12 +115,13 @@ def show(data: dict[str, Any]) -> str:
 def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("hits", nargs="+", metavar="HITS", help="logs with hammer hits")
     parser.add_argument("--force", required=True, metavar="CH", help="channel of the hammer")
-    parser.add_argument("--response", required=True, type=names, metavar="CH,...", help="channels of the sensors")
+    parser.add_argument("--response", required=True, type=channels, metavar="CH,...", help="channels of the sensors")
     parser.add_argument("-o", "--output", required=True, metavar="MODEL.h5", help="model file to write")
     add_log_options(parser, several=True)
 
 
 def _run(args: Namespace) -> int:
+    require_outputs({"-o": args.output}, args.hits)
     model = calibrate(args.hits, force=args.force, responses=args.response, records=args.record, **settings(args))
     model.save(args.output)
     data = describe(model)

@@ -9,9 +9,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from loadid.codes import GUARDS
 from structures.errors import InputError, NotIdentifiable
 
-from . import Command, emit, names
+from . import Command, emit
+from ._arguments import UsageError, channels
 from ._logs import add_log_options, load_model, read_records, settings
 
 if TYPE_CHECKING:
@@ -20,19 +22,11 @@ if TYPE_CHECKING:
     from structures.model import Model
 
 NAMES = {
-    "W105": "loads next to a support",
-    "W114": "model checked against a known load",
-    "W201": "fewer sensors than loads, or rank loss",
-    "W204": "sensors of different kinds without noise levels",
-    "W205": "AC-coupled channels and a static load",
-    "W206": "health of the channels",
-    "W207": "causality of the FRF",
-    "W208": "kind of FRF and its units",
-    "W209": "truncated file",
-    "W505": "record shorter than the memory of the structure",
-    "W509": "modes above the Nyquist frequency",
-    "W702": "data simulated by the model that inverts them",
-    "W704": "record used in making the model",
+    code: GUARDS[code]
+    for code in (
+        *("W105", "W114", "W201", "W204", "W205", "W206", "W207", "W208", "W209"),
+        *("W505", "W509", "W702", "W704"),
+    )
 }
 
 
@@ -43,6 +37,7 @@ class Findings:
     checked: list[str] = field(default_factory=list)
     flags: list[tuple[str, Flag]] = field(default_factory=list)
     layout: dict[str, Any] = field(default_factory=dict)
+    notes: list[tuple[str, str]] = field(default_factory=list)
 
     def run(self, code: str, where: str, guard: Callable[[], Any]) -> None:
         """Ask one guard, which answers with None, a flag or several of them."""
@@ -61,7 +56,9 @@ class Findings:
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
         fired = [{"where": where, **f.to_dict()} for where, f in self.flags]
-        return {"flags": fired, "checked": sorted(self.checked), "silent": self.silent, "layout": self.layout}
+        notes = [{"where": where, "note": note} for where, note in self.notes]
+        checked = sorted(self.checked)
+        return {"flags": fired, "checked": checked, "silent": self.silent, "layout": self.layout, "notes": notes}
 
 
 def check(
@@ -99,6 +96,7 @@ def check(
     found = read_records(log, records, reading) if isinstance(log, str | Path) else [log] if log is not None else []
     for record in found:
         where = record.name or Path(record.source).name or "record"
+        findings.notes += [(where, note) for note in record.notes]
         findings.run("W206", where, record.health)
         findings.run("W209", where, partial(_of, record.flags, "W209"))
         if known is not None:
@@ -204,6 +202,7 @@ def show(findings: Findings) -> str:
         )
     lines.append(f"fired: {len(findings.flags) or 'none'}")
     lines += [f"  {where}: {flag}" for where, flag in findings.flags]
+    lines += [f"note: {where}: {note}" for where, note in findings.notes]
     lines.append("checked and silent:" + ("" if findings.silent else " none"))
     lines += [f"  {code} {NAMES.get(code, '')}".rstrip() for code in findings.silent]
     return "\n".join(lines)
@@ -213,12 +212,14 @@ def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("log", nargs="?", metavar="LOG", help="log to check")
     parser.add_argument("--model", metavar="MODEL.h5", help="model file to check, alone or with the log")
     parser.add_argument(
-        "--response", type=names, metavar="CH,...", help="channels, in the order of the model's sensors"
+        "--response", type=channels, metavar="CH,...", help="channels, in the order of the model's sensors"
     )
     add_log_options(parser, several=True)
 
 
 def _run(args: Namespace) -> int:
+    if args.log is None and args.model is None:
+        raise UsageError("nothing to check: name a log, --model, or both (see loadid check --help)")
     findings = check(args.log, args.model, responses=args.response, records=args.record, **settings(args))
     emit(args, findings.to_dict(), show(findings))
     return 0

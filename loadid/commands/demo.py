@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from structures.errors import InputError
 
 from . import Command, emit
+from ._arguments import seed as _seed
+from ._outputs import require_outputs
 from .identify import identify, relative_error, show_error, write_all
 
 if TYPE_CHECKING:
@@ -91,13 +93,15 @@ def demo(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError("the folder cannot be made", where=str(folder), found=error.strerror or error) from error
+    files = {kind: folder / f"impact.{kind}" for kind in ("h5", "html", "png")}
+    require_outputs(files)
     simulated = simulate(seed)
     estimate = identify(simulated.record, model(), progress=progress)
     written = write_all(
         estimate,
-        folder / "impact.h5",
-        report=folder / "impact.html",
-        plot=folder / "impact.png",
+        files["h5"],
+        report=files["html"],
+        plot=files["png"],
         truth=simulated.force[:, None],
     )
     return estimate, simulated, written
@@ -111,14 +115,12 @@ def _channel(label: str) -> Any:
 
 def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", default="loadid-demo", help="folder to write to (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the noise (default: %(default)s)")
+    parser.add_argument("--seed", type=_seed, default=0, help="of the noise (default: %(default)s)")
 
 
 def _run(args: Namespace) -> int:
     from loadid.progress import Bar
 
-    if args.seed < 0:
-        raise InputError("a seed is not negative", where="--seed", found=args.seed, expected=">= 0")
     with Bar() as bar:
         estimate, simulated, written = demo(args.out, seed=args.seed, progress=bar)
     error = relative_error(estimate, simulated.force)

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from structures.errors import InputError
 
 from . import Command, emit, names
-from ._logs import add_log_options, load_model, one_record, settings
+from . import _arguments as arguments
+from ._logs import add_log_options, load_model, one_record, resolved, settings
+from ._outputs import require_outputs
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from loadid.estimate import LoadEstimate
     from loadid.record import Record
     from structures.model import Model
@@ -43,13 +47,19 @@ def identify(
     reading : dict, optional
         Keyword arguments of `loadid.readers.read`.
     **options
-        Settings of the family; those that are None are left to it.
+        Settings of the family; those that are None are left to it, and the penalty ``"none"`` is plain least squares.
+
+    Returns
+    -------
+    LoadEstimate
+        The notes of the record stand in its provenance.
 
     Raises
     ------
     InputError, NotIdentifiable
         From the reader, the model and the family.
     """
+    from dataclasses import replace
     from importlib import import_module
 
     if family not in FAMILIES:
@@ -59,7 +69,12 @@ def identify(
     module, name = FAMILIES[family]
     chosen = getattr(import_module(module), name)
     given = {key: value for key, value in options.items() if value is not None}
-    return chosen(known, **given).estimate(responses_of(found, known, responses))
+    if given.get("penalty") == arguments.NONE:
+        given["penalty"] = None
+    estimate = chosen(known, **given).estimate(responses_of(found, known, responses))
+    return (
+        replace(estimate, provenance={**estimate.provenance, "notes": list(found.notes)}) if found.notes else estimate
+    )
 
 
 def _read(log: str | Path, record: str | None, reading: dict[str, Any] | None) -> Record:
@@ -69,47 +84,91 @@ def _read(log: str | Path, record: str | None, reading: dict[str, Any] | None) -
 
 
 def responses_of(record: Record, model: Model, chosen: Sequence[str] | None) -> Record:
-    """The channels of a record that the model predicts, in the order and under the names of its sensors."""
+    """The channels of a record that the model predicts, in the order and under the names of its sensors.
+
+    Raises
+    ------
+    InputError
+        Too few or too many channels, one that is not there or given twice, or of another unit than its sensor.
+    """
     from dataclasses import replace
 
     labels = [s.label for s in model.sensors]
     if chosen is None:
         return record.select(labels)
     if len(chosen) != len(labels):
-        raise InputError("one channel per sensor is needed", where="--response", found=list(chosen), expected=labels)
-    some = record.select(list(chosen))
+        raise InputError(
+            "one channel per sensor is needed",
+            where="--response",
+            found=f"{len(chosen)} channels: {', '.join(map(str, chosen))}",
+            expected=f"{len(labels)}, for the sensors {', '.join(labels)}",
+            hint="name one for every sensor of the model, in its order; for fewer sensors calibrate a model of them",
+        )
+    some = record.select(resolved(record, chosen, where="--response"))
+    for channel, sensor in zip(some.channels, model.sensors, strict=True):
+        if "arbitrary" not in (channel.unit, sensor.unit) and channel.unit != sensor.unit:
+            raise InputError(
+                f"channel {channel.label!r} is in another unit than the sensor {sensor.label!r} of the model",
+                where="--response",
+                found=f"{channel.unit} ({channel.quantity})",
+                expected=f"{sensor.unit} ({sensor.quantity})",
+                hint="name the channels in the order of the model's sensors",
+            )
     return replace(some, channels=tuple(replace(c, label=s) for c, s in zip(some.channels, labels, strict=True)))
 
 
-def relative_error(estimate: LoadEstimate, truth: Any) -> dict[str, float]:
-    """Relative L2 error and relative error of the peak of the first load against a known one (samples,)."""
+def known_load(record: Record, model: Model, channel: str) -> NDArray:
+    """The measured load, shape (samples,), that an estimate of this model can be compared with.
+
+    Raises
+    ------
+    InputError
+        A channel that is not there, in another unit than the load, or with gaps; a model of several loads.
+    """
     import numpy as np
 
-    load, known = estimate.load[:, 0], np.asarray(truth, float)
-    peak, real = (float(x[np.argmax(np.abs(x))]) for x in (load, known))
-    return {
-        "error": float(np.linalg.norm(load - known) / np.linalg.norm(known)),
-        "peak_error": peak / real - 1,
-        "coverage_95": float(np.mean((known >= estimate.band()[0][:, 0]) & (known <= estimate.band()[1][:, 0]))),
-    }
+    column = record.index(channel)
+    known, loads = record.channels[column], model.loads
+    if len(loads) != 1:
+        raise InputError(
+            "one load is compared with one channel",
+            where="--truth",
+            found=f"{len(loads)} loads: {', '.join(c.label for c in loads)}",
+            expected="a model of one load",
+            hint="leave --truth out",
+        )
+    if "arbitrary" not in (known.unit, loads[0].unit) and known.unit != loads[0].unit:
+        raise InputError(
+            f"channel {known.label!r} is in another unit than the load",
+            where="--truth",
+            found=f"{known.unit} ({known.quantity})",
+            expected=f"{loads[0].unit} ({loads[0].quantity})",
+            hint=f"name the channel of the load, or state its unit (--unit {known.label}={loads[0].unit})",
+        )
+    values = record.values[:, column]
+    if not np.all(np.isfinite(values)) or not np.any(values):
+        raise InputError(
+            f"channel {known.label!r} is nothing to compare with",
+            where="--truth",
+            found=f"{int(np.sum(~np.isfinite(values)))} missing samples" if np.any(values) else "zero throughout",
+            expected="a measured load without gaps",
+            hint="leave --truth out, or name another channel",
+        )
+    return values
 
 
-def show_error(error: dict[str, float]) -> str:
+def relative_error(estimate: LoadEstimate, truth: Any) -> dict[str, Any]:
+    """Comparison of the first load with a known one (samples,); see `loadid.summary.against`."""
+    from loadid.summary import against
+
+    return against(estimate, truth)
+
+
+def show_error(error: dict[str, Any]) -> str:
     """Answer of `relative_error` as one line."""
-    return (
-        f"against the known load: relative error {error['error']:.2%}, peak error {error['peak_error']:+.2%}, "
-        f"95 % band holds {error['coverage_95']:.1%} of the samples"
-    )
+    from loadid.summary import comparison
 
-
-def _number_or(name: Callable[[str], str]) -> Callable[[str], float | str]:
-    def parse(text: str) -> float | str:
-        try:
-            return float(text)
-        except ValueError:
-            return name(text)
-
-    return parse
+    return comparison(error)
 
 
 def _configure(parser: ArgumentParser) -> None:
@@ -117,37 +176,53 @@ def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("--model", required=True, metavar="MODEL.h5", help="model file, from calibrate for example")
     parser.add_argument("-o", "--output", required=True, metavar="RESULT.h5", help="result file to write")
     parser.add_argument("--family", choices=sorted(FAMILIES), default="deconvolution")
-    parser.add_argument("--method", metavar="NAME", help="tikhonov or tsvd")
-    parser.add_argument("--penalty", metavar="NAME", help="identity, first_difference, second_difference, ...")
-    parser.add_argument("--choice", type=_number_or(str), metavar="RULE", help="rule, or a relative lambda")
+    parser.add_argument("--method", choices=arguments.METHODS, help="default tikhonov")
     parser.add_argument(
-        "--allow", type=names, metavar="CODE,...", help="refusals to override; printed on every picture"
+        "--penalty",
+        type=arguments.penalty,
+        metavar="NAME",
+        help="identity (default), first_difference, second_difference; none is plain least squares",
     )
     parser.add_argument(
-        "--response", type=names, metavar="CH,...", help="channels, in the order of the model's sensors"
+        "--choice",
+        type=arguments.choice,
+        metavar="RULE",
+        help="rule (discrepancy, upre, gcv, robust_gcv, l_curve, evidence, ...), or a relative lambda",
+    )
+    parser.add_argument(
+        "--allow", type=names, metavar="CODE,...", help="refusals to override (E306, ...); printed on every picture"
+    )
+    parser.add_argument(
+        "--response", type=arguments.channels, metavar="CH,...", help="channels, in the order of the model's sensors"
     )
     parser.add_argument(
         "--truth", metavar="CH", help="channel of the log that holds the measured load, to compare with"
     )
+    parser.add_argument("--json-full", action="store_true", help="as --json, with all arrays")
     parser.add_argument("--report", metavar="PAGE.html", help="also write a report")
     parser.add_argument("--plot", metavar="PICTURE", help="also write a picture (png, svg, pdf)")
     add_log_options(parser)
 
 
 def _run(args: Namespace) -> int:
+    from loadid.codes import known_codes
     from loadid.progress import Bar
 
+    require_outputs({"-o": args.output, "--report": args.report, "--plot": args.plot}, [args.log, args.model])
+    allow = None if args.allow is None else known_codes(args.allow, where="--allow")
+    model = load_model(args.model)
     log = _read(args.log, one_record(args), settings(args))
-    truth = None if args.truth is None else log[args.truth]
+    truth = None if args.truth is None else known_load(log, model, args.truth)
     with Bar() as bar:
         estimate = identify(
-            log, args.model, family=args.family, responses=args.response, method=args.method, penalty=args.penalty,
-            choice=args.choice, allow=args.allow, progress=bar,
+            log, model, family=args.family, responses=args.response, method=args.method, penalty=args.penalty,
+            choice=args.choice, allow=allow, progress=bar,
         )  # fmt: skip
     error = None if truth is None else relative_error(estimate, truth)
     written = write_all(estimate, args.output, report=args.report, plot=args.plot, truth=truth)
     lines = [estimate.summary(), *([show_error(error)] if error else []), f"written: {', '.join(written)}"]
-    emit(args, {**estimate.to_dict(), "against_known": error, "written": written}, "\n".join(lines))
+    answer = {**estimate.to_dict(arrays=args.json_full), "against_known": error, "written": written}
+    emit(args, answer, "\n".join(lines))
     return 0
 
 
@@ -159,12 +234,24 @@ def write_all(
     plot: str | Path | None = None,
     truth: Any = None,
 ) -> list[str]:
-    """Write the result file and, where named, the report and the picture; the paths written."""
-    estimate.save(result)
+    """Write the result file and, where named, the report and the picture; the paths written.
+
+    Report and picture are made before the first file is written, so that a fault in them leaves nothing behind.
+    """
+    from structures.storage import replace
+
+    ready = []
     if report is not None:
-        estimate.report(report, truth=truth)
+        from loadid.report import page
+
+        ready.append((Path(report), page(estimate, truth=truth).encode()))
     if plot is not None:
-        estimate.plot(truth=truth, path=plot)
+        from loadid.plots import load_figure, rendered
+
+        ready.append((Path(plot), rendered(load_figure(estimate, truth=truth), plot)))
+    estimate.save(result)
+    for path, data in ready:
+        replace(path, data)
     return [str(path) for path in (result, report, plot) if path is not None]
 
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-
-from structures.errors import InputError
 
 from . import Command, emit
 from ._logs import add_log_options, read_records, settings
 
 
-def info(path: str | Path, records: list[str] | None = None, **reading: Any) -> dict[str, Any]:
+def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = True, **reading: Any) -> dict[str, Any]:
     """What is in a log, a model file or a result file, as plain values.
 
     Parameters
@@ -20,13 +19,21 @@ def info(path: str | Path, records: list[str] | None = None, **reading: Any) -> 
     path : path
     records : list of str, optional
         Names of the records to describe; default all.
+    arrays : bool
+        Whether a result file is given with its arrays.
     **reading
         As for `loadid.readers.read`.
 
     Returns
     -------
     dict
-        ``kind`` is ``"log"`` (with ``records``) or the kind of the file (with ``summary``).
+        ``kind`` is ``"log"`` (with ``records``, or with ``tables`` and ``to_read_it`` where something must be stated
+        first), ``"load estimate"`` (with ``summary``) or ``"measured model"`` (with ``sensors``, ``hits``, ...).
+
+    Raises
+    ------
+    InputError
+        If the file is no such file, damaged, or not usable.
     """
     from structures import storage
 
@@ -37,32 +44,41 @@ def info(path: str | Path, records: list[str] | None = None, **reading: Any) -> 
         from loadid.estimate import LoadEstimate
 
         estimate = LoadEstimate.read(path)
-        return {"kind": kind, "file": str(path), "summary": estimate.summary(), **estimate.to_dict()}
+        return {"kind": kind, "file": str(path), "summary": estimate.summary(), **estimate.to_dict(arrays=arrays)}
+    if kind == "measured model":
+        return {"kind": kind, "file": str(path), **_model(path)}
     return {"kind": kind, "file": str(path), "content": _outline(storage.read(path, kind))}
 
 
 def _log(path: str | Path, records: list[str] | None, reading: dict[str, Any]) -> dict[str, Any]:
-    """Records of a log; raw tables where units or the step must be stated before it can be read."""
+    """Records of a log; what is known of them where units or the step must be stated before it can be read."""
     from loadid.quality import describe
-    from loadid.readers import scan
+    from loadid.readers import outline
+    from loadid.readers.source import NotStated
 
     try:
         return {"records": [describe(r) for r in read_records(path, records, reading)]}
-    except InputError as error:
-        if records or reading.keys() - {"axis"}:
-            raise  # what was asked for does not fit the file
-        tables = scan(path, **reading)  # raises where nothing can be read at all
-        return {"tables": [_raw(table) for table in tables], "to_read_it": str(error)}
+    except NotStated as error:
+        return {"tables": [asdict(table) for table in outline(path, **reading)], "to_read_it": str(error)}
 
 
-def _raw(table: Any) -> dict[str, Any]:
-    rows, columns = table.values.shape if table.values.ndim == 2 else (len(table.values), 1)
+def _model(path: str | Path) -> dict[str, Any]:
+    """What a measured model was made from and what it covers."""
+    from ._logs import load_model
+    from .calibrate import describe as describe_hits
+
+    model = load_model(path)
     return {
-        "name": table.name,
-        "samples": rows,
-        "columns": list(table.columns or [f"column {i}" for i in range(columns)]),
-        "units": list(table.units or [None] * columns),
-        "dt": table.dt,
+        **describe_hits(model),
+        "sensors": [{"label": c.label, "unit": c.unit, "quantity": c.quantity} for c in model.sensors],
+        "loads": [{"label": c.label, "unit": c.unit, "quantity": c.quantity} for c in model.loads],
+        "dt": model.dt,
+        "lines": len(model.frequencies),
+        "band": [0.0, float(model.frequencies[-1])],
+        "samples": model.samples,
+        "certificate": None if model.certificate is None else str(model.certificate),
+        "flags": [f.to_dict() for f in model.flags],
+        "fingerprint": model.fingerprint,
     }
 
 
@@ -104,20 +120,50 @@ def show_record(record: dict[str, Any]) -> str:
 def show(data: dict[str, Any]) -> str:
     """Answer of `info` as text."""
     if "tables" in data:
-        return "\n".join(
-            [f"{data['file']}: {len(data['tables'])} record(s)", *map(_show_raw, data["tables"]), data["to_read_it"]]
-        )
+        shown = [_show_table(t) for t in data["tables"]]
+        return "\n".join([f"{data['file']}: {_counted(len(shown))}", *shown, data["to_read_it"]])
     if data["kind"] == "log":
-        return "\n\n".join([f"{data['file']}: {len(data['records'])} record(s)", *map(show_record, data["records"])])
+        shown = [show_record(r) for r in data["records"]]
+        return "\n\n".join([f"{data['file']}: {_counted(len(shown))}", *shown])
     if "summary" in data:
         return f"{data['file']}: {data['kind']}\n{data['summary']}"
+    if data["kind"] == "measured model":
+        return f"{data['file']}: {data['kind']}\n{_show_model(data)}"
     return "\n".join([f"{data['file']}: {data['kind']}", *_lines(data["content"], "  ")])
 
 
-def _show_raw(table: dict[str, Any]) -> str:
-    named = ", ".join(f"{c} [{u or 'unit not stated'}]" for c, u in zip(table["columns"], table["units"], strict=True))
-    step = f"step {table['dt']:.6g} s" if table["dt"] else "step not stated"
-    return f"  {table['name'] or 'record'}: {table['samples']} samples, {step}, columns {named}"
+def _counted(records: int) -> str:
+    return f"{records} record{'s' * (records != 1)}"
+
+
+def _show_table(outline: dict[str, Any]) -> str:
+    pairs = zip(outline["labels"], outline["units"], strict=True)
+    named = ", ".join(f"{i}: {label} [{unit or 'unit not stated'}]" for i, (label, unit) in enumerate(pairs))
+    step = f"step {outline['dt']:.6g} s" if outline["dt"] else "step not stated"
+    lines = [f"  {outline['name'] or 'record'}: {outline['samples']} samples, {step}, channels {named}"]
+    return "\n".join(lines + [f"  note: {note}" for note in outline["notes"]])
+
+
+def _show_model(data: dict[str, Any]) -> str:
+    from loadid.summary import quantity
+
+    from .calibrate import show as show_hits
+
+    def channels(key: str) -> str:
+        return ", ".join(f"{c['label']} [{c['unit']}]" for c in data[key])
+
+    lines = [
+        f"  sensors {channels('sensors')}; loads {channels('loads')}",
+        f"  step {quantity(data['dt'], 's')}, {data['lines']} lines from 0 to {data['band'][1]:.6g} Hz",
+    ]
+    if data["hits"]:
+        used = sum(h["used"] for h in data["hits"])
+        lines += [f"  {used} of {len(data['hits'])} hits used", *show_hits(data).splitlines()[1:]]
+    else:
+        lines.append("  made from an FRF, not from hits")
+    lines.append(f"  verification: {data['certificate'] or 'forward model not verified'}")
+    lines += [f"  {f['code']} {f['level']}: {f['message']} -> {f['advice']}" for f in data["flags"]]
+    return "\n".join([*lines, f"  fingerprint {data['fingerprint'][:16]}"])
 
 
 def _lines(tree: Any, indent: str) -> list[str]:
@@ -131,11 +177,12 @@ def _lines(tree: Any, indent: str) -> list[str]:
 
 def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="log, model or result")
+    parser.add_argument("--json-full", action="store_true", help="as --json, with the arrays of a result")
     add_log_options(parser, several=True)
 
 
 def _run(args: Namespace) -> int:
-    data = info(args.file, args.record, **settings(args))
+    data = info(args.file, args.record, arrays=args.json_full, **settings(args))
     emit(args, data, show(data))
     return 0
 

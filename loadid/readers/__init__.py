@@ -33,12 +33,26 @@ from structures import units as _units
 from structures.errors import InputError
 
 from .registry import Format, formats, known_suffixes, recognise, register
-from .source import Options, Source, Table, truncated
+from .source import NotStated, Options, Outline, Source, Table, truncated
 
 if TYPE_CHECKING:
     from ..record import Record
 
-__all__ = ["Format", "Options", "Source", "Table", "formats", "read", "read_all", "register", "scan", "truncated"]
+__all__ = [
+    "Format",
+    "NotStated",
+    "Options",
+    "Outline",
+    "Source",
+    "Table",
+    "formats",
+    "outline",
+    "read",
+    "read_all",
+    "register",
+    "scan",
+    "truncated",
+]
 
 for _module in pkgutil.iter_modules(__path__):  # a format is found because its file lies here
     importlib.import_module(f".{_module.name}", __name__)
@@ -108,6 +122,27 @@ def scan(path: str | os.PathLike[str], *, axis: int | None = None) -> tuple[Tabl
     return tuple(_scan(path, axis=axis)[0])
 
 
+def outline(
+    path: str | os.PathLike[str],
+    *,
+    fs: float | None = None,
+    columns: Sequence[str | int] | None = None,
+    axis: int | None = None,
+    units: Mapping[str | int, Any] | None = None,
+) -> tuple[Outline, ...]:
+    """What a file holds, under the names and indices that `read` takes, where units or the step are not stated.
+
+    Raises
+    ------
+    InputError
+        Whatever else is wrong with the file.
+    """
+    from .settle import outlined
+
+    found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
+    return _guarded(source, lambda: tuple(outlined(table, source, options) for table in found))
+
+
 def _scan(
     path: str | os.PathLike[str],
     *,
@@ -140,19 +175,36 @@ def _scan(
 
 
 def _open(path: str | os.PathLike[str]) -> Source:
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(
+            "this is no path", where="read", found=f"an object of type {type(path).__name__}", expected="a file name",
+            hint="an array is no file: Record(values, dt, labels) makes a record of it",
+        )  # fmt: skip
+    if not os.fspath(path):
+        raise InputError("the path is empty", where="read", found="''", expected="a file name", hint="name a file")
     try:
         place = Path(path)
         if not place.exists():
             near = _neighbours(place)
-            raise InputError("there is no such file", where=str(place), hint=f"did you mean {near}?" if near else "")
+            raise InputError(
+                "there is no such file", where=str(place), hint=f"did you mean {near}?" if near else "check the path"
+            )
         if not place.is_file():
-            raise InputError("this is no file", where=str(place), found="a folder or a device", expected="a file")
+            raise InputError(
+                "this is no file",
+                where=str(place),
+                found="a folder or a device",
+                expected="a file",
+                hint="name a file in it",
+            )
         with place.open("rb") as file:
             source = Source(place, os.fstat(file.fileno()).st_size, file.read(4096))
     except (OSError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError("the file cannot be opened", where=repr(path), found=str(error)) from None
+    if source.head.startswith(b"loadid-hdf5"):
+        _refuse_own(source)
     if place.suffix.lower() not in known_suffixes():
         likely = [f.name for f in formats() if not f.generic and f.sniff(source.head)]
         source.refuse(
@@ -166,6 +218,13 @@ def _open(path: str | os.PathLike[str]) -> Source:
     if source.size == 0:
         source.refuse("the file is empty", "0 bytes", "a record")
     return source
+
+
+def _refuse_own(source: Source) -> None:
+    """A model or a result is given where a log is read."""
+    kind = next((x[5:].decode("latin-1") for x in source.head.split(b"\n")[:4] if x.startswith(b"kind ")), "file")
+    word = {"measured model": "model", "load estimate": "result"}.get(kind, kind)
+    source.refuse(f"this is a loadid {word}, not a log", kind, "a log", "give the file with the recorded samples")
 
 
 def _neighbours(place: Path) -> str:

@@ -59,7 +59,12 @@ def tables_of(
     if channels:
         lengths = {k: len(x) for k, x in single.items()}
         if len(set(lengths.values())) > 1 and not tables:
-            source.refuse("arrays of different length", str(lengths)[:300], "channels of one record, equally long")
+            source.refuse(
+                "arrays of different length",
+                str(lengths)[:300],
+                "channels of one record, equally long",
+                "save arrays of one length",
+            )
         if len({len(x) for x in channels.values()}) == 1 and len(channels) <= COLUMNS:
             tables.append(_joined(channels, clock, name or source.path.stem, dt, units, unit_of or {}))
     return tables

@@ -65,6 +65,7 @@ def load(source: Source, options: Options) -> list[Table]:
                 "lines of different length",
                 f"line {number}: {len(_cells(line, layout))} cells",
                 f"{layout.width} cells",
+                "correct or delete that line",
             )
     columns = np.arange(layout.width)
     clean = (

@@ -77,7 +77,12 @@ def _slow(
     for row, (number, line) in enumerate(body):
         cells = split(line, separator)
         if len(cells) < width:
-            source.refuse("a line is too short", f"line {number}: {len(cells)} cells", f"{width} cells")
+            source.refuse(
+                "a line is too short",
+                f"line {number}: {len(cells)} cells",
+                f"{width} cells",
+                "correct or delete that line",
+            )
         for k, column in enumerate(columns):
             value = number_of(cells[column], decimal)
             if value is None:
@@ -85,6 +90,7 @@ def _slow(
                     "a cell is no number",
                     f"line {number}, column {int(column) + 1}: {cells[column][:40]!r}",
                     f"a number with the decimal sign '{decimal}'",
+                    "correct that cell, or leave it empty where nothing was recorded",
                 )
             table[row, k] = value
     return table

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,11 @@ from structures.channels import Channel
 from structures.errors import InputError
 
 from ..record import Record, find
-from .source import COLUMNS, Options, Source, Table
+from .source import COLUMNS, NotStated, Options, Outline, Source, Table
 from .timebase import fill, timebase
 
 TIME_NAMES = {"time", "t", "zeit", "temps", "tiempo", "tempo", "x_value", "seconds", "timestamp", "time stamp", "t_s"}
+APART = 0.01  # relative difference of a stated and a recorded step that is a contradiction
 TIME_LIKE = re.compile(r"\s*(t|time|zeit|timestamp)[\s_.\-(]", re.IGNORECASE)
 
 
@@ -33,13 +35,12 @@ def settle(table: Table, source: Source, options: Options) -> Record:
         source.refuse("the file holds no samples", f"{table.name}: shape {table.values.shape}".lstrip(": "), "numbers")
     if table.values.shape[1] > COLUMNS:
         source.refuse("too many columns", table.values.shape[1], f"at most {COLUMNS}")
-    table = _named(table, source, options)
-    table, dt = _stepped(table, source, options)
+    table, step = _stepped(_named(table, source, options), source, options)
+    dt = _required(step, source)
     names = table.columns or ()
+    _refuse_infinite(table, source)
     keep = _selection(names, source, options) if options.columns is not None else list(range(len(names)))
-    stated = {
-        find(k, names, what="channel", where=str(source.path)): u for k, u in options.units.items() if _has(k, names)
-    }
+    stated, notes = _stated(names, source, options)
     texts = {i: stated.get(i, table.units[i] if table.units else None) for i in keep}
     _refuse_missing_units([names[i] for i, text in texts.items() if not text], source)
     described, recorded, columns = [], [], []
@@ -56,7 +57,7 @@ def settle(table: Table, source: Source, options: Options) -> Record:
         name=table.name,
         source=str(source.path),
         flags=table.flags,
-        notes=table.notes,
+        notes=(*table.notes, *notes),
     )
 
 
@@ -69,6 +70,7 @@ def _refuse_missing_units(missing: list[str], source: Source) -> None:
             ", ".join(missing[:50]),
             "a unit such as m/s^2, g, N, kN, mm, um/m, Pa, V",
             f'state it: {command} on the command line, units={{{python}}} in Python; "arbitrary" is a unit',
+            NotStated,
         )
 
 
@@ -80,19 +82,80 @@ def check_unit_keys(tables: list[Table], source: Source, options: Options) -> No
     InputError
         Lists the names and the nearest one.
     """
-    names: list[str] = []
-    for table in tables:
-        names += [n for n in _all_names(table, options) if n not in names]
+    known = [_channel_names(table, source, options) for table in tables]
     for key in options.units:
+        if not any(_has(key, names) or key == time for names, time in known):
+            # one list of names where all tables agree, else the longest: the message must show indices that count
+            find(key, max((names for names, _ in known), key=len), what="channel", where=str(source.path))
+
+
+def outlined(table: Table, source: Source, options: Options) -> Outline:
+    """A table under the names and indices that its record has, before units and step are stated.
+
+    Raises
+    ------
+    InputError
+        As for `settle`, but for missing units and a missing step.
+    """
+    table, dt = _stepped(_named(table, source, options), source, options)
+    names = table.columns or ()
+    stated, notes = _stated(names, source, options)
+    units = tuple(stated.get(i, table.units[i] if table.units else None) for i in range(len(names)))
+    return Outline(
+        table.name,
+        len(table.values),
+        names,
+        tuple(u.symbol if isinstance(u, _units.Unit) else u for u in units),
+        dt,
+        (*table.notes, *notes),
+    )
+
+
+def _stated(names: tuple[str, ...], source: Source, options: Options) -> tuple[dict[int, Any], list[str]]:
+    """Units that the caller states, by channel, and a note for each channel that was named by its index."""
+    stated: dict[int, Any] = {}
+    notes = []
+    for key, unit in options.units.items():
         if not _has(key, names):
-            find(key, names, what="channel", where=str(source.path))
+            continue
+        i = find(key, names, what="channel", where=str(source.path))
+        if i in stated:
+            source.refuse(
+                f"channel {names[i]!r} is given two units",
+                f"{stated[i]} and {unit}",
+                "one unit for each channel",
+                "name every channel once; an index counts the channels from 0, without the time column",
+            )
+        stated[i] = unit
+        if key not in names:
+            notes.append(f"unit {unit} as stated is that of channel {i}, {names[i]}")
+    return stated, notes
 
 
-def _all_names(table: Table, options: Options) -> tuple[str, ...]:
-    if table.columns is not None:
-        return table.columns
-    given = [str(c) for c in options.columns or ()]
-    return (*given, *(f"ch{i + 1}" for i in range(len(given), table.values.shape[1])), "time")
+def _refuse_infinite(table: Table, source: Source) -> None:
+    x = table.values
+    if x.dtype.kind != "f" or not np.isinf(x).any():
+        return
+    row, column = (int(i) for i in np.argwhere(np.isinf(x))[0])
+    name = (table.columns or ())[column]
+    source.refuse(
+        "infinite values",
+        f"{int(np.isinf(x).sum())}, the first in channel {name} at sample {row}",
+        "finite numbers, or NaN for recorded gaps",
+        "repair the record, or mark these samples as NaN",
+    )
+
+
+def _channel_names(table: Table, source: Source, options: Options) -> tuple[tuple[str, ...], str | None]:
+    """Names of the channels of a table, and that of its time column."""
+    try:
+        named = _named(table, source, options)
+    except InputError:  # names that do not fit this table are refused where it is read
+        named = _named(table, source, replace(options, columns=None))
+    names = named.columns or ()
+    if named.time is None:
+        return names, None
+    return tuple(n for i, n in enumerate(names) if i != named.time), names[named.time]
 
 
 def _has(key: str | int, names: tuple[str, ...] | list[str]) -> bool:
@@ -107,13 +170,16 @@ def _has(key: str | int, names: tuple[str, ...] | list[str]) -> bool:
 def _named(table: Table, source: Source, options: Options) -> Table:
     """The table with a name for every column and a decision which column is time."""
     if table.columns is not None:
-        labels = _unique(table.columns)
+        written = tuple(n.strip() for n in table.columns)
         time = table.time
         if time is None:
-            likely = [i for i, n in enumerate(labels) if n.strip().lower() in TIME_NAMES]
-            nearly = [i for i, n in enumerate(labels) if TIME_LIKE.match(n) and _looks_like_time(table.values[:, i])]
+            likely = [i for i, n in enumerate(written) if n.lower() in TIME_NAMES]
+            nearly = [i for i, n in enumerate(written) if TIME_LIKE.match(n) and _looks_like_time(table.values[:, i])]
             time = next(iter(likely + nearly), None)
-        return replace(table, columns=labels, time=time)
+        labels = _unique(written, time)
+        changed = [f"{n!r} is read as {x}" for n, x in zip(written, labels, strict=True) if n != x]
+        notes = (f"names that are empty or doubled: {', '.join(changed[:8])}",) if changed else ()
+        return replace(table, columns=labels, time=time, notes=(*table.notes, *notes))
     columns = table.values.shape[1]
     time = table.time
     if time is None and columns > 1 and _looks_like_time(table.values[:, 0]):
@@ -136,7 +202,7 @@ def _named(table: Table, source: Source, options: Options) -> Table:
             "the file names no columns itself: --columns (columns=) names them all, in order",
         )
     if len(set(names)) < len(names):
-        source.refuse("column names are doubled", names, "unique names")
+        source.refuse("column names are doubled", names, "unique names", "name every column once")
     named_time = [i for i, n in enumerate(names) if n.strip().lower() in TIME_NAMES]
     return replace(table, columns=tuple(names), time=named_time[0] if named_time else time)
 
@@ -148,8 +214,8 @@ def _looks_like_time(x: NDArray) -> bool:
     return bool(steps.min() > 0 and np.ptp(steps) < 0.01 * steps.mean())
 
 
-def _stepped(table: Table, source: Source, options: Options) -> tuple[Table, float]:
-    """The table without its time column, and its step."""
+def _stepped(table: Table, source: Source, options: Options) -> tuple[Table, float | None]:
+    """The table without its time column, and its step where the file or the caller states it."""
     dt, notes, values = table.dt, list(table.notes), table.values
     if table.time is not None:
         column, names = table.time, table.columns or ()
@@ -159,7 +225,8 @@ def _stepped(table: Table, source: Source, options: Options) -> tuple[Table, flo
         base = timebase(values[:, column].astype(float) * scale, source)
         values = fill(np.delete(values, column, axis=1), base)
         if base.missing:
-            notes.append(f"{base.missing} samples are missing in the time column {names[column]}, first after sample "
+            many = "samples are" if base.missing > 1 else "sample is"
+            notes.append(f"{base.missing} {many} missing in the time column {names[column]}, first after sample "
                          f"{base.first}: set to NaN")  # fmt: skip
         if dt is None or options.fs is None:
             notes.append(
@@ -174,18 +241,31 @@ def _stepped(table: Table, source: Source, options: Options) -> tuple[Table, flo
     if options.fs is not None:
         rate = _positive(options.fs, source)
         if dt is not None and not math.isclose(dt * rate, 1.0, rel_tol=1e-12):
-            notes.append(f"fs = {rate:g} Hz as stated replaces the step {dt:.9g} s of the file")
+            apart = abs(dt * rate - 1)
+            notes.append(
+                f"fs = {rate:g} Hz as stated replaces the step {dt:.9g} s ({1 / dt:.6g} Hz) of the file"
+                + (
+                    f": they contradict each other by {apart:.3g} of it, make sure which is right"
+                    if apart > APART
+                    else ""
+                )
+            )
         dt = 1.0 / rate
+    if dt is not None and not (math.isfinite(dt) and dt > 0):
+        source.refuse("the step is not positive", f"dt = {dt}", "seconds, > 0", "state it: --fs HZ, fs=HZ")
+    return replace(table, notes=tuple(notes)), dt
+
+
+def _required(dt: float | None, source: Source) -> float:
     if dt is None:
         source.refuse(
             "the sampling frequency is not known",
             "no time column and no step in the file",
             "a time column, or the sampling frequency in Hz",
             "state it: --fs HZ on the command line, fs=HZ in Python",
+            NotStated,
         )
-    if not (math.isfinite(dt) and dt > 0):
-        source.refuse("the step is not positive", f"dt = {dt}", "seconds, > 0", "state it: --fs HZ, fs=HZ")
-    return replace(table, notes=tuple(notes)), dt
+    return dt
 
 
 def _positive(fs: object, source: Source) -> float:
@@ -194,7 +274,12 @@ def _positive(fs: object, source: Source) -> float:
     except (TypeError, ValueError):
         rate = math.nan
     if isinstance(fs, bool) or not (math.isfinite(rate) and rate > 0 and math.isfinite(1 / rate)):
-        source.refuse("the sampling frequency is not positive", f"fs = {fs!r}", "Hz, > 0")
+        source.refuse(
+            "the sampling frequency is not positive",
+            f"fs = {fs!r}",
+            "Hz, > 0",
+            "state it: --fs HZ on the command line, fs=HZ in Python",
+        )
     return rate
 
 
@@ -205,23 +290,23 @@ def _selection(names: tuple[str, ...], source: Source, options: Options) -> list
         wanted = [wanted]
     found = []
     for key in wanted:
-        if isinstance(key, str) and key not in names and key.strip().lower() in TIME_NAMES:
+        if isinstance(key, str) and key not in names and key.strip().lower() in TIME_NAMES:  # it is read anyway
             continue
         found.append(find(key, names, what="column", where=str(source.path)))
     if not found or len(set(found)) < len(found):
         raise InputError(
             "columns are doubled" if found else "no column is asked for", where=str(source.path), found=list(wanted),
-            expected=f"some of {', '.join(names[:50])}",
+            expected=f"some of {', '.join(names[:50])}", hint="name every channel once, by name or index from 0",
         )  # fmt: skip
     return found
 
 
-def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names with empty and doubled ones numbered: two columns ``acc`` are acc and acc_2."""
+def _unique(names: tuple[str, ...], time: int | None) -> tuple[str, ...]:
+    """Names with empty ones numbered as channels (ch1, ch2, ...) and doubled ones counted: acc and acc_2."""
     taken: set[str] = set()
     result = []
-    for i, name in enumerate(n.strip() for n in names):
-        base = name or f"ch{i + 1}"
+    for i, name in enumerate(names):
+        base = name or ("time" if i == time else f"ch{i + 1 - (time is not None and time < i)}")
         label, count = base, 1
         while label in taken:
             count += 1

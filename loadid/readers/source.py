@@ -19,6 +19,10 @@ FREE = 2**26  # ... once it takes more than this many bytes
 COLUMNS = 4096
 
 
+class NotStated(InputError):
+    """The file is sound, but something must be stated before it can be read: a unit, or the sampling frequency."""
+
+
 @dataclass(frozen=True)
 class Source:
     """A file that is being read.
@@ -62,9 +66,16 @@ class Source:
         if declared > limit:
             self.refuse(f"{what} declares more than may be read", f"{declared} bytes", f"at most {limit} bytes")
 
-    def refuse(self, what: str, found: object = None, expected: object = None, hint: str = "") -> NoReturn:
+    def refuse(
+        self,
+        what: str,
+        found: object = None,
+        expected: object = None,
+        hint: str = "export or transfer the file again",
+        kind: type[InputError] = InputError,
+    ) -> NoReturn:
         """Raise an InputError that names this file."""
-        raise InputError(what, where=str(self.path), found=found, expected=expected, hint=hint)
+        raise kind(what, where=str(self.path), found=found, expected=expected, hint=hint)
 
 
 @dataclass(frozen=True)
@@ -75,6 +86,29 @@ class Options:
     columns: Sequence[str | int] | None = None
     axis: int | None = None
     units: Mapping[str | int, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What is known of a record before its units and its step are stated; channels without the time column.
+
+    Parameters
+    ----------
+    name : str
+    samples : int
+    labels : tuple of str
+    units : tuple of (str or None)
+    dt : float or None
+        Step in s.
+    notes : tuple of str
+    """
+
+    name: str
+    samples: int
+    labels: tuple[str, ...]
+    units: tuple[str | None, ...]
+    dt: float | None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

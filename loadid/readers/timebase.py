@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .source import Source
 
 JITTER = 0.01  # deviation from the grid, in steps, that is still uniform
-MISSING = 0.1  # share of dropped samples beyond which a column is no time column
+MISSING = 0.25  # share of dropped samples on the full grid beyond which a column is no time column
 
 
 @dataclass(frozen=True)
@@ -38,17 +38,27 @@ def timebase(t: NDArray[np.float64], source: Source) -> Base:
     n = len(t)
     if n < 2 or not np.all(np.isfinite(t)):
         bad = "one stamp" if n < 2 else f"{int((~np.isfinite(t)).sum())} stamps that are no numbers"
-        source.refuse("the time column gives no step", bad, "finite, rising stamps")
+        source.refuse(
+            "the time column gives no step",
+            bad,
+            "finite, rising stamps",
+            "repair the time column, or leave it out and state --fs HZ",
+        )
     steps = np.diff(t)
     if not steps.min() > 0:
         i = int(np.argmin(steps))
-        source.refuse("time does not rise", f"{t[i]:.9g} s, then {t[i + 1]:.9g} s after sample {i}", "rising stamps")
+        source.refuse(
+            "time does not rise",
+            f"{t[i]:.9g} s, then {t[i + 1]:.9g} s after sample {i}",
+            "rising stamps",
+            "sort or repair the time column, or leave it out and state --fs HZ",
+        )
     rounding = _resolution(t)
     typical = float(np.median(steps))
     if rounding > 0.2 * typical:  # steps of 0.000, 0.001, 0.001: only the whole column tells the step
         typical = float(t[-1] - t[0]) / (n - 1)
     slack = max(JITTER * typical, 1.01 * rounding, 8 * np.finfo(float).eps * float(np.abs(t).max()))
-    dt, place = _grid(t, typical, slack)
+    dt, place = _grid(t, _single(steps, typical), slack)
     wrong = np.abs(t - t[0] - place * dt - np.median(t - t[0] - place * dt)) > slack
     if wrong.any() or np.diff(place).min() < 1:
         i = int(np.argmax(np.abs(steps - typical)))
@@ -59,8 +69,13 @@ def timebase(t: NDArray[np.float64], source: Source) -> Base:
             "resample the record, or state --fs HZ without a time column",
         )
     missing = int(place[-1]) + 1 - n
-    if missing > MISSING * n:
-        source.refuse("too many samples are missing", f"{missing} missing, {n} there", f"at most {MISSING:.0%}")
+    if missing > MISSING * (n + missing):
+        source.refuse(
+            "too many samples are missing",
+            f"{missing} missing, {n} there",
+            f"at most {MISSING:.0%}",
+            "cut the record at the gap",
+        )
     first = int(np.argmax(np.diff(place) > 1)) if missing else 0
     return Base(_snap(dt, float(place[-1]), slack_of(t, dt, place), n), place, missing, first)
 
@@ -78,6 +93,16 @@ def slack_of(t: NDArray[np.float64], dt: float, place: NDArray[np.int64]) -> flo
     """Largest distance of a stamp from its grid, with the rounding of the numbers themselves."""
     away = t - t[0] - place * dt
     return float(np.ptp(away)) + 4 * float(np.spacing(np.abs(t).max()))
+
+
+def _single(steps: NDArray[np.float64], typical: float) -> float:
+    """Mean of the steps without a gap: the median or the mean of all is off by rounding or by the gaps themselves."""
+    for _ in range(4):
+        alone = steps[np.rint(steps / typical) == 1]
+        if not len(alone) or typical == alone.mean():
+            break
+        typical = float(alone.mean())
+    return typical
 
 
 def _grid(t: NDArray[np.float64], typical: float, slack: float) -> tuple[float, NDArray[np.int64]]:

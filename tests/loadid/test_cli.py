@@ -103,7 +103,25 @@ def test_help_lists_the_commands_and_the_exit_codes(run):
             assert option in run(name, "--help")[1]
 
 
-@pytest.mark.parametrize("argv", [[], ["bogus"], ["info"], ["info", "a.csv", "--fs", "x"], ["calibrate", "a.csv"]])
+@pytest.mark.parametrize(
+    "argv",
+    [
+        [],
+        ["bogus"],
+        ["info"],
+        ["info", "a.csv", "--fs", "x"],
+        ["calibrate", "a.csv"],
+        ["info", "a.csv", "--fs", "0"],
+        ["info", "a.csv", "--unit", "acc1"],
+        ["check"],
+        ["demo", "--seed", "-1"],
+        ["identify", "a.csv", "--model", "m.h5", "-o", "r.h5", "--choice", "foo"],
+        ["identify", "a.csv", "--model", "m.h5", "-o", "r.h5", "--choice", "-1"],
+        ["identify", "a.csv", "--model", "m.h5", "-o", "r.h5", "--method", "foo"],
+        ["identify", "a.csv", "--model", "m.h5", "-o", "r.h5", "--penalty", "foo"],
+        ["identify", "a.csv", "--model", "m.h5", "-o", "r.h5", "--family", "foo"],
+    ],
+)
 def test_wrong_words_are_usage(run, argv):
     code, out, err = run(*argv)
     assert code == 2
@@ -253,7 +271,7 @@ def test_damaged_and_missing_files_are_bad_input(run, model):
     data = bytearray(model.read_bytes())
     data[2000] ^= 1
     model.write_bytes(data)
-    for argv in (["info", model], ["check", "--model", model], ["info", "none.csv"], ["check"]):
+    for argv in (["info", model], ["check", "--model", model], ["info", "none.csv"]):
         code, _, err = run(*argv)
         assert code == 3
         assert err.count("\n") == 1
@@ -311,7 +329,7 @@ def test_calibrate_then_identify(run, logs, tmp_path):
     )  # fmt: skip
     assert code == 0, err
     assert "against the known load" in out
-    assert "overridden refusals: LID-W407" in out
+    assert "allowed: LID-W407" in out
     assert "LID-W407" in page.read_text()
     assert picture.read_bytes()[:4] == b"\x89PNG"
     estimate = LoadEstimate.read(result)
@@ -336,7 +354,7 @@ def test_channels_by_index_and_the_json_of_a_result(run, logs, tmp_path):
         "0.001",
         "--response",
         "a1",
-        "--json",
+        "--json-full",
     )
     answer = json.loads(out)
     assert code == 0
@@ -350,8 +368,7 @@ def test_channels_by_index_and_the_json_of_a_result(run, logs, tmp_path):
     [
         (["--response", "a1"], "one channel per sensor"),
         (["--record", "x"], "no record"),
-        (["--choice", "nonsense"], "nonsense"),
-        (["--allow", "hello"], "guard code"),
+        (["--allow", "hello"], "W407"),
         (["--truth", "b"], "'b'"),
         (["--fs", "3000"], "different steps"),
     ],

@@ -140,7 +140,7 @@ def test_peak_keeps_the_sign():
 
 def test_summary_says_what_must_be_known():
     text = impact(allowed=["w407"]).summary()
-    for word in ("peak 10", "impulse", "forward model not verified", "overridden refusals: LID-W407", "LID-W114",
+    for word in ("peak 10", "impulse", "forward model not verified", "allowed: LID-W407", "LID-W114",
                  "hang a known mass", "robust_gcv", "determined", "9 of 10", "sigma is not known", "rank 400",
                  "nullity 0", "quiet segment", "white noise"):  # fmt: skip
         assert word in text, word

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,7 +27,9 @@ def words(figure: Figure) -> str:
 def test_every_picture_says_what_it_must_not_travel_without(kind):
     text = words(impact(allowed=["e110", "W407"]).plot(kind))
     assert "forward model not verified" in text
-    assert "OVERRIDDEN: LID-E110, LID-W407" in text
+    assert "allowed: LID-E110, LID-W407" in text
+    free = replace(impact(allowed=["E306"]).choice, lam=0.0)
+    assert "OVERRIDDEN: LID-E306" in words(impact(allowed=["E306"], choice=free, facts={"rank": 3, "n": 9}).plot())
     assert "W114" in text
     verified = words(impact(certificate=CERTIFICATE).plot(kind))
     assert "not verified" not in verified

@@ -191,7 +191,7 @@ class TestHeldOut:
             (Record(log.values, 2 * DT, log.channels), "different steps"),
             (Record(np.where(np.arange(N)[:, None] == 9, np.nan, log.values), DT, log.channels), "NaN"),
             (Record(0 * log.values, DT, log.channels), "zero"),
-            (Record(log.values, DT, [replace(x, unit="m") for x in log.channels]), "unit"),
+            (Record(log.values, DT, [replace(x, quantity="displacement", unit="m") for x in log.channels]), "unit"),
         ):
             with pytest.raises(InputError, match=words):
                 held_out(estimate, c, changed)

@@ -132,7 +132,7 @@ def test_gaps(tmp_path):
     r = read(write(tmp_path, "\n".join(lines[:6] + lines[7:]) + "\n"))
     assert np.flatnonzero(np.isnan(r["F"])).tolist() == [5]
     assert len(r) == 16
-    assert any("1 samples are missing" in n and "after sample 4" in n for n in r.notes)
+    assert any("1 sample is missing" in n and "after sample 4" in n for n in r.notes)
     assert [f.evidence.name for f in r.select("F").health()] == ["missing"]
     lines[8] = lines[8].rsplit(",", 1)[0] + ","
     r = read(write(tmp_path, "\n".join(lines) + "\n"))

@@ -1,0 +1,58 @@
+"""Every guard code of the package, in words: the one list that commands check against."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from structures.errors import InputError
+from structures.flags import canonical
+
+GUARDS = {
+    "E104": "a load at a support",
+    "W105": "loads next to a support",
+    "W114": "model checked against a known load",
+    "E116": "a structure that is a mechanism",
+    "W201": "fewer sensors than loads, or rank loss",
+    "W202": "conditioning that looks better because channels were lost",
+    "W204": "sensors of different kinds without noise levels",
+    "W205": "AC-coupled channels and a static load",
+    "W206": "health of the channels",
+    "W207": "causality of the FRF",
+    "W208": "kind of FRF and its units",
+    "W209": "truncated file",
+    "N303": "what regularisation did",
+    "E306": "a load that is not determined without regularisation",
+    "W401": "corner of the L-curve",
+    "W402": "minimum of GCV",
+    "W406": "source of the noise level",
+    "W407": "agreement of the rules",
+    "W505": "record shorter than the memory of the structure",
+    "E506": "an impulse response without a usable diagonal",
+    "W509": "modes above the Nyquist frequency",
+    "W702": "data simulated by the model that inverts them",
+    "W703": "coverage of the band",
+    "W704": "record used in making the model",
+}
+
+
+def known_codes(codes: Iterable[str], *, where: str = "allow") -> tuple[str, ...]:
+    """The codes in full form.
+
+    Raises
+    ------
+    InputError
+        If one of them is no code of the package; the message lists those that are.
+    """
+    full = []
+    for code in codes:
+        short = str(code).strip().upper().removeprefix("LID-")
+        if short not in GUARDS:
+            raise InputError(
+                "there is no such guard code",
+                where=where,
+                found=repr(code),
+                expected=f"one of {', '.join(GUARDS)}",
+                hint="only refusals (E) can be overridden",
+            )
+        full.append(canonical(short))
+    return tuple(full)

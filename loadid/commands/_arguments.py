@@ -1,0 +1,73 @@
+"""Argument values that can be checked while the command line is parsed: what is wrong here is usage (exit 2)."""
+
+from __future__ import annotations
+
+import math
+from argparse import ArgumentTypeError
+
+METHODS = ("tikhonov", "tsvd")
+NONE = "none"
+
+
+class UsageError(Exception):
+    """Wrong words on the command line."""
+
+
+def frequency(text: str) -> float:
+    """Sampling frequency in Hz, positive and finite."""
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = math.nan
+    if not (math.isfinite(rate) and rate > 0 and math.isfinite(1 / rate)):
+        raise ArgumentTypeError(f"{text!r} is no sampling frequency in Hz, > 0")
+    return rate
+
+
+def unit(text: str) -> str:
+    """A text of the form CH=UNIT."""
+    channel, sign, symbol = text.rpartition("=")
+    if not (sign and channel.strip() and symbol.strip()):
+        raise ArgumentTypeError(f"{text!r} is not CH=UNIT, for example force=N")
+    return text
+
+
+def channels(text: str) -> list[str]:
+    """``"a,b"`` as a list of channels, at least one."""
+    from . import names
+
+    found = names(text)
+    if not found:
+        raise ArgumentTypeError("no channel is named")
+    return found
+
+
+def choice(text: str) -> str | float:
+    """A rule, or a relative lambda >= 0."""
+    from loadid.inverse.rules import RULES
+
+    if text in RULES:
+        return text
+    try:
+        lam = float(text)
+    except ValueError:
+        lam = math.nan
+    if not (math.isfinite(lam) and lam >= 0):
+        raise ArgumentTypeError(f"{text!r} is no rule ({', '.join(RULES)}) and no relative lambda >= 0")
+    return lam
+
+
+def penalty(text: str) -> str:
+    """Name of a penalty, or ``none`` for plain least squares."""
+    from loadid.inverse.penalties import ORDER
+
+    if text not in (*ORDER, NONE):
+        raise ArgumentTypeError(f"{text!r} is no penalty ({', '.join(ORDER)}, {NONE})")
+    return text
+
+
+def seed(text: str) -> int:
+    """A whole number, not negative."""
+    if not (text.strip().isascii() and text.strip().isdecimal()):
+        raise ArgumentTypeError(f"{text!r} is no seed: a whole number >= 0")
+    return int(text)

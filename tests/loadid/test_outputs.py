@@ -1,0 +1,85 @@
+"""No command replaces what it reads, and nothing is left behind where one output is bad."""
+
+import os
+
+import pytest
+
+from loadid import cli
+from loadid.commands._outputs import require_outputs
+from structures.errors import InputError
+from tests.loadid.test_cli import installed, logs, model, run
+
+__all__ = ["installed", "logs", "model", "run"]
+
+
+def listing(folder):
+    return {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
+
+
+@pytest.mark.parametrize(
+    "outputs",
+    [
+        ["-o", "hit3.csv"],
+        ["-o", "model.h5"],
+        ["-o", "./x/../model.h5"],
+        ["-o", "link.h5"],
+        ["-o", "r.h5", "--report", "hit3.csv"],
+        ["-o", "r.h5", "--report", "model.h5"],
+        ["-o", "r.h5", "--report", "r.h5"],
+        ["-o", "r.png", "--plot", "r.png"],
+        ["-o", "r.h5", "--report", "p.png", "--plot", "p.png"],
+        ["-o", "r.h5", "--plot", "p.xyz"],
+        ["-o", "r.h5", "--plot", "p"],
+        ["-o", "r.h5", "--report", "none/p.html"],
+        ["-o", "none/r.h5", "--report", "p.html"],
+        ["-o", "x"],
+        ["-o", ""],
+        ["-o", "hit3.csv/r.h5"],
+    ],
+)
+def test_identify_refuses_before_it_writes(run, logs, model, tmp_path, monkeypatch, outputs):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x").mkdir()
+    (tmp_path / "link.h5").symlink_to(tmp_path / "model.h5")
+    before = listing(tmp_path)
+    code, out, err = run("identify", "hit3.csv", "--model", tmp_path / "model.h5", *outputs)
+    assert code == cli.BAD_INPUT, err
+    assert "what to do" in err
+    assert not out
+    assert listing(tmp_path) == before
+
+
+def test_calibrate_keeps_its_logs(run, logs, tmp_path):
+    before = listing(tmp_path)
+    code, _, err = run("calibrate", *logs[:3], "--force", "F", "--response", "a1", "-o", logs[1])
+    assert code == 3
+    assert "the command reads" in err
+    assert listing(tmp_path) == before
+
+
+def test_demo_checks_its_files_first(run, tmp_path):
+    (tmp_path / "impact.html").mkdir()
+    code, _, err = run("demo", "--out", tmp_path)
+    assert code == 3
+    assert "impact.html" in err
+    assert [p.name for p in tmp_path.iterdir()] == ["impact.html"]
+
+
+def test_second_names_of_one_file_are_one_file(tmp_path):
+    (tmp_path / "log.csv").write_text("x")
+    os.link(tmp_path / "log.csv", tmp_path / "other.csv")
+    with pytest.raises(InputError, match="the command reads"):
+        require_outputs({"-o": tmp_path / "other.csv"}, [tmp_path / "log.csv"])
+    require_outputs({"-o": tmp_path / "new.h5", "--plot": None, "--report": tmp_path / "new.html"}, [None, "log.csv"])
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "other.csv"]
+
+
+def test_a_report_that_fails_leaves_no_result(run, logs, model, tmp_path, monkeypatch):
+    def fail(*args, **kwargs):
+        raise InputError("broken")
+
+    monkeypatch.setattr("loadid.report.page", fail)
+    code, _, err = run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", "--report", tmp_path / "p.html")
+    assert code == 3
+    assert "broken" in err
+    assert not (tmp_path / "r.h5").exists()
