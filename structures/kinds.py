@@ -65,7 +65,8 @@ def convert(sensor: Channel, kind: str) -> Channel:
         return sensor
     quantity = QUANTITY[kind]
     unit = "arbitrary" if sensor.unit == "arbitrary" else UNIT[quantity]
-    return replace(sensor, quantity=quantity, unit=unit, noise=None)
+    # a plain channel: an accelerometer that reads displacements would be a contradiction
+    return Channel(label=sensor.label, quantity=quantity, unit=unit, highpass=sensor.highpass, measure=sensor.measure)
 
 
 def factors(sensors: Sequence[Channel], frequencies: NDArray, kind: str) -> NDArray[np.complex128]:

@@ -15,7 +15,7 @@ from .dofs import direction_code, direction_label
 from .errors import InputError
 from .fields import Span, field_of
 from .flags import Evidence, Flag
-from .sensors import Place, spot, words
+from .sensors import Place, fixed_quantity, spot, words
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -73,6 +73,7 @@ class _Concentrated(Load):
                 expected="RX, RY or RZ" if turning else "X, Y or Z",
                 hint="use loads.Point for a force" if turning else "use loads.Moment for a moment",
             )
+        fixed_quantity(self, "moment" if turning else "force")
         label = self.label or words(known, at, code)
         for name, value in (("dof", known), ("at", at), ("direction", direction_label(code)), ("label", label)):
             object.__setattr__(self, name, value)
@@ -180,6 +181,7 @@ class Patch(Load):
         if direction_code(self.direction) not in (3, -3):
             raise InputError("a patch acts along Z", where="Patch", found=self.direction, expected="+Z or -Z")
         quantity, unit = ("line_load", "N/m") if self.y is None else ("pressure", "Pa")
+        fixed_quantity(self, quantity)
         place = " ".join(f"{name}={a:.9g}..{b:.9g}" for name, (a, b) in zip("xy", spans, strict=False))
         settled = {
             "direction": direction_label(direction_code(self.direction)),
@@ -252,6 +254,7 @@ class MovingPoint(Load):
             raise InputError(
                 "a moving force acts along Z", where="MovingPoint", found=self.direction, expected="+Z or -Z"
             )
+        fixed_quantity(self, "force")
         path.flags.writeable = False
         object.__setattr__(self, "path", path)
         super().__post_init__()

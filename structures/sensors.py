@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .channels import Channel
+from .channels import ARBITRARY, Channel
 from .dofs import TWIST, Dof, direction_code, direction_label
 from .errors import InputError
 from .fields import field_of
@@ -20,6 +20,19 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Place = float | tuple[float, ...]
+
+
+def fixed_quantity(channel: Channel, quantity: str) -> None:
+    """Refuse another quantity than the one that this kind of sensor reads, or this kind of load is."""
+    if channel.quantity not in ("", quantity) and ARBITRARY not in (channel.quantity, quantity):
+        who = type(channel).__name__
+        raise InputError(
+            f"this {who} speaks {quantity}, not {channel.quantity}",
+            where=f"{who} {channel.label}".rstrip(),
+            found=f"quantity={channel.quantity!r}",
+            expected=repr(quantity),
+            hint="leave quantity out, or use the class of the other quantity",
+        )
 
 
 def settled(who: str, at: Any) -> Place:
@@ -101,6 +114,7 @@ class _Motion(Sensor):
         quantity, unit = self._kinds[4 <= abs(code) <= 6] if code else ("arbitrary", "arbitrary")
         for name, value in (("dof", known), ("at", at), ("direction", direction_label(code))):
             object.__setattr__(self, name, value)
+        fixed_quantity(self, quantity)
         for name, value in (("label", words(known, at, code)), ("quantity", quantity), ("unit", unit)):
             object.__setattr__(self, name, getattr(self, name) or value)
         super().__post_init__()
@@ -209,6 +223,7 @@ class StrainGauge(Sensor):
             )
         if not math.isfinite(self.angle):
             raise InputError("the angle is not finite", where="StrainGauge", found=self.angle, expected="rad")
+        fixed_quantity(self, "strain")
         object.__setattr__(self, "at", settled("StrainGauge", self.at))
         object.__setattr__(self, "label", self.label or f"strain {words(None, self.at)}")
         super().__post_init__()

@@ -50,6 +50,7 @@ _QUANTITIES: dict[str, tuple[str, Dimension]] = {
     "current": ("A", _dimension(A=1)),
     ARBITRARY: (ARBITRARY, _dimension(own=1)),
 }
+QUANTITIES = tuple(_QUANTITIES)
 _BY_DIMENSION = {dimension: quantity for quantity, (_, dimension) in reversed(_QUANTITIES.items())}
 
 _POUND = 0.45359237

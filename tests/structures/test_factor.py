@@ -200,7 +200,7 @@ class TestMechanismsNamed:
         if corners == 3:
             assert np.all(np.isfinite(Factor.of(s).solve(np.ones(s.free.size))))
             return
-        with pytest.raises(NotIdentifiable, match="rigid-body motion left free .*rotation RX.*rotation RY"):
+        with pytest.raises(NotIdentifiable, match=r"rigid-body motion left free .*rotation RX.*rotation RY"):
             Factor.of(s)
 
     def test_from_matrices_and_bare(self):
