@@ -147,6 +147,16 @@ def index_offset(ratio: float, load: str, shift: int | None) -> InputError:
     )
 
 
+def overridden(code: str, what: str, value: float, threshold: float) -> Flag:
+    """A refusal (E506, E306) that the user allowed: it stays as a flag on everything made from the result."""
+    return Flag(
+        code,
+        Evidence(what, value, threshold),
+        f"refused by default, allowed by the user: {what} is {value:.3g}",
+        "do not use the result where this matters",
+    )
+
+
 # -- parameter choice ------------------------------------------------------------------------------------------------
 def parameter(choice: Choice, discrepancy: Callable[[float], float | None]) -> tuple[Flag, ...]:
     """W401, W402, W406 and W407 of one choice; `discrepancy` gives its lambda at a multiple of the noise level."""

@@ -20,7 +20,7 @@ from ..inverse.svd import SVDPath
 from ..inverse.toeplitz import SpectralPath
 from ..provenance import provenance
 from .data import Data, gather, health
-from .posing import Posed, Settings, pose
+from .posing import UNUSABLE, Posed, Settings, diagonal, pose
 
 PRIOR = {
     "identity": "a load of zero mean and constant variance, white in time",
@@ -163,14 +163,27 @@ class Deconvolution:
 
     # -- saying -----------------------------------------------------------------------------------------------------
     def _refuse_undetermined(self, posed: Posed) -> None:
-        free = self.settings.penalty is None or (isinstance(self.choice, int | float) and self.choice == 0)
-        if free and posed.path.rank < posed.unknowns and "LID-E306" not in self.settings.allow:
+        if self._free and posed.path.rank < posed.unknowns and "LID-E306" not in self.settings.allow:
             raise NotIdentifiable(
                 f"without regularisation the load is not determined: rank {posed.path.rank} of {posed.unknowns} "
                 f"unknowns from {posed.path.m} data",
                 advice="add sensors, use a penalty (penalty='identity'), or give lambda > 0",
                 code="LID-E306",
             )
+
+    @property
+    def _free(self) -> bool:
+        """Without regularisation."""
+        return self.settings.penalty is None or (isinstance(self.choice, int | float) and self.choice == 0)
+
+    def _overridden(self, posed: Posed) -> list[Flag]:
+        """Refusals that `allow` took away."""
+        found = []
+        if "LID-E506" in self.settings.allow and (ratio := diagonal(posed.h)) <= UNUSABLE:
+            found.append(guards.overridden("E506", "|h(0)| / max |h|", ratio, UNUSABLE))
+        if "LID-E306" in self.settings.allow and self._free and posed.path.rank < posed.unknowns:
+            found.append(guards.overridden("E306", "rank", posed.path.rank, posed.unknowns))
+        return found
 
     def _facts(self, posed: Posed, choice: Choice, sigma: float, dt: float, load: NDArray) -> dict[str, Any]:
         path = posed.path
@@ -200,6 +213,7 @@ class Deconvolution:
         penalty = self.settings.penalty if isinstance(self.settings.penalty, str) else "user matrix"
         return guards.collect(
             [
+                *self._overridden(posed),
                 *model.flags,
                 guards.not_verified(model.certificate),
                 *health(data),

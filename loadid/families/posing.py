@@ -24,6 +24,7 @@ from .data import Data
 
 DENSE = 2000  # unknowns up to which the exact dense path is taken
 UNUSABLE = 1e-12  # |h(0)| over max |h| below which the diagonal is zero
+SILENT = 0.01  # share of the lines on which an FRF may be zero
 ROUGH = 0.5  # relative error of the best sensor above which the load fills the record and roughness tells nothing
 
 
@@ -199,15 +200,22 @@ def _measured_noise(
         hits = sum(h.used for h in model.hits)
         source = f"residual power of {hits} training hits, averaged over neighbouring lines"
         return noises.LineNoise(samples * spectrum[:, data.rows], None, source)
-    if settings.noise is None and model.training and H.shape[2] == 1 and np.all(H != 0):
-        size = np.abs(H[..., 0]) ** 2
-        told = roughness(np.fft.rfft(data.values, 2 * (len(H) - 1), axis=0) / H[..., 0])
+    if settings.noise is None and model.training and H.shape[2] == 1 and np.mean(H == 0) < SILENT:
+        own = np.where(H[..., 0] == 0, np.max(np.abs(H)), H[..., 0])  # a silent line tells nothing: no roughness there
+        size = np.abs(own) ** 2
+        told = roughness(np.fft.rfft(data.values, 2 * (len(H) - 1), axis=0) / own)
         if np.median(np.min(told.relative, axis=1)) <= ROUGH:
             excess = np.maximum(told.local - told.typical, 0.0) * size
             source = "roughness of the load spectrum that each sensor gives alone"
             return noises.LineNoise(told.typical * size, excess, source)
     noise = noises.resolve(settings.noise, settings.noise_source, model, data)
     return noises.white(noise, samples, len(H))
+
+
+def diagonal(h: NDArray) -> float:
+    """First sample of the impulse responses (samples, sensors, loads) over their maximum, for the worst load."""
+    level = np.max(np.abs(h), axis=1)
+    return float(np.min(level[0] / level.max(axis=0)))
 
 
 def _shift(h: NDArray, model: Model, allow: tuple[str, ...]) -> int:

@@ -125,19 +125,23 @@ def quasi_optimality(sweep: Sweep) -> RuleResult:
     Below it the load no longer changes whatever the data, so that the smallest change there says nothing.
     """
     need(sweep.point, "sensitivity", "quasi_optimality")
-    return _minimum("quasi_optimality", _above_modes(sweep), lambda p: need(p, "sensitivity", "quasi_optimality"))
+    return _minimum(
+        "quasi_optimality",
+        _above_modes(sweep, "quasi_optimality"),
+        lambda p: need(p, "sensitivity", "quasi_optimality"),
+    )
 
 
-def _above_modes(sweep: Sweep) -> Sweep:
-    """The sweep without what lies below the smallest generalised singular value that rounding leaves."""
+def _above_modes(sweep: Sweep, rule: str, share: float = 1.0) -> Sweep:
+    """The sweep without what lies below a share of the smallest generalised singular value that rounding leaves."""
     modes = sweep.path.coefficients
     if modes is None:
         return sweep
     relative = modes.gamma / modes.gamma.max()
     floor = 10 * np.finfo(float).eps * np.sqrt(len(relative))
-    keep = sweep.lam >= np.min(relative[relative > floor], initial=1.0)
+    keep = sweep.lam >= share * np.min(relative[relative > floor], initial=1.0)
     if np.sum(keep) < 3:
-        raise Refusal("quasi_optimality needs singular values that differ")
+        raise Refusal(f"{rule} needs singular values that differ")
     p = sweep.point
     fields = {name: None if value is None else value[keep] for name, value in vars(p).items()}
     return Sweep(sweep.path, sweep.lam[keep], PathPoint(**fields), sweep.sigma)  # type: ignore[arg-type]
@@ -243,9 +247,10 @@ def l_curve(sweep: Sweep) -> RuleResult:
     """Corner of the L-curve: the largest positive curvature away from the ends of the sweep."""
     if not sweep.path.smooth:
         raise Refusal("l_curve needs a path that is smooth in lambda")
+    sweep = _above_modes(sweep, "l_curve", 0.03)  # far below all modes the curve is flat, and its bends are rounding
     kappa = curvature(sweep.lam, sweep.point.residual2, sweep.point.penalty2)
     inner = kappa[EDGE:-EDGE]
-    if not np.any(inner > 0):
+    if len(inner) == 0 or not np.any(inner > 0):
         raise Refusal("the L-curve has no corner: its curvature is nowhere positive")
     k = int(np.argmax(inner)) + EDGE
     edge = k < 2 * EDGE or k >= len(kappa) - 2 * EDGE

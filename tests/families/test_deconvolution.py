@@ -155,6 +155,8 @@ class TestIndexOffset:
         allowed = Deconvolution(model, allow=["E506"]).estimate(np.ones(100), dt=DT)
         assert len(allowed.load) == 100
         assert allowed.allowed == ("LID-E506",)
+        assert "E506" in allowed.codes
+        assert "E506" in allowed.summary()
 
 
 class TestRefusals:
