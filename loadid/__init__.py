@@ -14,6 +14,7 @@ _PUBLIC = {
     "LoadEstimate": "loadid.estimate",
     "NotIdentifiable": "structures.errors",
     "Record": "loadid.record",
+    "load": "loadid.estimate",
     "read": "loadid.readers",
     "read_all": "loadid.readers",
 }

@@ -17,6 +17,7 @@ from structures.errors import InputError, NotIdentifiable
 from . import __version__
 from .commands import Command
 from .commands._arguments import UsageError
+from .commands._spoken import spoken
 
 GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
@@ -123,11 +124,12 @@ class _Log:
 
 def _fail(as_json: bool, code: int, fields: dict[str, Any], text: str) -> int:
     if as_json:
-        known = {k: v if isinstance(v, int | float | str) else str(v) for k, v in fields.items() if v not in (None, "")}
+        given = {k: v for k, v in fields.items() if v is not None and str(v) != ""}
+        known = {k: spoken(str(v)) if not isinstance(v, int | float) else v for k, v in given.items()}
         kind = {USAGE: "usage", BAD_INPUT: "bad input", REFUSED: "not identifiable"}.get(code, "interrupted")
         print(json.dumps({"error": {"kind": kind, "exit": code, **known}}, ensure_ascii=False), file=sys.stderr)
     else:
-        print(f"loadid: {' '.join(text.split())}", file=sys.stderr)
+        print(f"loadid: {' '.join(spoken(text).split())}", file=sys.stderr)
     return code
 
 

@@ -166,8 +166,8 @@ class LoadEstimate:
 
     def band(self, level: float = 0.95) -> tuple[NDArray, NDArray]:
         """Lower and upper end of the central band of probability `level`, each of the shape of `load`."""
-        if not 0 < level < 1:
-            raise InputError("no probability", where="level", found=level, expected="between 0 and 1")
+        if isinstance(level, bool) or not isinstance(level, int | float | np.number) or not 0 < level < 1:
+            raise InputError("no probability", where="level", found=repr(level), expected="between 0 and 1")
         width = NormalDist().inv_cdf(0.5 + level / 2) * self.std
         return self.load - width, self.load + width
 
@@ -217,7 +217,7 @@ class LoadEstimate:
             else:
                 raise InputError("no such functional", where="w", found=w, expected="'impulse', 'mean' or an array")
         else:
-            own = np.asarray(w, float)
+            own = _weights(w)
             if own.shape == self.load.shape:
                 weights = own.copy()
             elif own.ndim == 1 and self.load.ndim == 2 and len(own) == len(self.load):
@@ -249,7 +249,7 @@ class LoadEstimate:
             raise InputError(
                 "a static load has no axis to take it over", where="w", hint="give the weights as an array"
             )
-        start, stop = window or (-np.inf, np.inf)
+        start, stop = _ends(window)
         inside = (self.axis.values >= start) & (self.axis.values <= stop)
         if not inside.any():
             ends = f"{self.axis.values[0]:.6g} to {self.axis.values[-1]:.6g} {self.axis.unit}"
@@ -347,6 +347,33 @@ def _frozen(value: ArrayLike) -> NDArray:
     array = array if array.dtype.kind in "fc" else array.astype(float)
     array.setflags(write=False)
     return array
+
+
+def _weights(w: ArrayLike) -> NDArray[np.float64]:
+    try:
+        own = np.asarray(w, float)
+    except (TypeError, ValueError) as error:
+        raise InputError("the weights are no numbers", where="w", found=str(error), expected="real numbers") from None
+    if not np.all(np.isfinite(own)):
+        raise InputError(
+            "the weights are not finite", where="w", found="NaN or infinity", expected="finite numbers",
+            hint="weigh what does not count with 0",
+        )  # fmt: skip
+    return own
+
+
+def _ends(window: tuple[float, float] | None) -> tuple[float, float]:
+    if window is None:
+        return -np.inf, np.inf
+    try:
+        start, stop = (float(x) for x in window)
+    except (TypeError, ValueError):
+        start = stop = np.nan
+    if np.isnan(start) or np.isnan(stop):
+        raise InputError(
+            "the window is no pair of numbers", where="window", found=repr(window)[:80], expected="(start, stop)"
+        )
+    return start, stop
 
 
 def _check(e: LoadEstimate) -> None:

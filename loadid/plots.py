@@ -40,6 +40,11 @@ def plot(
 ) -> Figure:
     """Figure of an estimate; see `LoadEstimate.plot`."""
     if ax is not None:
+        if not hasattr(ax, "fill_between"):
+            raise InputError(
+                "these are no axes", where="ax", found=f"an object of type {type(ax).__name__}",
+                expected="matplotlib Axes", hint="figure, ax = matplotlib.pyplot.subplots()",
+            )  # fmt: skip
         draw_load(ax, estimate, 0, truth=_truth(estimate, truth))
         return ax.get_figure(root=True)  # type: ignore[return-value]
     figure = _figure(show)
@@ -60,11 +65,9 @@ def plot(
 
 def save(figure: Figure, path: str | os.PathLike) -> None:
     """Write a figure to a file whose suffix names the format; the old file stays where that fails."""
-    from pathlib import Path
+    from structures.storage import as_path, replace
 
-    from structures.storage import replace
-
-    replace(Path(path), rendered(figure, path))
+    replace(as_path(path), rendered(figure, path))
 
 
 def rendered(figure: Figure, path: str | os.PathLike) -> bytes:
@@ -84,9 +87,9 @@ def picture_format(path: str | os.PathLike) -> str:
     InputError
         If it names none.
     """
-    from pathlib import Path
+    from structures.storage import as_path
 
-    suffix = Path(path).suffix.lstrip(".").lower()
+    suffix = as_path(path).suffix.lstrip(".").lower()
     if suffix not in FigureCanvasBase.get_supported_filetypes():
         raise InputError(
             "no picture format", where=str(path), found=suffix or "no suffix", expected="png, svg or pdf",

@@ -72,6 +72,8 @@ class Record:
         notes: Sequence[str] = (),
     ) -> None:
         table = _table(values)
+        if channels is None:
+            _refuse_transposed(table)
         described = _channels(channels, table.shape[1])
         recorded = tuple(c.unit for c in described) if units is None else tuple(units)
         if len(recorded) != len(described):
@@ -164,6 +166,12 @@ class Record:
             If the window holds no sample.
         """
         stop = self.duration if stop is None else stop
+        try:
+            start, stop = float(start), float(stop)
+        except (TypeError, ValueError):
+            raise InputError(
+                "the window is not a number", where="window", found=repr((start, stop))[:80], expected="seconds"
+            ) from None
         if math.isnan(start) or math.isnan(stop):
             raise InputError("the window is not a number", where="window", found=(start, stop), expected="seconds")
         # A sample belongs to the window when its time is the limit up to rounding.
@@ -247,6 +255,19 @@ def _table(values: ArrayLike) -> NDArray[np.float64]:
         )
     table.setflags(write=False)
     return table
+
+
+def _refuse_transposed(table: NDArray[np.float64]) -> None:
+    """More columns than any instrument has channels, and fewer rows: an array that lies on its side."""
+    rows, columns = table.shape
+    if columns > max(rows, 64):
+        raise InputError(
+            "more channels than samples: the array is probably transposed",
+            where="record",
+            found=f"{rows} samples of {columns} channels",
+            expected="(samples, channels)",
+            hint="transpose it (values.T), or name the channels if it is right",
+        )
 
 
 def _step(dt: float) -> float:

@@ -9,7 +9,6 @@ from functools import partial
 from html import escape
 from importlib.resources import files
 from io import BytesIO
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
@@ -56,9 +55,9 @@ def write_report(estimate: LoadEstimate, path: str | os.PathLike, *, truth: Arra
     InputError
         If the file cannot be written.
     """
-    from structures.storage import replace
+    from structures.storage import as_path, replace
 
-    replace(Path(path), page(estimate, truth=truth).encode())
+    replace(as_path(path), page(estimate, truth=truth).encode())
 
 
 def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:

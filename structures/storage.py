@@ -44,7 +44,7 @@ def write(path: str | os.PathLike, tree: Mapping[str, Any], kind: str) -> None:
     InputError
         If something in the tree cannot be stored, or the file cannot be written.
     """
-    path = Path(path)
+    path = as_path(path)
     body = _encode(tree, str(path))
     replace(path, _block(kind, _digest(kind, body)) + body)
 
@@ -57,9 +57,17 @@ def read(path: str | os.PathLike, kind: str) -> dict[str, Any]:
     InputError
         If the file is missing, is of another kind or version, or differs from what was written by a single bit.
     """
-    found, data = _verified(Path(path))
+    found, data = _verified(as_path(path))
     if found != kind:
-        raise InputError("another kind of file", where=str(path), found=found, expected=kind)
+        article = {"load estimate": "a result", "measured model": "a model"}
+        words = article.get(found, found), article.get(kind, kind)
+        raise InputError(
+            f"another kind of file: this is {words[0]}, not {words[1]}",
+            where=str(path),
+            found=found,
+            expected=kind,
+            hint=f"give the file of {words[1]}",
+        )
     return _decode(data, str(path))
 
 
@@ -71,10 +79,31 @@ def kind_of(path: str | os.PathLike) -> str | None:
     InputError
         If the file is missing or damaged.
     """
-    path = Path(path)
+    path = as_path(path)
     if not _bytes(path, BLOCK).startswith(MAGIC.encode()):
         return None
     return _verified(path)[0]
+
+
+def as_path(path: str | os.PathLike) -> Path:
+    """The argument as a path.
+
+    Raises
+    ------
+    InputError
+        If it is none, or empty.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(
+            "this is no path",
+            where="path",
+            found=f"an object of type {type(path).__name__}",
+            expected="a file name",
+            hint="name a file",
+        )
+    if not os.fspath(path):
+        raise InputError("the path is empty", where="path", expected="a file name", hint="name a file")
+    return Path(os.fspath(path) if isinstance(os.fspath(path), str) else os.fsdecode(path))
 
 
 # -- the file as bytes ------------------------------------------------------------------------------------------------
@@ -98,7 +127,12 @@ def _bytes(path: Path, size: int = -1) -> bytes:
     except FileNotFoundError:
         raise InputError("no such file", where=str(path), hint="check the path") from None
     except OSError as error:
-        raise InputError("the file cannot be read", where=str(path), found=error.strerror or error) from error
+        raise InputError(
+            "the file cannot be read",
+            where=str(path),
+            found=error.strerror or error,
+            hint="name a file that may be read",
+        ) from error
 
 
 def _verified(path: Path) -> tuple[str, bytes]:
@@ -112,6 +146,7 @@ def _verified(path: Path) -> tuple[str, bytes]:
             where=str(path),
             found=repr(head[:16]),
             expected=f"a file that begins with {MAGIC!r}",
+            hint="give a model of loadid calibrate or a result of loadid identify; " + damaged,
         )
     if lines[1] != f"format {VERSION}".encode():
         raise InputError(

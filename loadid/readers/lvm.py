@@ -76,7 +76,12 @@ def _header(lines: list[str], at: int, source: Source, separator: str = "\t") ->
             break
     if not entries:
         return {}, len(lines)
-    return source.refuse("a header does not end", f"from line {at + 1}", END)
+    return source.refuse(
+        "a header does not end",
+        f"from line {at + 1}",
+        END,
+        "the file is cut in its header: transfer or export it again",
+    )
 
 
 def _decimal(header: dict[str, list[str]], separator: str, source: Source) -> str:
