@@ -14,11 +14,11 @@ from .channels import Channel
 from .damping import Modal
 from .discretise import check, discretise, markov
 from .errors import InputError, NotIdentifiable
-from .factor import MECHANISM, Factor
+from .factor import Factor
 from .loads import Load, matrix, near_support
 from .model import Model
 from .modes import DENSE, Modes, modal_damping, modes
-from .reduction import ReducedModel, highpass, static_residual
+from .reduction import ReducedModel, highpass, on_resonance, static_residual, unbounded
 from .statespace import StateSpace, channels, count, digest, lines
 
 DEFAULT_MODES = 60  # of a large structure
@@ -258,14 +258,12 @@ class ForwardModel(Model):
         H = np.empty((len(f), len(self.sensors), len(self.loads)), dtype=complex)
         for i, omega in enumerate(2 * np.pi * f):
             D = K - omega**2 * M + 1j * omega * C
+            if C.nnz == 0 and on_resonance(omega, self.modes.lam):
+                raise unbounded(f[i], self.modes.lam)
             try:
                 H[i] = Factor(D, check=False).transfer(self._S, self._columns)
             except (InputError, NotIdentifiable) as error:
-                raise NotIdentifiable(
-                    f"the response at {f[i]:.6g} Hz is unbounded: nothing resists the motion there",
-                    advice="leave this line out, add damping, or support the structure",
-                    code=MECHANISM,
-                ) from error
+                raise unbounded(f[i], self.modes.lam) from error
             H[i] *= ((1j * omega) ** self._derivative)[:, None]
         return H * highpass(f, self._corner)[:, :, None]
 

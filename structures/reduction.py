@@ -12,6 +12,7 @@ from .errors import NotIdentifiable
 from .factor import MECHANISM
 from .modes import Modes
 
+ON_RESONANCE = 1e-12  # share of omega^2 that an eigenvalue and its square root keep: nearer is on the resonance
 FLOATS = 4_000_000  # largest scratch array of a sweep
 
 
@@ -68,7 +69,9 @@ class ReducedModel:
             return max(min(rates), 0.0)
         c, lam = self.damping[elastic], self.lam[elastic]
         root = np.sqrt(np.maximum(c**2 / 4 - lam, 0.0))
-        rates.extend(np.where(root > 0, lam / np.maximum(c / 2 + root, 1e-300), c / 2))
+        # overdamped: the slow root lam / (c/2 + root) without cancellation; undamped: exactly 0
+        slow = root > 0
+        rates.extend(np.where(slow, lam / np.where(slow, c / 2 + root, 1.0), c / 2))
         for k in np.flatnonzero(~elastic).tolist():
             # A free body keeps its place and, undamped, its velocity; an accelerometer sees the load alone.
             for d in self.derivative[self.S[:, k] != 0]:
@@ -82,11 +85,7 @@ class ReducedModel:
         H = self._proportional(omega) if self.proportional else self._coupled(omega)
         if not np.all(np.isfinite(H)):
             line = int(np.flatnonzero(~np.isfinite(H).all(axis=(1, 2)))[0])
-            raise NotIdentifiable(
-                f"the response at {frequencies[line]:.6g} Hz is unbounded: nothing resists the motion there",
-                advice="leave this line out, add damping, or support the structure",
-                code=MECHANISM,
-            )
+            raise unbounded(frequencies[line], self.lam)
         return H * highpass(frequencies, self.corner)[:, :, None]
 
     def _proportional(self, omega: NDArray) -> NDArray[np.complex128]:
@@ -120,13 +119,40 @@ class ReducedModel:
         for a in range(0, len(omega), step):
             w = omega[a : a + step, None, None]
             D = np.diag(self.lam) - w**2 * np.eye(k) + 1j * w * self.damping
-            try:
-                H[a : a + step] = self.S @ np.linalg.solve(D, np.broadcast_to(self.B, (len(D), *self.B.shape)))
-            except np.linalg.LinAlgError:
-                H[a : a + step] = np.nan
+            lost = np.array([self._unbounded(d, w0) for d, w0 in zip(D, omega[a : a + step], strict=True)])
+            D[lost] = np.eye(k)
+            H[a : a + step] = self.S @ np.linalg.solve(D, np.broadcast_to(self.B, (len(D), *self.B.shape)))
+            H[a : a + step][lost] = np.nan
         if self.residual is not None:
             H += self.residual
         return H * (1j * omega[:, None, None]) ** self.derivative[:, None]
+
+    def _unbounded(self, D: NDArray, omega: float) -> bool:
+        """Whether the dynamic stiffness is singular to rounding; only near an undamped frequency can it be."""
+        if np.abs(self.lam - omega**2).min() > 1e-6 * omega**2:
+            return False
+        if omega == 0:  # the static limit: a rigid-body mode is among them
+            return True
+        scale = 1 / np.maximum(np.sqrt(self.lam), omega)
+        return bool(np.linalg.svd(scale[:, None] * D * scale, compute_uv=False)[-1] <= ON_RESONANCE)
+
+
+def on_resonance(omega: float, lam: NDArray) -> bool:
+    """Whether a line (rad/s) lies on an undamped natural frequency, to rounding."""
+    return bool(np.any(np.abs(lam - omega**2) <= ON_RESONANCE * lam))
+
+
+def unbounded(frequency: float, lam: NDArray) -> NotIdentifiable:
+    """The refusal of a line (Hz) at which the response is unbounded; names the mode that has it."""
+    k = int(np.argmin(np.abs(lam - (2 * np.pi * frequency) ** 2)))
+    natural = float(np.sqrt(lam[k]) / (2 * np.pi))
+    why = f"it is the natural frequency of mode {k + 1} ({natural:.9g} Hz), which has no damping"
+    return NotIdentifiable(
+        f"the response at {frequency:.6g} Hz is unbounded: "
+        + (why if natural > 0 else "nothing resists the rigid-body motion there"),
+        advice="leave this line out, add damping (damping=0.01), or support the structure",
+        code=MECHANISM,
+    )
 
 
 def modal_weights(
@@ -135,7 +161,8 @@ def modal_weights(
     """Frequency response of every mode (lines, k) to a unit modal force, differentiated; its limit for rigid modes."""
     jw = 1j * omega[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        w = jw**derivative / (lam + jw**2 + jw * c)
+        stiffness = lam + jw**2 + jw * c
+        w = jw**derivative / np.where(np.abs(stiffness) <= ON_RESONANCE * lam, np.nan, stiffness)
         for k in np.flatnonzero(~elastic).tolist():
             # One factor j omega cancels, so that the acceleration of a free body is right down to 0 Hz.
             u = jw[:, 0]

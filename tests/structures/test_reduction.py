@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from structures import ForwardModel, InputError, Structure, beams, chains, loads, plates, sensors
+from structures import ForwardModel, InputError, NotIdentifiable, Structure, beams, chains, loads, plates, sensors
 from structures.damping import Modal, Rayleigh
 from structures.materials import steel
 from structures.modes import DENSE, modal_damping, modes
@@ -160,3 +160,55 @@ def test_what_has_no_modes_is_refused():
     buckled = beams.simply_supported(elements=10, tension=-1.2 * np.pi**2 * 800 / 1.2**2, **SETTINGS)
     with pytest.raises(InputError, match="unstable"):
         modes(buckled)
+
+
+class TestUndamped:
+    """A structure without damping is a model like any other: no warning, decay rate 0, refusals by name."""
+
+    def model(self, damping=None, right="free", sensor=sensors.Accelerometer):
+        s = beams.beam(
+            length=1.2, elements=12, left="clamped", right=right, section=beams.Section.rectangle(0.04, 0.008),
+            material=steel, damping=damping,
+        )  # fmt: skip
+        return ForwardModel(s, [sensor("6+Z")], [loads.Point("9+Z")])
+
+    def test_decays_at_no_rate_without_a_warning(self):
+        assert self.model().decay_rate == 0.0
+        assert self.model(Modal(0.01)).decay_rate == pytest.approx(
+            0.01 * 2 * np.pi * self.model().natural_frequencies[0]
+        )
+
+    def test_overdamped_slow_root(self):
+        oscillator = chains.oscillator(mass=1.0, stiffness=1.0, dashpot=1e4)
+        m = ForwardModel(oscillator, [sensors.Displacement("1+X")], [loads.Point("1+X")])
+        assert m.decay_rate == pytest.approx(1e-4, rel=1e-7)
+
+    def test_time_domain_is_exact(self):
+        m = ForwardModel(
+            chains.oscillator(mass=2.0, stiffness=50.0), [sensors.Displacement("1+X")], [loads.Point("1+X")]
+        )
+        y = m.predict(np.ones(400), 0.01, hold="zoh")[:, 0]
+        np.testing.assert_allclose(y, (1 - np.cos(5.0 * 0.01 * np.arange(400))) / 50, atol=1e-13)
+
+    @pytest.mark.parametrize("method", ["modal", "direct"])
+    @pytest.mark.parametrize("mode", [0, 2])
+    def test_a_line_on_a_resonance_is_refused_by_name(self, method, mode):
+        m = self.model(sensor=sensors.Displacement)
+        at = m.natural_frequencies[mode]
+        with pytest.raises(NotIdentifiable, match=rf"natural frequency of mode {mode + 1} .*no damping") as error:
+            m.frf([1.0, at, 2 * at], method=method)
+        assert error.value.code == "LID-E116"
+        assert np.all(np.isfinite(m.frf([at * (1 - 1e-9), at * (1 + 1e-9)], method=method)))
+        assert np.all(np.isfinite(self.model(Modal(1e-6)).frf([at])))
+
+    def test_a_mode_that_the_damper_misses(self):
+        """Three masses, a damper on the middle one: the antisymmetric mode never feels it, the other two couple."""
+        K = 100.0 * np.array([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]])
+        s = Structure.from_matrices(K, np.diag([1.0, 3.0, 1.0]), np.diag([0.0, 2.0, 0.0]), dofs=["1+X", "2+X", "3+X"])
+        m = ForwardModel(s, [sensors.Displacement("1+X")], [loads.Point("1+X")])
+        assert not m.reduced.proportional
+        assert m.decay_rate == pytest.approx(0.0, abs=1e-9)
+        at = np.sqrt(200.0) / (2 * np.pi)
+        with pytest.raises(NotIdentifiable, match="natural frequency of mode 2"):
+            m.frf([1.0, at, 2.0])
+        assert np.all(np.isfinite(m.frf([0.0, at * (1 - 1e-8)])))
