@@ -226,8 +226,10 @@ def _flat(tree: Mapping[str, Any], prefix: str = "", parent: str = "") -> list[t
     for key, value in tree.items():
         if key == "notes":
             continue  # they stand with the result
-        name = prefix + (str(key) if parent == "inputs" else str(key).replace("_", " "))  # paths stay as they are
-        if isinstance(value, Mapping):
+        name = prefix + str(key).replace("_", " ")
+        if parent == "inputs":  # paths stay as they are, in the column that wraps
+            rows.append(("input", f"{key}, sha256 {value}"))
+        elif isinstance(value, Mapping):
             rows += _flat(value, f"{name}: ", str(key))
         else:
             default = _DEFAULTS.get(str(key)) if value is None and parent == "settings" else None

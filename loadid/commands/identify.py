@@ -71,10 +71,23 @@ def identify(
     given = {key: value for key, value in options.items() if value is not None}
     if given.get("penalty") == arguments.NONE:
         given["penalty"] = None
-    estimate = chosen(known, **given).estimate(responses_of(found, known, responses))
+    try:
+        estimate = chosen(known, **given).estimate(responses_of(found, known, responses))
+    except InputError as error:
+        raise _with_contradiction(error, found) from error
     return (
         replace(estimate, provenance={**estimate.provenance, "notes": list(found.notes)}) if found.notes else estimate
     )
+
+
+def _with_contradiction(error: InputError, record: Record) -> InputError:
+    """The error; where the stated step contradicts that of the file, this is said too: it is the likely cause."""
+    said = next((note for note in record.notes if "contradict" in note), None)
+    if said is None:
+        return error
+    hint = "; ".join(filter(None, (error.hint, said)))
+    parts = {k: getattr(error, k) for k in ("where", "found", "expected", "code")}
+    return InputError(error.what, hint=hint, **parts)
 
 
 def _read(log: str | Path, record: str | None, reading: dict[str, Any] | None) -> Record:

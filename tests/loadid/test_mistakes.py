@@ -112,6 +112,10 @@ def test_a_contradicting_frequency_is_said_everywhere(run, logs, model, tmp_path
     assert "contradict each other" in run("info", logs[3], "--fs", "3000")[1]
     assert "contradict each other" in run("check", logs[3], "--fs", "3000")[1]
     assert "contradict each other" not in run("info", logs[3], "--fs", "2001")[1]
+    code, _, err = run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", "--fs", "3000")
+    assert code == 3
+    assert "contradict each other" in err
+    assert "dt=)" not in err
     page = tmp_path / "p.html"
     code, out, err = run(
         "identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", "--report", page, "--fs", "2000.0000001"
@@ -226,6 +230,7 @@ def test_advice_has_its_command_line_form(run, tmp_path):
     assert "Python" not in err
     assert "fs=HZ" not in err
     assert spoken("leave the sensor out (sensors=[...])") == "calibrate a model without this sensor"
+    assert spoken("use a penalty (penalty='identity')") == "use a penalty (--penalty identity)"
 
 
 def test_without_a_penalty(run, logs, model, tmp_path):

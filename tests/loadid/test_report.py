@@ -145,3 +145,35 @@ def test_notebooks_get_a_fragment():
 
 def test_numbers_that_are_not_finite_do_not_break_the_page():
     assert re.search(r"condition number.*inf", page(small(facts={"kappa": np.inf})), re.S)
+
+
+def test_provenance_keeps_paths_and_says_what_defaults_are():
+    provenance = {
+        "inputs": {"my_long_folder/my_log.csv": "cd" * 32},
+        "settings": {"choice": None, "hold": None, "sensors": None, "noise_source": None},
+        "notes": ["step 0.001 s from the time column t_s"],
+    }
+    text = Page(page(small(provenance=provenance))).text
+    for word in ("my_long_folder/my_log.csv", "settings: choice automatic", "settings: hold the model's own",
+                 "settings: sensors all", "step 0.001 s from the time column t_s"):  # fmt: skip
+        assert word in text, word
+
+
+def test_a_phone_gets_the_panels_below_each_other(whole):
+    read = Page(whole)
+    assert len(read.values("srcset")) == 3
+    assert set(read.values("media")) == {"(max-width: 40rem)"}
+    wide, narrow = (ET.fromstring(base64.b64decode(read.values(k)[0].split(",")[1])) for k in ("src", "srcset"))
+    for picture, width in ((wide, 720), (narrow, 288)):
+        assert float(picture.get("width").removesuffix("pt")) == width
+
+
+def test_a_sentence_says_what_the_data_cannot_tell():
+    facts = {"nullity": 5, "n": 400, "m": 300}
+    assert "5 of 400 components of the load leave no trace" in Page(page(small(facts=facts))).text
+
+
+def test_the_measured_line_is_seen_under_the_predicted_one():
+    figure = impact().plot("response")
+    lines = {line.get_label(): line for line in figure.axes[0].get_lines()}
+    assert lines["measured"].get_linewidth() > 3 * lines["predicted"].get_linewidth()
