@@ -21,8 +21,19 @@ _PUBLIC = {
     "Structure": "structure",
 }
 _MODULES = (
-    "beams", "chains", "damping", "dofs", "factor", "flags", "loads", "plates", "reduction", "sensors", "storage", "units",
-)  # fmt: skip
+    "beams",
+    "chains",
+    "damping",
+    "dofs",
+    "factor",
+    "flags",
+    "loads",
+    "plates",
+    "reduction",
+    "sensors",
+    "storage",
+    "units",
+)
 
 __all__ = sorted([*_PUBLIC, *_MODULES])
 

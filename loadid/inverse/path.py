@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -11,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 
 from .posterior import Posterior
+
+ALL = slice(None)
+TILE = 32_768  # modes times lambdas that are worked on at once: some such arrays fit in the cache
 
 
 @dataclass(frozen=True)
@@ -142,6 +146,8 @@ class FactoredPath:
         Hard cut-off (truncated SVD) in place of Tikhonov's filter.
     """
 
+    _orthonormal = True  # the modes are loads of unit length, at right angles
+
     def __init__(
         self,
         c: NDArray,
@@ -181,6 +187,7 @@ class FactoredPath:
                 hint="check the units",
             )
         self._gamma, self._seen, self._beta2 = gamma, seen, np.abs(beta) ** 2
+        self._cost = np.divide(1.0, c**2, out=np.zeros(c.shape), where=c > 0)
 
     @property
     def coefficients(self) -> Coefficients:
@@ -197,34 +204,53 @@ class FactoredPath:
         # well-conditioned problems must be able to choose next to no regularisation
         return float(max(floor, 1e-3 * smallest)), 1.0
 
-    def _filter(self, lam: NDArray) -> tuple[NDArray, NDArray]:
+    def _filter(self, lam: NDArray, part: slice = ALL) -> tuple[NDArray, NDArray]:
         """Filter factors and their complements, shape (..., lams, modes)."""
-        c, s = self.c[..., None, :], self.s[..., None, :]
+        c, s = self.c[..., None, part], self.s[..., None, part]
         x = self._absolute(lam)
         if not self.smooth:
             keep = (c > 0) & (c >= x * s * (1 - 1e-12))
             return keep.astype(float), (~keep).astype(float)
-        d = c**2 + (x * s) ** 2
+        c2, g = c**2, (x * s) ** 2
+        d = c2 + g
         if d.all():
-            return c**2 / d, (x * s) ** 2 / d
+            return c2 / d, g / d
         safe = np.where(d > 0, d, 1.0)  # neither seen nor penalised (lambda 0): nothing is taken from the data
-        return c**2 / safe, np.where(d > 0, (x * s) ** 2 / safe, 1.0)
+        return c2 / safe, np.where(d > 0, g / safe, 1.0)
 
     def at(self, lam: ArrayLike) -> PathPoint:
         """Scalars of the path at relative `lam`, shape (k,); for a stack (lines, k)."""
         lam = np.asarray(lam, float)
-        grid = np.atleast_1d(lam)
-        # a long spectrum times a long grid does not fit in memory: evaluate the grid in blocks
-        blocks = np.array_split(grid, min(grid.shape[-1], int(np.ceil(grid.shape[-1] * self.c.size / 4e6))), axis=-1)
-        parts = [self._point(block) for block in blocks]
+        sums = self._tiled(self._sums, np.atleast_1d(lam))
+        residual2, penalty2, edf, edf2, complement, objective, log_ratio, change2 = sums if lam.ndim else sums[..., 0]
+        outside = self.outside[..., None] if lam.ndim else self.outside
+        modes = np.sum(self.weight)
+        left = (self.m - modes) * (self.m > modes * (1 + 1e-12)) + complement
+        if not self.smooth:
+            return PathPoint(residual2 + outside, penalty2, edf, edf2, left)
+        return PathPoint(
+            residual2 + outside,
+            penalty2,
+            edf,
+            edf2,
+            left,
+            sensitivity=2 * np.sqrt(change2),
+            objective=objective + outside,
+            log_ratio=log_ratio,
+        )
 
-        def join(name: str) -> NDArray | None:
-            if getattr(parts[0], name) is None:
-                return None
-            whole = np.concatenate([getattr(p, name) for p in parts], axis=-1)
-            return whole if lam.ndim else whole[..., 0]
+    def _tiled(self, sums: Callable[[NDArray, slice], NDArray], lam: NDArray) -> NDArray:
+        """Sums over the modes at each lambda, (sums, ..., lams), a tile of modes and lambdas at a time.
 
-        return PathPoint(*(join(name) for name in PathPoint.__dataclass_fields__))  # type: ignore[arg-type]
+        A long spectrum times a long grid does not fit in memory, let alone in the cache: the time would grow faster
+        than the record. Modes that are no orthonormal loads, and those of a stack, are not split.
+        """
+        modes = self.c.shape[-1]
+        width = min(modes, TILE // 8) if self.c.ndim == 1 and self._orthonormal else modes
+        rows = max(1, TILE // (self.c.size // modes * width))
+        blocks = [lam[..., k : k + rows] for k in range(0, lam.shape[-1], rows)]
+        parts = [slice(k, k + width) for k in range(0, modes, width)]
+        return np.concatenate([np.sum([sums(block, part) for part in parts], axis=0) for block in blocks], axis=-1)
 
     def _absolute(self, lam: NDArray) -> NDArray:
         """Absolute lambda, with an axis for the modes at the end: shape (..., lams, 1)."""
@@ -232,30 +258,27 @@ class FactoredPath:
             raise InputError("no relative lambda", where="lambda", found=lam, expected="finite numbers >= 0")
         return (lam * self.scale[..., None])[..., None]
 
-    def _point(self, lam: NDArray) -> PathPoint:
-        f, g = self._filter(lam)  # g = 1 - f
-        w, b2 = self.weight, self._beta2[..., None, :]
-        c, s = self.c[..., None, :], self.s[..., None, :]
-        gain = np.where(c > 0, f / np.where(c > 0, c, 1.0), 0.0)
-        outside = self.outside[..., None]
-        residual2 = np.sum(w * g**2 * b2, axis=-1) + outside
-        penalty2 = np.sum(w * (s * gain) ** 2 * b2, axis=-1)
-        edf, edf2 = np.sum(w * f, axis=-1), np.sum(w * f**2, axis=-1)
-        left = (self.m - np.sum(w)) * (self.m > np.sum(w) * (1 + 1e-12)) + np.sum(w * g, axis=-1)
-        if not self.smooth:
-            return PathPoint(residual2, penalty2, edf, edf2, left)
-        gamma = self._gamma[..., None, :]
-        with np.errstate(divide="ignore", invalid="ignore"):  # lambda 0: the ratio is infinite
-            ratio = np.where(self._seen[..., None, :] & (gamma > 0), gamma / self._absolute(lam), 0.0)
-        return PathPoint(
-            residual2,
-            penalty2,
-            edf,
-            edf2,
-            left,
-            sensitivity=2 * self._norm(g * gain * self.beta[..., None, :]),
-            objective=np.sum(w * g * b2, axis=-1) + outside,
-            log_ratio=np.sum(w * np.log1p(ratio**2), axis=-1),
+    def _sums(self, lam: NDArray, part: slice) -> NDArray:
+        """Everything that `at` sums over modes, for some of them: shape (8, ..., lams)."""
+        f, g = self._filter(lam, part)  # g = 1 - f
+        s2, w, b2 = self.s[..., part] ** 2, self.weight[part], self._beta2[..., part] * self.weight[part]
+        f2, log_ratio = f**2, np.zeros(f.shape[:-1])
+        if self.smooth:
+            gamma = (self._gamma[..., part] * self._seen[..., part])[..., None, :]
+            with np.errstate(divide="ignore", invalid="ignore"):  # lambda 0: the ratio is infinite
+                ratio = np.where(gamma > 0, gamma / self._absolute(lam), 0.0)
+            log_ratio = _dot(np.log1p(ratio**2), w)
+        return np.stack(
+            [
+                _dot(g**2, b2),
+                _dot(f2, s2 * self._cost[..., part] * b2),
+                _dot(f, w),
+                _dot(f2, w),
+                _dot(g, w),
+                _dot(g, b2),
+                log_ratio,
+                self._length2(g * f, part),
+            ]
         )
 
     def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64]:
@@ -263,22 +286,30 @@ class FactoredPath:
 
         Bias of the filter on the pilot's load plus the variance of the noise: the parametric bootstrap in closed form.
         """
-        fp, _ = self._filter(np.atleast_1d(np.asarray(pilot, float)))
-        f, g = self._filter(np.atleast_1d(np.asarray(lam, float)))
-        safe = np.where(self.c > 0, self.c, np.inf)
-        bias = self._norm(g * (fp * self.beta / safe)[..., :1, :])
-        return bias**2 + sigma**2 * np.sum(self.weight * self._lengths2() * (f / safe) ** 2, axis=-1)
+        first = np.atleast_1d(np.asarray(pilot, float))
+
+        def error(lam: NDArray, part: slice) -> NDArray:
+            f, g = self._filter(lam, part)
+            noise = _dot(f**2, self.weight[part] * self._lengths2() * self._cost[..., part])
+            return (self._length2(g * self._filter(first, part)[0], part) + sigma**2 * noise)[None]
+
+        return self._tiled(error, np.atleast_1d(np.asarray(lam, float)))[0]
 
     def _lengths2(self) -> NDArray | float:
         """Squared length of each mode of the load."""
         return 1.0
 
-    def _norm(self, coefficients: NDArray) -> NDArray:
-        """Norm of the load with these mode coefficients; the modes are orthonormal unless a subclass says otherwise."""
-        return np.sqrt(np.sum(self.weight * np.abs(coefficients) ** 2, axis=-1))
+    def _length2(self, factors: NDArray, part: slice) -> NDArray:
+        """Squared length of the loads with mode coefficients ``factors * beta / c``, orthonormal modes."""
+        return _dot(factors**2, self.weight[part] * self._beta2[..., part] * self._cost[..., part])
 
     def gains(self, lam: ArrayLike) -> NDArray:
         """Mode coefficients f / c * beta of the solution at one relative `lam` (per line of a stack)."""
         f, _ = self._filter(np.asarray(lam, float)[..., None])
         f = f[..., 0, :]
         return np.where(self.c > 0, f / np.where(self.c > 0, self.c, 1.0), 0.0) * self.beta
+
+
+def _dot(x: NDArray, w: NDArray) -> NDArray:
+    """Sum over the modes of x (..., lams, modes) with weights w (..., modes)."""
+    return np.einsum("...km,...m->...k", x, w)

@@ -90,10 +90,11 @@ class SVDPath(FactoredPath):
     def _lengths2(self) -> NDArray | float:
         return 1.0 if self._orthonormal else np.sum(self.X**2, axis=0)
 
-    def _norm(self, coefficients: NDArray) -> NDArray:
+    def _length2(self, factors: NDArray, part: slice) -> NDArray:
         if self._orthonormal:
-            return super()._norm(coefficients)
-        return np.linalg.norm(coefficients @ self.X.T, axis=-1)
+            return super()._length2(factors, part)
+        per = np.divide(self.beta, self.c, out=np.zeros(self.c.shape), where=self.c > 0)
+        return np.sum(((factors * per) @ self.X.T) ** 2, axis=-1)
 
 
 def _svd(H: NDArray) -> tuple[NDArray, NDArray, NDArray]:
