@@ -7,16 +7,17 @@ A positive slope dw/dx turns about -Y in a right-handed frame, so that the DOF t
 
 from __future__ import annotations
 
-import math
+import functools
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import NoReturn, ParamSpec, Required, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import fields, materials
-from .damping import Damping
+from .damping import Damping, settled
 from .dofs import Dof, direction_label
 from .errors import InputError
 from .fields import Span
@@ -24,6 +25,7 @@ from .hermite import Line, curvature_matrix, mass_matrix
 from .materials import Material
 from .sections import Section
 from .structure import Structure
+from .values import number, positive, shown
 
 __all__ = [
     "ENDS", "BeamField", "Material", "Section", "beam", "cantilever", "clamped", "free", "materials",
@@ -33,6 +35,7 @@ __all__ = [
 Z, SLOPE = 3, -5
 ENDS: dict[str, tuple[int, ...]] = {"pinned": (Z,), "clamped": (Z, SLOPE), "free": (), "guided": (SLOPE,)}
 Array = NDArray[np.float64]
+P = ParamSpec("P")
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,12 @@ class BeamField:
     ----------
     line : Line
         The elements.
+    outer : float, optional
+        Distance of the outer fibre (m) where the section is known.
     """
 
     line: Line
+    outer: float | None = None
 
     def motion(self, at: ArrayLike, axis: int) -> Array:
         """Row of the deflection (Z) or the rotation (RY, which is -w') at x."""
@@ -59,6 +65,7 @@ class BeamField:
         (x,) = fields.point(at, ("x",))
         if angle:
             _refuse("a beam has axial strain only", f"angle = {angle:g} rad", "angle = 0")
+        fields.within(fibre, self.outer)
         if length is None:
             return -fibre * self.line.row(x, 2)
         # the mean of w'' is the difference of the slopes at the ends: exact across elements
@@ -92,7 +99,9 @@ class BeamField:
 
 
 def _refuse(what: str, found: str, expected: str) -> NoReturn:
-    raise InputError(what, where="sensor or load on a beam", found=found, expected=expected)
+    raise InputError(
+        what, where="sensor or load on a beam", found=found, expected=expected, hint="the beam lies along X"
+    )
 
 
 def beam(
@@ -106,7 +115,7 @@ def beam(
     section: Section | None = None,
     material: Material | None = None,
     tension: float | Callable[[float], float] = 0.0,
-    damping: Damping | None = None,
+    damping: Damping | float | None = None,
     origin: float = 0.0,
 ) -> Structure:
     """Euler-Bernoulli beam with any two ends.
@@ -125,8 +134,8 @@ def beam(
         from which both follow.
     tension : float or callable
         Axial force (N), positive in tension, constant or a function of x; ``scaled("tension", factor)`` changes it.
-    damping : Rayleigh or Modal, optional
-        Damping.
+    damping : Rayleigh, Modal or float, optional
+        Damping; a number is the ratio of every mode.
     origin : float
         x of the left end (m). Points are given in the same coordinates; matrices do not depend on it.
 
@@ -138,16 +147,35 @@ def beam(
     Raises
     ------
     InputError
-        If a value is not positive or missing, or an end is unknown.
+        If a value is not positive or missing, an end is unknown, or the section is deeper than half the length.
+
+    Notes
+    -----
+    Euler-Bernoulli element with cubic Hermite functions and consistent mass: R. D. Cook, D. S. Malkus, M. E. Plesha,
+    R. J. Witt, *Concepts and Applications of Finite Element Analysis*, 4th ed. (2002), chapters 2 and 11.
     """
     EI, mass = _properties(EI, mass_per_length, section, material)
     for side, end in (("left", left), ("right", right)):
-        if end not in ENDS:
-            raise InputError("unknown end", where=f"beam, {side}", found=repr(end), expected=", ".join(ENDS))
-    line = Line(float(length), elements, float(origin))
+        if not isinstance(end, str) or end not in ENDS:
+            raise InputError(
+                "unknown end",
+                where=f"beam, {side}",
+                found=repr(end),
+                expected=", ".join(ENDS),
+                hint=f'{side}="clamped", for example',
+            )
+    if section is not None and 4 * section.c > positive("length", length, where="beam", unit="m"):
+        raise InputError(
+            "the section is too deep for a beam of this length: it would shear, not bend",
+            where="beam",
+            found=f"depth {2 * section.c:g} m, length {length:g} m",
+            expected="a depth of at most half the length; a tenth is usual",
+            hint="check the units of the section (m); Euler-Bernoulli theory has no shear",
+        )
+    line = Line(length, elements, origin)
     K = line.assemble(EI * curvature_matrix(line.h))
     terms = {}
-    if callable(tension) or tension != 0.0:
+    if callable(tension) or number("tension", tension, where="beam", unit="N") != 0.0:
         terms["tension"] = line.tension(tension)
         K = K + terms["tension"]
     ends = [(0, axis) for axis in ENDS[left]] + [(line.elements, axis) for axis in ENDS[right]]
@@ -157,29 +185,71 @@ def beam(
         dofs=tuple(Dof(node, axis) for node in range(line.elements + 1) for axis in (Z, SLOPE)),
         coordinates=line.nodes,
         supports=tuple(Dof(node, axis) for node, axis in ends),
-        damping=damping,
-        field=BeamField(line),
+        damping=settled(damping),
+        field=BeamField(line, None if section is None else section.c),
         terms=terms,
     )
 
 
-def simply_supported(**settings: Any) -> Structure:
-    """Beam pinned at both ends; settings as in `beam`."""
+class BeamSettings(TypedDict, total=False):
+    """What `simply_supported`, `cantilever`, `clamped` and `free` take: all of `beam` but its ends."""
+
+    length: Required[float]
+    elements: int
+    EI: float | None
+    mass_per_length: float | None
+    section: Section | None
+    material: Material | None
+    tension: float | Callable[[float], float]
+    damping: Damping | float | None
+    origin: float
+
+
+def _settled_ends(build: Callable[P, Structure]) -> Callable[P, Structure]:
+    """Give a beam of settled ends the signature of `beam` without them, and refuse them by name."""
+    whole = inspect.signature(beam)
+    kept = [p for name, p in whole.parameters.items() if name not in ("left", "right")]
+
+    @functools.wraps(build)
+    def checked(*args: P.args, **settings: P.kwargs) -> Structure:
+        if ends := [name for name in ("left", "right") if name in settings]:
+            raise InputError(
+                f"the ends of beams.{build.__name__} are settled",
+                where=f"beams.{build.__name__}",
+                found=", ".join(f"{name}={settings[name]!r}" for name in ends),
+                expected="the settings of beam() without left and right",
+                hint='beams.beam(left="pinned", right="clamped", ...) takes any two ends',
+            )
+        return build(*args, **settings)
+
+    checked.__signature__ = whole.replace(parameters=kept)  # type: ignore[attr-defined]
+    return checked
+
+
+@_settled_ends
+def simply_supported(**settings: Unpack[BeamSettings]) -> Structure:
+    """Beam pinned at both ends; all settings of `beam` but `left` and `right`, and its errors."""
     return beam(left="pinned", right="pinned", **settings)
 
 
-def cantilever(**settings: Any) -> Structure:
-    """Beam clamped on the left, free on the right; settings as in `beam`."""
+@_settled_ends
+def cantilever(**settings: Unpack[BeamSettings]) -> Structure:
+    """Beam clamped on the left, free on the right; all settings of `beam` but `left` and `right`, and its errors."""
     return beam(left="clamped", right="free", **settings)
 
 
-def clamped(**settings: Any) -> Structure:
-    """Beam clamped at both ends; settings as in `beam`."""
+@_settled_ends
+def clamped(**settings: Unpack[BeamSettings]) -> Structure:
+    """Beam clamped at both ends; all settings of `beam` but `left` and `right`, and its errors."""
     return beam(left="clamped", right="clamped", **settings)
 
 
-def free(**settings: Any) -> Structure:
-    """Beam without supports; settings as in `beam`. It has two rigid-body motions and no static response."""
+@_settled_ends
+def free(**settings: Unpack[BeamSettings]) -> Structure:
+    """Beam without supports; all settings of `beam` but `left` and `right`, and its errors.
+
+    It has two rigid-body motions and no static response.
+    """
     return beam(left="free", right="free", **settings)
 
 
@@ -187,6 +257,17 @@ def _properties(
     EI: float | None, mass: float | None, section: Section | None, material: Material | None
 ) -> tuple[float, float]:
     """Bending stiffness and mass per length, from numbers or from section and material, never from both."""
+    for name, value, kind in (("section", section, Section), ("material", material, Material)):
+        if value is not None and not isinstance(value, kind):
+            raise InputError(
+                f"no {name}",
+                where=f"beam, {name}",
+                found=shown(value),
+                expected=f"a beams.{kind.__name__}",
+                hint="beams.Section.rectangle(width, height)"
+                if kind is Section
+                else "beams.materials.steel, or beams.Material(E=, rho=)",
+            )
     by_number = EI is not None or mass is not None
     by_section = section is not None or material is not None
     if by_section and not by_number and section is not None and material is not None:
@@ -204,8 +285,9 @@ def _properties(
             where="beam",
             found=", ".join(given) or "nothing",
             expected="EI and mass_per_length, or section and material",
+            hint="section=beams.Section.rectangle(width, height), material=beams.materials.steel",
         )
-    for name, value in (("EI", EI), ("mass_per_length", mass)):
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"{name} must be positive", where="beam", found=value, expected="> 0")
-    return float(EI), float(mass)
+    return (
+        positive("EI", EI, where="beam", unit="N m^2"),
+        positive("mass_per_length", mass, where="beam", unit="kg/m"),
+    )

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from .damping import Damping
+from .damping import Damping, settled
 from .dofs import Dof, direction_code, direction_label
 from .errors import InputError
 from .fields import Lumped
 from .structure import Structure
+from .values import shown
 
 ENDS = ("fixed", "free")
 
@@ -25,7 +26,7 @@ def chain(
     left: str = "fixed",
     right: str = "free",
     direction: str = "X",
-    damping: Damping | None = None,
+    damping: Damping | float | None = None,
 ) -> Structure:
     """Masses in a row, joined by springs.
 
@@ -44,8 +45,8 @@ def chain(
         Ends.
     direction : str
         Direction of the motion.
-    damping : Rayleigh or Modal, optional
-        Damping of the whole.
+    damping : Rayleigh, Modal or float, optional
+        Damping of the whole; a number is the ratio of every mode.
 
     Raises
     ------
@@ -69,13 +70,17 @@ def chain(
         C=None if dashpots is None else _series(_values("dashpots", dashpots, len(nodes) - 1, zero=True)),
         dofs=dofs,
         supports=tuple(dof for dof in dofs if dof.node in (0, m.size + 1)),
-        damping=damping,
+        damping=settled(damping),
         field=Lumped(direction_label(abs(axis))[1:], len(nodes)),
     )
 
 
 def shear_building(
-    *, masses: ArrayLike, stiffnesses: ArrayLike, dashpots: ArrayLike | None = None, damping: Damping | None = None
+    *,
+    masses: ArrayLike,
+    stiffnesses: ArrayLike,
+    dashpots: ArrayLike | None = None,
+    damping: Damping | float | None = None,
 ) -> Structure:
     """Storeys with rigid floors that sway along X; floor k is node k, the ground is node 0 and supported.
 
@@ -87,14 +92,14 @@ def shear_building(
         Lateral stiffness of each storey (N/m), the lowest first.
     dashpots : float or sequence, length n, optional
         N s/m between floors.
-    damping : Rayleigh or Modal, optional
-        Damping of the whole.
+    damping : Rayleigh, Modal or float, optional
+        Damping of the whole; a number is the ratio of every mode.
     """
     return chain(masses=masses, springs=stiffnesses, dashpots=dashpots, damping=damping)
 
 
 def oscillator(
-    *, mass: float, stiffness: float, dashpot: float | None = None, damping: Damping | None = None
+    *, mass: float, stiffness: float, dashpot: float | None = None, damping: Damping | float | None = None
 ) -> Structure:
     """One mass on one spring; the mass is ``1+X``, the ground ``0+X``."""
     return chain(masses=[mass], springs=stiffness, dashpots=dashpot, damping=damping)
@@ -102,13 +107,30 @@ def oscillator(
 
 def _values(name: str, values: ArrayLike, count: int | None, zero: bool = False) -> NDArray[np.float64]:
     """Finite positive values; a scalar is repeated `count` times."""
-    x = np.asarray(values, float)
+    try:
+        x = np.asarray(values, float)
+    except (TypeError, ValueError):
+        x = np.empty((0, 0))
+    if isinstance(values, str) or x.ndim == 2:
+        raise InputError(
+            f"{name} are no numbers",
+            where="chain",
+            found=shown(values),
+            expected="a sequence of numbers, from left to right",
+            hint=f"{name}=[1.0, 2.0], for example",
+        )
     x = np.full(count, float(x)) if x.ndim == 0 and count is not None else np.atleast_1d(x)
     if x.ndim != 1 or (count is not None and x.size != count) or x.size + (count is not None) == 0:
         expected: Sequence[str] | str = (
             "a sequence, at least one" if count is None else f"{count} values, from left to right"
         )
-        raise InputError(f"wrong number of {name}", where="chain", found=f"shape {x.shape}", expected=expected)
+        raise InputError(
+            f"wrong number of {name}",
+            where="chain",
+            found=f"shape {x.shape}",
+            expected=expected,
+            hint="a fixed end has a spring of its own, a free one has none",
+        )
     bad = ~(np.isfinite(x) & ((x >= 0) if zero else (x > 0)))
     if bad.any():
         i = int(np.argmax(bad))
@@ -117,6 +139,7 @@ def _values(name: str, values: ArrayLike, count: int | None, zero: bool = False)
             where=f"chain, {name}[{i}]",
             found=x[i],
             expected=">= 0" if zero else "> 0",
+            hint=f"every one of {name} is a finite number in SI units",
         )
     return x
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from .errors import InputError
+from .values import number, real, shown
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,14 @@ class Rayleigh:
 
     def __post_init__(self) -> None:
         for name, value in (("alpha", self.alpha), ("beta", self.beta)):
-            if not (math.isfinite(value) and value >= 0):
-                raise InputError(f"{name} must not be negative", where="Rayleigh damping", found=value, expected=">= 0")
+            if (real(value) or 0.0) < 0 or real(value) is None:
+                raise InputError(
+                    f"{name} must not be negative",
+                    where="Rayleigh damping",
+                    found=shown(value),
+                    expected="one number >= 0",
+                    hint="Rayleigh.from_ratios finds alpha and beta from two damping ratios",
+                )
 
     @classmethod
     def from_ratios(cls, f1: float, z1: float, f2: float, z2: float) -> Rayleigh:
@@ -48,6 +56,10 @@ class Rayleigh:
             If the frequencies are equal or not positive, a ratio is not between 0 and 1, or the two ratios differ so
             much that alpha or beta would be negative; the message names the range that is possible.
         """
+        f1, z1, f2, z2 = (
+            number(name, value, where="Rayleigh damping")
+            for name, value in (("f1", f1), ("z1", z1), ("f2", f2), ("z2", z2))
+        )
         if f1 > f2:
             f1, z1, f2, z2 = f2, z2, f1, z1
         _check_ratios((z1, z2), "Rayleigh damping")
@@ -57,6 +69,7 @@ class Rayleigh:
                 where="Rayleigh damping",
                 found=f"{f1:g} Hz and {f2:g} Hz",
                 expected="0 < f1 < f2",
+                hint="take the ends of the band of interest",
             )
         w1, w2 = 2 * math.pi * f1, 2 * math.pi * f2
         alpha = 2 * w1 * w2 * (z1 * w2 - z2 * w1) / (w2**2 - w1**2)
@@ -120,10 +133,17 @@ class Modal:
     ratios: float | Sequence[float]
 
     def __post_init__(self) -> None:
-        values = tuple(float(z) for z in np.atleast_1d(np.asarray(self.ratios, float)).ravel())
-        if not values:
+        try:
+            values = tuple(np.atleast_1d(np.asarray(self.ratios, float)).ravel().tolist())
+        except (TypeError, ValueError):
+            values = ()
+        if not values or isinstance(self.ratios, str | bytes) or np.ndim(self.ratios) > 1:
             raise InputError(
-                "no damping ratio", where="modal damping", found="an empty sequence", expected="one or more"
+                "no damping ratio",
+                where="modal damping",
+                found=shown(self.ratios),
+                expected="one number, or one per mode",
+                hint="give the fraction of critical damping: damping.Modal(0.02) for 2 %",
             )
         _check_ratios(values, "modal damping")
         object.__setattr__(self, "ratios", values[0] if np.ndim(self.ratios) == 0 else values)
@@ -144,6 +164,28 @@ class Modal:
 
 
 Damping = Rayleigh | Modal
+
+
+def settled(damping: Any) -> Damping | None:
+    """Damping as it is, or the one ratio of all modes that a bare number means: ``damping=0.02`` is ``Modal(0.02)``.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    if damping is None or isinstance(damping, Rayleigh | Modal):
+        return damping
+    ratio = real(damping)
+    if ratio is None:
+        raise InputError(
+            "no damping",
+            where="damping",
+            found=shown(damping),
+            expected="damping.Modal, damping.Rayleigh, a ratio such as 0.02, or None",
+            hint="damping.Modal(0.02) is 2 % of critical damping in every mode",
+        )
+    return Modal(ratio)
 
 
 def _check_ratios(ratios: Sequence[float], where: str) -> None:

@@ -15,6 +15,7 @@ from scipy import linalg
 
 from .errors import InputError
 from .reduction import FLOATS, ReducedModel
+from .values import real, shown
 
 HOLDS = ("foh", "zoh")
 
@@ -53,14 +54,22 @@ class Blocks:
 
 def check(dt: float, hold: str) -> None:
     """Refuse a step that is not positive and a hold that is not ``"foh"`` or ``"zoh"``."""
-    if not (np.ndim(dt) == 0 and np.isfinite(dt) and dt > 0):
-        raise InputError("the step must be positive", where="dt", found=dt, expected="seconds, > 0")
+    step = real(dt)
+    if step is None or step <= 0:
+        raise InputError(
+            "the step must be positive",
+            where="dt",
+            found=shown(dt),
+            expected="seconds, > 0",
+            hint="dt = 1 / sampling rate in Hz",
+        )
     if hold not in HOLDS:
         raise InputError(
             "no such hold",
             where="hold",
             found=repr(hold),
             expected="'foh' (the load is linear between samples) or 'zoh' (it is constant over a sample)",
+            hint="'foh' fits a sampled smooth load",
         )
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Span = tuple[float, float]
+CARRIER = 1.25  # how far out a gauge on its glue and carrier may lie, over the outer fibre
 
 
 class Field(Protocol):
@@ -113,7 +114,10 @@ def point(at: ArrayLike, names: Sequence[str]) -> tuple[float, ...]:
     InputError
         If their number or a value is wrong.
     """
-    values = np.atleast_1d(np.asarray(at, float)).ravel()
+    try:
+        values = np.atleast_1d(np.asarray(at, float)).ravel()
+    except (TypeError, ValueError):
+        values = np.empty(0)
     if values.size != len(names) or not np.all(np.isfinite(values)):
         raise InputError(
             "no point of this structure",
@@ -122,3 +126,21 @@ def point(at: ArrayLike, names: Sequence[str]) -> tuple[float, ...]:
             expected=f"finite {', '.join(names)} in m",
         )
     return tuple(float(v) for v in values)
+
+
+def within(fibre: float, outer: float | None) -> None:
+    """Refuse a fibre that lies outside the section; glue and carrier of a gauge are forgiven.
+
+    Raises
+    ------
+    InputError
+        If it lies further out than the outer fibre, by more than a quarter.
+    """
+    if outer is not None and abs(fibre) > CARRIER * outer:
+        raise InputError(
+            "the gauge lies outside the section",
+            where="StrainGauge, fibre",
+            found=f"fibre = {fibre:g} m",
+            expected=f"at most {outer:g} m from the neutral axis or mid-plane",
+            hint="half the height or thickness, not all of it; negative on the lower face",
+        )

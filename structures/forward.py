@@ -20,6 +20,8 @@ from .model import Model
 from .modes import DENSE, Modes, modal_damping, modes
 from .reduction import ReducedModel, highpass, on_resonance, static_residual, unbounded
 from .statespace import StateSpace, channels, count, digest, lines
+from .structure import Structure
+from .values import positive, shown
 
 DEFAULT_MODES = 60  # of a large structure
 BAND_FACTOR = 2.5  # modes up to this multiple of the band: with the residual, a per cent of error on the worst lines
@@ -57,7 +59,7 @@ class ForwardModel(Model):
 
     def __init__(
         self,
-        structure: Any,
+        structure: Structure,
         sensors: Sequence[Any],
         loads: Sequence[Any],
         *,
@@ -65,6 +67,14 @@ class ForwardModel(Model):
         residual: bool = True,
         band: float | None = None,
     ) -> None:
+        if not isinstance(structure, Structure):
+            raise InputError(
+                "no structure",
+                where="ForwardModel",
+                found=shown(structure),
+                expected="a Structure",
+                hint="build one with beams, plates, chains or Structure.from_matrices",
+            )
         self.structure = structure
         self.sensors = _placed(sensors, "row", "sensors")
         self.loads = _placed(loads, "column", "loads", "columns")
@@ -73,8 +83,8 @@ class ForwardModel(Model):
             isinstance(modes, int | np.integer) and not isinstance(modes, bool) and 1 <= modes <= size
         ):
             raise InputError("no such number of modes", where="modes", found=repr(modes), expected=f"1..{size}")
-        if band is not None and not (np.isfinite(band) and band > 0):
-            raise InputError("the band must be positive", where="band", found=band, expected="Hz, > 0")
+        if band is not None:
+            band = positive("band", band, where="ForwardModel", unit="Hz")
         self._settings: dict[str, Any] = {
             "modes": None if modes is None else int(modes),
             "residual": bool(residual),
@@ -281,6 +291,7 @@ class ForwardModel(Model):
                 hint="method='modal', or Rayleigh damping",
             )
         every = self.modes if len(self.modes.lam) == s.free.size else modes(s)
+        assert s.M_free is not None  # its modes exist
         MPhi = s.M_free @ every.phi
         return sparse.csr_array((MPhi * modal_damping(s, every)) @ MPhi.T)
 

@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from .errors import InputError
+from .values import integer, number, positive, real, shown
 
+ELEMENTS = 100_000  # per line: beyond, rounding in the stiffness is larger than any error of the mesh
 EPS = float(np.finfo(float).eps)
 Array = NDArray[np.float64]
 
@@ -84,17 +86,10 @@ class Line:
     name: str = "x"
 
     def __post_init__(self) -> None:
-        if isinstance(self.elements, bool) or not isinstance(self.elements, int | np.integer) or self.elements < 1:
-            raise InputError(
-                "no number of elements",
-                where=f"mesh along {self.name}",
-                found=self.elements,
-                expected="an integer, at least 1",
-            )
-        if not (math.isfinite(self.length) and self.length > 0 and math.isfinite(self.origin)):
-            raise InputError(
-                "no length", where=f"mesh along {self.name}", found=self.length, expected="a positive number of metres"
-            )
+        where = f"mesh along {self.name}"
+        integer("elements", self.elements, where=where, limit=ELEMENTS)
+        positive("length", self.length, where=where, unit="m")
+        number("origin", self.origin, where=where, unit="m")
 
     @property
     def h(self) -> float:
@@ -141,6 +136,7 @@ class Line:
                 where=f"{self.name} = {x:.6g} m",
                 found=f"{self.name} = {x:.9g}",
                 expected=f"{self.origin:.9g} <= {self.name} <= {self.origin + self.length:.9g}",
+                hint="give places in metres, in the frame that origin= fixes",
             )
         nearest = round(s)
         return float(nearest) if abs(s - nearest) <= self._rounding(x) else float(s)
@@ -190,9 +186,27 @@ class Line:
         A function is integrated with Gauss points: one mid-point value per element would cost an order.
         """
         if not callable(T):
-            return self.assemble(float(T) * slope_matrix(self.h))
+            return self.assemble(number("tension", T, where="beam", unit="N") * slope_matrix(self.h))
         xi, weights = gauss(points)
         x = self.origin + self.h * (np.arange(self.elements)[:, None] + xi)
-        force = np.array([[float(T(value)) for value in row] for row in x])
+        force = np.array([[_force(T, float(value)) for value in row] for row in x])
         slopes = np.array([shape(float(value), self.h, 1) for value in xi])
         return self.assemble(self.h * np.einsum("ep,p,pi,pj->eij", force, weights, slopes, slopes))
+
+
+def _force(T: Callable[[float], float], x: float) -> float:
+    """The axial force that a user's function gives at `x`, checked."""
+    try:
+        value: object = T(x)
+    except Exception as error:  # whatever a user's function raises is about this argument
+        value = error
+    force = real(value)
+    if force is None:
+        raise InputError(
+            "the tension is no function of x",
+            where="beam, tension",
+            found=f"{shown(value)} at x = {x:.6g} m",
+            expected="one finite number in N for every x in m",
+            hint="pass a number, or a function such as lambda x: 100.0 + 5.0 * x",
+        )
+    return force

@@ -16,6 +16,7 @@ from .errors import InputError
 from .fields import Span, field_of
 from .flags import Evidence, Flag
 from .sensors import Place, fixed_quantity, spot, words
+from .values import real, shown
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -174,12 +175,23 @@ class Patch(Load):
     def __post_init__(self) -> None:
         spans = [self.x] if self.y is None else [self.x, self.y]
         for name, span in zip("xy", spans, strict=False):
-            if len(span) != 2 or not (math.isfinite(span[0]) and math.isfinite(span[1]) and span[0] < span[1]):
+            ends = [real(v) for v in span] if isinstance(span, Sequence | np.ndarray) else []
+            if len(ends) != 2 or ends[0] is None or ends[1] is None or ends[0] >= ends[1]:
                 raise InputError(
-                    "no span", where=f"Patch, {name}", found=span, expected="(start, stop) in m, start < stop"
+                    "no span",
+                    where=f"Patch, {name}",
+                    found=shown(span),
+                    expected="(start, stop) in m, start < stop",
+                    hint=f"{name}=(0.2, 0.4), for example",
                 )
         if direction_code(self.direction) not in (3, -3):
-            raise InputError("a patch acts along Z", where="Patch", found=self.direction, expected="+Z or -Z")
+            raise InputError(
+                "a patch acts along Z",
+                where="Patch",
+                found=self.direction,
+                expected="+Z or -Z",
+                hint="-Z turns its sign",
+            )
         quantity, unit = ("line_load", "N/m") if self.y is None else ("pressure", "Pa")
         fixed_quantity(self, quantity)
         place = " ".join(f"{name}={a:.9g}..{b:.9g}" for name, (a, b) in zip("xy", spans, strict=False))
@@ -245,14 +257,23 @@ class MovingPoint(Load):
                 where=f"load {self.label}",
                 found=f"shape {path.shape}",
                 expected="finite places, (samples,) or (samples, 2), in m",
+                hint="one place per sample of the record",
             )
         if self.outside not in ("raise", "zero"):
             raise InputError(
-                "unknown setting", where="MovingPoint, outside", found=repr(self.outside), expected="raise or zero"
+                "unknown setting",
+                where="MovingPoint, outside",
+                found=repr(self.outside),
+                expected="raise or zero",
+                hint="zero where the force enters or leaves the structure",
             )
         if abs(direction_code(self.direction)) != 3:
             raise InputError(
-                "a moving force acts along Z", where="MovingPoint", found=self.direction, expected="+Z or -Z"
+                "a moving force acts along Z",
+                where="MovingPoint",
+                found=self.direction,
+                expected="+Z or -Z",
+                hint="-Z turns its sign",
             )
         fixed_quantity(self, "force")
         path.flags.writeable = False
@@ -284,6 +305,7 @@ class MovingPoint(Load):
             "a moving load has no single column",
             where=f"load {self.label}",
             expected="columns(structure), (samples, n)",
+            hint="state_space() carries B(t)",
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from .errors import InputError
+from .values import positive, real, shown
 
 
 @dataclass(frozen=True)
@@ -31,12 +32,16 @@ class Material:
     nu: float = 0.3
 
     def __post_init__(self) -> None:
-        for name, value in (("E", self.E), ("rho", self.rho)):
-            if not 0 < value < float("inf"):
-                raise InputError(f"{name} must be positive", where="material", found=value, expected="> 0, in SI units")
-        if not -1 < self.nu < 0.5:
+        positive("E", self.E, where="material", unit="Pa")
+        positive("rho", self.rho, where="material", unit="kg/m^3")
+        nu = real(self.nu)
+        if nu is None or not -1 < nu < 0.5:
             raise InputError(
-                "Poisson's ratio is not possible", where="material", found=self.nu, expected="-1 < nu < 0.5"
+                "Poisson's ratio is not possible",
+                where="material",
+                found=shown(self.nu),
+                expected="-1 < nu < 0.5",
+                hint="most metals have 0.3",
             )
 
 

@@ -20,16 +20,18 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from . import fields
-from .damping import Damping
+from .damping import Damping, settled
 from .dofs import TWIST, Dof, direction_label
 from .errors import InputError
 from .fields import Span
 from .hermite import Line, curvature_matrix, mass_matrix, mixed_matrix, slope_matrix
 from .materials import Material
 from .structure import Structure
+from .values import integer, pair, positive, shown
 
 AXES = (3, -5, 4, TWIST)  # w, w_x, w_y, w_xy
 EDGES = ("x = 0", "y = 0", "x = a", "y = b")
+CELLS = 100_000  # 400 000 unknowns: a few GB of factor
 Array = NDArray[np.float64]
 
 
@@ -41,10 +43,13 @@ class PlateField:
     ----------
     x, y : Line
         The divisions of the two sides.
+    outer : float, optional
+        Half the thickness (m).
     """
 
     x: Line
     y: Line
+    outer: float | None = None
 
     @cached_property
     def order(self) -> NDArray[np.intp]:
@@ -72,6 +77,7 @@ class PlateField:
     def strain(self, at: ArrayLike, fibre: float, angle: float, length: float | None) -> Array:
         """Row of the strain -z w_ss along s at `angle` from X, at z = `fibre`; or its mean over a gauge of `length`."""
         x, y = fields.point(at, ("x", "y"))
+        fields.within(fibre, self.outer)
         c, s = math.cos(angle), math.sin(angle)
         if length is None:
             bend = c * c * self._row(x, y, (2, 0)) + s * s * self._row(x, y, (0, 2))
@@ -129,10 +135,10 @@ def plate(
     lengths: tuple[float, float],
     thickness: float,
     material: Material,
-    elements: tuple[int, int] = (16, 16),
+    elements: int | tuple[int, int] = (16, 16),
     edges: str = "SSSS",
     prestress: tuple[float, float] = (0.0, 0.0),
-    damping: Damping | None = None,
+    damping: Damping | float | None = None,
     origin: tuple[float, float] = (0.0, 0.0),
 ) -> Structure:
     """Thin (Kirchhoff) rectangular plate.
@@ -145,15 +151,15 @@ def plate(
         m.
     material : Material
         E, rho, nu.
-    elements : (nx, ny)
-        Equal cells along X and Y.
+    elements : (nx, ny) or int
+        Equal cells along X and Y; one number serves both.
     edges : str
         Four letters for the edges x = 0, y = 0, x = a, y = b (round the plate, as the literature does): S simply
         supported, C clamped, F free. A cantilever plate is "CFFF".
     prestress : (Nx, Ny)
         In-plane forces per length (N/m), positive in tension; ``scaled("prestress", factor)`` changes them.
-    damping : Rayleigh or Modal, optional
-        Damping.
+    damping : Rayleigh, Modal or float, optional
+        Damping; a number is the ratio of every mode.
     origin : (x0, y0)
         Coordinates of the first corner (m). Points are given in the same coordinates; matrices do not depend on it.
 
@@ -165,7 +171,7 @@ def plate(
     Raises
     ------
     InputError
-        If a value is not possible or a letter is unknown.
+        If a value is not possible, a letter is unknown, or the plate is thicker than a third of its shorter side.
 
     Notes
     -----
@@ -174,19 +180,38 @@ def plate(
     """
     if not (isinstance(edges, str) and len(edges) == 4 and set(edges) <= set("SCF")):
         raise InputError(
-            "unknown edges", where="plate", found=repr(edges), expected=f"four letters S, C or F for {', '.join(EDGES)}"
+            "unknown edges",
+            where="plate",
+            found=repr(edges),
+            expected=f"four letters S, C or F for {', '.join(EDGES)}",
+            hint='"SSSS" is simply supported all round, "CFFF" a cantilever plate',
         )
-    if not (math.isfinite(thickness) and thickness > 0):
-        raise InputError("thickness must be positive", where="plate", found=thickness, expected="> 0 m")
-    if not np.all(np.isfinite(prestress)):
-        raise InputError("prestress must be finite", where="plate", found=prestress, expected="(Nx, Ny) in N/m")
-    x = Line(float(lengths[0]), elements[0], float(origin[0]), "x")
-    y = Line(float(lengths[1]), elements[1], float(origin[1]), "y")
-    field = PlateField(x, y)
+    a, b = pair("lengths", lengths, where="plate", unit="m")
+    x0, y0 = pair("origin", origin, where="plate", unit="m")
+    stress = pair("prestress", prestress, where="plate", unit="N/m")
+    nx, ny = _cells(elements)
+    x, y = Line(a, nx, x0, "x"), Line(b, ny, y0, "y")
+    if positive("thickness", thickness, where="plate", unit="m") > min(a, b) / 3:
+        raise InputError(
+            "the plate is too thick to be a plate: it would shear, not bend",
+            where="plate",
+            found=f"thickness {thickness:g} m, sides {a:g} m and {b:g} m",
+            expected="a thickness of at most a third of the shorter side; a twentieth is usual",
+            hint="check the units of thickness (m); Kirchhoff theory has no shear",
+        )
+    if not isinstance(material, Material):
+        raise InputError(
+            "no material",
+            where="plate, material",
+            found=shown(material),
+            expected="a Material",
+            hint="beams.materials.steel, or beams.Material(E=, rho=, nu=)",
+        )
+    field = PlateField(x, y, thickness / 2)
     stiffness = material.E * thickness**3 / 12 / (1 - material.nu**2)
     K, terms = stiffness * _bending(field, material.nu), {}
-    if any(prestress):
-        terms["prestress"] = _stress(field, prestress)
+    if any(stress):
+        terms["prestress"] = _stress(field, stress)
         K = K + terms["prestress"]
     nodes = np.arange((x.elements + 1) * (y.elements + 1))
     j, i = np.divmod(nodes, x.elements + 1)
@@ -196,10 +221,35 @@ def plate(
         dofs=tuple(Dof(int(node), axis) for node in nodes for axis in AXES),
         coordinates=np.column_stack([x.nodes[i], y.nodes[j]]),
         supports=tuple(_supports(edges, x.elements, y.elements)),
-        damping=damping,
+        damping=settled(damping),
         field=field,
         terms=terms,
     )
+
+
+def _cells(elements: int | tuple[int, int]) -> tuple[int, int]:
+    """Cells along X and Y, checked; one number serves both."""
+    both = (elements, elements) if np.ndim(elements) == 0 else tuple(elements)  # type: ignore[arg-type]
+    if len(both) != 2:
+        raise InputError(
+            "elements must be one or two integers",
+            where="plate",
+            found=shown(elements),
+            expected="(nx, ny), or one integer for both",
+            hint="elements=(16, 16)",
+        )
+    nx, ny = (
+        integer("elements", n, where=f"mesh along {name}", limit=CELLS) for n, name in zip(both, "xy", strict=True)
+    )
+    if nx * ny > CELLS:
+        raise InputError(
+            "too many elements",
+            where="plate",
+            found=f"{nx} x {ny} = {nx * ny}",
+            expected=f"at most {CELLS} in all",
+            hint="six elements per shortest wavelength are enough",
+        )
+    return nx, ny
 
 
 def _product(field: PlateField, outer: sparse.csr_array, inner: sparse.csr_array) -> sparse.csr_array:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from .errors import InputError
+from .values import positive
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,11 @@ class Section:
         _positive("wall", wall)
         if wall > diameter / 2:
             raise InputError(
-                "the wall is thicker than the radius", where="section", found=wall, expected=f"<= {diameter / 2:g} m"
+                "the wall is thicker than the radius",
+                where="section",
+                found=wall,
+                expected=f"<= {diameter / 2:g} m",
+                hint="give the outer diameter; Section.circle is the solid one",
             )
         # written as products: the difference of two fourth powers would cancel for a thin wall
         inner = diameter - 2 * wall
@@ -64,5 +69,4 @@ class Section:
 
 
 def _positive(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise InputError(f"{name} must be positive", where="section", found=value, expected="> 0, in m, m^2 or m^4")
+    positive(name, value, where="section", unit="m, m^2 or m^4")

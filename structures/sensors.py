@@ -14,6 +14,7 @@ from .channels import ARBITRARY, Channel
 from .dofs import TWIST, Dof, direction_code, direction_label
 from .errors import InputError
 from .fields import field_of
+from .values import number, positive, real, shown
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -42,7 +43,13 @@ def settled(who: str, at: Any) -> Place:
     except (TypeError, ValueError):
         values = np.array(np.nan)
     if values.size not in (1, 2, 3) or not np.all(np.isfinite(values)):
-        raise InputError("no place", where=who, found=f"at={at!r}", expected="finite coordinates in m: x, or (x, y)")
+        raise InputError(
+            "no place",
+            where=who,
+            found=f"at={at!r}",
+            expected="finite coordinates in m: x, or (x, y)",
+            hint="name a DOF such as 12+Z, or give at= in metres",
+        )
     return float(values.ravel()[0]) if values.size == 1 else tuple(values.ravel().tolist())
 
 
@@ -65,7 +72,11 @@ def spot(who: str, dof: Any, at: Any, direction: str) -> tuple[Dof | None, Place
     """
     if (dof is None) == (at is None):
         raise InputError(
-            "one place is needed", where=who, found=f"dof={dof}, at={at}", expected="a DOF such as 12+Z, or at="
+            "one place is needed",
+            where=who,
+            found=f"dof={dof}, at={at}",
+            expected="a DOF such as 12+Z, or at=",
+            hint="pass one of the two",
         )
     known = None if dof is None else Dof.parse(dof)
     code = direction_code(direction) if known is None else known.direction
@@ -75,6 +86,7 @@ def spot(who: str, dof: Any, at: Any, direction: str) -> tuple[Dof | None, Place
             where=who,
             found=str(known or direction),
             expected="Z, RX or RY",
+            hint="read a rotation beside it",
         )
     return known, None if at is None else settled(who, at), code
 
@@ -209,20 +221,17 @@ class StrainGauge(Sensor):
     unit: str = "m/m"
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.fibre) and self.fibre != 0):
+        if not real(self.fibre):
             raise InputError(
                 "the fibre's distance is missing",
                 where="StrainGauge",
-                found=self.fibre,
+                found=shown(self.fibre),
                 expected="fibre= in m, not zero",
                 hint="section.c for the outer fibre",
             )
-        if self.length is not None and not (math.isfinite(self.length) and self.length > 0):
-            raise InputError(
-                "the gauge length must be positive", where="StrainGauge", found=self.length, expected="> 0 m"
-            )
-        if not math.isfinite(self.angle):
-            raise InputError("the angle is not finite", where="StrainGauge", found=self.angle, expected="rad")
+        if self.length is not None:
+            positive("the gauge length", self.length, where="StrainGauge", unit="m")
+        number("the angle", self.angle, where="StrainGauge", unit="rad")
         fixed_quantity(self, "strain")
         object.__setattr__(self, "at", settled("StrainGauge", self.at))
         object.__setattr__(self, "label", self.label or f"strain {words(None, self.at)}")

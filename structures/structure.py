@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from . import checks
-from .damping import Damping, Rayleigh
+from .damping import Damping, Rayleigh, settled
 from .dofs import Dof
 from .errors import InputError
+from .values import positive
 
 if TYPE_CHECKING:
     from .fields import Field
@@ -42,8 +43,8 @@ class Structure:
         Places of the nodes in ascending order of their numbers (m).
     supports : iterable of Dof, str or (node, direction)
         DOFs that are held; kept in the order of the table.
-    damping : Rayleigh, Modal or None
-        In addition to C (Rayleigh) or instead of it (Modal).
+    damping : Rayleigh, Modal, float or None
+        In addition to C (Rayleigh) or instead of it (Modal); a number is the Modal ratio of every mode.
     field : Field, optional
         What lies between the nodes; builders give it.
     parameters : mapping of str to float
@@ -54,8 +55,8 @@ class Structure:
     Raises
     ------
     InputError
-        Wrong shapes, NaN, asymmetry above 1e-10, duplicated DOFs, negative mass or stiffness, a free DOF without mass,
-        an unknown support.
+        Wrong shapes, NaN, asymmetry above 1e-10, duplicated DOFs, negative mass or stiffness, an indefinite mass or
+        damping matrix, a free DOF without mass, an unknown support.
     """
 
     K: sparse.csr_array
@@ -76,6 +77,7 @@ class Structure:
         for name in ("M", "C"):
             if getattr(self, name) is not None:
                 fix(name, checks.matrix(name, getattr(self, name), size=n))
+        fix("damping", settled(self.damping))
         fix("dofs", checks.table(self.dofs, n))
         fix("_index", {dof.key: i for i, dof in enumerate(self.dofs)})
         fix("supports", tuple(self.dofs[i] for i in sorted({self.index(d) for d in self.supports})))
@@ -96,14 +98,15 @@ class Structure:
         dofs: Sequence[Any] | None = None,
         supports: Iterable[Any] = (),
         coordinates: ArrayLike | None = None,
-        damping: Damping | None = None,
+        damping: Damping | float | None = None,
     ) -> Structure:
         """Structure from a user's own matrices; without `dofs` they are the scalars ``0+S, 1+S, ...``."""
         if dofs is None:
             dofs = [Dof(i, 0) for i in range(checks.matrix("K", K).shape[0])]
         table = tuple(Dof.parse(d) for d in dofs)
         held = tuple(Dof.parse(d) for d in supports)
-        return cls(K, M, C, table, None if coordinates is None else np.asarray(coordinates, float), held, damping)
+        places: Any = coordinates  # checked with the rest
+        return cls(K, M, C, table, places, held, settled(damping))
 
     def __repr__(self) -> str:
         held = ", ".join(str(d) for d in self.supports[:6]) + (", ..." if len(self.supports) > 6 else "")
@@ -132,6 +135,7 @@ class Structure:
                 where="DOF table",
                 found=str(wanted),
                 expected=checks.describe(self.dofs, wanted),
+                hint="structure.dofs lists them all; a place between nodes is given with at=",
             ) from None
 
     def unit_row(self, dof: Any) -> Array:
@@ -176,7 +180,13 @@ class Structure:
         """Motion of all DOFs, zero at the supports, from that of the free ones; (free, ...) -> (n, ...)."""
         u = np.asarray(u)
         if u.shape[:1] != (self.free.size,):
-            raise InputError("wrong number of DOFs", where="expand", found=u.shape, expected=f"({self.free.size}, ...)")
+            raise InputError(
+                "wrong number of DOFs",
+                where="expand",
+                found=u.shape,
+                expected=f"({self.free.size}, ...)",
+                hint="one row per free DOF, in the order of structure.free",
+            )
         full = np.zeros((self.n, *u.shape[1:]), u.dtype)
         full[self.free] = u
         return full
@@ -201,10 +211,20 @@ class Structure:
         f = np.zeros_like(u) if load is None else np.asarray(load, float)
         if u.shape[:1] != (self.n,) or f.shape != u.shape:
             raise InputError(
-                "wrong shape", where="reactions", found=f"u {u.shape}, load {f.shape}", expected=f"({self.n}, ...)"
+                "wrong shape",
+                where="reactions",
+                found=f"u {u.shape}, load {f.shape}",
+                expected=f"({self.n}, ...)",
+                hint="expand() completes the motion of the free DOFs",
             )
         if not (np.all(np.isfinite(u)) and np.all(np.isfinite(f))):
-            raise InputError("NaN or infinity", where="reactions", found="in u or load", expected="finite numbers")
+            raise InputError(
+                "NaN or infinity",
+                where="reactions",
+                found="in u or load",
+                expected="finite numbers",
+                hint="look where the static response became so: an unsupported structure has none",
+            )
         return (self.K @ u - f)[self.supported]
 
     def rigid_body_motions(self) -> tuple[RigidBodyMotion, ...]:
@@ -222,9 +242,9 @@ class Structure:
         return motions(self)
 
     # -- changed copies -------------------------------------------------------------------------------------------
-    def with_damping(self, damping: Damping | None) -> Structure:
+    def with_damping(self, damping: Damping | float | None) -> Structure:
         """Copy with this damping instead of the present Rayleigh or modal one; C stays."""
-        return replace(self, damping=damping)
+        return replace(self, damping=settled(damping))
 
     def with_supports(self, *dofs: Any) -> Structure:
         """Copy with more supports."""
@@ -248,12 +268,21 @@ class Structure:
             If the mass is not positive, the place is not exactly one, or the structure has no mass.
         """
         if self.M is None:
-            raise InputError("the structure has no mass matrix", where="with_mass", expected="a structure with M")
-        if not (np.isfinite(kg) and kg > 0):
-            raise InputError("a mass must be positive", where="with_mass", found=kg, expected="> 0 kg")
+            raise InputError(
+                "the structure has no mass matrix",
+                where="with_mass",
+                found="M = None",
+                expected="a structure with M",
+                hint="build it with M=",
+            )
+        kg = positive("a mass", kg, where="with_mass", unit="kg")
         if (dof is None) == (at is None):
             raise InputError(
-                "one place is needed", where="with_mass", found=f"dof={dof!r}, at={at!r}", expected="a DOF or at="
+                "one place is needed",
+                where="with_mass",
+                found=f"dof={dof!r}, at={at!r}",
+                expected="a DOF or at=",
+                hint="pass one of the two",
             )
         if at is None:
             row = self.unit_row(dof)
@@ -272,11 +301,14 @@ class Structure:
         InputError
             If the parameter is unknown or the factor is not positive.
         """
-        if not (np.isfinite(factor) and factor > 0):
-            raise InputError("a factor must be positive", where=f"scaled({parameter!r})", found=factor, expected="> 0")
-        if parameter not in self.parameters:
+        factor = positive("a factor", factor, where=f"scaled({parameter!r})")
+        if not isinstance(parameter, str) or parameter not in self.parameters:
             raise InputError(
-                "no such parameter", where="scaled", found=repr(parameter), expected=", ".join(self.parameters)
+                "no such parameter",
+                where="scaled",
+                found=repr(parameter),
+                expected=", ".join(self.parameters),
+                hint="structure.parameters lists what can be scaled",
             )
         changed: dict[str, Any] = {"parameters": {**self.parameters, parameter: self.parameters[parameter] * factor}}
         if parameter == "stiffness":

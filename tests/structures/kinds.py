@@ -11,8 +11,8 @@ from structures.structure import Structure
 UNIT = {"length": 1.0, "EI": 1.0, "mass_per_length": 1.0}
 ALLOY = Material(E=70e9, rho=2700.0, nu=0.3)
 # a plate with rigidity D = 1 and mass per area 1
-PLAIN = Material(E=12 * (1 - 0.3**2), rho=1.0, nu=0.3)
-SQUARE = {"lengths": (1.0, 1.0), "thickness": 1.0, "material": PLAIN}
+PLAIN = Material(E=12 * (1 - 0.3**2) / 0.1**3, rho=1.0 / 0.1, nu=0.3)
+SQUARE = {"lengths": (1.0, 1.0), "thickness": 0.1, "material": PLAIN}
 MIXES = sorted(combinations_with_replacement(("clamped", "free", "guided", "pinned"), 2))
 
 EVERY = {

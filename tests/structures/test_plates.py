@@ -8,7 +8,7 @@ from structures.beams import Material
 from structures.errors import InputError
 
 from .exact import frequencies, levy_roots, navier, solve
-from .kinds import SQUARE
+from .kinds import PLAIN, SQUARE
 
 CLAMPED = [35.98519, 73.39385, 73.39385, 108.2165, 131.5808, 132.2048]
 
@@ -24,7 +24,9 @@ def test_simply_supported_square():
 
 def test_simply_supported_rectangle_with_prestress():
     a, b, Nx, Ny = 1.0, 0.7, 40.0, -15.0
-    s = plates.plate(lengths=(a, b), thickness=1.0, material=SQUARE["material"], elements=(16, 12), prestress=(Nx, Ny))
+    s = plates.plate(
+        lengths=(a, b), thickness=SQUARE["thickness"], material=PLAIN, elements=(16, 12), prestress=(Nx, Ny)
+    )
     kx, ky = (np.array([(np.pi * m / side) ** 2 for m in range(1, 9)]) for side in (a, b))
     exact = np.sqrt((kx[:, None] + ky) ** 2 + Nx * kx[:, None] + Ny * ky).ravel()
     assert frequencies(s, 10) == pytest.approx(np.sort(exact)[:10], rel=1e-3)
@@ -105,15 +107,15 @@ def test_gauge_on_a_pressed_plate():
     k = series(lambda m, n: (m * np.pi) ** 2)  # -w_xx at the centre
     s = square(24)
     for angle in (0.0, np.pi / 6, np.pi / 2):
-        gauge = sensors.StrainGauge(at=(0.5, 0.5), fibre=0.5, angle=angle)
-        assert centre(s, PRESSURE, gauge) == pytest.approx(0.5 * k, rel=1e-3)
-        averaged = sensors.StrainGauge(at=(0.5, 0.5), fibre=0.5, angle=angle, length=1e-3)
-        assert centre(s, PRESSURE, averaged) == pytest.approx(0.5 * k, rel=1e-3)
+        gauge = sensors.StrainGauge(at=(0.5, 0.5), fibre=0.05, angle=angle)
+        assert centre(s, PRESSURE, gauge) == pytest.approx(0.05 * k, rel=1e-3)
+        averaged = sensors.StrainGauge(at=(0.5, 0.5), fibre=0.05, angle=angle, length=1e-3)
+        assert centre(s, PRESSURE, averaged) == pytest.approx(0.05 * k, rel=1e-3)
 
 
 def test_a_strip_bends_like_a_beam_when_poisson_is_zero():
-    material = Material(E=12.0, rho=1.0, nu=0.0)
-    s = plates.plate(lengths=(1.0, 0.2), thickness=1.0, material=material, elements=(6, 2), edges="CFFF")
+    material = Material(E=12.0 / 0.05**3, rho=1.0, nu=0.0)
+    s = plates.plate(lengths=(1.0, 0.2), thickness=0.05, material=material, elements=(6, 2), edges="CFFF")
     u = solve(s, loads.Patch(x=(0, 1), y=(0, 0.2)).column(s))
     assert sensors.Displacement(at=(1.0, 0.1)).row(s) @ u == pytest.approx(1 / 8, rel=1e-8)
     # rotation about Y is -w_x, about X it is w_y

@@ -1,0 +1,115 @@
+"""Numbers as users give them: settled to floats and integers, or refused in words."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .errors import InputError
+
+
+def real(value: Any) -> float | None:
+    """The finite number that `value` is, or None: texts, booleans, arrays, NaN and infinity are none."""
+    if value is None or isinstance(value, bool | str | bytes | list | tuple):
+        return None
+    try:
+        if np.ndim(value) != 0:
+            return None
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def shown(value: Any) -> str:
+    """A value in an error message: numbers bare, the rest quoted and cut."""
+    text = repr(value.item() if isinstance(value, np.generic) else value)
+    return "nothing" if value is None else text if len(text) <= 60 else text[:57] + "..."
+
+
+def number(name: str, value: Any, *, where: str, unit: str = "", hint: str = "") -> float:
+    """One finite number.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    found = real(value)
+    if found is None:
+        raise InputError(
+            f"{name} must be one finite number",
+            where=where,
+            found=shown(value),
+            expected=f"a number{f' in {unit}' if unit else ''}",
+            hint=hint or f"pass {name} as a number, without a unit and without quotes",
+        )
+    return found
+
+
+def positive(name: str, value: Any, *, where: str, unit: str = "", hint: str = "") -> float:
+    """One finite number above zero.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    found = real(value)
+    if found is None or found <= 0:
+        raise InputError(
+            f"{name} must be positive",
+            where=where,
+            found=shown(value),
+            expected=f"one number > 0{f', in {unit}' if unit else ''}",
+            hint=hint or f"pass {name} as a positive number in SI units",
+        )
+    return found
+
+
+def pair(name: str, value: Any, *, where: str, unit: str = "") -> tuple[float, float]:
+    """Two finite numbers.
+
+    Raises
+    ------
+    InputError
+        If they are none, or not two.
+    """
+    items = list(value) if isinstance(value, Sequence | np.ndarray) and np.ndim(value) == 1 else []
+    found = [x for x in map(real, items) if x is not None]
+    if len(items) != 2 or len(found) != 2:
+        raise InputError(
+            f"{name} must be two finite numbers",
+            where=where,
+            found=shown(value),
+            expected=f"two numbers{f' in {unit}' if unit else ''}: one along X, one along Y",
+            hint=f"pass {name}=(1.0, 0.5), for example",
+        )
+    return found[0], found[1]
+
+
+def integer(name: str, value: Any, *, where: str, limit: int) -> int:
+    """An integer from 1 to `limit`.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    try:
+        found = 0 if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        found = 0
+    if not 1 <= found <= limit:
+        raise InputError(
+            f"no number of {name}",
+            where=where,
+            found=shown(value),
+            expected=f"an integer from 1 to {limit}",
+            hint=f"six {name} per shortest wavelength are enough" if found > limit else f"pass {name} as an integer",
+        )
+    return found
