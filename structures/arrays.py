@@ -29,7 +29,7 @@ class MatrixModel(Model):
     Raises
     ------
     InputError
-        If `H` is no real, finite matrix or the labels do not fit.
+        If `H` is no real, finite matrix, is zero, or the labels do not fit.
     """
 
     def __init__(
@@ -38,9 +38,16 @@ class MatrixModel(Model):
         H = frozen(H, "H")
         self.H = H[:, None] if H.ndim == 1 else H
         if self.H.ndim != 2 or 0 in self.H.shape:
-            raise InputError("no matrix", where="MatrixModel", found=f"shape {H.shape}", expected="(sensors, loads)")
+            raise InputError(
+                "no matrix",
+                where="MatrixModel",
+                found=f"shape {H.shape}",
+                expected="(sensors, loads)",
+                hint="one row per sensor, one column per load; ImpulseModel takes a response in time",
+            )
         self.sensors = channels(sensors, self.H.shape[0], "y", "sensors")
         self.loads = channels(loads, self.H.shape[1], "u", "loads")
+        _moves(self.H, "MatrixModel")
 
     def __repr__(self) -> str:
         return f"MatrixModel({len(self.sensors)} sensors, {len(self.loads)} loads)"
@@ -78,7 +85,7 @@ class ImpulseModel(Model):
     Raises
     ------
     InputError
-        If `kind` is missing, a shape does not fit, or a number is not finite.
+        If `kind` is missing, a shape does not fit, a number is not finite, or all are zero.
     """
 
     def __init__(
@@ -112,6 +119,7 @@ class ImpulseModel(Model):
         self.dt, self.kind, self.hold = float(dt), kind, hold
         self.sensors = channels(sensors, array.shape[1], "y", "sensors")
         self.loads = channels(loads, array.shape[2], "u", "loads")
+        _moves(self.h, "ImpulseModel")
 
     def __repr__(self) -> str:
         n, m, p = self.h.shape
@@ -136,7 +144,13 @@ class ImpulseModel(Model):
         return self.tail < DECAYED
 
     def impulse_response(self, dt: float, samples: int, hold: str | None = None) -> NDArray[np.float64]:
-        """The first `samples` of it (samples, sensors, loads), zeros after its end where it has decayed."""
+        """The first `samples` of it (samples, sensors, loads), zeros after its end where it has decayed.
+
+        Raises
+        ------
+        InputError
+            At another step or hold than its own, or beyond its end where it has not decayed.
+        """
         if not (np.ndim(dt) == 0 and np.isfinite(dt) and abs(dt - self.dt) <= 1e-9 * self.dt) or hold not in (
             None,
             self.hold,
@@ -154,7 +168,18 @@ class ImpulseModel(Model):
         return self.h[:samples]
 
     def frf(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
-        """Frequency response of the sampled system: the transform of `h` at `frequencies` (Hz, up to Nyquist)."""
+        """Frequency response (lines, sensors, loads) of the sampled system: the transform of `h`.
+
+        Parameters
+        ----------
+        frequencies : array (lines,)
+            Hz, up to Nyquist.
+
+        Raises
+        ------
+        InputError
+            If the response has not decayed, or a frequency lies above Nyquist.
+        """
         self._need_decay("its transform needs its end")
         f = lines(frequencies, nyquist=0.5 / self.dt)
         n, flat = len(self.h), self.h.reshape(len(self.h), -1)
@@ -178,3 +203,15 @@ class ImpulseModel(Model):
     def fingerprint(self) -> str:
         """Sha256 of the response, the step, the hold and the channels."""
         return digest("ImpulseModel", self.h, self.dt, self.hold, self.sensors, self.loads)
+
+
+def _moves(response: NDArray, where: str) -> None:
+    """Refuse a model in which no load moves any sensor."""
+    if not np.any(response):
+        raise InputError(
+            "no load moves any sensor",
+            where=where,
+            found=f"zeros, shape {response.shape}",
+            expected="a response that is not zero everywhere",
+            hint="check what was read or computed",
+        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from .factor import MECHANISM
 from .model import Model
 
 BLOCK = 64  # Markov parameters per matrix product
+ON_POLE = 1e-13  # distance of a line from an eigenvalue, on the unit circle, that is rounding
+STABLE = 1 + 1e-6  # largest |eigenvalue|: rounding moves the double pole of a free body by the root of 1e-16
 SINGULAR = 1e13  # condition of I - A above which there is no static response
 
 
@@ -104,8 +107,11 @@ class StateSpace(Model):
         ------
         NotIdentifiable
             If a rigid-body motion or an integrator never settles.
+        InputError
+            If the model is unstable or its loads move.
         """
         self._refuse_moving("static")
+        self._refuse_unstable("static")
         rest = np.eye(len(self.A)) - self.A
         if len(rest) and np.linalg.cond(rest) > SINGULAR:
             raise NotIdentifiable(
@@ -116,12 +122,31 @@ class StateSpace(Model):
         return self.C @ np.linalg.solve(rest, self.B) + self.D
 
     def frf(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
-        """Frequency response of the sampled system at `frequencies` (Hz, up to Nyquist): (lines, sensors, loads)."""
+        """Frequency response of the sampled system, shape (lines, sensors, loads).
+
+        Parameters
+        ----------
+        frequencies : array (lines,)
+            Hz, up to Nyquist.
+
+        Raises
+        ------
+        InputError
+            If the model is unstable, its loads move, or a frequency lies above Nyquist.
+        NotIdentifiable
+            If an undamped pole lies on a line.
+
+        Notes
+        -----
+        Schur form once, back substitution on every line: A. J. Laub, "Efficient multivariable frequency response
+        computations", IEEE Trans. Automatic Control 26 (1981) 407-408.
+        """
         from scipy.linalg import schur
 
         self._refuse_moving("frf")
         f = lines(frequencies, nyquist=0.5 / self.dt)
         z = np.exp(2j * np.pi * f * self.dt)
+        self._refuse_unstable("frf")
         T, Q = schur(self.A, output="complex")
         B, C = Q.conj().T @ self.B, self.C @ Q
         H = np.broadcast_to(self.D.astype(complex), (len(f), *self.D.shape)).copy()
@@ -133,10 +158,11 @@ class StateSpace(Model):
             for i in range(len(T) - 1, -1, -1):
                 known = np.tensordot(T[i, i + 1 :], x[i + 1 :], axes=1)
                 pivot = zz - T[i, i]
-                if np.any(pivot == 0):
+                if np.any(np.abs(pivot) <= ON_POLE):
+                    line = f[a : a + step][int(np.argmin(np.abs(pivot[:, 0])))]
                     raise NotIdentifiable(
-                        "the response is unbounded on a line: an undamped pole lies there",
-                        advice="leave the line out",
+                        f"the response at {line:.6g} Hz is unbounded: an undamped pole lies there",
+                        advice="leave the line out, or add damping",
                         code=MECHANISM,
                     )
                 x[i] = (B[i] + known) / pivot
@@ -144,29 +170,43 @@ class StateSpace(Model):
         return H
 
     def impulse_response(self, dt: float, samples: int, hold: str | None = None) -> NDArray[np.float64]:
-        """Markov parameters ``D, CB, CAB, ...`` (samples, sensors, loads); only at its own step and hold."""
+        """Markov parameters ``D, CB, CAB, ...`` (samples, sensors, loads); only at its own step and hold.
+
+        Raises
+        ------
+        InputError
+            At another step or hold, where loads move, or where an unstable model outgrows the numbers.
+        """
         self._own(dt, hold, "impulse_response")
         self._refuse_moving("impulse_response")
         h = np.empty((count(samples), *self.D.shape))
         h[0] = self.D
-        # Rows C A^j of one block, then one product per block with the state that starts it.
-        block = max(1, min(BLOCK, samples - 1))
-        rows = np.empty((block, *self.C.shape))
-        rows[0], power, known = self.C, self.A, 1
-        while known < block:
-            more = min(known, block - known)
-            rows[known : known + more] = rows[:more] @ power
-            power, known = power @ power, known + more
-        jump = np.linalg.matrix_power(self.A, block)
-        rows, x = rows.reshape(-1, len(self.A)), self.B
-        for a in range(1, samples, block):
-            part = (rows @ x).reshape(block, *self.D.shape)
-            h[a : a + block] = part[: samples - a]
-            x = jump @ x
+        with np.errstate(over="ignore", invalid="ignore"):  # judged below
+            # Rows C A^j of one block, then one product per block with the state that starts it.
+            block = max(1, min(BLOCK, samples - 1))
+            rows = np.empty((block, *self.C.shape))
+            rows[0], power, known = self.C, self.A, 1
+            while known < block:
+                more = min(known, block - known)
+                rows[known : known + more] = rows[:more] @ power
+                power, known = power @ power, known + more
+            jump = np.linalg.matrix_power(self.A, block)
+            rows, x = rows.reshape(-1, len(self.A)), self.B
+            for a in range(1, samples, block):
+                part = (rows @ x).reshape(block, *self.D.shape)
+                h[a : a + block] = part[: samples - a]
+                x = jump @ x
+        self._refuse_overflow(h, "impulse_response")
         return h
 
     def state_space(self, dt: float, hold: str | None = None) -> StateSpace:
-        """Itself; refuses another step or hold."""
+        """Itself.
+
+        Raises
+        ------
+        InputError
+            At another step or hold.
+        """
         self._own(dt, hold, "state_space")
         return self
 
@@ -178,6 +218,11 @@ class StateSpace(Model):
         load : array (samples, loads), or (samples,) for one load
         x0 : array (nx,), optional
             State at the first sample; at rest by default.
+
+        Raises
+        ------
+        InputError
+            If a shape does not fit, a number is not finite, or an unstable model outgrows the numbers.
         """
         u = frozen(load, "load")
         u = u[:, None] if u.ndim == 1 and len(self.loads) == 1 else u
@@ -191,25 +236,43 @@ class StateSpace(Model):
             )
         x = np.zeros(len(self.A)) if x0 is None else np.array(frozen(x0, "x0"))
         if x.shape != (len(self.A),):
-            raise InputError("the state does not fit", where="simulate", found=x.shape, expected=(len(self.A),))
+            raise InputError(
+                "the state does not fit",
+                where="simulate",
+                found=f"shape {x.shape}",
+                expected=f"({len(self.A)},)",
+                hint="leave x0 out to start at rest",
+            )
         driven, direct = (np.einsum("...ij,...j->...i", M, u) for M in (self.B, self.D))
         states = np.empty((len(u), len(x)))
-        for k, push in enumerate(driven):
-            states[k] = x
-            x = self.A @ x + push
-        return states @ self.C.T + direct
+        with np.errstate(over="ignore", invalid="ignore"):  # judged below
+            for k, push in enumerate(driven):
+                states[k] = x
+                x = self.A @ x + push
+            response = states @ self.C.T + direct
+        self._refuse_overflow(response, "simulate")
+        return response
 
     def predict(self, load: ArrayLike, dt: float, hold: str | None = None) -> NDArray[np.float64]:
-        """Response (samples, sensors) to a load history (samples, loads), at rest before its first sample."""
+        """Response (samples, sensors) to a load history (samples, loads), at rest before its first sample.
+
+        Raises
+        ------
+        InputError
+            At another step or hold, or as `simulate`.
+        """
         self._own(dt, hold, "predict")
         return self.simulate(load)
+
+    @cached_property
+    def radius(self) -> float:
+        """Largest modulus of an eigenvalue of A: above 1 the model is unstable; 0 without states."""
+        return float(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0))
 
     @property
     def decay_rate(self) -> float:
         """Slowest decay rate (1/s), from the eigenvalues; 0 where something never decays."""
-        if not len(self.A):
-            return float("inf")
-        size = float(np.abs(np.linalg.eigvals(self.A)).max())
+        size = self.radius
         return float("inf") if size == 0 else max(0.0, -float(np.log(size)) / self.dt)
 
     @property
@@ -226,6 +289,27 @@ class StateSpace(Model):
                 found=f"dt={dt!r}, hold={hold!r}",
                 expected=f"dt={self.dt:g}, hold={self.hold!r}",
                 hint="resample the record, or discretise the model again",
+            )
+
+    def _refuse_unstable(self, method: str) -> None:
+        if self.radius > STABLE:
+            raise InputError(
+                f"the model is unstable: it has no {method}(), because its response never settles",
+                where="StateSpace",
+                found=f"an eigenvalue of A of modulus {self.radius:.6g}",
+                expected="at most 1",
+                hint="check A, its step dt, and that it is discrete, not continuous; simulate() runs it all the same",
+            )
+
+    def _refuse_overflow(self, response: NDArray, method: str) -> None:
+        bad = ~np.isfinite(response).reshape(len(response), -1).all(axis=1)
+        if np.any(bad):
+            raise InputError(
+                "the response outgrows the numbers",
+                where=f"StateSpace.{method}",
+                found=f"overflow at sample {int(np.argmax(bad))}, an eigenvalue of A of modulus {self.radius:.6g}",
+                expected="a modulus of at most 1, or fewer samples",
+                hint="check A, its step dt, and that it is discrete, not continuous",
             )
 
     def _refuse_moving(self, method: str) -> None:
@@ -247,13 +331,16 @@ def frozen(values: ArrayLike, name: str) -> NDArray[np.float64]:
             raise TypeError("complex")
         array = np.array(raw, dtype=float)
     except (TypeError, ValueError) as error:
-        raise InputError("not a real array", where=name, found=str(error), expected="numbers") from None
+        raise InputError(
+            "not a real array", where=name, found=str(error), expected="numbers", hint="pass an array of numbers"
+        ) from None
     if not np.all(np.isfinite(array)):
         raise InputError(
             "NaN or infinity",
             where=name,
             found=f"{np.sum(~np.isfinite(array))} of {array.size} entries",
             expected="finite",
+            hint="repair or leave out what is missing",
         )
     array.flags.writeable = False
     return array
@@ -268,6 +355,7 @@ def lines(frequencies: ArrayLike, nyquist: float = np.inf) -> NDArray[np.float64
             where="frequencies",
             found=f"shape {f.shape}, {f.min(initial=0):g} to {f.max(initial=0):g} Hz",
             expected=f"one axis, 0 to {nyquist:g} Hz",
+            hint="frequencies are in Hz, not rad/s",
         )
     return f
 
@@ -275,7 +363,13 @@ def lines(frequencies: ArrayLike, nyquist: float = np.inf) -> NDArray[np.float64
 def count(samples: int) -> int:
     """A number of samples, checked."""
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or samples < 1:
-        raise InputError("no number of samples", where="samples", found=repr(samples), expected="an integer >= 1")
+        raise InputError(
+            "no number of samples",
+            where="samples",
+            found=repr(samples),
+            expected="an integer >= 1",
+            hint="samples = duration / dt",
+        )
     return int(samples)
 
 
@@ -288,7 +382,13 @@ def channels(given: Sequence[Any] | None, number: int, prefix: str, where: str) 
     )
     labels = [c.label for c in out]
     if len(out) != number or len(set(labels)) != number:
-        raise InputError("labels do not fit", where=where, found=labels, expected=f"{number} different labels")
+        raise InputError(
+            "labels do not fit",
+            where=where,
+            found=labels,
+            expected=f"{number} different labels",
+            hint="one text or Channel each",
+        )
     return out
 
 

@@ -111,3 +111,15 @@ def test_prediction_is_a_convolution():
     y = model.predict(u, DT)
     assert np.allclose(y[:, 0], np.convolve(u, DECAYING)[:80])
     assert np.allclose(y[:, 1], 2 * y[:, 0])
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: MatrixModel(np.zeros((3, 2))), lambda: ImpulseModel(np.zeros((9, 2, 1)), 0.1, kind="held")]
+)
+def test_a_model_in_which_nothing_moves_is_refused(make):
+    with pytest.raises(InputError, match="no load moves any sensor"):
+        make()
+
+
+def test_one_dead_load_among_others_is_the_families_business():
+    assert MatrixModel([[1.0, 0.0], [0.0, 0.0]]).static()[0, 0] == 1.0

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from structures import Channel, ForwardModel, InputError, NotIdentifiable, StateSpace, beams, loads, sensors
+from structures import Channel, ForwardModel, InputError, NotIdentifiable, StateSpace, beams, chains, loads, sensors
 from structures.damping import Modal
 
 RNG = np.random.default_rng(0)
@@ -144,3 +144,36 @@ def test_certificate_of_a_model_with_the_wrong_gain():
     assert certificate.shape == pytest.approx([1.0] * 3)
     assert scaled.certificate is certificate
     assert "hit 3" in str(certificate)
+
+
+class TestUnstable:
+    """A model that grows has no static response and no FRF; it is simulated, without a warning, while numbers last."""
+
+    grows = StateSpace([[2.0]], [[1.0]], [[1.0]], [[0.0]], 0.01)
+
+    @pytest.mark.parametrize("ask", [lambda m: m.static(), lambda m: m.frf([1.0])])
+    def test_refused_by_name(self, ask):
+        with pytest.raises(InputError, match=r"unstable.*modulus 2") as error:
+            ask(self.grows)
+        assert error.value.hint
+
+    def test_simulated_while_numbers_last(self):
+        assert self.grows.simulate(np.eye(1, 50)[0])[-1, 0] == 2.0**48
+        for ask in (lambda: self.grows.simulate(np.ones(3000)), lambda: self.grows.impulse_response(0.01, 3000)):
+            with pytest.raises(InputError, match=r"outgrows the numbers.*overflow at sample 10"):
+                ask()
+
+    @pytest.mark.parametrize("size", [1, 4])
+    def test_a_free_body_is_not_unstable(self, size):
+        """Its double pole at 1 is moved by the root of rounding: decay rate 0, and an FRF away from 0 Hz."""
+        s = chains.chain(masses=np.ones(size), springs=5.0, left="free")
+        model = ForwardModel(s, [sensors.Displacement("1+X")], [loads.Point("1+X")]).state_space(1e-3)
+        assert model.decay_rate == pytest.approx(0.0, abs=1e-3)
+        assert np.all(np.isfinite(model.frf([1.0, 10.0])))
+
+    def test_an_undamped_pole_is_named(self):
+        m = ForwardModel(
+            chains.oscillator(mass=1.0, stiffness=100.0), [sensors.Displacement("1+X")], [loads.Point("1+X")]
+        )
+        with pytest.raises(NotIdentifiable, match=r"at 1.59155 Hz is unbounded: an undamped pole"):
+            m.state_space(0.01).frf([1.0, 10 / (2 * np.pi)])
