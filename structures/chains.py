@@ -55,7 +55,13 @@ def chain(
     """
     for side, end in (("left", left), ("right", right)):
         if end not in ENDS:
-            raise InputError("unknown end", where=f"chain, {side}", found=repr(end), expected=" or ".join(ENDS))
+            raise InputError(
+                "unknown end",
+                where=f"chain, {side}",
+                found=repr(end),
+                expected=" or ".join(ENDS),
+                hint=f'{side}="fixed"',
+            )
     m = _values("masses", masses, None)
     first, last = (0 if left == "fixed" else 1), (m.size + 1 if right == "fixed" else m.size)
     nodes = range(first, last + 1)
@@ -94,6 +100,11 @@ def shear_building(
         N s/m between floors.
     damping : Rayleigh, Modal or float, optional
         Damping of the whole; a number is the ratio of every mode.
+
+    Raises
+    ------
+    InputError
+        If a value is not positive or a count is wrong.
     """
     return chain(masses=masses, springs=stiffnesses, dashpots=dashpots, damping=damping)
 
@@ -101,7 +112,22 @@ def shear_building(
 def oscillator(
     *, mass: float, stiffness: float, dashpot: float | None = None, damping: Damping | float | None = None
 ) -> Structure:
-    """One mass on one spring; the mass is ``1+X``, the ground ``0+X``."""
+    """One mass on one spring; the mass is ``1+X``, the ground ``0+X``.
+
+    Parameters
+    ----------
+    mass, stiffness : float
+        kg and N/m, positive.
+    dashpot : float, optional
+        N s/m.
+    damping : Rayleigh, Modal or float, optional
+        Instead of a dashpot; a number is the ratio.
+
+    Raises
+    ------
+    InputError
+        If a value is not positive.
+    """
     return chain(masses=[mass], springs=stiffness, dashpots=dashpot, damping=damping)
 
 

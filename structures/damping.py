@@ -29,7 +29,12 @@ class Rayleigh:
     Raises
     ------
     InputError
-        If one is negative: some frequencies would then gain energy.
+        If one is negative or no number: some frequencies would then gain energy.
+
+    Notes
+    -----
+    zeta = alpha / (2 omega) + beta omega / 2. R. W. Clough, J. Penzien, *Dynamics of Structures*, 3rd ed. (2003),
+    section 12-5; Lord Rayleigh, *The Theory of Sound*, vol. 1 (1877).
     """
 
     alpha: float = 0.0
@@ -89,7 +94,13 @@ class Rayleigh:
         return cls(alpha, beta)
 
     def ratio(self, omega: ArrayLike) -> NDArray[np.float64]:
-        """Damping ratio at the angular frequencies `omega` (rad/s, positive), same shape."""
+        """Damping ratio at the angular frequencies `omega` (rad/s, positive), same shape.
+
+        Raises
+        ------
+        InputError
+            If a frequency is not positive.
+        """
         omega = np.asarray(omega, float)
         if np.any(omega <= 0):
             raise InputError(
@@ -106,7 +117,7 @@ class Rayleigh:
         return self.alpha + self.beta * np.asarray(omega, float) ** 2
 
     def matrix(self, K: sparse.csr_array, M: sparse.csr_array) -> sparse.csr_array:
-        """The damping matrix alpha M + beta K."""
+        """The damping matrix alpha M + beta K (n, n), N s/m."""
         return (self.alpha * M + self.beta * K).tocsr()
 
     def scaled(self, factor: float) -> Rayleigh:
@@ -127,7 +138,12 @@ class Modal:
     Raises
     ------
     InputError
-        If a ratio is not between 0 and 1.
+        If a ratio is no number or not between 0 and 1.
+
+    Notes
+    -----
+    Each undamped mode obeys q'' + 2 zeta omega q' + omega^2 q = phi^T f. R. R. Craig, A. J. Kurdila, *Fundamentals of
+    Structural Dynamics*, 2nd ed. (2006), chapter 10.
     """
 
     ratios: float | Sequence[float]

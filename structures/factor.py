@@ -43,6 +43,11 @@ class Factor:
         If `K` is not square, not symmetric or not finite.
     NotIdentifiable
         If `K` is singular (a mechanism); the message names the motion that no stiffness resists.
+
+    Notes
+    -----
+    SuperLU in symmetric mode: J. W. Demmel, S. C. Eisenstat, J. R. Gilbert, X. S. Li, J. W. H. Liu, "A supernodal
+    approach to sparse partial pivoting", SIAM J. Matrix Anal. Appl. 20 (1999) 720-755.
     """
 
     def __init__(self, K: Any, *, structure: Any = None, check: bool = True) -> None:
@@ -94,12 +99,21 @@ class Factor:
         Returns
         -------
         array of the shape of `B`
+
+        Raises
+        ------
+        InputError
+            If `B` does not fit or is not finite, or the matrix is singular to working precision.
         """
         B = B.tocsc() if sparse.issparse(B) else np.asarray(B)
         columns = B if B.ndim == 2 else B[:, None]
         if columns.shape[0] != self.n:
             raise InputError(
-                "the right-hand side does not fit", where="Factor.solve", found=B.shape, expected=f"{self.n} rows"
+                "the right-hand side does not fit",
+                where="Factor.solve",
+                found=f"shape {B.shape}",
+                expected=f"{self.n} rows",
+                hint="rows are the free DOFs",
             )
         X = np.empty(columns.shape, dtype=np.result_type(self.K.dtype, B.dtype, float))
         for start in range(0, columns.shape[1], BLOCK):
@@ -138,16 +152,32 @@ class Factor:
         Returns
         -------
         array (s, s), symmetric
+
+        Raises
+        ------
+        InputError
+            If `dofs` are no distinct indices.
+
+        Notes
+        -----
+        R. J. Guyan, "Reduction of stiffness and mass matrices", AIAA Journal 3 (1965) 380.
         """
         s = np.atleast_1d(np.asarray(dofs))
         if s.ndim != 1 or s.dtype.kind not in "iu" or s.size == 0:
-            raise InputError("no list of DOF indices", where="condense", found=repr(dofs), expected="distinct integers")
+            raise InputError(
+                "no list of DOF indices",
+                where="condense",
+                found=repr(dofs),
+                expected="distinct integers",
+                hint="[structure.index(dof), ...]",
+            )
         if len(np.unique(s)) != len(s) or s.min() < 0 or s.max() >= self.n:
             raise InputError(
                 "DOF indices repeat or lie outside",
                 where="condense",
                 found=s.tolist(),
                 expected=f"distinct, 0..{self.n - 1}",
+                hint="indices count the rows of the matrix",
             )
         i = np.setdiff1d(np.arange(self.n), s)
         K = self.K.tocsr()
@@ -163,7 +193,13 @@ class Factor:
     def _block(self, B: Any) -> NDArray:
         B = B.toarray() if sparse.issparse(B) else np.ascontiguousarray(B)
         if not np.all(np.isfinite(B)):
-            raise InputError("the right-hand side holds NaN or infinity", where="Factor.solve")
+            raise InputError(
+                "the right-hand side holds NaN or infinity",
+                where="Factor.solve",
+                found=f"{np.sum(~np.isfinite(B))} entries",
+                expected="finite numbers",
+                hint="look where the load became so",
+            )
         self.solves += B.shape[1]
         B = B.astype(np.result_type(self.K.dtype, B.dtype, float))
         X = self._apply(B)
@@ -261,9 +297,27 @@ def _describe(motion: NDArray[np.float64], structure: Any) -> str:
 
 def _check(K: Any) -> None:
     if K.shape[0] != K.shape[1] or K.shape[0] == 0:
-        raise InputError("the matrix is not square", where="Factor", found=K.shape, expected="(n, n), n > 0")
+        raise InputError(
+            "the matrix is not square",
+            where="Factor",
+            found=f"shape {K.shape}",
+            expected="(n, n), n > 0",
+            hint="a structure needs a free DOF",
+        )
     if not np.all(np.isfinite(K.data)):
-        raise InputError("the matrix holds NaN or infinity", where="Factor")
+        raise InputError(
+            "the matrix holds NaN or infinity",
+            where="Factor",
+            found=f"{np.sum(~np.isfinite(K.data))} entries",
+            expected="finite numbers",
+            hint="check how it was assembled",
+        )
     skew = abs(K - K.T).max() if K.nnz else 0.0
     if skew > 1e-9 * (abs(K).max() if K.nnz else 1.0):
-        raise InputError("the matrix is not symmetric", where="Factor", found=f"|K - K^T| = {skew:.3g}")
+        raise InputError(
+            "the matrix is not symmetric",
+            where="Factor",
+            found=f"|K - K^T| = {skew:.3g}",
+            expected="rounding",
+            hint="(K + K.T) / 2 removes rounding",
+        )

@@ -82,7 +82,13 @@ class ForwardModel(Model):
         if modes is not None and not (
             isinstance(modes, int | np.integer) and not isinstance(modes, bool) and 1 <= modes <= size
         ):
-            raise InputError("no such number of modes", where="modes", found=repr(modes), expected=f"1..{size}")
+            raise InputError(
+                "no such number of modes",
+                where="modes",
+                found=repr(modes),
+                expected=f"1..{size}",
+                hint="leave modes out: band= in Hz chooses them",
+            )
         if band is not None:
             band = positive("band", band, where="ForwardModel", unit="Hz")
         self._settings: dict[str, Any] = {
@@ -176,6 +182,13 @@ class ForwardModel(Model):
         """Static transfer matrix (sensors, loads), by min(sensors, loads) solves.
 
         Zero for velocity, acceleration and AC-coupled sensors: they see no constant load.
+
+        Raises
+        ------
+        NotIdentifiable
+            If the structure is not supported (LID-E116): it names the motion left free.
+        InputError
+            If a load moves.
         """
         self._fixed("static")
         blind = (self._derivative > 0) | (self._corner > 0)
@@ -189,6 +202,18 @@ class ForwardModel(Model):
         frequencies : array (lines,)
         method : ``"modal"`` or ``"direct"``
             Direct: one factorisation of ``K - omega^2 M + i omega C`` per line, exact and slow.
+
+        Raises
+        ------
+        NotIdentifiable
+            If a line lies on a natural frequency without damping, or at 0 Hz where the structure is free (LID-E116).
+        InputError
+            If a load moves, a frequency is negative, or the structure has no mass or is unstable.
+
+        Notes
+        -----
+        Mode displacement with residual flexibility: R. R. Craig, A. J. Kurdila, *Fundamentals of Structural Dynamics*,
+        2nd ed. (2006), chapters 11 and 17.
         """
         self._fixed("frf")
         f = lines(frequencies)
@@ -196,12 +221,23 @@ class ForwardModel(Model):
             return self.reduced.frf(f)
         if method == "direct":
             return self._direct(f)
-        raise InputError("no such method", where="frf", found=repr(method), expected="'modal' or 'direct'")
+        raise InputError(
+            "no such method",
+            where="frf",
+            found=repr(method),
+            expected="'modal' or 'direct'",
+            hint="modal is the quick one",
+        )
 
     def impulse_response(self, dt: float, samples: int, hold: str = "foh") -> NDArray[np.float64]:
         """Response to one unit held over one sample (samples, sensors, loads): the Markov parameters of `state_space`.
 
         The unit is a hat over two samples under the first-order hold, a step of one sample under the zero-order hold.
+
+        Raises
+        ------
+        InputError
+            If the step, the hold or the number of samples is none, a load moves, or the structure has no mass.
         """
         check(dt, hold)
         self._fixed("impulse_response")
@@ -210,24 +246,51 @@ class ForwardModel(Model):
         return self.state_space(dt, hold).impulse_response(dt, samples)
 
     def state_space(self, dt: float, hold: str = "foh") -> StateSpace:
-        """Discrete state space at step `dt` (s), exact under the hold; a load that moves gives B(t) and D(t)."""
+        """Discrete state space at step `dt` (s), exact under the hold; a load that moves gives B(t) and D(t).
+
+        Raises
+        ------
+        InputError
+            If the step or the hold is none, a load moves at another step, or the structure has no mass.
+
+        Notes
+        -----
+        Exponential of the augmented matrix: C. F. Van Loan, "Computing integrals involving the matrix exponential",
+        IEEE Trans. Automatic Control 23 (1978) 395-404.
+        """
         check(dt, hold)
         for load in self.loads:
             own = getattr(load, "dt", None)
             if self.moving and own is not None and abs(own - dt) > 1e-9 * dt:
                 raise InputError(
-                    "the load moves at another step", where=f"load {load.label}", found=dt, expected=f"dt={own:g}"
+                    "the load moves at another step",
+                    where=f"load {load.label}",
+                    found=dt,
+                    expected=f"dt={own:g}",
+                    hint="resample its path",
                 )
         return StateSpace(*discretise(self.reduced, float(dt), hold), dt, hold, sensors=self.sensors, loads=self.loads)
 
     def predict(self, load: ArrayLike, dt: float, hold: str | None = None) -> NDArray[np.float64]:
-        """Response (samples, sensors) to a load history (samples, loads), at rest before its first sample."""
+        """Response (samples, sensors) to a load history (samples, loads), at rest before its first sample.
+
+        Raises
+        ------
+        InputError
+            If the load does not fit the model, or as `state_space`.
+        """
         if self.moving:
             return self.state_space(dt, hold or self.default_hold).simulate(load)
         return super().predict(load, dt, hold)
 
     def perturbed(self, parameter: str, factor: float) -> ForwardModel:
-        """The same model with one parameter multiplied: ``stiffness``, ``mass``, ``damping`` or its own."""
+        """The same model with one parameter multiplied: ``stiffness``, ``mass``, ``damping`` or its own.
+
+        Raises
+        ------
+        InputError
+            If the structure has no such parameter or the factor is not positive.
+        """
         return ForwardModel(self.structure.scaled(parameter, factor), self.sensors, self.loads, **self._settings)
 
     @property
@@ -263,7 +326,13 @@ class ForwardModel(Model):
     def _direct(self, f: NDArray) -> NDArray[np.complex128]:
         K, M = self.structure.K_free, self.structure.M_free
         if M is None:
-            raise InputError("the structure has no mass matrix", where="frf", hint="give M, or ask for static() only")
+            raise InputError(
+                "the structure has no mass matrix",
+                where="frf",
+                found="M = None",
+                expected="a structure with M",
+                hint="give M, or ask for static() only",
+            )
         C = self._damping_matrix()
         H = np.empty((len(f), len(self.sensors), len(self.loads)), dtype=complex)
         for i, omega in enumerate(2 * np.pi * f):
@@ -307,6 +376,7 @@ def _placed(given: Sequence[Any], method: str, where: str, other: str = "") -> t
             where=where,
             found=repr(wrong[0]) if wrong else "an empty list",
             expected=f"objects of structures.{where}",
+            hint='[sensors.Accelerometer("12+Z")]' if where == "sensors" else '[loads.Point("12+Z")]',
         )
     return channels(items, len(items), "", where)
 
@@ -327,7 +397,11 @@ def _columns(structure: Any, loads: Sequence[Any], free: NDArray) -> Any:
         return sparse.csc_array(np.array(parts).T)
     if len(lengths) > 1:
         raise InputError(
-            "loads that move differ in length", where="loads", found=sorted(lengths), expected="one length"
+            "loads that move differ in length",
+            where="loads",
+            found=sorted(lengths),
+            expected="one length",
+            hint="give every path the samples of the record",
         )
     length = lengths.pop()
     return np.stack([np.broadcast_to(part, (length, free.size)) for part in parts], axis=-1)
@@ -338,4 +412,10 @@ def _finite_parts(model: ForwardModel) -> None:
     S, B = model._S, model._columns
     values = B.data if sparse.issparse(B) else B
     if not (np.all(np.isfinite(S.data)) and np.all(np.isfinite(values))):
-        raise InputError("a sensor row or a load column holds NaN or infinity", where="ForwardModel")
+        raise InputError(
+            "a sensor row or a load column holds NaN or infinity",
+            where="ForwardModel",
+            found="NaN or infinity",
+            expected="finite numbers",
+            hint="check the places and the fibres of sensors and loads",
+        )

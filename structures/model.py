@@ -62,7 +62,13 @@ class Certificate:
         noise: NDArray | None = None,
         source: str = "a known load",
     ) -> Certificate:
-        """Certificate of predicted against measured responses, both (samples, sensors)."""
+        """Certificate of predicted against measured responses, both (samples, sensors).
+
+        Raises
+        ------
+        InputError
+            If a response is zero: nothing can be compared.
+        """
         pp, mm, pm = (
             np.sum(a * b, axis=0) for a, b in ((predicted, predicted), (measured, measured), (predicted, measured))
         )
@@ -73,6 +79,7 @@ class Certificate:
                 where="verify",
                 found=[s for s, a, b in zip(sensors, pp, mm, strict=True) if a == 0 or b == 0],
                 expected="a load that moves every sensor",
+                hint="leave this sensor out, or choose another load",
             )
         ratio = None if noise is None else tuple((np.sqrt(np.mean(residual**2, axis=0)) / noise).tolist())
         return cls(
@@ -114,23 +121,65 @@ class Model:
 
     # -- the contract ---------------------------------------------------------------------------------------------
     def static(self) -> NDArray[np.float64]:
-        """Static transfer matrix, shape (sensors, loads)."""
+        """Static transfer matrix, shape (sensors, loads).
+
+        Units of the sensor over units of the load.
+
+        Raises
+        ------
+        InputError
+            If a model of this kind has none; it names the families that can run on it.
+        """
         self._refuse("static")
 
     def frf(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
-        """Frequency response at `frequencies` (Hz), shape (lines, sensors, loads)."""
+        """Frequency response at `frequencies` (Hz), shape (lines, sensors, loads).
+
+        Units of the sensor over units of the load; the sign of time is exp(+i omega t).
+
+        Raises
+        ------
+        InputError
+            If a model of this kind has none; it names the families that can run on it.
+        """
         self._refuse("frf")
 
     def impulse_response(self, dt: float, samples: int, hold: str = "foh") -> NDArray[np.float64]:
-        """Response to one unit held over one sample, shape (samples, sensors, loads)."""
+        """Response to one unit held over one sample, shape (samples, sensors, loads).
+
+        Parameters
+        ----------
+        dt : float
+            Step in s.
+        samples : int
+        hold : ``"foh"`` or ``"zoh"``
+            The load is linear between its samples, or constant over each.
+
+        Raises
+        ------
+        InputError
+            If a model of this kind has none; it names the families that can run on it.
+        """
         self._refuse("impulse_response")
 
     def state_space(self, dt: float, hold: str = "foh") -> Any:
-        """Discrete state space at step `dt` (s)."""
+        """Discrete state space at step `dt` (s).
+
+        Raises
+        ------
+        InputError
+            If a model of this kind has none; it names the families that can run on it.
+        """
         self._refuse("state_space")
 
     def perturbed(self, parameter: str, factor: float) -> Self:
-        """A model of the same kind with one parameter multiplied by `factor`."""
+        """A model of the same kind with one parameter multiplied by `factor`.
+
+        Raises
+        ------
+        InputError
+            If a model of this kind has none; it names the families that can run on it.
+        """
         self._refuse("perturbed")
 
     @property
@@ -151,7 +200,7 @@ class Model:
 
     @property
     def fingerprint(self) -> str:
-        """Digest of what the model is made of: two models with the same digest are the same model."""
+        """Sha256 (hex) of what the model is made of: two models with the same digest are the same model."""
         raise NotImplementedError
 
     def verify(
@@ -172,6 +221,14 @@ class Model:
         -------
         Certificate
             Also kept as ``model.certificate``, so that it travels in every estimate.
+
+        Raises
+        ------
+        InputError
+            If load or response do not fit the model, hold NaN or are zero; or if the model has no `static`, or no
+            `impulse_response`, at this step.
+        NotIdentifiable
+            From `static` of a structure that is not supported.
         """
         load, response = _finite(load, "load"), _finite(response, "response")
         names = [s.label for s in self.sensors]
@@ -189,6 +246,7 @@ class Model:
                 where="verify",
                 found=f"shape {response.shape}",
                 expected=f"shape {predicted.shape} for the sensors {names}",
+                hint="one column per sensor, in the order of model.sensors",
             )
         self.certificate = Certificate.compare(predicted, response, names, noise=self._noise_std(), source=source)
         return self.certificate
@@ -200,7 +258,21 @@ class Model:
         return "foh"
 
     def predict(self, load: ArrayLike, dt: float, hold: str | None = None) -> NDArray[np.float64]:
-        """Response (samples, sensors) to a load history (samples, loads), at rest before its first sample."""
+        """Response (samples, sensors) to a load history (samples, loads), at rest before its first sample.
+
+        Parameters
+        ----------
+        load : array (samples, loads), or (samples,) for one load
+        dt : float
+            Step in s.
+        hold : ``"foh"`` or ``"zoh"``, optional
+            How the load runs between its samples; `default_hold` where not given.
+
+        Raises
+        ------
+        InputError
+            If the load does not fit the model or holds NaN, or the model has no `impulse_response` at this step.
+        """
         from scipy.signal import fftconvolve
 
         load = _finite(load, "load")
@@ -219,6 +291,7 @@ class Model:
             where=where,
             found=found,
             expected=f"{shape}; loads: {[c.label for c in self.loads]}",
+            hint="one column per load, in the order of model.loads",
         )
 
     def _noise_std(self) -> NDArray | None:
@@ -238,9 +311,18 @@ class Model:
 
 
 def _finite(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    array = np.asarray(values, float)
+    try:
+        array = np.asarray(values, float)
+    except (TypeError, ValueError):
+        raise InputError(
+            "not a real array", where=name, found=repr(values)[:60], expected="numbers", hint="pass an array of numbers"
+        ) from None
     if not np.all(np.isfinite(array)):
         raise InputError(
-            "NaN or infinity", where=name, found=f"{np.sum(~np.isfinite(array))} entries", expected="finite"
+            "NaN or infinity",
+            where=name,
+            found=f"{np.sum(~np.isfinite(array))} entries",
+            expected="finite",
+            hint="repair or leave out what is missing",
         )
     return array

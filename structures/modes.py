@@ -63,12 +63,28 @@ def modes(structure: Any, count: int | None = None) -> Modes:
     ------
     InputError
         Without a mass matrix, with a negative mass, or with a stiffness that has a negative eigenvalue (unstable).
+
+    Notes
+    -----
+    Shift-invert Lanczos: R. B. Lehoucq, D. C. Sorensen, C. Yang, *ARPACK Users' Guide* (1998).
     """
     if structure.M_free is None:
-        raise InputError("the structure has no mass matrix", where="modes", hint="give M, or ask for static() only")
+        raise InputError(
+            "the structure has no mass matrix",
+            where="modes",
+            found="M = None",
+            expected="a structure with M",
+            hint="give M, or ask for static() only",
+        )
     n = structure.K_free.shape[0]
     if count is not None and not 1 <= int(count) <= n:
-        raise InputError("no such number of modes", where="modes", found=count, expected=f"1..{n}")
+        raise InputError(
+            "no such number of modes",
+            where="modes",
+            found=count,
+            expected=f"1..{n}",
+            hint="a structure has as many modes as free DOFs",
+        )
     k = n if count is None else int(count)
     dense = n <= DENSE or 2 * k > n
     rigid, shift, factor = anchor(structure)
@@ -97,7 +113,9 @@ def anchor(structure: Any) -> tuple[int, float, Factor]:
     n = K.shape[0]
     stiffness, mass = K.diagonal(), M.diagonal()
     if np.any(mass < 0):
-        raise InputError("a mass is negative", where="modes", found=f"{mass.min():.4g}", expected=">= 0")
+        raise InputError(
+            "a mass is negative", where="modes", found=f"{mass.min():.4g}", expected=">= 0", hint="check M"
+        )
     top = float(np.max(stiffness[mass > 0] / mass[mass > 0], initial=0.0))
     if top == 0.0:  # no stiffness at all
         return n, -1.0, Factor(K + M, structure=structure)

@@ -80,7 +80,13 @@ class ReducedModel:
         return float(min(rates, default=0.0))
 
     def frf(self, frequencies: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Frequency response (lines, sensors, loads), high-pass included; the residual counts in every row."""
+        """Frequency response (lines, sensors, loads), high-pass included; the residual counts in every row.
+
+        Raises
+        ------
+        NotIdentifiable
+            If a line (Hz) lies on a natural frequency without damping.
+        """
         omega = 2 * np.pi * frequencies
         H = self._proportional(omega) if self.proportional else self._coupled(omega)
         if not np.all(np.isfinite(H)):

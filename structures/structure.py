@@ -100,7 +100,20 @@ class Structure:
         coordinates: ArrayLike | None = None,
         damping: Damping | float | None = None,
     ) -> Structure:
-        """Structure from a user's own matrices; without `dofs` they are the scalars ``0+S, 1+S, ...``."""
+        """Structure from a user's own matrices; without `dofs` they are the scalars ``0+S, 1+S, ...``.
+
+        Parameters
+        ----------
+        K, M, C : array or sparse array, shape (n, n)
+            Stiffness (N/m, N m/rad), mass (kg, kg m^2) and damping (N s/m), supported DOFs included.
+        dofs, supports, coordinates, damping
+            As in `Structure`.
+
+        Raises
+        ------
+        InputError
+            As `Structure`.
+        """
         if dofs is None:
             dofs = [Dof(i, 0) for i in range(checks.matrix("K", K).shape[0])]
         table = tuple(Dof.parse(d) for d in dofs)
@@ -139,7 +152,13 @@ class Structure:
             ) from None
 
     def unit_row(self, dof: Any) -> Array:
-        """Row with ±1 at a DOF: +1 where its polarity is that of the table; shape (n,)."""
+        """Row with ±1 at a DOF: +1 where its polarity is that of the table; shape (n,).
+
+        Raises
+        ------
+        InputError
+            If the structure has no such DOF.
+        """
         wanted, row = Dof.parse(dof), np.zeros(self.n)
         i = self.index(wanted)
         row[i] = wanted.sign * self.dofs[i].sign
@@ -243,11 +262,23 @@ class Structure:
 
     # -- changed copies -------------------------------------------------------------------------------------------
     def with_damping(self, damping: Damping | float | None) -> Structure:
-        """Copy with this damping instead of the present Rayleigh or modal one; C stays."""
+        """Copy with this damping instead of the present Rayleigh or modal one; C stays.
+
+        Raises
+        ------
+        InputError
+            If it is no damping, or a Modal one beside a matrix C.
+        """
         return replace(self, damping=settled(damping))
 
     def with_supports(self, *dofs: Any) -> Structure:
-        """Copy with more supports."""
+        """Copy with more supports.
+
+        Raises
+        ------
+        InputError
+            If the structure has no such DOF.
+        """
         return replace(self, supports=(*self.supports, *map(Dof.parse, dofs)))
 
     def with_mass(self, dof: Any = None, kg: float = 0.0, *, at: ArrayLike | None = None) -> Structure:
