@@ -105,6 +105,7 @@ class ImpulseModel(Model):
                 where="ImpulseModel(kind=)",
                 found=repr(kind),
                 expected="'held' (response to one unit held over one sample) or 'continuous' (to a unit impulse)",
+                hint="kind='continuous' for a sampled textbook formula, 'held' for what a discrete model gives",
             )
         array = frozen(h, "h")
         if array.ndim not in (1, 2, 3) or 0 in array.shape:
@@ -113,6 +114,7 @@ class ImpulseModel(Model):
                 where="ImpulseModel",
                 found=f"shape {array.shape}",
                 expected="(samples,), (samples, sensors) or (samples, sensors, loads)",
+                hint="time comes first",
             )
         array = array.reshape(*array.shape, *[1] * (3 - array.ndim))
         self.h = frozen(array * dt, "h") if kind == "continuous" else array

@@ -46,6 +46,7 @@ def direction_code(direction: int | str) -> int:
         where="DOF",
         found=repr(direction),
         expected="X, Y, Z, RX, RY, RZ or S, with a sign or without, or a code from -6 to 6",
+        hint='direction="+Z", for example',
     )
 
 
@@ -89,7 +90,13 @@ class Dof:
     def __post_init__(self) -> None:
         node = _integer(self.node)
         if node is None or node < 0:
-            raise InputError("no node number", where="DOF", found=repr(self.node), expected="an integer, at least 0")
+            raise InputError(
+                "no node number",
+                where="DOF",
+                found=repr(self.node),
+                expected="an integer, at least 0",
+                hint="structure.dofs lists the nodes",
+            )
         object.__setattr__(self, "node", node)
         object.__setattr__(self, "direction", direction_code(self.direction))
 
@@ -111,7 +118,9 @@ class Dof:
                     return cls(int(match["node"]), direction_code(match["sign"] + match["name"]))
         elif isinstance(value, tuple) and len(value) == 2:
             return cls(value[0], direction_code(value[1]))
-        raise InputError("no DOF", where="DOF", found=repr(value), expected=_EXPECTED)
+        raise InputError(
+            "no DOF", where="DOF", found=repr(value), expected=_EXPECTED, hint="structure.dofs lists all DOFs"
+        )
 
     def __str__(self) -> str:
         return f"{self.node}{direction_label(self.direction)}"

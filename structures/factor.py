@@ -214,6 +214,8 @@ class Factor:
             raise InputError(
                 "the factorisation is useless: the matrix is singular to working precision",
                 where="Factor.solve",
+                found=f"backward error above {REFUSE_ABOVE:g}",
+                expected="a regular matrix",
                 hint="a shift on a natural frequency without damping, or stiffnesses that differ by more than 1e12",
             )
         return X

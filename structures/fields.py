@@ -63,6 +63,7 @@ class Lumped:
             where="sensor or load",
             found="a place or region",
             expected="a DOF, such as 1+" + self.axis,
+            hint="name the mass instead of a place",
         )
 
     def motion(self, at: ArrayLike, axis: int) -> Array:
@@ -102,6 +103,7 @@ def field_of(structure: Structure, where: str) -> Field:
             where=where,
             found="a structure built from matrices",
             expected="a DOF, such as " + str(structure.dofs[0]),
+            hint="name the DOF instead of at=, x= or y=",
         )
     return structure.field
 
@@ -124,6 +126,7 @@ def point(at: ArrayLike, names: Sequence[str]) -> tuple[float, ...]:
             where="sensor or load",
             found=f"at={at!r}",
             expected=f"finite {', '.join(names)} in m",
+            hint=f"at=({', '.join(names)})" if len(names) > 1 else "at=0.31, for example",
         )
     return tuple(float(v) for v in values)
 

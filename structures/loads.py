@@ -304,6 +304,7 @@ class MovingPoint(Load):
         raise InputError(
             "a moving load has no single column",
             where=f"load {self.label}",
+            found="a path",
             expected="columns(structure), (samples, n)",
             hint="state_space() carries B(t)",
         )

@@ -127,7 +127,9 @@ class PlateField:
 
 
 def _refuse(what: str, found: str, expected: str) -> NoReturn:
-    raise InputError(what, where="sensor or load on a plate", found=found, expected=expected)
+    raise InputError(
+        what, where="sensor or load on a plate", found=found, expected=expected, hint="the plate lies in X-Y"
+    )
 
 
 def plate(

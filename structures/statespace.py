@@ -81,6 +81,7 @@ class StateSpace(Model):
                 where="StateSpace",
                 found=", ".join(f"{name} {shape}" for name, shape in shapes.items()),
                 expected="A (nx, nx), B (nx, loads), C (sensors, nx), D (sensors, loads); B and D may be led by time",
+                hint="D of zeros where no load passes straight through",
             )
 
     def __repr__(self) -> str:
@@ -233,6 +234,7 @@ class StateSpace(Model):
                 where="simulate",
                 found=f"shape {u.shape}",
                 expected=f"({'samples' if length is None else length}, {len(self.loads)})",
+                hint="one column per load, in the order of model.loads",
             )
         x = np.zeros(len(self.A)) if x0 is None else np.array(frozen(x0, "x0"))
         if x.shape != (len(self.A),):

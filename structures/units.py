@@ -163,7 +163,13 @@ def si_symbol(quantity: str) -> str:
         If the table does not have the quantity.
     """
     if quantity not in _QUANTITIES:
-        raise InputError("unknown quantity", where="units", found=repr(quantity), expected=", ".join(_QUANTITIES))
+        raise InputError(
+            "unknown quantity",
+            where="units",
+            found=repr(quantity),
+            expected=", ".join(_QUANTITIES),
+            hint="arbitrary where none fits",
+        )
     return _QUANTITIES[quantity][0]
 
 
@@ -232,11 +238,19 @@ def assignments(texts: Iterable[str]) -> dict[str, str]:
         channel = channel.strip()
         if not equals or not channel:
             raise InputError(
-                "no assignment of a unit", where="--unit", found=repr(text), expected="CH=UNIT, such as F=N"
+                "no assignment of a unit",
+                where="--unit",
+                found=repr(text),
+                expected="CH=UNIT, such as F=N",
+                hint="one text per channel",
             )
         if channel in found:
             raise InputError(
-                "two units for one channel", where="--unit", found=repr(text), expected=f"one for {channel}"
+                "two units for one channel",
+                where="--unit",
+                found=repr(text),
+                expected=f"one for {channel}",
+                hint="name each channel once",
             )
         parse(unit, channel=channel)
         found[channel] = unit.strip()
@@ -255,7 +269,11 @@ def as_mapping(units: Mapping[str | int, str | Unit] | None) -> dict[str | int, 
         return {}
     if not isinstance(units, Mapping):
         raise InputError(
-            "units is no dictionary", where="units", found=repr(units), expected='{channel: unit}, such as {"F": "N"}'
+            "units is no dictionary",
+            where="units",
+            found=repr(units),
+            expected='{channel: unit}, such as {"F": "N"}',
+            hint="on the command line: --unit F=N",
         )
     return dict(units)
 

@@ -1,6 +1,8 @@
 """What a newcomer types by mistake is refused in words: what, where, what was found, what is expected, what to do."""
 
+import ast
 import inspect
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -157,3 +159,17 @@ def test_a_gauge_outside_the_section_is_refused(times):
 def test_stocky_but_possible():
     beam(section=beams.Section.rectangle(0.04, 0.5))()
     plate(thickness=0.25)()
+
+
+ROOMS = ("arrays", "beams", "chains", "channels", "checks", "damping", "discretise", "dofs", "factor", "fields", "forward",
+         "hermite", "loads", "materials", "model", "modes", "plates", "sections", "sensors", "statespace", "structure",
+         "units", "values")  # fmt: skip
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_every_refusal_says_where_found_expected_and_what_to_do(room):
+    source = Path(beams.__file__).parent / f"{room}.py"
+    for call in ast.walk(ast.parse(source.read_text())):
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "InputError":
+            stated = {word.arg for word in call.keywords}
+            assert {"where", "found", "expected", "hint"} <= stated, f"{source.name}, line {call.lineno}"
