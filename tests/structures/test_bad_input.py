@@ -161,9 +161,12 @@ def test_stocky_but_possible():
     plate(thickness=0.25)()
 
 
-ROOMS = ("arrays", "beams", "chains", "channels", "checks", "damping", "discretise", "dofs", "factor", "fields", "forward",
-         "hermite", "loads", "materials", "model", "modes", "plates", "sections", "sensors", "statespace", "structure",
-         "units", "values")  # fmt: skip
+ROOMS = (
+    "arrays", "beams", "chains", "channels", "checks", "damping", "discretise", "dofs", "factor", "fields",
+    "forward",
+    "hermite", "loads", "materials", "model", "modes", "plates", "sections", "sensors", "statespace", "structure",
+    "units", "values",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("room", ROOMS)
