@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from structures.channels import Channel
 from structures.errors import InputError
-from structures.flags import Evidence, Flag, canonical
+from structures.flags import Evidence, Flag
 
+from .codes import known_codes
 from .inverse.choice import Choice
 
 MEMORY = 0.01  # share of the first response that may be left at the end of a record
 DECADE = 1.0  # spread of the rules, decades
 COVERED = 0.05  # how far the share inside a band may lie below its level
+SIGMA_RULES = ("discrepancy", "dof_discrepancy", "upre", "predicted_error", "evidence")
 GCV_RULES = ("gcv", "robust_gcv", "modified_gcv", "predicted_error")
 FLAT = 1.05  # GCV: highest over lowest within half a decade
 KNOWN_SOURCES = (
@@ -49,7 +51,7 @@ def allowed(codes: Sequence[str]) -> tuple[str, ...]:
     """
     if isinstance(codes, str):
         raise InputError("allow takes a list of codes", where="allow", found=repr(codes), expected=f"[{codes!r}]")
-    return tuple(canonical(c) for c in codes)
+    return known_codes(codes)
 
 
 # -- forward model ---------------------------------------------------------------------------------------------------
@@ -209,7 +211,7 @@ def gcv_minimum(choice: Choice) -> Flag | None:
 
 def noise_source(choice: Choice, discrepancy: Callable[[float], float | None]) -> Flag | None:
     """W406: the noise level decides and nobody said where it comes from."""
-    if choice.sigma is None or choice.rule not in ("discrepancy", "dof_discrepancy", "upre"):
+    if choice.sigma is None or choice.rule not in SIGMA_RULES:
         return None
     if any(source in choice.sigma_source for source in KNOWN_SOURCES):
         return None

@@ -67,6 +67,8 @@ def gather(record: Any, dt: float | None, model: Model, sensors: Sequence[str | 
         raise InputError(
             "choose each sensor once", where="sensors", found=sensors, expected="distinct sensors of the model"
         )
+    if not isinstance(record, Record) and np.iscomplexobj(record):
+        raise InputError("a record of time is real", where="estimate", found="complex numbers", expected="real samples")
     if not isinstance(record, Record):
         record = _record(record, dt, model, rows)
     elif dt is not None and abs(dt / record.dt - 1) > 1e-9:

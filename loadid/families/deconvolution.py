@@ -257,7 +257,7 @@ def _discrepancy(posed: Posed, factor: float) -> float | None:
 
 
 def _last_resort(path: SVDPath | SpectralPath, choice: Choice) -> float:
-    """Noise level from what little the fit leaves, where nothing else tells."""
-    point = path.at(choice.lam)
-    left = 0.0 if point.left is None else float(point.left)
-    return float(np.sqrt(point.residual2 / left)) if left > 0 else 1.0
+    """Noise level where the fit leaves too little to tell: of the nearest larger lambda that leaves enough."""
+    lam = np.geomspace(max(choice.lam, path.range[0]), max(10 * choice.lam, 1.0), 60)
+    levels = (residual_level(path, float(x)) for x in lam)
+    return next((level for level in levels if level is not None), float(np.sqrt(path.at(1.0).residual2 / path.m)))

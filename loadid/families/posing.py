@@ -219,7 +219,11 @@ def diagonal(h: NDArray) -> float:
 
 
 def _shift(h: NDArray, model: Model, allow: tuple[str, ...]) -> int:
-    """Samples by which data are advanced so that every load has a diagonal (0 with a first-order hold)."""
+    """Samples by which data are advanced so that the first load to arrive has a diagonal (0 with a first-order hold).
+
+    No more than that: what a load that arrives earlier does in between must stay in the operator. The last samples of
+    a load that arrives later are not seen, and are left to the prior.
+    """
     level = np.max(np.abs(h), axis=1)  # (samples, loads)
     largest = level.max(axis=0)
     for j in np.flatnonzero(largest == 0):
@@ -227,10 +231,8 @@ def _shift(h: NDArray, model: Model, allow: tuple[str, ...]) -> int:
     usable = level > UNUSABLE * largest
     if "LID-E506" in allow or usable[0].all():
         return 0
-    first = np.argmax(usable.all(axis=1))
-    if not usable.all(axis=1).any() or first > len(h) // 2:
-        worst = int(np.argmin(usable[0]))
-        raise guards.index_offset(
-            float(level[0, worst] / largest[worst]), model.loads[worst].label, int(np.argmax(usable[:, worst]))
-        )
-    return int(first)
+    first = np.argmax(usable, axis=0)
+    worst = int(np.argmax(first))
+    if first[worst] > len(h) // 2:
+        raise guards.index_offset(float(level[0, worst] / largest[worst]), model.loads[worst].label, int(first[worst]))
+    return int(first.min())

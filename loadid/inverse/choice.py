@@ -80,7 +80,6 @@ DEFAULT_RULES = (
     "evidence",
 )
 LARGEST = 1e3  # relative lambda; at 1 the best-seen component of the load has lost half of its height
-BELIEVED = 1.1  # residual over stated noise up to which the noise level is believed
 COMPARED = (
     ("gcv", "robust_gcv"),
     ("l_curve",),
@@ -101,12 +100,11 @@ def choose(
     ----------
     path : RegularizationPath
     choice : str, float or None
-        Rule, or relative lambda. None: discrepancy where the noise level is known, else robust GCV with one step
-        towards the smallest error of the load (`rules.predicted_error`). Where the solution spends more than a fifth
-        of the data as degrees of freedom the residual lies below the noise by construction, so discrepancy hands over
-        to UPRE; to the rule for unknown noise where the residual is above the stated noise (the model errs); and to the
-        evidence where these lie more than a decade below it, in the flat tail of their functions. Robust GCV hands over
-        to GCV when it ends at the edge of the sweep.
+        Rule, or relative lambda. None, noise level known: discrepancy; where its solution spends more than a fifth of
+        the data as degrees of freedom, UPRE. UPRE more than a decade below the smallest predicted error of the
+        load, and either of them more than a decade below the evidence, is in the flat tail of its function and gives
+        way. None, noise level not known: the smallest predicted error of the load, one step from robust GCV
+        (`rules.predicted_error`); robust GCV, GCV and the L-curve stand in where that finds nothing inside the sweep.
     sigma : float, optional
         Noise level of the whitened data.
     source : str
@@ -122,7 +120,7 @@ def choose(
     if isinstance(choice, str) and choice not in asked:
         asked[choice] = rules.run(choice, sweep)
     lam, rule = _pick(path, choice, asked, sigma)
-    spread, verdict = agreement(asked)
+    spread, verdict = agreement(asked, lam if rule == "predicted_error" else None)
     point = path.at(lam)
     return Choice(
         lam=lam,
@@ -153,7 +151,7 @@ MEANING = {
 }
 
 
-def agreement(asked: dict[str, RuleResult]) -> tuple[float, str]:
+def agreement(asked: dict[str, RuleResult], used: float | None = None) -> tuple[float, str]:
     """Spread in decades between the kinds of rule that found an optimum inside the sweep, and the verdict.
 
     Rules of one kind (GCV and its variants) fail together, so each kind has one voice.
@@ -164,8 +162,10 @@ def agreement(asked: dict[str, RuleResult]) -> tuple[float, str]:
         heard += inside[:1]
     if not heard:
         return float("inf"), "not determined"
+    alone = len(heard) == 1
+    heard += [used] if used else []  # a lambda far from what the rules say is not determined by them
     spread = float(np.ptp(np.log10(np.array(heard, float))))
-    if len(heard) == 1:
+    if alone and spread <= 1:
         return spread, "usable"
     names = ("determined", "usable", "rules disagree", "not determined")
     return spread, names[int(np.searchsorted([0.5, 1.0, 2.0], spread, side="right"))]
@@ -190,10 +190,10 @@ def _pick(
     if sigma is not None and first.lam is not None:
         edf = path.at(first.lam).edf
         if first.edge or (edf is not None and edf > 0.2 * path.m):
-            order = order[1:]
-            if _above_noise(path, asked["upre"], sigma):
-                order = ["predicted_error", *order]
-            order = [name for name in order if not _far_below(asked[name], asked["evidence"])] + ["evidence"]
+            order = ["upre", "predicted_error", "gcv"]
+            if _far_below(asked["upre"], asked["predicted_error"], 1.0):
+                order = order[1:]
+            order = [name for name in order if not _far_below(asked[name], asked["evidence"], 1.0)] + ["evidence"]
     inside = [asked[name] for name in order if asked[name].lam is not None and not asked[name].edge]
     running = inside or [r for r in asked.values() if r.lam is not None]
     if not running:
@@ -207,13 +207,6 @@ def _pick(
     return _given(running[0]), running[0].rule
 
 
-def _above_noise(path: RegularizationPath, result: RuleResult, sigma: float) -> bool:
-    """Whether the residual shows more than the stated noise: the model errs, and rules that trust sigma undersmooth."""
-    if result.lam is None:
-        return False
-    return (residual_level(path, result.lam) or 0.0) > BELIEVED * sigma
-
-
 def residual_level(path: RegularizationPath, lam: float) -> float | None:
     """Noise level of the whitened data that the residual shows, sqrt(|r|^2 / (m - edf)).
 
@@ -225,9 +218,9 @@ def residual_level(path: RegularizationPath, lam: float) -> float | None:
     return float(np.sqrt(point.residual2 / point.left))
 
 
-def _far_below(low: RuleResult, high: RuleResult) -> bool:
-    """Whether one rule lies more than a decade below another: the flat tail of its function won by chance."""
-    return low.lam is not None and high.lam is not None and not high.edge and low.lam < 0.1 * high.lam
+def _far_below(low: RuleResult, high: RuleResult, decades: float) -> bool:
+    """Whether one rule lies this far below another: the flat tail of its function won by chance."""
+    return low.lam is not None and high.lam is not None and not high.edge and low.lam < 10**-decades * high.lam
 
 
 def _given(result: RuleResult) -> float:

@@ -29,6 +29,8 @@ class PathPoint:
         tr A and tr A^2 of the influence matrix A.
     left : array or None
         m - edf, formed without cancellation.
+    rest2, rest4 : array or None
+        tr (I - A)^2 and tr (I - A)^4: what noise of unit level leaves in the residual, and how that scatters.
     sensitivity : array or None
         Norm of lambda dg/dlambda.
     objective : array or None
@@ -42,6 +44,8 @@ class PathPoint:
     edf: NDArray[np.float64] | None = None
     edf2: NDArray[np.float64] | None = None
     left: NDArray[np.float64] | None = None
+    rest2: NDArray[np.float64] | None = None
+    rest4: NDArray[np.float64] | None = None
     sensitivity: NDArray[np.float64] | None = None
     objective: NDArray[np.float64] | None = None
     log_ratio: NDArray[np.float64] | None = None
@@ -222,18 +226,21 @@ class FactoredPath:
         """Scalars of the path at relative `lam`, shape (k,); for a stack (lines, k)."""
         lam = np.asarray(lam, float)
         sums = self._tiled(self._sums, np.atleast_1d(lam))
-        residual2, penalty2, edf, edf2, complement, objective, log_ratio, change2 = sums if lam.ndim else sums[..., 0]
+        residual2, penalty2, edf, edf2, *rest, objective, log_ratio, change2 = sums if lam.ndim else sums[..., 0]
         outside = self.outside[..., None] if lam.ndim else self.outside
         modes = np.sum(self.weight)
-        left = (self.m - modes) * (self.m > modes * (1 + 1e-12)) + complement
+        beyond = (self.m - modes) * (self.m > modes * (1 + 1e-12))  # data that no mode reaches
+        left, rest2, rest4 = (beyond + x for x in rest)
         if not self.smooth:
-            return PathPoint(residual2 + outside, penalty2, edf, edf2, left)
+            return PathPoint(residual2 + outside, penalty2, edf, edf2, left, rest2, rest4)
         return PathPoint(
             residual2 + outside,
             penalty2,
             edf,
             edf2,
             left,
+            rest2,
+            rest4,
             sensitivity=2 * np.sqrt(change2),
             objective=objective + outside,
             log_ratio=log_ratio,
@@ -259,7 +266,7 @@ class FactoredPath:
         return (lam * self.scale[..., None])[..., None]
 
     def _sums(self, lam: NDArray, part: slice) -> NDArray:
-        """Everything that `at` sums over modes, for some of them: shape (8, ..., lams)."""
+        """Everything that `at` sums over modes, for some of them: shape (10, ..., lams)."""
         f, g = self._filter(lam, part)  # g = 1 - f
         s2, w, b2 = self.s[..., part] ** 2, self.weight[part], self._beta2[..., part] * self.weight[part]
         f2, log_ratio = f**2, np.zeros(f.shape[:-1])
@@ -275,6 +282,8 @@ class FactoredPath:
                 _dot(f, w),
                 _dot(f2, w),
                 _dot(g, w),
+                _dot(g**2, w),
+                _dot(g**4, w),
                 _dot(g, b2),
                 log_ratio,
                 self._length2(g * f, part),

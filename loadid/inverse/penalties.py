@@ -49,6 +49,7 @@ def matrix(penalty: str | ArrayLike, samples: int, loads: int = 1) -> NDArray[np
                 expected=f"more than {degree} for {penalty}",
             )
         return np.asarray(np.kron(difference(samples, degree), np.eye(loads)), float)
+    penalty = penalty.toarray() if hasattr(penalty, "toarray") else penalty  # sparse
     L = np.atleast_2d(np.asarray(penalty, float))
     if L.ndim != 2 or L.shape[1] != samples * loads or not np.all(np.isfinite(L)):
         raise InputError(

@@ -184,15 +184,14 @@ def _pilot(sweep: Sweep) -> int:
 
     The residual of a fit that leaves few degrees of freedom may be small by chance, and its minimum then wins. So the
     search starts at the largest lambda, and moves to a minimum at a smaller one only where the noise level that it
-    shows, |r|^2 / tr (I - A)^2, is below what `CHANCE` makes of the level before (chi-square, left^2 / tr (I - A)^2
-    degrees of freedom).
+    shows, |r|^2 / tr (I - A)^2, is below what `CHANCE` makes of the level before (chi-square with the freedom of
+    Satterthwaite, (tr (I - A)^2)^2 / tr (I - A)^4).
     """
     from scipy.special import gammaincinv
 
     path, p = sweep.path, sweep.point
-    left, edf, edf2 = (need(p, name, "predicted_error") for name in ("left", "edf", "edf2"))
-    seen = np.maximum(path.m - 2 * edf + edf2, left**2 / path.m)  # tr (I - A)^2; the bound holds where it cancels
-    level, freedom = p.residual2 / seen, left**2 / seen
+    rest2, rest4 = (np.maximum(need(p, name, "predicted_error"), np.finfo(float).tiny) for name in ("rest2", "rest4"))
+    level, freedom = p.residual2 / rest2, np.maximum(rest2**2 / rest4, 1.0)
     found = _dips(robust_gcv_function(path, p)) | _dips(gcv_function(path, p))
     minima = np.flatnonzero(found[:-1])[::-1]
     if len(minima) == 0:

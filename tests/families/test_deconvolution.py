@@ -142,6 +142,23 @@ class TestIndexOffset:
         with pytest.raises(InputError, match=r"LID-E506.*no usable diagonal"):
             Deconvolution(ImpulseModel(h, DT, kind="held")).estimate(np.ones(100), dt=DT)
 
+    def test_loads_that_arrive_at_different_times(self):
+        """Only what no load needs is dropped: a load that arrives earlier keeps its first samples."""
+        n = np.arange(200)
+        decay = np.exp(-n / 10) * np.cos(n / 3)
+        h = np.zeros((200, 2, 2))
+        h[2:, 0, 0] = decay[:-2]
+        h[5:, 1, 1] = decay[:-5]
+        h[:, 1, 0] = 0.2 * h[:, 1, 1]
+        g = np.hstack([pulse(200, 40, 30), pulse(200, 90, 50)])
+        model = ImpulseModel(h, DT, kind="held")
+        estimate = Deconvolution(model, noise=1e-3, noise_source="data sheet").estimate(
+            model.predict(g, DT) + 1e-3 * np.random.default_rng(0).standard_normal((200, 2)), dt=DT
+        )
+        assert len(estimate.load) == 198
+        for j in range(2):
+            assert np.linalg.norm(estimate.load[:, j] - g[:198, j]) < 0.01 * np.linalg.norm(g[:, j])
+
     def test_a_load_that_no_sensor_sees(self):
         h = np.zeros((50, 1, 2))
         h[:, 0, 0] = 0.5 ** np.arange(50)
@@ -182,7 +199,7 @@ class TestRefusals:
             ({"method": "magic"}, "unknown method"),
             ({"penalty": "smooth"}, "unknown penalty"),
             ({"penalty": None, "choice": "gcv"}, "no lambda to choose"),
-            ({"allow": ["X1"]}, "no guard code"),
+            ({"allow": ["X1"]}, "no such guard code"),
             ({"allow": "W114"}, "list of codes"),
         ],
     )

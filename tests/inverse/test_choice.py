@@ -149,7 +149,7 @@ def test_rules_at_an_end_have_no_voice() -> None:
 
 def test_verdict_travels_with_the_choice_and_the_sweep_draws_it() -> None:
     chosen = choose(smooth()[0])
-    spread, verdict = agreement(by_name(chosen))
+    spread, verdict = agreement(by_name(chosen), chosen.lam)
     assert (chosen.spread, chosen.verdict, chosen.odds) == (spread, verdict, choices.MEANING[verdict])
     s = chosen.sweep
     assert s is not None
