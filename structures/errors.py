@@ -30,7 +30,14 @@ class InputError(ValueError):
         hint: str = "",
         code: str = "",
     ) -> None:
-        self.what, self.where, self.found, self.expected, self.hint, self.code = what, where, found, expected, hint, code
+        self.what, self.where, self.found, self.expected, self.hint, self.code = (
+            what,
+            where,
+            found,
+            expected,
+            hint,
+            code,
+        )
         parts = [f"{where}: {what}" if where else what]
         if found is not None:
             parts.append(f"found: {found}")
