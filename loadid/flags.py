@@ -16,6 +16,7 @@ from .codes import known_codes
 from .inverse.choice import Choice
 
 MEMORY = 0.01  # share of the first response that may be left at the end of a record
+MOVING = 0.03  # share of the largest response that may be there at the end of a record on the FFT path
 DECADE = 1.0  # spread of the rules, decades
 COVERED = 0.05  # how far the share inside a band may lie below its level
 SIGMA_RULES = ("discrepancy", "dof_discrepancy", "upre", "predicted_error", "evidence")
@@ -260,6 +261,25 @@ def memory(decay_rate: float | None, duration: float, h: NDArray | None = None) 
         f"the record is shorter than the memory: {left:.1%} of the response is left at its end, "
         "so start and end are contaminated",
         "record longer, begin before the load, or use a state-space method",
+    )
+
+
+def unfinished(values: NDArray, residual: NDArray) -> Flag | None:
+    """W505 for padded transforms: the record ends while the structure still moves, whatever moves it.
+
+    Judged by the last fiftieth of each channel (samples, sensors) against its maximum and against its residual.
+    """
+    end = np.sqrt(np.mean(values[-max(len(values) // 50, 8) :] ** 2, axis=0))
+    largest, noise = np.abs(values).max(axis=0), np.sqrt(np.mean(residual**2, axis=0))
+    share = np.where(end > 3 * noise, end / np.maximum(largest, np.finfo(float).tiny), 0.0)
+    if share.max() <= MOVING:
+        return None
+    return Flag(
+        "W505",
+        Evidence("motion at the end over the largest", float(share.max()), MOVING),
+        f"the record ends in motion: {share.max():.1%} of the largest response is there at its end, which the padded "
+        "transform takes for a jump to zero",
+        "record until the structure rests, or cut the record into windows that the dense path takes",
     )
 
 

@@ -147,7 +147,7 @@ class Deconvolution:
             residual=residual,
             sensors=[c.label for c in data.channels],
             sensor_units=[c.unit for c in data.channels],
-            flags=self._flags(posed, choice, data, facts),
+            flags=self._flags(posed, choice, data, facts, residual),
             allowed=self.settings.allow,
             certificate=self.model.certificate,
             posterior=solution.posterior,
@@ -206,7 +206,14 @@ class Deconvolution:
             "peak_bias": bias,
         }
 
-    def _flags(self, posed: Posed, choice: Choice, data: Data, facts: dict[str, Any]) -> tuple[Flag, ...]:
+    @staticmethod
+    def _end(posed: Posed, residual: NDArray) -> Flag | None:
+        """W505 of what the padded transform cannot represent."""
+        return None if isinstance(posed.path, SVDPath) else guards.unfinished(posed.values, residual)
+
+    def _flags(
+        self, posed: Posed, choice: Choice, data: Data, facts: dict[str, Any], residual: NDArray
+    ) -> tuple[Flag, ...]:
         model, lost = self.model, [s.label for i, s in enumerate(self.model.sensors) if i not in data.rows]
         rows = [model.sensors[i] for i in data.rows]
         after = (facts["kappa"], facts["rank"], facts["nullity"])
@@ -221,7 +228,7 @@ class Deconvolution:
                 None if posed.full is None else guards.lost_channels(posed.full, after, lost),
                 guards.mixed_kinds(data.channels, posed.noise.known),
                 guards.high_pass(rows, data.duration),
-                guards.memory(model.decay_rate, data.duration, posed.h),
+                guards.memory(model.decay_rate, data.duration, posed.h) or self._end(posed, residual),
                 guards.aliased(model.natural_frequencies, data.dt),
                 *guards.parameter(choice, lambda factor: _discrepancy(posed, factor)),
                 guards.inverse_crime(data.record.simulated_by, model.fingerprint),

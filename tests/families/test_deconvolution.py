@@ -381,3 +381,17 @@ def test_the_band_knows_what_regularisation_hides():
     assert abs(miss) > 3 * np.sqrt(estimate.posterior.variance(w))  # a stationary prior alone is overconfident here
     assert abs(miss) < 2 * found.std
     assert np.sign(estimate.bias[pulse_only].sum()) == np.sign(miss)
+
+
+def test_a_record_that_ends_in_motion_is_flagged_on_the_padded_path():
+    """The response decays within the record, but the load goes on to its end."""
+    n, rng = np.arange(4000), np.random.default_rng(0)
+    h = np.exp(-n / 30) * np.sin((n + 1) / 12)
+    load = np.convolve(rng.standard_normal(2160), np.hanning(31) / 4, "same")[30:2130]
+    rest = load * (np.arange(2100) < 1900)
+    for g, flagged in ((load, True), (rest, False)):
+        y = np.convolve(h, g)[:2100]
+        y = y + 0.01 * y.std() * rng.standard_normal(2100)
+        estimate = Deconvolution(ImpulseModel(h, DT, kind="held")).estimate(y, dt=DT)
+        assert estimate.facts["path"] == "zero-padded FFT"
+        assert ("W505" in estimate.codes) is flagged
