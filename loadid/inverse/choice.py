@@ -177,7 +177,7 @@ def _pick(
     if isinstance(choice, str):
         return _given(asked[choice]), choice
     if choice is not None:
-        if not (np.isfinite(choice) and 0 <= choice <= LARGEST):
+        if isinstance(choice, bool) or not (np.isfinite(choice) and 0 <= choice <= LARGEST):
             raise InputError(
                 "no relative lambda",
                 where="choice",

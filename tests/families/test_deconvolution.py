@@ -214,6 +214,7 @@ class TestRefusals:
             (-1.0, "relative lambda"),
             (float("nan"), "relative lambda"),
             (1e300, "relative lambda"),
+            (True, "relative lambda"),
             ("upre", "noise level"),
         ],
     )
@@ -297,6 +298,20 @@ def test_truncated_svd():
     assert np.linalg.norm(estimate.load - g) < 0.1 * np.linalg.norm(g)
     kept = estimate.facts["edf"]
     assert kept == int(kept)
+
+
+def test_sparse_penalty_and_complex_record():
+    from scipy import sparse
+
+    model, g = make_model(), pulse(100)
+    y = noisy(model.predict(g, DT), 0.01)
+    by_name, by_matrix = (
+        Deconvolution(model, choice=1e-2, penalty=p).estimate(y, dt=DT).load
+        for p in ("identity", sparse.eye_array(100))
+    )
+    assert by_matrix == pytest.approx(by_name, abs=1e-8 * np.abs(by_name).max())
+    with pytest.raises(InputError, match="real"):
+        Deconvolution(model).estimate(y.astype(complex), dt=DT)
 
 
 def test_posterior_covers_loads_drawn_from_the_prior():
