@@ -26,6 +26,9 @@ BEFORE_ZERO = 0.1  # share of the energy of an impulse response that may lie at 
 CHANNEL = ("label", "quantity", "unit", "noise", "highpass", "measure")
 
 
+MEDIAN_SQUARE = 0.4549  # median of the square of a standard normal variable
+
+
 class MeasuredModel(Model):
     """Frequency responses (lines, sensors, loads) on a uniform grid from 0 to the Nyquist frequency.
 
@@ -317,9 +320,6 @@ class MeasuredModel(Model):
             f"MeasuredModel({len(self.sensors)} sensors, {len(self.loads)} loads, {len(self.frequencies)} lines "
             f"to {self.frequencies[-1]:.6g} Hz, from {source})"
         )
-
-
-MEDIAN_SQUARE = 0.4549  # median of the square of a standard normal variable
 
 
 def causality(model: MeasuredModel) -> Flag | None:

@@ -130,10 +130,10 @@ class Deconvolution:
         solution = posed.path.solution(choice.lam, sigma)
         residual = posed.values - posed.predict(solution.load)
         facts = self._facts(posed, choice, sigma, data.dt, solution.load)
-        self._progress(1.0, "done")
         assert solution.posterior is not None
         std = solution.posterior.std
         bias = diagnose.hidden(posed.path, choice.lam, solution.load, std)
+        self._progress(1.0, "done")
         return LoadEstimate(
             load=solution.load,
             # the posterior holds the bias of an average sample; where more is expected to be hidden, that counts

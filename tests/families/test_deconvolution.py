@@ -410,3 +410,26 @@ def test_a_record_that_ends_in_motion_is_flagged_on_the_padded_path():
         estimate = Deconvolution(ImpulseModel(h, DT, kind="held")).estimate(y, dt=DT)
         assert estimate.facts["path"] == "zero-padded FFT"
         assert ("W505" in estimate.codes) is flagged
+
+
+def test_a_residual_that_is_small_by_chance_does_not_choose_lambda():
+    """One displacement sensor, a load that fills the record: few degrees of freedom are left at a tiny lambda."""
+    from loadid.inverse import rules
+    from loadid.inverse.problem import LinearProblem
+    from loadid.inverse.svd import SVDPath
+    from loadid.inverse.toeplitz import toeplitz
+
+    beam = beams.cantilever(length=1.2, elements=24, EI=300.0, mass_per_length=1.5, damping=damping.Modal(0.04))
+    model = ForwardModel(beam, [sensors.Displacement(at=0.8)], [loads.Point(at=1.0)], modes=4)
+    h, samples = toeplitz(model.impulse_response(2e-3, 300)), 300
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        g = np.convolve(rng.standard_normal(samples + 60), np.hanning(31) / 4, "same")[30 : 30 + samples]
+        y = model.predict(g, 2e-3)
+        path = SVDPath(LinearProblem.whitened(h, y + 0.01 * y.std() * rng.standard_normal(y.shape)))
+        sweep = rules.Sweep.over(path, None)
+
+        def error(lam, path=path, g=g):
+            return np.linalg.norm(path.X @ path.gains(lam) - g)
+
+        assert error(rules.run("predicted_error", sweep).lam) < 1.5 * min(error(lam) for lam in sweep.lam)

@@ -205,3 +205,16 @@ def test_units_change_nothing(model: float, data: float, name: str) -> None:
     np.testing.assert_allclose(z.load, scale * x.load, rtol=1e-9, atol=1e-9 * scale)
     np.testing.assert_allclose(z.posterior.std, scale * x.posterior.std, rtol=1e-9)
     np.testing.assert_allclose(one.at([0.01, 0.1]).edf, two.at([0.01, 0.1]).edf, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("m", "n"), [(12, 7), (7, 7), (6, 9)])
+def test_traces_of_what_a_fit_leaves(m: int, n: int) -> None:
+    rng = np.random.default_rng(5)
+    H, y = rng.standard_normal((m, n)), rng.standard_normal(m)
+    path = SVDPath(LinearProblem.whitened(H, y))
+    x = 0.3 * float(path.scale)
+    rest = np.eye(m) - H @ np.linalg.lstsq(np.vstack([H, x * np.eye(n)]), np.vstack([np.eye(m), np.zeros((n, m))]))[0]
+    point = path.at(0.3)
+    assert point.left == pytest.approx(np.trace(rest), rel=1e-10)
+    assert point.rest2 == pytest.approx(np.trace(rest @ rest), rel=1e-10)
+    assert point.rest4 == pytest.approx(np.trace(rest @ rest @ rest @ rest), rel=1e-10)
