@@ -1,0 +1,35 @@
+"""The guards of measuring, inverting and validating: each takes numbers and returns a flag, or None."""
+
+from __future__ import annotations
+
+from .base import allowed, collect
+from .choice import disagreement, gcv_minimum, no_corner, noise_source, parameter
+from .dynamics import aliased, memory, unfinished
+from .inversion import index_offset, overridden, resolution
+from .measurement import high_pass, lost_channels, mixed_kinds, null_space
+from .model import not_verified
+from .validation import inverse_crime, no_coverage, used_for_training
+
+__all__ = [
+    "aliased",
+    "allowed",
+    "collect",
+    "disagreement",
+    "gcv_minimum",
+    "high_pass",
+    "index_offset",
+    "inverse_crime",
+    "lost_channels",
+    "memory",
+    "mixed_kinds",
+    "no_corner",
+    "no_coverage",
+    "noise_source",
+    "not_verified",
+    "null_space",
+    "overridden",
+    "parameter",
+    "resolution",
+    "unfinished",
+    "used_for_training",
+]

@@ -1,0 +1,63 @@
+"""Guards of the measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from structures.channels import Channel
+from structures.flags import Evidence, Flag
+
+
+def null_space(m: int, n: int, rank: int) -> Flag | None:
+    """W201: the sensors leave part of the load without a trace."""
+    if rank >= n:
+        return None
+    return Flag(
+        "W201",
+        Evidence("rank", rank, n),
+        f"m = {m} data, n = {n} unknowns, rank r = {rank}, nullity {n - rank}: what lies in ker(H) leaves no trace "
+        "in the data and is set by the prior",
+        "add sensors, shrink the load basis, or state the prior",
+    )
+
+
+def lost_channels(before: tuple[float, int, int], after: tuple[float, int, int], lost: Sequence[str]) -> Flag | None:
+    """W202: conditioning looks better because channels were lost; arguments (kappa, rank, nullity)."""
+    if not lost or not (after[0] < before[0] and after[2] > before[2]):
+        return None
+    return Flag(
+        "W202",
+        Evidence("nullity", after[2], before[2]),
+        f"kappa fell from {before[0]:.3g} to {after[0]:.3g} because modes were lost with {', '.join(lost)}; rank fell "
+        f"from {before[1]} to {after[1]}, nullity rose from {before[2]} to {after[2]}",
+        "restore the channels, or accept the smaller identifiable space",
+    )
+
+
+def mixed_kinds(channels: Sequence[Channel], known: bool) -> Flag | None:
+    """W204: sensors of different units without noise levels."""
+    units = sorted({c.unit for c in channels})
+    if known or len(units) < 2:
+        return None
+    return Flag(
+        "W204",
+        Evidence("units", ", ".join(units), "one unit, or a noise std for each"),
+        f"{len(units)} kinds of sensor without noise levels: rows are not comparable; each was scaled by its own rms",
+        "give noise= per channel, or record a quiet segment before the load",
+    )
+
+
+def high_pass(channels: Sequence[Channel], duration: float) -> Flag | None:
+    """W205: every channel is AC-coupled and the record reaches below the corners."""
+    corners = [c.highpass for c in channels]
+    if not corners or any(c is None for c in corners):
+        return None
+    corner, lowest = min(c for c in corners if c is not None), 1 / duration
+    if lowest >= corner:
+        return None
+    return Flag(
+        "W205",
+        Evidence("lowest frequency of the record, Hz", lowest, corner),
+        f"every channel is AC-coupled: the static part of the load is unobservable below {corner:.3g} Hz",
+        "add a strain or displacement sensor that sees 0 Hz, or do not read the mean of the load",
+    )
