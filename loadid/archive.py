@@ -77,6 +77,8 @@ def to_tree(e: LoadEstimate) -> dict[str, Any]:
     tree["certificate"] = e.certificate and asdict(e.certificate)
     tree["flags"] = [f.to_dict() for f in e.flags]
     tree["posterior"] = None if e.posterior is None else e.posterior.to_arrays()
+    tree["geometry"] = None if e.geometry is None else dict(e.geometry)
+    tree["validation"] = None if e.validation is None else e.validation.to_dict()
     return tree
 
 
@@ -96,4 +98,8 @@ def from_tree(tree: dict[str, Any]) -> LoadEstimate:
         from loadid.inverse.posterior import from_arrays
 
         tree["posterior"] = from_arrays(tree["posterior"])
+    if tree.get("validation") is not None:
+        from loadid.validate import Validation
+
+        tree["validation"] = Validation.from_dict(tree["validation"])
     return LoadEstimate(**tree)

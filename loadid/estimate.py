@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from loadid.functionals import Functional, functional, resultants
 from loadid.inverse.choice import Choice
 from structures.errors import InputError
 from structures.flags import Flag, canonical, codes
@@ -39,21 +40,6 @@ class Axis:
     def step(self) -> float:
         """Step of an even axis."""
         return float(self.values[-1] - self.values[0]) / (len(self.values) - 1)
-
-
-@dataclass(frozen=True)
-class Functional:
-    """A number made from a load: value and standard deviation (None where the estimate has no posterior)."""
-
-    name: str
-    value: float
-    std: float | None
-    unit: str
-
-    def __str__(self) -> str:
-        from loadid.summary import plus_minus
-
-        return f"{self.name} {plus_minus(self.value, self.std)} {self.unit}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -100,6 +86,13 @@ class LoadEstimate:
         Versions, settings, sha256 of the inputs, fingerprint of the model, date, family, prior in words.
     posterior : object, optional
         ``variance(w)`` of weights of the shape of `load` (or stacked in front), and ``to_arrays()``.
+    geometry : mapping, optional
+        Plain arrays of a load basis: ``coordinates`` (P, dim), ``cells``, ``components``, ``kind``, ``measures``,
+        ``resultant`` (R, loads) with ``resultant_labels``, ``traction`` (loads, loads) for nodal forces.
+    diagnosis : Diagnosis, optional
+        What the data can tell: `loadid.inverse.diagnose.diagnose`.
+    validation : Validation, optional
+        What was validated, and at which level.
     facts : mapping
         Numbers that are printed with every result: ``m, n, rank, nullity, kappa, edf, residual_to_noise,
         resolution`` and what else a family knows.
@@ -126,6 +119,9 @@ class LoadEstimate:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     posterior: Any = field(default=None, repr=False)
     bias: NDArray | None = field(default=None, repr=False)
+    geometry: Mapping[str, Any] | None = field(default=None, repr=False)
+    diagnosis: Any = field(default=None, repr=False)
+    validation: Any = None
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -138,6 +134,8 @@ class LoadEstimate:
         put(self, "allowed", tuple(canonical(c) for c in self.allowed))
         put(self, "provenance", MappingProxyType(dict(self.provenance)))
         put(self, "facts", MappingProxyType(dict(self.facts)))
+        if self.geometry is not None:
+            put(self, "geometry", MappingProxyType(dict(self.geometry)))
         _check(self)
 
     def __repr__(self) -> str:
@@ -146,7 +144,8 @@ class LoadEstimate:
 
     def __reduce__(self) -> tuple:
         state = {f.name: getattr(self, f.name) for f in fields(self)}
-        return _rebuild, (state | {"provenance": dict(self.provenance), "facts": dict(self.facts)},)
+        views = {k: v if v is None else dict(v) for k in ("provenance", "facts", "geometry") for v in [state[k]]}
+        return _rebuild, (state | views,)
 
     # -- numbers --------------------------------------------------------------------------------------------------
     @property
@@ -187,64 +186,101 @@ class LoadEstimate:
         self,
         w: str | ArrayLike = "impulse",
         *,
-        load: int | str = 0,
+        load: int | str | None = None,
+        loads: Sequence[int | str] | None = None,
         window: tuple[float, float] | None = None,
+        limit: float | None = None,
     ) -> Functional:
         """A weighted sum of the load with its standard deviation, correlations included.
 
         Parameters
         ----------
-        w : ``"impulse"``, ``"mean"`` or array
-            Impulse (step times sum, in unit s), mean, or weights of the shape of `load` or (samples,).
+        w : ``"impulse"``, ``"mean"``, ``"sum"``, ``"peak"``, ``"resultant"`` or array
+            Impulse (step times sum, in unit s), mean over the axis or over `loads` (by area where a basis knows it),
+            sum over `loads`, largest magnitude, resultant of a basis (``load="Fz"``), or weights of the shape of `load`
+            or (samples,). Over loads, a sequence of frames gives its last one.
         load : int or str
-            Which load, by index or label; not used when `w` has the shape of `load`.
+            Which load, by index or label, or which resultant; default the first.
+        loads : sequence of int or str, optional
+            Which loads to sum or average.
         window : (float, float), optional
             Part of the axis, both ends included.
+        limit : float, optional
+            No load exceeds this: states the largest bias that regularisation can then have made.
 
         Raises
         ------
         InputError
             If there is no such load, no axis, or the window or the weights do not fit.
         """
-        j = self._index(load)
-        weights, name, unit = np.zeros(self.load.shape), "functional", self.units[j]
-        if isinstance(w, str):
-            inside = self._window(window)
-            if w == "impulse":
-                weights[inside, j], name, unit = self._axis("time").step, "impulse", f"{unit} s"
-            elif w == "mean":
-                weights[inside, j], name = 1 / np.count_nonzero(inside), "mean"
-            else:
-                raise InputError("no such functional", where="w", found=w, expected="'impulse', 'mean' or an array")
-        else:
-            own = _weights(w)
-            if own.shape == self.load.shape:
-                weights = own.copy()
-            elif own.ndim == 1 and self.load.ndim == 2 and len(own) == len(self.load):
-                weights[:, j] = own
-            else:
-                raise InputError("the weights do not fit", where="w", found=own.shape, expected=self.load.shape)
-            if window is not None:
-                weights[~self._window(window)] = 0
-        variance = None if self.posterior is None else np.asarray(self.posterior.variance(weights)).item()
-        hidden = 0.0 if self.bias is None else float(np.sum(weights * self.bias))
-        std = None if variance is None else max(float(np.sqrt(max(variance, 0.0))), abs(hidden))
-        return Functional(name, float(np.sum(weights * self.load)), std, unit)
+        return functional(self, w, load=load, loads=loads, window=window, limit=limit)
 
-    def _index(self, load: int | str) -> int:
+    @property
+    def resultants(self) -> tuple[Functional, ...]:
+        """Resultant forces and moments, with std, where the loads are a basis that knows its geometry."""
+        return resultants(self)
+
+    def traction(self) -> NDArray[np.float64]:
+        """Tractions (Pa, or N/m on a line) of a static load, the shape of `load`: nodal forces by the boundary mass.
+
+        Raises
+        ------
+        InputError
+            If the loads are not a basis that knows its geometry.
+        """
+        matrix = None if self.geometry is None else self.geometry.get("traction")
+        if self.geometry is None or (matrix is None and self.geometry.get("kind") == "nodal"):
+            raise InputError(
+                "these loads have no geometry that would make them tractions",
+                where="traction",
+                found="loads without a basis",
+                expected="a model whose loads are a Basis",
+                hint="build the loads with structures.bases",
+            )
+        return self.load if matrix is None else np.asarray(self.load @ np.asarray(matrix).T)
+
+    def validated(self, validation: Any) -> LoadEstimate:
+        """Copy that carries what was validated (`loadid.validate.validate`), in its summary, report and file."""
+        from dataclasses import replace
+
+        return replace(self, validation=validation, flags=(*self.flags, *validation.flags))
+
+    def index(self, load: int | str | None) -> int:
+        """Column of a load, by index or label; None is the first.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        load = 0 if load is None else load
         if isinstance(load, str) and load in self.labels:
             return list(self.labels).index(load)
         if isinstance(load, int | np.integer) and -len(self.labels) <= load < len(self.labels):
             return int(load) % len(self.labels)
         raise InputError("no such load", where="load", found=repr(load), expected=f"an index or one of {self.labels}")
 
-    def _axis(self, name: str) -> Axis:
+    def over(self, name: str) -> Axis:
+        """The first axis, which must be this one and have a step.
+
+        Raises
+        ------
+        InputError
+            If it is another.
+        """
         if self.axis is None or self.axis.name != name or len(self.axis.values) < 2:
             found = "a static load" if self.axis is None else f"{len(self.axis.values)} values of {self.axis.name}"
             raise InputError(f"a load over {name} is needed", where="axis", found=found)
         return self.axis
 
-    def _window(self, window: tuple[float, float] | None) -> NDArray[np.bool_]:
+    def inside(self, window: tuple[float, float] | None) -> NDArray[np.bool_]:
+        """Which samples of the axis lie in a window.
+
+        Raises
+        ------
+        InputError
+            If there is no axis, or none does.
+        """
         if self.axis is None:
             raise InputError(
                 "a static load has no axis to take it over", where="w", hint="give the weights as an array"
@@ -347,19 +383,6 @@ def _frozen(value: ArrayLike) -> NDArray:
     array = array if array.dtype.kind in "fc" else array.astype(float)
     array.setflags(write=False)
     return array
-
-
-def _weights(w: ArrayLike) -> NDArray[np.float64]:
-    try:
-        own = np.asarray(w, float)
-    except (TypeError, ValueError) as error:
-        raise InputError("the weights are no numbers", where="w", found=str(error), expected="real numbers") from None
-    if not np.all(np.isfinite(own)):
-        raise InputError(
-            "the weights are not finite", where="w", found="NaN or infinity", expected="finite numbers",
-            hint="weigh what does not count with 0",
-        )  # fmt: skip
-    return own
 
 
 def _ends(window: tuple[float, float] | None) -> tuple[float, float]:

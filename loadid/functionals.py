@@ -1,0 +1,197 @@
+"""Numbers made from a load: impulse, mean, sum, resultant, peak, or any weighted sum, each with what is known of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+
+if TYPE_CHECKING:
+    from loadid.estimate import LoadEstimate
+
+Window = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Functional:
+    """A number made from a load.
+
+    Parameters
+    ----------
+    name : str
+    value : float
+    std : float or None
+        Standard deviation, of noise and prior; None where the estimate has no posterior.
+    unit : str
+    noise_std : float or None
+        Of the noise alone; None where the estimate does not know it.
+    bias_limit : float or None
+        Largest error that regularisation can have made, if no load exceeds the limit that was stated.
+    """
+
+    name: str
+    value: float
+    std: float | None
+    unit: str
+    noise_std: float | None = None
+    bias_limit: float | None = None
+
+    def __str__(self) -> str:
+        from loadid.summary import plus_minus
+
+        text = f"{self.name} {plus_minus(self.value, self.std)} {self.unit}".rstrip()
+        if self.bias_limit is not None:
+            text += f", bias at most {self.bias_limit:.3g} {self.unit}".rstrip()
+        return text
+
+
+def functional(
+    estimate: LoadEstimate,
+    w: str | ArrayLike,
+    *,
+    load: int | str | None,
+    loads: Sequence[int | str] | None,
+    window: Window | None,
+    limit: float | None,
+) -> Functional:
+    """See `LoadEstimate.functional`."""
+    if isinstance(w, str):
+        weights, name, unit = _named(estimate, w, load, loads, window)
+    else:
+        weights, name, unit = _own(estimate, w, load, window), "functional", estimate.units[estimate.index(load)]
+    posterior = estimate.posterior
+    variance = None if posterior is None else np.asarray(posterior.variance(weights)).item()
+    hidden = 0.0 if estimate.bias is None else float(np.sum(weights * estimate.bias))
+    std = None if variance is None else max(float(np.sqrt(max(variance, 0.0))), abs(hidden))
+    noise = getattr(posterior, "noise_variance", lambda _: None)(weights)
+    return Functional(
+        name,
+        float(np.sum(weights * estimate.load)),
+        std,
+        unit,
+        None if noise is None else float(np.sqrt(max(np.asarray(noise).item(), 0.0))),
+        None if limit is None else _bias_limit(posterior, weights, limit),
+    )
+
+
+def resultants(estimate: LoadEstimate) -> tuple[Functional, ...]:
+    """Resultant forces and moments of a static load on a basis that knows its geometry; of the last frame."""
+    labels = [] if estimate.geometry is None else list(estimate.geometry.get("resultant_labels", ()))
+    return tuple(functional(estimate, "resultant", load=x, loads=None, window=None, limit=None) for x in labels)
+
+
+def _named(
+    e: LoadEstimate, w: str, load: int | str | None, loads: Sequence[int | str] | None, window: Window | None
+) -> tuple[NDArray[np.float64], str, str]:
+    """Weights, name and unit of a functional that has a name."""
+    weights = np.zeros(e.load.shape)
+    if w == "resultant":
+        weights[_frame(e)], label, unit = _resultant(e, load)
+        return weights, label, unit
+    if w == "impulse":
+        j = e.index(load)
+        weights[e.inside(window), j] = e.over("time").step
+        return weights, "impulse", f"{e.units[j]} s"
+    columns = [e.index(x) for x in loads] if loads is not None else None
+    if w in ("sum", "mean") and (columns is not None or (e.load.ndim == 1 and load is None)):
+        columns = list(range(len(e.labels))) if columns is None else columns
+        units = {e.units[j] for j in columns}
+        if len(units) != 1:
+            raise InputError(
+                "loads of different units have no common sum", where="functional", found=sorted(units),
+                expected="one unit", hint="pick the loads with loads=[...]",
+            )  # fmt: skip
+        weights[_frame(e)][columns] = 1.0 if w == "sum" else _shares(e, columns)
+        return weights, w, units.pop()
+    j = e.index(load)
+    if w == "mean":
+        inside = e.inside(window)
+        weights[inside, j] = 1 / np.count_nonzero(inside)
+        return weights, "mean", e.units[j]
+    if w == "peak":
+        column = np.abs(e.load if e.load.ndim == 1 else e.load[:, j])
+        at = int(np.argmax(column))
+        weights[(at,) if e.load.ndim == 1 else (at, j)] = 1.0
+        return weights, "peak", e.units[at if e.load.ndim == 1 else j]
+    raise InputError(
+        "no such functional", where="w", found=w, expected="'impulse', 'mean', 'sum', 'peak', 'resultant' or an array"
+    )
+
+
+def _shares(e: LoadEstimate, columns: list[int]) -> NDArray[np.float64]:
+    """Weights of a mean over loads: by their areas where the basis knows them."""
+    measures = None if e.geometry is None else e.geometry.get("measures")
+    if measures is None or e.geometry is None:
+        return np.full(len(columns), 1 / len(columns))
+    count = len(e.geometry["components"])
+    area = np.asarray(measures, float)[np.array(columns) // count]
+    return area / area.sum()
+
+
+def _resultant(e: LoadEstimate, component: int | str | None) -> tuple[NDArray[np.float64], str, str]:
+    if e.geometry is None or e.geometry.get("resultant") is None:
+        raise InputError(
+            "these loads have no geometry to take a resultant over", where="functional",
+            found="loads without a basis", expected="a model whose loads are a Basis",
+            hint="give the weights as an array",
+        )  # fmt: skip
+    labels = list(e.geometry["resultant_labels"])
+    if component is None and len(labels) == 1:
+        component = labels[0]
+    if component not in labels:
+        raise InputError("no such resultant", where="load", found=repr(component), expected=f"one of {labels}")
+    row = np.asarray(e.geometry["resultant"], float)[labels.index(str(component))]
+    return row, str(component), "N m" if str(component).startswith("M") else "N"
+
+
+def _frame(e: LoadEstimate) -> tuple[int, ...] | slice:
+    """Index of the static load, or of its last frame."""
+    return slice(None) if e.load.ndim == 1 else (len(e.load) - 1,)
+
+
+def _own(e: LoadEstimate, w: ArrayLike, load: int | str | None, window: Window | None) -> NDArray[np.float64]:
+    """Weights of a user in the shape of the load."""
+    own = _weights(w)
+    if own.shape == e.load.shape:
+        weights = own.copy()
+    elif own.ndim == 1 and e.load.ndim == 2 and len(own) == len(e.load):
+        weights = np.zeros(e.load.shape)
+        weights[:, e.index(load)] = own
+    else:
+        raise InputError("the weights do not fit", where="w", found=own.shape, expected=e.load.shape)
+    if window is not None:
+        weights[~e.inside(window)] = 0
+    return weights
+
+
+def _weights(w: ArrayLike) -> NDArray[np.float64]:
+    try:
+        own = np.asarray(w, float)
+    except (TypeError, ValueError) as error:
+        raise InputError("the weights are no numbers", where="w", found=str(error), expected="real numbers") from None
+    if not np.all(np.isfinite(own)):
+        raise InputError(
+            "the weights are not finite", where="w", found="NaN or infinity", expected="finite numbers",
+            hint="weigh what does not count with 0",
+        )  # fmt: skip
+    return own
+
+
+def _bias_limit(posterior: object, weights: NDArray, limit: float) -> float | None:
+    """Worst error of regularisation for loads of at most `limit`: limit times the sum of |(R - I)^T w|."""
+    if isinstance(limit, bool) or not np.isfinite(limit) or limit <= 0:
+        raise InputError(
+            "no amplitude limit", where="limit", found=repr(limit), expected="a positive number in the unit of the load"
+        )
+    found = getattr(posterior, "bias_weights", lambda _: None)(weights)
+    if found is None:
+        raise InputError(
+            "this estimate does not know its resolution", where="functional", found=type(posterior).__name__,
+            expected="an estimate of a dense path", hint="leave limit out",
+        )  # fmt: skip
+    return float(limit * np.sum(np.abs(found)))
