@@ -1,4 +1,4 @@
-"""Straight beams: Euler-Bernoulli bending with consistent mass and optional axial tension.
+"""Straight beams: Euler-Bernoulli bending, constant or tapered, with consistent mass and optional axial tension.
 
 A beam lies along X and deflects along Z. Node i (from 0, left to right) has the unknowns w and theta = w', the slope.
 A positive slope dw/dx turns about -Y in a right-handed frame, so that the DOF table prints them as ``i+Z`` and
@@ -15,6 +15,7 @@ from typing import NoReturn, ParamSpec, Required, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
 
 from . import fields, materials
 from .damping import Damping, settled
@@ -35,6 +36,7 @@ __all__ = [
 Z, SLOPE = 3, -5
 ENDS: dict[str, tuple[int, ...]] = {"pinned": (Z,), "clamped": (Z, SLOPE), "free": (), "guided": (SLOPE,)}
 Array = NDArray[np.float64]
+Varying = float | Callable[[float], float]  # constant, or a function of x
 P = ParamSpec("P")
 
 
@@ -110,11 +112,11 @@ def beam(
     elements: int = 40,
     left: str,
     right: str,
-    EI: float | None = None,
-    mass_per_length: float | None = None,
+    EI: Varying | None = None,
+    mass_per_length: Varying | None = None,
     section: Section | None = None,
     material: Material | None = None,
-    tension: float | Callable[[float], float] = 0.0,
+    tension: Varying = 0.0,
     damping: Damping | float | None = None,
     origin: float = 0.0,
 ) -> Structure:
@@ -128,8 +130,8 @@ def beam(
         Equal elements. The frequency error is (beta h)^4 / 1440: six elements per wavelength give 8e-4.
     left, right : {"pinned", "clamped", "free", "guided"}
         Ends; guided holds the slope and lets the deflection go.
-    EI, mass_per_length : float, optional
-        Bending stiffness (N m^2) and mass per length (kg/m), or
+    EI, mass_per_length : float or callable, optional
+        Bending stiffness (N m^2) and mass per length (kg/m), each constant or a function of x (a tapered beam), or
     section, material : Section and Material, optional
         from which both follow.
     tension : float or callable
@@ -173,7 +175,7 @@ def beam(
             hint="check the units of the section (m); Euler-Bernoulli theory has no shear",
         )
     line = Line(length, elements, origin)
-    K = line.assemble(EI * curvature_matrix(line.h))
+    K = _integral(line, EI, 2, "EI", "N m^2")
     terms = {}
     if callable(tension) or number("tension", tension, where="beam", unit="N") != 0.0:
         terms["tension"] = line.tension(tension)
@@ -181,7 +183,7 @@ def beam(
     ends = [(0, axis) for axis in ENDS[left]] + [(line.elements, axis) for axis in ENDS[right]]
     return Structure(
         K=K,
-        M=line.assemble(mass * mass_matrix(line.h)),
+        M=_integral(line, mass, 0, "mass_per_length", "kg/m"),
         dofs=tuple(Dof(node, axis) for node in range(line.elements + 1) for axis in (Z, SLOPE)),
         coordinates=line.nodes,
         supports=tuple(Dof(node, axis) for node, axis in ends),
@@ -196,11 +198,11 @@ class BeamSettings(TypedDict, total=False):
 
     length: Required[float]
     elements: int
-    EI: float | None
-    mass_per_length: float | None
+    EI: Varying | None
+    mass_per_length: Varying | None
     section: Section | None
     material: Material | None
-    tension: float | Callable[[float], float]
+    tension: Varying
     damping: Damping | float | None
     origin: float
 
@@ -253,9 +255,16 @@ def free(**settings: Unpack[BeamSettings]) -> Structure:
     return beam(left="free", right="free", **settings)
 
 
+def _integral(line: Line, value: Varying, order: int, name: str, unit: str) -> sparse.csr_array:
+    """Stiffness (order 2) or mass (order 0) of a constant or varying property."""
+    if callable(value):
+        return line.varying(value, order, name, unit, positive=True)
+    return line.assemble(value * (curvature_matrix if order == 2 else mass_matrix)(line.h))
+
+
 def _properties(
-    EI: float | None, mass: float | None, section: Section | None, material: Material | None
-) -> tuple[float, float]:
+    EI: Varying | None, mass: Varying | None, section: Section | None, material: Material | None
+) -> tuple[Varying, Varying]:
     """Bending stiffness and mass per length, from numbers or from section and material, never from both."""
     for name, value, kind in (("section", section, Section), ("material", material, Material)):
         if value is not None and not isinstance(value, kind):
@@ -288,6 +297,6 @@ def _properties(
             hint="section=beams.Section.rectangle(width, height), material=beams.materials.steel",
         )
     return (
-        positive("EI", EI, where="beam", unit="N m^2"),
-        positive("mass_per_length", mass, where="beam", unit="kg/m"),
+        EI if callable(EI) else positive("EI", EI, where="beam", unit="N m^2"),
+        mass if callable(mass) else positive("mass_per_length", mass, where="beam", unit="kg/m"),
     )

@@ -180,33 +180,39 @@ class Line:
         i, j = np.broadcast_arrays(dofs[:, :, None], dofs[:, None, :])
         return sparse.coo_array((blocks.ravel(), (i.ravel(), j.ravel())), shape=(self.size, self.size)).tocsr()
 
-    def tension(self, T: float | Callable[[float], float], points: int = 4) -> sparse.csr_array:
-        """Geometric stiffness of an axial force `T` (N), constant or a function of the coordinate.
-
-        A function is integrated with Gauss points: one mid-point value per element would cost an order.
-        """
+    def tension(self, T: float | Callable[[float], float]) -> sparse.csr_array:
+        """Geometric stiffness of an axial force `T` (N), constant or a function of the coordinate."""
         if not callable(T):
             return self.assemble(number("tension", T, where="beam", unit="N") * slope_matrix(self.h))
-        xi, weights = gauss(points)
+        return self.varying(T, 1, "tension", "N")
+
+    def varying(
+        self, value: Callable[[float], float], order: int, name: str, unit: str, *, positive: bool = False
+    ) -> sparse.csr_array:
+        """Matrix of the integral of ``value(x)`` times the products of the `order`-th derivatives of the functions.
+
+        Four Gauss points per element: one mid-point value would cost an order.
+        """
+        xi, weights = gauss(4)
         x = self.origin + self.h * (np.arange(self.elements)[:, None] + xi)
-        force = np.array([[_force(T, float(value)) for value in row] for row in x])
-        slopes = np.array([shape(float(value), self.h, 1) for value in xi])
-        return self.assemble(self.h * np.einsum("ep,p,pi,pj->eij", force, weights, slopes, slopes))
+        factor = np.array([[_asked(value, float(at), name, unit, positive) for at in row] for row in x])
+        shapes = np.array([shape(float(at), self.h, order) for at in xi])
+        return self.assemble(self.h * np.einsum("ep,p,pi,pj->eij", factor, weights, shapes, shapes))
 
 
-def _force(T: Callable[[float], float], x: float) -> float:
-    """The axial force that a user's function gives at `x`, checked."""
+def _asked(function: Callable[[float], float], x: float, name: str, unit: str, positive: bool) -> float:
+    """What a user's function of x gives, checked."""
     try:
-        value: object = T(x)
+        value: object = function(x)
     except Exception as error:  # whatever a user's function raises is about this argument
         value = error
-    force = real(value)
-    if force is None:
+    found = real(value)
+    if found is None or (positive and found <= 0):
         raise InputError(
-            "the tension is no function of x",
-            where="beam, tension",
+            f"the {name} is no function of x",
+            where=f"beam, {name}",
             found=f"{shown(value)} at x = {x:.6g} m",
-            expected="one finite number in N for every x in m",
+            expected=f"one finite{', positive' if positive else ''} number in {unit} for every x in m",
             hint="pass a number, or a function such as lambda x: 100.0 + 5.0 * x",
         )
-    return force
+    return found

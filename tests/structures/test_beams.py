@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from structures import beams, loads, sensors
+from structures import ForwardModel, beams, loads, sensors
 from structures.beams import Material, Section
 from structures.errors import InputError
 
@@ -162,3 +162,32 @@ def test_sections():
 def test_bad_beams_raise(bad):
     with pytest.raises(InputError):
         bad()
+
+
+# -- tapered beams ----------------------------------------------------------------------------------------------------
+def test_a_constant_function_is_a_constant():
+    same = beams.cantilever(length=1.0, EI=lambda x: 7.0, mass_per_length=lambda x: 2.0, elements=6)
+    plain = beams.cantilever(length=1.0, EI=7.0, mass_per_length=2.0, elements=6)
+    np.testing.assert_allclose(same.K.toarray(), plain.K.toarray(), rtol=1e-13, atol=1e-12)
+    np.testing.assert_allclose(same.M.toarray(), plain.M.toarray(), rtol=1e-13, atol=1e-13)
+
+
+def test_tip_deflection_of_a_linear_taper():
+    """EI = EI0 (1 - x / 2 L), against the integral of P (L - x)^2 / EI(x) by quadrature; fourth order."""
+    from scipy.integrate import quad
+
+    EI0, P = 5.0, 3.0
+    exact = quad(lambda x: P * (1 - x) ** 2 / (EI0 * (1 - x / 2)), 0, 1)[0]
+    found = []
+    for elements in (4, 8):
+        beam = beams.cantilever(length=1.0, EI=lambda x: EI0 * (1 - x / 2), mass_per_length=1.0, elements=elements)
+        model = ForwardModel(beam, [sensors.Displacement(f"{elements}+Z")], [loads.Point(f"{elements}+Z")])
+        found.append(abs(P * model.static()[0, 0] / exact - 1))
+    assert found[1] < 1e-5
+    assert found[0] / found[1] > 10
+
+
+@pytest.mark.parametrize("bad", [lambda x: -1.0, lambda x: float("nan"), lambda x: "soft", lambda x: 1 / 0])
+def test_a_taper_that_is_none_is_refused(bad):
+    with pytest.raises(InputError, match="no function of x"):
+        beams.cantilever(length=1.0, EI=bad, mass_per_length=1.0)
