@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -30,34 +31,110 @@ class Posterior(Protocol):
 
 
 class DensePosterior:
-    """Covariance ``factor @ factor.T`` of the flattened load.
+    """Covariance ``factor @ factor.T`` of the flattened load, by the precision of noise and prior together.
+
+    An improper prior, flat along the null space of the penalty, needs no special case: there the data alone decide.
 
     Parameters
     ----------
     factor : array, shape (unknowns, modes)
     shape : tuple
-        Shape of the load.
+        Shape of the load of one frame.
+    passed : array, shape (modes,), optional
+        Filter factors: the share of each mode's variance that is noise; the rest is prior. None: not known.
+    dual : array, shape (unknowns, modes), optional
+        ``dual.T @ factor`` is the identity; needed where there are fewer modes than unknowns.
+    frames : int, optional
+        Frames of data with the same posterior and independent noise; the load is then (frames,) + shape.
     """
 
     kind = "dense"
 
-    def __init__(self, factor: NDArray, shape: tuple[int, ...]) -> None:
-        self.factor, self.shape = factor, tuple(int(i) for i in shape)
+    def __init__(
+        self,
+        factor: NDArray,
+        shape: tuple[int, ...],
+        *,
+        passed: NDArray | None = None,
+        dual: NDArray | None = None,
+        frames: int | None = None,
+    ) -> None:
+        self.factor, self.passed, self.dual = factor, passed, dual
+        self.frame_shape = tuple(int(i) for i in shape)
+        self.frames = None if frames is None else int(frames)
+        self.shape = self.frame_shape if frames is None else (int(frames), *self.frame_shape)
+        self._solver: Callable[[NDArray], NDArray] | None = None
 
     @property
     def std(self) -> NDArray[np.float64]:
         """Standard deviation, in the shape of the load."""
-        return np.sqrt(np.sum(self.factor**2, axis=1)).reshape(self.shape)
+        return self._spread(np.sum(self.factor**2, axis=1))
+
+    @property
+    def noise_std(self) -> NDArray[np.float64] | None:
+        """Standard deviation from the noise alone, in the shape of the load; None where the shares are not known."""
+        return None if self.passed is None else self._spread(self.factor**2 @ self.passed)
 
     def variance(self, w: NDArray) -> NDArray[np.float64]:
-        """Variance of ``sum(w * load)``."""
-        w = np.asarray(w, float)
-        lead = w.shape[: w.ndim - len(self.shape)]
-        return np.sum((w.reshape(*lead, -1) @ self.factor) ** 2, axis=-1)
+        """Variance of ``sum(w * load)``; `w` has the shape of the load, or of one frame; (k,) may stand in front."""
+        return self._variance(w, 1.0)
+
+    def noise_variance(self, w: NDArray) -> NDArray[np.float64] | None:
+        """Variance of ``sum(w * load)`` from the noise alone; None where the shares are not known."""
+        return None if self.passed is None else self._variance(w, self.passed)
+
+    def bias_weights(self, w: NDArray) -> NDArray[np.float64] | None:
+        """``(R - I)^T w`` in the shape of `w`: the bias of ``sum(w * estimate)`` is the sum of these times the load.
+
+        If no load exceeds a limit the bias stays below the limit times the sum of their moduli; if the norm of the load
+        stays below a limit, below the limit times their norm. None where the resolution R is not known.
+        """
+        full = self.factor.shape[0] == self.factor.shape[1]
+        if self.passed is None or (self.dual is None and not full):
+            return None
+        modal, _ = self._modal(w)
+        if self.dual is None:
+            lost = -self._undo(modal * (1 - self.passed))
+        else:
+            lost = (modal * self.passed) @ self.dual.T - np.asarray(w, float).reshape(*modal.shape[:-1], -1)
+        return lost.reshape(np.shape(w))
 
     def to_arrays(self) -> dict[str, object]:
         """Plain arrays, for a result file."""
-        return {"kind": self.kind, "factor": self.factor, "shape": list(self.shape)}
+        tree: dict[str, object] = {"kind": self.kind, "factor": self.factor, "shape": list(self.frame_shape)}
+        extra = {"passed": self.passed, "dual": self.dual, "frames": self.frames}
+        return tree | {name: value for name, value in extra.items() if value is not None}
+
+    def _spread(self, variance: NDArray) -> NDArray[np.float64]:
+        return np.broadcast_to(np.sqrt(variance).reshape(self.frame_shape), self.shape)
+
+    def _variance(self, w: NDArray, weight: NDArray | float) -> NDArray[np.float64]:
+        modal, framed = self._modal(w)
+        return np.sum(modal**2 * weight, axis=(-2, -1) if framed else -1)  # noise of different frames is independent
+
+    def _modal(self, w: NDArray) -> tuple[NDArray[np.float64], bool]:
+        """``factor.T @ w`` on the last axis, and whether the axis before it holds frames."""
+        w = np.asarray(w, float)
+        for shape in (self.shape, self.frame_shape):
+            lead = w.shape[: max(w.ndim - len(shape), 0)]
+            if w.shape[len(lead) :] == shape:
+                framed = self.frames is not None and shape is self.shape
+                axes = (*lead, shape[0]) if framed else lead
+                return w.reshape(*axes, -1) @ self.factor, framed
+        raise InputError(
+            "the weights do not fit the load", where="w", found=f"shape {w.shape}",
+            expected=f"shape {self.shape}" + (f", or {self.frame_shape} for one frame" if self.frames else ""),
+        )  # fmt: skip
+
+    def _undo(self, modal: NDArray) -> NDArray[np.float64]:
+        """``factor^-T`` on the last axis: factored once, columns scaled to equal length."""
+        from scipy.linalg import lu_factor, lu_solve
+
+        if self._solver is None:
+            length = np.linalg.norm(self.factor, axis=0)
+            lu = lu_factor((self.factor / length).T)
+            self._solver = lambda x: lu_solve(lu, (x / length).T).T
+        return self._solver(modal.reshape(-1, modal.shape[-1])).reshape(modal.shape)
 
 
 class SpectralPosterior:
@@ -89,6 +166,16 @@ class SpectralPosterior:
         quadratic = np.einsum("...ki,kij,...kj->...k", W.conj(), self.lines, W).real
         return quadratic @ multiplicity(self.padded) / (self.padded * self.samples)
 
+    @property
+    def noise_std(self) -> None:
+        """Not known: the lines hold noise and prior together."""
+
+    def noise_variance(self, w: NDArray) -> None:
+        """Not known: the lines hold noise and prior together."""
+
+    def bias_weights(self, w: NDArray) -> None:
+        """Not known: the lines do not hold the resolution."""
+
     def to_arrays(self) -> dict[str, object]:
         """Plain arrays, for a result file."""
         return {"kind": self.kind, "lines": self.lines, "samples": self.samples, "padded": self.padded}
@@ -103,7 +190,10 @@ def from_arrays(tree: dict) -> Posterior:
         If the kind is unknown.
     """
     if tree.get("kind") == DensePosterior.kind:
-        return DensePosterior(np.asarray(tree["factor"]), tuple(tree["shape"]))
+        passed, dual = (None if tree.get(k) is None else np.asarray(tree[k]) for k in ("passed", "dual"))
+        return DensePosterior(
+            np.asarray(tree["factor"]), tuple(tree["shape"]), passed=passed, dual=dual, frames=tree.get("frames")
+        )  # files from before these were kept hold the factor and the shape only
     if tree.get("kind") == SpectralPosterior.kind:
         return SpectralPosterior(np.asarray(tree["lines"]), tree["samples"], tree["padded"])
     raise InputError(

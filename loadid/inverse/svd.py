@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, NotIdentifiable
+from structures.errors import InputError
 
+from .gsvd import EPS, pad, paired, plain
 from .path import FactoredPath, Solution
 from .posterior import DensePosterior
 from .problem import LinearProblem
@@ -16,13 +21,27 @@ class SVDPath(FactoredPath):
     """Path of a dense problem of up to a few thousand unknowns: every lambda after one factorisation.
 
     L = I: ordinary SVD. Any other L: QR of ``[H; alpha L]``, SVD of its upper block, sines from its lower block; the
-    normal equations are never formed. Hansen (1998), ch. 2; the scaling alpha keeps the digits of the smaller block.
+    normal equations are never formed. Hansen (1998), ch. 2. Frames of data share one lambda: every scalar is the sum
+    over the frames, `m` and `null` count all of them, and the data coefficients are root mean squares.
 
     Parameters
     ----------
     problem : LinearProblem
     truncated : bool
-        Truncated SVD in place of Tikhonov.
+        Truncated (generalised) SVD in place of Tikhonov: modes with a generalised singular value below lambda are cut.
+    labels : sequence of str, optional
+        Names of the loads, for messages.
+
+    Attributes
+    ----------
+    U : array, shape (m, min(m, n))
+        Left singular vectors.
+    X, Y : array, shape (n, n)
+        Modes of the load and their dual, ``Y.T @ X`` = identity. `filter_factors` has the order of their columns.
+    meeting : float
+        Smallest singular value of ``[H / |H|; L / |L|]``; below sqrt(eps) the null spaces of H and L nearly meet.
+    singular_values : array, shape (min(m, n),)
+        Of the whitened operator.
 
     Raises
     ------
@@ -30,119 +49,153 @@ class SVDPath(FactoredPath):
         If a load is seen neither by the sensors nor by the penalty (LID-E306).
     """
 
-    def __init__(self, problem: LinearProblem, *, truncated: bool = False) -> None:
-        self.problem = problem
-        H, y, L = problem.H, problem.y, problem.L
+    def __init__(self, problem: LinearProblem, *, truncated: bool = False, labels: Sequence[str] | None = None) -> None:
+        H, L = problem.H, problem.L
         m, n = H.shape
-        if np.iscomplexobj(H) or np.iscomplexobj(y):
+        if np.iscomplexobj(H) or np.iscomplexobj(problem.y):
             raise InputError(
                 "the dense path takes real problems", where="inverse problem", found="complex numbers",
                 expected="real operator and data", hint="StackedPath takes complex lines",
             )  # fmt: skip
-        if L is None:
-            U, c, W = _svd(H)
-            c, W = _pad(c, n), W.T
-            s, self.X, null = np.ones(n), W, 0
-        else:
-            U, c, s, self.X = _gsvd(H, L)
-            null = int(np.sum(s <= 1e-10 * s.max(initial=0.0)))
-        beta = _pad(U.T @ y, n)
-        outside = float(np.sum((y - U @ (U.T @ y)) ** 2))
-        self.singular_values = np.linalg.svdvals(H) if L is not None else c[: min(m, n)]
-        c = np.where(c > max(m, n) * np.finfo(float).eps * c.max(), c, 0.0)  # sums run over the rank, never over n
-        weight = (np.arange(n) < m).astype(float)  # with fewer data than unknowns the other modes meet no data at all
-        super().__init__(c, s, beta, outside, m, weight=weight, null=null, truncated=truncated)
+        parts = plain(H) if L is None else paired(H, L, labels)
+        self.U, self.X, self.Y, self.meeting = parts.U, parts.X, parts.Y, parts.meeting
+        self.singular_values = parts.c[: min(m, n)] if L is None else np.linalg.svdvals(H)
+        self._cosines = np.where(parts.c > max(m, n) * EPS * parts.c.max(), parts.c, 0.0)  # sums run over the rank
+        self._sines = parts.s
+        self._kernel = 0 if L is None else int(np.sum(parts.s <= 1e-10 * parts.s.max(initial=0.0)))
         self._orthonormal = L is None
+        self._lengths: NDArray | None = None
+        self._take(problem, truncated)
 
+    def _take(self, problem: LinearProblem, truncated: bool) -> None:
+        """Coefficients of the data of a problem with this operator."""
+        self.problem, self._coupling = problem, None
+        y, (m, n) = problem.y, problem.H.shape
+        frames = problem.frames or 1
+        beta = self.U.T @ y
+        outside = float(np.sum((y - self.U @ beta) ** 2))
+        self._data = pad(beta, n)
+        # with fewer data than unknowns the other modes meet no data at all
+        weight = frames * (np.arange(n) < m).astype(float)
+        level = self._data if problem.frames is None else np.sqrt(np.mean(self._data**2, axis=1))
+        super().__init__(
+            self._cosines, self._sines, level, outside, m * frames,
+            weight=weight, null=self._kernel * frames, truncated=truncated,
+        )  # fmt: skip
+
+    def with_data(self, y: ArrayLike) -> SVDPath:
+        """The same factorisation with other whitened data, (m,) or (m, frames): costs two products.
+
+        Raises
+        ------
+        InputError
+            If the data do not fit or are not finite.
+        """
+        y, m = np.asarray(y, float), len(self.problem.H)
+        if y.ndim not in (1, 2) or y.shape[0] != m or 0 in y.shape:
+            raise InputError("the data do not fit the operator", where="data", found=f"shape {y.shape}",
+                             expected=f"({m},) or ({m}, frames)")  # fmt: skip
+        if not np.all(np.isfinite(y)):
+            raise InputError("NaN or inf in the data", where="data", expected="finite numbers",
+                             hint="leave out or repair the samples")  # fmt: skip
+        inner = self.problem.layout if self.problem.frames is None else self.problem.layout[1:]
+        layout = inner if y.ndim == 1 else (y.shape[1], *inner)
+        other = copy(self)
+        other._take(replace(self.problem, y=y, layout=layout), not self.smooth)
+        return other
+
+    # -- what an operator does at one lambda --------------------------------------------------------------------------
     @property
     def rank(self) -> int:
         """Numerical rank of the whitened operator."""
-        tol = max(self.problem.H.shape) * np.finfo(float).eps
+        tol = max(self.problem.H.shape) * EPS
         return int(np.sum(self.singular_values > tol * self.singular_values.max()))
+
+    @property
+    def null_space(self) -> NDArray[np.float64]:
+        """Orthonormal loads that no sensor sees, shape (n, n - rank)."""
+        unseen = self.X[:, self.c == 0]
+        return unseen if self._orthonormal else np.linalg.qr(unseen)[0]
+
+    def null_share(self, load: ArrayLike) -> float:
+        """Share of a candidate load that lies in ker(H), by its norm: 0 all is seen, 1 nothing is."""
+        g = np.asarray(load, float).reshape(-1, self.problem.H.shape[1]).T
+        size = float(np.linalg.norm(g))
+        return float(np.linalg.norm(self.null_space.T @ g)) / size if size > 0 else 0.0
+
+    def seen_share(self, load: ArrayLike) -> float:
+        """Share of a candidate load, by its norm, at right angles to ker(H): ``sqrt(1 - null_share^2)``."""
+        g = np.asarray(load, float).reshape(-1, self.problem.H.shape[1]).T
+        size = float(np.linalg.norm(g))
+        N = self.null_space
+        return float(np.linalg.norm(g - N @ (N.T @ g))) / size if size > 0 else 0.0
+
+    def filter_factors(self, lam: float) -> NDArray[np.float64]:
+        """Share of each mode that comes from the data, shape (n,), in the order of the columns of `X`."""
+        return self._filter(np.array([lam]))[0][0]
+
+    def inverse(self, lam: float) -> NDArray[np.float64]:
+        """Regularised inverse of the whitened operator, (n, m): one product takes whitened data to the load."""
+        r = self.U.shape[1]
+        return (self.X[:, :r] * self._per_coefficient(lam)[:r]) @ self.U.T
+
+    def resolution(self, lam: float) -> NDArray[np.float64]:
+        """Resolution matrix R, (n, n): the estimate is R times the load, but for noise."""
+        return (self.X * self.filter_factors(lam)) @ self.Y.T
+
+    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+        """What would be estimated from the noise-free response of `load`: R g; frames stand in front."""
+        g = load.reshape(-1, self.problem.H.shape[1]).T
+        return (self.X @ (self.filter_factors(lam)[:, None] * (self.Y.T @ g))).T.reshape(load.shape)
+
+    # -- the answer ---------------------------------------------------------------------------------------------------
+    def gains(self, lam: ArrayLike) -> NDArray:
+        """Mode coefficients f / c * beta of the solution, shape (n,) or (n, frames)."""
+        per = self._per_coefficient(float(np.asarray(lam)))
+        return per * self._data if self._data.ndim == 1 else per[:, None] * self._data
+
+    def _per_coefficient(self, lam: float) -> NDArray[np.float64]:
+        """Gain f / c of each mode, zero beyond the rank."""
+        return np.divide(self.filter_factors(lam), self.c, out=np.zeros(self.c.shape), where=self.c > 0)
 
     def residual(self, lam: float) -> NDArray[np.float64]:
         """Whitened residual y - H g, in the layout of the data."""
-        g = self.X @ self.gains(lam)
-        return (self.problem.y - self.problem.H @ g).reshape(self.problem.layout)
+        rest = self.problem.y - self.problem.H @ (self.X @ self.gains(lam))
+        return rest.T.reshape(self.problem.layout)
 
     def solution(self, lam: float, sigma: float | None) -> Solution:
-        """Load and, with the noise level `sigma` of the whitened data, its posterior."""
-        load = (self.X @ self.gains(lam)).reshape(self.problem.shape)
-        if sigma is None:
-            return Solution(load, None)
+        """Load, (n,) or (frames, n), and with the noise level `sigma` of the whitened data its posterior."""
+        load = (self.X @ self.gains(lam)).T.reshape(self.problem.load_shape)
+        return Solution(load, None if sigma is None else self._posterior(lam, sigma))
+
+    def _posterior(self, lam: float, sigma: float) -> DensePosterior:
+        f, shape, frames = self.filter_factors(lam), self.problem.shape, self.problem.frames
         if self.smooth:
-            x = lam * float(self.scale)
-            d = self.c**2 + (x * self.s) ** 2
-            factor = self.X * np.where(d > 0, sigma / np.sqrt(np.where(d > 0, d, 1.0)), 0.0)
+            d = self.c**2 + (lam * float(self.scale) * self.s) ** 2
+            spread = np.divide(sigma, np.sqrt(d), out=np.zeros(d.shape), where=d > 0)
         else:  # a hard cut-off has no prior: the noise of the kept modes only
-            f, _ = self._filter(np.array([lam]))
-            keep = f[0] > 0
-            factor = self.X[:, keep] * (sigma / self.c[keep])
-        return Solution(load, DensePosterior(factor, self.problem.shape))
+            spread = np.where(f > 0, self._per_coefficient(lam) * sigma, 0.0)
+        keep = spread > 0
+        if np.all(keep):
+            return DensePosterior(self.X * spread, shape, passed=f, frames=frames)
+        dual = self.Y[:, keep] / spread[keep]
+        return DensePosterior(self.X[:, keep] * spread[keep], shape, passed=f[keep], dual=dual, frames=frames)
 
-    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
-        """What would be estimated from the noise-free response of `load`: R g with the resolution matrix R."""
-        f, _ = self._filter(np.array([lam]))
-        g = load.reshape(-1)
-        modal = self.X.T @ g if self._orthonormal else np.linalg.solve(self.X, g)
-        return (self.X @ (f[0] * modal)).reshape(load.shape)
-
+    # -- what the sums over modes need where the modes are not at right angles ----------------------------------------
     def _lengths2(self) -> NDArray | float:
-        return 1.0 if self._orthonormal else np.sum(self.X**2, axis=0)
+        if self._orthonormal:
+            return 1.0
+        if self._lengths is None:
+            self._lengths = np.sum(self.X**2, axis=0)
+        return self._lengths
 
     def _length2(self, factors: NDArray, part: slice) -> NDArray:
         if self._orthonormal:
             return super()._length2(factors, part)
-        per = np.divide(self.beta, self.c, out=np.zeros(self.c.shape), where=self.c > 0)
-        return np.sum(((factors * per) @ self.X.T) ** 2, axis=-1)
-
-
-def _svd(H: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """SVD with all right vectors: U (m, r), c (r,), Wt (n, n)."""
-    import scipy.linalg
-
-    m, n = H.shape
-    U, c, Wt = scipy.linalg.svd(H, full_matrices=m < n)
-    return U[:, : len(c)], c, Wt
-
-
-def _gsvd(H: NDArray, L: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """U, cosines, sines and X of the pair (H, L): H = U diag(c) X^-1, |L X e_i| = s_i."""
-    import scipy.linalg
-
-    m, n = H.shape
-    if not np.any(L):
-        raise InputError("the penalty matrix is zero", where="penalty", expected="a matrix that penalises something")
-    alpha = np.linalg.norm(H) / np.linalg.norm(L)
-    Q, R = scipy.linalg.qr(np.vstack([H, alpha * L]), mode="economic")
-    _refuse_common_null_space(R, n)
-    U, c, Wt = _svd(Q[:m])
-    W = Wt.T
-    s = np.linalg.norm(Q[m:] @ W, axis=0) / alpha  # not sqrt(1 - c^2): that loses every digit where c is near 1
-    return U, _pad(c, n), s, scipy.linalg.solve_triangular(R, W)
-
-
-def _refuse_common_null_space(R: NDArray, n: int) -> None:
-    sigma, direction = None, None
-    if R.shape[0] < n:
-        direction, sigma = np.linalg.svd(R)[2][-1], 0.0
-    else:
-        values, vectors = np.linalg.svd(R)[1:]
-        if values[-1] <= n * np.finfo(float).eps * values[0]:
-            direction, sigma = vectors[-1], values[-1] / values[0]
-    if direction is not None:
-        largest = np.argsort(-np.abs(direction))[:5]
-        shape = (
-            "constant"
-            if np.ptp(direction) < 1e-6 * np.abs(direction).max()
-            else f"largest at unknowns {largest.tolist()}"
-        )
-        raise NotIdentifiable(
-            f"a load is seen neither by the sensors nor by the penalty (relative singular value {sigma:.2g}): {shape}",
-            advice="add a sensor that sees it, choose penalty='identity', or add a constraint",
-            code="LID-E306",
-        )
-
-
-def _pad(x: NDArray, n: int) -> NDArray:
-    return x if len(x) >= n else np.concatenate([x, np.zeros(n - len(x), x.dtype)])
+        if self._data.ndim == 1:
+            per = np.divide(self.beta, self.c, out=np.zeros(self.c.shape), where=self.c > 0)
+            return np.sum(((factors * per) @ self.X.T) ** 2, axis=-1)
+        if self._coupling is None:  # lengths of sums of modes, over all frames: nothing is solved with it
+            per = np.divide(self._data, self.c[:, None], out=np.zeros(self._data.shape), where=self.c[:, None] > 0)
+            self._coupling = np.einsum("ki,kj->ij", self.X, self.X, optimize=True) * (per @ per.T)
+        return np.maximum(np.sum((factors @ self._coupling) * factors, axis=-1), 0.0)

@@ -133,7 +133,7 @@ def test_a_hidden_unknown_is_named_by_its_number() -> None:
     rng = np.random.default_rng(1)
     H, L = rng.standard_normal((9, 6)), rng.standard_normal((4, 6))
     H[:, 3] = L[:, 3] = 0
-    with pytest.raises(NotIdentifiable, match=r"unknowns \[3,"):
+    with pytest.raises(NotIdentifiable, match=r"unknowns \[3\]"):
         SVDPath(LinearProblem.whitened(H, np.ones(9), L=L))
     with pytest.raises(NotIdentifiable):  # fewer rows than unknowns
         SVDPath(LinearProblem.whitened(H[:1], np.ones(1), L=L))

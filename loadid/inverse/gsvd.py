@@ -1,0 +1,169 @@
+"""Factorisation of a pair (H, L) by scaled QR and SVD, and the loads that neither of them sees, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError, NotIdentifiable
+
+EPS = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True)
+class Factors:
+    """Modes of a pair: ``H X = U diag(c)``, ``|L X e_i| = s_i``, ``X^-1 = Y^T``.
+
+    Parameters
+    ----------
+    U : array, shape (m, min(m, n))
+    c, s : array, shape (n,)
+    X, Y : array, shape (n, n)
+        Modes of the load, and their dual: ``Y.T @ X`` is the identity.
+    meeting : float
+        Smallest singular value of ``[H / |H|; L / |L|]``: zero where the null spaces of H and L meet.
+    """
+
+    U: NDArray[np.float64]
+    c: NDArray[np.float64]
+    s: NDArray[np.float64]
+    X: NDArray[np.float64]
+    Y: NDArray[np.float64]
+    meeting: float
+
+
+def plain(H: NDArray) -> Factors:
+    """Ordinary SVD, L = I."""
+    U, c, Wt = svd(H)
+    n = H.shape[1]
+    return Factors(U, pad(c, n), np.ones(n), Wt.T, Wt.T, 1.0)
+
+
+def paired(H: NDArray, L: NDArray, labels: Sequence[str] | None = None) -> Factors:
+    """Modes of (H, L) from the QR of ``[H; alpha L]`` and the SVD of its upper block.
+
+    The sines come from the lower block, not from sqrt(1 - c^2), which loses every digit where c is near 1; the scaling
+    alpha = |H| / |L| keeps the digits of the smaller block. Hansen (1998), sec. 2.1.
+
+    Raises
+    ------
+    InputError
+        If the penalty is zero.
+    NotIdentifiable
+        If the null spaces meet (LID-E306); the message names the loads.
+    """
+    import scipy.linalg
+
+    m, n = H.shape
+    if not np.any(L):
+        raise InputError("the penalty matrix is zero", where="penalty", expected="a matrix that penalises something")
+    size = norm2(H) or 1.0
+    alpha = size / norm2(L)
+    stack = np.empty((m + len(L), n), order="F")
+    stack[:m], stack[m:] = H, L
+    stack[m:] *= alpha
+    Q, R = scipy.linalg.qr(stack, mode="economic", overwrite_a=True, check_finite=False)
+    del stack
+    meeting = _smallest(R, n, labels) / size
+    U, c, Wt = svd(Q[:m])
+    W = Wt.T
+    s = np.linalg.norm(Q[m:] @ W, axis=0) / alpha
+    return Factors(U, pad(c, n), s, scipy.linalg.solve_triangular(R, W), R.T @ W, meeting)
+
+
+def svd(A: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """SVD by divide and conquer, with all right vectors: U (m, r), c (r,), Wt (n, n)."""
+    import scipy.linalg
+
+    m, n = A.shape
+    U, c, Wt = scipy.linalg.svd(A, full_matrices=m < n, check_finite=False)
+    return U[:, : len(c)], c, Wt
+
+
+def pad(x: NDArray, n: int) -> NDArray:
+    """`x` with zeros up to length `n` on its first axis."""
+    return x if len(x) >= n else np.concatenate([x, np.zeros((n - len(x), *x.shape[1:]), x.dtype)])
+
+
+def norm2(A: NDArray, steps: int = 30) -> float:
+    """Spectral norm, to a few per cent, from power iterations."""
+    top = float(np.abs(A).max(initial=0.0))
+    x: NDArray = np.random.default_rng(0).standard_normal((A.shape[1],))
+    size = 0.0
+    for _ in range(steps if top > 0 else 0):
+        x = x / np.linalg.norm(x)
+        y = A @ x / top  # squares stay within the range of numbers
+        size = float(np.linalg.norm(y))
+        x = A.T @ y / top
+        if not np.any(x):
+            break
+    return size * top
+
+
+def _smallest(R: NDArray, n: int, labels: Sequence[str] | None) -> float:
+    """Smallest singular value of the triangle; refuses where it is rounding."""
+    if len(R) == n:
+        diagonal = np.abs(np.diag(R))
+        value = _inverse_iteration(R) if diagonal.min() > n * EPS * diagonal.max() else 0.0
+        if value > 100 * n * EPS * diagonal.max():
+            return value
+    vectors_t, values = np.linalg.svd(R)[2], np.zeros(n)
+    values[: len(R)] = np.linalg.svdvals(R)
+    unseen = values <= n * EPS * values[0]
+    if np.any(unseen):
+        count = int(np.sum(unseen))
+        loads = "one load pattern is" if count == 1 else f"{count} load patterns are"
+        raise NotIdentifiable(
+            f"{loads} seen neither by the sensors nor by the penalty (relative singular value "
+            f"{values[-1] / values[0]:.2g}): {names(vectors_t[unseen].T, labels)}",
+            advice="add a sensor that sees it, choose penalty='identity', or add a constraint (a resultant)",
+            code="LID-E306",
+        )
+    return float(values[-1])
+
+
+def _inverse_iteration(R: NDArray, steps: int = 8) -> float:
+    """Smallest singular value of a regular triangle, from above: the cost is a few triangular solves."""
+    from scipy.linalg import solve_triangular
+
+    x = np.linalg.qr(np.random.default_rng(0).standard_normal((len(R), min(4, len(R)))))[0]
+    growth = 0.0
+    for _ in range(steps):
+        z = solve_triangular(R, x, trans="T", check_finite=False)
+        growth = float(np.linalg.norm(z, 2))
+        x = solve_triangular(R, z / growth, check_finite=False)
+        x = np.linalg.qr(x)[0]
+    return 1 / growth
+
+
+def names(directions: NDArray, labels: Sequence[str] | None = None, most: int = 5) -> str:
+    """Load patterns in words: constant, linear in the order of the loads, or the loads with the largest entries.
+
+    Parameters
+    ----------
+    directions : array, shape (n, k)
+        Orthonormal patterns.
+    labels : sequence of str, optional
+        Names of the loads; default their numbers.
+    """
+    n = len(directions)
+    found, rest = [], directions
+    ramp = np.arange(n) - (n - 1) / 2
+    for word, shape in (("constant over all loads", np.ones(n)), ("linear in the order of the loads", ramp)):
+        pattern = shape / np.linalg.norm(shape) if n > 1 else None
+        if pattern is None or rest.shape[1] == 0:
+            continue
+        inside = directions.T @ pattern
+        if np.linalg.norm(inside) > 1 - 1e-6:
+            found.append(word)
+            inside = rest.T @ pattern
+            rest = rest @ np.linalg.svd(inside[None])[2][1:].T
+    if rest.shape[1]:
+        size = np.linalg.norm(rest, axis=1)
+        largest = [k for k in np.argsort(-size, kind="stable")[:most] if size[k] > 0.01 * size.max()]
+        who = [str(k) if labels is None else labels[k] for k in largest]
+        found.append(f"largest at {'unknowns' if labels is None else 'loads'} [{', '.join(who)}]")
+    return "; ".join(found)
