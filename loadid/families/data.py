@@ -62,11 +62,7 @@ def gather(record: Any, dt: float | None, model: Model, sensors: Sequence[str | 
     InputError
         A missing step or channel, units that do not fit, samples that are missing.
     """
-    rows = np.arange(len(model.sensors)) if sensors is None else np.array([_row(s, model) for s in sensors])
-    if len(rows) == 0 or len(set(rows.tolist())) != len(rows):
-        raise InputError(
-            "choose each sensor once", where="sensors", found=sensors, expected="distinct sensors of the model"
-        )
+    rows = rows_of(sensors, model)
     if not isinstance(record, Record) and np.iscomplexobj(record):
         raise InputError("a record of time is real", where="estimate", found="complex numbers", expected="real samples")
     if not isinstance(record, Record):
@@ -100,6 +96,22 @@ def gather(record: Any, dt: float | None, model: Model, sensors: Sequence[str | 
 
     require_finite(picked)
     return Data(np.asarray(picked.values), record.dt, rows, picked.channels, record)
+
+
+def rows_of(sensors: Sequence[str | int] | None, model: Model) -> NDArray[np.int_]:
+    """Rows of the model that are used; None is all of them.
+
+    Raises
+    ------
+    InputError
+        If one is unknown or chosen twice.
+    """
+    rows = np.arange(len(model.sensors)) if sensors is None else np.array([_row(s, model) for s in sensors])
+    if len(rows) == 0 or len(set(rows.tolist())) != len(rows):
+        raise InputError(
+            "choose each sensor once", where="sensors", found=sensors, expected="distinct sensors of the model"
+        )
+    return rows
 
 
 def health(data: Data) -> tuple[Flag, ...]:

@@ -17,9 +17,9 @@ from ..estimate import Axis, LoadEstimate
 from ..inverse import diagnose, penalties, rules
 from ..inverse.choice import Choice, choose, residual_level
 from ..inverse.svd import SVDPath
-from ..inverse.toeplitz import SpectralPath
 from ..provenance import provenance
 from .data import Data, gather, health
+from .level import noise_level
 from .posing import UNUSABLE, Posed, Settings, diagonal, pose
 
 PRIOR = {
@@ -125,8 +125,7 @@ class Deconvolution:
         choice = choose(posed.path, self.choice, sigma=posed.noise.sigma, source=posed.noise.source)
         self._progress(0.9, "estimating the load")
         # a residual above the stated noise is model error: the band must not be narrower than what is seen
-        seen = residual_level(posed.path, choice.lam)
-        sigma = max(posed.noise.sigma or 0.0, seen or 0.0) or _last_resort(posed.path, choice)
+        sigma = noise_level(posed.path, choice, posed.noise)
         solution = posed.path.solution(choice.lam, sigma)
         residual = posed.values - posed.predict(solution.load)
         facts = self._facts(posed, choice, sigma, data.dt, solution.load)
@@ -261,10 +260,3 @@ def _prior(penalty: str | ArrayLike | None) -> str:
 def _discrepancy(posed: Posed, factor: float) -> float | None:
     """Lambda of the discrepancy rule at a multiple of the noise level."""
     return rules.discrepancy(rules.Sweep.over(posed.path, posed.noise.sigma), factor).lam
-
-
-def _last_resort(path: SVDPath | SpectralPath, choice: Choice) -> float:
-    """Noise level where the fit leaves too little to tell: of the nearest larger lambda that leaves enough."""
-    lam = np.geomspace(max(choice.lam, path.range[0]), max(10 * choice.lam, 1.0), 60)
-    levels = (residual_level(path, float(x)) for x in lam)
-    return next((level for level in levels if level is not None), float(np.sqrt(path.at(1.0).residual2 / path.m)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 from structures.model import Model
 
+from ..inverse.problem import Cholesky
 from .data import Data
+from .readings import Readings
 
 
 @dataclass(frozen=True)
@@ -19,14 +22,15 @@ class Noise:
 
     Parameters
     ----------
-    level : array
-        Std per sensor (sensors,) or covariance (sensors, sensors); where it is not known, a scale per channel.
+    level : array or Cholesky
+        Std per sensor (sensors,), covariance (sensors, sensors) or its factor; where it is not known, a scale per
+        channel.
     known : bool
         Whether `level` is the noise, or only a scale.
     source : str
     """
 
-    level: NDArray[np.float64]
+    level: Any
     known: bool
     source: str
 
@@ -80,6 +84,81 @@ def resolve(given: ArrayLike | None, source: str | None, model: Model, data: Dat
             hint="leave the channel out (sensors=[...])",
         )
     return Noise(scale, False, "not known")
+
+
+def steady(given: Any, source: str | None, interpolation: ArrayLike | None, model: Model, found: Readings) -> Noise:
+    """Noise of static readings, by the first that tells: the user, the model, the record's quiet segment; else a scale.
+
+    Parameters
+    ----------
+    given : float, array or Cholesky, optional
+        Std, (sensors,), covariance (sensors, sensors) or its factor; with `interpolation` that of the raw markers.
+    interpolation : array (sensors, markers), optional
+        The readings are ``W z`` of raw markers z: their noise is correlated, ``W R W^T``.
+
+    Raises
+    ------
+    InputError
+        A level that does not fit the channels, an interpolation without the noise of its markers.
+    """
+    count = len(found.rows)
+    if interpolation is not None:
+        return _interpolated(given, source, interpolation, count)
+    if isinstance(given, Cholesky):
+        return Noise(given, True, source or "covariance")
+    if given is not None:
+        level = _level(given, count, "sensors")
+        return Noise(level, True, source or ("covariance" if level.ndim == 2 else "a guess of the user"))
+    if found.data is not None:
+        return resolve(None, source, model, found.data)
+    declared = model.noise
+    if declared is not None:
+        pick = declared[found.rows] if declared.ndim == 1 else declared[np.ix_(found.rows, found.rows)]
+        return Noise(pick, True, "data sheet (declared with the sensors)")
+    return Noise(_scales(found), False, "not known")
+
+
+def _level(given: Any, count: int, what: str) -> NDArray[np.float64]:
+    level = np.asarray(given, float)
+    level = np.full(count, float(level)) if level.ndim == 0 else level
+    if level.shape not in {(count,), (count, count)} or not np.all(np.isfinite(level)):
+        raise InputError(
+            f"the noise does not fit the {what}",
+            where="noise",
+            found=f"shape {level.shape}",
+            expected=f"a number, ({count},) or ({count}, {count})",
+        )
+    return level
+
+
+def _interpolated(given: Any, source: str | None, interpolation: ArrayLike, count: int) -> Noise:
+    """Covariance of readings that were interpolated from markers."""
+    W = np.asarray(interpolation.toarray() if hasattr(interpolation, "toarray") else interpolation, float)
+    if W.ndim != 2 or W.shape[0] != count or not np.all(np.isfinite(W)) or given is None:
+        raise InputError(
+            "the interpolation does not fit the readings, or its markers have no noise",
+            where="interpolation",
+            found=f"shape {W.shape}, noise {'missing' if given is None else 'given'}",
+            expected=f"({count}, markers), with noise= of the markers",
+        )
+    level = _level(given, W.shape[1], "markers")
+    half = W * level if level.ndim == 1 else W @ np.linalg.cholesky(level)
+    return Noise(half @ half.T, True, source or "covariance of the interpolated markers")
+
+
+def _scales(found: Readings) -> NDArray[np.float64]:
+    """Scale of each channel where no noise is known: the rms of all channels of its unit."""
+    size2, units = np.mean(found.values**2, axis=0), [c.unit for c in found.channels]
+    scale = np.array([np.sqrt(np.mean([s for s, u in zip(size2, units, strict=True) if u == v])) for v in units])
+    if np.any(scale == 0):
+        raise InputError(
+            "all readings of a kind are zero",
+            where="readings",
+            found=[c.label for c, s in zip(found.channels, scale, strict=True) if s == 0][:8],
+            expected="a response",
+            hint="state the noise of the sensors (noise=): a load of zero within its band is then an answer",
+        )
+    return scale
 
 
 @dataclass(frozen=True)

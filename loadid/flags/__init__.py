@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from .base import allowed, collect
+from .bookkeeping import absolute_lambda, changing_lambda, diagonal
 from .choice import disagreement, gcv_minimum, no_corner, noise_source, parameter
 from .dynamics import aliased, memory, unfinished
 from .inversion import index_offset, overridden, resolution
-from .measurement import high_pass, lost_channels, mixed_kinds, null_space
+from .measurement import high_pass, interpolated, lost_channels, mixed_kinds, null_space
 from .model import not_verified
-from .validation import inverse_crime, no_coverage, used_for_training
+from .validation import inverse_crime, no_coverage, resultant_only, used_for_training
 
 __all__ = [
+    "absolute_lambda",
     "aliased",
     "allowed",
+    "changing_lambda",
     "collect",
+    "diagonal",
     "disagreement",
     "gcv_minimum",
     "high_pass",
     "index_offset",
+    "interpolated",
     "inverse_crime",
     "lost_channels",
     "memory",
@@ -30,6 +35,7 @@ __all__ = [
     "overridden",
     "parameter",
     "resolution",
+    "resultant_only",
     "unfinished",
     "used_for_training",
 ]

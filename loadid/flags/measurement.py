@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from structures.channels import Channel
 from structures.flags import Evidence, Flag
 
+CORRELATED = 0.5  # effective over nominal number of data
+
 
 def null_space(m: int, n: int, rank: int) -> Flag | None:
     """W201: the sensors leave part of the load without a trace."""
@@ -60,4 +62,27 @@ def high_pass(channels: Sequence[Channel], duration: float) -> Flag | None:
         Evidence("lowest frequency of the record, Hz", lowest, corner),
         f"every channel is AC-coupled: the static part of the load is unobservable below {corner:.3g} Hz",
         "add a strain or displacement sensor that sees 0 Hz, or do not read the mean of the load",
+    )
+
+
+def interpolated(m: int, effective: float, rank: int) -> Flag | None:
+    """W203: the noise of the data is correlated, as interpolation or filtering makes it.
+
+    Parameters
+    ----------
+    m : int
+        Nominal number of data.
+    effective : float
+        (tr C)^2 / tr(C^2) of their noise covariance, scaled to unit variances.
+    rank : int
+        Rank of C.
+    """
+    if rank == m and effective > CORRELATED * m:
+        return None
+    return Flag(
+        "W203",
+        Evidence("effective number of data", effective, CORRELATED * m),
+        f"nominal m = {m}, effective m = {effective:.1f}, rank of the noise covariance {rank}: the data were "
+        "interpolated or filtered",
+        "invert on the raw markers; the covariance given here was whitened on its range",
     )

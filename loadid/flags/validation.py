@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 from structures.flags import Evidence, Flag
 
 COVERED = 0.05  # how far the share inside a band may lie below its level
+
+
+def resultant_only(levels: Collection[str], numbers: int, loads: int) -> Flag | None:
+    """N701: nothing but resultants was compared, and they are fewer independent numbers than loads."""
+    if "resultant" not in levels or "distribution" in levels or numbers >= loads:
+        return None
+    return Flag(
+        "N701",
+        Evidence("independent numbers compared", numbers, loads),
+        "level: resultant. Necessary, not sufficient: infinitely many maps share this resultant",
+        "compare the distribution: a known indenter or load, an FE truth, or a pressure mat",
+    )
 
 
 def inverse_crime(simulated_by: str, fingerprint: str) -> Flag | None:

@@ -1,0 +1,110 @@
+"""Penalties of static loads: which matrix a name stands for, given what the load basis knows of its geometry."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+
+from ..inverse import penalties
+
+FIELD = {"gradient": "gradient of the load field", "laplacian": "curvature (Laplacian) of the load field"}
+ORDER = {
+    "first_difference": "differences of neighbouring loads",
+    "second_difference": "second differences of the loads",
+}
+
+
+def words(penalty: str | ArrayLike | None, basis: Any) -> str:
+    """The prior in words."""
+    if penalty is None:
+        return "none: plain least squares"
+    if not isinstance(penalty, str):
+        return "a penalty of the user"
+    if penalty == "identity":
+        return "loads of zero mean and equal variance, independent of each other"
+    if penalty in FIELD and basis is not None:
+        return f"a small {FIELD[penalty]}; its mean is left to the data"
+    name = {"gradient": "first_difference", "laplacian": "second_difference"}.get(penalty, penalty)
+    return f"small {ORDER[name]}, in their order; their mean is left to the data"
+
+
+def matrix(penalty: str | ArrayLike | None, loads: int, basis: Any) -> NDArray[np.float64] | None:
+    """Penalty matrix over the loads; None stands for the identity, or for no penalty.
+
+    Parameters
+    ----------
+    penalty : str, array (rows, loads) or None
+    loads : int
+    basis : Basis or None
+        Where it knows places, ``gradient`` and ``laplacian`` act on the load field there: on tractions, also where the
+        loads are nodal forces, so that the prior does not change with the mesh. Without a basis they are differences in
+        the order of the loads.
+
+    Raises
+    ------
+    InputError
+        A matrix that does not fit, too few loads, or a basis that is smooth by itself.
+    """
+    if penalty is None or (isinstance(penalty, str) and penalties.order(penalty) == 0):
+        return None
+    if not isinstance(penalty, str) or basis is None or penalty in ORDER:
+        if isinstance(penalty, str) and basis is not None and len(basis.components) > 1:
+            return _each(penalties.matrix(penalty, basis.points), len(basis.components))
+        return penalties.matrix(penalty, loads)
+    if basis.kind == "polynomials":
+        raise InputError(
+            "a polynomial basis is smooth by itself",
+            where="penalty",
+            found=repr(penalty),
+            expected="'identity', which penalises the size of its coefficients",
+            hint="raise or lower the degree to let through more or less detail",
+        )
+    L = _field(penalty, basis)
+    if basis.kind == "nodal":
+        L = _on_tractions(L, basis)
+    return _each(L, len(basis.components))
+
+
+def _field(penalty: str, basis: Any) -> NDArray[np.float64]:
+    """Gradient or Laplacian of one component over the places of a basis."""
+    places = np.asarray(basis.coordinates, float)
+    cells = getattr(basis, "cells", None)
+    if cells is not None and len(cells):
+        return _dense(penalties.surface(places, cells, penalty))
+    spread = places - places.mean(axis=0)
+    if places.ndim == 1 or np.linalg.matrix_rank(spread, tol=1e-9 * np.abs(spread).max(initial=1e-300)) <= 1:
+        along = spread @ np.linalg.svd(spread, full_matrices=False)[2][0] if places.ndim == 2 else places
+        order = np.argsort(along)
+        L = np.zeros((len(places) - penalties.order(penalty), len(places)))
+        L[:, order] = _dense(penalties.line(len(places), penalties.order(penalty), np.diff(along[order])))
+        return L
+    edges = np.asarray(basis.edges, int)
+    if not len(edges):
+        raise InputError(
+            "the load basis does not know which loads are neighbours",
+            where="penalty",
+            found=repr(penalty),
+            expected="a basis with cells or edges",
+            hint="penalty='identity', or a matrix of your own (inverse.penalties)",
+        )
+    lengths = np.linalg.norm(places[edges[:, 0]] - places[edges[:, 1]], axis=1)
+    return _dense(penalties.graph(len(places), edges, 1 / lengths**2, penalty))
+
+
+def _on_tractions(L: NDArray[np.float64], basis: Any) -> NDArray[np.float64]:
+    """L M^-1: nodal forces become tractions before they are differenced."""
+    from scipy.sparse.linalg import splu
+
+    return splu(basis.mass.tocsc()).solve(np.ascontiguousarray(L.T)).T
+
+
+def _each(L: NDArray[np.float64] | None, components: int) -> NDArray[np.float64] | None:
+    return L if L is None or components == 1 else _dense(penalties.components(L, components))
+
+
+def _dense(L: Any) -> NDArray[np.float64]:
+    return np.asarray(L.toarray() if hasattr(L, "toarray") else L, float)

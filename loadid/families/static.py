@@ -1,0 +1,364 @@
+"""Static inversion: loads from static strains or displacements, by the transfer matrix of a forward model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.arrays import MatrixModel
+from structures.errors import InputError, NotIdentifiable
+from structures.flags import Flag
+from structures.model import Model
+
+from .. import flags as guards
+from ..estimate import LoadEstimate
+from ..inverse import diagnose, penalties
+from ..inverse.choice import Choice, choose, residual_level
+from ..provenance import provenance
+from . import smoothness
+from .calibration import Calibration, calibrate
+from .frozen import Frozen, freeze
+from .geometry import geometry
+from .level import noise_level
+from .data import rows_of
+from .readings import Readings, readings
+from .steady import Absolute, Steady, discrepancy, pose, transfer
+
+
+class StaticInversion:
+    """Loads from static readings.
+
+    Minimises ``|R^(-1/2) (H g - y)|^2 + lambda^2 |L g|^2`` with the static transfer matrix H (sensors x loads), by SVD
+    or, for any penalty L, by the generalised one (Hansen, Rank-Deficient and Discrete Ill-Posed Problems, SIAM 1998).
+    Several readings share one lambda.
+
+    Parameters
+    ----------
+    model : Model, or array (sensors, loads)
+        Anything that gives ``static()``. Loads may be a `structures.bases` basis: then results know their geometry.
+    method : {"tikhonov", "tsvd"}
+    penalty : str, array or None
+        ``identity``; ``gradient`` or ``laplacian`` of the load field (differences in the order of the loads where the
+        model knows no places); ``first_difference``, ``second_difference`` in the order of the loads; a matrix
+        (rows, loads); or None for plain least squares, refused where the data do not determine the load.
+    choice : str, float, Absolute or None
+        Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
+    constraints : sequence
+        From `loadid.inverse.constraints`: non-negativity, bounds, support, resultants, friction cones.
+    noise : float, array or Cholesky, optional
+        Noise std of the sensors, (sensors,), or their covariance (sensors, sensors), or its Cholesky factor.
+    noise_source : str, optional
+        Where that level comes from; without it flag W406 is raised when the level decides.
+    interpolation : array (sensors, markers), optional
+        The readings were interpolated from raw markers, y = W z; `noise` is then that of the markers.
+    sensors : sequence of str or int, optional
+        Sensors of the model to use; default all.
+    allow : sequence of str
+        Guard codes whose refusal is overridden; printed on everything made from the result.
+    coverage : Coverage, optional
+        Outcome of `loadid.validate.coverage` on a set-up like this one.
+    progress : callable, optional
+        Called as ``progress(fraction, text)``.
+
+    Raises
+    ------
+    InputError
+        Unknown settings, a model without ``static()``, or a transfer matrix without any coupling (LID-E102).
+    """
+
+    name = "static inversion"
+
+    def __init__(
+        self,
+        model: Model | ArrayLike,
+        *,
+        method: str = "tikhonov",
+        penalty: str | ArrayLike | None = "identity",
+        choice: str | float | Absolute | None = None,
+        constraints: Sequence[Any] | Any = (),
+        noise: Any = None,
+        noise_source: str | None = None,
+        interpolation: ArrayLike | None = None,
+        sensors: Sequence[str | int] | None = None,
+        allow: Sequence[str] = (),
+        coverage: Any = None,
+        progress: Callable[[float, str], None] | None = None,
+    ) -> None:
+        if method not in ("tikhonov", "tsvd"):
+            raise InputError("unknown method", where="method", found=repr(method), expected="'tikhonov' or 'tsvd'")
+        if isinstance(penalty, str):
+            penalties.order(penalty)
+        if penalty is None:
+            if choice not in (None, 0, 0.0):
+                raise InputError(
+                    "without a penalty there is no lambda to choose", where="choice", found=choice, expected="None"
+                )
+            choice = 0.0
+        self.model: Model = model if isinstance(model, Model) else MatrixModel(model)  # type: ignore[arg-type]
+        self.method, self.penalty, self.choice = method, penalty, choice
+        self.constraints = tuple(constraints) if isinstance(constraints, list | tuple) else (constraints,)
+        if self.constraints and method == "tsvd":
+            raise InputError(
+                "a truncated SVD takes no constraints", where="method", found="tsvd", expected="method='tikhonov'"
+            )
+        self.noise, self.noise_source, self.interpolation = noise, noise_source, interpolation
+        self.sensors, self.allow, self.coverage = sensors, guards.allowed(allow), coverage
+        self._progress = progress or (lambda fraction, text: None)
+        self.basis = getattr(self.model, "basis", None)
+        self.H = transfer(self.model, self.allow)
+        self.L = smoothness.matrix(penalty, self.H.shape[1], self.basis)
+        self.calibration: Calibration | None = None
+
+    # -- doing --------------------------------------------------------------------------------------------------------
+    def estimate(self, found: Any, *, joint: bool = True) -> LoadEstimate:
+        """Rebuild the loads behind static readings.
+
+        Parameters
+        ----------
+        found : array (sensors,) or (frames, sensors), mapping of label to reading, or Record
+            In the units of the sensors.
+        joint : bool
+            One lambda for all frames. False chooses anew in each, which makes frames hard to compare (flag W409).
+
+        Returns
+        -------
+        LoadEstimate
+            Loads (loads,) or (frames, loads).
+
+        Raises
+        ------
+        InputError
+            Readings that do not fit the model, NaN, a sensor that no load moves, constraints that contradict.
+        NotIdentifiable
+            Loads that neither the sensors nor the penalty determine (LID-E306), constraints that nothing meets
+            (LID-E309).
+        """
+        given = readings(found, self.model, self.sensors)
+        self._progress(0.1, "posing the problem")
+        posed = self._pose(given)
+        self._refuse_undetermined(posed)
+        if not joint and len(given.values) > 1:
+            from .frames import each_frame
+
+            return each_frame(self, given)
+        self._progress(0.4, "choosing lambda")
+        choice = self._choose(posed)
+        self._progress(0.8, "estimating the load")
+        return self._answer(given, posed, choice)
+
+    def calibrate(self, records: Sequence[Any]) -> Calibration:
+        """Choose one relative lambda for several readings, and keep it for `estimate` and `freeze`.
+
+        Parameters
+        ----------
+        records : sequence of readings, as `estimate` takes them
+
+        Returns
+        -------
+        Calibration
+            The joint lambda, that of each record alone, and their spread.
+        """
+        self.calibration = None
+        self.calibration = calibrate(self, records)
+        return self.calibration
+
+    def freeze(self) -> Frozen:
+        """The inverse at a fixed lambda, with its date and the source of the noise level, for a stream of readings.
+
+        Raises
+        ------
+        InputError
+            If lambda is not fixed: neither calibrated nor given as a number.
+        """
+        return freeze(self)
+
+    # -- steps ----------------------------------------------------------------------------------------------------
+    def _pose(self, given: Readings) -> Steady:
+        return pose(
+            self.model,
+            given,
+            H=self.H,
+            L=self.L,
+            truncated=self.method == "tsvd",
+            constraints=self.constraints,
+            noise=self.noise,
+            source=self.noise_source,
+            interpolation=self.interpolation,
+        )
+
+    def _choose(self, posed: Steady) -> Choice:
+        choice = self.choice
+        if self.calibration is not None:
+            choice = self.calibration.lam
+        elif isinstance(choice, Absolute):
+            choice = choice.relative(posed.path)
+        return choose(posed.path, choice, sigma=posed.noise.sigma, source=posed.noise.source)
+
+    @property
+    def free(self) -> bool:
+        """Without regularisation."""
+        return self.penalty is None or (isinstance(self.choice, int | float) and self.choice == 0)
+
+    def _refuse_undetermined(self, posed: Steady) -> None:
+        n = self.H.shape[1]
+        if self.free and not self.constraints and posed.rank < n and "LID-E306" not in self.allow:
+            raise NotIdentifiable(
+                f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns "
+                f"from {len(posed.H)} sensors",
+                advice="add sensors, use a penalty (penalty='identity'), or fewer loads",
+                code="LID-E306",
+            )
+
+    def _answer(self, given: Readings, posed: Steady, choice: Choice) -> LoadEstimate:
+        path = posed.path
+        # a residual above the stated noise is model error: the band must not be narrower than what is seen
+        sigma = noise_level(path, choice, posed.noise)
+        solution = path.solution(choice.lam, sigma)
+        load = solution.load
+        assert solution.posterior is not None
+        std = np.broadcast_to(solution.posterior.std, load.shape)
+        single = given.axis is None
+        bias = None if posed.constrained else diagnose.hidden(posed.base, choice.lam, load, std)
+        response = given.values[0] if single else given.values
+        diagnosis = diagnose.diagnose(posed.base, choice.lam, sigma, load=np.atleast_2d(load)[-1])
+        facts = self._facts(posed, choice, sigma, load, diagnosis)
+        self._progress(1.0, "done")
+        return LoadEstimate(
+            load=load,
+            std=std if bias is None else np.maximum(std, np.abs(bias)),
+            bias=bias,
+            labels=[c.label for c in self.model.loads],
+            units=[c.unit for c in self.model.loads],
+            axis=given.axis,
+            choice=choice,
+            response=response,
+            residual=response - load @ posed.H.T,
+            sensors=[c.label for c in given.channels],
+            sensor_units=[c.unit for c in given.channels],
+            flags=self._flags(given, posed, choice, facts, solution, diagnosis),
+            allowed=self.allow,
+            certificate=self.model.certificate,
+            posterior=solution.posterior,
+            geometry=None if self.basis is None else geometry(self.basis),
+            diagnosis=diagnosis,
+            facts=facts,
+            provenance=provenance(
+                self.name,
+                settings=self._settings(posed, choice),
+                inputs={given.name: given.sha256},
+                model=self.model.fingerprint,
+                prior=smoothness.words(self.penalty, self.basis),
+            ),
+        )
+
+    # -- saying -------------------------------------------------------------------------------------------------------
+    def at_rest(self) -> Steady:
+        """The problem without readings: what a frozen inverse is made of.
+
+        Raises
+        ------
+        InputError
+            If sensors of several units have no noise levels: nothing says how they weigh.
+        """
+        rows = rows_of(self.sensors, self.model)
+        channels = tuple(self.model.sensors[i] for i in rows)
+        given = Readings(np.ones((1, len(rows))), rows, channels, None, "none", "")
+        posed = self._pose(given)
+        if not posed.noise.known and len({c.unit for c in channels}) > 1:
+            raise InputError(
+                "sensors of several units have no noise levels: nothing says how they weigh",
+                where="freeze",
+                found=sorted({c.unit for c in channels}),
+                expected="noise= per sensor",
+                hint="state the noise in the model (noise= of each sensor) or here",
+            )
+        return posed
+
+    def _facts(
+        self, posed: Steady, choice: Choice, sigma: float, load: NDArray[np.float64], diagnosis: diagnose.Diagnosis
+    ) -> dict[str, Any]:
+        path = posed.path
+        kappa, rank, nullity = posed.layout
+        point = path.at(choice.lam)
+        return {
+            "path": posed.solved_by,
+            "m": len(posed.H),
+            "n": posed.H.shape[1],
+            "frames": 1 if load.ndim == 1 else len(load),
+            "rank": rank,
+            "nullity": nullity,
+            "kappa": kappa,
+            "edf": None if point.edf is None else float(point.edf),
+            "residual_to_noise": residual_level(path, choice.lam) if posed.noise.known else None,
+            "noise_level": float(sigma),
+            "noise_source": posed.noise.source,
+            "band": posed.band,
+            "resolution": diagnosis.width,
+            "resolution_unit": diagnosis.width_unit,
+            "peak_bias": diagnosis.peak_bias,
+        }
+
+    def _flags(
+        self,
+        given: Readings,
+        posed: Steady,
+        choice: Choice,
+        facts: dict[str, Any],
+        solution: Any,
+        diagnosis: diagnose.Diagnosis,
+    ) -> tuple[Flag, ...]:
+        model, lost = self.model, [s.label for i, s in enumerate(self.model.sensors) if i not in given.rows]
+        after = (facts["kappa"], facts["rank"], facts["nullity"])
+        unseen = [c.label for c, column in zip(model.loads, posed.H.T, strict=True) if not np.any(column)]
+        simulated = "" if given.data is None else given.data.record.simulated_by
+        return guards.collect(
+            [
+                *self._overridden(posed),
+                *model.flags,
+                guards.not_verified(model.certificate),
+                *given.flags,
+                guards.null_space(facts["m"], facts["n"], facts["rank"], unseen),
+                None if posed.full is None else guards.lost_channels(posed.full, after, lost),
+                posed.correlated,
+                guards.mixed_kinds(given.channels, posed.noise.known),
+                *posed.found(choice, solution),
+                *guards.parameter(choice, lambda factor: discrepancy(posed, factor)),
+                guards.absolute_lambda(self.choice.lam, choice.scale) if isinstance(self.choice, Absolute) else None,
+                guards.inverse_crime(simulated, model.fingerprint),
+                guards.no_coverage(self.coverage),
+                guards.used_for_training("the record", given.fingerprints & getattr(model, "training", frozenset())),
+                guards.resolution(
+                    facts["nullity"],
+                    smoothness.words(self.penalty, self.basis),
+                    facts["resolution"],
+                    facts["resolution_unit"],
+                    facts["peak_bias"],
+                ),
+            ]
+        )
+
+    def _overridden(self, posed: Steady) -> list[Flag]:
+        """Refusals that `allow` took away."""
+        found = []
+        if "LID-E102" in self.allow and guards.diagonal(self.H) is not None:
+            found.append(guards.overridden("E102", "off-diagonal entries", 0, 1))
+        if "LID-E306" in self.allow and self.free and posed.rank < self.H.shape[1]:
+            found.append(guards.overridden("E306", "rank", posed.rank, self.H.shape[1]))
+        return found
+
+    def _settings(self, posed: Steady, choice: Choice) -> dict[str, Any]:
+        given = self.choice.lam if isinstance(self.choice, Absolute) else self.choice
+        return {
+            "method": self.method,
+            "penalty": self.penalty if isinstance(self.penalty, str | None) else "matrix",
+            "choice": given,
+            "calibration": None if self.calibration is None else str(self.calibration),
+            "constraints": [str(c) for c in self.constraints],
+            "path": posed.solved_by,
+            "noise_source": posed.noise.source,
+            "interpolated": self.interpolation is not None,
+            "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
+        }

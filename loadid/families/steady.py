@@ -1,0 +1,204 @@
+"""How static readings and a transfer matrix become a linear problem with a path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.channels import Channel
+from structures.errors import InputError
+from structures.flags import Flag
+from structures.model import Model
+
+from .. import flags as guards
+from ..inverse import diagnose, rules, whiteness
+from ..inverse.choice import Choice
+from ..inverse.constrained import ConstrainedPath
+from ..inverse.path import RegularizationPath
+from ..inverse.problem import LinearProblem, whiten
+from ..inverse.svd import SVDPath
+from . import noise as noises
+from .readings import Readings
+
+
+@dataclass(frozen=True)
+class Absolute:
+    """A lambda in the units of the problem, kept only where it must be (flag W307).
+
+    Parameters
+    ----------
+    lam : float
+        Absolute lambda of the whitened problem.
+    """
+
+    lam: float
+
+    def relative(self, path: RegularizationPath) -> float:
+        """The relative lambda that it is on this path."""
+        if isinstance(self.lam, bool) or not (np.isfinite(self.lam) and self.lam >= 0):
+            raise InputError("no lambda", where="choice", found=self.lam, expected="a finite number >= 0")
+        return float(self.lam / path.scale)
+
+
+@dataclass(frozen=True)
+class Steady:
+    """A static problem as posed.
+
+    Parameters
+    ----------
+    H : array, shape (used sensors, loads)
+        Transfer matrix in the units of the sensors.
+    base : SVDPath
+        Path of the problem without its constraints.
+    path : RegularizationPath
+        With them.
+    noise : Noise
+    full : (kappa, rank, nullity) or None
+        Conditioning with all sensors of the model, where only some are used.
+    channels : tuple of Channel
+        The used sensors.
+    """
+
+    H: NDArray[np.float64]
+    base: SVDPath
+    path: Any
+    noise: noises.Noise
+    full: tuple[float, int, int] | None
+    channels: tuple[Channel, ...]
+
+    @property
+    def constrained(self) -> bool:
+        """Whether there are constraints."""
+        return self.path is not self.base
+
+    @property
+    def rank(self) -> int:
+        """Rank of the whitened transfer matrix."""
+        return self.base.rank
+
+    @property
+    def layout(self) -> tuple[float, int, int]:
+        """Condition number of the visible part, rank and nullity."""
+        return diagnose.layout(self.base.singular_values, self.H.shape[1])
+
+
+    @property
+    def solved_by(self) -> str:
+        """Which path it is."""
+        first = "SVD" if self.base.problem.L is None else "generalised SVD"
+        return f"{first}, then constraints by active sets" if self.constrained else first
+
+    @property
+    def band(self) -> str:
+        """What the band holds, in words."""
+        if self.constrained:
+            return "noise and prior on the active face of the constraints: an active-set approximation"
+        if not self.base.smooth:
+            return "noise only: what the cut-off leaves out is not in the band"
+        return "noise and Gaussian prior; a load that does not fit the prior may lie outside"
+
+    @property
+    def correlated(self) -> Flag | None:
+        """W203 of the noise covariance."""
+        R = self.noise.level
+        if not self.noise.known or not isinstance(R, np.ndarray) or R.ndim == 1:
+            return None
+        effective, rank = whiteness.effective(R)
+        return guards.interpolated(len(R), effective, rank)
+
+    def found(self, choice: Choice, solution: Any) -> list[Flag | None]:
+        """What the inversion found."""
+        return []
+
+    @property
+    def whitening(self) -> NDArray[np.float64]:
+        """Matrix that whitens readings."""
+        return whiten(np.eye(len(self.H)), self.noise.level, axis=0)
+
+    def inverse(self, lam: float) -> NDArray[np.float64]:
+        """Regularised inverse (loads, sensors) of readings in their own units, without constraints."""
+        return self.base.inverse(lam) @ self.whitening
+
+    def solver(self, lam: float) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+        """Solver of one reading after another under the constraints, each started from the one before."""
+        prepared, W, last = self.path.prepare(lam), self.whitening, [None]
+
+        def solve(y: NDArray[np.float64]) -> NDArray[np.float64]:
+            found = prepared.solve(W @ y, warm=last[0])
+            last[0] = found
+            return found.load
+
+        return solve
+
+
+def transfer(model: Model, allow: Sequence[str]) -> NDArray[np.float64]:
+    """Static transfer matrix of a model, checked.
+
+    Raises
+    ------
+    InputError
+        If it has no coupling at all (LID-E102): each sensor would paint force where there is motion.
+    """
+    H = np.asarray(model.static(), float)
+    refusal = guards.diagonal(H)
+    if refusal is not None and "LID-E102" not in allow:
+        raise refusal
+    return H
+
+
+def pose(
+    model: Model,
+    given: Readings,
+    *,
+    H: NDArray[np.float64],
+    L: NDArray[np.float64] | None,
+    truncated: bool,
+    constraints: Sequence[Any],
+    noise: Any,
+    source: str | None,
+    interpolation: ArrayLike | None,
+) -> Steady:
+    """Whiten, factorise, constrain.
+
+    Raises
+    ------
+    InputError
+        A sensor that no load moves, noise that does not fit, constraints that do not fit.
+    NotIdentifiable
+        Loads that neither the sensors nor the penalty see.
+    """
+    rows = H[given.rows]
+    _refuse_silent(rows, given.channels)
+    level = noises.steady(noise, source, interpolation, model, given)
+    y = given.values[0] if given.axis is None else given.values
+    labels = [c.label for c in model.loads]
+    base = SVDPath(LinearProblem.whitened(rows, y, level.level, L), truncated=truncated, labels=labels)
+    path = ConstrainedPath(base, constraints) if constraints else base
+    full = None
+    if len(rows) < len(H):
+        scale = np.sqrt(np.mean(H**2, axis=1))
+        seen = H[scale > 0] / scale[scale > 0, None]
+        full = diagnose.layout(np.linalg.svd(seen, compute_uv=False), H.shape[1])
+    return Steady(rows, base, path, level, full, given.channels)
+
+
+def _refuse_silent(H: NDArray[np.float64], channels: Sequence[Channel]) -> None:
+    """Rows of zeros: what such a sensor reads is no answer to any load."""
+    silent = [c.label for c, row in zip(channels, H, strict=True) if not np.any(row)]
+    if silent:
+        raise InputError(
+            f"{len(silent)} sensor{'s' if len(silent) > 1 else ''} see no static load",
+            where="transfer matrix",
+            found=", ".join(silent[:8]) + (", ..." if len(silent) > 8 else ""),
+            expected="strains or displacements that a load moves",
+            hint="leave them out (sensors=[...]); velocity, acceleration and AC-coupled sensors see no constant load",
+        )
+
+
+def discrepancy(posed: Steady, factor: float) -> float | None:
+    """Lambda of the discrepancy rule at a multiple of the noise level."""
+    return rules.discrepancy(rules.Sweep.over(posed.path, posed.noise.sigma), factor).lam
