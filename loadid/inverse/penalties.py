@@ -1,11 +1,25 @@
-"""Penalties L of the regularisation term: as matrices over the samples, and as symbols over frequency lines."""
+"""Penalties L of the regularisation term: over samples, lines, grids, graphs and surfaces, and as spectral symbols.
+
+Those of a field are scaled so that ``|L g|^2`` is the integral of ``|grad g|^2`` or of the squared second derivative:
+the penalty then does not change with the mesh. They are sparse; `LinearProblem` takes them as they are.
+"""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+
+from .lines import degree, grid, line
+from .surface import surface
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+__all__ = ["components", "difference", "graph", "grid", "line", "matrix", "order", "surface", "symbol"]
 
 ORDER = {"identity": 0, "gradient": 1, "first_difference": 1, "laplacian": 2, "second_difference": 2}
 
@@ -64,3 +78,53 @@ def matrix(penalty: str | ArrayLike, samples: int, loads: int = 1) -> NDArray[np
 def symbol(penalty: str, theta: NDArray) -> NDArray[np.float64]:
     """Modulus of a named penalty at the digital frequencies `theta` (rad/sample)."""
     return np.abs(2 * np.sin(theta / 2)) ** order(penalty)
+
+
+def graph(n: int, edges: ArrayLike, weights: ArrayLike | None = None, kind: int | str = "gradient") -> csr_array:
+    """Differences along the edges of a graph, or the graph Laplacian.
+
+    Parameters
+    ----------
+    n : int
+        Number of points.
+    edges : array of int, shape (edges, 2)
+    weights : array, shape (edges,), optional
+        Positive, default 1. With the squared inverse length of each edge the differences become slopes.
+    kind : str or int
+        ``"gradient"`` (1): rows ``sqrt(w) (g_j - g_i)``. ``"laplacian"`` (2): rows ``sum_j w_ij (g_i - g_j)``.
+
+    Returns
+    -------
+    sparse array, (edges, n) or (n, n)
+
+    Raises
+    ------
+    InputError
+        Edges that name no points or join a point to itself, or weights that are not positive.
+    """
+    from scipy.sparse import coo_array, csr_array
+
+    ends, order = np.asarray(edges, int).reshape(-1, 2), degree(kind)
+    w = np.ones(len(ends)) if weights is None else np.asarray(weights, float)
+    if len(ends) == 0 or ends.min() < 0 or ends.max() >= n or np.any(ends[:, 0] == ends[:, 1]):
+        raise InputError("these are no edges of the graph", where="penalty", found=f"{len(ends)} edges",
+                         expected=f"pairs of different points from 0 to {n - 1}")  # fmt: skip
+    if w.shape != (len(ends),) or not np.all(np.isfinite(w)) or np.any(w <= 0):
+        raise InputError("the weights of the edges do not fit", where="penalty", found=f"shape {w.shape}, or not > 0",
+                         expected=f"{len(ends)} positive numbers")  # fmt: skip
+    i, j = ends.T
+    if order == 1:
+        row, root = np.arange(len(ends)), np.sqrt(w)
+        return csr_array(coo_array((np.r_[-root, root], (np.r_[row, row], np.r_[i, j])), shape=(len(ends), n)))
+    values = np.r_[w, w, -w, -w]
+    return csr_array(coo_array((values, (np.r_[i, j, i, j], np.r_[i, j, j, i])), shape=(n, n)))
+
+
+def components(L: ArrayLike | csr_array, count: int) -> csr_array:
+    """One penalty for each of `count` components of a vector load, (rows * count, points * count).
+
+    The loads are numbered point by point: index = point * count + component.
+    """
+    from scipy.sparse import csr_array, eye_array, kron
+
+    return csr_array(kron(csr_array(L), eye_array(count)))
