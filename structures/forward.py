@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from .bases.basis import Basis
 from .channels import Channel
 from .damping import Modal
 from .discretise import check, discretise, markov
 from .errors import InputError, NotIdentifiable
 from .factor import Factor
-from .loads import Load, matrix, near_support
+from .loads import Load, near_support, sparse_matrix
 from .model import Model
 from .modes import DENSE, Modes, modal_damping, modes
 from .reduction import ReducedModel, highpass, on_resonance, static_residual, unbounded
@@ -77,6 +78,7 @@ class ForwardModel(Model):
             )
         self.structure = structure
         self.sensors = _placed(sensors, "row", "sensors")
+        self.basis = loads if isinstance(loads, Basis) else None
         self.loads = _placed(loads, "column", "loads", "columns")
         size = structure.free.size
         if modes is not None and not (
@@ -97,13 +99,14 @@ class ForwardModel(Model):
             "band": band,
         }
         free = structure.free
-        self._S = sparse.csr_array(np.array([row(structure)[free] for row in _ask(self.sensors, "row")]))
+        self._S = _rows(structure, self.sensors)[:, free].tocsr()
         self._derivative = np.array([int(getattr(s, "derivative", 0)) for s in self.sensors])
         self._corner = np.array([s.highpass or 0.0 for s in self.sensors])
-        self._columns = _columns(structure, self.loads, free)
+        given = self.basis if self.basis is not None else self.loads
+        self._columns = _columns(structure, given, free)
         _finite_parts(self)
         found = near_support(structure, [p for p in self.loads if isinstance(p, Load)])
-        self.flags = () if found is None else (found,)
+        self.flags = (*getattr(structure.field, "flags", ()), *(() if found is None else (found,)))
 
     def __repr__(self) -> str:
         n = self.structure.free.size
@@ -291,7 +294,8 @@ class ForwardModel(Model):
         InputError
             If the structure has no such parameter or the factor is not positive.
         """
-        return ForwardModel(self.structure.scaled(parameter, factor), self.sensors, self.loads, **self._settings)
+        loads = self.loads if self.basis is None else self.basis
+        return ForwardModel(self.structure.scaled(parameter, factor), self.sensors, loads, **self._settings)
 
     @property
     def natural_frequencies(self) -> NDArray[np.float64] | None:
@@ -306,10 +310,9 @@ class ForwardModel(Model):
     @property
     def fingerprint(self) -> str:
         """Sha256 of the structure, the rows and columns with their channels, and the settings."""
-        columns = self._columns.toarray() if sparse.issparse(self._columns) else self._columns
         s = self._settings
-        rows = (self._S.toarray(), self._derivative, columns)
-        return digest("ForwardModel", self.structure.digest, *rows, self.sensors, self.loads, *s.values())
+        parts = (*_parts(self._S), self._derivative, *_parts(self._columns))
+        return digest("ForwardModel", self.structure.digest, *parts, self.sensors, self.loads, *s.values())
 
     # -- inside ---------------------------------------------------------------------------------------------------
     def _fixed(self, method: str) -> None:
@@ -386,11 +389,31 @@ def _ask(items: Sequence[Any], *methods: str) -> list[Any]:
     return [next(getattr(x, name) for name in methods if hasattr(x, name)) for x in items]
 
 
+def _rows(structure: Structure, sensors: Sequence[Any]) -> sparse.csr_array:
+    """Rows of the sensors over all DOFs, sparse (sensors, n), one dense row at a time."""
+    parts = [(np.flatnonzero(values), values) for values in (s.row(structure) for s in sensors)]
+    starts = np.cumsum([0, *(len(at) for at, _ in parts)])
+    entries = np.concatenate([values[at] for at, values in parts])
+    return sparse.csr_array((entries, np.concatenate([at for at, _ in parts]), starts), shape=(len(parts), structure.n))
+
+
+def _parts(matrix: Any) -> tuple[NDArray, ...]:
+    """Arrays that a matrix is made of, in one form for equal matrices."""
+    if not sparse.issparse(matrix):
+        return (matrix,)
+    coo = matrix.tocoo()
+    order = np.lexsort(coo.coords)
+    return tuple(np.asarray(part)[order] for part in (coo.data, *(c.astype(np.int64) for c in coo.coords)))
+
+
 def _columns(structure: Any, loads: Sequence[Any], free: NDArray) -> Any:
     """Load columns: sparse (n_free, loads), or dense (samples, n_free, loads) where one moves."""
+    if isinstance(loads, Basis):
+        return loads.columns(structure)[free].tocsc()
     fixed = [x for x in loads if isinstance(x, Load) and not hasattr(x, "columns")]
-    if fixed:
-        matrix(structure, fixed)  # names every load on a supported DOF at once
+    columns = sparse_matrix(structure, fixed)  # names every load on a supported DOF at once
+    if len(fixed) == len(loads):
+        return columns[free].tocsc()
     parts = [column(structure)[..., free] for column in _ask(loads, "columns", "column")]
     lengths = {len(part) for part in parts if part.ndim == 2}
     if not lengths:

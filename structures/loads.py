@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from .channels import Channel
 from .dofs import direction_code, direction_label
@@ -50,7 +51,7 @@ class Load(Channel):
         """
         column = self.shape(structure)
         if not np.any(column[structure.free]):
-            _refuse_supported(structure, [self.label])
+            refuse_supported([self.label])
         return column
 
 
@@ -318,14 +319,43 @@ def matrix(structure: Structure, loads: Sequence[Load]) -> Array:
     InputError
         Code LID-E104, naming all loads that act on supported DOFs only.
     """
-    columns = [load.shape(structure) for load in loads]
-    bad = [load.label for load, column in zip(loads, columns, strict=True) if not np.any(column[structure.free])]
+    return sparse_matrix(structure, loads).toarray()
+
+
+def sparse_matrix(structure: Structure, loads: Sequence[Load]) -> sparse.csc_array:
+    """Columns of several loads as a sparse array (n, loads); no dense one is made on the way.
+
+    Raises
+    ------
+    InputError
+        Code LID-E104, naming all loads that act on supported DOFs only.
+    """
+    rows: list[NDArray[np.intp]] = []
+    values: list[Array] = []
+    bad = []
+    held = np.zeros(structure.n, bool)
+    held[structure.supported] = True
+    for load in loads:
+        column = load.shape(structure)
+        rows.append(np.flatnonzero(column))
+        values.append(column[rows[-1]])
+        if np.all(held[rows[-1]]):
+            bad.append(load.label)
     if bad:
-        _refuse_supported(structure, bad)
-    return np.array(columns).reshape(len(loads), structure.n).T
+        refuse_supported(bad)
+    starts = np.cumsum([0, *map(len, rows)])
+    parts = (np.concatenate(values), np.concatenate(rows), starts) if rows else ([], [], starts)
+    return sparse.csc_array(parts, shape=(structure.n, len(rows)))
 
 
-def _refuse_supported(structure: Structure, labels: Sequence[str]) -> None:
+def refuse_supported(labels: Sequence[str]) -> NoReturn:
+    """Guard E104: these loads act on supported DOFs only.
+
+    Raises
+    ------
+    InputError
+        Code LID-E104, always.
+    """
     k = len(labels)
     raise InputError(
         f"{k} load{' acts' if k == 1 else 's act'} on supported DOFs only: "
@@ -345,15 +375,25 @@ def near_support(structure: Structure, loads: Load | Sequence[Load]) -> Flag | N
     structure from matrices, DOFs that K couples count as sharing an element.
     """
     loads = [loads] if isinstance(loads, Load) else list(loads)
-    hit = {load.label: held for load in loads if (held := _supports_near(structure, load))}
-    if not hit:
+    alone = [load for load in loads if not hasattr(load, "basis")]
+    hit = {load.label: near for load in alone if (near := _supports_near(structure, load))}
+    names_hit, held_by = list(hit), {dof for dofs in hit.values() for dof in dofs}
+    for basis in {id(load.basis): load.basis for load in loads if hasattr(load, "basis")}.values():
+        close, rows = basis.near(structure)  # all loads of a basis at once
+        mine = {load.label for load in loads if getattr(load, "basis", None) is basis}
+        labels = [label for i in close if (label := basis.labels[i]) in mine]
+        names_hit += labels
+        held_by |= {structure.dofs[i] for i in rows} if labels else set()
+    if not names_hit:
         return None
-    held = sorted({dof for dofs in hit.values() for dof in dofs})
-    names = [", ".join(map(str, items[:8])) + (", ..." if len(items) > 8 else "") for items in (list(hit), held)]
+    hit_words, held_words = (
+        ", ".join(map(str, items[:8])) + (", ..." if len(items) > 8 else "") for items in (names_hit, sorted(held_by))
+    )
     return Flag(
         "W105",
-        Evidence("loads that share an element with a supported DOF", len(hit), 0),
-        f"{len(hit)} of {len(loads)} loads next to a support, which carries part of them: {names[0]} beside {names[1]}",
+        Evidence("loads that share an element with a supported DOF", len(names_hit), 0),
+        f"{len(names_hit)} of {len(loads)} loads next to a support, which carries part of them: "
+        f"{hit_words} beside {held_words}",
         "report these loads separately, or refine the mesh between load and support",
     )
 
