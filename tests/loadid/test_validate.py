@@ -1,13 +1,14 @@
 """Coverage of the stated bands against its nominal value; held-out channels against closed truth."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from loadid import Deconvolution, Record
 from loadid.validate import Coverage, coverage, held_out
-from structures import Channel, ImpulseModel, InputError, MeasuredModel
+from structures import Channel, ImpulseModel, InputError, MatrixModel, MeasuredModel
 from tests.structures.impacts import blow, hits
 
 DT = 1 / 1000
@@ -117,6 +118,67 @@ class TestCoverage:
         assert "60.0%" in flag.message
         assert flag.evidence.value == 0.6
         assert "W703" in self.family(coverage=True).estimate(y, DT).codes
+
+
+class TestStaticCoverage:
+    """Readings y = H g + e with g from a Gaussian prior: the exact posterior covers as stated."""
+
+    H = np.random.default_rng(0).standard_normal((5, 8))
+
+    class Bayes:
+        """Posterior mean and std for a prior of unit std, scaled by a factor."""
+
+        def __init__(self, H, sigma, factor=1.0):
+            self.model, self.factor = MatrixModel(H), factor
+            stacked = np.vstack([H / sigma, np.eye(H.shape[1])])
+            self.Q, self.R = np.linalg.qr(stacked)
+            self.sigma = sigma
+
+        def estimate(self, y):
+            assert y.shape == (len(self.model.H),)
+            rhs = np.r_[y / self.sigma, np.zeros(self.R.shape[1])]
+            return SimpleNamespace(
+                load=np.linalg.solve(self.R, self.Q.T @ rhs),
+                std=self.factor * np.linalg.norm(np.linalg.solve(self.R, np.eye(len(self.R))), axis=1),
+            )
+
+    @pytest.mark.parametrize(("factor", "share"), [(1.0, 0.95), (0.5, 0.673)])
+    def test_draws_from_the_prior(self, factor, share):
+        found = coverage(self.Bayes(self.H, SIGMA, factor), lambda rng: rng.standard_normal(8), noise=SIGMA)
+        assert found.draws == 2000
+        assert found.share == pytest.approx(share, abs=0.01 if factor == 1 else 0.02)
+
+    def test_correlated_noise(self):
+        """The same errors, stated as a covariance and left out by whitening."""
+        R = 0.2 * np.eye(5) + 0.1
+        root = np.linalg.cholesky(R)
+        family = self.Bayes(np.linalg.solve(root, self.H), 1.0)
+        family.model = MatrixModel(self.H)
+        whitened = family.estimate
+        family.estimate = lambda y: whitened(np.linalg.solve(root, y))
+        found = coverage(family, lambda rng: rng.standard_normal(8), noise=R, draws=1000)
+        assert found.share == pytest.approx(0.95, abs=0.012)
+
+    def test_arrays_go_in_turn_and_another_truth_counts(self):
+        loads = np.random.default_rng(1).standard_normal((40, 8))
+        own, table, other = (
+            coverage(self.Bayes(self.H, SIGMA), g, noise=SIGMA, draws=40, truth=t).share
+            for g, t in ((list(loads), None), (loads, None), (20 * loads, MatrixModel(1.5 * self.H)))
+        )
+        assert own == table > 0.9
+        assert other < 0.3
+
+    @pytest.mark.parametrize(
+        ("loads", "settings"),
+        [
+            (np.ones(7), {}), (np.ones((2, 3, 8)), {}), (np.full(8, np.nan), {}), ([[1.0], [1.0, 2.0]], {}),
+            (lambda rng: np.ones(3), {}), (np.ones(8), {"noise": -1.0}), (np.ones(8), {"noise": np.zeros((5, 5))}),
+            (np.ones(8), {"noise": np.nan}),
+        ],
+    )  # fmt: skip
+    def test_refused(self, loads, settings):
+        with pytest.raises(InputError):
+            coverage(self.Bayes(self.H, SIGMA), loads, **{"noise": SIGMA, "draws": 3, **settings})
 
 
 class TestHeldOut:

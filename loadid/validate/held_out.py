@@ -1,0 +1,218 @@
+"""Channels that were kept out of the inversion, predicted from the estimated load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.flags import Flag
+from structures.hits import digests
+from structures.model import Model
+
+from .. import flags as guards
+from ..estimate import LoadEstimate
+from ..quality import require_finite
+from ..record import Record
+
+RECORD = 8  # frames from which equal columns are the same record, and no coincidence
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Prediction of channels from an estimated load.
+
+    Parameters
+    ----------
+    predicted, measured : array, shape (samples, sensors); static, (frames, sensors) or (sensors,)
+    error : tuple of float
+        Per channel, norm of the difference over norm of the measured. Of a single static reading, over the rms of all
+        channels of its unit: one channel may well read nothing.
+    labels : tuple of str
+    flags : tuple of Flag
+        W704 where a channel was used in the inversion, or the record in making the model.
+    noise_ratio : tuple of float, optional
+        Per channel, rms of the difference over the noise std, where the model states that.
+    """
+
+    predicted: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    error: tuple[float, ...]
+    labels: tuple[str, ...]
+    flags: tuple[Flag, ...]
+    noise_ratio: tuple[float, ...] | None = None
+
+
+def held_out(estimate: LoadEstimate, model: Model, record: Record | ArrayLike) -> HeldOut:
+    """Predict the channels of `model` from an estimated load and compare them with what was measured there.
+
+    Parameters
+    ----------
+    estimate : LoadEstimate
+        Load histories with a time axis, or a static load (loads,) or (frames, loads).
+    model : Model
+        Forward model from the same loads to the validation channels.
+    record : Record or array
+        Holds those channels. Static readings may be bare, (sensors,) or (frames, sensors), in the order of
+        ``model.sensors``; a record of many samples against one static load is averaged.
+
+    Raises
+    ------
+    InputError
+        Channels, samples or units that do not fit, another step, NaN, or an estimate over another axis.
+    """
+    static = _is_static(estimate)
+    if not static and (estimate.axis is None or estimate.axis.name != "time"):
+        raise InputError(
+            "only static loads and load histories can be validated on held-out channels",
+            where="held_out",
+            found="no time axis",
+            expected="an estimate over time, or a static one",
+            hint="transform the estimate to time first",
+        )
+    predicted, measured, whole = (_static if static else _in_time)(estimate, model, record)
+    labels = tuple(s.label for s in model.sensors)
+    error = _errors(predicted, measured, model)
+    flag = guards.used_for_training("a validation channel", set(labels) & set(estimate.sensors))
+    if flag is None and len(whole) >= RECORD:
+        flag = guards.used_for_training("the validation record", set(digests(whole)) & _seen(estimate, model))
+    return HeldOut(predicted, measured, error, labels, guards.collect([flag]), _ratio(predicted, measured, model))
+
+
+def _is_static(estimate: LoadEstimate) -> bool:
+    axis = estimate.axis
+    family = str(estimate.provenance.get("family", ""))
+    return axis is None or axis.name == "frame" or "static" in family.lower()
+
+
+def _in_time(estimate: LoadEstimate, model: Model, record: Any) -> tuple[NDArray, NDArray, NDArray]:
+    """Predicted and measured histories of equal length, and the measured one in full."""
+    if not isinstance(record, Record):
+        raise InputError(
+            "a load history is validated on a Record",
+            where="held_out",
+            found=f"an object of type {type(record).__name__}",
+            expected="a Record with its step and channels",
+            hint="Record(values, dt, labels)",
+        )
+    assert estimate.axis is not None
+    if abs(estimate.axis.step / record.dt - 1) > 1e-6:
+        raise InputError(
+            "the record and the estimate have different steps",
+            where="held_out",
+            found=f"dt = {record.dt:.9g} s",
+            expected=f"dt = {estimate.axis.step:.9g} s",
+            hint="resample one of the two",
+        )
+    whole = _select(model, record)
+    measured = whole[: len(estimate.load)]
+    predicted = model.predict(_ordered(estimate, model), record.dt)[: len(measured)]
+    return predicted, measured[: len(predicted)], whole
+
+
+def _static(estimate: LoadEstimate, model: Model, record: Any) -> tuple[NDArray, NDArray, NDArray]:
+    """Predicted and measured static readings in the shape of the load, and the measured ones as a table."""
+    predicted = _ordered(estimate, model) @ np.asarray(model.static(), float).T
+    if isinstance(record, Record):
+        measured = _select(model, record)
+        if estimate.load.ndim == 1:
+            measured = measured.mean(axis=0)
+    else:
+        measured = _readings(record)
+    if measured.ndim == 2 and estimate.load.ndim == 1 and len(measured) == 1:
+        measured = measured[0]
+    if measured.shape != predicted.shape:
+        raise InputError(
+            "the readings do not fit the estimate and the model",
+            where="held_out",
+            found=f"shape {measured.shape}",
+            expected=f"shape {predicted.shape} for the sensors {[s.label for s in model.sensors][:12]}",
+            hint="one number per sensor (and frame), in the order of model.sensors",
+        )
+    return predicted, measured, np.atleast_2d(measured)
+
+
+def _select(model: Model, record: Record) -> NDArray[np.float64]:
+    kept = record.select([s.label for s in model.sensors])
+    require_finite(kept)
+    _check_units(model, kept)
+    return np.asarray(kept.values)
+
+
+def _readings(values: Any) -> NDArray[np.float64]:
+    try:
+        table = np.asarray(values, float)
+    except (TypeError, ValueError):
+        table = np.full(1, np.nan)
+    if table.ndim not in (1, 2) or not table.size or not np.all(np.isfinite(table)):
+        raise InputError(
+            "the readings are no finite numbers",
+            where="held_out",
+            found="NaN, infinity or no numbers",
+            expected="(sensors,) or (frames, sensors)",
+            hint="leave lost sensors out of the model and of the readings",
+        )
+    return table
+
+
+def _errors(predicted: NDArray, measured: NDArray, model: Model) -> tuple[float, ...]:
+    if measured.ndim == 1:
+        units = np.array([s.unit for s in model.sensors])
+        size = np.array([np.sqrt(np.mean(measured[units == u] ** 2)) for u in units])
+    else:
+        size = np.linalg.norm(measured, axis=0)
+    if np.any(size == 0):
+        raise InputError(
+            "a validation channel is zero",
+            where="held_out",
+            found=[s.label for s, x in zip(model.sensors, size, strict=True) if x == 0],
+            expected="measured responses",
+            hint="leave it out",
+        )
+    difference = measured - predicted
+    found = np.abs(difference) if measured.ndim == 1 else np.linalg.norm(difference, axis=0)
+    return tuple(float(e) for e in found / size)
+
+
+def _ratio(predicted: NDArray, measured: NDArray, model: Model) -> tuple[float, ...] | None:
+    noise = model.noise
+    if noise is None:
+        return None
+    std = noise if noise.ndim == 1 else np.sqrt(np.diagonal(noise))
+    rms = np.sqrt(np.mean(np.atleast_2d(measured - predicted) ** 2, axis=0))
+    return tuple(float(r) for r in rms / std)
+
+
+def _seen(estimate: LoadEstimate, model: Model) -> set[str]:
+    """Digests of the responses that were inverted, and of those that the validation model was made from."""
+    inverted = () if estimate.response is None else digests(np.atleast_2d(estimate.response))
+    return {*inverted, *getattr(model, "training", ())}
+
+
+def _ordered(estimate: LoadEstimate, model: Model) -> NDArray[np.float64]:
+    """Loads of the estimate in the order of the model, where both name the same ones."""
+    have, want = list(estimate.labels), [c.label for c in model.loads]
+    if len(have) != len(want):
+        raise InputError(
+            "the model and the estimate have different loads",
+            where="held_out",
+            found=f"{len(want)} loads in the model",
+            expected=f"{len(have)} loads",
+            hint="build the validation model with the loads of the inversion",
+        )
+    return estimate.load[..., [have.index(w) for w in want]] if sorted(have) == sorted(want) else estimate.load
+
+
+def _check_units(model: Model, record: Record) -> None:
+    for row, channel in zip(model.sensors, record.channels, strict=True):
+        if "arbitrary" not in (row.unit, channel.unit) and row.unit != channel.unit:
+            raise InputError(
+                "the unit of a channel does not fit the sensor of the model",
+                where=f"channel {channel.label}",
+                found=channel.unit,
+                expected=row.unit,
+                hint="state the unit in which the channel was recorded",
+            )
