@@ -19,19 +19,26 @@ _PUBLIC = {
     "NotIdentifiable": "errors",
     "StateSpace": "statespace",
     "Structure": "structure",
+    "Surface": "surfaces",
 }
 _MODULES = (
+    "bases",
     "beams",
     "chains",
+    "circular",
     "damping",
     "dofs",
     "factor",
+    "files",
     "flags",
+    "frames",
     "loads",
     "plates",
     "reduction",
     "sensors",
+    "solids",
     "storage",
+    "surfaces",
     "units",
 )
 

@@ -14,7 +14,7 @@ from .channels import ARBITRARY, Channel
 from .dofs import TWIST, Dof, direction_code, direction_label
 from .errors import InputError
 from .fields import field_of
-from .values import number, positive, real, shown
+from .values import number, pair, positive, real, shown
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -50,15 +50,17 @@ def settled(who: str, at: Any) -> Place:
             expected="finite coordinates in m: x, or (x, y)",
             hint="name a DOF such as 12+Z, or give at= in metres",
         )
+    if hasattr(at, "_fields"):  # a place that names its coordinates keeps them
+        return type(at)(*at)
     return float(values.ravel()[0]) if values.size == 1 else tuple(values.ravel().tolist())
 
 
 def words(dof: Dof | None, at: Place | None, code: int | None = None) -> str:
-    """A DOF or a place in words: ``12+Z``, ``x=0.31 +Z``, ``x=0.1 y=0.2``."""
+    """A DOF or a place in words: ``12+Z``, ``x=0.31 +Z``, ``x=0.1 y=0.2``, ``member=2 s=0.4``."""
     if dof is not None:
         return str(dof)
     values = np.atleast_1d(np.asarray(at, float))
-    place = " ".join(f"{name}={value:.9g}" for name, value in zip("xyz", values, strict=False))
+    place = " ".join(f"{name}={value:.9g}" for name, value in zip(getattr(at, "_fields", "xyz"), values, strict=False))
     return place if code is None else f"{place} {direction_label(code)}"
 
 
@@ -197,7 +199,7 @@ class StrainGauge(Sensor):
         Centre of the gauge (m).
     fibre : float
         Coordinate z of the fibre (m, along +Z from the neutral axis or mid-plane): ``section.c`` on the upper face,
-        negative on the lower one.
+        negative on the lower one. On a member of a space frame also the pair (y, z) in the member's axes.
     length : float, optional
         Grid length (m): the mean over it, exact across elements. A point where not given.
     angle : float
@@ -213,7 +215,7 @@ class StrainGauge(Sensor):
 
     _: KW_ONLY
     at: Place
-    fibre: float
+    fibre: float | tuple[float, float]
     length: float | None = None
     angle: float = 0.0
     label: str = ""
@@ -221,7 +223,9 @@ class StrainGauge(Sensor):
     unit: str = "m/m"
 
     def __post_init__(self) -> None:
-        if not real(self.fibre):
+        if np.ndim(self.fibre) == 1:
+            object.__setattr__(self, "fibre", pair("the fibre", self.fibre, where="StrainGauge", unit="m"))
+        elif not real(self.fibre):
             raise InputError(
                 "the fibre's distance is missing",
                 where="StrainGauge",
@@ -240,6 +244,81 @@ class StrainGauge(Sensor):
     def row(self, structure: Structure) -> Array:
         """Row over all DOFs of the structure, shape (n,)."""
         return field_of(structure, f"sensor {self.label}").strain(self.at, self.fibre, self.angle, self.length)
+
+
+@dataclass(frozen=True)
+class SolidGauge(Sensor):
+    """Strain d^T eps d along a direction d, on the surface of a solid or inside; positive in tension.
+
+    Parameters
+    ----------
+    at : (x, y, z)
+        Centre of the gauge (m).
+    direction : (dx, dy, dz) or str
+        Direction of the grid, of any length; or an axis, "X".
+    length : float, optional
+        Grid length (m): the mean over it, exact across elements. A point where not given.
+    label, noise, highpass
+        As in `Displacement`; the noise is a strain.
+
+    Raises
+    ------
+    InputError
+        If place or direction is none; in `row`, if the gauge does not lie in the structure, or this is no solid.
+    """
+
+    _: KW_ONLY
+    at: Place
+    direction: Any
+    length: float | None = None
+    label: str = ""
+    quantity: str = "strain"
+    unit: str = "m/m"
+
+    def __post_init__(self) -> None:
+        if self.length is not None:
+            positive("the gauge length", self.length, where="SolidGauge", unit="m")
+        fixed_quantity(self, "strain")
+        object.__setattr__(self, "at", settled("SolidGauge", self.at))
+        object.__setattr__(self, "direction", _unit_vector(self.direction))
+        axis = ", ".join(f"{v:.3g}" for v in self.direction)
+        object.__setattr__(self, "label", self.label or f"strain {words(None, self.at)} along ({axis})")
+        super().__post_init__()
+
+    def row(self, structure: Structure) -> Array:
+        """Row over all DOFs of the structure, shape (n,)."""
+        field = field_of(structure, f"sensor {self.label}")
+        if not hasattr(field, "direct_strain"):
+            raise InputError(
+                "a solid gauge needs a solid",
+                where=f"sensor {self.label}",
+                found=type(field).__name__,
+                expected="a structure of structures.solids",
+                hint="sensors.StrainGauge(at=, fibre=) reads a fibre of a beam or plate",
+            )
+        return np.asarray(field.direct_strain(self.at, np.array(self.direction), self.length), float)
+
+
+def _unit_vector(direction: Any) -> tuple[float, float, float]:
+    """A direction in space as a unit vector; an axis by its name."""
+    if isinstance(direction, str) and abs(direction_code(direction)) in (1, 2, 3):
+        code = direction_code(direction)
+        direction = math.copysign(1.0, code) * np.eye(3)[abs(code) - 1]
+    try:
+        d = np.asarray(direction, float)
+    except (TypeError, ValueError):
+        d = np.empty(0)
+    size = float(np.linalg.norm(d))
+    if d.shape != (3,) or not np.isfinite(size) or size == 0:
+        raise InputError(
+            "no direction in space",
+            where="SolidGauge, direction",
+            found=shown(direction),
+            expected="three finite numbers, not all zero, or X, Y or Z",
+            hint="direction=(1, 0, 0) reads the strain along X",
+        )
+    x, y, z = (float(v) for v in d / size)
+    return x, y, z
 
 
 def matrix(structure: Structure, sensors: Sequence[Sensor]) -> Array:
