@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,7 @@ class Field(Protocol):
     def motion(self, at: ArrayLike, axis: int) -> Array:
         """Row of the motion along `axis` (direction code) at a point."""
 
-    def strain(self, at: ArrayLike, fibre: float, angle: float, length: float | None) -> Array:
+    def strain(self, at: ArrayLike, fibre: Any, angle: float, length: float | None) -> Array:
         """Row of the strain of a fibre at the distance `fibre` from the neutral axis or mid-plane, along `angle`."""
 
     def resultant(self, region: tuple[Span, ...]) -> Array:
@@ -131,14 +131,22 @@ def point(at: ArrayLike, names: Sequence[str]) -> tuple[float, ...]:
     return tuple(float(v) for v in values)
 
 
-def within(fibre: float, outer: float | None) -> None:
+def within(fibre: Any, outer: float | None) -> None:
     """Refuse a fibre that lies outside the section; glue and carrier of a gauge are forgiven.
 
     Raises
     ------
     InputError
-        If it lies further out than the outer fibre, by more than a quarter.
+        If it lies further out than the outer fibre, by more than a quarter, or is a pair.
     """
+    if np.ndim(fibre):
+        raise InputError(
+            "this structure bends over its height only",
+            where="StrainGauge, fibre",
+            found=f"fibre = {fibre}",
+            expected="one distance from the neutral axis or mid-plane, in m",
+            hint="a pair (y, z) is for members of a frame in space",
+        )
     if outer is not None and abs(fibre) > CARRIER * outer:
         raise InputError(
             "the gauge lies outside the section",

@@ -141,7 +141,8 @@ def test_gauge_under_a_distributed_load():
 
 # -- sections and bad input ----------------------------------------------------------------------------------------
 def test_sections():
-    assert Section.rectangle(0.05, 0.01) == Section(A=5e-4, I=0.05 * 0.01**3 / 12, c=0.005)
+    bar = Section.rectangle(0.05, 0.01)
+    assert (bar.A, bar.I, bar.c) == (5e-4, 0.05 * 0.01**3 / 12, 0.005)
     full, tube = Section.circle(0.04), Section.tube(0.04, 0.02)
     assert (tube.A, tube.I, tube.c) == pytest.approx((full.A, full.I, full.c))
     thin = Section.tube(0.04, 0.003)
