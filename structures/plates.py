@@ -1,5 +1,7 @@
 """Thin rectangular plates: the Bogner-Fox-Schmit element on a rectangular mesh, in closed form.
 
+Round ones are in `circular`.
+
 A plate lies in the X-Y plane and deflects along Z. Node i + (nx + 1) j, at column i along x and row j along y, has
 the unknowns w, w_x, w_y, w_xy. In a right-handed frame w_x turns about -Y and w_y about +X, so that the DOF table
 prints them as ``n+Z``, ``n-RY``, ``n+RX`` and ``n+XY``; the last, the twist (1/m), is internal.
@@ -19,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from . import circular as circular  # plates.circular.plate
 from . import fields
 from .damping import Damping, settled
 from .dofs import TWIST, Dof, direction_label
