@@ -1,0 +1,178 @@
+"""Arrays in HDF5 files: those of this package, with their checksum, and plain ones that others wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import storage
+from ..errors import InputError
+from .container import BUDGET, Container
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+KIND = "structure"
+OBJECTS = 10_000
+_FILTERS = (1, 2, 3)  # deflate, shuffle, fletcher32: compiled in; any other would load a library from the disk
+
+
+def open_hdf5(path: Path) -> Container:
+    """The arrays of a file.
+
+    Raises
+    ------
+    InputError
+        If it is no HDF5 file, is cut or damaged, or holds what is not read (links out of the file, plug-in filters).
+    """
+    if storage.kind_of(path) is not None:
+        tree = storage.read(path, KIND)
+        arrays: dict[str, Callable[[], NDArray]] = {}
+        _flatten(tree, "", arrays)
+        return Container(str(path), arrays, {})
+    _signed(path)
+    names, shapes = _guarded(path, _list)
+    return Container(str(path), {name: partial(_guarded, path, partial(_get, name=name)) for name in names}, shapes)
+
+
+def _flatten(tree: dict[str, Any], prefix: str, out: dict[str, Callable[[], NDArray]]) -> None:
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            _flatten(value, f"{prefix}{name}/", out)
+        elif value is not None:
+            out[prefix + name] = partial(np.asarray, value)
+
+
+def _signed(path: Path) -> None:
+    """Signature, and a file as long as its superblock says, before the library sees it."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        start, at = -1, 0
+        while at < size and at <= 2**20:
+            file.seek(at)
+            if file.read(8) == SIGNATURE:
+                start = at
+                break
+            at = max(512, 2 * at)
+        head = file.read(64) if start >= 0 else b""
+    if start < 0 or len(head) < 48:
+        raise InputError(
+            "no HDF5 file, or damaged in its first bytes",
+            where=str(path),
+            found=f"{size} bytes without the signature of HDF5",
+            expected="a file that begins with it",
+            hint="transfer or export it again",
+        )
+    end = _end(head)
+    if end is not None and end + (start if end + start <= size else 0) > size:
+        raise InputError(
+            "the file is cut",
+            where=str(path),
+            found=f"{size} bytes",
+            expected=f"{end} bytes, as its superblock says",
+            hint="transfer it again, or close it properly where it is written",
+        )
+
+
+def _end(head: bytes) -> int | None:
+    """End-of-file address of a superblock, from the bytes after the signature; None where it is unusual."""
+    version = head[0]
+    if version in (0, 1) and head[5] == 8:
+        at = (24 if version == 0 else 28) - 8 + 16
+    elif version in (2, 3) and head[1] == 8:
+        at = 4 + 16
+    else:
+        return None
+    value = int.from_bytes(head[at : at + 8], "little")
+    return None if value == 2**64 - 1 else value
+
+
+def _guarded(path: Path, work: Callable[[Any], Any]) -> Any:
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            return work(file)
+    except InputError:
+        raise
+    except Exception as error:  # HDF5 raises OSError, KeyError, RuntimeError, ValueError, ... on what it cannot read
+        raise InputError(
+            "HDF5 cannot read it",
+            where=str(path),
+            found=f"{type(error).__name__}: {error}"[:200],
+            expected="an undamaged file",
+            hint="transfer or export it again",
+        ) from None
+
+
+def _list(file: Any) -> tuple[list[str], dict[str, int]]:
+    """Paths of all datasets, and the number of rows that MATLAB states for a sparse group."""
+    import h5py
+
+    names: list[str] = []
+    shapes: dict[str, int] = {}
+    queue = [("", file)]
+    seen = 0
+    while queue:
+        prefix, group = queue.pop(0)
+        for name in group:
+            seen += 1
+            if seen > OBJECTS:
+                raise InputError(
+                    "too many objects",
+                    where=file.filename,
+                    found=f"more than {OBJECTS}",
+                    expected="a file of a few matrices",
+                    hint="export K, M and C into a file of their own",
+                )
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink) or name.startswith("#"):
+                continue  # a link may leave the file, or lead in a circle
+            item = group[name]
+            if isinstance(item, h5py.Dataset):
+                names.append(prefix + name)
+            elif isinstance(item, h5py.Group) and prefix.count("/") < 8:
+                if "MATLAB_sparse" in item.attrs:
+                    shapes[prefix + name] = int(item.attrs["MATLAB_sparse"])
+                queue.append((f"{prefix}{name}/", item))
+    return names, shapes
+
+
+def _get(file: Any, name: str) -> NDArray:
+    item = file[name]
+    where = f"{file.filename}, {name}"
+    settings = item.id.get_create_plist()
+    filters = [settings.get_filter(i)[0] for i in range(settings.get_nfilters())]
+    if item.external or item.is_virtual or not set(filters) <= set(_FILTERS):
+        raise InputError(
+            "data that lie elsewhere, or are compressed by a plug-in",
+            where=where,
+            found=f"filters {filters}" if not set(filters) <= set(_FILTERS) else "external or virtual storage",
+            expected="plain data, or gzip",
+            hint="h5repack -f GZIP=4 rewrites the file",
+        )
+    size = item.size * item.dtype.itemsize if item.size else 0
+    if size > BUDGET or (not filters and size > item.id.get_storage_size()):
+        raise InputError(
+            "it claims more data than it holds, or than fits",
+            where=where,
+            found=f"{size} bytes claimed, {item.id.get_storage_size()} stored",
+            expected=f"at most {BUDGET} bytes, all of them stored",
+            hint="store large matrices sparse (data, indices, indptr); otherwise the file is damaged",
+        )
+    import h5py
+
+    if h5py.check_string_dtype(item.dtype) is not None:
+        text = item.asstr(errors="replace")[()]
+        return np.atleast_1d(np.array(text, dtype=str))
+    if item.dtype.kind not in "biufcS":
+        raise InputError(
+            "values of a type that is not read",
+            where=where,
+            found=str(item.dtype)[:80],
+            expected="numbers or text",
+            hint="write plain arrays",
+        )
+    return np.asarray(item[()])
