@@ -9,11 +9,13 @@ from typing import Any
 __version__ = "0.1.0"
 
 _PUBLIC = {
+    "Absolute": "loadid.families.steady",
     "Deconvolution": "loadid.families.deconvolution",
     "InputError": "structures.errors",
     "LoadEstimate": "loadid.estimate",
     "NotIdentifiable": "structures.errors",
     "Record": "loadid.record",
+    "StaticInversion": "loadid.families.static",
     "load": "loadid.estimate",
     "read": "loadid.readers",
     "read_all": "loadid.readers",

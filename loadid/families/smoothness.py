@@ -72,16 +72,13 @@ def matrix(penalty: str | ArrayLike | None, loads: int, basis: Any) -> NDArray[n
 def _field(penalty: str, basis: Any) -> NDArray[np.float64]:
     """Gradient or Laplacian of one component over the places of a basis."""
     places = np.asarray(basis.coordinates, float)
-    cells = getattr(basis, "cells", None)
-    if cells is not None and len(cells):
-        return _dense(penalties.surface(places, cells, penalty))
-    spread = places - places.mean(axis=0)
-    if places.ndim == 1 or np.linalg.matrix_rank(spread, tol=1e-9 * np.abs(spread).max(initial=1e-300)) <= 1:
-        along = spread @ np.linalg.svd(spread, full_matrices=False)[2][0] if places.ndim == 2 else places
-        order = np.argsort(along)
-        L = np.zeros((len(places) - penalties.order(penalty), len(places)))
-        L[:, order] = _dense(penalties.line(len(places), penalties.order(penalty), np.diff(along[order])))
+    along = _along(places)
+    if along is not None:
+        order, L = np.argsort(along), np.zeros((len(places) - penalties.order(penalty), len(places)))
+        L[:, order] = _dense(penalties.line(len(places), penalty, np.diff(along[order])))
         return L
+    if basis.cells is not None and len(basis.cells):
+        return _dense(penalties.surface(places, basis.cells, penalty))
     edges = np.asarray(basis.edges, int)
     if not len(edges):
         raise InputError(
@@ -93,6 +90,15 @@ def _field(penalty: str, basis: Any) -> NDArray[np.float64]:
         )
     lengths = np.linalg.norm(places[edges[:, 0]] - places[edges[:, 1]], axis=1)
     return _dense(penalties.graph(len(places), edges, 1 / lengths**2, penalty))
+
+
+def _along(places: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Coordinate along a straight line of places; None where they fill a surface."""
+    if places.ndim == 1 or places.shape[1] == 1:
+        return places.reshape(-1)
+    spread = places - places.mean(axis=0)
+    size, axes = np.linalg.svd(spread, full_matrices=False)[1:]
+    return spread @ axes[0] if size[1] <= 1e-9 * size[0] else None
 
 
 def _on_tractions(L: NDArray[np.float64], basis: Any) -> NDArray[np.float64]:

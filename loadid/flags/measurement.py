@@ -10,15 +10,16 @@ from structures.flags import Evidence, Flag
 CORRELATED = 0.5  # effective over nominal number of data
 
 
-def null_space(m: int, n: int, rank: int) -> Flag | None:
-    """W201: the sensors leave part of the load without a trace."""
+def null_space(m: int, n: int, rank: int, unseen: Sequence[str] = ()) -> Flag | None:
+    """W201: the sensors leave part of the load without a trace; `unseen` names loads that no sensor sees at all."""
     if rank >= n:
         return None
+    named = f"; no sensor sees {', '.join(unseen[:8])}{', ...' if len(unseen) > 8 else ''} at all" if unseen else ""
     return Flag(
         "W201",
         Evidence("rank", rank, n),
         f"m = {m} data, n = {n} unknowns, rank r = {rank}, nullity {n - rank}: what lies in ker(H) leaves no trace "
-        "in the data and is set by the prior",
+        f"in the data and is set by the prior, so that the answer is one of many{named}",
         "add sensors, shrink the load basis, or state the prior",
     )
 
