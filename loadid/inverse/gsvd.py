@@ -25,6 +25,8 @@ class Factors:
         Modes of the load, and their dual: ``Y.T @ X`` is the identity.
     meeting : float
         Smallest singular value of ``[H / |H|; L / |L|]``: zero where the null spaces of H and L meet.
+    balance : float
+        ``|H| / |L|``: the absolute lambda at which the two terms weigh the same.
     """
 
     U: NDArray[np.float64]
@@ -33,13 +35,14 @@ class Factors:
     X: NDArray[np.float64]
     Y: NDArray[np.float64]
     meeting: float
+    balance: float
 
 
 def plain(H: NDArray) -> Factors:
     """Ordinary SVD, L = I."""
     U, c, Wt = svd(H)
     n = H.shape[1]
-    return Factors(U, pad(c, n), np.ones(n), Wt.T, Wt.T, 1.0)
+    return Factors(U, pad(c, n), np.ones(n), Wt.T, Wt.T, 1.0, float(c[0]))
 
 
 def paired(H: NDArray, L: NDArray, labels: Sequence[str] | None = None) -> Factors:
@@ -66,20 +69,37 @@ def paired(H: NDArray, L: NDArray, labels: Sequence[str] | None = None) -> Facto
     stack[:m], stack[m:] = H, L
     stack[m:] *= alpha
     Q, R = scipy.linalg.qr(stack, mode="economic", overwrite_a=True, check_finite=False)
-    del stack
+    upper, lower = np.asfortranarray(Q[:m]), Q[m:].copy()
+    del stack, Q
     meeting = _smallest(R, n, labels) / size
-    U, c, Wt = svd(Q[:m])
+    U, c, Wt = svd(upper, overwrite=True)
     W = Wt.T
-    s = np.linalg.norm(Q[m:] @ W, axis=0) / alpha
-    return Factors(U, pad(c, n), s, scipy.linalg.solve_triangular(R, W), R.T @ W, meeting)
+    s = np.linalg.norm(lower @ W, axis=0) / alpha
+    return Factors(U, pad(c, n), s, scipy.linalg.solve_triangular(R, W), R.T @ W, meeting, alpha)
 
 
-def svd(A: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+def augmented(H: NDArray, L: NDArray, y: NDArray, x: float) -> NDArray[np.float64]:
+    """Tikhonov solution (n,) or (n, frames) at the absolute lambda `x`, by Householder QR of ``[x L; H]``.
+
+    The most accurate way at one small lambda: an SVD rotates the rounding of the data into the weak modes.
+    """
+    import scipy.linalg
+
+    n, rows = H.shape[1], len(L)
+    data = y.reshape(len(y), -1)
+    stack = np.zeros((rows + len(H), n + data.shape[1]), order="F")
+    stack[:rows, :n], stack[rows:, :n], stack[rows:, n:] = L, H, data
+    stack[:rows, :n] *= x
+    R = scipy.linalg.qr(stack, mode="r", overwrite_a=True, check_finite=False)[0]
+    return scipy.linalg.solve_triangular(R[:n, :n], R[:n, n:]).reshape(n, *y.shape[1:])
+
+
+def svd(A: NDArray, overwrite: bool = False) -> tuple[NDArray, NDArray, NDArray]:
     """SVD by divide and conquer, with all right vectors: U (m, r), c (r,), Wt (n, n)."""
     import scipy.linalg
 
     m, n = A.shape
-    U, c, Wt = scipy.linalg.svd(A, full_matrices=m < n, check_finite=False)
+    U, c, Wt = scipy.linalg.svd(A, full_matrices=m < n, overwrite_a=overwrite, check_finite=False)
     return U[:, : len(c)], c, Wt
 
 
@@ -150,17 +170,14 @@ def names(directions: NDArray, labels: Sequence[str] | None = None, most: int = 
         Names of the loads; default their numbers.
     """
     n = len(directions)
-    found, rest = [], directions
-    ramp = np.arange(n) - (n - 1) / 2
-    for word, shape in (("constant over all loads", np.ones(n)), ("linear in the order of the loads", ramp)):
-        pattern = shape / np.linalg.norm(shape) if n > 1 else None
-        if pattern is None or rest.shape[1] == 0:
-            continue
-        inside = directions.T @ pattern
-        if np.linalg.norm(inside) > 1 - 1e-6:
-            found.append(word)
-            inside = rest.T @ pattern
-            rest = rest @ np.linalg.svd(inside[None])[2][1:].T
+    plain = np.linalg.qr(np.vander(np.linspace(-1, 1, n), 2, increasing=True))[0] if n > 1 else np.ones((1, 1))
+    turn, shared, mix = np.linalg.svd(directions.T @ plain)
+    inside = int(np.sum(shared > 1 - 1e-6))  # patterns that are a constant plus a slope
+    rest, found = directions @ turn[:, inside:], []
+    if inside == 2 or (inside == 1 and abs(mix[0, 0]) > 1 - 1e-6):
+        found.append("constant over all loads")
+    if inside == 2 or (inside == 1 and not found):
+        found.append("linear in the order of the loads")
     if rest.shape[1]:
         size = np.linalg.norm(rest, axis=1)
         largest = [k for k in np.argsort(-size, kind="stable")[:most] if size[k] > 0.01 * size.max()]

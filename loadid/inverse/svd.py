@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 
-from .gsvd import EPS, pad, paired, plain
+from .gsvd import EPS, augmented, pad, paired, plain
 from .path import FactoredPath, Solution
 from .posterior import DensePosterior
 from .problem import LinearProblem
+
+WEAK = (1e-11, 1e-4)  # lambda over |H| / |L| between which one solution is worth a QR of its own
 
 
 class SVDPath(FactoredPath):
@@ -63,7 +65,7 @@ class SVDPath(FactoredPath):
         self._cosines = np.where(parts.c > max(m, n) * EPS * parts.c.max(), parts.c, 0.0)  # sums run over the rank
         self._sines = parts.s
         self._kernel = 0 if L is None else int(np.sum(parts.s <= 1e-10 * parts.s.max(initial=0.0)))
-        self._orthonormal = L is None
+        self._orthonormal, self._balance = L is None, parts.balance
         self._lengths: NDArray | None = None
         self._take(problem, truncated)
 
@@ -165,8 +167,15 @@ class SVDPath(FactoredPath):
 
     def solution(self, lam: float, sigma: float | None) -> Solution:
         """Load, (n,) or (frames, n), and with the noise level `sigma` of the whitened data its posterior."""
-        load = (self.X @ self.gains(lam)).T.reshape(self.problem.load_shape)
+        load = self._load(float(lam)).T.reshape(self.problem.load_shape)
         return Solution(load, None if sigma is None else self._posterior(lam, sigma))
+
+    def _load(self, lam: float) -> NDArray[np.float64]:
+        """Load (n,) or (n, frames): from the modes, or at a very small lambda from a QR, which keeps more digits."""
+        x, L = lam * float(self.scale), self.problem.L
+        if L is not None and self.smooth and WEAK[0] < x / self._balance < WEAK[1]:
+            return augmented(self.problem.H, L, self.problem.y, x)
+        return self.X @ self.gains(lam)
 
     def _posterior(self, lam: float, sigma: float) -> DensePosterior:
         f, shape, frames = self.filter_factors(lam), self.problem.shape, self.problem.frames
