@@ -274,10 +274,7 @@ class Face(Domain):
         self.normal_axis = int(np.argmax(np.abs(mean)))
         self.axes = [k for k in range(3) if k != self.normal_axis]
         self.names = tuple("xyz"[k] for k in self.axes)
-        plane = self.coordinates[self.cells][..., self.axes]
-        turn = plane - plane.mean(axis=1, keepdims=True)
-        self.cells = np.take_along_axis(self.cells, np.argsort(np.arctan2(turn[..., 1], turn[..., 0]), axis=1), axis=1)
-        corners = self.coordinates[self.cells]  # each cell in cyclic order, whatever order it came in
+        corners = self.coordinates[self.cells]
         self.lower, self.upper = (f(corners, axis=1)[:, self.axes] for f in (np.min, np.max))
         self.level = float(self.coordinates[:, self.normal_axis].mean())
         self.boxed = self._boxed(corners)
@@ -368,6 +365,16 @@ def _fits(nodes: Index, coordinates: Array, cells: Index, surface: Any) -> None:
             found=f"{count} nodes, coordinates {coordinates.shape}, cells {cells.shape}",
             expected="coordinates and normals (P, 3), cells (F, 4) of local node indices",
             hint='structure.field.surface("top") gives one',
+        )
+    corners, square = coordinates[cells], np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    turns = np.stack([_area_vectors(np.tile(at, (len(cells), 1)), corners) for at in square])
+    if np.any(np.sum(turns * turns.sum(axis=0), axis=-1) <= 0):
+        raise InputError(
+            "a cell of the surface is no convex quadrilateral",
+            where="region",
+            found="corners in crossed order, or a cell without area",
+            expected="the corners of each cell in cyclic order",
+            hint='structure.field.surface("top") gives them so',
         )
 
 

@@ -33,8 +33,9 @@ def breaks(grid: Any, window: Array, names: Sequence[str], where: str) -> list[A
         If it is neither, or the breaks leave the window.
     """
     axes = len(window)
-    each = [grid] * axes if np.ndim(grid) == 0 and not isinstance(grid, str) else grid
-    if axes == 1 and np.ndim(grid) == 1 and len(grid) != 1:
+    several = isinstance(grid, Sequence | np.ndarray) and not isinstance(grid, str)
+    each = grid if several else [grid] * axes
+    if axes == 1 and several and len(grid) != 1 and not any(isinstance(g, Sequence | np.ndarray) for g in grid):
         each = [grid]  # the breaks of a beam need no second pair of brackets
     if not isinstance(each, Sequence | np.ndarray) or isinstance(each, str) or len(each) != axes:
         raise _no_grid(grid, names, where)
@@ -42,7 +43,7 @@ def breaks(grid: Any, window: Array, names: Sequence[str], where: str) -> list[A
 
 
 def _axis(one: Any, span: Array, name: str, where: str) -> Array:
-    if np.ndim(one) == 0:
+    if not isinstance(one, Sequence | np.ndarray) or isinstance(one, str):
         whole = isinstance(one, int | np.integer) and not isinstance(one, bool)
         if not whole or not 1 <= one <= LIMIT:
             raise _no_grid(one, (name,), where)

@@ -61,7 +61,7 @@ def _read(path: Path, member: zipfile.ZipInfo) -> NDArray:
             where=where,
             found="an array of Python objects, such as np.savez makes of a sparse matrix",
             expected="plain numbers",
-            hint="np.savez(path, K=K.toarray()), or of a CSR matrix K_data=K.data, K_indices=K.indices, K_indptr=K.indptr",
+            hint="K=K.toarray(), or of a CSR matrix K_data=K.data, K_indices=K.indices, K_indptr=K.indptr",
         )
     expected = int(np.prod(shape, dtype=object)) * dtype.itemsize
     if expected != len(data) - start:
