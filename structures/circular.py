@@ -33,6 +33,8 @@ from .sensors import fixed_quantity
 from .structure import Structure
 from .values import integer, pair, positive, real, shown
 
+__all__ = ["EDGES", "CircularField", "Pressure", "plate"]
+
 EDGES = ("clamped", "supported", "free")
 Z, SLOPE = 3, -5
 HARMONICS = 200

@@ -99,6 +99,8 @@ class FrameField:
         The DOF table.
     places : array (n, 3)
         Place of the node of every DOF, from the middle of the frame (m).
+    middle : array (3,)
+        Middle of the frame (m).
     hinged : bool
         Whether a member has a hinge.
     """
@@ -106,6 +108,7 @@ class FrameField:
     pieces: Sequence[Piece]
     dofs: Sequence[Dof]
     places: Array
+    middle: Array
     hinged: bool = False
 
     @property
@@ -215,6 +218,35 @@ class FrameField:
             for node, last in ((piece.nodes[0], piece.dofs[0, half - 1]), (piece.nodes[-1], piece.dofs[-1, -1])):
                 out[self.dofs[last].node] = int(node)
         return out
+
+    def locate(self, place: Sequence[float]) -> At:
+        """The place (member, s) of a point given in space: on the first member that passes through it.
+
+        Parameters
+        ----------
+        place : (x, z) or (x, y, z)
+            Coordinates as those of the nodes (m).
+
+        Raises
+        ------
+        InputError
+            If it lies on no member (1e-6 of the member's length is forgiven); the message names the nearest.
+        """
+        point = np.zeros(3)
+        point[[0, 2] if self.plane else [0, 1, 2]] = fields.point(place, ("x", "z") if self.plane else ("x", "y", "z"))
+        found = [(*self._gap(piece, point), k) for k, piece in enumerate(self.pieces)]
+        hits = [At(k, s) for gap, s, k in found if gap < 1e-6 * self.pieces[k].line.length]
+        if not hits:
+            gap, s, k = min(found)
+            far = f"{tuple(map(float, place))}, {gap:.3g} m from member {k} at s = {s:.6g} m"
+            _refuse("the point lies on no member", far, "a point on a member")
+        return hits[0]
+
+    def _gap(self, piece: Piece, point: Array) -> tuple[float, float]:
+        """Distance of a point from a member, and where on the member it is nearest."""
+        arm = point - self.middle - self.places[piece.dofs[0, 0]]
+        s = min(max(float(piece.axes[0] @ arm), 0.0), piece.line.length)
+        return float(np.linalg.norm(arm - s * piece.axes[0])), s
 
     def near(self, region: tuple[Span, ...]) -> NDArray[np.intp]:
         """DOFs of the elements that a span of a member shares; at a joint, of all that meet there."""

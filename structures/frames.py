@@ -3,7 +3,7 @@
 A plane frame lies in X-Z and its nodes have ``n+X, n+Z, n+RY``, as a beam along X that deflects along Z; a node of a
 space frame has all six. The nodes that the user names are the joints; the nodes inside the members are numbered after
 them, member by member, and then those that hold the own rotation of a hinged end. A place on a frame is
-``frames.At(member, s)``, with s in m from the start of the member.
+``frames.At(member, s)``, with s in m from the start of the member; ``structure.field.locate`` finds it from a point.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def frame(
         coordinates=np.array([lay.places[node] for node in sorted({dof.node for dof in table})])[:, shown_axes],
         supports=tuple(_supports(supports or {}, joints, lay)),
         damping=settled(damping),
-        field=FrameField(pieces, table, places - middle, any(m.hinge for m in given)),
+        field=FrameField(pieces, table, places - middle, middle, any(m.hinge for m in given)),
         terms=terms,
     )
 

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 ZERO = 1e-14  # strain energy over the energy with all other DOFs held: 1e-16 is rounding, a 3000-element beam has 1e-14
 DENSE = 600
 CANDIDATES = 8
+ROUNDING = 1e-13  # force of a geometric motion, over the sum of its parts, that is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +47,17 @@ def motions(structure: Structure) -> tuple[RigidBodyMotion, ...]:
     return tuple(RigidBodyMotion(name, vector / vector[np.argmax(np.abs(vector))]) for name, vector in candidates)
 
 
-def _energy_free(structure: Structure, V: Array) -> Array:
-    """Combinations (columns) of the columns of `V` that cost no energy, judged against the energy of single DOFs."""
+def _energy_free(structure: Structure, V: Array, rounding: float = 0.0) -> Array:
+    """Combinations (columns) of the columns of `V` that cost no energy, judged against the energy of single DOFs.
+
+    Forces below `rounding` of the sum of their parts count as none: a motion that bends a slender member would else be
+    judged by the rounding of its axial stiffness.
+    """
     D = _scale(structure)[:, None]
     V = V / np.sqrt(np.sum(V**2 * D, axis=0))
-    w, X = linalg.eigh(V.T @ (structure.K @ V), V.T @ (D * V))
+    force = structure.K @ V
+    force[np.abs(force) < rounding * (abs(structure.K) @ np.abs(V))] = 0.0
+    w, X = linalg.eigh(V.T @ force, V.T @ (D * V))
     return X[:, w < ZERO]
 
 
@@ -74,9 +81,7 @@ def _geometric(structure: Structure) -> list[tuple[str, Array]]:
         return []
     V = R @ combos
     V[structure.supported] = 0.0
-    free = combos @ _energy_free(structure, V)
-    if free.shape[1] == len(names):
-        free = np.eye(len(names))
+    free = _plain(combos @ _energy_free(structure, V, ROUNDING))
     out = []
     for mix in free.T:
         mix = np.where(np.abs(mix) < 1e-9 * np.abs(mix).max(), 0.0, mix)
@@ -84,6 +89,16 @@ def _geometric(structure: Structure) -> list[tuple[str, Array]]:
         vector[structure.supported] = 0.0
         out.append((_words(names, mix), vector))
     return out
+
+
+def _plain(mixes: Array) -> Array:
+    """The same span with every motion that lies in it alone as a column of its own, mixtures after them."""
+    U, sizes, _ = np.linalg.svd(mixes, full_matrices=False)
+    U = U[:, sizes > 1e-9 * np.max(sizes, initial=0.0)]
+    alone = np.flatnonzero(np.sum(U**2, axis=1) > 1 - 1e-9)
+    U[alone] = 0.0
+    rest, sizes, _ = np.linalg.svd(U, full_matrices=False)
+    return np.column_stack([np.eye(len(mixes))[:, alone], rest[:, sizes > 1e-3]])
 
 
 def _words(names: Sequence[str], mix: Array) -> str:

@@ -362,6 +362,17 @@ def test_rank_six_and_rigid_motions_without_energy(shear):
     assert np.linalg.matrix_rank(scale[:, None] * one * scale, hermitian=True, tol=1e-12) == 6
 
 
+@pytest.mark.parametrize("elements", [1, 300])
+def test_slender_members_far_from_the_origin_keep_their_rigid_motions(elements):
+    """Axial stiffness is 1e7 times that of bending: its rounding must not pass for the energy of a rotation."""
+    thin = Section.rectangle(0.003, 0.004)
+    nodes = [(100, 200, 30), (101, 203, 31), (104, 203, 31)]
+    s = frame(nodes, [(0, 1), (1, 2)], section=thin, elements=elements)
+    assert len(s.rigid_body_motions()) == 6
+    grounded = dataclasses.replace(s, K=s.K + 1e-3 * np.diag(s.unit_row("2+Z")))
+    assert len(grounded.rigid_body_motions()) == 5
+
+
 def test_mass_and_inertia():
     s = space()
     masses = [
@@ -422,6 +433,19 @@ def test_places_on_joints_and_the_numbering():
     assert not s.field.inside((0, 1.3))
     assert s.field.inside(At(0, 1.0))
     assert not s.field.inside((9, 0.1))
+
+
+def test_places_are_found_from_coordinates():
+    s = space()
+    for member, at in ((0, 0.0), (1, 0.7), (3, 1.9), (4, 0.01)):
+        piece = s.field.pieces[member]
+        start = np.array(NODES[piece.nodes[0]], float)
+        found = s.field.locate(start + at * piece.axes[0])
+        assert found == (member, pytest.approx(at, abs=1e-9))
+    with pytest.raises(InputError, match=r"on no member.*0\.5 m from member 0 at s = 0\.25 m"):
+        frame([(0, 0), (1, 0)], [(0, 1)]).field.locate((0.25, 0.5))
+    portal = frames.portal(width=4.0, height=3.0, section=BAR, material=STEEL)
+    assert portal.field.locate((1.5, 3.0)) == (2, 1.5)
 
 
 def test_guard_of_loads_near_supports():
