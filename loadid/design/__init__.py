@@ -1,0 +1,9 @@
+"""Sensor layouts judged and chosen before anything is measured."""
+
+from __future__ import annotations
+
+from .comparison import Comparison, compare
+from .judged import Judged
+from .placement import Placement, place
+
+__all__ = ["Comparison", "Judged", "Placement", "compare", "place"]

@@ -1,0 +1,223 @@
+"""Candidate sensors as whitened rows: one for each sensor, in units of its noise, per unit of each load."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.model import Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Sensors that could be used, and the loads they shall tell apart.
+
+    Parameters
+    ----------
+    H : array, shape (sensors, loads)
+    noise : array, shape (sensors,) or (sensors, sensors), or None
+        Std or covariance; None where it is not known, and then the same for all.
+    labels, load_labels : tuple of str
+    units, load_units : tuple of str
+    at, loads_at : array, shape (sensors, dim) and (loads, dim), or None
+        Places in m.
+    outline : array, shape (nodes, dim), or None
+        Nodes of the structure.
+    """
+
+    H: Array
+    noise: Array | None
+    labels: tuple[str, ...]
+    load_labels: tuple[str, ...]
+    units: tuple[str, ...]
+    load_units: tuple[str, ...]
+    at: Array | None = None
+    loads_at: Array | None = None
+    outline: Array | None = None
+
+    @property
+    def std(self) -> Array:
+        """Noise std per sensor; ones where it is not known."""
+        if self.noise is None:
+            return np.ones(len(self.H))
+        return self.noise if self.noise.ndim == 1 else np.sqrt(np.diagonal(self.noise))
+
+    def whitened(self, rows: NDArray[np.intp] | None = None) -> Array:
+        """Rows in units of the noise, of all sensors or of some."""
+        rows = np.arange(len(self.H)) if rows is None else rows
+        if self.noise is None or self.noise.ndim == 1:
+            return self.H[rows] / self.std[rows, None]
+        from scipy.linalg import solve_triangular
+
+        root = np.linalg.cholesky(self.noise[np.ix_(rows, rows)])
+        return np.asarray(solve_triangular(root, self.H[rows], lower=True))
+
+    def index(self, chosen: Any, where: str) -> NDArray[np.intp]:
+        """Rows of sensors named by label or index, each once.
+
+        Raises
+        ------
+        InputError
+            If one is unknown or named twice.
+        """
+        items = [chosen] if isinstance(chosen, str | int | np.integer) else list(chosen)
+        place = {label: i for i, label in enumerate(self.labels)}
+        rows = []
+        for item in items:
+            if isinstance(item, str) and item in place:
+                rows.append(place[item])
+            elif (
+                isinstance(item, int | np.integer) and not isinstance(item, bool) and -len(self.H) <= item < len(self.H)
+            ):
+                rows.append(int(item) % len(self.H))
+            else:
+                raise InputError(
+                    "there is no such candidate",
+                    where=where,
+                    found=repr(item),
+                    expected=f"a label, or an index below {len(self.H)}: {list(self.labels[:8])} ...",
+                    hint="name sensors as the model does",
+                )
+        if len(set(rows)) != len(rows):
+            twice = sorted({self.labels[i] for i in rows if rows.count(i) > 1})
+            raise InputError(
+                "a sensor is named twice",
+                where=where,
+                found=twice,
+                expected="each sensor once",
+                hint="leave out the repeats",
+            )
+        return np.array(rows, dtype=np.intp)
+
+
+def settle(
+    given: Model | ArrayLike,
+    *,
+    noise: ArrayLike | None = None,
+    loads: Sequence[str | int] | None = None,
+    at: ArrayLike | None = None,
+    loads_at: ArrayLike | None = None,
+    where: str = "design",
+) -> Candidates:
+    """Candidates from a model or an array (sensors, loads).
+
+    Raises
+    ------
+    InputError
+        No real matrix, NaN, sensors that no load moves, noise or places that do not fit, mixed units without noise.
+    """
+    from .places import of_model
+
+    if isinstance(given, Model):
+        H = np.asarray(given.static(), float)
+        labels, units = tuple(s.label for s in given.sensors), tuple(s.unit for s in given.sensors)
+        names, load_units = tuple(c.label for c in given.loads), tuple(c.unit for c in given.loads)
+        own, sensors_at, columns_at, outline = given.noise, *of_model(given)
+    else:
+        H = _matrix(given, where)
+        labels, units = tuple(f"y{i}" for i in range(len(H))), ("arbitrary",) * len(H)
+        names, load_units = tuple(f"u{j}" for j in range(H.shape[1])), ("arbitrary",) * H.shape[1]
+        own = sensors_at = columns_at = outline = None
+    level = own if noise is None else _noise(noise, len(H), where)
+    if level is None and len(set(units)) > 1:
+        raise InputError(
+            "sensors of different units need their noise",
+            where=where,
+            found=", ".join(sorted(set(units))),
+            expected="noise=, a std per sensor",
+            hint="without it a strain and a displacement cannot be weighed against each other",
+        )
+    pick = np.arange(H.shape[1]) if loads is None else _loads(loads, names, where)
+    sensors_at = sensors_at if at is None else _places(at, len(H), "at")
+    columns_at = columns_at if loads_at is None else _places(loads_at, len(names), "loads_at")
+    return Candidates(
+        H[:, pick],
+        level,
+        labels,
+        tuple(names[j] for j in pick),
+        units,
+        tuple(load_units[j] for j in pick),
+        sensors_at,
+        None if columns_at is None else columns_at[pick],
+        outline,
+    )
+
+
+def _matrix(given: Any, where: str) -> Array:
+    try:
+        H = np.asarray(given, float)
+    except (TypeError, ValueError):
+        H = np.empty(0)
+    if H.ndim != 2 or 0 in H.shape or not np.all(np.isfinite(H)):
+        raise InputError(
+            "no model and no matrix",
+            where=where,
+            found=f"shape {H.shape}, {int(np.sum(~np.isfinite(H)))} entries that are not finite",
+            expected="a Model with static(), or finite numbers (sensors, loads)",
+            hint="one row per candidate sensor, one column per load",
+        )
+    return H
+
+
+def _noise(noise: ArrayLike, m: int, where: str) -> Array:
+    try:
+        level = np.asarray(noise, float)
+    except (TypeError, ValueError):
+        level = np.full(1, np.nan)
+    level = np.full(m, float(level)) if level.ndim == 0 else level
+    good = level.shape in ((m,), (m, m)) and bool(np.all(np.isfinite(level)))
+    if good and level.ndim == 1:
+        good = bool(np.all(level > 0))
+    elif good:
+        try:
+            np.linalg.cholesky(level)
+        except np.linalg.LinAlgError:
+            good = False
+    if not good:
+        raise InputError(
+            "no noise level",
+            where=where,
+            found=f"shape {level.shape}",
+            expected=f"std > 0, one or ({m},), or a positive definite covariance ({m}, {m})",
+            hint="the std of each sensor in its own unit",
+        )
+    return level
+
+
+def _loads(loads: Sequence[str | int], names: tuple[str, ...], where: str) -> NDArray[np.intp]:
+    found = []
+    for item in [loads] if isinstance(loads, str | int) else loads:
+        if isinstance(item, str) and item in names:
+            found.append(names.index(item))
+        elif isinstance(item, int | np.integer) and -len(names) <= item < len(names):
+            found.append(int(item) % len(names))
+        else:
+            raise InputError(
+                "there is no such load",
+                where=where,
+                found=repr(item),
+                expected=f"a label or an index below {len(names)}: {list(names[:8])}",
+                hint="loads= picks columns of the model",
+            )
+    return np.array(found, dtype=np.intp)
+
+
+def _places(at: ArrayLike, count: int, name: str) -> Array:
+    x = np.asarray(at, float)
+    x = x[:, None] if x.ndim == 1 else x
+    if x.ndim != 2 or len(x) != count or not 1 <= x.shape[1] <= 3 or not np.all(np.isfinite(x)):
+        raise InputError(
+            "places do not fit",
+            where=name,
+            found=f"shape {x.shape}",
+            expected=f"({count},) to ({count}, 3), finite, in m",
+            hint="one place for each",
+        )
+    return x
