@@ -7,7 +7,7 @@ import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loadid.inverse import rules
+from loadid.inverse import gsvd, rules
 from loadid.inverse.choice import choose
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
@@ -218,3 +218,197 @@ def test_traces_of_what_a_fit_leaves(m: int, n: int) -> None:
     assert point.left == pytest.approx(np.trace(rest), rel=1e-10)
     assert point.rest2 == pytest.approx(np.trace(rest @ rest), rel=1e-10)
     assert point.rest4 == pytest.approx(np.trace(rest @ rest @ rest @ rest), rel=1e-10)
+
+
+# -- frames: one lambda for all --------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", ["none", "second_difference", "user"])
+@pytest.mark.parametrize(("m", "n"), SHAPES)
+def test_frames_are_sums_over_single_problems(m: int, n: int, name: str) -> None:
+    rng = np.random.default_rng(m)
+    H, Y = ill_conditioned(m, n, 1e3, seed=m), rng.standard_normal((5, m))
+    L = None if name == "none" else penalty(name, n)
+    joint = SVDPath(LinearProblem.whitened(H, Y, L=L))
+    each = [SVDPath(LinearProblem.whitened(H, y, L=L)) for y in Y]
+    assert (joint.m, joint.null) == (5 * m, 5 * each[0].null)
+    assert float(joint.scale) == float(each[0].scale)
+    a, b = joint.at(LAMS), [p.at(LAMS) for p in each]
+    for field in ("residual2", "penalty2", "edf", "edf2", "left", "rest2", "rest4", "objective", "log_ratio"):
+        np.testing.assert_allclose(getattr(a, field), sum(getattr(p, field) for p in b), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(a.sensitivity**2, sum(p.sensitivity**2 for p in b), rtol=1e-8)
+    predicted = [p.predicted_error(LAMS, 0.1, 0.3) for p in each]
+    np.testing.assert_allclose(joint.predicted_error(LAMS, 0.1, 0.3), np.sum(predicted, axis=0), rtol=1e-8)
+    squares = np.mean([p.coefficients.beta**2 for p in each], axis=0)
+    np.testing.assert_allclose(joint.coefficients.beta**2, squares, rtol=1e-9, atol=1e-25)
+    for lam in LAMS:
+        solution = joint.solution(lam, 0.2)
+        singles = [p.solution(lam, 0.2) for p in each]
+        np.testing.assert_allclose(solution.load, [s.load for s in singles], rtol=1e-8, atol=1e-9)
+        np.testing.assert_allclose(solution.posterior.std, [s.posterior.std for s in singles], rtol=1e-12)
+        np.testing.assert_allclose(joint.residual(lam), [p.residual(lam) for p in each], atol=1e-9)
+        g = rng.standard_normal((5, n))
+        np.testing.assert_allclose(joint.resolve(g, lam), [each[0].resolve(x, lam) for x in g], atol=1e-8)
+
+
+def test_rules_run_on_frames_and_one_frame_is_the_single_problem() -> None:
+    H, Y = ill_conditioned(14, 9, 1e4), np.random.default_rng(1).standard_normal((1, 14))
+    for L in (None, penalty("first_difference", 9)):
+        one, framed = (SVDPath(LinearProblem.whitened(H, y, L=L)) for y in (Y[0], Y))
+        a, b = choose(one, sigma=0.3), choose(framed, sigma=0.3)
+        assert b.lam == pytest.approx(a.lam, rel=1e-9)
+        assert framed.solution(b.lam, None).load.shape == (1, 9)
+    noise = 0.01 * np.random.default_rng(2).standard_normal((40, 14))
+    many = SVDPath(LinearProblem.whitened(H, H @ np.sin(np.arange(9) / 2) + noise, L=L))
+    said = {r.rule: r for r in choose(many, sigma=0.01).rules}
+    for rule in ("discrepancy", "upre", "gcv", "robust_gcv", "ncp", "evidence"):
+        assert said[rule].lam is not None, rule
+
+
+def test_new_data_on_the_same_factors() -> None:
+    H, rng = ill_conditioned(14, 9, 1e4), np.random.default_rng(0)
+    for truncated in (False, True):
+        path = SVDPath(LinearProblem.whitened(H, rng.standard_normal(14), L=penalty("user", 9)), truncated=truncated)
+        before = path.solution(0.1, None).load.copy()
+        y, Y = rng.standard_normal(14), rng.standard_normal((14, 3))
+        for data in (y, Y):
+            other, fresh = (
+                path.with_data(data),
+                SVDPath(LinearProblem.whitened(H, data.T, L=penalty("user", 9)), truncated=truncated),
+            )
+            assert other.X is path.X
+            np.testing.assert_allclose(other.solution(0.1, None).load, fresh.solution(0.1, None).load, rtol=1e-9)
+            np.testing.assert_allclose(other.residual(0.1), fresh.residual(0.1), atol=1e-12)
+            np.testing.assert_allclose(other.at(LAMS).penalty2, fresh.at(LAMS).penalty2, rtol=1e-10)
+            assert (other.smooth, other.m) == (fresh.smooth, fresh.m)
+        np.testing.assert_array_equal(path.solution(0.1, None).load, before)
+    for wrong in (np.ones(13), np.ones((2, 14)), np.full(14, np.nan), np.ones((14, 0))):
+        with pytest.raises(InputError, match="data"):
+            path.with_data(wrong)
+
+
+# -- operators at one lambda -----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("truncated", [False, True])
+@pytest.mark.parametrize("name", PENALTIES)
+@pytest.mark.parametrize(("m", "n"), SHAPES)
+def test_operators_at_one_lambda(m: int, n: int, name: str, truncated: bool) -> None:
+    H, y = ill_conditioned(m, n, 1e3, seed=m), np.random.default_rng(n).standard_normal(m)
+    L = np.eye(n) if name == "none" else penalty(name, n)
+    path = SVDPath(LinearProblem.whitened(H, y, L=None if name == "none" else L), truncated=truncated)
+    for lam in (1e-2, 0.3):
+        G, f = path.inverse(lam), path.filter_factors(lam)
+        assert (G.shape, f.shape) == ((n, m), (n,))
+        np.testing.assert_allclose(G @ y, path.solution(lam, None).load, rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(path.resolution(lam), G @ H, atol=1e-8)
+        assert f.sum() == pytest.approx(float(path.at(lam).edf), rel=1e-10)
+        if not truncated:
+            Q, R = np.linalg.qr(np.vstack([H, lam * float(path.scale) * L]))
+            np.testing.assert_allclose(G, np.linalg.solve(R, Q[:m].T), atol=1e-7 * np.abs(G).max())
+        np.testing.assert_allclose(path.Y.T @ path.X, np.eye(n), atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["none", "second_difference", "user"])
+def test_what_no_sensor_sees(name: str) -> None:
+    rng = np.random.default_rng(2)
+    H = rng.standard_normal((8, 3)) @ rng.standard_normal((3, 6))
+    path = SVDPath(LinearProblem.whitened(H, np.ones(8), L=None if name == "none" else penalty(name, 6)))
+    N = path.null_space
+    np.testing.assert_allclose(N.T @ N, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(H @ N, 0, atol=1e-12)
+    seen = np.linalg.svd(H)[2][:3]
+    for g in (*seen, N[:, 0], rng.standard_normal(6)):
+        assert path.null_share(g) == pytest.approx(
+            np.linalg.norm(g - seen.T @ (seen @ g)) / np.linalg.norm(g), abs=1e-10
+        )
+        assert path.null_share(g) ** 2 + path.seen_share(g) ** 2 == pytest.approx(1.0)
+    assert path.null_share(np.zeros(6)) == 0.0
+    full = SVDPath(LinearProblem.whitened(np.eye(4), np.ones(4)))
+    assert (full.null_space.shape, full.null_share(np.ones(4)), full.seen_share(np.ones(4))) == ((4, 0), 0.0, 1.0)
+
+
+def test_truncated_gsvd_is_least_squares_over_the_kept_modes() -> None:
+    """Modes of the pencil (H^T H, L^T L), which is well conditioned here; null space of L kept throughout."""
+    H, y, L = ill_conditioned(14, 9, 20), np.random.default_rng(0).standard_normal(14), penalty("second_difference", 9)
+    path = SVDPath(LinearProblem.whitened(H, y, L=L), truncated=True)
+    mu, Z = scipy.linalg.eigh(H.T @ H, H.T @ H + L.T @ L)  # c^2 ascending
+    gamma = np.sqrt(mu[:-2] / (1 - mu[:-2]))
+    for kept in (1, 3, 6):
+        lam = float(np.sqrt(gamma[-kept] * gamma[-kept - 1])) / float(path.scale)
+        modes = Z[:, -kept - 2 :]
+        expected = modes @ np.linalg.lstsq(H @ modes, y)[0]
+        np.testing.assert_allclose(path.solution(lam, None).load, expected, rtol=1e-7, atol=1e-9)
+        assert np.sum(path.filter_factors(lam)) == kept + 2
+
+
+# -- null spaces that meet -------------------------------------------------------------------------------------------
+def unseen(*patterns: np.ndarray, m: int = 30) -> np.ndarray:
+    """Random operator that sees none of some patterns."""
+    P = np.linalg.qr(np.array(patterns, float).T)[0]
+    H = np.random.default_rng(4).standard_normal((m, len(P)))
+    return H - (H @ P) @ P.T
+
+
+@pytest.mark.parametrize(
+    ("patterns", "words"),
+    [
+        ([np.ones(12)], r"one load pattern is .*: constant over all loads;"),
+        ([np.arange(12) - 3.0], r"one load pattern is .*: linear in the order of the loads;"),
+        ([np.ones(12), np.arange(12.0)], r"2 load patterns are .*: constant over all loads; linear in the order"),
+    ],
+)
+def test_patterns_that_nothing_sees_are_put_in_words(patterns: list[np.ndarray], words: str) -> None:
+    with pytest.raises(NotIdentifiable, match=words) as caught:
+        SVDPath(LinearProblem.whitened(unseen(*patterns), np.ones(30), L=penalty("second_difference", 12)))
+    assert caught.value.code == "LID-E306"
+
+
+def test_loads_that_nothing_sees_are_named_by_their_labels() -> None:
+    rng, labels = np.random.default_rng(1), [f"P{k}" for k in range(6)]
+    H, L = rng.standard_normal((9, 6)), rng.standard_normal((4, 6))
+    H[:, [1, 4]] = L[:, [1, 4]] = 0
+    with pytest.raises(NotIdentifiable, match=r"2 load patterns .* at loads \[P1, P4\]|at loads \[P4, P1\]"):
+        SVDPath(LinearProblem.whitened(H, np.ones(9), L=L), labels=labels)
+    assert gsvd.names(np.eye(1)) == "constant over all loads"
+
+
+@pytest.mark.parametrize("size", [1e-3, 1e-9, 1e-12])
+def test_how_nearly_the_null_spaces_meet_is_told(size: float) -> None:
+    H, L = unseen(np.ones(12)), penalty("first_difference", 12)
+    H = 1e6 * (H + size * np.random.default_rng(0).standard_normal((30, 1)))
+    path = SVDPath(LinearProblem.whitened(H, np.ones(30), L=L))
+    both = np.vstack([H / np.linalg.norm(H, 2), L / np.linalg.norm(L, 2)])
+    assert path.meeting == pytest.approx(np.linalg.svd(both, compute_uv=False)[-1], rel=0.05)
+    assert SVDPath(LinearProblem.whitened(H, np.ones(30))).meeting == 1.0
+    assert gsvd.norm2(H) == pytest.approx(np.linalg.norm(H, 2), rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["none", "first_difference", "user"])
+@pytest.mark.parametrize("decades", [-12, -7, 6, 12])
+def test_scale_invariance_over_twelve_decades(name: str, decades: int) -> None:
+    H, y = ill_conditioned(14, 9, 1e3), np.random.default_rng(0).standard_normal(14)
+    L = None if name == "none" else penalty(name, 9)
+    one = SVDPath(LinearProblem.whitened(H, y, L=L))
+    for model, data, prior in ((1.0, 10.0**decades, 1.0), (10.0**decades, 1.0, 1.0), (1.0, 1.0, 10.0**decades)):
+        two = SVDPath(LinearProblem.whitened(model * H, data * y, L=None if L is None else prior * L))
+        for lam in (1e-3, 0.1):
+            a, b = one.solution(lam, 0.1), two.solution(lam, 0.1 * data)
+            unit = data / model
+            np.testing.assert_allclose(b.load, unit * a.load, rtol=1e-9, atol=1e-9 * unit * np.abs(a.load).max())
+            np.testing.assert_allclose(b.posterior.std, unit * a.posterior.std, rtol=1e-9)
+            np.testing.assert_allclose(two.filter_factors(lam).sum(), one.filter_factors(lam).sum(), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["none", "first_difference", "second_difference", "user"])
+def test_four_formulas_give_one_answer(name: str) -> None:
+    """Filter form, augmented least squares, posterior mean and normal equations, well scaled and small."""
+    path, H, y, L = posed(14, 9, name, kappa=20)
+    for lam in (0.02, 0.3):
+        x = lam * float(path.scale)
+        filtered = path.solution(lam, None).load
+        stacked = np.linalg.lstsq(np.vstack([H, x * L]), np.r_[y, np.zeros(len(L))])[0]
+        normal = np.linalg.solve(H.T @ H + x**2 * L.T @ L, H.T @ y)
+        prior = np.linalg.pinv(L.T @ L) / x**2  # covariance over sigma^2; flat along the null space N, estimated beside
+        S, N = H @ prior @ H.T + np.eye(14), scipy.linalg.null_space(L)
+        F = H @ N
+        b = np.linalg.solve(F.T @ np.linalg.solve(S, F), F.T @ np.linalg.solve(S, y))
+        mean = N @ b + prior @ H.T @ np.linalg.solve(S, y - F @ b)
+        for other in (stacked, normal, mean):
+            np.testing.assert_allclose(filtered, other, rtol=1e-8, atol=1e-8)
