@@ -306,6 +306,7 @@ def test_guard_of_loads_near_the_rim():
         (loads.Point(at=(0.0, 0.0)), False),
         (loads.Point(at=(0.0, RADIUS - 2.5 * h)), False),
         (loads.Point(at=(0.0, RADIUS - 0.5 * h)), True),
+        (loads.Point(at=(0.5 * h - RADIUS, 0.0)), True),
         (circular.Pressure(radius=(0.0, 0.1)), False),
         (circular.Pressure(), True),
     ):

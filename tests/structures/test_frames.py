@@ -464,6 +464,9 @@ def test_guard_of_loads_near_supports():
     assert loads.near_support(held, loads.Point(at=At(0, 2.9), direction="+X")) is not None
     assert loads.near_support(held, loads.Point(at=At(2, 0.5))) is not None
     assert loads.near_support(held, loads.Point("2+Z")) is not None
+    coarse = frame([(0, 0), (1, 0), (2, 0)], [(0, 1), (1, 2)], supports={2: "clamped"}, elements=1)
+    assert loads.near_support(coarse, loads.Point("1+Z")) is not None  # held at the far end of the second member
+    assert loads.near_support(coarse, loads.Point(at=At(0, 0.9))) is None
     with pytest.raises(InputError, match="LID-E104"):
         loads.Point(at=At(1, 0.0), direction="+X").column(s)
 
