@@ -59,6 +59,10 @@ def plain(value: Any) -> Any:
 def without_arrays(tree: dict[str, Any]) -> dict[str, Any]:
     """A plain tree of an estimate without what is as long as the record: shapes and ends stand in for it."""
     short = {k: v for k, v in tree.items() if k not in ("load", "std", "bias", "response", "residual")}
+    if tree.get("diagnosis") is not None:
+        lists = {k for k, v in tree["diagnosis"].items() if isinstance(v, list)}
+        short["diagnosis"] = {k: v for k, v in tree["diagnosis"].items() if k not in lists}
+    short.pop("geometry", None)
     load = tree["load"]
     short["shape"] = [len(load), len(load[0])] if isinstance(load[0], list) else [len(load)]
     if (axis := tree["axis"]) is not None:
@@ -78,6 +82,7 @@ def to_tree(e: LoadEstimate) -> dict[str, Any]:
     tree["flags"] = [f.to_dict() for f in e.flags]
     tree["posterior"] = None if e.posterior is None else e.posterior.to_arrays()
     tree["geometry"] = None if e.geometry is None else dict(e.geometry)
+    tree["diagnosis"] = None if e.diagnosis is None else e.diagnosis.to_dict()
     tree["validation"] = None if e.validation is None else e.validation.to_dict()
     return tree
 
@@ -98,6 +103,10 @@ def from_tree(tree: dict[str, Any]) -> LoadEstimate:
         from loadid.inverse.posterior import from_arrays
 
         tree["posterior"] = from_arrays(tree["posterior"])
+    if tree.get("diagnosis") is not None:
+        from loadid.inverse.diagnose import Diagnosis
+
+        tree["diagnosis"] = Diagnosis.from_dict(tree["diagnosis"])
     if tree.get("validation") is not None:
         from loadid.validate import Validation
 

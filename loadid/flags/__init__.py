@@ -6,7 +6,16 @@ from .base import allowed, collect
 from .bookkeeping import absolute_lambda, changing_lambda, diagonal
 from .choice import disagreement, gcv_minimum, no_corner, noise_source, parameter
 from .dynamics import aliased, memory, unfinished
-from .inversion import index_offset, overridden, resolution
+from .inversion import (
+    index_offset,
+    nodal_as_pressure,
+    over_smoothed,
+    overridden,
+    recoverable,
+    refined,
+    resolution,
+    resolution_law,
+)
 from .measurement import high_pass, interpolated, lost_channels, mixed_kinds, null_space
 from .model import not_verified
 from .validation import inverse_crime, no_coverage, resultant_only, used_for_training
@@ -29,12 +38,17 @@ __all__ = [
     "mixed_kinds",
     "no_corner",
     "no_coverage",
+    "nodal_as_pressure",
     "noise_source",
     "not_verified",
     "null_space",
+    "over_smoothed",
     "overridden",
     "parameter",
+    "recoverable",
+    "refined",
     "resolution",
+    "resolution_law",
     "resultant_only",
     "unfinished",
     "used_for_training",
