@@ -1,0 +1,184 @@
+"""Constrained least squares by active sets: semismooth Newton steps from face to face."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .face import Face
+from .feasible import Feasible
+from .quadratic import Quadratic
+
+TIGHT = 1e-13  # natural residual, relative to the data, at which a solution is exact
+GOOD = 1e-11  # and below which it is accepted when rounding lets it fall no further
+PATIENCE = 12  # steps without halving the residual after which the faces are taken to cycle
+CAP = 80
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where an active-set run stands.
+
+    Parameters
+    ----------
+    h : array, shape (n,)
+        Local unknowns, within the intervals and cones.
+    nu, kappa : array
+        Multipliers of the rows C h = r and F h <= f: gradient + C^T nu + F^T kappa is that of the cones and intervals.
+    error : float
+        Natural residual, relative to the data.
+    steps : int
+    solver : str
+    converged : bool
+    """
+
+    h: NDArray[np.float64]
+    nu: NDArray[np.float64]
+    kappa: NDArray[np.float64]
+    error: float
+    steps: int
+    solver: str
+    converged: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Prox:
+    """Proximal term: weight (relative to the diagonal of the objective) and centre."""
+
+    weight: float
+    centre: NDArray[np.float64]
+
+
+def solve(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: Point | None = None, cap: int = CAP) -> Point:
+    """Minimise |A h - b|^2 on the feasible set.
+
+    Newton's method on the equation h = P(h - tau gradient) with the projection P on intervals and cones (semismooth:
+    Qi & Sun, Math. Program. 58 (1993) 353; for bounds it is the primal-dual active set of Hintermüller, Ito & Kunisch,
+    SIAM J. Optim. 13 (2002) 865). If it cycles, proximal terms that shrink lead to the solution; if that fails too, an
+    interior-point solver gives the start.
+    """
+    here = origin(feasible) if start is None else replace(start, steps=0)
+    found = newton(quadratic, b, feasible, here, cap=cap)
+    routes = [_homotopy, _from_inside]
+    if any(np.any(c.facets) for c in feasible.cones):
+        routes.reverse()  # between facets and edges proximal steps are slow
+    steps = found.steps
+    for route in routes if cap >= CAP else ():
+        if found.converged:
+            break
+        tried = route(quadratic, b, feasible, found if route is _homotopy and found.error < 1e-6 else here)
+        steps += tried.steps
+        found = min(found, tried, key=lambda p: p.error)
+    return Point(found.h, found.nu, found.kappa, found.error, steps, found.solver, found.converged)
+
+
+def _from_inside(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: Point) -> Point:
+    """Newton from the answer of an interior-point solver; that answer where Newton cannot improve it."""
+    from .conic import interior_point
+
+    inner = interior_point(quadratic, b, feasible)
+    if inner is None:
+        return start
+    polished = newton(quadratic, b, feasible, inner)
+    best = min(inner, polished, key=lambda p: p.error)
+    return replace(best, steps=polished.steps, solver="interior point, polished" if best.converged else "interior point")
+
+
+def origin(feasible: Feasible) -> Point:
+    """The admissible load nearest to none."""
+    h = feasible.project(np.zeros(len(feasible.keep)))
+    return Point(h, np.zeros(len(feasible.equal)), np.zeros(len(feasible.below)), np.inf, 0, "active set", False)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Everything that a step needs, at one point."""
+
+    gradient: NDArray[np.float64]
+    face: Face
+    active: NDArray[np.int_]
+    error: float
+
+
+def _look(q: Quadratic, b: NDArray, s: Feasible, h: NDArray, nu: NDArray, kappa: NDArray, prox: Prox | None) -> _State:
+    image = q.A @ h
+    gradient = (image - b) @ q.A
+    total = gradient + nu @ s.equal.matrix + kappa @ s.below.matrix
+    if prox is not None:
+        total = total + prox.weight / q.tau * (h - prox.centre)
+    face = Face.near(s, h - q.tau * total)
+    error = float((np.abs(face.point - h) / np.sqrt(q.tau)).max(initial=0.0))
+    active = np.zeros(0, int)
+    if len(s.equal):
+        off = s.equal.matrix @ h - s.equal.value
+        error = max(error, float((np.abs(off) / np.sqrt(s.equal.matrix**2 @ q.tau)).max()))
+    if len(s.below):
+        size = s.below.matrix**2 @ q.tau
+        wanted = kappa + (s.below.matrix @ h - s.below.value) / size
+        error = max(error, float((np.abs(kappa - np.maximum(wanted, 0.0)) * np.sqrt(size)).max()))
+        active = np.flatnonzero(wanted > 0)
+    scale = max(float(np.linalg.norm(b)), float(np.linalg.norm(image)), np.finfo(float).tiny)
+    return _State(gradient, face, active, error / scale)
+
+
+def newton(
+    q: Quadratic, b: NDArray, s: Feasible, start: Point, *, prox: Prox | None = None, cap: int = CAP,
+    tight: float = TIGHT,
+) -> Point:  # fmt: skip
+    """Semismooth Newton from a start; the best point that it saw if it does not converge."""
+    h, nu, kappa = start.h, start.nu, start.kappa
+    best, halved, steps = None, (np.inf, 0), 0
+    pull = np.zeros(q.n) if prox is None else prox.weight / q.tau
+    while True:
+        at = _look(q, b, s, h, nu, kappa, prox)
+        if best is None or at.error < best[0]:
+            best = (at.error, at.face.point, nu, kappa)
+        settled = at.error >= 0.1 * halved[0] and best[0] < GOOD  # rounding lets it fall no further
+        if at.error < 0.5 * halved[0]:
+            halved = (at.error, steps)
+        if at.error <= tight or settled or steps >= cap or steps - halved[1] > PATIENCE or not np.isfinite(at.error):
+            break
+        rows, short = _rows(s, at.active, h)
+        offset = np.zeros(q.n) if prox is None else h - prox.centre
+        moved = q.step(h, b, at.gradient, at.face, pull, offset, rows, short)
+        steps += 1
+        if moved is None:
+            break
+        h, multipliers = moved
+        nu, kappa = multipliers[: len(nu)], np.zeros(len(kappa))
+        kappa[at.active] = multipliers[len(nu) :]
+    error, h, nu, kappa = best
+    return Point(h, nu, kappa, error, start.steps + steps, "active set", error <= GOOD)
+
+
+def _rows(s: Feasible, active: NDArray, h: NDArray) -> tuple[NDArray, NDArray]:
+    """Rows that hold, and what `h` lacks in each."""
+    if not len(active):
+        return s.equal.matrix, s.equal.value - s.equal.matrix @ h if len(s.equal) else np.zeros(0)
+    C = np.vstack([s.equal.matrix, s.below.matrix[active]])
+    return C, np.concatenate([s.equal.value, s.below.value[active]]) - C @ h
+
+
+def _homotopy(q: Quadratic, b: NDArray, s: Feasible, start: Point) -> Point:
+    """Proximal steps: from a well-conditioned neighbour to the problem itself, each run warm."""
+    weight, shrink, here, steps = 0.1, 10.0, replace(start, steps=0), 0
+    centre = here.h
+    for _ in range(80):
+        found = newton(q, b, s, here, prox=Prox(weight, centre), tight=1e-12)
+        steps += found.steps
+        if not found.converged:
+            weight, shrink = weight * 4, max(shrink / 2, 2.0)
+            if weight > 1e3:
+                break
+            continue
+        here, centre = replace(found, steps=0), found.h
+        weight = max(weight / shrink, 1e-10)
+        found = newton(q, b, s, here, cap=25)
+        steps += found.steps
+        if found.converged:
+            here = found
+            break
+    error = _look(q, b, s, here.h, here.nu, here.kappa, None).error
+    return Point(here.h, here.nu, here.kappa, error, steps, "active set, proximal", error <= GOOD)

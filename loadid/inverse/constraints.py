@@ -1,0 +1,246 @@
+"""Side constraints of an inversion, as plain arrays: signs, bounds, support, resultants, friction cones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+
+__all__ = ["Bounds", "Constraint", "FrictionCone", "NonNegative", "Resultant", "Support"]
+
+
+@dataclass(frozen=True, eq=False)
+class NonNegative:
+    """Loads that cannot pull: g >= 0.
+
+    Parameters
+    ----------
+    loads : array of int, optional
+        Numbers of the loads; None is all of them.
+    """
+
+    loads: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        _set(self, loads=_numbers(self.loads, "NonNegative"))
+
+    def __str__(self) -> str:
+        return f"non-negative ({_count(self.loads)})"
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Lower and upper limits of loads; infinite where there is none.
+
+    Parameters
+    ----------
+    lower, upper : float or array, optional
+        One for all, or one per load of `loads`.
+    loads : array of int, optional
+        Numbers of the loads; None is all of them.
+    """
+
+    lower: ArrayLike | None = None
+    upper: ArrayLike | None = None
+    loads: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        loads = _numbers(self.loads, "Bounds")
+        lower = np.asarray(-np.inf if self.lower is None else self.lower, float)
+        upper = np.asarray(np.inf if self.upper is None else self.upper, float)
+        if np.any(np.isnan(lower)) or np.any(np.isnan(upper)):
+            raise InputError("NaN in the bounds", where="Bounds", expected="numbers; infinite where there is no bound")
+        if self.lower is None and self.upper is None:
+            raise InputError("bounds without a bound", where="Bounds", expected="lower, upper or both")
+        if lower.ndim > 1 or upper.ndim > 1:
+            raise InputError(
+                "bounds are one number, or one per load", where="Bounds",
+                found=f"shapes {lower.shape} and {upper.shape}", expected="() or (loads,)",
+            )  # fmt: skip
+        _set(self, lower=lower, upper=upper, loads=loads)
+
+    def __str__(self) -> str:
+        return f"bounds ({_count(self.loads)})"
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """Only these loads act; the others are no unknowns at all (their columns are removed, not penalised).
+
+    Parameters
+    ----------
+    loads : array of int or of bool
+        Numbers of the loads that act, or a mask over all loads.
+    """
+
+    loads: ArrayLike
+
+    def __post_init__(self) -> None:
+        mask = np.asarray(self.loads)
+        loads = np.flatnonzero(mask) if mask.dtype == bool else _numbers(self.loads, "Support")
+        if loads is None or len(loads) == 0:
+            raise InputError("a support without any load", where="Support", expected="numbers of the loads that act")
+        _set(self, loads=loads)
+
+    def __str__(self) -> str:
+        return f"support ({_count(self.loads)})"
+
+
+@dataclass(frozen=True, eq=False)
+class Resultant:
+    """Resultant forces and moments C g = r: exact, or measured by a force/torque sensor with a covariance.
+
+    Parameters
+    ----------
+    C : array, shape (R, loads)
+        Each row makes one resultant from the loads.
+    value : array, shape (R,), or (R, frames) where each frame has its own
+        The resultants r.
+    covariance : array, shape (R, R) or (R,), optional
+        Covariance of r (or its diagonal, variances): the constraint is then soft, with R whitened rows beside the
+        data. Without it the constraint is exact.
+    labels : sequence of str
+        Names such as ``("Fx", "Fy", "Fz")``.
+    """
+
+    C: ArrayLike
+    value: ArrayLike
+    covariance: ArrayLike | None = None
+    labels: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        C, value = np.atleast_2d(np.asarray(self.C, float)), np.atleast_1d(np.asarray(self.value, float))
+        R = len(C)
+        if C.ndim != 2 or value.ndim > 2 or len(value) != R or not np.all(np.isfinite(C)):
+            raise InputError(
+                "the resultants do not fit", where="Resultant", found=f"C {C.shape}, value {value.shape}",
+                expected="finite; C (R, loads) and value (R,)",
+            )  # fmt: skip
+        if not np.all(np.isfinite(value)):
+            raise InputError("NaN or inf in the resultants", where="Resultant", expected="finite numbers")
+        labels = tuple(str(x) for x in self.labels) or tuple(f"resultant {i}" for i in range(R))
+        if len(labels) != R:
+            raise InputError("the labels do not fit", where="Resultant", found=len(labels), expected=R)
+        covariance = None if self.covariance is None else _covariance(self.covariance, R)
+        _set(self, C=C, value=value, covariance=covariance, labels=labels)
+
+    @property
+    def hard(self) -> bool:
+        """Exact, not measured."""
+        return self.covariance is None
+
+    def __str__(self) -> str:
+        return f"resultant {', '.join(self.labels)} ({'exact' if self.hard else 'with covariance'})"
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionCone:
+    """Coulomb friction |t_t| <= mu t_n at each contact: the load pushes, and does not leave its cone.
+
+    Parameters
+    ----------
+    mu : float or array (contacts,)
+        Friction coefficient, >= 0.
+    contacts : array of int, shape (contacts, dim)
+        Numbers of the loads that are the components of each contact; dim is 2 or 3.
+    normals : array, shape (contacts, dim), optional
+        Direction of a push in these components; None: the last component is the push.
+    facets : int, optional
+        A pyramid of this many facets (3 or more) in place of the round cone. Facet 0 lies in the first tangential
+        direction. In the plane (dim 2) there is no difference.
+    inner : bool
+        False: the facets touch the cone from outside, which lets |t_t| reach mu / cos(pi / facets) times t_n;
+        True: the edges lie on the cone, which is the safe side.
+    """
+
+    mu: ArrayLike
+    contacts: ArrayLike
+    normals: ArrayLike | None = None
+    facets: int | None = None
+    inner: bool = False
+
+    def __post_init__(self) -> None:
+        contacts = np.atleast_2d(np.asarray(self.contacts))
+        if contacts.ndim != 2 or contacts.shape[1] not in (2, 3) or not np.issubdtype(contacts.dtype, np.integer):
+            raise InputError(
+                "contacts are numbers of loads", where="FrictionCone", found=f"{contacts.dtype} {contacts.shape}",
+                expected="integers, (contacts, 2) or (contacts, 3)",
+            )  # fmt: skip
+        k, dim = contacts.shape
+        mu = np.asarray(self.mu, float)
+        if mu.shape not in ((), (k,)) or not np.all(np.isfinite(mu)) or np.any(mu < 0):
+            raise InputError(
+                "no friction coefficient", where="FrictionCone", found=self.mu,
+                expected=f"one finite number >= 0, or {k} of them",
+            )  # fmt: skip
+        if self.facets is not None and (int(self.facets) != self.facets or self.facets < 3):
+            raise InputError("too few facets", where="FrictionCone", found=self.facets, expected="3 or more, or None")
+        normals = None
+        if self.normals is not None:
+            normals = np.atleast_2d(np.asarray(self.normals, float))
+            length = np.linalg.norm(normals, axis=-1)
+            if normals.shape != (k, dim) or not np.all(np.isfinite(length)) or np.any(length == 0):
+                raise InputError(
+                    "the normals do not fit the contacts", where="FrictionCone", found=f"shape {normals.shape}",
+                    expected=f"({k}, {dim}), each with a length",
+                )  # fmt: skip
+            normals = normals / length[:, None]
+        _set(self, mu=np.broadcast_to(mu, (k,)).copy(), contacts=contacts, normals=normals)
+
+    def __str__(self) -> str:
+        contacts: Any = self.contacts
+        kind = "round" if self.facets is None else f"{self.facets} facets{', inner' if self.inner else ''}"
+        return f"friction cone ({len(contacts)} contacts, {kind})"
+
+
+Constraint = NonNegative | Bounds | Support | Resultant | FrictionCone
+
+
+def _set(spec: object, **values: Any) -> None:
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            value = value.copy()
+            value.flags.writeable = False
+        object.__setattr__(spec, name, value)
+
+
+def _numbers(loads: ArrayLike | None, where: str) -> NDArray | None:
+    """Distinct load numbers, or None for all."""
+    if loads is None:
+        return None
+    found = np.atleast_1d(np.asarray(loads))
+    if found.dtype == bool:
+        found = np.flatnonzero(found)
+    if found.ndim != 1 or (len(found) and not np.issubdtype(found.dtype, np.integer)):
+        raise InputError("loads are numbers", where=where, found=f"{found.dtype} {found.shape}", expected="integers")
+    if len(set(found.tolist())) != len(found):
+        raise InputError("a load is named twice", where=where, expected="each load once")
+    return found.astype(int)
+
+
+def _covariance(covariance: ArrayLike, R: int) -> NDArray[np.float64]:
+    S = np.asarray(covariance, float)
+    S = np.diag(S) if S.ndim == 1 else S
+    if S.shape != (R, R) or not np.all(np.isfinite(S)) or not np.allclose(S, S.T, rtol=1e-8, atol=0):
+        raise InputError(
+            "the covariance does not fit the resultants", where="Resultant", found=f"shape {np.shape(covariance)}",
+            expected=f"finite and symmetric, ({R}, {R}) or ({R},)",
+        )  # fmt: skip
+    try:
+        np.linalg.cholesky(S)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            "the covariance of the resultants is not positive definite", where="Resultant",
+            found=f"smallest eigenvalue {np.linalg.eigvalsh(S)[0]:.3g}", expected="> 0",
+            hint="leave the covariance out where the resultant is exact",
+        ) from None  # fmt: skip
+    return S
+
+
+def _count(loads: Any) -> str:
+    return "all loads" if loads is None else f"{len(loads)} loads"

@@ -1,0 +1,193 @@
+"""The objective |A h - b|^2 of a constrained problem, and its least-squares steps on a face."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .face import Face
+from .feasible import Feasible
+
+WELL = 1e-11  # reciprocal condition of the Gram matrix above which it may direct the steps
+EPS = float(np.finfo(float).eps)
+
+
+class Quadratic:
+    """Half of |A h - b|^2 in local unknowns, prepared for many faces.
+
+    A step on a face is a least-squares problem with one more row for each curved cone. Where A is well conditioned its
+    Gram matrix directs the step, and the gradient A^T (A h - b), formed from A itself, decides when to stop: iterative
+    refinement of the semi-normal equations (Björck, Linear Algebra Appl. 88/89 (1987) 31). Elsewhere each step is a QR.
+
+    Parameters
+    ----------
+    A : array, shape (rows, n)
+    feasible : Feasible
+        For the blocks, which share one length scale.
+    """
+
+    def __init__(self, A: NDArray, feasible: Feasible) -> None:
+        from scipy.linalg import blas
+
+        self.A = np.asfortranarray(A, float)
+        self.n = A.shape[1]
+        upper = blas.dsyrk(1.0, self.A, trans=1)
+        self.G = np.triu(upper) + np.triu(upper, 1).T
+        d = np.diag(self.G).copy()
+        for c in feasible.cones:
+            d[c.index] = np.max(d[c.index], axis=1)[:, None]
+        top = float(d.max(initial=0.0)) or 1.0
+        self.tau = 1 / np.maximum(d, 1e-12 * top)  # step lengths: one per interval or contact
+        self._factor: NDArray | None = None
+        self.well = self._condition() > WELL
+        self._triangle: NDArray | None = None
+
+    def _condition(self) -> float:
+        """Reciprocal condition number of the Gram matrix with a unit diagonal; zero where it is singular."""
+        from scipy.linalg import lapack
+
+        w = np.sqrt(self.tau)
+        scaled = np.asfortranarray(self.G * w[:, None] * w)
+        norm = float(np.abs(scaled).sum(axis=0).max(initial=0.0))
+        factor, info = lapack.dpotrf(scaled, clean=1, overwrite_a=1)
+        self._factor = None if info else factor
+        return float(lapack.dpocon(factor, norm)[0]) if info == 0 and self.n else 0.0
+
+    def dual_energy(self, delta: NDArray, h: NDArray) -> float:
+        """Half of |A^-T delta|^2: what a gradient left over can lower half the objective by, anywhere.
+
+        Where A is singular that has no bound; then what it lowers on the way from h to zero, |delta h|.
+        """
+        from scipy.linalg import solve_triangular
+
+        if not np.any(delta):
+            return 0.0
+        if self.well and self._factor is not None:
+            return float(0.5 * np.sum(solve_triangular(self._factor, np.sqrt(self.tau) * delta, trans="T") ** 2))
+        if self._triangle is None:
+            self._triangle = np.linalg.qr(self.A, mode="r")
+        R, diagonal = self._triangle, np.abs(np.diag(self._triangle))
+        if len(R) < self.n or diagonal.min() <= self.n * EPS * diagonal.max():
+            return float(np.abs(delta @ h))
+        return float(0.5 * np.sum(solve_triangular(R, delta, trans="T") ** 2))
+
+    def step(
+        self, h: NDArray, b: NDArray, gradient: NDArray, face: Face, pull: NDArray, offset: NDArray,
+        C: NDArray, short: NDArray,
+    ) -> tuple[NDArray, NDArray] | None:  # fmt: skip
+        """Minimiser on a face from `h`, with C times it fixed; and the multipliers of C. None: singular.
+
+        Parameters
+        ----------
+        gradient : array, shape (n,)
+            A^T (A h - b).
+        pull, offset : array, shape (n,)
+            Proximal term ``pull * (step + offset)^2`` in (turned) unknowns; zero without.
+        C, short : array, shape (rows, n), (rows,)
+            Linear rows that hold, and what h lacks: C (step) = short.
+        """
+        ht, free = face.turn(h), ~face.held
+        target = np.where(free, 0.0, face.turn(face.point))
+        d0 = np.where(free, 0.0, target - ht)
+        bend = face.curvature(self.tau)
+        f = np.flatnonzero(free)
+        stiff = (bend + pull)[f]
+        lean = (bend * ht + pull * face.turn(offset))[f]  # gradient of the rows that the cones and the prox add
+        Ct = face.columns(C)[:, f] if len(C) else C[:, f]
+        if len(C):
+            short = short - face.columns(C) @ d0
+        if len(f) == 0:
+            return face.back(ht + d0), np.zeros(len(C))
+        solved = (
+            self._semi_normal(face, f, d0, gradient, stiff, lean)
+            if self.well or np.all(pull[f] > 0)
+            else self._orthogonal(face, f, d0, b - self.A @ h, stiff, lean)
+        )
+        if solved is None:
+            return None
+        q, R = solved
+        nu = np.zeros(len(C))
+        if len(C):
+            q, nu = _onto_rows(q, R, Ct, short)
+        ht = ht + d0
+        ht[f] += q
+        return face.back(ht), nu
+
+    def _semi_normal(
+        self, face: Face, f: NDArray, d0: NDArray, gradient: NDArray, stiff: NDArray, lean: NDArray
+    ) -> tuple[NDArray, NDArray] | None:
+        from scipy.linalg import lapack
+
+        G = face.gram(self.G)
+        M = np.asfortranarray(G[np.ix_(f, f)])
+        M[np.arange(len(f)), np.arange(len(f))] += stiff
+        moved = np.flatnonzero(d0)
+        right = -face.turn(gradient)[f] - lean
+        if len(moved):
+            right -= G[np.ix_(f, moved)] @ d0[moved]
+        R, info = lapack.dpotrf(M, lower=0, clean=1, overwrite_a=1)
+        return None if info else (lapack.dpotrs(R, right)[0], R)
+
+    def _orthogonal(
+        self, face: Face, f: NDArray, d0: NDArray, residual: NDArray, stiff: NDArray, lean: NDArray
+    ) -> tuple[NDArray, NDArray] | None:
+        from scipy.linalg import solve_triangular
+
+        At = face.columns(self.A)
+        curved = np.flatnonzero(stiff)
+        rows = np.zeros((len(curved), len(f)))
+        root = np.sqrt(stiff[curved])
+        rows[np.arange(len(curved)), curved] = root
+        right = np.concatenate([residual - At @ d0, -lean[curved] / root])
+        Q, R = np.linalg.qr(np.vstack([At[:, f], rows]))
+        diagonal = np.abs(np.diag(R))
+        if len(R) < len(f) or diagonal.min() <= len(f) * EPS * diagonal.max():
+            return None
+        return solve_triangular(R, Q.T @ right), R
+
+    def shrink(self, face: Face, C: NDArray) -> NDArray[np.float64]:
+        """Factor S (n, directions) of the inverse Hessian on the face, S S^T, with the rows C held; of full rank.
+
+        The curvature of the cones is in it: S S^T A^T is the derivative of the solution by b.
+        """
+        f = np.flatnonzero(~face.held)
+        stiff = face.curvature(self.tau)[f]
+        rows = np.diag(np.sqrt(stiff))[stiff > 0]
+        R, V = np.linalg.qr(np.vstack([face.columns(self.A)[:, f], rows]), mode="r"), None
+        if len(C):
+            V = _kernel(face.columns(C)[:, f])
+            R = np.linalg.qr(R @ V, mode="r")
+        free = _right_inverse(R)
+        S = np.zeros((self.n, free.shape[1]))
+        S[f] = free if V is None else V @ free
+        return face.back(S)
+
+
+def _right_inverse(R: NDArray) -> NDArray[np.float64]:
+    """S with S S^T the (pseudo-)inverse of R^T R, of full column rank."""
+    from scipy.linalg import solve_triangular
+
+    diagonal = np.abs(np.diag(R))
+    if R.shape[0] == R.shape[1] and diagonal.min(initial=np.inf) > 100 * len(R) * EPS * diagonal.max(initial=0.0):
+        return solve_triangular(R, np.eye(len(R)))
+    s, Wt = np.linalg.svd(R, full_matrices=False)[1:]
+    keep = s > max(R.shape) * EPS * s.max(initial=0.0)
+    return Wt[keep].T / s[keep]
+
+
+def _onto_rows(q: NDArray, R: NDArray, C: NDArray, short: NDArray) -> tuple[NDArray, NDArray]:
+    """The step moved by the least energy so that C step = short, and the multipliers: gradient + C^T nu = 0."""
+    from scipy.linalg import solve_triangular
+
+    W = solve_triangular(R, C.T, trans="T")
+    Q, T = np.linalg.qr(W)
+    z = np.linalg.lstsq(T.T, short - C @ q, rcond=1e-13)[0]
+    nu = -np.linalg.lstsq(T, z, rcond=1e-13)[0]
+    return q + solve_triangular(R, Q @ z), nu
+
+
+def _kernel(C: NDArray) -> NDArray[np.float64]:
+    """Orthonormal null space of some rows."""
+    U, s, Vt = np.linalg.svd(C, full_matrices=True)
+    rank = int(np.sum(s > max(C.shape) * EPS * s.max(initial=0.0)))
+    return Vt[rank:].T
