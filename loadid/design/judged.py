@@ -101,7 +101,7 @@ class Judged:
             "sensors": list(self.sensors),
             "rank": self.rank,
             "nullity": self.nullity,
-            "kappa": self.kappa,
+            "kappa": self.kappa if self.rank else None,
             "recoverable": self.recoverable,
             "snr": self.snr.tolist(),
             "std": self.std.tolist(),

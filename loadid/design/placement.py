@@ -140,7 +140,7 @@ def place(
     keep : sequence of str or int
         Sensors that are there already.
     exhaustive : bool, optional
-        Look at every set; by default where that takes about a second.
+        Look at every set; by default where that takes well below a second.
     noise, amplitude, snr, at, loads_at
         As in `compare`. Noise is a std per sensor: where errors are correlated a sensor has no worth of its own.
     progress : callable, optional

@@ -27,7 +27,7 @@ Rows = list[int]
 D, WORST = 0.0, np.inf
 TIE = 1e-8  # gains, of log det or relative variance, that count as equal
 REFRESH = 64  # rank-one updates after which the state is computed anew
-WORK = 2e8  # multiplications up to which all sets are looked at
+WORK = 3e7  # multiplications up to which all sets are looked at
 MANY = 4  # times the rows wanted, above which the backward start takes out many rows at once
 SWAPS = 20  # exchanges per chosen row, at most
 
@@ -172,9 +172,14 @@ def exchange(state: State, keep: Rows, criterion: float, rank: NDArray, step: Ca
         found = _best_swap(state, keep, rank) if criterion == D else _first_swap(state, keep, criterion, rank, asked)
         if found is None:
             break
+        before = state.score(criterion)
         state.change(found[0], -1)
         state.change(found[1], 1)
         step()
+        if state.score(criterion) <= before:  # promised by rounding: the row that left was all that saw some load
+            state.change(found[1], -1)
+            state.change(found[0], 1)
+            break
     state._refresh()
     return state
 

@@ -222,13 +222,34 @@ def at_places(known: Known, geometry: Any) -> NDArray[np.float64]:
             size = np.inf if measures is None else np.asarray(measures, float)
             reach = np.broadcast_to(0.5 * size if x.shape[1] == 1 else np.sqrt(0.5 * size), len(x))
         return _from_points(x, numbers(known.coordinates, "coordinates"), values, reach, known.outside)
-    if patches and x.shape[1] == 1 and measures is not None:
-        nodes, weights = np.polynomial.legendre.leggauss(8)
-        half = np.asarray(measures, float)[:, None] / 2
-        return _asked(known.values, (x + half * nodes).ravel()).reshape(*np.shape(half * nodes), -1).transpose(
-            0, 2, 1
-        ) @ (weights / 2)
+    boxes = _boxes(geometry, x) if patches else None
+    if boxes is not None:
+        return _averaged(known.values, boxes)
     return _asked(known.values, x[:, 0] if x.shape[1] == 1 else x)
+
+
+def _boxes(geometry: Any, x: NDArray) -> NDArray[np.float64] | None:
+    """Corners (P, dim, 2) of patches that are spans or rectangles."""
+    extents, measures = geometry.get("extents"), geometry.get("measures")
+    if extents is not None and np.shape(extents) == (*x.shape, 2):
+        return np.asarray(extents, float)
+    if x.shape[1] == 1 and measures is not None:
+        half = np.asarray(measures, float)[:, None] / 2
+        return np.stack([x - half, x + half], axis=-1)
+    return None
+
+
+def _averaged(function: Callable[[NDArray], ArrayLike], boxes: NDArray) -> NDArray[np.float64]:
+    """Means (P,) or (P, components) of a function over boxes, by a Gauss rule of six points a side."""
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    dim = boxes.shape[1]
+    local = np.stack(np.meshgrid(*[nodes] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+    shares = np.prod(np.stack(np.meshgrid(*[weights / 2] * dim, indexing="ij"), axis=-1).reshape(-1, dim), axis=1)
+    middle, half = boxes.mean(axis=2), np.ptp(boxes, axis=2) / 2
+    at = (middle[:, None] + half[:, None] * local).reshape(-1, dim)
+    found = _asked(function, at[:, 0] if dim == 1 else at)
+    means = np.einsum("pqc,q->pc", found.reshape(len(boxes), len(shares), -1), shares)
+    return means[:, 0] if found.ndim == 1 else means
 
 
 def _asked(function: Callable[[NDArray], ArrayLike], x: NDArray) -> NDArray[np.float64]:

@@ -139,6 +139,17 @@ class TestFields:
         assert check.error == pytest.approx(np.linalg.norm(TRUTH - mean) / np.linalg.norm(mean))
         assert validate(line(mean), lambda x: x**4).checks[0].error < 1e-12
 
+    def test_a_function_is_averaged_over_rectangles(self):
+        """Patches 1/3 by 1/4 of the unit square; the mean of x^3 y^2 is a product of integrals."""
+        i, j = np.divmod(np.arange(P), 4)
+        boxes = np.stack([np.stack([i, i + 1], -1) / 3, np.stack([j, j + 1], -1) / 4], axis=1)
+        x, y = boxes[:, 0], boxes[:, 1]
+        mean = np.diff(x**4 / 4)[:, 0] * 3 * np.diff(y**3 / 3)[:, 0] * 4
+        e = line(mean)
+        own = {"coordinates": boxes.mean(axis=2), "extents": boxes, "measures": np.full(P, 1 / 12)}
+        e = replace(e, geometry=dict(e.geometry) | own)
+        assert validate(e, lambda q: q[:, 0] ** 3 * q[:, 1] ** 2).checks[0].error < 1e-12
+
     def test_a_function_is_taken_at_hats(self):
         assert validate(line(X**4, kind="hats"), lambda x: x**4).checks[0].error < 1e-12
 
