@@ -76,7 +76,7 @@ class DensePosterior:
         return None if self.passed is None else self._spread(self.factor**2 @ self.passed)
 
     def variance(self, w: NDArray) -> NDArray[np.float64]:
-        """Variance of ``sum(w * load)``; `w` has the shape of the load, or of one frame; (k,) may stand in front."""
+        """Variance of ``sum(w * load)``; `w` has the shape of the load, (k,) + that shape, or that of one frame."""
         return self._variance(w, 1.0)
 
     def noise_variance(self, w: NDArray) -> NDArray[np.float64] | None:
@@ -117,7 +117,8 @@ class DensePosterior:
         w = np.asarray(w, float)
         for shape in (self.shape, self.frame_shape):
             lead = w.shape[: max(w.ndim - len(shape), 0)]
-            if w.shape[len(lead) :] == shape:
+            alone = shape is not self.shape  # a stack of one-frame weights could be mistaken for frames
+            if w.shape[len(lead) :] == shape and not (alone and lead):
                 framed = self.frames is not None and shape is self.shape
                 axes = (*lead, shape[0]) if framed else lead
                 return w.reshape(*axes, -1) @ self.factor, framed

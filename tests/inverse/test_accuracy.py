@@ -1,0 +1,33 @@
+"""Digits at condition number 1e10, against extended precision."""
+
+import numpy as np
+import pytest
+
+from tests.benchmarks.accuracy import LAMBDAS, case, errors, extended, modes, normal, ours, stacked
+
+from .reference import augmented
+
+SCALED_QR = np.array([2e-14, 2e-11, 3e-8])  # what scaled QR + SVD is known to reach at 1e-2, 1e-5, 1e-8
+
+
+@pytest.fixture(scope="module")
+def worst() -> dict[str, np.ndarray]:
+    return errors({"ours": ours, "modes": modes, "stacked": stacked, "normal": normal}, 1)
+
+
+def test_the_solution_keeps_its_digits_at_every_lambda(worst: dict[str, np.ndarray]) -> None:
+    assert np.all(worst["ours"] <= SCALED_QR)
+    assert np.all(worst["ours"] <= 3 * worst["stacked"])
+
+
+def test_the_modes_are_close_behind_and_the_normal_equations_are_not(worst: dict[str, np.ndarray]) -> None:
+    assert np.all(worst["modes"] <= 5 * SCALED_QR)
+    assert worst["normal"][1] > 1e-8
+    assert worst["normal"][2] > 1e-3
+
+
+def test_the_reference_is_right_where_double_precision_is() -> None:
+    H, y, L = case(0)
+    g = augmented(H, y, L, 0.1).load
+    assert np.linalg.norm(extended(H, y, L, 0.1) - g) < 1e-13 * np.linalg.norm(g)
+    assert LAMBDAS == (1e-2, 1e-5, 1e-8)
