@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -43,7 +42,9 @@ class DensePosterior:
     passed : array, shape (modes,), optional
         Filter factors: the share of each mode's variance that is noise; the rest is prior. None: not known.
     dual : array, shape (unknowns, modes), optional
-        ``dual.T @ factor`` is the identity; needed where there are fewer modes than unknowns.
+        ``dual.T @ factor`` is the identity; needed where there are fewer modes than unknowns that are not orthogonal.
+    orthogonal : bool
+        The columns of `factor` are at right angles: their dual needs no solve.
     frames : int, optional
         Frames of data with the same posterior and independent noise; the load is then (frames,) + shape.
     """
@@ -57,13 +58,14 @@ class DensePosterior:
         *,
         passed: NDArray | None = None,
         dual: NDArray | None = None,
+        orthogonal: bool = False,
         frames: int | None = None,
     ) -> None:
-        self.factor, self.passed, self.dual = factor, passed, dual
+        self.factor, self.passed, self.dual, self.orthogonal = factor, passed, dual, orthogonal
         self.frame_shape = tuple(int(i) for i in shape)
         self.frames = None if frames is None else int(frames)
         self.shape = self.frame_shape if frames is None else (int(frames), *self.frame_shape)
-        self._solver: Callable[[NDArray], NDArray] | None = None
+        self._lu: tuple[NDArray, NDArray] | None = None
 
     @property
     def std(self) -> NDArray[np.float64]:
@@ -90,19 +92,24 @@ class DensePosterior:
         stays below a limit, below the limit times their norm. None where the resolution R is not known.
         """
         full = self.factor.shape[0] == self.factor.shape[1]
-        if self.passed is None or (self.dual is None and not full):
+        if self.passed is None or not (full or self.orthogonal or self.dual is not None):
             return None
         modal, _ = self._modal(w)
-        if self.dual is None:
+        if full:
             lost = -self._undo(modal * (1 - self.passed))
         else:
-            lost = (modal * self.passed) @ self.dual.T - np.asarray(w, float).reshape(*modal.shape[:-1], -1)
+            lost = self._undo(modal * self.passed) - np.asarray(w, float).reshape(*modal.shape[:-1], -1)
         return lost.reshape(np.shape(w))
 
     def to_arrays(self) -> dict[str, object]:
         """Plain arrays, for a result file."""
         tree: dict[str, object] = {"kind": self.kind, "factor": self.factor, "shape": list(self.frame_shape)}
-        extra = {"passed": self.passed, "dual": self.dual, "frames": self.frames}
+        extra = {
+            "passed": self.passed,
+            "dual": self.dual,
+            "orthogonal": self.orthogonal or None,
+            "frames": self.frames,
+        }
         return tree | {name: value for name, value in extra.items() if value is not None}
 
     def _spread(self, variance: NDArray) -> NDArray[np.float64]:
@@ -128,14 +135,18 @@ class DensePosterior:
         )  # fmt: skip
 
     def _undo(self, modal: NDArray) -> NDArray[np.float64]:
-        """``factor^-T`` on the last axis: factored once, columns scaled to equal length."""
+        """Dual of the factor times modal values on the last axis."""
+        if self.dual is not None:
+            return modal @ self.dual.T
+        length = np.linalg.norm(self.factor, axis=0)
+        if self.orthogonal:
+            return (modal / length**2) @ self.factor.T
         from scipy.linalg import lu_factor, lu_solve
 
-        if self._solver is None:
-            length = np.linalg.norm(self.factor, axis=0)
-            lu = lu_factor((self.factor / length).T)
-            self._solver = lambda x: lu_solve(lu, (x / length).T).T
-        return self._solver(modal.reshape(-1, modal.shape[-1])).reshape(modal.shape)
+        if self._lu is None:  # factored once, columns scaled to equal length
+            self._lu = lu_factor((self.factor / length).T)
+        flat = (modal / length).reshape(-1, modal.shape[-1]).T
+        return lu_solve(self._lu, flat).T.reshape(modal.shape)
 
 
 class SpectralPosterior:
@@ -193,7 +204,12 @@ def from_arrays(tree: dict) -> Posterior:
     if tree.get("kind") == DensePosterior.kind:
         passed, dual = (None if tree.get(k) is None else np.asarray(tree[k]) for k in ("passed", "dual"))
         return DensePosterior(
-            np.asarray(tree["factor"]), tuple(tree["shape"]), passed=passed, dual=dual, frames=tree.get("frames")
+            np.asarray(tree["factor"]),
+            tuple(tree["shape"]),
+            passed=passed,
+            dual=dual,
+            orthogonal=bool(tree.get("orthogonal", False)),
+            frames=tree.get("frames"),
         )  # files from before these were kept hold the factor and the shape only
     if tree.get("kind") == SpectralPosterior.kind:
         return SpectralPosterior(np.asarray(tree["lines"]), tree["samples"], tree["padded"])

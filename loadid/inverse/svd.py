@@ -178,17 +178,20 @@ class SVDPath(FactoredPath):
         return self.X @ self.gains(lam)
 
     def _posterior(self, lam: float, sigma: float) -> DensePosterior:
+        if not (np.isfinite(sigma) and sigma >= 0):
+            raise InputError("no noise level", where="sigma", found=sigma, expected="a finite number >= 0")
         f, shape, frames = self.filter_factors(lam), self.problem.shape, self.problem.frames
+        if sigma == 0:  # no spread, and no shares of it
+            return DensePosterior(np.zeros((len(f), 1)), shape, frames=frames)
         if self.smooth:
             d = self.c**2 + (lam * float(self.scale) * self.s) ** 2
             spread = np.divide(sigma, np.sqrt(d), out=np.zeros(d.shape), where=d > 0)
         else:  # a hard cut-off has no prior: the noise of the kept modes only
             spread = np.where(f > 0, self._per_coefficient(lam) * sigma, 0.0)
-        keep = spread > 0
-        if np.all(keep):
-            return DensePosterior(self.X * spread, shape, passed=f, frames=frames)
-        dual = self.Y[:, keep] / spread[keep]
-        return DensePosterior(self.X[:, keep] * spread[keep], shape, passed=f[keep], dual=dual, frames=frames)
+        keep = slice(None) if np.all(spread > 0) else spread > 0
+        X, f, spread = self.X[:, keep], f[keep], spread[keep]
+        dual = None if self._orthonormal or X.shape[1] == len(X) else self.Y[:, keep] / spread
+        return DensePosterior(X * spread, shape, passed=f, dual=dual, orthogonal=self._orthonormal, frames=frames)
 
     # -- what the sums over modes need where the modes are not at right angles ----------------------------------------
     def _lengths2(self) -> NDArray | float:

@@ -186,6 +186,16 @@ def test_a_prior_that_is_flat_along_constants_leaves_the_mean_to_the_data() -> N
     assert tied.variance(mean) < 1e-9 * expected
 
 
+def test_noise_levels_at_the_edge() -> None:
+    path, _ = posed(24, "first_difference")
+    silent = path.solution(0.2, 0.0).posterior
+    assert np.all(silent.std == 0)
+    assert silent.noise_std is None
+    for sigma in (-1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="noise level"):
+            path.solution(0.2, sigma)
+
+
 # -- frames ----------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["identity", "first_difference"])
 def test_frames_have_one_posterior_and_independent_noise(name: str) -> None:
