@@ -407,4 +407,6 @@ def _supports_near(structure: Structure, load: Load) -> list[Any]:
         near = np.unique(structure.K[touched].indices)
     else:
         near = structure.field.near(region)
-    return [structure.dofs[i] for i in np.intersect1d(near, structure.supported)]
+    # both are searched, not sorted: thousands of candidates ask for the supports of one structure
+    place = np.minimum(np.searchsorted(structure.supported, near), len(structure.supported) - 1)
+    return [structure.dofs[i] for i in np.unique(near[structure.supported[place] == near])]

@@ -46,11 +46,11 @@ def condition(structure: Structure, scaled: bool) -> float:
     return float(ends[0] * ends[1])
 
 
-def responses(structure: Structure, markers: int = 9) -> np.ndarray:
-    """H of nodal forces on the top face: markers x markers x 3 rows at the fixed depth."""
+def responses(structure: Structure, markers: int = 9, depth: float = DEPTH) -> np.ndarray:
+    """H of nodal forces on the top face: markers x markers x 3 rows at one depth."""
     places = np.linspace(2e-3, 18e-3, markers)
     rows = [
-        sensors.Displacement(at=(x, y, LENGTHS[2] - DEPTH), direction=d, label=f"{x} {y} {d}").row(structure)
+        sensors.Displacement(at=(x, y, LENGTHS[2] - depth), direction=d, label=f"{x} {y} {d}").row(structure)
         for x in places
         for y in places
         for d in ("+X", "+Y", "+Z")
@@ -106,15 +106,21 @@ def meshes(levels: Sequence[int] = (1, 2, 3)) -> list[float]:
     return change
 
 
-def candidates(level: int = 3, markers: int = 13, cells: Sequence[int] = (4, 8, 16, 32)) -> list[int]:
+def candidates(
+    level: int = 3,
+    markers: int = 13,
+    cells: Sequence[int] = (4, 8, 16, 32),
+    depth: float = DEPTH,
+    noise: float = NOISE,
+) -> list[int]:
     """Print how many values lie above the noise as candidates are added on one mesh; returns the counts."""
     structure = pad(level)
-    H = responses(structure, markers)
-    print(f"\nCandidates added on one mesh: {len(H)} readings, noise {NOISE:g} of the first singular value")
+    H = responses(structure, markers, depth)
+    print(f"\nCandidates added on one mesh: {len(H)} readings, noise {noise:g} of the first singular value")
     counts: list[int] = []
     for c in cells:
         v = singular_values(structure, H, c)
-        counts.append(int(np.sum(v > NOISE * v[0])))
+        counts.append(int(np.sum(v > noise * v[0])))
         print(f"{3 * (c + 1) ** 2:6d} candidates, {counts[-1]:4d} values above the noise", flush=True)
     return counts
 

@@ -41,6 +41,29 @@ def test_both_ways_to_a_compliance_agree_with_a_dense_solver(pad, monkeypatch):
         assert np.abs(A - exact).max() < 1e-12 * np.abs(exact).max()
 
 
+def test_a_transfer_between_many_dofs_of_a_surface_is_condensed(pad, monkeypatch):
+    monkeypatch.setattr(f, "MANY", 10)
+    K, dofs, rng = pad.K_free, top(pad), np.random.default_rng(3)
+    S, B = (
+        sparse.csr_array(
+            (np.ones(len(dofs)), (np.arange(len(dofs)), rng.permutation(dofs))), shape=(len(dofs), K.shape[0])
+        )
+        for _ in range(2)
+    )
+    used = []
+    monkeypatch.setattr(
+        Factor, "compliance", lambda self, d, real=Factor.compliance: used.append(len(d)) or real(self, d)
+    )
+    H = Factor(K).transfer(S, 2 * B.T)
+    exact = S @ np.linalg.solve(K.toarray(), 2 * B.T.toarray())
+    assert used == [len(dofs)]
+    assert np.abs(H - exact).max() < 1e-11 * np.abs(exact).max()
+    indefinite = sparse.csc_array(K - 0.5 * sparse.diags_array(K.diagonal()))
+    H = Factor(indefinite).transfer(S, B.T)
+    exact = S @ np.linalg.solve(indefinite.toarray(), B.T.toarray())
+    assert np.abs(H - exact).max() < 1e-6 * np.abs(exact).max()
+
+
 def test_order_and_choice_of_dofs_are_kept(pad):
     K, rng = pad.K_free, np.random.default_rng(0)
     for count in (1, 2, 30, K.shape[0]):

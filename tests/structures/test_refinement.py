@@ -17,7 +17,7 @@ def test_leading_singular_values_converge():
 
 
 def test_added_candidates_add_only_values_below_the_noise():
-    coarse, middle, fine = refinement.candidates(level=2, markers=9, cells=(4, 8, 16))
-    assert coarse == 75  # every one counts
-    assert fine - middle < 0.1 * (867 - 243)
-    assert fine < 200
+    """Markers deep in the pad: from 75 to 243 candidates the data tell more apart, from 243 to 867 they do not."""
+    coarse, middle, fine = refinement.candidates(level=2, markers=9, cells=(4, 8, 16), depth=3.75e-3, noise=0.03)
+    assert 50 < coarse < middle
+    assert middle <= fine <= middle + 2
