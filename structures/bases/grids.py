@@ -44,8 +44,7 @@ def breaks(grid: Any, window: Array, names: Sequence[str], where: str) -> list[A
 
 def _axis(one: Any, span: Array, name: str, where: str) -> Array:
     if not isinstance(one, Sequence | np.ndarray) or isinstance(one, str):
-        whole = isinstance(one, int | np.integer) and not isinstance(one, bool)
-        if not whole or not 1 <= one <= LIMIT:
+        if isinstance(one, bool) or not isinstance(one, int | np.integer) or not 1 <= one <= LIMIT:
             raise _no_grid(one, (name,), where)
         return np.linspace(span[0], span[1], int(one) + 1)
     try:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,23 @@ from .container import BUDGET, Container
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 KIND = "structure"
 OBJECTS = 10_000
+PATIENCE = 20.0  # seconds that a small file may take
+SPEED = 1e7  # bytes per second that a large one must at least be read with
 _FILTERS = (1, 2, 3)  # deflate, shuffle, fletcher32: compiled in; any other would load a library from the disk
+# Reads all that `_get` would read. A damaged file may hang or crash the C library: then it is this child that dies.
+_TRIAL = f"""
+import sys, h5py
+def touch(name, item):
+    dict(item.attrs)
+    if isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual:
+        p = item.id.get_create_plist()
+        filters = [p.get_filter(i)[0] for i in range(p.get_nfilters())]
+        size = (item.size or 0) * item.dtype.itemsize
+        if set(filters) <= set({_FILTERS}) and size <= {BUDGET} and (filters or size <= item.id.get_storage_size()):
+            item[()]
+with h5py.File(sys.argv[1], "r") as file:
+    file.visititems(touch)
+"""
 
 
 def open_hdf5(path: Path) -> Container:
@@ -34,6 +52,7 @@ def open_hdf5(path: Path) -> Container:
         _flatten(tree, "", arrays)
         return Container(str(path), arrays, {})
     _signed(path)
+    _tried(path)
     names, shapes = _guarded(path, _list)
     return Container(str(path), {name: partial(_guarded, path, partial(_get, name=name)) for name in names}, shapes)
 
@@ -88,6 +107,31 @@ def _end(head: bytes) -> int | None:
         return None
     value = int.from_bytes(head[at : at + 8], "little")
     return None if value == 2**64 - 1 else value
+
+
+def _tried(path: Path) -> None:
+    """Let a child read the file first: it dies or hangs in place of the caller, where the library does."""
+    limit = PATIENCE + path.stat().st_size / SPEED
+    command = [sys.executable, "-I", "-c", _TRIAL, str(path.resolve())]
+    null = subprocess.DEVNULL
+    try:
+        end = subprocess.run(command, stdin=null, stdout=null, stderr=null, timeout=limit, check=False).returncode
+    except subprocess.TimeoutExpired:
+        _gave_up(path, "hangs on", f"no answer in {limit:.0f} s")
+    except OSError:
+        return  # no child can be started here
+    if end < 0:
+        _gave_up(path, "crashes on", f"ended by signal {-end}")
+
+
+def _gave_up(path: Path, what: str, found: str) -> NoReturn:
+    raise InputError(
+        f"the HDF5 library {what} this file",
+        where=str(path),
+        found=found,
+        expected="an undamaged file",
+        hint="transfer or export it again",
+    )
 
 
 def _guarded(path: Path, work: Callable[[Any], Any]) -> Any:

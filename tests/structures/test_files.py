@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from structures import ForwardModel, InputError, Structure, beams, chains, damping, files, plates
+from structures.files import hdf5
 from structures.files.container import split
 from structures.loads import Moment, Point
 from structures.sensors import Displacement
@@ -450,6 +451,21 @@ def test_damaged_files_never_raise_anything_else(tmp_path, kind, place, noise):
     path.write_bytes(data)
     with contextlib.suppress(InputError):
         assert np.all(np.isfinite(files.load(path).K.data))
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("import time; time.sleep(60)", "hangs on this file"),
+        ("import os; os.kill(os.getpid(), 11)", "crashes on this file"),
+    ],
+)
+def test_a_library_that_hangs_or_crashes_takes_a_child_with_it(tmp_path, monkeypatch, script, words):
+    monkeypatch.setattr(hdf5, "_TRIAL", script)
+    monkeypatch.setattr(hdf5, "PATIENCE", 0.3 if "sleep" in script else 20.0)
+    dense_h5(tmp_path / "m.h5")
+    with pytest.raises(InputError, match=words):
+        files.load(tmp_path / "m.h5")
 
 
 def test_names_of_sparse_parts():
