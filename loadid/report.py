@@ -18,6 +18,7 @@ from loadid.summary import (
     allowed,
     cannot_tell,
     comparison,
+    diagnosis,
     facts,
     headline,
     impulses,
@@ -67,6 +68,7 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:
         ("Result", _result(estimate) + _known(estimate, truth) + _picture(estimate, truth) + _notes(estimate)),
         ("Flags", _flags(estimate)),
         ("How lambda was chosen", _choice(estimate)),
+        ("What the data can tell", _diagnosis(estimate)),
         ("What the data cannot tell", _limits(estimate)),
         ("Measured against predicted", _response(estimate)),
         ("Verification", _verification(estimate)),
@@ -181,6 +183,23 @@ def _choice(e: LoadEstimate) -> str:
 
     words = f"L-curve and residual over lambda; verdict {e.choice.verdict}"
     return text + _image(partial(path_figure, e), words, e.choice.sweep.lam.size)
+
+
+def _diagnosis(e: LoadEstimate) -> str:
+    """Recoverable modes, decay, conditioning and point spreads, in words and in two pictures."""
+    if e.diagnosis is None:
+        return ""
+    from loadid.plots import modes
+    from loadid.plots import resolution as spreads
+
+    d = e.diagnosis
+    said = "".join(f"<li>{escape(line)}</li>" for line in diagnosis(e))
+    first = _image(
+        partial(modes, e), f"Picard plot and filter factors, i* = {d.plateau} of {d.seen}", 4 * len(d.coefficients)
+    )
+    size = 0 if d.matrix is None else d.matrix.size
+    second = _image(partial(spreads, e), f"resolution and point spreads of {d.n} loads", size + 8 * d.n)
+    return f"<ul>{said}</ul>{first}{second}"
 
 
 def _limits(e: LoadEstimate) -> str:

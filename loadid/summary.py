@@ -13,6 +13,7 @@ from structures.errors import InputError
 if TYPE_CHECKING:
     from loadid.estimate import LoadEstimate
     from loadid.inverse.choice import Choice
+    from loadid.inverse.diagnose import Diagnosis
     from structures.flags import Flag
 
 # what the numbers of `facts` are called, in the order in which they are printed
@@ -188,6 +189,35 @@ def cannot_tell(estimate: LoadEstimate) -> str:
     return f"Every component of the load leaves a trace in the data (nullity 0), but not all equally: {rest}."
 
 
+def diagnosis(estimate: LoadEstimate) -> list[str]:
+    """What the data can tell: recoverable modes, law of decay and what it buys, conditioning, point spreads."""
+    d = estimate.diagnosis
+    if d is None:
+        return []
+    level = "; the data coefficients fall to the end, no noise is seen" if d.floor == 0 else ""
+    used = float(np.sum(d.filter_factors))
+    lines = [f"recoverable modes: i* = {d.plateau} of {d.seen} (lambda uses {used:.3g}){level}"]
+    lines.append(f"decay: {d.decay}{_buys(d)}")
+    hidden = "" if not d.null_share else f"; {share(d.null_share)} of the load shown lies in ker(H)"
+    lines.append(f"condition number {d.kappa:.3g} of the visible part, rank {d.rank} and nullity {d.nullity}{hidden}")
+    talk = d.cross_talk[d.columns == d.load]
+    names = estimate.labels if len(estimate.labels) == d.n else [f"load {j + 1}" for j in range(d.n)]
+    lines.append(
+        f"a single load at {names[d.load]} is shown {d.width:.3g} {d.width_unit} wide at {1 - d.peak_bias:.0%} of its "
+        f"height, cross-talk {share(float(talk[0])) if len(talk) and np.isfinite(talk[0]) else 'beyond measure'}; worst "
+        f"{names[d.worst]} at {d.heights[d.worst]:.0%}"
+    )
+    return lines
+
+
+def _buys(d: Diagnosis) -> str:
+    """What a better signal-to-noise ratio buys, from where the record stands."""
+    ten, hundred = d.decay.buys(10.0, d.snr), d.decay.buys(100.0, d.snr)
+    if not (math.isfinite(ten) and math.isfinite(hundred)):
+        return ""
+    return f"; 10 x better SNR buys x {ten:.3g} of resolution, 100 x buys x {hundred:.3g}, as long as the mesh allows"
+
+
 def facts(estimate: LoadEstimate) -> list[tuple[str, str]]:
     """Name and text of every fact, the known ones first; what other lines say already is left out."""
     given = {k: v for k, v in estimate.facts.items() if k not in _SAID}
@@ -242,6 +272,7 @@ def summary(estimate: LoadEstimate) -> str:
         lines.append(f"  noise: {noise(estimate.choice)}")
     if estimate.facts:
         lines.append("  " + "; ".join(f"{name} {value}" for name, value in facts(estimate)))
+    lines += [f"  {line}" for line in diagnosis(estimate)]
     lines.append(f"  verification: {estimate.verified}")
     if estimate.allowed:
         lines.append(f"  {allowed(estimate)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from structures.errors import InputError
 LAWS = ("gaussian", "exponential", "algebraic")
 DEEPEST = 1e-6  # of the largest singular value: no sensor resolves 120 dB, and below it kinks and the grid rule
 FEWEST = 6  # values above rounding without which no law can be told
-_RISE = {"gaussian": np.square, "exponential": np.asarray, "algebraic": np.log}
+_RISE: dict[str, Callable[[NDArray], NDArray]] = {"gaussian": np.square, "exponential": np.asarray, "algebraic": np.log}
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ __all__ = [
 ]  # fmt: skip
 
 WHOLE = 400  # loads up to which the resolution matrix is kept
+LOUD = 4.0  # times the noise level: a plateau above that is none
 SAMPLED = 200  # of its columns that are measured where there are more loads
 
 
@@ -187,6 +188,8 @@ def diagnose(
     frames = path.problem.frames or 1
     loose = float(path.outside) / frames + float(np.sum(modes.beta[~known] ** 2))
     found = plateau(modes.beta[known], frames=frames, rest=(loose, m - int(np.sum(known))))
+    if sigma is not None and found.floor > LOUD * sigma:  # too loud for noise: what is flat there is signal
+        found = Plateau(int(np.flatnonzero(modes.beta[known] > LOUD * sigma).max(initial=-1)) + 1, float(sigma))
     components = path.problem.shape[1] if len(path.problem.shape) == 2 else 1
     where = Layout.of(n, components, geometry)
     heights = np.einsum("ik,k,ik->i", path.X, path.filter_factors(lam), path.Y)

@@ -22,7 +22,9 @@ SHARE = np.array([0.2, 0.6, 0.2])
 TYPICAL = float(np.log(1.4))  # what they make of the size of a coefficient
 MOST = 8  # frames beyond which more of them do not make a plateau flatter: no real noise is white to that degree
 BINS = 256  # more modes than these are taken together
-FIRM = 5.0  # log-likelihood by which signal and noise must beat noise alone
+FIRM = 3.5  # log-likelihood by which signal and noise must beat noise alone
+SLIGHT = 3.5  # log-likelihood that a noise level must be worth: without it the coefficients fall to the end
+FEWEST = 8  # coefficients, with those that no load can cause, without which no plateau can be told
 LEAST = -38.0  # ln of the smallest level that is told from zero, relative to the largest coefficient
 
 
@@ -49,6 +51,8 @@ def plateau(coefficients: ArrayLike, *, frames: int = 1, rest: tuple[float, int]
     plus that of a signal that falls by one of four laws, about which it scatters widely (a mixture of three scales).
     The likeliest levels, law and rate are found; i* counts the modes in which the signal is above the noise. Only
     ratios of coefficients enter: scaling the operator or the data moves nothing. Singular values do not enter either.
+    With fewer than `FEWEST` coefficients, and where a slow fall cannot be told from noise without a fall, all are kept
+    in the first case and none in the second.
 
     Parameters
     ----------
@@ -74,12 +78,16 @@ def plateau(coefficients: ArrayLike, *, frames: int = 1, rest: tuple[float, int]
     largest = max(b.max(initial=0.0), float(np.sqrt(max(outside, 0.0) / count)) if count else 0.0)
     if largest == 0 or len(b) == 0:
         return Plateau(0, float(largest))
+    if len(b) + count < FEWEST:
+        return Plateau(len(b), 0.0)
     data = _Data.of(b / largest, frames, outside / largest**2, count)
     noise = data.level(0)
     alone = data.likelihood(np.array([noise, LEAST, 0.0]), LAWS["exponential"])
     value, best, law = max((_climb(data, law) for law in LAWS.values()), key=lambda found: found[0])
     if value < alone + FIRM:
         return Plateau(0, float(np.exp(noise)) * largest)
+    if count == 0 and data.likelihood(_silent(data, best, law), law) > value - SLIGHT:
+        return Plateau(len(b), 0.0)
     i = np.arange(1, len(b) + 1)
     start = int(np.sum(_trend(best, law, i, len(b)) + TYPICAL > best[0]))
     return Plateau(start, float(np.exp(best[0])) * largest if best[0] > LEAST + 1 else 0.0)
@@ -129,9 +137,7 @@ def _trend(x: NDArray, law: Callable[[NDArray], NDArray], i: NDArray, modes: int
     return x[1] - np.exp(min(x[2], 8.0)) * (law(i) - law(np.array([1.0]))[0]) / span
 
 
-def _climb(
-    data: _Data, law: Callable[[NDArray], NDArray]
-) -> tuple[float, NDArray, Callable[[NDArray], NDArray]]:
+def _climb(data: _Data, law: Callable[[NDArray], NDArray]) -> tuple[float, NDArray, Callable[[NDArray], NDArray]]:
     """Likeliest levels and rate under one law, from the best of some starts."""
     from scipy.optimize import minimize
 
@@ -147,8 +153,18 @@ def _climb(
     values = [data.likelihood(x, law) for x in starts]
     best = starts[int(np.argmax(values))]
     simplex = best + np.vstack([np.zeros(3), np.diag([0.7, 0.7, 0.5])])
-    found = minimize(
-        lambda x: -data.likelihood(x, law), best, method="Nelder-Mead",
-        options={"initial_simplex": simplex, "maxfev": 200, "xatol": 0.02, "fatol": 0.02},
-    )  # fmt: skip
+    options = {"initial_simplex": simplex, "maxfev": 200, "xatol": 0.02, "fatol": 0.02}
+    found = minimize(lambda x: -data.likelihood(x, law), best, method="Nelder-Mead", options=options)
     return -float(found.fun), found.x, law
+
+
+def _silent(data: _Data, best: NDArray, law: Callable[[NDArray], NDArray]) -> NDArray[np.float64]:
+    """Likeliest signal if there is no noise."""
+    from scipy.optimize import minimize
+
+    def whole(x: NDArray) -> NDArray:
+        return np.array([LEAST, *x])
+
+    options = {"maxfev": 120, "xatol": 0.02, "fatol": 0.02}
+    found = minimize(lambda x: -data.likelihood(whole(x), law), best[1:], method="Nelder-Mead", options=options)
+    return whole(found.x)

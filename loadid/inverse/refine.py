@@ -87,13 +87,18 @@ def against_half(H: ArrayLike, eta: float, *, components: int = 1, edges: ArrayL
     H = np.asarray(H, float)
     points, odd = divmod(H.shape[1], components)
     if odd or points < 2:
-        raise InputError("these loads cannot be merged in pairs", where="refinement",
-                         found=f"{H.shape[1]} loads of {components} components", expected="two points or more")  # fmt: skip
+        raise InputError(
+            "these loads cannot be merged in pairs",
+            where="refinement",
+            found=f"{H.shape[1]} loads of {components} components",
+            expected="two points or more",
+        )
     pairs = np.column_stack([np.arange(points - 1), np.arange(1, points)]) if edges is None else np.asarray(edges, int)
     group = _matched(points, pairs)
     size = np.bincount(group)
     merged = np.zeros((len(H), len(size), components))
-    np.add.at(merged, (slice(None), group), H.reshape(len(H), points, components))
+    for point, g in enumerate(group):
+        merged[:, g] += H.reshape(len(H), points, components)[:, point]
     merged /= np.sqrt(size)[:, None]
     return refinement(merged.reshape(len(H), -1), H, eta)
 

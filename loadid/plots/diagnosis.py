@@ -1,0 +1,320 @@
+"""What the data can tell: Picard plot, filter factors, resolution matrix, point spreads and columns of the operator."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from structures.errors import InputError
+
+from .choosing import mark_style, marked
+from .style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    NARROW,
+    ORANGE,
+    PURPLE,
+    SKY,
+    few_labels,
+    mark,
+    new_figure,
+    places,
+    text,
+    tidy,
+    unit,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from loadid.estimate import LoadEstimate
+    from loadid.inverse.diagnose import Diagnosis
+
+_LINES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
+
+
+def picard(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
+    """Data coefficients |u_i^T y|, their plateau, and the generalised singular values with the lambda of every rule.
+
+    Raises
+    ------
+    InputError
+        If the estimate carries no diagnosis.
+    """
+    d = _diagnosis(estimate)
+    figure = figure or new_figure()
+    figure.set_size_inches(*((NARROW, 4.4) if narrow else (7.4, 4.6)))
+    ax = figure.subplots()
+    _draw_picard(ax, d, estimate)
+    _legend_below(figure, ax, narrow)
+    mark(figure, estimate)
+    return figure
+
+
+def filter_factors(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
+    """Share of every mode that comes from the data, and where the other rules would have cut.
+
+    Raises
+    ------
+    InputError
+        If the estimate carries no diagnosis.
+    """
+    d = _diagnosis(estimate)
+    figure = figure or new_figure()
+    figure.set_size_inches(*((NARROW, 4.2) if narrow else (7.4, 4.2)))
+    ax = figure.subplots()
+    _draw_filter(ax, d, estimate)
+    _legend_below(figure, ax, narrow)
+    mark(figure, estimate)
+    return figure
+
+
+def modes(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
+    """Picard plot and filter factors together, for the report."""
+    d = _diagnosis(estimate)
+    figure = figure or new_figure()
+    figure.set_size_inches(*((NARROW, 8.6) if narrow else (11, 4.6)))
+    left, right = figure.subplots(2, 1) if narrow else figure.subplots(1, 2)
+    _draw_picard(left, d, estimate)
+    _draw_filter(right, d, estimate)
+    for ax in (left, right):
+        ax.legend(fontsize=7)
+    mark(figure, estimate)
+    return figure
+
+
+def resolution(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
+    """Resolution matrix, and what becomes of single loads: their point spreads, heights and widths.
+
+    Raises
+    ------
+    InputError
+        If the estimate carries no diagnosis.
+    """
+    d = _diagnosis(estimate)
+    figure = figure or new_figure()
+    whole = d.matrix is not None
+    panels = 3 if whole else 2
+    figure.set_size_inches(*((NARROW, 3.1 * panels + 0.6) if narrow else (3.9 * panels, 3.9)))
+    axes = list(np.atleast_1d(figure.subplots(panels, 1) if narrow else figure.subplots(1, panels)))
+    if d.matrix is not None:
+        _draw_matrix(figure, axes.pop(0), d)
+    _draw_spreads(axes[0], d, estimate)
+    _draw_heights(axes[1], d)
+    mark(figure, estimate)
+    return figure
+
+
+def columns(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
+    """Columns of the whitened operator, what each of some loads does to the sensors, and their point spreads.
+
+    Raises
+    ------
+    InputError
+        If the estimate carries no diagnosis.
+    """
+    d = _diagnosis(estimate)
+    figure = figure or new_figure()
+    figure.set_size_inches(*((NARROW, 7.0) if narrow else (10, 4.0)))
+    left, right = figure.subplots(2, 1) if narrow else figure.subplots(1, 2)
+    names = _names(estimate, d.n)
+    known = d.sigma is not None
+    for k, j in enumerate(d.shown):
+        color, line = _LINES[k % len(_LINES)]
+        few = {"marker": "o", "ms": 3} if d.m <= 60 else {}
+        y = d.signatures[:, k] / (d.sigma if known and d.sigma else 1.0)
+        left.plot(np.arange(1, d.m + 1), y, color=color, ls=line, lw=1.2, label=_who(names, d, int(j)), **few)
+    left.axhline(0, color=GREY, lw=0.6)
+    if known:
+        left.axhspan(-1, 1, color=SKY, alpha=0.35, lw=0, label="± noise std")
+    units = {unit(u) for u in estimate.units}
+    each = f"per {units.pop()}" if len(units) == 1 else "per unit load"
+    left.set(xlabel="datum (sensor)", ylabel=f"response / noise std [{each}]" if known else f"response [{each}]")
+    left.set_title("columns of H: what a load does to the sensors", loc="left", fontsize=9)
+    left.legend(fontsize=7)
+    tidy(left)
+    _draw_spreads(right, d, estimate)
+    mark(figure, estimate)
+    return figure
+
+
+# -- panels -----------------------------------------------------------------------------------------------------------
+def _draw_picard(ax: Axes, d: Diagnosis, estimate: LoadEstimate) -> None:
+    i = np.arange(1, len(d.coefficients) + 1)
+    twin = ax.twinx()
+    ax.set_zorder(twin.get_zorder() + 1)  # the coefficients above the singular values
+    ax.patch.set_visible(False)
+    shown = np.isfinite(d.generalised) & (d.generalised > 0)
+    twin.semilogy(i[shown], d.generalised[shown] / d.scale, color=BLUE, lw=1.3)
+    ax.semilogy([], [], color=BLUE, lw=1.3, label="generalised singular value / largest (right)")
+    small = 4 if len(i) <= 100 else 2
+    positive = d.coefficients > 0
+    ax.semilogy(
+        i[positive], d.coefficients[positive], ls="none", marker="o", ms=small, color=INK, mfc="none",
+        label="data coefficient |u·y|", rasterized=len(i) > 1000,
+    )  # fmt: skip
+    if d.floor > 0:
+        ax.plot([d.plateau + 0.5, i[-1] + 0.5], [d.floor] * 2, color=ORANGE, lw=1.6, label="plateau: noise")
+    if d.sigma is not None and 0.1 < d.sigma / max(d.floor, d.sigma * 1e-3) < 10:
+        ax.axhline(d.sigma, color=GREY, lw=0.9, ls=":", label="noise level used")
+    _mark_plateau(ax, d)
+    _mark_lambdas(twin, ax, d, estimate)
+    ax.set(xlabel="mode i", ylabel="|u·y| (whitened data)")
+    ax.set_title(f"i* = {d.plateau} recoverable modes of {d.seen}", loc="left", fontsize=9)
+    twin.set_ylabel("generalised singular value / largest", color=BLUE, fontsize=9)
+    twin.tick_params(labelsize=8, which="both")
+    twin.spines["top"].set_visible(False)
+    _floor(ax, d.coefficients)
+    _floor(twin, d.generalised[shown] / d.scale)
+    tidy(ax)
+    few_labels(ax.yaxis)
+    few_labels(twin.yaxis)
+
+
+def _draw_filter(ax: Axes, d: Diagnosis, estimate: LoadEstimate) -> None:
+    i = np.arange(1, len(d.filter_factors) + 1)
+    style: dict[str, Any] = {"marker": "o", "ms": 3} if len(i) <= 100 else {}
+    ax.plot(i, d.filter_factors, color=BLUE, lw=1.3, label="filter factor at the lambda used", **style)
+    ax.fill_between(i, 0, d.filter_factors, color=SKY, alpha=0.3, lw=0)
+    _mark_plateau(ax, d)
+    if estimate.choice is not None:
+        for k, (name, lam) in enumerate(marked(estimate.choice)):
+            label = f"{text(name)}: {lam:.2g}" + (" (used)" if k == 0 else "")
+            ax.plot([_crossing(d, lam)], [0.5], label=label, clip_on=False, **mark_style(k))
+    ax.set(xlabel="mode i", ylabel="share that comes from the data", ylim=(0, 1.05))
+    ax.set_title(f"filter factors; their sum is {np.sum(d.filter_factors):.3g} per frame", loc="left", fontsize=9)
+    tidy(ax)
+
+
+def _draw_matrix(figure: Figure, ax: Axes, d: Diagnosis) -> None:
+    assert d.matrix is not None
+    top = float(np.abs(d.matrix).max()) or 1.0
+    edge = (0.5, d.n + 0.5)
+    image = ax.imshow(
+        d.matrix, cmap="RdBu_r", vmin=-top, vmax=top, extent=(*edge, *edge[::-1]), interpolation="nearest"
+    )
+    bar = figure.colorbar(image, ax=ax, shrink=0.8)
+    bar.ax.tick_params(labelsize=8)
+    bar.set_label("shown per unit load", fontsize=8)
+    ax.set(xlabel="load that acts", ylabel="load that is shown")
+    ax.set_title("resolution matrix", loc="left", fontsize=9)
+    tidy(ax)
+    ax.grid(False)
+
+
+def _draw_spreads(ax: Axes, d: Diagnosis, estimate: LoadEstimate) -> None:
+    names = _names(estimate, d.n)
+    x, label = _abscissa(estimate, d.n)
+    for k, j in enumerate(d.shown):
+        color, line = _LINES[k % len(_LINES)]
+        many = len(x) > 60
+        ax.plot(
+            x, d.point_spreads[:, k], color=color, ls=line, lw=1.2, marker=None if many else "o", ms=2.5,
+            label=f"{_who(names, d, int(j))}: {_width(d, int(j))}",
+        )  # fmt: skip
+        ax.plot([x[j]], [d.point_spreads[j, k]], marker="v", color=color, ms=6, ls="none")
+    ax.axhline(0, color=GREY, lw=0.6)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.45 * (high - low))  # room for the legend
+    ax.set(xlabel=label, ylabel="shown per unit load")
+    ax.set_title("point spreads: what is shown of one load", loc="left", fontsize=9)
+    ax.legend(fontsize=7, loc="upper left")
+    tidy(ax)
+
+
+def _draw_heights(ax: Axes, d: Diagnosis) -> None:
+    ax.plot(np.arange(1, d.n + 1), d.heights, color=BLUE, lw=1.2, label="height left in place")
+    talk = np.minimum(d.cross_talk, 10.0)
+    ax.plot(d.columns + 1, talk, color=ORANGE, lw=1.0, ls="--", label="cross-talk / height")
+    ax.axhline(0, color=GREY, lw=0.6)
+    ax.plot([d.worst + 1], [d.heights[d.worst]], marker="v", color=BLUE, ls="none", label="worst load")
+    ax.set(xlabel="load", ylabel="share")
+    ax.set_ylim(min(0.0, float(d.heights.min())), max(1.05, float(min(talk.max(initial=0.0), 2.0))))
+    twin = ax.twinx()
+    twin.plot(d.columns + 1, d.widths, color=GREEN, lw=1.0, ls=":")
+    ax.plot([], [], color=GREEN, ls=":", label="width (right)")
+    twin.set_ylabel(f"full width at half maximum [{d.width_unit}]", color=GREEN, fontsize=9)
+    twin.set_ylim(0, 1.15 * float(d.widths.max()))
+    twin.tick_params(labelsize=8)
+    twin.spines["top"].set_visible(False)
+    ax.set_title("every load", loc="left", fontsize=9)
+    ax.legend(fontsize=7)
+    tidy(ax)
+
+
+# -- marks ------------------------------------------------------------------------------------------------------------
+def _mark_plateau(ax: Axes, d: Diagnosis) -> None:
+    ax.axvline(d.plateau + 0.5, color=ORANGE, lw=1.0, ls="--", label=f"i* = {d.plateau}")
+
+
+def _mark_lambdas(twin: Axes, ax: Axes, d: Diagnosis, estimate: LoadEstimate) -> None:
+    """Every rule where the generalised singular values fall to its lambda."""
+    if estimate.choice is None:
+        return
+    for k, (name, lam) in enumerate(marked(estimate.choice)):
+        label = f"{text(name)}: {lam:.2g}" + (" (used)" if k == 0 else "")
+        if lam > 0:
+            twin.plot([_crossing(d, lam)], [lam], **mark_style(k))
+        ax.plot([], [], label=label, **mark_style(k))
+    if estimate.choice.lam > 0:
+        twin.axhline(estimate.choice.lam, color=BLUE, lw=0.8, ls=":")
+
+
+def _crossing(d: Diagnosis, lam: float) -> float:
+    """Mode number at which the generalised singular values fall to a relative lambda, interpolated in logs."""
+    gamma = d.generalised / d.scale
+    falling = np.flatnonzero(np.isfinite(gamma) & (gamma > 0))
+    if len(falling) == 0 or lam <= 0:
+        return float(d.seen)
+    order = falling[::-1]  # np.interp wants rising abscissas
+    return float(np.interp(np.log(lam), np.log(gamma[order]), order + 1.0))
+
+
+def _floor(ax: Axes, values: NDArray) -> None:
+    """End a log axis where rounding begins."""
+    top = float(values.max(initial=0.0))
+    if top > 0 and values.min(initial=np.inf) < 1e-17 * top:
+        ax.set_ylim(1e-17 * top, None)
+
+
+def _legend_below(figure: Figure, ax: Axes, narrow: bool) -> None:
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower left", ncols=2 if narrow else 3, fontsize=7)
+
+
+# -- names ------------------------------------------------------------------------------------------------------------
+def _diagnosis(estimate: LoadEstimate) -> Diagnosis:
+    d = estimate.diagnosis
+    if d is None:
+        raise InputError(
+            "the estimate carries no diagnosis", where="plot", hint="loadid.inverse.diagnose.diagnose(path, lam)"
+        )
+    return d
+
+
+def _names(estimate: LoadEstimate, n: int) -> list[str]:
+    if len(estimate.labels) == n:
+        return [text(label) for label in estimate.labels]
+    return [f"load {j + 1}" for j in range(n)]
+
+
+def _who(names: list[str], d: Diagnosis, j: int) -> str:
+    role = ["largest"] * (j == d.load) + ["worst seen"] * (j == d.worst) + ["best seen"] * (j == d.heights.argmax())
+    return f"{names[j]} ({', '.join(role)})" if role else names[j]
+
+
+def _width(d: Diagnosis, j: int) -> str:
+    found = d.widths[d.columns == j]
+    return f"width {found[0]:.3g} {d.width_unit}" if len(found) else ""
+
+
+def _abscissa(estimate: LoadEstimate, n: int) -> tuple[NDArray[np.float64], str]:
+    """Place of each load on a line, or its number."""
+    known = places(estimate.geometry)
+    if known is not None and known[0].shape == (n, 1):
+        return known[0][:, 0], f"{known[1][0]} [m]"
+    return np.arange(1, n + 1, dtype=float), "load"

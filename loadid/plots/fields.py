@@ -1,0 +1,239 @@
+"""Static loads where they act: over a line with their band, or as maps over a surface with their std beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
+from numpy.typing import ArrayLike, NDArray
+
+from loadid.flags.inversion import nodal_as_pressure
+from structures.errors import InputError
+
+from .style import BLUE, GREY, INK, NARROW, ORANGE, SKY, mark, new_figure, places, text, tidy, unit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from loadid.estimate import LoadEstimate
+
+QUANTITIES = ("auto", "force", "traction", "pressure")
+FEW = 60  # points of a line up to which each of them is marked
+
+
+@dataclass(frozen=True)
+class _Field:
+    """What is drawn: values, std and truth (points, components), places (points, 1 or 2), names."""
+
+    values: NDArray[np.float64]
+    std: NDArray[np.float64] | None
+    truth: NDArray[np.float64] | None
+    x: NDArray[np.float64]
+    along: tuple[str, ...]
+    components: list[str]
+    word: str
+    unit: str
+    cells: NDArray[np.int64] | None
+    note: str
+
+
+def has_field(estimate: LoadEstimate) -> bool:
+    """Whether the loads are places of a field on a line or a surface."""
+    g = estimate.geometry
+    if g is None or g.get("kind") == "polynomials" or g.get("coordinates") is None or len(g["coordinates"]) < 2:
+        return False
+    return places(g) is not None
+
+
+def field(
+    estimate: LoadEstimate,
+    quantity: str = "auto",
+    *,
+    truth: ArrayLike | None = None,
+    frame: int | None = None,
+    level: float = 0.95,
+    figure: Figure | None = None,
+    narrow: bool = False,
+) -> Figure:
+    """Static load over its places: with its band over a line, as maps of load and std over a surface.
+
+    Parameters
+    ----------
+    estimate : LoadEstimate
+        With the geometry of its load basis.
+    quantity : {"auto", "force", "traction", "pressure"}
+        ``auto``: forces of nodal loads, tractions of all others. ``traction`` converts nodal forces by the boundary
+        mass matrix. ``pressure`` of nodal forces is not drawn: the picture shows forces and flag W106 says why.
+    truth : array, shape (loads,), optional
+        Known load in the unit of the estimate; converted with it.
+    frame : int, optional
+        Of a sequence; default the one with the largest load.
+    level : float
+        Of the band.
+
+    Raises
+    ------
+    InputError
+        If the loads have no places on a line or a surface, or cannot be converted.
+    """
+    if quantity not in QUANTITIES:
+        raise InputError("no such quantity", where="field", found=repr(quantity), expected=f"one of {QUANTITIES}")
+    found = _taken(estimate, quantity, truth, frame)
+    figure = figure or new_figure()
+    if found.x.shape[1] == 1:
+        _draw_lines(figure, found, estimate, level, narrow)
+    else:
+        _draw_maps(figure, found, narrow)
+    mark(figure, estimate)
+    if found.note:
+        figure.supxlabel(found.note, fontsize=8, color=ORANGE if "W106" in found.note else INK, x=0.01, ha="left")
+    return figure
+
+
+# -- what is drawn ----------------------------------------------------------------------------------------------------
+def _taken(e: LoadEstimate, quantity: str, truth: ArrayLike | None, frame: int | None) -> _Field:
+    g = e.geometry
+    if g is None or not has_field(e):
+        raise InputError(
+            "these loads have no places on a line or a surface",
+            where="field",
+            found="loads without a basis" if g is None else f"a basis of {g.get('kind')}",
+            expected="a basis of nodes, patches or hats",
+            hint="build the loads with structures.bases",
+        )
+    row: tuple[int, ...] = ()
+    note = ""
+    if e.load.ndim == 2:
+        k = int(np.argmax(np.abs(e.load).max(axis=1))) if frame is None else int(frame)
+        row, axis = (k,), e.axis
+        at = "" if axis is None else f" at {axis.name} {axis.values[k]:.4g} {axis.unit}".rstrip()
+        note = f"frame {k % len(e.load) + 1} of {len(e.load)}{at}"
+    load, std = e.load[row], e.std[row]
+    known = None if truth is None else _known(truth, e, row)
+    nodal = g.get("kind") == "nodal"
+    flag = nodal_as_pressure(str(g.get("kind")), quantity) if quantity == "pressure" else None
+    if flag is not None:
+        note = f"{flag.code}: {flag.message}; {flag.advice}"
+    elif nodal and quantity != "traction":
+        note = "; ".join(x for x in (note, "nodal forces: they scale with the element size") if x)
+    names = sorted({unit(u) for u in e.units})
+    word = "force" if nodal else "traction"
+    if quantity == "force" and not nodal:
+        raise InputError("this basis carries tractions, no forces", where="field", found=str(g.get("kind")),
+                         expected="quantity='traction'", hint="estimate.resultants sums them up")  # fmt: skip
+    if quantity == "traction" and nodal:
+        matrix = g.get("traction")
+        if matrix is None:
+            e.traction()  # says what is missing
+        T = np.asarray(matrix, float)
+        std = _std(e, T)
+        load, known, word = T @ load, None if known is None else T @ known, "traction"
+        names = ["Pa"] if places(g)[0].shape[1] > 1 else ["N/m"]  # type: ignore[index]
+    x, along = places(g)  # type: ignore[misc]
+    count = len(e.labels) // len(x)
+    cells = g.get("cells")
+
+    def shape(a: NDArray | None) -> NDArray | None:
+        return None if a is None else np.asarray(a, float).reshape(len(x), count)
+
+    return _Field(
+        np.asarray(load, float).reshape(len(x), count), shape(std), shape(known), x, along,
+        [text(str(c)) for c in (g.get("components") or [""] * count)], word, ", ".join(names),
+        None if cells is None else np.asarray(cells, int), note,
+    )  # fmt: skip
+
+
+def _known(truth: ArrayLike, e: LoadEstimate, row: tuple[int, ...]) -> NDArray[np.float64]:
+    known = np.asarray(truth, float)
+    known = known[row] if known.shape == e.load.shape else known
+    if known.shape != e.load.shape[-1:]:
+        raise InputError("the known load does not fit", where="truth", found=known.shape, expected=e.load.shape[-1:])
+    return known
+
+
+def _std(e: LoadEstimate, T: NDArray) -> NDArray[np.float64] | None:
+    """Standard deviation of converted loads: their correlations count, so it takes the posterior."""
+    if e.posterior is None:
+        return None
+    if e.load.ndim == 1:
+        return np.sqrt(np.maximum(e.posterior.variance(T), 0.0))
+    return np.sqrt(np.maximum([np.asarray(e.posterior.variance(w)).item() for w in T], 0.0))
+
+
+# -- lines ------------------------------------------------------------------------------------------------------------
+def _draw_lines(figure: Figure, f: _Field, e: LoadEstimate, level: float, narrow: bool) -> None:
+    from statistics import NormalDist
+
+    count = f.values.shape[1]
+    figure.set_size_inches(NARROW if narrow else 7.4, 1.2 + 2.9 * count)
+    order = np.argsort(f.x[:, 0])
+    x, factor = f.x[order, 0], NormalDist().inv_cdf(0.5 + level / 2)
+    for j, ax in enumerate(figure.subplots(count, 1, squeeze=False, sharex=True)[:, 0]):
+        value = f.values[order, j]
+        ax.axhline(0, color=GREY, lw=0.6)
+        if f.std is not None:
+            half = factor * f.std[order, j]
+            ax.fill_between(x, value - half, value + half, color=SKY, alpha=0.45, lw=0, label=f"{level:.0%} band")
+        if f.truth is not None:
+            ax.plot(x, f.truth[order, j], color=INK, lw=1.4, ls=(0, (4, 2)), label="truth")
+        ax.plot(x, value, color=BLUE, lw=1.3, marker="o" if len(x) <= FEW else None, ms=3, label="estimate")
+        ax.set_title(f.components[j], loc="left", fontsize=9)
+        ax.set_ylabel(f"{f.word} [{f.unit}]")
+        tidy(ax)
+        if j == 0:
+            ax.legend(fontsize=8)
+    ax.set_xlabel(f"{f.along[0]} [m]")
+
+
+# -- maps -------------------------------------------------------------------------------------------------------------
+def _draw_maps(figure: Figure, f: _Field, narrow: bool) -> None:
+    count = f.values.shape[1]
+    kinds = ["estimate", *(["truth"] if f.truth is not None else []), *(["std"] if f.std is not None else [])]
+    wide, high = np.ptp(f.x, axis=0)
+    across = 1 if narrow else len(kinds)
+    each = NARROW if narrow else max(3.2, min(4.6, 12.0 / len(kinds)))
+    tall = float(np.clip((each - 1.3) * high / wide, 1.2, 4.5)) + 0.85
+    rows = count * len(kinds) // across
+    figure.set_size_inches(max(each * across, NARROW if narrow else 5.0), 0.6 + tall * rows)
+    grid = figure.subplots(rows, across, squeeze=False).ravel()
+    for j in range(count):
+        shown = [f.values[:, j]] + ([] if f.truth is None else [f.truth[:, j]])
+        top = max(float(np.abs(np.concatenate(shown)).max()), 1e-300)
+        signed = min(map(np.min, shown)) < -0.05 * top
+        for k, kind in enumerate(kinds):
+            ax = grid[j * len(kinds) + k]
+            style: dict[str, Any] = (
+                {"cmap": "viridis", "vmin": 0.0}
+                if kind == "std"
+                else {"cmap": "RdBu_r" if signed else "viridis", "vmin": -top if signed else 0.0, "vmax": top}
+            )
+            values = {"estimate": f.values, "truth": f.truth, "std": f.std}[kind]
+            assert values is not None
+            image = _map(ax, f, values[:, j], style)
+            bar = figure.colorbar(image, ax=ax, shrink=0.9)
+            bar.ax.tick_params(labelsize=8)
+            bar.set_label(f"{'std of the ' if kind == 'std' else ''}{f.word} [{f.unit}]", fontsize=8)
+            ax.set_title(f"{f.components[j]} {kind}".strip(), loc="left", fontsize=9)
+            ax.set(xlabel=f"{f.along[0]} [m]", ylabel=f"{f.along[1]} [m]", aspect="equal")
+            tidy(ax)
+            ax.grid(False)
+
+
+def _map(ax: Axes, f: _Field, values: NDArray, style: dict[str, Any]) -> Any:
+    """Colours over cells, over a grid, or points where neither is known."""
+    if f.cells is not None and f.cells.ndim == 2 and f.cells.shape[1] in (3, 4) and f.cells.max() < len(f.x):
+        corners = f.cells[:, :3]
+        triangles = corners if f.cells.shape[1] == 3 else np.vstack([corners, f.cells[:, [0, 2, 3]]])
+        mesh = Triangulation(f.x[:, 0], f.x[:, 1], triangles)
+        return ax.tripcolor(mesh, values, shading="gouraud", rasterized=True, **style)
+    a, i = np.unique(np.round(f.x[:, 0], 9), return_inverse=True)
+    b, j = np.unique(np.round(f.x[:, 1], 9), return_inverse=True)
+    if len(a) * len(b) == len(f.x) and min(len(a), len(b)) > 1:
+        table = np.full((len(b), len(a)), np.nan)
+        table[j, i] = values
+        return ax.pcolormesh(a, b, table, shading="nearest", rasterized=True, **style)
+    size = float(np.clip(2e4 / len(f.x), 4, 200))
+    return ax.scatter(f.x[:, 0], f.x[:, 1], c=values, s=size, edgecolors=GREY, linewidths=0.3, **style)
