@@ -151,6 +151,14 @@ def settle(
 
 
 def _matrix(given: Any, where: str) -> Array:
+    if np.iscomplexobj(given):
+        raise InputError(
+            "a complex matrix",
+            where=where,
+            found="complex numbers",
+            expected="real numbers (sensors, loads)",
+            hint="stack real and imaginary parts as rows, and judge sets of rows with design.compare",
+        )
     try:
         H = np.asarray(given, float)
     except (TypeError, ValueError):

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 Rows = list[int]
 D, WORST = 0.0, np.inf
 TIE = 1e-8  # gains, of log det or relative variance, that count as equal
+SOLE = 1 - 1e-6  # leverage from which a row is all that sees some load: 1 - d has lost its digits
 REFRESH = 64  # rank-one updates after which the state is computed anew
 WORK = 3e7  # multiplications up to which all sets are looked at
 MANY = 4  # times the rows wanted, above which the backward start takes out many rows at once
@@ -75,7 +76,7 @@ class State:
         else:
             self.members.remove(row)
         self.updates += 1
-        if self.updates >= REFRESH or (sign < 0 and d > 1 - 1e-6):
+        if self.updates >= REFRESH or (sign < 0 and d > SOLE):
             self._refresh()
             return
         if d == 0:
@@ -114,7 +115,7 @@ def _log_norm(variance: Array, p: float) -> Array:
     share = np.maximum(variance, 0.0) / top
     for _ in range(int(np.log2(p))):  # p is a power of two: squares are ten times as fast as powers
         np.square(share, out=share)
-    return np.log(top) + np.log(np.sum(share, axis=0)) / p
+    return np.log(top) + np.log(np.maximum(np.sum(share, axis=0), 1.0)) / p
 
 
 def canonical(A: Array) -> NDArray[np.intp]:
@@ -176,7 +177,7 @@ def exchange(state: State, keep: Rows, criterion: float, rank: NDArray, step: Ca
         state.change(found[0], -1)
         state.change(found[1], 1)
         step()
-        if state.score(criterion) <= before:  # promised by rounding: the row that left was all that saw some load
+        if state.score(criterion) <= before:  # promised by rounding
             state.change(found[1], -1)
             state.change(found[0], 1)
             break
@@ -191,6 +192,10 @@ def swaps(state: State, keep: Rows) -> tuple[NDArray[np.intp], Array]:
     cross = state.B[inside] @ state.B.T
     ratio = (1 + d) * (1 - d[inside])[:, None] + cross**2
     change = np.log(np.maximum(ratio, np.finfo(float).tiny))
+    for i in np.flatnonzero(d[inside] > SOLE):
+        trial = state.copy()
+        trial.change(int(inside[i]), -1)
+        change[i] = trial.gains(D) + trial.logdet - state.logdet
     change[:, state.members] = -np.inf
     return inside, change
 
@@ -211,7 +216,12 @@ def without(state: State, rows: Rows, criterion: float) -> Iterator[tuple[int, A
     d, variance = state.leverage, state.variance
     reach, cross = state.T @ state.B.T, state.B[rows] @ state.B.T
     for i, row in enumerate(rows):
-        left = max(1 - d[row], np.finfo(float).eps)
+        if d[row] > SOLE:
+            trial = state.copy()
+            trial.change(row, -1)
+            yield row, trial.gains(criterion)
+            continue
+        left = 1 - d[row]
         changed = reach + np.outer(reach[:, row], cross[i] / left)
         rest = variance + reach[:, row] ** 2 / left
         np.square(changed, out=changed)

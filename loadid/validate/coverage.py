@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 from structures.model import Model
 
+from .references import numbers
+
 HISTORIES, READINGS = 50, 2000  # draws where none are asked for: records in time, static readings
 Draw = Callable[[np.random.Generator], ArrayLike]
 
@@ -147,16 +149,13 @@ def _histories(loads: ArrayLike | Sequence[ArrayLike] | Draw) -> Shapes:
 def _static(loads: ArrayLike | Sequence[ArrayLike] | Draw) -> Shapes:
     if callable(loads):
         return loads
-    try:
-        table = np.asarray(loads, float)
-    except (TypeError, ValueError):
-        table = np.empty((0, 0, 0))
-    if table.ndim not in (1, 2) or not table.size or not np.all(np.isfinite(table)):
+    table = numbers(loads, "static loads", "give dt= where the loads are histories", where="coverage")
+    if table.ndim not in (1, 2):
         raise InputError(
             "no static loads",
             where="coverage",
-            found=f"shape {table.shape}" if table.size and table.ndim in (1, 2) else "no table of numbers",
-            expected="finite numbers, (loads,) or (draws, loads)",
+            found=f"shape {table.shape}",
+            expected="(loads,) or (draws, loads)",
             hint="give dt= where the loads are histories",
         )
     return list(np.atleast_2d(table))
@@ -179,8 +178,8 @@ def _fits(g: NDArray, H: NDArray) -> None:
 
 def _noise(noise: ArrayLike, rng: np.random.Generator) -> Callable[[NDArray], NDArray]:
     """What adds noise to clean readings, sensors last."""
-    level = np.asarray(noise, float)
-    if level.ndim > 2 or not np.all(np.isfinite(level)) or (level.ndim < 2 and np.any(level < 0)):
+    level = numbers(noise, "noise", where="coverage")
+    if level.ndim > 2 or (level.ndim < 2 and np.any(level < 0)):
         raise InputError(
             "no noise level",
             where="coverage",

@@ -17,6 +17,7 @@ from .. import flags as guards
 from ..estimate import LoadEstimate
 from ..quality import require_finite
 from ..record import Record
+from .references import numbers
 
 RECORD = 8  # frames from which equal columns are the same record, and no coincidence
 
@@ -143,19 +144,8 @@ def _select(model: Model, record: Record) -> NDArray[np.float64]:
 
 
 def _readings(values: Any) -> NDArray[np.float64]:
-    try:
-        table = np.asarray(values, float)
-    except (TypeError, ValueError):
-        table = np.full(1, np.nan)
-    if table.ndim not in (1, 2) or not table.size or not np.all(np.isfinite(table)):
-        raise InputError(
-            "the readings are no finite numbers",
-            where="held_out",
-            found="NaN, infinity or no numbers",
-            expected="(sensors,) or (frames, sensors)",
-            hint="leave lost sensors out of the model and of the readings",
-        )
-    return table
+    hint = "leave lost sensors out of the model and of the readings"
+    return numbers(values, "the readings", hint, where="held_out")
 
 
 def _errors(predicted: NDArray, measured: NDArray, model: Model) -> tuple[float, ...]:

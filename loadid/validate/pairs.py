@@ -42,7 +42,7 @@ def against_known(e: LoadEstimate, known: Known, level: float) -> list[Distribut
         scale = factor(known.unit, unit or name, known.source)
         stds = None if std is None else (std[:, columns[pick]], None if error is None else error[:, pick] * scale)
         pair = found[:, columns[pick]], own[:, pick] * scale
-        places, weights = _Places(e, columns[pick].tolist()), sides.areas(e, columns[pick])
+        places, weights = _Places(e, columns[pick].tolist()), sides.areas(e, columns[pick], unit is not None)
         checks.append(_distribution(pair, stds, weights, places, unit or name, level, known.source, "load"))
     return checks
 

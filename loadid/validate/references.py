@@ -101,7 +101,7 @@ class Wrench:
     source: str = "a force sensor"
 
 
-def numbers(values: Any, what: str, hint: str = "") -> NDArray[np.float64]:
+def numbers(values: Any, what: str, hint: str = "", where: str = "validate") -> NDArray[np.float64]:
     """A finite real array.
 
     Raises
@@ -116,7 +116,7 @@ def numbers(values: Any, what: str, hint: str = "") -> NDArray[np.float64]:
     except (TypeError, ValueError) as error:
         raise InputError(
             f"{what}: no real numbers",
-            where="validate",
+            where=where,
             found=str(error)[:80],
             expected="an array of real numbers",
             hint=hint or "give plain numbers in SI units",
@@ -125,7 +125,7 @@ def numbers(values: Any, what: str, hint: str = "") -> NDArray[np.float64]:
     if bad or not array.size:
         raise InputError(
             f"{what}: NaN, infinity or nothing",
-            where="validate",
+            where=where,
             found=f"{bad} entries that are not finite, of {array.size}",
             expected="finite numbers",
             hint=hint or "leave out what was not measured",

@@ -50,11 +50,11 @@ def field(e: LoadEstimate) -> tuple[NDArray, NDArray | None, str | None]:
     return found, None if std is None else np.broadcast_to(std, found.shape), "N/m" if line else "Pa"
 
 
-def areas(e: LoadEstimate, columns: NDArray) -> NDArray[np.float64]:
-    """Weights of the inner product: tributary areas of a basis of tractions, else ones."""
+def areas(e: LoadEstimate, columns: NDArray, tractions: bool) -> NDArray[np.float64]:
+    """Weights of the inner product: tributary areas where tractions of a basis are compared, else ones."""
     geometry = e.geometry or {}
-    measures = geometry.get("measures")
-    if measures is None or geometry.get("kind") == "polynomials":
+    measures, kind = geometry.get("measures"), geometry.get("kind")
+    if measures is None or kind == "polynomials" or (kind == "nodal" and not tractions):
         return np.ones(len(columns))
     weights = np.asarray(measures, float)[columns // len(geometry.get("components", ("",)))]
     return weights / weights.mean()

@@ -148,6 +148,7 @@ class TestCompare:
             ({"a": [True]}, {"candidates": H}, "no such candidate"),
             ({"a": [1]}, {"candidates": np.full((3, 3), np.nan)}, "no model and no matrix"),
             ({"a": [1]}, {"candidates": np.ones(3)}, "no model and no matrix"),
+            ({"a": 1j * H}, {}, "complex"),
             ({"a": H, "b": H[:, :3]}, {}, "same loads"),
             ({"a": 0 * H}, {}, "no load moves"),
             ({"a": H}, {"amplitude": 1.0}, "against a noise level"),

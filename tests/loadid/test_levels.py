@@ -95,6 +95,12 @@ class TestDistribution:
         (check,) = validate(replace(e, geometry=wide), TRUTH).checks
         assert check.error == pytest.approx(np.sqrt(w @ (found - TRUTH) ** 2 / (w @ TRUTH**2)))
 
+    def test_nodal_forces_are_not_weighed_by_areas(self):
+        e = line(np.where(X < 0.1, TRUTH + 1, TRUTH), kind="nodal", units=["N"] * P)
+        e = replace(e, geometry=dict(e.geometry) | {"measures": np.r_[10.0, np.ones(P - 1)]})
+        (check,) = validate(e, TRUTH).checks
+        assert check.error == pytest.approx(1 / np.linalg.norm(TRUTH))
+
     def test_units_are_converted_or_refused(self):
         assert validate(line(), Known(TRUTH / 1e3, unit="kN/m")).checks[0].error < 1e-12
         with pytest.raises(InputError, match="another unit"):
@@ -159,6 +165,14 @@ class TestFields:
         edges = np.linspace(0, 1, P + 1)
         mean = np.diff(np.sin(3 * edges) / 3) * P
         assert validate(line(mean), (fine, np.cos(3 * fine))).checks[0].error < 1e-6
+
+    def test_points_beside_the_patches_are_left_out(self):
+        """A reference over more than the basis: the last patch must not take what lies outside."""
+        fine = np.linspace(-1, 2, 3601)
+        inside = (fine > -1e-9) & (fine < 1 + 1e-9)
+        found = validate(line(np.ones(P)), (fine, np.where(inside, 1.0, 50.0)))
+        assert found.checks[0].error < 1e-12
+        assert validate(line(np.ones(P)), (fine[inside], np.ones(inside.sum()))).checks[0].error < 1e-12
 
     def test_a_coarser_mesh_is_interpolated(self):
         coarse = np.array([0.0, 1.0, 0.5])
@@ -309,6 +323,12 @@ class TestResultant:
         assert check.units == ("N", "N m")
         assert found.level == "resultant"
 
+    def test_a_stated_bias_is_a_floor_of_the_std(self):
+        bias = np.full(P, 0.3)
+        value = C @ TRUTH + 0.1
+        (check,) = validate(line(bias=bias), Wrench(value)).checks
+        assert check.sd == pytest.approx(0.1 / (C @ bias))
+
     def test_a_match_is_partial(self):
         """Another map with the same force and moment: the resultant is right to rounding, the map is not."""
         kernel = np.linalg.svd(C)[2][-1]
@@ -435,7 +455,9 @@ class TestStaticHeldOut:
     def test_refused(self):
         for readings, words in (
             (np.ones(2), "do not fit"),
-            ([1, np.nan, 2], "no finite numbers"),
+            ([1, np.nan, 2], "NaN"),
+            (np.ones(3) * 1j, "no real numbers"),
+            (np.ones((1, 1, 3)), "do not fit"),
             (np.zeros(3), "zero"),
             (Record(np.ones((9, 2)), 1.0, ["v0", "v1"]), "no channel"),
         ):
