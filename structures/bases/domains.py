@@ -106,7 +106,7 @@ class Domain:
         return sparse.coo_array((values.ravel(), (row, corners.ravel())), shape=size).tocsr()
 
     def rule(self, window: Array, lines: list[Array] | None, degree: int, only: Index | None = None) -> Rule:
-        """Gauss points for cubic shape functions times a load of `degree` along each axis, and for its square.
+        """Gauss points for cubic shape functions times a load of `degree` along each axis.
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class Domain:
         only : int array, optional
             Cells that count.
         """
-        xi, w = gauss(max((degree + 5) // 2, degree + 1))
+        xi, w = gauss((degree + 5) // 2)
         cell = np.arange(len(self.lower)) if only is None else only
         lower = np.maximum(self.lower[cell], window[:, 0])
         upper = np.minimum(self.upper[cell], window[:, 1])
