@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from case_studies import hammer_log, impact_plate
+from case_studies import contact_inversion, hammer_log, impact_plate
+from loadid import Absolute, StaticInversion
 
 from .data import measured
 
@@ -95,3 +96,58 @@ class TestImpactPlate:
     def test_picture(self, tmp_path):
         impact_plate.picture(tmp_path / "x.png")
         assert (tmp_path / "x.png").stat().st_size > 10_000
+
+
+# -- contact on a compliant surface -----------------------------------------------------------------------------------
+def ridge(H: np.ndarray, y: np.ndarray, lam: float) -> np.ndarray:
+    """Standard-form Tikhonov with an absolute lambda, written out: independent of the package."""
+    augmented = np.vstack([H, lam * np.eye(H.shape[1])])
+    return np.linalg.lstsq(augmented, np.r_[y, np.zeros(H.shape[1])], rcond=None)[0]
+
+
+class TestContactText:
+    """The worked example of the theory: 48 nodes, Lorentzian kernel, two bumps."""
+
+    x = contact_inversion.nodes()
+    p = contact_inversion.bumps(x)
+
+    def kernel(self, t):
+        return contact_inversion.kernel(t, self.x, self.x)
+
+    def test_singular_values(self):
+        s = np.linalg.svd(self.kernel(0.1), compute_uv=False)
+        assert s[0] == pytest.approx(0.81, abs=0.005)
+        assert s[-1] == pytest.approx(6.0e-7, rel=0.01)
+        assert s[0] / s[-1] == pytest.approx(1.4e6, rel=0.03)
+
+    def test_two_clean_peaks_without_noise_in_a_thick_layer(self):
+        H = self.kernel(0.3)
+        family = StaticInversion(H, choice=Absolute(1e-6), noise=1.0)
+        load = family.estimate(H @ self.p).load
+        np.testing.assert_allclose(load, ridge(H, H @ self.p, 1e-6), atol=1e-6)
+        assert load[:24].max() == pytest.approx(0.84, abs=0.06)
+        assert load[24:].max() == pytest.approx(0.84, abs=0.06)
+        assert load[23:25].max() < 0.2
+
+    def test_past_any_functional(self):
+        H = self.kernel(0.3)
+        load = StaticInversion(H, choice=Absolute(1.0), noise=1.0).estimate(H @ self.p).load
+        resultant, pressure = contact_inversion.errors(load, self.p)
+        assert resultant == pytest.approx(0.70, abs=0.03)
+        assert pressure == pytest.approx(0.30, abs=0.03)
+
+    def test_occlusion_hurts_while_the_condition_number_falls(self):
+        H = self.kernel(0.1)
+        keep = np.abs(self.x - 0.5) > 0.2
+        seen, hidden = [], []
+        for seed in range(20):
+            y = H @ self.p
+            y = y + 0.01 * np.sqrt(np.mean(y**2)) * np.random.default_rng(seed).standard_normal(48)
+            for rows, errors in ((np.full(48, True), seen), (keep, hidden)):
+                load = StaticInversion(H[rows], choice=Absolute(1e-3), noise=1.0).estimate(y[rows]).load
+                errors.append(contact_inversion.errors(load, self.p)[0])
+        assert 5 <= np.median(hidden) / np.median(seen) <= 30
+        s, t = (np.linalg.svd(A, compute_uv=False) for A in (H, H[keep]))
+        assert t[0] / t[-1] < s[0] / s[-1]
+        family = StaticInversion(H, sensors=[int(i) for i in np.flatnonzero(keep)], choice=1e-3, noise=1.0)
+        assert "W202" in family.estimate((H @ self.p)[keep]).codes

@@ -27,6 +27,8 @@ from .data import rows_of
 from .readings import Readings, readings
 from .steady import Absolute, Steady, discrepancy, pose, transfer
 
+MANY = 16  # loads from which their mesh can be called fine
+
 
 class StaticInversion:
     """Loads from static readings.
@@ -108,6 +110,7 @@ class StaticInversion:
         self.sensors, self.allow, self.coverage = sensors, guards.allowed(allow), coverage
         self._progress = progress or (lambda fraction, text: None)
         self.basis = getattr(self.model, "basis", None)
+        self.geometry = None if self.basis is None else geometry(self.basis)
         self.H = transfer(self.model, self.allow)
         self.L = smoothness.matrix(penalty, self.H.shape[1], self.basis)
         self.calibration: Calibration | None = None
@@ -223,7 +226,9 @@ class StaticInversion:
         single = given.axis is None
         bias = None if posed.constrained else diagnose.hidden(posed.base, choice.lam, load, std)
         response = given.values[0] if single else given.values
-        diagnosis = diagnose.diagnose(posed.base, choice.lam, sigma, load=np.atleast_2d(load)[-1])
+        diagnosis = diagnose.diagnose(
+            posed.base, choice.lam, sigma, load=np.atleast_2d(load)[-1], geometry=self.geometry
+        )
         facts = self._facts(posed, choice, sigma, load, diagnosis)
         self._progress(1.0, "done")
         return LoadEstimate(
@@ -242,7 +247,7 @@ class StaticInversion:
             allowed=self.allow,
             certificate=self.model.certificate,
             posterior=solution.posterior,
-            geometry=None if self.basis is None else geometry(self.basis),
+            geometry=self.geometry,
             diagnosis=diagnosis,
             facts=facts,
             provenance=provenance(
@@ -324,7 +329,8 @@ class StaticInversion:
                 None if posed.full is None else guards.lost_channels(posed.full, after, lost),
                 posed.correlated,
                 guards.mixed_kinds(given.channels, posed.noise.known),
-                *posed.found(choice, solution),
+                *self._resolved(posed, choice, diagnosis),
+                *posed.fought(choice),
                 *guards.parameter(choice, lambda factor: discrepancy(posed, factor)),
                 guards.absolute_lambda(self.choice.lam, choice.scale) if isinstance(self.choice, Absolute) else None,
                 guards.inverse_crime(simulated, model.fingerprint),
@@ -339,6 +345,19 @@ class StaticInversion:
                 ),
             ]
         )
+
+    def _resolved(self, posed: Steady, choice: Choice, diagnosis: diagnose.Diagnosis) -> list[Flag | None]:
+        """W304, W310, and W107 where no penalty ties neighbouring loads together."""
+        edf = None if choice.edf is None else choice.edf / diagnosis.frames
+        found = [
+            guards.over_smoothed(edf, diagnosis.plateau),
+            guards.recoverable(diagnosis.plateau, diagnosis.seen, edf),
+        ]
+        smooth = self.basis is not None and self.basis.kind == "polynomials"
+        if self.L is None and not smooth and diagnosis.n >= MANY:
+            parts = {} if self.basis is None else {"components": len(self.basis.components), "edges": self.basis.edges}
+            found.append(guards.refined(diagnose.against_half(posed.base.problem.H, diagnosis.eta, **parts)))
+        return found
 
     def _overridden(self, posed: Steady) -> list[Flag]:
         """Refusals that `allow` took away."""

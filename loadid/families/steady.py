@@ -16,7 +16,7 @@ from structures.model import Model
 
 from .. import flags as guards
 from ..inverse import diagnose, rules, whiteness
-from ..inverse.choice import Choice
+from ..inverse.choice import Choice, choose, residual_level
 from ..inverse.constrained import ConstrainedPath
 from ..inverse.path import RegularizationPath
 from ..inverse.problem import LinearProblem, whiten
@@ -85,7 +85,6 @@ class Steady:
         """Condition number of the visible part, rank and nullity."""
         return diagnose.layout(self.base.singular_values, self.H.shape[1])
 
-
     @property
     def solved_by(self) -> str:
         """Which path it is."""
@@ -107,11 +106,12 @@ class Steady:
         R = self.noise.level
         if not self.noise.known or not isinstance(R, np.ndarray) or R.ndim == 1:
             return None
-        effective, rank = whiteness.effective(R)
-        return guards.interpolated(len(R), effective, rank)
+        size = np.sqrt(np.diag(R))
+        found = whiteness.effective_number(np.eye(len(R)), R / size / size[:, None])
+        return guards.interpolated(found.nominal, found.effective, found.rank)
 
-    def found(self, choice: Choice, solution: Any) -> list[Flag | None]:
-        """What the inversion found."""
+    def fought(self, choice: Choice) -> list[Flag | None]:
+        """What the constraints did: W308 where they fight the data, W410 where the solver ended on its limit."""
         return []
 
     @property
@@ -177,13 +177,18 @@ def pose(
     y = given.values[0] if given.axis is None else given.values
     labels = [c.label for c in model.loads]
     base = SVDPath(LinearProblem.whitened(rows, y, level.level, L), truncated=truncated, labels=labels)
-    path = ConstrainedPath(base, constraints) if constraints else base
+    path = ConstrainedPath(base, constraints, sigma=level.sigma or _shown(base)) if constraints else base
     full = None
     if len(rows) < len(H):
         scale = np.sqrt(np.mean(H**2, axis=1))
         seen = H[scale > 0] / scale[scale > 0, None]
         full = diagnose.layout(np.linalg.svd(seen, compute_uv=False), H.shape[1])
     return Steady(rows, base, path, level, full, given.channels)
+
+
+def _shown(base: SVDPath) -> float:
+    """Noise level that the data show without constraints, where nobody stated it: what soft resultants weigh against."""
+    return residual_level(base, choose(base).lam) or float(np.sqrt(base.at(1.0).residual2 / base.m)) or 1.0
 
 
 def _refuse_silent(H: NDArray[np.float64], channels: Sequence[Channel]) -> None:
