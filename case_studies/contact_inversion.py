@@ -1,10 +1,10 @@
 """Contact on a one-dimensional compliant surface: what lambda, constraints and lost markers do to a pressure map.
 
 A layer of thickness t smooths the pressure p(x) on its surface, x in [0, 1], with a Lorentzian kernel:
-``u(x) = integral of (t / pi) / (t^2 + (x - s)^2) p(s) ds``, a surrogate of the thin layer's response. Markers read u at
-48 nodes; the data come from a grid ten times finer, with white noise. Two validation numbers stand side by side, because
-they tell different things: the error of the resultant over the true resultant, and the rms error of the map over the
-true peak.
+``u(x) = integral of (t / pi) / (t^2 + (x - s)^2) p(s) ds``, a surrogate of the thin layer's response. Markers read u
+at 48 nodes; the data come from a grid ten times finer, with white noise. Two validation numbers stand side by side,
+because they tell different things: the error of the resultant over the true resultant, and the rms error of the map
+over the true peak.
 
 Run ``python -m case_studies.contact_inversion``: prints the tables and saves ``contact_inversion.png``.
 """
@@ -164,7 +164,8 @@ def figure(rows: list[Row], p: Array, path: Path) -> None:
     chosen = ["truncated SVD", "Tikhonov, L = I", "L = I, p >= 0", "first difference, p >= 0, force plate"]
     fig = Figure(figsize=(10, 6.5), layout="constrained")
     x = nodes()
-    for ax, row in zip(fig.subplots(2, 2, sharex=True, sharey=True).ravel(), (r for r in rows if r.method in chosen)):
+    panels = fig.subplots(2, 2, sharex=True, sharey=True).ravel()
+    for ax, row in zip(panels, [r for r in rows if r.method in chosen], strict=True):
         low, high = row.estimate.band()
         ax.fill_between(x, low, high, color="#56B4E9", alpha=0.35, lw=0, label="95 % band")
         ax.plot(x, p, color="#222222", lw=1.2, ls="--", label="truth")

@@ -212,7 +212,8 @@ def main() -> None:
     for row in rows:
         codes = " ".join(sorted(c for c in row.estimate.codes if not c.startswith("N") and c not in QUIET))
         print(
-            f"  {row.method:34s} {row.shear:8.2%} {row.moment:8.2%} {row.distribution:13.2%} {row.covered:13.0%}  {codes}"
+            f"  {row.method:34s} {row.shear:8.2%} {row.moment:8.2%} {row.distribution:13.2%} {row.covered:13.0%}"
+            f"  {codes}"
         )
     print(f"\n{rows[3].method}:\n{rows[3].validation.table()}")
     figure(rows, Path("wing_gauges.png"))

@@ -27,7 +27,7 @@ def each_frame(family: StaticInversion, given: Readings) -> LoadEstimate:
         singles.append(family._answer(one, posed, family._choose(posed)))
     last = singles[-1]
     lams = [e.choice.lam for e in singles if e.choice is not None]
-    bias = None if last.bias is None else np.stack([e.bias for e in singles])
+    bias = None if last.bias is None else np.stack([e.bias for e in singles if e.bias is not None])
     flags = [f for e in singles for f in e.flags if f.code != "LID-N303"] + [f for f in last.flags if "N303" in f.code]
     unique = {f.code: f for f in flags}
     return replace(
@@ -37,7 +37,7 @@ def each_frame(family: StaticInversion, given: Readings) -> LoadEstimate:
         bias=bias,
         axis=given.axis,
         response=given.values,
-        residual=np.stack([e.residual for e in singles]),
+        residual=np.stack([e.residual for e in singles if e.residual is not None]),
         flags=guards.collect([guards.changing_lambda(lams), *unique.values()]),
         facts={**last.facts, "frames": len(singles)},
     )

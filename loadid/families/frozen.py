@@ -114,9 +114,10 @@ class Frozen:
         InputError
             If the file is missing, of another kind, or damaged.
         """
-        tree = storage.read(path, KIND)
+        tree: dict[str, Any] = storage.read(path, KIND)
         try:
-            return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in tree.items()})
+            settled: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in tree.items()}
+            return cls(**settled)
         except TypeError as error:
             raise InputError(
                 "its content is not what this release expects", where=str(path), found=str(error), expected=KIND

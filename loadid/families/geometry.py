@@ -25,7 +25,7 @@ def geometry(basis: Any) -> dict[str, Any]:
         "cells": None if cells is None or not len(cells) else np.asarray(cells, int),
         "components": list(basis.components),
         "kind": basis.kind,
-        "measures": np.asarray(basis.measures, float),
+        "measures": None if basis.measures is None else np.asarray(basis.measures, float),
         "resultant": np.asarray(basis.resultant(), float),
         "resultant_labels": list(basis.resultant_labels),
         "traction": traction(basis),
@@ -34,6 +34,6 @@ def geometry(basis: Any) -> dict[str, Any]:
 
 def traction(basis: Any) -> NDArray[np.float64] | None:
     """Matrix (loads, loads) from nodal forces to tractions; None where loads are tractions already, or too many."""
-    if basis.kind != "nodal" or basis.points > DENSE:
+    if basis.kind != "nodal" or basis.mass is None or basis.points > DENSE:
         return None
     return np.asarray(basis.to_traction(np.eye(basis.points * len(basis.components))).T)

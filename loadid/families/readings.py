@@ -74,9 +74,9 @@ def readings(found: Any, model: Model, sensors: Sequence[str | int] | None) -> R
         return found
     if isinstance(found, Record):
         data = gather(found, None, model, sensors)
-        axis = Axis("time", "s", np.arange(len(data.values)) * data.dt)
+        over = Axis("time", "s", np.arange(len(data.values)) * data.dt)
         name = found.source or found.name or "record"
-        return Readings(data.values, data.rows, data.channels, axis, name, found.sha256, health(data), data)
+        return Readings(data.values, data.rows, data.channels, over, name, found.sha256, health(data), data)
     rows = rows_of(sensors, model)
     channels = tuple(model.sensors[i] for i in rows)
     table = _mapping(found, channels) if isinstance(found, Mapping) else _array(found, rows, model)

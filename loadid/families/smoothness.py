@@ -64,7 +64,7 @@ def matrix(penalty: str | ArrayLike | None, loads: int, basis: Any) -> NDArray[n
             hint="raise or lower the degree to let through more or less detail",
         )
     L = _field(penalty, basis)
-    if basis.kind == "nodal":
+    if basis.kind == "nodal" and basis.mass is not None:
         L = _on_tractions(L, basis)
     return _each(L, len(basis.components))
 

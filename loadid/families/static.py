@@ -20,10 +20,10 @@ from ..inverse.choice import Choice, choose, residual_level
 from ..provenance import provenance
 from . import smoothness
 from .calibration import Calibration, calibrate
+from .data import rows_of
 from .frozen import Frozen, freeze
 from .geometry import geometry
 from .level import noise_level
-from .data import rows_of
 from .readings import Readings, readings
 from .steady import Absolute, Steady, discrepancy, pose, transfer
 
@@ -99,7 +99,7 @@ class StaticInversion:
                     "without a penalty there is no lambda to choose", where="choice", found=choice, expected="None"
                 )
             choice = 0.0
-        self.model: Model = model if isinstance(model, Model) else MatrixModel(model)  # type: ignore[arg-type]
+        self.model: Model = model if isinstance(model, Model) else MatrixModel(model)
         self.method, self.penalty, self.choice = method, penalty, choice
         self.constraints = tuple(constraints) if isinstance(constraints, list | tuple) else (constraints,)
         if self.constraints and method == "tsvd":

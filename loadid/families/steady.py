@@ -187,7 +187,7 @@ def pose(
 
 
 def _shown(base: SVDPath) -> float:
-    """Noise level that the data show without constraints, where nobody stated it: what soft resultants weigh against."""
+    """Noise level that the data show without constraints: what soft resultants weigh against if nobody stated it."""
     return residual_level(base, choose(base).lam) or float(np.sqrt(base.at(1.0).residual2 / base.m)) or 1.0
 
 

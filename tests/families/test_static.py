@@ -271,7 +271,7 @@ def test_a_lambda_per_frame_is_flagged():
 
 
 def test_diagonal_stiffness_is_refused():
-    with pytest.raises(InputError, match="E102|painted"):
+    with pytest.raises(InputError, match=r"E102|painted"):
         StaticInversion(MatrixModel(np.diag([1.0, 2.0, 3.0])))
     allowed = StaticInversion(MatrixModel(np.diag([1.0, 2.0, 3.0])), allow=["E102"], noise=0.1)
     assert "E102" in allowed.estimate([1.0, 2.0, 3.0]).codes
