@@ -202,10 +202,10 @@ def diagnosis(estimate: LoadEstimate) -> list[str]:
     lines.append(f"condition number {d.kappa:.3g} of the visible part, rank {d.rank} and nullity {d.nullity}{hidden}")
     talk = d.cross_talk[d.columns == d.load]
     names = estimate.labels if len(estimate.labels) == d.n else [f"load {j + 1}" for j in range(d.n)]
+    other = share(float(talk[0])) if len(talk) and np.isfinite(talk[0]) else "beyond measure"
     lines.append(
         f"a single load at {names[d.load]} is shown {d.width:.3g} {d.width_unit} wide at {1 - d.peak_bias:.0%} of its "
-        f"height, cross-talk {share(float(talk[0])) if len(talk) and np.isfinite(talk[0]) else 'beyond measure'}; worst "
-        f"{names[d.worst]} at {d.heights[d.worst]:.0%}"
+        f"height, cross-talk {other} of that; worst {names[d.worst]} at {d.heights[d.worst]:.0%}"
     )
     return lines
 

@@ -55,7 +55,12 @@ def lcurve(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool
     """
     choice, sweep = _swept(estimate)
     figure = _single(figure, narrow)
-    _draw_lcurve(figure.subplots(), choice, sweep)
+    ax = figure.subplots()
+    _draw_lcurve(ax, choice, sweep)
+    if (last := _plateau(estimate)) is not None:
+        at = [_on(last, sweep.lam, sweep.residual_norm)], [_on(last, sweep.lam, sweep.penalty_norm)]
+        ax.plot(*at, marker="|", ms=16, mew=1.5, color=ORANGE, ls="none", label=_last(estimate))
+        ax.legend(fontsize=8)
     mark(figure, estimate)
     return figure
 
@@ -79,6 +84,9 @@ def gcv(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = 
     _tidy_logs(ax)
     _mark_rules(ax, choice, sweep.lam, sweep.gcv)
     ax.axvline(choice.lam, color=ORANGE, lw=0.9)
+    if (last := _plateau(estimate)) is not None:
+        ax.axvline(last, color=ORANGE, lw=1.0, ls="--", label=_last(estimate))
+        ax.legend(fontsize=8)
     mark(figure, estimate)
     return figure
 
@@ -120,6 +128,19 @@ def _on(value: float, lam: NDArray, y: NDArray) -> float:
     """Height of a curve over log lambda, interpolated in logs; lambda 0 is at its left end."""
     at = np.log(max(value, float(lam[0])))
     return float(np.exp(np.interp(at, np.log(lam), np.log(np.maximum(y, 1e-300)))))
+
+
+def _plateau(estimate: LoadEstimate) -> float | None:
+    """Relative generalised singular value of the last recoverable mode, where it is finite."""
+    d = estimate.diagnosis
+    if d is None or d.plateau < 1:
+        return None
+    last = float(d.generalised[d.plateau - 1] / d.scale)
+    return last if 0 < last < np.inf else None
+
+
+def _last(estimate: LoadEstimate) -> str:
+    return f"singular value of mode i* = {estimate.diagnosis.plateau}"
 
 
 def _swept(estimate: LoadEstimate) -> tuple[Choice, Sweep]:

@@ -78,12 +78,11 @@ def modes(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool 
     """Picard plot and filter factors together, for the report."""
     d = _diagnosis(estimate)
     figure = figure or new_figure()
-    figure.set_size_inches(*((NARROW, 8.6) if narrow else (11, 4.6)))
+    figure.set_size_inches(*((NARROW, 8.8) if narrow else (11, 5.0)))
     left, right = figure.subplots(2, 1) if narrow else figure.subplots(1, 2)
     _draw_picard(left, d, estimate)
     _draw_filter(right, d, estimate)
-    for ax in (left, right):
-        ax.legend(fontsize=7)
+    _legend_below(figure, left, narrow)  # the rules have the same marks in both
     mark(figure, estimate)
     return figure
 
@@ -136,7 +135,8 @@ def columns(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: boo
     each = f"per {units.pop()}" if len(units) == 1 else "per unit load"
     left.set(xlabel="datum (sensor)", ylabel=f"response / noise std [{each}]" if known else f"response [{each}]")
     left.set_title("columns of H: what a load does to the sensors", loc="left", fontsize=9)
-    left.legend(fontsize=7)
+    _room(left)
+    left.legend(fontsize=7, loc="upper left")
     tidy(left)
     _draw_spreads(right, d, estimate)
     mark(figure, estimate)
@@ -202,7 +202,7 @@ def _draw_matrix(figure: Figure, ax: Axes, d: Diagnosis) -> None:
     bar.ax.tick_params(labelsize=8)
     bar.set_label("shown per unit load", fontsize=8)
     ax.set(xlabel="load that acts", ylabel="load that is shown")
-    ax.set_title("resolution matrix", loc="left", fontsize=9)
+    ax.set_title(f"resolution matrix at lambda {d.lam:.2g}, i* = {d.plateau}", loc="left", fontsize=9)
     tidy(ax)
     ax.grid(False)
 
@@ -219,8 +219,7 @@ def _draw_spreads(ax: Axes, d: Diagnosis, estimate: LoadEstimate) -> None:
         )  # fmt: skip
         ax.plot([x[j]], [d.point_spreads[j, k]], marker="v", color=color, ms=6, ls="none")
     ax.axhline(0, color=GREY, lw=0.6)
-    low, high = ax.get_ylim()
-    ax.set_ylim(low, high + 0.45 * (high - low))  # room for the legend
+    _room(ax)
     ax.set(xlabel=label, ylabel="shown per unit load")
     ax.set_title("point spreads: what is shown of one load", loc="left", fontsize=9)
     ax.legend(fontsize=7, loc="upper left")
@@ -239,11 +238,12 @@ def _draw_heights(ax: Axes, d: Diagnosis) -> None:
     twin.plot(d.columns + 1, d.widths, color=GREEN, lw=1.0, ls=":")
     ax.plot([], [], color=GREEN, ls=":", label="width (right)")
     twin.set_ylabel(f"full width at half maximum [{d.width_unit}]", color=GREEN, fontsize=9)
-    twin.set_ylim(0, 1.15 * float(d.widths.max()))
     twin.tick_params(labelsize=8)
     twin.spines["top"].set_visible(False)
     ax.set_title("every load", loc="left", fontsize=9)
-    ax.legend(fontsize=7)
+    _room(ax)
+    twin.set_ylim(0, 1.5 * float(d.widths.max()))
+    ax.legend(fontsize=7, ncols=2, loc="upper left")
     tidy(ax)
 
 
@@ -286,6 +286,12 @@ def _legend_below(figure: Figure, ax: Axes, narrow: bool) -> None:
     figure.legend(*ax.get_legend_handles_labels(), loc="outside lower left", ncols=2 if narrow else 3, fontsize=7)
 
 
+def _room(ax: Axes) -> None:
+    """Room for a legend at the top."""
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.4 * (high - low))
+
+
 # -- names ------------------------------------------------------------------------------------------------------------
 def _diagnosis(estimate: LoadEstimate) -> Diagnosis:
     d = estimate.diagnosis
@@ -303,7 +309,8 @@ def _names(estimate: LoadEstimate, n: int) -> list[str]:
 
 
 def _who(names: list[str], d: Diagnosis, j: int) -> str:
-    role = ["largest"] * (j == d.load) + ["worst seen"] * (j == d.worst) + ["best seen"] * (j == d.heights.argmax())
+    roles = {"largest": d.load, "worst seen": d.worst, "best seen": int(np.argmax(d.heights))}
+    role = [word for word, k in roles.items() if k == j]
     return f"{names[j]} ({', '.join(role)})" if role else names[j]
 
 

@@ -199,10 +199,10 @@ def _draw_maps(figure: Figure, f: _Field, narrow: bool) -> None:
     rows = count * len(kinds) // across
     figure.set_size_inches(max(each * across, NARROW if narrow else 5.0), 0.6 + tall * rows)
     grid = figure.subplots(rows, across, squeeze=False).ravel()
+    shown = np.concatenate([f.values, *([] if f.truth is None else [f.truth])])
+    top = max(float(np.abs(shown).max()), 1e-300)  # one scale, so that noise in a quiet direction looks like noise
+    signed = shown.min() < -0.05 * top
     for j in range(count):
-        shown = [f.values[:, j]] + ([] if f.truth is None else [f.truth[:, j]])
-        top = max(float(np.abs(np.concatenate(shown)).max()), 1e-300)
-        signed = min(map(np.min, shown)) < -0.05 * top
         for k, kind in enumerate(kinds):
             ax = grid[j * len(kinds) + k]
             style: dict[str, Any] = (
@@ -213,7 +213,7 @@ def _draw_maps(figure: Figure, f: _Field, narrow: bool) -> None:
             values = {"estimate": f.values, "truth": f.truth, "std": f.std}[kind]
             assert values is not None
             image = _map(ax, f, values[:, j], style)
-            bar = figure.colorbar(image, ax=ax, shrink=0.9)
+            bar = figure.colorbar(image, ax=ax, shrink=0.75)
             bar.ax.tick_params(labelsize=8)
             bar.set_label(f"{'std of the ' if kind == 'std' else ''}{f.word} [{f.unit}]", fontsize=8)
             ax.set_title(f"{f.components[j]} {kind}".strip(), loc="left", fontsize=9)
