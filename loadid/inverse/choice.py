@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +11,11 @@ from numpy.typing import NDArray
 from structures.errors import InputError
 
 from . import rules
+from .odds import in_words
 from .path import RegularizationPath
 from .rules import RuleResult
+from .sweeping import LARGEST, Refusal, seen_modes
+from .whiteness import ALARM, TESTABLE, plateau_test, residual_test
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ class Choice:
     rules : tuple of RuleResult
         All rules that were asked.
     spread : float
-        Decades between the smallest and the largest lambda of the rules that ran.
+        Decades between the smallest and the largest lambda of the rules that are compared.
     verdict : str
         ``determined``, ``usable``, ``rules disagree`` or ``not determined``.
     odds : str
@@ -53,6 +57,10 @@ class Choice:
         Effective degrees of freedom at `lam`.
     sweep : Sweep or None
         For the pictures.
+    whiteness : mapping of str to float
+        What the tests of the noise found (`whiteness_of`); empty where none could run.
+    correlated : bool
+        The tests say that the noise is correlated.
     """
 
     lam: float
@@ -66,6 +74,8 @@ class Choice:
     sigma_source: str = "not known"
     edf: float | None = None
     sweep: Sweep | None = field(default=None, repr=False)
+    whiteness: Mapping[str, float] = field(default_factory=dict)
+    correlated: bool = False
 
 
 DEFAULT_RULES = (
@@ -79,12 +89,16 @@ DEFAULT_RULES = (
     "quasi_optimality",
     "evidence",
 )
-LARGEST = 1e3  # relative lambda; at 1 the best-seen component of the load has lost half of its height
-COMPARED = (
-    ("gcv", "robust_gcv"),
-    ("l_curve",),
-    ("upre",),
-)  # one voice for each kind of rule, the first that found an optimum
+GRADES = ("determined", "usable", "rules disagree", "not determined")
+LIMITS = (0.5, 1.0, 2.0)  # decades between the grades
+KINDS = (("gcv", "robust_gcv"), ("quasi_optimality",), ("discrepancy",))  # the first of each that ran has its voice
+BENEATH = 0.03  # share of the smallest singular value below which the load no longer changes
+ORDERS = {
+    False: ("predicted_error", "robust_gcv", "gcv", "l_curve"),
+    True: ("predicted_error", "discrepancy", "upre", "gcv", "l_curve"),
+}
+BELOW = 0.7  # decades by which a whiteness rule lies below quasi-optimality where it may follow correlated noise
+CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
 
 
 def choose(
@@ -100,11 +114,11 @@ def choose(
     ----------
     path : RegularizationPath
     choice : str, float or None
-        Rule, or relative lambda. None, noise level known: discrepancy; where its solution spends more than a fifth of
-        the data as degrees of freedom, UPRE. UPRE more than a decade below the smallest predicted error of the
-        load, and either of them more than a decade below the evidence, is in the flat tail of its function and gives
-        way. None, noise level not known: the smallest predicted error of the load, one step from robust GCV
-        (`rules.predicted_error`); robust GCV, GCV and the L-curve stand in where that finds nothing inside the sweep.
+        Rule, or relative lambda. None: the smallest predicted error of the load (`rules.predicted_error`), one step
+        from the discrepancy solution where the noise level is known, else from robust GCV; where that cannot run or
+        ends at an edge, discrepancy, UPRE (noise level known) or robust GCV, then GCV and the L-curve. Where the noise
+        level is not known and the noise shows itself as correlated (`whiteness_of`), quasi-optimality, which does not
+        ask for white noise.
     sigma : float, optional
         Noise level of the whitened data.
     source : str
@@ -114,13 +128,30 @@ def choose(
     ------
     InputError
         Unknown rule, a lambda that is not a finite number >= 0, or a rule that refuses.
+
+    Notes
+    -----
+    Figures: `odds`.
     """
     sweep = rules.Sweep.over(path, sigma)
-    asked = {name: rules.run(name, sweep) for name in DEFAULT_RULES}
+    return decide(sweep, choice, {name: rules.run(name, sweep) for name in DEFAULT_RULES}, source)
+
+
+def decide(
+    sweep: rules.Sweep, choice: str | float | None, asked: dict[str, RuleResult], source: str = "not known"
+) -> Choice:
+    """As `choose`, from a sweep and the rules that were asked already."""
+    path, sigma = sweep.path, sweep.sigma
     if isinstance(choice, str) and choice not in asked:
         asked[choice] = rules.run(choice, sweep)
-    lam, rule = _pick(path, choice, asked, sigma)
-    spread, verdict = agreement(asked, lam if rule == "predicted_error" else None)
+    lam, rule = _pick(choice, asked, sigma)
+    evidence = whiteness_of(path, asked, lam)
+    correlated = is_correlated(evidence)
+    quasi = asked["quasi_optimality"]
+    if choice is None and sigma is None and evidence.get("followed") and quasi.lam is not None:
+        lam, rule = quasi.lam, quasi.rule
+    spread, verdict = agreement(asked, lam, path, correlated)
+    asked["discrepancy"] = _with_sensitivity(asked["discrepancy"], sweep)
     point = path.at(lam)
     return Choice(
         lam=lam,
@@ -129,7 +160,7 @@ def choose(
         rules=tuple(asked.values()),
         spread=spread,
         verdict=verdict,
-        odds=MEANING[verdict] + ("; lambda itself was given" if rule == "given" else ""),
+        odds=in_words(verdict, sigma is not None) + ("; lambda itself was given" if rule == "given" else ""),
         sigma=sigma,
         sigma_source=source,
         edf=None if point.edf is None else float(point.edf),
@@ -140,40 +171,76 @@ def choose(
             sweep.point.edf,
             None if sweep.point.left is None else rules.gcv_function(path, sweep.point),
         ),
+        whiteness=evidence,
+        correlated=correlated,
     )
 
 
-MEANING = {
-    "determined": "different kinds of rule lie within half a decade",
-    "usable": "different kinds of rule lie within one decade, or only one kind found an optimum",
-    "rules disagree": "different kinds of rule lie over one decade apart: correlated noise or model error is likely",
-    "not determined": "different kinds of rule lie more than two decades apart, or none found an optimum",
-}
+def whiteness_of(path: RegularizationPath, asked: dict[str, RuleResult], lam: float) -> dict[str, float]:
+    """What speaks for and against white noise at a chosen lambda; only what could be tested.
 
-
-def agreement(asked: dict[str, RuleResult], used: float | None = None) -> tuple[float, str]:
-    """Spread in decades between the kinds of rule that found an optimum inside the sweep, and the verdict.
-
-    Rules of one kind (GCV and its variants) fail together, so each kind has one voice.
+    Returns
+    -------
+    dict
+        ``below``: decades by which the chosen lambda lies below quasi-optimality. ``fine``, ``coarse``: statistic of
+        the residual (`whiteness.residual_test`) over its limit, at the chosen lambda and at the larger of the two.
+        ``spent``: degrees of freedom at the chosen lambda over the data. ``chance``: of the plateau of the data
+        coefficients at the larger lambda under white noise; ``modes``: how many noise modes it has. ``followed`` (1 or
+        0): the chosen lambda follows what may be correlated noise.
     """
-    heard = []
-    for kind in COMPARED:
-        inside = [asked[name].lam for name in kind if asked[name].lam is not None and not asked[name].edge]
-        heard += inside[:1]
-    if not heard:
-        return float("inf"), "not determined"
-    alone = len(heard) == 1
-    heard += [used] if used else []  # a lambda far from what the rules say is not determined by them
-    spread = float(np.ptp(np.log10(np.array(heard, float))))
-    if alone and spread <= 1:
-        return spread, "usable"
-    names = ("determined", "usable", "rules disagree", "not determined")
-    return spread, names[int(np.searchsorted([0.5, 1.0, 2.0], spread, side="right"))]
+    quasi = asked["quasi_optimality"].lam
+    larger = max(lam, quasi or 0.0)
+    found: dict[str, float] = {}
+    if quasi is not None and lam > 0 and not asked["quasi_optimality"].edge:
+        found["below"] = float(np.log10(quasi / lam))
+    fine = residual_test(path, lam)
+    coarse = residual_test(path, larger) if larger > lam else fine
+    if fine is not None and coarse is not None:
+        found |= {"fine": fine.statistic / fine.threshold, "coarse": coarse.statistic / coarse.threshold}
+        found["spent"] = fine.spent
+    if (plateau := plateau_test(path, larger)) is not None:
+        found |= {"modes": float(plateau.modes), "chance": plateau.chance}
+    left = (1 - found.get("spent", 1.0)) * path.m
+    calm = found.get("fine", np.inf) < CALM and (found["spent"] < FEW or left >= MANY)
+    found["followed"] = float(found.get("below", 0.0) > BELOW and found.get("coarse", 0.0) > 1 and not calm)
+    return found
 
 
-def _pick(
-    path: RegularizationPath, choice: str | float | None, asked: dict[str, RuleResult], sigma: float | None
+def is_correlated(evidence: Mapping[str, float]) -> bool:
+    """Whether the tests say that the noise is correlated."""
+    uneven = evidence.get("modes", 0.0) >= TESTABLE and evidence.get("chance", 1.0) < ALARM
+    return bool(evidence.get("followed", 0.0)) or uneven
+
+
+def agreement(
+    asked: dict[str, RuleResult], used: float, path: RegularizationPath | None = None, correlated: bool = False
 ) -> tuple[float, str]:
+    """Spread in decades between rules of different kinds and the lambda in use, and the verdict.
+
+    Rules of one kind fail together, so each kind has one voice: GCV for those that ask for white noise,
+    quasi-optimality for those that do not, discrepancy where the noise level is known. Where the load no longer
+    changes, above the largest and far below the smallest singular value, no distance is counted; quasi-optimality,
+    which ends at the smallest, speaks for all below when it ends there. Correlated noise leaves no better verdict than
+    ``rules disagree``.
+    """
+    ends = None if path is None else seen_modes(path)
+    low, high = (BENEATH * ends[0], ends[1]) if ends else (0.0, np.inf)
+    heard = [next((asked[name] for name in kind if asked[name].lam is not None), None) for kind in KINDS]
+    lams = [used, *(r.lam for r in heard if r is not None and r.lam is not None)]
+    if len(lams) == 1:
+        return float("inf"), "not determined"
+    quasi = heard[1]
+    if ends and quasi is not None and quasi.edge and quasi.lam is not None and quasi.lam < 1.2 * ends[0]:
+        lams.append(low)
+        lams.remove(quasi.lam)
+    spread = float(np.ptp(np.log10(np.clip(lams, max(low, np.finfo(float).tiny), high))))
+    grade = int(np.searchsorted(LIMITS, spread, side="right"))
+    if None in heard[:2]:
+        grade = max(grade, 1)
+    return spread, GRADES[max(grade, 2) if correlated else grade]
+
+
+def _pick(choice: str | float | None, asked: dict[str, RuleResult], sigma: float | None) -> tuple[float, str]:
     if isinstance(choice, str):
         return _given(asked[choice]), choice
     if choice is not None:
@@ -185,17 +252,9 @@ def _pick(
                 expected=f"a number from 0 to {LARGEST:g}, or the name of a rule",
             )
         return float(choice), "given"
-    order = ["predicted_error", "robust_gcv", "gcv", "l_curve"] if sigma is None else ["discrepancy", "upre", "gcv"]
-    first = asked[order[0]]
-    if sigma is not None and first.lam is not None:
-        edf = path.at(first.lam).edf
-        if first.edge or (edf is not None and edf > 0.2 * path.m):
-            order = ["upre", "predicted_error", "gcv"]
-            if _far_below(asked["upre"], asked["predicted_error"], 1.0):
-                order = order[1:]
-            order = [name for name in order if not _far_below(asked[name], asked["evidence"], 1.0)] + ["evidence"]
-    inside = [asked[name] for name in order if asked[name].lam is not None and not asked[name].edge]
-    running = inside or [r for r in asked.values() if r.lam is not None]
+    order = [asked[name] for name in ORDERS[sigma is not None] if asked[name].lam is not None]
+    inside = [r for r in order if not r.edge or r.free]
+    running = inside or order or [r for r in asked.values() if r.lam is not None]
     if not running:
         raise InputError(
             "no rule can run on this path",
@@ -207,6 +266,17 @@ def _pick(
     return _given(running[0]), running[0].rule
 
 
+def _with_sensitivity(found: RuleResult, sweep: rules.Sweep) -> RuleResult:
+    """The discrepancy rule with what it says at half and twice the noise level."""
+    try:
+        values = rules.sensitivity(sweep)
+    except Refusal:
+        return found
+    text = " / ".join("none" if x is None else f"{x:.2g}" for x in values)
+    note = f"at half, once and twice the noise level: {text}"
+    return replace(found, note=f"{found.note}; {note}" if found.note else note)
+
+
 def residual_level(path: RegularizationPath, lam: float) -> float | None:
     """Noise level of the whitened data that the residual shows, sqrt(|r|^2 / (m - edf)).
 
@@ -216,11 +286,6 @@ def residual_level(path: RegularizationPath, lam: float) -> float | None:
     if point.left is None or float(point.left) < 0.2 * path.m:
         return None
     return float(np.sqrt(point.residual2 / point.left))
-
-
-def _far_below(low: RuleResult, high: RuleResult, decades: float) -> bool:
-    """Whether one rule lies this far below another: the flat tail of its function won by chance."""
-    return low.lam is not None and high.lam is not None and not high.edge and low.lam < 10**-decades * high.lam
 
 
 def _given(result: RuleResult) -> float:

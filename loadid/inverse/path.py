@@ -37,6 +37,8 @@ class PathPoint:
         Residual plus lambda^2 penalty at its minimum (for the evidence).
     log_ratio : array or None
         Sum of ln(1 + gamma^2 / lambda^2) over the modes that the penalty sees (for the evidence).
+    bend : array or None
+        d penalty2 / d ln lambda (for the curvature of the L-curve).
     """
 
     residual2: NDArray[np.float64]
@@ -49,6 +51,7 @@ class PathPoint:
     sensitivity: NDArray[np.float64] | None = None
     objective: NDArray[np.float64] | None = None
     log_ratio: NDArray[np.float64] | None = None
+    bend: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -226,7 +229,7 @@ class FactoredPath:
         """Scalars of the path at relative `lam`, shape (k,); for a stack (lines, k)."""
         lam = np.asarray(lam, float)
         sums = self._tiled(self._sums, np.atleast_1d(lam))
-        residual2, penalty2, edf, edf2, *rest, objective, log_ratio, change2 = sums if lam.ndim else sums[..., 0]
+        residual2, penalty2, edf, edf2, *rest, objective, log_ratio, change2, bend = sums if lam.ndim else sums[..., 0]
         outside = self.outside[..., None] if lam.ndim else self.outside
         modes = np.sum(self.weight)
         beyond = (self.m - modes) * (self.m > modes * (1 + 1e-12))  # data that no mode reaches
@@ -244,7 +247,17 @@ class FactoredPath:
             sensitivity=2 * np.sqrt(change2),
             objective=objective + outside,
             log_ratio=log_ratio,
+            bend=bend,
         )
+
+    @property
+    def gamma(self) -> NDArray[np.float64]:
+        """Generalised singular values c / s in the order of the modes; infinite in the null space of the penalty."""
+        return np.where(self._seen, self._gamma, np.where(self.c > 0, np.inf, 0.0))
+
+    def rejected(self, lam: ArrayLike) -> NDArray[np.float64]:
+        """Share 1 - f of each mode that the fit leaves in the residual, shape (lams, modes)."""
+        return self._filter(np.asarray(lam, float))[1]
 
     def _tiled(self, sums: Callable[[NDArray, slice], NDArray], lam: NDArray) -> NDArray:
         """Sums over the modes at each lambda, (sums, ..., lams), a tile of modes and lambdas at a time.
@@ -266,10 +279,11 @@ class FactoredPath:
         return (lam * self.scale[..., None])[..., None]
 
     def _sums(self, lam: NDArray, part: slice) -> NDArray:
-        """Everything that `at` sums over modes, for some of them: shape (10, ..., lams)."""
+        """Everything that `at` sums over modes, for some of them: shape (11, ..., lams)."""
         f, g = self._filter(lam, part)  # g = 1 - f
         s2, w, b2 = self.s[..., part] ** 2, self.weight[part], self._beta2[..., part] * self.weight[part]
         f2, log_ratio = f**2, np.zeros(f.shape[:-1])
+        height2 = s2 * self._cost[..., part] * b2
         if self.smooth:
             gamma = (self._gamma[..., part] * self._seen[..., part])[..., None, :]
             with np.errstate(divide="ignore", invalid="ignore"):  # lambda 0: the ratio is infinite
@@ -278,7 +292,7 @@ class FactoredPath:
         return np.stack(
             [
                 _dot(g**2, b2),
-                _dot(f2, s2 * self._cost[..., part] * b2),
+                _dot(f2, height2),
                 _dot(f, w),
                 _dot(f2, w),
                 _dot(g, w),
@@ -287,6 +301,7 @@ class FactoredPath:
                 _dot(g, b2),
                 log_ratio,
                 self._length2(g * f, part),
+                -4 * _dot(g * f2, height2),
             ]
         )
 

@@ -79,3 +79,32 @@ def baart(n: int) -> Problem:
 PROBLEMS: dict[str, Callable[[int], Problem]] = {
     f.__name__: f for f in (deriv2, shaw, heat, phillips, foxgood, gravity, baart)
 }
+
+
+# -- noise -----------------------------------------------------------------------------------------------------------
+def white(rng: np.random.Generator, n: int) -> NDArray[np.float64]:
+    """Independent noise of unit std."""
+    return rng.standard_normal(n)
+
+
+def autoregressive(rng: np.random.Generator, n: int, a: float = 0.9) -> NDArray[np.float64]:
+    """AR(1) noise of unit std."""
+    e = rng.standard_normal(n)
+    e[1:] *= np.sqrt(1 - a**2)
+    for k in range(1, n):
+        e[k] += a * e[k - 1]
+    return e
+
+
+def interpolated(rng: np.random.Generator, n: int) -> NDArray[np.float64]:
+    """Independent noise of every second sample, linear in between; mean square 1."""
+    knots = np.arange(0, n, 2)
+    e = np.interp(np.arange(n), knots, rng.standard_normal(len(knots)))
+    return e / np.sqrt(0.75)
+
+
+NOISES: dict[str, Callable[[np.random.Generator, int], NDArray[np.float64]]] = {
+    "white": white,
+    "AR(1) 0.9": autoregressive,
+    "interpolated": interpolated,
+}

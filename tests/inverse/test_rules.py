@@ -73,7 +73,7 @@ def brute(request: pytest.FixtureRequest) -> Brute:
 def test_minimum_is_the_one_of_the_definition(brute: Brute, rule: str) -> None:
     sweep = rules.Sweep.over(brute.path, SIGMA)
     found = rules.run(rule, sweep)
-    inside = brute.lam >= (rules._above_modes(sweep, rule).lam[0] if rule == "quasi_optimality" else 0)
+    inside = brute.lam >= (rules.among_modes(sweep, rule).lam[0] if rule == "quasi_optimality" else 0)
     values = np.where(inside, brute.values(rule), np.inf)
     best = brute.lam[np.argmin(values)]
     assert found.edge == (best in (brute.lam[inside][0], brute.lam[-1]))
