@@ -106,7 +106,7 @@ class Brick:
         if self.element != "incompatible":
             return (K + K.T) / 2, np.zeros((9, 24))
         # the bubbles have no mass and no load: each cell condenses its own, exactly
-        bubbles = -np.linalg.solve(K[24:, 24:], K[24:, :24])
+        bubbles = np.asarray(-np.linalg.solve(K[24:, 24:], K[24:, :24]), float)
         K = K[:24, :24] + K[:24, 24:] @ bubbles
         return (K + K.T) / 2, bubbles
 
