@@ -5,6 +5,7 @@ from __future__ import annotations
 from .base import allowed, collect
 from .bookkeeping import absolute_lambda, changing_lambda, diagonal
 from .choice import disagreement, gcv_minimum, no_corner, noise_source, parameter
+from .constraints import fighting, stopped
 from .dynamics import aliased, memory, unfinished
 from .inversion import (
     index_offset,
@@ -28,6 +29,7 @@ __all__ = [
     "collect",
     "diagonal",
     "disagreement",
+    "fighting",
     "gcv_minimum",
     "high_pass",
     "index_offset",
@@ -50,6 +52,7 @@ __all__ = [
     "resolution",
     "resolution_law",
     "resultant_only",
+    "stopped",
     "unfinished",
     "used_for_training",
 ]

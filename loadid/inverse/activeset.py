@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .exchange import exchange
 from .face import Face
 from .feasible import Feasible
 from .quadratic import Quadratic
@@ -32,6 +33,8 @@ class Point:
     steps : int
     solver : str
     converged : bool
+    aim : array, shape (n,), optional
+        Point whose projection is h: a warm start begins on its face, not on that of a gradient step with new data.
     """
 
     h: NDArray[np.float64]
@@ -41,6 +44,7 @@ class Point:
     steps: int
     solver: str
     converged: bool
+    aim: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +64,8 @@ def solve(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: Point | N
     interior-point solver gives the start.
     """
     here = origin(feasible) if start is None else replace(start, steps=0)
+    if feasible.simple and not feasible.cones and quadratic.well:
+        here = _bounds_only(quadratic, b, feasible, here, cap)
     found = newton(quadratic, b, feasible, here, cap=cap)
     routes = [_homotopy, _from_inside]
     if any(np.any(c.facets) for c in feasible.cones):
@@ -71,7 +77,14 @@ def solve(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: Point | N
         tried = route(quadratic, b, feasible, found if route is _homotopy and found.error < 1e-6 else here)
         steps += tried.steps
         found = min(found, tried, key=lambda p: p.error)
-    return Point(found.h, found.nu, found.kappa, found.error, steps, found.solver, found.converged)
+    return replace(found, steps=steps)
+
+
+def _bounds_only(q: Quadratic, b: NDArray, s: Feasible, start: Point, cap: int) -> Point:
+    """Start from what block exchanges reach; Newton then checks it, and takes a last step where it must."""
+    aim = start.h - q.tau * ((q.A @ start.h - b) @ q.A) if start.aim is None else start.aim
+    h, aim, steps = exchange(q, b, s, aim, cap)
+    return replace(start, h=h, aim=None, steps=steps)
 
 
 def _from_inside(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: Point) -> Point:
@@ -83,7 +96,9 @@ def _from_inside(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: Po
         return start
     polished = newton(quadratic, b, feasible, inner)
     best = min(inner, polished, key=lambda p: p.error)
-    return replace(best, steps=polished.steps, solver="interior point, polished" if best.converged else "interior point")
+    return replace(
+        best, steps=polished.steps, solver="interior point, polished" if best.converged else "interior point"
+    )
 
 
 def origin(feasible: Feasible) -> Point:
@@ -97,6 +112,7 @@ class _State:
     """Everything that a step needs, at one point."""
 
     gradient: NDArray[np.float64]
+    aim: NDArray[np.float64]
     face: Face
     active: NDArray[np.int_]
     error: float
@@ -106,21 +122,24 @@ def _look(q: Quadratic, b: NDArray, s: Feasible, h: NDArray, nu: NDArray, kappa:
     image = q.A @ h
     gradient = (image - b) @ q.A
     total = gradient + nu @ s.equal.matrix + kappa @ s.below.matrix
+    tau = q.tau
     if prox is not None:
         total = total + prox.weight / q.tau * (h - prox.centre)
-    face = Face.near(s, h - q.tau * total)
-    error = float((np.abs(face.point - h) / np.sqrt(q.tau)).max(initial=0.0))
+        tau = q.tau / (1 + prox.weight)
+    aim = h - tau * total
+    face = Face.near(s, aim)
+    error = float((np.abs(face.point - h) / np.sqrt(tau)).max(initial=0.0))
     active = np.zeros(0, int)
     if len(s.equal):
         off = s.equal.matrix @ h - s.equal.value
-        error = max(error, float((np.abs(off) / np.sqrt(s.equal.matrix**2 @ q.tau)).max()))
+        error = max(error, float((np.abs(off) / np.sqrt(s.equal.matrix**2 @ tau)).max()))
     if len(s.below):
-        size = s.below.matrix**2 @ q.tau
+        size = s.below.matrix**2 @ tau
         wanted = kappa + (s.below.matrix @ h - s.below.value) / size
         error = max(error, float((np.abs(kappa - np.maximum(wanted, 0.0)) * np.sqrt(size)).max()))
         active = np.flatnonzero(wanted > 0)
     scale = max(float(np.linalg.norm(b)), float(np.linalg.norm(image)), np.finfo(float).tiny)
-    return _State(gradient, face, active, error / scale)
+    return _State(gradient, aim, face, active, error / scale)
 
 
 def newton(
@@ -131,26 +150,34 @@ def newton(
     h, nu, kappa = start.h, start.nu, start.kappa
     best, halved, steps = None, (np.inf, 0), 0
     pull = np.zeros(q.n) if prox is None else prox.weight / q.tau
+    tau = q.tau if prox is None else q.tau / (1 + prox.weight)
     while True:
         at = _look(q, b, s, h, nu, kappa, prox)
         if best is None or at.error < best[0]:
-            best = (at.error, at.face.point, nu, kappa)
+            best = (at.error, at.face.point, nu, kappa, at.aim)
         settled = at.error >= 0.1 * halved[0] and best[0] < GOOD  # rounding lets it fall no further
         if at.error < 0.5 * halved[0]:
             halved = (at.error, steps)
-        if at.error <= tight or settled or steps >= cap or steps - halved[1] > PATIENCE or not np.isfinite(at.error):
+        if (
+            at.error <= tight
+            or settled
+            or start.steps + steps >= cap
+            or steps - halved[1] > PATIENCE
+            or not np.isfinite(at.error)
+        ):
             break
+        face = at.face if steps or start.aim is None else Face.near(s, start.aim)
         rows, short = _rows(s, at.active, h)
         offset = np.zeros(q.n) if prox is None else h - prox.centre
-        moved = q.step(h, b, at.gradient, at.face, pull, offset, rows, short)
+        moved = q.step(h, b, at.gradient, face, tau, pull, offset, rows, short)
         steps += 1
         if moved is None:
             break
         h, multipliers = moved
         nu, kappa = multipliers[: len(nu)], np.zeros(len(kappa))
         kappa[at.active] = multipliers[len(nu) :]
-    error, h, nu, kappa = best
-    return Point(h, nu, kappa, error, start.steps + steps, "active set", error <= GOOD)
+    error, h, nu, kappa, aim = best
+    return Point(h, nu, kappa, error, start.steps + steps, "active set", error <= GOOD, aim)
 
 
 def _rows(s: Feasible, active: NDArray, h: NDArray) -> tuple[NDArray, NDArray]:
@@ -180,5 +207,5 @@ def _homotopy(q: Quadratic, b: NDArray, s: Feasible, start: Point) -> Point:
         if found.converged:
             here = found
             break
-    error = _look(q, b, s, here.h, here.nu, here.kappa, None).error
-    return Point(here.h, here.nu, here.kappa, error, steps, "active set, proximal", error <= GOOD)
+    end = _look(q, b, s, here.h, here.nu, here.kappa, None)
+    return Point(here.h, here.nu, here.kappa, end.error, steps, "active set, proximal", end.error <= GOOD, end.aim)

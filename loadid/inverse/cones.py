@@ -28,7 +28,7 @@ class ConeFaces:
 
 
 def frames(normals: NDArray) -> NDArray[np.float64]:
-    """Orthogonal frames whose last axis is the normal, (k, dim, dim): global = frame @ local (Householder reflection)."""
+    """Orthogonal frames whose last axis is the normal, (k, dim, dim): global = frame @ local (Householder)."""
     k, dim = normals.shape
     last = np.zeros(dim)
     last[-1] = 1.0

@@ -43,7 +43,7 @@ class _Found:
 
 
 def _run(P: NDArray, c: NDArray, s: Feasible, w: NDArray, size: float, tol: float = 1e-11) -> _Found:
-    """min 1/2 x^T P x + c^T x over the set, unknowns h = size * w * x."""
+    """Min 1/2 x^T P x + c^T x over the set, unknowns h = size * w * x."""
     import clarabel
     import scipy.sparse as sp
 

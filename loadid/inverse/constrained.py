@@ -23,6 +23,9 @@ from .tangent import Tangent, posterior
 
 __all__ = ["ConstrainedPath", "ConstrainedSolution", "ConstrainedSolver"]
 
+SCALARS = (
+    "residual2", "penalty2", "edf", "edf2", "left", "rest2", "rest4", "sensitivity", "objective",
+)  # fmt: skip
 KEPT = 4  # lambdas whose matrices are kept; their solutions are kept for all
 
 
@@ -118,7 +121,7 @@ class ConstrainedPath:
         rows = np.zeros((9, len(each)))
         for k in np.argsort(-each, kind="stable"):
             rows[:, k] = self._scalars(float(each[k]))
-        return PathPoint(*(rows if lam.ndim else rows[:, 0]), log_ratio=None)
+        return PathPoint(**dict(zip(SCALARS, rows if lam.ndim else rows[:, 0], strict=True)))
 
     def residual(self, lam: float) -> NDArray[np.float64]:
         """Whitened residual y - H g of the sensors, in the layout of the data."""
@@ -212,7 +215,8 @@ class ConstrainedPath:
         return self._points[lam]
 
     def _run(self, lam: float, starts: Sequence[Point] | None) -> tuple[Point, ...]:
-        prepared, points = self._solver(lam), []
+        prepared = self._solver(lam)
+        points: list[Point] = []
         for k, column in enumerate(self._columns.T):
             start = starts[min(k, len(starts) - 1)] if starts else (points[-1] if points else None)
             points.append(prepared.point(column, self._sets[min(k, len(self._sets) - 1)], start))

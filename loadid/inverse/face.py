@@ -77,10 +77,28 @@ class Face:
         """Columns of a matrix for the turned unknowns."""
         out = A.copy(order="F")
         for index, axes in self.turns:
-            rows = A[:, index.ravel()].T.reshape(*index.shape, len(A))
-            out[:, index.ravel()] = np.matmul(axes.transpose(0, 2, 1), rows).reshape(index.size, len(A)).T
+            _turn(out, index, axes)
         return out
 
-    def gram(self, G: NDArray) -> NDArray[np.float64]:
-        """A symmetric matrix for the turned unknowns."""
-        return G if not self.turns else self.columns(np.asfortranarray(self.columns(G).T))
+    def gram(self, G: NDArray, f: NDArray) -> NDArray[np.float64]:
+        """Rows and columns `f` of a symmetric matrix for the turned unknowns."""
+        if not self.turns:
+            return np.asfortranarray(G[np.ix_(f, f)])
+        used = np.zeros(len(G), bool)
+        used[f] = True
+        for index, _ in self.turns:
+            used[index] = True
+        place = np.cumsum(used) - 1
+        M = np.asfortranarray(G[np.ix_(used, used)])
+        for _ in range(2):
+            for index, axes in self.turns:
+                _turn(M, place[index], axes)
+            M = np.asfortranarray(M.T)
+        return np.asfortranarray(M[np.ix_(place[f], place[f])])
+
+
+def _turn(A: NDArray, index: NDArray, axes: NDArray) -> None:
+    """Turn some columns of a Fortran-ordered matrix, in place."""
+    flat = index.ravel()
+    rows = A.T[flat].reshape(*index.shape, len(A))
+    A.T[flat] = np.matmul(axes.transpose(0, 2, 1), rows).reshape(index.size, len(A))

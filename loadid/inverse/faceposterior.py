@@ -52,15 +52,19 @@ class FramesPosterior:
 
     def variance(self, w: NDArray) -> NDArray[np.float64]:
         """Variance of ``sum(w * load)``; `w` has the shape of the load, (k,) may stand in front."""
-        w = np.asarray(w, float)
-        if w.shape[w.ndim - len(self.shape) :] != self.shape:
-            raise InputError("the weights do not fit the load", where="w", found=f"shape {w.shape}",
-                             expected=f"shape {self.shape}")  # fmt: skip
-        frame = np.moveaxis(w, w.ndim - len(self.shape), 0)
-        return np.sum([p.variance(x) for p, x in zip(self.each, frame, strict=True)], axis=0)
+        return np.sum([p.variance(x) for p, x in self._frames(w)], axis=0)
 
     def noise_variance(self, w: NDArray) -> NDArray[np.float64] | None:
-        """Not given for frames."""
+        """Variance of ``sum(w * load)`` from the noise alone."""
+        parts = [p.noise_variance(x) for p, x in self._frames(w)]
+        return None if any(v is None for v in parts) else np.sum([v for v in parts if v is not None], axis=0)
+
+    def _frames(self, w: NDArray) -> list[tuple[DensePosterior, NDArray]]:
+        w = np.asarray(w, float)
+        if w.shape[max(w.ndim - len(self.shape), 0) :] != self.shape:
+            raise InputError("the weights do not fit the load", where="w", found=f"shape {w.shape}",
+                             expected=f"shape {self.shape}")  # fmt: skip
+        return list(zip(self.each, np.moveaxis(w, w.ndim - len(self.shape), 0), strict=True))
 
     def bias_weights(self, w: NDArray) -> NDArray[np.float64] | None:
         """Not known under constraints."""
@@ -68,3 +72,13 @@ class FramesPosterior:
     def to_arrays(self) -> dict[str, object]:
         """Plain arrays, for a result file."""
         return {"kind": self.kind, "frames": {str(i): p.to_arrays() for i, p in enumerate(self.each)}}
+
+    @classmethod
+    def from_arrays(cls, tree: dict) -> FramesPosterior:
+        """Inverse of `to_arrays`."""
+        each = [tree["frames"][str(i)] for i in range(len(tree["frames"]))]
+        passed = [None if p.get("passed") is None else np.asarray(p["passed"]) for p in each]
+        return cls([
+            FacePosterior(np.asarray(p["factor"]), tuple(p["shape"]), passed=f)
+            for p, f in zip(each, passed, strict=True)
+        ])  # fmt: skip

@@ -232,7 +232,8 @@ def _bounds(constraints: Sequence[Constraint], n: int, keep: NDArray) -> tuple[N
         if not isinstance(c, NonNegative | Bounds):
             continue
         loads = np.arange(n) if c.loads is None else _within(np.asarray(c.loads), n, type(c).__name__)
-        new_low, new_up = (0.0, INF) if isinstance(c, NonNegative) else (c.lower, c.upper)
+        limits = (0.0, INF) if isinstance(c, NonNegative) else (c.lower, c.upper)
+        new_low, new_up = (np.asarray(x, float) for x in limits)
         try:
             low, up = np.broadcast_to(new_low, loads.shape), np.broadcast_to(new_up, loads.shape)
         except ValueError:
@@ -269,7 +270,7 @@ def _bounds_in_cones(
     matrix: list[NDArray] = []
     found: list[tuple[float, int, int, float]] = []  # value, constraint, load, sign
     for c in groups:
-        k, dim = c.index.shape
+        dim = c.index.shape[1]
         implied = np.all(np.isclose(c.frame[:, :, -1], np.eye(dim)[-1]), axis=1)  # the last component is the push
         for i, a in np.argwhere((lower[c.index] > -INF) | (upper[c.index] < INF)):
             j = c.index[i, a]
@@ -349,7 +350,9 @@ def _independent(rows: Rows, before: NDArray, tol: float = 1e-10) -> Rows:
             continue
         implied = np.einsum("k,k...->...", weights, _scaled(rows.value[kept], rows.norm[kept]))
         own = rows.value[i] / rows.norm[i]
-        scale = np.abs(own) + np.einsum("k,k...->...", np.abs(weights), np.abs(_scaled(rows.value[kept], rows.norm[kept])))
+        scale = np.abs(own) + np.einsum(
+            "k,k...->...", np.abs(weights), np.abs(_scaled(rows.value[kept], rows.norm[kept]))
+        )
         if np.any(np.abs(own - implied) > 1e-9 * scale):
             others = [rows.names[k] for k, w in zip(kept, weights, strict=True) if abs(w) > 1e-8]
             raise InputError(

@@ -36,8 +36,8 @@ def by_constraint(
         in_cone[group.index] = True
     bound, fixed = np.zeros(s.n), np.zeros(s.n, bool)
     bound[s.keep], fixed[s.keep] = np.where(in_cone, 0.0, push), ~in_cone & face.held
-    acts = np.zeros(s.n, bool)
-    acts[s.keep] = True
+    removed = np.ones(s.n, bool)
+    removed[s.keep] = False
     found: list[Pair] = []
     for number, c in enumerate(constraints):
         if isinstance(c, NonNegative | Bounds):
@@ -45,7 +45,9 @@ def by_constraint(
             loads = np.arange(s.n) if c.loads is None else np.asarray(c.loads)
             found.append((force[loads], on[loads]))
         elif isinstance(c, Support):
-            found.append((np.where(acts, 0.0, slope), ~acts))
+            mine = removed.copy()
+            mine[np.asarray(c.loads)] = False
+            found.append((np.zeros(s.n), mine))
         elif isinstance(c, Resultant):
             force = np.zeros(len(np.asarray(c.C)))
             mine = np.flatnonzero(s.equal.source == number)
@@ -53,7 +55,22 @@ def by_constraint(
             found.append((force, np.ones(len(force), bool)))
         else:
             found.append((_cone_push(s, c, push), _cone_status(s, number, c, face)))
-    return found
+    return _of_removed(constraints, found, slope)
+
+
+def _of_removed(constraints: Sequence[Constraint], found: list[Pair], slope: NDArray) -> list[Pair]:
+    """With what the supports push: the gradient at the loads that they removed, less the share of the resultants."""
+    rest = slope.copy()
+    for c, (force, _) in zip(constraints, found, strict=True):
+        if isinstance(c, Resultant):
+            rest -= force @ np.asarray(c.C)
+    out = []
+    for c, (force, on) in zip(constraints, found, strict=True):
+        if isinstance(c, Support):
+            force = np.where(on, rest, 0.0)
+            rest = np.where(on, 0.0, rest)  # a load that two supports remove counts once
+        out.append((force, on))
+    return out
 
 
 def with_soft(pairs: list[Pair], constraints: Sequence[Constraint], rest: NDArray, sigma: float) -> list[Pair]:

@@ -211,6 +211,10 @@ def from_arrays(tree: dict) -> Posterior:
             orthogonal=bool(tree.get("orthogonal", False)),
             frames=tree.get("frames"),
         )  # files from before these were kept hold the factor and the shape only
+    if tree.get("kind") == "frames":
+        from .faceposterior import FramesPosterior
+
+        return FramesPosterior.from_arrays(tree)
     if tree.get("kind") == SpectralPosterior.kind:
         return SpectralPosterior(np.asarray(tree["lines"]), tree["samples"], tree["padded"])
     raise InputError(

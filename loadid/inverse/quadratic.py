@@ -65,15 +65,15 @@ class Quadratic:
         if self.well and self._factor is not None:
             return float(0.5 * np.sum(solve_triangular(self._factor, np.sqrt(self.tau) * delta, trans="T") ** 2))
         if self._triangle is None:
-            self._triangle = np.linalg.qr(self.A, mode="r")
+            self._triangle = np.asarray(np.linalg.qr(self.A, mode="r"))
         R, diagonal = self._triangle, np.abs(np.diag(self._triangle))
         if len(R) < self.n or diagonal.min() <= self.n * EPS * diagonal.max():
             return float(np.abs(delta @ h))
         return float(0.5 * np.sum(solve_triangular(R, delta, trans="T") ** 2))
 
     def step(
-        self, h: NDArray, b: NDArray, gradient: NDArray, face: Face, pull: NDArray, offset: NDArray,
-        C: NDArray, short: NDArray,
+        self, h: NDArray, b: NDArray, gradient: NDArray, face: Face, tau: NDArray, pull: NDArray,
+        offset: NDArray, C: NDArray, short: NDArray,
     ) -> tuple[NDArray, NDArray] | None:  # fmt: skip
         """Minimiser on a face from `h`, with C times it fixed; and the multipliers of C. None: singular.
 
@@ -81,6 +81,8 @@ class Quadratic:
         ----------
         gradient : array, shape (n,)
             A^T (A h - b).
+        tau : array, shape (n,)
+            Step lengths by which the face was found.
         pull, offset : array, shape (n,)
             Proximal term ``pull * (step + offset)^2`` in (turned) unknowns; zero without.
         C, short : array, shape (rows, n), (rows,)
@@ -89,7 +91,7 @@ class Quadratic:
         ht, free = face.turn(h), ~face.held
         target = np.where(free, 0.0, face.turn(face.point))
         d0 = np.where(free, 0.0, target - ht)
-        bend = face.curvature(self.tau)
+        bend = face.curvature(tau)
         f = np.flatnonzero(free)
         stiff = (bend + pull)[f]
         lean = (bend * ht + pull * face.turn(offset))[f]  # gradient of the rows that the cones and the prox add
@@ -118,13 +120,11 @@ class Quadratic:
     ) -> tuple[NDArray, NDArray] | None:
         from scipy.linalg import lapack
 
-        G = face.gram(self.G)
-        M = np.asfortranarray(G[np.ix_(f, f)])
+        M = face.gram(self.G, f)
         M[np.arange(len(f)), np.arange(len(f))] += stiff
-        moved = np.flatnonzero(d0)
+        if np.any(d0):
+            gradient = gradient + (self.A @ face.back(d0)) @ self.A
         right = -face.turn(gradient)[f] - lean
-        if len(moved):
-            right -= G[np.ix_(f, moved)] @ d0[moved]
         R, info = lapack.dpotrf(M, lower=0, clean=1, overwrite_a=1)
         return None if info else (lapack.dpotrs(R, right)[0], R)
 
@@ -153,10 +153,11 @@ class Quadratic:
         f = np.flatnonzero(~face.held)
         stiff = face.curvature(self.tau)[f]
         rows = np.diag(np.sqrt(stiff))[stiff > 0]
-        R, V = np.linalg.qr(np.vstack([face.columns(self.A)[:, f], rows]), mode="r"), None
+        R: NDArray = np.asarray(np.linalg.qr(np.vstack([face.columns(self.A)[:, f], rows]), mode="r"))
+        V = None
         if len(C):
             V = _kernel(face.columns(C)[:, f])
-            R = np.linalg.qr(R @ V, mode="r")
+            R = np.asarray(np.linalg.qr(R @ V, mode="r"))
         free = _right_inverse(R)
         S = np.zeros((self.n, free.shape[1]))
         S[f] = free if V is None else V @ free
@@ -188,6 +189,6 @@ def _onto_rows(q: NDArray, R: NDArray, C: NDArray, short: NDArray) -> tuple[NDAr
 
 def _kernel(C: NDArray) -> NDArray[np.float64]:
     """Orthonormal null space of some rows."""
-    U, s, Vt = np.linalg.svd(C, full_matrices=True)
+    s, Vt = np.linalg.svd(C, full_matrices=True)[1:]
     rank = int(np.sum(s > max(C.shape) * EPS * s.max(initial=0.0)))
     return Vt[rank:].T

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .face import Face
 from .faceposterior import FacePosterior, FramesPosterior
 from .feasible import Feasible
+from .posterior import Posterior
 
 if TYPE_CHECKING:
     from .activeset import Point
@@ -66,14 +67,14 @@ class Tangent:
         return float(np.sum(B**2))
 
     def rest(self, m: int) -> tuple[float, float, float]:
-        """m - edf, tr (I - A)^2 and tr (I - A)^4 of the derivative A, from the complement."""
+        """What is left, m - edf, tr (I - A)^2 and tr (I - A)^4 of the derivative A, from the complement."""
         other = self.other
         E = np.einsum("ki,kj->ij", other, other, optimize=True)
         beyond = m - E.shape[0]
         return beyond + float(np.trace(E)), beyond + float(np.sum(E**2)), beyond + float(np.sum((E @ E) ** 2))
 
 
-def posterior(faces: Sequence[Tangent], sigma: float, shape: tuple[int, ...], frames: int | None) -> object:
+def posterior(faces: Sequence[Tangent], sigma: float, shape: tuple[int, ...], frames: int | None) -> Posterior:
     """Gaussian posterior on the active faces, in modes that split the share of the noise from that of the prior."""
     each = []
     for t in faces:
