@@ -151,7 +151,7 @@ def _draw_picard(ax: Axes, d: Diagnosis, estimate: LoadEstimate) -> None:
     ax.patch.set_visible(False)
     shown = np.isfinite(d.generalised) & (d.generalised > 0)
     twin.semilogy(i[shown], d.generalised[shown] / d.scale, color=BLUE, lw=1.3)
-    ax.semilogy([], [], color=BLUE, lw=1.3, label="generalised singular value / largest (right)")
+    ax.semilogy([], [], color=BLUE, lw=1.3, label="singular value / largest (right)")
     small = 4 if len(i) <= 100 else 2
     positive = d.coefficients > 0
     ax.semilogy(
@@ -209,6 +209,10 @@ def _draw_matrix(figure: Figure, ax: Axes, d: Diagnosis) -> None:
 
 def _draw_spreads(ax: Axes, d: Diagnosis, estimate: LoadEstimate) -> None:
     names = _names(estimate, d.n)
+    known = places(estimate.geometry)
+    if known is not None and known[0].shape[1] == 2 and d.n % len(known[0]) == 0:
+        _draw_distances(ax, d, names, known[0])
+        return
     x, label = _abscissa(estimate, d.n)
     for k, j in enumerate(d.shown):
         color, line = _LINES[k % len(_LINES)]
@@ -221,6 +225,22 @@ def _draw_spreads(ax: Axes, d: Diagnosis, estimate: LoadEstimate) -> None:
     ax.axhline(0, color=GREY, lw=0.6)
     _room(ax)
     ax.set(xlabel=label, ylabel="shown per unit load")
+    ax.set_title("point spreads: what is shown of one load", loc="left", fontsize=9)
+    ax.legend(fontsize=7, loc="upper left")
+    tidy(ax)
+
+
+def _draw_distances(ax: Axes, d: Diagnosis, names: list[str], x: NDArray) -> None:
+    """Point spreads over a surface: what is shown in the same direction, over the distance from the load."""
+    count = d.n // len(x)
+    for k, j in enumerate(d.shown):
+        away = np.linalg.norm(x - x[j // count], axis=1)
+        shown = d.point_spreads[j % count :: count, k]
+        label = f"{_who(names, d, int(j))}: {_width(d, int(j))}"
+        ax.plot(away, shown, marker="osD^"[k % 4], ms=4, mfc="none", color=_LINES[k % 4][0], ls="none", label=label)
+    ax.axhline(0, color=GREY, lw=0.6)
+    _room(ax)
+    ax.set(xlabel="distance from the load [m]", ylabel="shown per unit load")
     ax.set_title("point spreads: what is shown of one load", loc="left", fontsize=9)
     ax.legend(fontsize=7, loc="upper left")
     tidy(ax)
@@ -243,7 +263,7 @@ def _draw_heights(ax: Axes, d: Diagnosis) -> None:
     ax.set_title("every load", loc="left", fontsize=9)
     _room(ax)
     twin.set_ylim(0, 1.5 * float(d.widths.max()))
-    ax.legend(fontsize=7, ncols=2, loc="upper left")
+    ax.legend(fontsize=6.5, ncols=2, loc="upper left", handlelength=1.6, columnspacing=1.0)
     tidy(ax)
 
 
@@ -283,7 +303,13 @@ def _floor(ax: Axes, values: NDArray) -> None:
 
 
 def _legend_below(figure: Figure, ax: Axes, narrow: bool) -> None:
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower left", ncols=2 if narrow else 3, fontsize=7)
+    figure.legend(
+        *ax.get_legend_handles_labels(),
+        loc="outside lower left",
+        ncols=2 if narrow else 3,
+        fontsize=6 if narrow else 7,
+        columnspacing=1.0,
+    )
 
 
 def _room(ax: Axes) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -88,8 +89,12 @@ def field(
     else:
         _draw_maps(figure, found, narrow)
     mark(figure, estimate)
-    if found.note:
-        figure.supxlabel(found.note, fontsize=8, color=ORANGE if "W106" in found.note else INK, x=0.01, ha="left")
+    note = found.note
+    if narrow and found.std is not None and found.x.shape[1] > 1:
+        note = "; ".join(x for x in (note, f"std at most {found.std.max():.3g} {found.unit}") if x)
+    if note:
+        lines = "\n".join(textwrap.wrap(note, int(14 * figure.get_figwidth())))
+        figure.supxlabel(lines, fontsize=8, color=ORANGE if "W106" in found.note else INK, x=0.01, ha="left")
     return figure
 
 
@@ -191,7 +196,11 @@ def _draw_lines(figure: Figure, f: _Field, e: LoadEstimate, level: float, narrow
 # -- maps -------------------------------------------------------------------------------------------------------------
 def _draw_maps(figure: Figure, f: _Field, narrow: bool) -> None:
     count = f.values.shape[1]
-    kinds = ["estimate", *(["truth"] if f.truth is not None else []), *(["std"] if f.std is not None else [])]
+    kinds = [
+        "estimate",
+        *(["truth"] if f.truth is not None else []),
+        *(["std"] if f.std is not None and not narrow else []),
+    ]
     wide, high = np.ptp(f.x, axis=0)
     across = 1 if narrow else len(kinds)
     each = NARROW if narrow else max(3.2, min(4.6, 12.0 / len(kinds)))
@@ -214,7 +223,9 @@ def _draw_maps(figure: Figure, f: _Field, narrow: bool) -> None:
             assert values is not None
             image = _map(ax, f, values[:, j], style)
             bar = figure.colorbar(image, ax=ax, shrink=0.75)
+            bar.formatter.set_powerlimits((-3, 4))  # type: ignore[attr-defined]
             bar.ax.tick_params(labelsize=8)
+            bar.ax.yaxis.get_offset_text().set_fontsize(8)
             bar.set_label(f"{'std of the ' if kind == 'std' else ''}{f.word} [{f.unit}]", fontsize=8)
             ax.set_title(f"{f.components[j]} {kind}".strip(), loc="left", fontsize=9)
             ax.set(xlabel=f"{f.along[0]} [m]", ylabel=f"{f.along[1]} [m]", aspect="equal")
