@@ -23,13 +23,14 @@ FACTS = {
     "rank": "rank",
     "nullity": "nullity",
     "kappa": "condition number of the visible part",
+    "frames": "frames",
     "edf": "effective degrees of freedom",
     "residual_to_noise": "residual / noise",
     "resolution": "resolution width",
     "peak_bias": "share of a single-sample peak that is lost",
     "path": "solved by",
 }
-_SAID = {"resolution_unit", "noise_level", "noise_source", "guards_checked"}
+_SAID = {"resolution_unit", "noise_level", "noise_source", "guards_checked", "band"}
 _MANY = 8
 
 
@@ -273,6 +274,12 @@ def summary(estimate: LoadEstimate) -> str:
     if estimate.facts:
         lines.append("  " + "; ".join(f"{name} {value}" for name, value in facts(estimate)))
     lines += [f"  {line}" for line in diagnosis(estimate)]
+    if estimate.resultants:
+        lines.append("  resultants: " + "; ".join(str(r) for r in estimate.resultants))
+    if "band" in estimate.facts:
+        lines.append(f"  the band holds {estimate.facts['band']}")
+    if estimate.validation is not None:
+        lines.append(f"  validation: {estimate.validation}")
     lines.append(f"  verification: {estimate.verified}")
     if estimate.allowed:
         lines.append(f"  {allowed(estimate)}")

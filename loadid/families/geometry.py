@@ -16,8 +16,8 @@ def geometry(basis: Any) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``coordinates`` (P, dim), ``cells``, ``components``, ``kind``, ``measures`` (P,), ``resultant`` (R, loads),
-        ``resultant_labels``, and for nodal forces ``traction`` (loads, loads).
+        ``coordinates`` (P, dim), ``cells``, ``components``, ``kind``, ``measures`` (P,), ``extents`` of patches,
+        ``resultant`` (R, loads), ``resultant_labels``, and for nodal forces ``traction`` (loads, loads).
     """
     cells = getattr(basis, "cells", None)
     return {
@@ -25,6 +25,7 @@ def geometry(basis: Any) -> dict[str, Any]:
         "cells": None if cells is None or not len(cells) else np.asarray(cells, int),
         "components": list(basis.components),
         "kind": basis.kind,
+        "extents": getattr(basis, "extents", None),
         "measures": None if basis.measures is None else np.asarray(basis.measures, float),
         "resultant": np.asarray(basis.resultant(), float),
         "resultant_labels": list(basis.resultant_labels),

@@ -27,6 +27,7 @@ from .level import noise_level
 from .readings import Readings, readings
 from .steady import Absolute, Steady, discrepancy, pose, transfer
 
+MEETING = float(np.sqrt(np.finfo(float).eps))  # of [H/|H|; L/|L|], below which no minimiser stands out
 MANY = 16  # loads from which their mesh can be called fine
 
 
@@ -207,6 +208,13 @@ class StaticInversion:
 
     def _refuse_undetermined(self, posed: Steady) -> None:
         n = self.H.shape[1]
+        if self.L is not None and posed.base.meeting < MEETING and "LID-E306" not in self.allow:
+            raise NotIdentifiable(
+                "the null spaces of the sensors and of the penalty nearly meet: the smallest singular value of "
+                f"[H/|H|; L/|L|] is {posed.base.meeting:.2g}, below {MEETING:.2g}",
+                advice="add a resultant as a constraint, another sensor, or use penalty='identity'",
+                code="LID-E306",
+            )
         if self.free and not self.constraints and posed.rank < n and "LID-E306" not in self.allow:
             raise NotIdentifiable(
                 f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns "
@@ -330,7 +338,7 @@ class StaticInversion:
                 posed.correlated,
                 guards.mixed_kinds(given.channels, posed.noise.known),
                 *self._resolved(posed, choice, diagnosis),
-                *posed.fought(choice),
+                *posed.fought(choice, posed.noise.sigma or facts["noise_level"]),
                 *guards.parameter(choice, lambda factor: discrepancy(posed, factor)),
                 guards.absolute_lambda(self.choice.lam, choice.scale) if isinstance(self.choice, Absolute) else None,
                 guards.inverse_crime(simulated, model.fingerprint),

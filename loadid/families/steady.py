@@ -110,9 +110,15 @@ class Steady:
         found = whiteness.effective_number(np.eye(len(R)), R / size / size[:, None])
         return guards.interpolated(found.nominal, found.effective, found.rank)
 
-    def fought(self, choice: Choice) -> list[Flag | None]:
+    def fought(self, choice: Choice, sigma: float) -> list[Flag | None]:
         """What the constraints did: W308 where they fight the data, W410 where the solver ended on its limit."""
-        return []
+        if not self.constrained:
+            return []
+        solution = self.path.solve(choice.lam)
+        return [
+            guards.fighting(solution, self.path.constraints, sigma, self.path.m),
+            guards.stopped(solution, sigma, self.path.m),
+        ]
 
     @property
     def whitening(self) -> NDArray[np.float64]:

@@ -130,8 +130,10 @@ class Diagnosis:
 
     @property
     def eta(self) -> float:
-        """Noise relative to the largest singular value: just below the last recoverable mode."""
-        return min(0.999 / self.snr, 0.999)
+        """Noise relative to the largest singular value: between the last recoverable mode and the next one."""
+        s, k = self.singular_values, min(self.plateau, len(self.singular_values))
+        lower = s[k] if k < len(s) and s[k] > 0 else s[max(k - 1, 0)] / 10
+        return min(float(np.sqrt(lower * s[max(k - 1, 0)]) / s[0]), 0.999)
 
     def require(self, modes: int) -> None:
         """Refuse a resolution of `modes` components that the data do not hold.

@@ -1,19 +1,16 @@
-"""Every guard, reached through a family or a reader: what triggers it, what it says, and a clean twin without it.
-
-E103, E301 and E302 have no condition at run time; they are rules for the source, in test_source_rules.py.
-"""
+"""Guards of histories, reached through deconvolution or a reader: triggers and clean twins; false alarms; overriding."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from loadid import Deconvolution, Record, read
-from loadid.commands.check import NAMES, check
+from loadid.commands.check import check
 from loadid.validate import Coverage, held_out
 from structures import (
     Channel,
@@ -27,17 +24,12 @@ from structures import (
     loads,
     sensors,
 )
-from structures.flags import Evidence, Flag
+from structures.flags import Flag
 from tests.data import measured
 from tests.structures.impacts import hits
 
-GUARDS = {
-    *("E104", "W105", "W114"),
-    *("W201", "W202", "W204", "W205", "W206", "W207", "W208", "W209", "N303"),
-    *("W401", "W402", "W406", "W407", "W505", "E506", "W509"),
-    *("W702", "W703", "W704"),
-}
-CODE_RULES = {"E103", "E301", "E302"}
+from .cases import Case, of, refused
+
 DT = 1 / 1000
 N = 100
 COVERED = Coverage(0.95, 0.95, 50, "2026-01-01")
@@ -98,30 +90,7 @@ def flags(model, y=None, **settings) -> tuple[Flag, ...]:
     return Deconvolution(model, **settings).estimate(y, None if isinstance(y, Record) else dt).flags
 
 
-def refused(action: Callable[[], object]) -> tuple[Flag, ...]:
-    """The refusal of an action as a flag; nothing where it is not refused."""
-    try:
-        action()
-    except (InputError, NotIdentifiable) as error:
-        return (Flag(error.code, Evidence("refusal", error.code), str(error), getattr(error, "hint", "")),)
-    return ()
-
-
 # -- the guards -------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Case:
-    """One way to trigger a guard, its clean twin, and the number that the flag must print."""
-
-    code: str
-    trigger: Callable[[], tuple[Flag, ...]]
-    clean: Callable[[], tuple[Flag, ...]]
-    says: str
-    name: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.code} {self.name}".strip()
-
-
 def verified() -> ImpulseModel:
     model = arrays(impulse())
     model.verify(pulse(), model.predict(pulse(), DT), DT)
@@ -354,44 +323,9 @@ CASES = [
 ]
 
 
-def of(code: str, found: tuple[Flag, ...]) -> list[Flag]:
-    return [f for f in found if f.code == f"LID-{code}"]
-
-
 @pytest.fixture(autouse=True)
 def folder(tmp_path):
     TMP[:] = [tmp_path]
-
-
-@pytest.mark.parametrize("case", CASES, ids=str)
-def test_triggered(case):
-    (flag, *_) = of(case.code, case.trigger())
-    assert re.search(case.says, str(flag), re.DOTALL), str(flag)
-    assert len(flag.advice) > 8
-    assert flag.evidence.name
-
-
-@pytest.mark.parametrize("case", CASES, ids=str)
-def test_silent(case):
-    assert of(case.code, case.clean()) == []
-
-
-def test_every_guard_is_here():
-    assert {case.code for case in CASES} == GUARDS
-    assert not CODE_RULES & GUARDS
-    assert set(NAMES) <= GUARDS
-
-
-def test_every_guard_of_the_code_is_here():
-    """No code stands in the sources that no case triggers, but two refusals tested with the model and the family."""
-    from .sources import modules
-
-    said = {
-        code
-        for _, path in modules("structures", "loadid")
-        for code in re.findall(r"""["'](?:LID-)?([EWN]\d{3})["']""", path.read_text("utf-8"))
-    }
-    assert said - {"E116", "E306"} <= GUARDS | CODE_RULES
 
 
 # -- false alarms -----------------------------------------------------------------------------------------------------
