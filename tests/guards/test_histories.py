@@ -1,4 +1,4 @@
-"""Guards of histories, reached through deconvolution or a reader: triggers and clean twins; false alarms; overriding."""
+"""Guards of histories, reached through deconvolution or a reader; false alarms; overriding."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from structures import (
     ImpulseModel,
     InputError,
     MeasuredModel,
-    NotIdentifiable,
     beams,
     damping,
     loads,
