@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from .quadratic import Quadratic
 
 PATIENCE = 12
+EAGER = 0.5  # loads pulled less than this share of the most pulled one wait: many of them need not move at all
 
 
 def exchange(q: Quadratic, b: NDArray, s: Feasible, aim: NDArray, cap: int) -> tuple[NDArray, NDArray, int]:
@@ -26,7 +27,8 @@ def exchange(q: Quadratic, b: NDArray, s: Feasible, aim: NDArray, cap: int) -> t
 
     G, tau, lower, upper = q.G, q.tau, s.lower, s.upper
     right = b @ q.A
-    slack = 1e-14 * float(np.linalg.norm(b)) * np.sqrt(tau)
+    root = np.sqrt(tau)
+    slack = 1e-14 * float(np.linalg.norm(b)) * root
     two_sided = bool(np.any(np.isfinite(upper)))
     low, high = aim <= lower, aim >= upper
     least, since, steps = len(aim) + 1, 0, 0
@@ -48,6 +50,7 @@ def exchange(q: Quadratic, b: NDArray, s: Feasible, aim: NDArray, cap: int) -> t
         aim[f] = x[f]
         now_low = np.where(held, aim <= lower + slack, aim < lower)
         now_high = np.where(held, aim >= upper - slack, aim > upper) if two_sided else high
+        freed = held & ~(now_low | now_high)
         moved = int(np.count_nonzero(now_low != low)) + int(np.count_nonzero(now_high != high) if two_sided else 0)
         if moved == 0:
             break
@@ -56,5 +59,10 @@ def exchange(q: Quadratic, b: NDArray, s: Feasible, aim: NDArray, cap: int) -> t
         since += 1
         if since > PATIENCE:
             break
+        if np.any(freed):
+            pulled = np.where(freed, np.abs(aim - x) / root, 0.0)
+            late = freed & (pulled < EAGER * pulled.max())
+            now_low |= late & low
+            now_high = now_high | (late & high)
         low, high = now_low, now_high
     return np.clip(x, lower, upper), aim, steps

@@ -63,7 +63,8 @@ class Quadratic:
         if not np.any(delta):
             return 0.0
         if self.well and self._factor is not None:
-            return float(0.5 * np.sum(solve_triangular(self._factor, np.sqrt(self.tau) * delta, trans="T") ** 2))
+            scaled = np.sqrt(self.tau) * delta
+            return float(0.5 * np.sum(solve_triangular(self._factor, scaled, trans="T", check_finite=False) ** 2))
         if self._triangle is None:
             self._triangle = np.asarray(np.linalg.qr(self.A, mode="r"))
         R, diagonal = self._triangle, np.abs(np.diag(self._triangle))

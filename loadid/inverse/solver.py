@@ -184,7 +184,9 @@ class ConstrainedSolver:
         outside = y - self.base.U @ beta[: self.base.U.shape[1]]
         rest = problem.H @ g - y
         rough = g if problem.L is None else problem.L @ g
-        slope = self.base.Y @ (self.weights * (self.weights * (self.base.Y.T @ g) - b))  # of all loads
+        slope = np.zeros(feasible.n)
+        if len(feasible.keep) < feasible.n:  # the gradient by all loads, removed ones too
+            slope = self.base.Y @ (self.weights * (self.weights * (self.base.Y.T @ g) - b))
         force = (self.quadratic.A @ p.h - b) @ self.quadratic.A
         push = force + p.nu @ feasible.equal.matrix + p.kappa @ feasible.below.matrix
         face = Face.near(feasible, p.h - self.quadratic.tau * push)

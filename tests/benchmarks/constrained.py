@@ -116,7 +116,7 @@ def rows(name: str, found: list, cold: list[float], warm: list[float]) -> Iterat
 def other(name: str, solve: Callable[[NDArray], NDArray], y: NDArray, ours: list) -> str:
     """Table row of another solver, with its distance to ours."""
     ms, apart = [], []
-    for each, own in zip(y, ours, strict=True):
+    for each, own in zip(y, ours[: len(y)], strict=True):
         t, load = timed(lambda each=each: solve(each))
         ms.append(t)
         apart.append(np.linalg.norm(load - own.load) / np.linalg.norm(own.load))
@@ -130,17 +130,24 @@ def main() -> None:
     few = 3
     print(f"{'milliseconds of CPU a frame':<46}{'median':>10}{'most':>10}")
     n = 500
-    H, y = line(n, FRAMES)
-    sigma = 0.01 * float(np.sqrt(np.mean(y[0] ** 2)))
-    for lam in (rule(H, y[0], sigma, [NonNegative()]), 1e-2, 1e-3):
-        prepared = ConstrainedPath(SVDPath(LinearProblem.whitened(H, y[0])), [NonNegative()]).prepare(lam)
-        cold, warm, found = sequence(prepared, y)
-        print(f"\n{n} unknowns non-negative, relative lambda {lam:g}, {np.sum(found[-1].load > 0)} of them positive")
-        print("\n".join(rows("active set", found, cold, warm)))
-        S = np.vstack([H, prepared.lam * np.eye(n)])
-        print(other("scipy nnls on [H; lam L]", lambda v, S=S: nnls(S, np.r_[v, np.zeros(n)])[0], y[:few], found[:few]))
-        print(other("clarabel", lambda v, p=prepared: by_clarabel(p, v), y[:few], found[:few]))
-        print(other("casadi daqp", by_daqp(prepared), y[:few], found[:few]))
+    for noise in (1e-2, 1e-3):
+        H, y = line(n, FRAMES, noise)
+        sigma = noise * float(np.sqrt(np.mean(y[0] ** 2)))
+        for lam in (rule(H, y[0], sigma, [NonNegative()]), 3e-2):
+            prepared = ConstrainedPath(SVDPath(LinearProblem.whitened(H, y[0])), [NonNegative()]).prepare(lam)
+            cold, warm, found = sequence(prepared, y)
+            positive = np.sum(found[-1].load > 0)
+            print(
+                f"\n{n} non-negative, new noise of {noise:.1%} a frame, relative lambda {lam:.2g}, {positive} positive"
+            )
+            print("\n".join(rows("active set", found, cold, warm)))
+            S = np.vstack([H, prepared.lam * np.eye(n)])
+            by_nnls = other(
+                "scipy nnls on [H; lam L]", lambda v, S=S: nnls(S, np.r_[v, np.zeros(n)])[0], y[:few], found
+            )
+            print(by_nnls)
+            print(other("clarabel", lambda v, p=prepared: by_clarabel(p, v), y[:few], found))
+            print(other("casadi daqp", by_daqp(prepared), y[:few], found))
 
     H, y = patch(200, FRAMES)
     contacts = np.arange(600).reshape(-1, 3)
