@@ -80,7 +80,7 @@ def plateau(coefficients: ArrayLike, *, frames: int = 1, rest: tuple[float, int]
         return Plateau(0, float(largest))
     if len(b) + count < FEWEST:
         return Plateau(len(b), 0.0)
-    data = _Data.of(b / largest, frames, outside / largest**2, count)
+    data = _Data.of(b / largest, frames, float(np.sqrt(outside) / largest) ** 2, count)
     noise = data.level(0)
     alone = data.likelihood(np.array([noise, LEAST, 0.0]), LAWS["exponential"])
     value, best, law = max((_climb(data, law) for law in LAWS.values()), key=lambda found: found[0])
