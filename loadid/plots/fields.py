@@ -114,7 +114,9 @@ def _taken(e: LoadEstimate, quantity: str, truth: ArrayLike | None, frame: int |
     if e.load.ndim == 2:
         k = int(np.argmax(np.abs(e.load).max(axis=1))) if frame is None else int(frame)
         row, axis = (k,), e.axis
-        at = "" if axis is None else f" at {axis.name} {axis.values[k]:.4g} {axis.unit}".rstrip()
+        at = (
+            "" if axis is None or axis.name == "frame" else f" at {axis.name} {axis.values[k]:.4g} {axis.unit}".rstrip()
+        )
         note = f"frame {k % len(e.load) + 1} of {len(e.load)}{at}"
     load, std = e.load[row], e.std[row]
     known = None if truth is None else _known(truth, e, row)

@@ -88,6 +88,8 @@ def draw_load(
     ax.set_title(text(estimate.labels[load]), loc="left", fontsize=9)
     ax.set_ylabel(f"load [{unit(estimate.units[load])}]")
     ax.set_xlabel(titled(estimate.axis.name, name))
+    if estimate.axis.name == "frame":
+        ax.xaxis.get_major_locator().set_params(integer=True)
     ax.margins(x=0.01)
     if window is not None:
         ax.set_xlim(window[0] * scale, window[1] * scale)
