@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from loadid.summary import pulse_window
@@ -89,7 +90,7 @@ def draw_load(
     ax.set_ylabel(f"load [{unit(estimate.units[load])}]")
     ax.set_xlabel(titled(estimate.axis.name, name))
     if estimate.axis.name == "frame":
-        ax.xaxis.get_major_locator().set_params(integer=True)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.margins(x=0.01)
     if window is not None:
         ax.set_xlim(window[0] * scale, window[1] * scale)
