@@ -232,7 +232,7 @@ class StaticInversion:
         assert solution.posterior is not None
         std = np.broadcast_to(solution.posterior.std, load.shape)
         single = given.axis is None
-        bias = None if posed.constrained else diagnose.hidden(posed.base, choice.lam, load, std)
+        bias = None if posed.constrained else diagnose.hidden(posed.base, choice.lam, load, std, axis=-1)
         response = given.values[0] if single else given.values
         diagnosis = diagnose.diagnose(
             posed.base, choice.lam, sigma, load=np.atleast_2d(load)[-1], geometry=self.geometry

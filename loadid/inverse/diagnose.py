@@ -279,13 +279,15 @@ def resolution(path: SVDPath | SpectralPath, lam: float, load: NDArray) -> tuple
     return width(spread, int(sample)), float(1 - spread[sample])
 
 
-def hidden(path: SVDPath | SpectralPath, lam: float, load: NDArray, std: NDArray) -> NDArray[np.float64]:
+def hidden(
+    path: SVDPath | SpectralPath, lam: float, load: NDArray, std: NDArray, *, axis: int = 0
+) -> NDArray[np.float64]:
     """What regularisation is expected to hide, (R - I) g for the part of the estimate that stands out of its noise.
 
     The estimate itself has lost it already (low frequencies that accelerometers do not see come back as a slow
     undershoot); its clear part, above three standard deviations and a tenth of the peak, still holds it. Zero for an
-    estimate that is all noise.
+    estimate that is all noise. `axis` is that along which there is one peak: time of a history, the loads of a frame.
     """
     size = np.abs(load)
-    clear = np.where(size > np.maximum(3 * std, 0.1 * size.max(axis=0)), load, 0.0)
+    clear = np.where(size > np.maximum(3 * std, 0.1 * size.max(axis=axis, keepdims=True)), load, 0.0)
     return path.resolve(clear, lam) - clear
