@@ -28,6 +28,7 @@ FACTS = {
     "residual_to_noise": "residual / noise",
     "resolution": "resolution width",
     "peak_bias": "share of a single-sample peak that is lost",
+    "noise_share": "share of the variance at the peak that is noise (the rest is prior)",
     "path": "solved by",
 }
 _SAID = {"resolution_unit", "noise_level", "noise_source", "guards_checked", "band"}
@@ -278,8 +279,7 @@ def summary(estimate: LoadEstimate) -> str:
         lines.append("  resultants: " + "; ".join(str(r) for r in estimate.resultants))
     if "band" in estimate.facts:
         lines.append(f"  the band holds {estimate.facts['band']}")
-    if estimate.validation is not None:
-        lines.append(f"  validation: {estimate.validation}")
+    lines.append(f"  validation: {'level none' if estimate.validation is None else estimate.validation}")
     lines.append(f"  verification: {estimate.verified}")
     if estimate.allowed:
         lines.append(f"  {allowed(estimate)}")

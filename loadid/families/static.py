@@ -17,6 +17,7 @@ from .. import flags as guards
 from ..estimate import LoadEstimate
 from ..inverse import diagnose, penalties
 from ..inverse.choice import Choice, choose, residual_level
+from ..inverse.path import Solution
 from ..provenance import provenance
 from . import smoothness
 from .calibration import Calibration, calibrate
@@ -237,7 +238,7 @@ class StaticInversion:
         diagnosis = diagnose.diagnose(
             posed.base, choice.lam, sigma, load=np.atleast_2d(load)[-1], geometry=self.geometry
         )
-        facts = self._facts(posed, choice, sigma, load, diagnosis)
+        facts = self._facts(posed, choice, sigma, solution, diagnosis)
         self._progress(1.0, "done")
         return LoadEstimate(
             load=load,
@@ -291,9 +292,9 @@ class StaticInversion:
         return posed
 
     def _facts(
-        self, posed: Steady, choice: Choice, sigma: float, load: NDArray[np.float64], diagnosis: diagnose.Diagnosis
+        self, posed: Steady, choice: Choice, sigma: float, solution: Solution, diagnosis: diagnose.Diagnosis
     ) -> dict[str, Any]:
-        path = posed.path
+        path, load, posterior = posed.path, solution.load, solution.posterior
         kappa, rank, nullity = posed.layout
         point = path.at(choice.lam)
         return {
@@ -306,6 +307,7 @@ class StaticInversion:
             "kappa": kappa,
             "edf": None if point.edf is None else float(point.edf),
             "residual_to_noise": residual_level(path, choice.lam) if posed.noise.known else None,
+            "noise_share": _noise_share(posterior, load),
             "noise_level": float(sigma),
             "noise_source": posed.noise.source,
             "band": posed.band,
@@ -389,3 +391,13 @@ class StaticInversion:
             "interpolated": self.interpolation is not None,
             "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
         }
+
+
+def _noise_share(posterior: Any, load: NDArray[np.float64]) -> float | None:
+    """Share of the variance of the largest load that is noise; None where the posterior does not tell."""
+    noise = getattr(posterior, "noise_std", None)
+    if noise is None:
+        return None
+    at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
+    noise, std = np.broadcast_to(noise, load.shape), np.broadcast_to(posterior.std, load.shape)
+    return float((noise[at] / std[at]) ** 2) if std[at] > 0 else None
