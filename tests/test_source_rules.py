@@ -1,6 +1,6 @@
 """Rules that every source file keeps: no explicit inverse, no normal equations, filters over the rank, nothing unsafe.
 
-Guards E103, E301 and E302 have no condition to trigger at run time: they are properties of the code, checked here.
+Guards E103, E301, E302 and E408 have no condition to trigger at run time: they are properties of the code, checked here.
 """
 
 from __future__ import annotations
@@ -235,6 +235,23 @@ def test_two_loads_that_look_alike_share_a_record(lam: float) -> None:
     load = SpectralPath(np.stack([ones, ones], axis=-1), y, ones).solution(lam, None).load
     expected = y.mean(axis=1) / 2 / (1 + lam**2)
     np.testing.assert_allclose(load, np.column_stack([expected, expected]), atol=1e-11)
+
+
+# -- E408: the range of lambda for a general penalty is that of the generalised singular values ------------------------
+@pytest.mark.parametrize("factor", [1e-5, 1.0, 1e5])
+def test_the_range_of_lambda_is_that_of_both_matrices(factor: float) -> None:
+    rng = np.random.default_rng(5)
+    H, y = rng.standard_normal((12, 8)) * np.geomspace(1, 1e-3, 8), rng.standard_normal(12)
+    L = np.diff(np.eye(8), axis=0)
+    path = SVDPath(LinearProblem.whitened(H, y, L=factor * L))
+    seen = H @ np.ones(8)  # the constant, which L does not see, is fitted first (Elden's standard form)
+    rest = np.eye(12) - np.outer(seen, seen) / (seen @ seen)
+    gamma = np.linalg.svd(rest @ H @ np.linalg.pinv(L), compute_uv=False)[:7]
+    assert float(path.scale) * factor == pytest.approx(gamma[0], rel=1e-9)
+    low, high = path.range
+    assert high == 1.0
+    assert low < gamma[-1] / gamma[0]
+    assert float(path.scale) != pytest.approx(np.linalg.norm(H, 2), rel=1e-2)
 
 
 # -- small readers of syntax -----------------------------------------------------------------------------------------
