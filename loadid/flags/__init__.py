@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from .base import allowed, collect
 from .bookkeeping import absolute_lambda, changing_lambda, diagonal
-from .choice import disagreement, gcv_minimum, no_corner, noise_source, parameter
+from .choice import (
+    at_the_end,
+    correlated_noise,
+    disagreement,
+    gcv_minimum,
+    needs_white_noise,
+    no_corner,
+    noise_source,
+    not_testable,
+    parameter,
+)
 from .constraints import fighting, stopped
 from .dynamics import aliased, memory, unfinished
 from .inversion import (
@@ -25,8 +35,10 @@ __all__ = [
     "absolute_lambda",
     "aliased",
     "allowed",
+    "at_the_end",
     "changing_lambda",
     "collect",
+    "correlated_noise",
     "diagonal",
     "disagreement",
     "fighting",
@@ -38,10 +50,12 @@ __all__ = [
     "lost_channels",
     "memory",
     "mixed_kinds",
+    "needs_white_noise",
     "no_corner",
     "no_coverage",
     "nodal_as_pressure",
     "noise_source",
+    "not_testable",
     "not_verified",
     "null_space",
     "over_smoothed",

@@ -8,7 +8,8 @@ import numpy as np
 
 from structures.flags import Evidence, Flag
 
-from ..inverse.choice import Choice
+from ..inverse.choice import BELOW, Choice
+from ..inverse.whiteness import ALARM, TESTABLE
 from .base import collect
 
 DECADE = 1.0  # spread of the rules, decades
@@ -27,8 +28,19 @@ KNOWN_SOURCES = (
 
 
 def parameter(choice: Choice, discrepancy: Callable[[float], float | None]) -> tuple[Flag, ...]:
-    """W401, W402, W406 and W407 of one choice; `discrepancy` gives its lambda at a multiple of the noise level."""
-    return collect([no_corner(choice), gcv_minimum(choice), noise_source(choice, discrepancy), disagreement(choice)])
+    """W401 to W407 and W411 of one choice; `discrepancy` gives its lambda at a multiple of the noise level."""
+    return collect(
+        [
+            no_corner(choice),
+            gcv_minimum(choice),
+            correlated_noise(choice),
+            needs_white_noise(choice),
+            not_testable(choice),
+            noise_source(choice, discrepancy),
+            disagreement(choice),
+            at_the_end(choice),
+        ]
+    )
 
 
 def no_corner(choice: Choice) -> Flag | None:
@@ -51,7 +63,7 @@ def no_corner(choice: Choice) -> Flag | None:
 def gcv_minimum(choice: Choice) -> Flag | None:
     """W402: lambda was chosen by GCV or from it, and GCV sits at an end of the sweep or is flat around its minimum."""
     found = next((r for r in choice.rules if r.rule == "gcv"), None)
-    if choice.rule not in GCV_RULES or found is None or found.lam is None:
+    if not _from_gcv(choice) or found is None or found.lam is None or found.free:
         return None
     if choice.sweep is None or choice.sweep.gcv is None:
         return None
@@ -73,6 +85,75 @@ def gcv_minimum(choice: Choice) -> Flag | None:
         f"GCV did not find a minimum (relative lambda {found.lam:.3g})",
         advice,
     )
+
+
+def _from_gcv(choice: Choice) -> bool:
+    """Whether the residual alone told what is noise, as if it were white."""
+    return choice.rule in GCV_RULES and not (choice.rule == "predicted_error" and choice.sigma is not None)
+
+
+def correlated_noise(choice: Choice) -> Flag | None:
+    """W403: the noise is shown to be correlated, by the residual and the order of the rules, or by its plateau."""
+    if not choice.correlated:
+        return None
+    tests = choice.whiteness
+    if tests.get("followed"):
+        evidence = Evidence("decades below quasi-optimality", float(tests["below"]), BELOW)
+        seen = f"rules that assume white noise lie {tests['below']:.1f} decades below quasi-optimality"
+    else:
+        evidence = Evidence("chance of such data coefficients under white noise", float(tests["chance"]), ALARM)
+        seen = f"the data coefficients beyond the load are not flat (chance {tests['chance']:.1g} under white noise)"
+    return Flag(
+        "W403",
+        evidence,
+        f"the noise is correlated: {seen}; GCV and its kin take it for response (used here: {choice.rule})",
+        "state the measured noise level (discrepancy does not need white noise), or its covariance",
+    )
+
+
+def needs_white_noise(choice: Choice) -> Flag | None:
+    """W404: dof-corrected discrepancy, and nobody said or showed that the noise is white."""
+    if choice.rule != "dof_discrepancy" or "white" in choice.sigma_source:
+        return None
+    tests = choice.whiteness
+    if not choice.correlated and tests.get("modes", 0.0) >= TESTABLE:
+        return None
+    return Flag(
+        "W404",
+        Evidence("noise modes that were tested", int(tests.get("modes", 0.0)), TESTABLE),
+        "the dof-corrected discrepancy needs white noise, and that is neither stated nor shown",
+        "use the plain discrepancy, or name the source of the noise level as white",
+    )
+
+
+def not_testable(choice: Choice) -> Flag | None:
+    """W405: the choice rests on white noise, and too few data are left to test it."""
+    tests = choice.whiteness
+    if not _from_gcv(choice) or "modes" not in tests:
+        return None
+    count = int(max(tests["modes"], tests.get("left", 0.0)))
+    if count >= TESTABLE:
+        return None
+    return Flag(
+        "W405",
+        Evidence("noise modes", count, TESTABLE),
+        f"{choice.rule} assumes white noise, which is not testable: {count} noise modes",
+        "measure the unloaded sensors, and state their noise",
+    )
+
+
+def at_the_end(choice: Choice) -> Flag | None:
+    """W411: the rule that chose lambda ended at an end of its range, the null-space solution included."""
+    found = next((r for r in choice.rules if r.rule == choice.rule), None)
+    if found is None or not found.edge:
+        return None
+    if found.free:
+        message = "the data ask for nothing beyond what the penalty leaves free: the load is its null-space solution"
+        advice = "believe it where such a load is plausible; a weaker penalty (identity) shows whether more is there"
+    else:
+        message = f"{choice.rule} ended at an end of its range (relative lambda {choice.lam:.3g})"
+        advice = "compare the rules; state the noise of the sensors, or give lambda"
+    return Flag("W411", Evidence("relative lambda", float(choice.lam), "inside the sweep"), message, advice)
 
 
 def noise_source(choice: Choice, discrepancy: Callable[[float], float | None]) -> Flag | None:
@@ -98,7 +179,11 @@ def disagreement(choice: Choice) -> Flag | None:
     listed = ", ".join(f"{k} {v:.2g}" for k, v in found.items())
     return Flag(
         "W407",
-        Evidence("spread of the rules, decades", float(min(choice.spread, 99.0)), DECADE),
+        Evidence(
+            "spread of the rules, decades",
+            float(min(choice.spread, 99.0)),
+            f"{DECADE:g}, and noise that is white" if choice.correlated else DECADE,
+        ),
         f"{choice.verdict}: {listed or 'no rule found an optimum'}",
         "suspect correlated noise or model error before trusting any; look at the path plot and verify the model",
     )

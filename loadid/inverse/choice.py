@@ -97,6 +97,7 @@ ORDERS = {
     False: ("predicted_error", "robust_gcv", "gcv", "l_curve"),
     True: ("predicted_error", "discrepancy", "upre", "gcv", "l_curve"),
 }
+WIDE, NEAR = 0.2, 1.0  # share of the data that a wide-band load spends; decades within which UPRE then refines it
 BELOW = 0.7  # decades by which a whiteness rule lies below quasi-optimality where it may follow correlated noise
 CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
 
@@ -115,10 +116,10 @@ def choose(
     path : RegularizationPath
     choice : str, float or None
         Rule, or relative lambda. None: the smallest predicted error of the load (`rules.predicted_error`), one step
-        from the discrepancy solution where the noise level is known, else from robust GCV; where that cannot run or
-        ends at an edge, discrepancy, UPRE (noise level known) or robust GCV, then GCV and the L-curve. Where the noise
-        level is not known and the noise shows itself as correlated (`whiteness_of`), quasi-optimality, which does not
-        ask for white noise.
+        from the discrepancy solution where the noise level is known, else from robust GCV; where it cannot run or ends
+        at an edge, discrepancy and UPRE (noise level known) or robust GCV, then GCV and the L-curve. Noise level known
+        and more than a fifth of the data spent: UPRE, if it is not more than a decade below. Noise level not known
+        and the noise shows itself as correlated (`whiteness_of`): quasi-optimality, which does not ask for white noise.
     sigma : float, optional
         Noise level of the whitened data.
     source : str
@@ -144,7 +145,7 @@ def decide(
     path, sigma = sweep.path, sweep.sigma
     if isinstance(choice, str) and choice not in asked:
         asked[choice] = rules.run(choice, sweep)
-    lam, rule = _pick(choice, asked, sigma)
+    lam, rule = _pick(path, choice, asked, sigma)
     evidence = whiteness_of(path, asked, lam)
     correlated = is_correlated(evidence)
     quasi = asked["quasi_optimality"]
@@ -184,9 +185,9 @@ def whiteness_of(path: RegularizationPath, asked: dict[str, RuleResult], lam: fl
     dict
         ``below``: decades by which the chosen lambda lies below quasi-optimality. ``fine``, ``coarse``: statistic of
         the residual (`whiteness.residual_test`) over its limit, at the chosen lambda and at the larger of the two.
-        ``spent``: degrees of freedom at the chosen lambda over the data. ``chance``: of the plateau of the data
-        coefficients at the larger lambda under white noise; ``modes``: how many noise modes it has. ``followed`` (1 or
-        0): the chosen lambda follows what may be correlated noise.
+        ``spent``, ``left``: degrees of freedom at the chosen lambda over the data, and data beyond them. ``chance``:
+        of the data coefficients' plateau at the larger lambda under white noise; ``modes``: how many noise modes it
+        has. ``followed`` (1 or 0): the chosen lambda follows what may be correlated noise.
     """
     quasi = asked["quasi_optimality"].lam
     larger = max(lam, quasi or 0.0)
@@ -197,11 +198,10 @@ def whiteness_of(path: RegularizationPath, asked: dict[str, RuleResult], lam: fl
     coarse = residual_test(path, larger) if larger > lam else fine
     if fine is not None and coarse is not None:
         found |= {"fine": fine.statistic / fine.threshold, "coarse": coarse.statistic / coarse.threshold}
-        found["spent"] = fine.spent
+        found |= {"spent": fine.spent, "left": (1 - fine.spent) * path.m}
     if (plateau := plateau_test(path, larger)) is not None:
         found |= {"modes": float(plateau.modes), "chance": plateau.chance}
-    left = (1 - found.get("spent", 1.0)) * path.m
-    calm = found.get("fine", np.inf) < CALM and (found["spent"] < FEW or left >= MANY)
+    calm = found.get("fine", np.inf) < CALM and (found["spent"] < FEW or found["left"] >= MANY)
     found["followed"] = float(found.get("below", 0.0) > BELOW and found.get("coarse", 0.0) > 1 and not calm)
     return found
 
@@ -218,21 +218,21 @@ def agreement(
     """Spread in decades between rules of different kinds and the lambda in use, and the verdict.
 
     Rules of one kind fail together, so each kind has one voice: GCV for those that ask for white noise,
-    quasi-optimality for those that do not, discrepancy where the noise level is known. Where the load no longer
-    changes, above the largest and far below the smallest singular value, no distance is counted; quasi-optimality,
-    which ends at the smallest, speaks for all below when it ends there. Correlated noise leaves no better verdict than
-    ``rules disagree``.
+    quasi-optimality for those that do not (none where it ends below), discrepancy where the noise level is known (none
+    where the load spends much of the data: it then smooths more than any other).
+    Where the load no longer changes, above the largest and far below the smallest singular value, no distance is
+    counted. Correlated noise leaves no better verdict than ``rules disagree``.
     """
     ends = None if path is None else seen_modes(path)
     low, high = (BENEATH * ends[0], ends[1]) if ends else (0.0, np.inf)
-    heard = [next((asked[name] for name in kind if asked[name].lam is not None), None) for kind in KINDS]
-    lams = [used, *(r.lam for r in heard if r is not None and r.lam is not None)]
+    heard = [next((asked[name].lam for name in kind if asked[name].lam is not None), None) for kind in KINDS]
+    if path is not None and _spends(path, used):
+        heard[2] = None
+    if asked["quasi_optimality"].edge and (heard[1] or 0.0) < 0.5:
+        heard[1] = None
+    lams = [used, *(lam for lam in heard if lam is not None)]
     if len(lams) == 1:
         return float("inf"), "not determined"
-    quasi = heard[1]
-    if ends and quasi is not None and quasi.edge and quasi.lam is not None and quasi.lam < 1.2 * ends[0]:
-        lams.append(low)
-        lams.remove(quasi.lam)
     spread = float(np.ptp(np.log10(np.clip(lams, max(low, np.finfo(float).tiny), high))))
     grade = int(np.searchsorted(LIMITS, spread, side="right"))
     if None in heard[:2]:
@@ -240,7 +240,9 @@ def agreement(
     return spread, GRADES[max(grade, 2) if correlated else grade]
 
 
-def _pick(choice: str | float | None, asked: dict[str, RuleResult], sigma: float | None) -> tuple[float, str]:
+def _pick(
+    path: RegularizationPath, choice: str | float | None, asked: dict[str, RuleResult], sigma: float | None
+) -> tuple[float, str]:
     if isinstance(choice, str):
         return _given(asked[choice]), choice
     if choice is not None:
@@ -263,7 +265,17 @@ def _pick(choice: str | float | None, asked: dict[str, RuleResult], sigma: float
             expected="a relative lambda",
             hint="pass choice=<relative lambda>",
         )
-    return _given(running[0]), running[0].rule
+    first, upre = running[0], asked["upre"]
+    refined = first.rule == "predicted_error" and upre.lam is not None and not (upre.edge or first.edge)
+    if refined and _spends(path, _given(first)) and _given(upre) > 10**-NEAR * _given(first):
+        first = upre
+    return _given(first), first.rule
+
+
+def _spends(path: RegularizationPath, lam: float) -> bool:
+    """Whether the solution takes more than a fifth of the data as degrees of freedom."""
+    edf = path.at(lam).edf
+    return edf is not None and float(edf) > WIDE * path.m
 
 
 def _with_sensitivity(found: RuleResult, sweep: rules.Sweep) -> RuleResult:

@@ -33,6 +33,7 @@ from .whiteness import ncp_statistic, residuals
 
 __all__ = ["NULL_SPACE", "RULES", "Refusal", "RuleResult", "Sweep", "ncp_statistic", "run"]
 
+SAFE = 0.99  # margin of a pilot: too smooth a one costs little, one that follows the noise much
 CHANCE = 1e-3  # a residual that is smaller than this share of all noise would leave is not believed to be chance
 EDGE = 3  # points of the sweep that count as its end
 SHORT_NCP = 4000  # data up to which every point of the sweep is asked
@@ -113,7 +114,7 @@ def predicted_error(sweep: Sweep) -> RuleResult:
     path, sigma = sweep.path, sweep.sigma
     start = None
     if sigma is not None:
-        met = discrepancy(sweep)
+        met = discrepancy(sweep, margin=SAFE)
         if met.free:
             return RuleResult("predicted_error", met.lam, True, met.note)
         start = met.lam if not met.edge else None
@@ -125,9 +126,11 @@ def predicted_error(sweep: Sweep) -> RuleResult:
             return RuleResult("predicted_error", float(sweep.lam[k]), True, NULL_SPACE)
         start = float(sweep.lam[k])
         sigma = sigma or float(np.sqrt(sweep.point.residual2[k] / need(sweep.point, "left", "predicted_error")[k]))
+    assert sigma is not None
+    pilot, level = start, sigma
 
     def error(lam: NDArray) -> NDArray:
-        value = path.predicted_error(lam, start, sigma)
+        value = path.predicted_error(lam, pilot, level)
         if value is None:
             raise Refusal("predicted_error is not defined on this path")
         return value
@@ -161,17 +164,17 @@ def _pilot(sweep: Sweep) -> int:
 
 
 # -- rules of another form -------------------------------------------------------------------------------------------
-def discrepancy_level(m: float, sigma: float) -> float:
-    """Squared residual that noise of this level stays below in 95 % of all cases."""
+def discrepancy_level(m: float, sigma: float, margin: float = 0.95) -> float:
+    """Squared residual that noise of this level stays below in `margin` of all cases."""
     from scipy.special import gammaincinv
 
-    return float(sigma**2 * 2 * gammaincinv(m / 2, 0.95))
+    return float(sigma**2 * 2 * gammaincinv(m / 2, margin))
 
 
-def discrepancy(sweep: Sweep, factor: float = 1.0) -> RuleResult:
+def discrepancy(sweep: Sweep, factor: float = 1.0, margin: float = 0.95) -> RuleResult:
     """Residual equals the noise, with the chi-square margin of a finite record (`factor` scales the noise level)."""
-    sigma = need_sigma(sweep, "discrepancy") * factor
-    return crossing("discrepancy", sweep, lambda p: p.residual2 - discrepancy_level(sweep.path.m, sigma))
+    level = discrepancy_level(sweep.path.m, need_sigma(sweep, "discrepancy") * factor, margin)
+    return crossing("discrepancy", sweep, lambda p: p.residual2 - level)
 
 
 def dof_discrepancy(sweep: Sweep) -> RuleResult:

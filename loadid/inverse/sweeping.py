@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,7 @@ class RuleResult:
     @property
     def free(self) -> bool:
         """Whether it chose the null space of the penalty: an end of the sweep that is a solution."""
-        return self.edge and self.note == NULL_SPACE
+        return self.edge and self.note.startswith(NULL_SPACE)
 
 
 class Refusal(Exception):
@@ -67,8 +68,9 @@ class Sweep:
 
     def part(self, keep: NDArray) -> Sweep:
         """Some of its points."""
-        given = {f.name: getattr(self.point, f.name) for f in fields(self.point)}
-        point = PathPoint(**{name: None if value is None else value[keep] for name, value in given.items()})
+        given: dict[str, Any] = {f.name: getattr(self.point, f.name) for f in fields(self.point)}
+        kept: dict[str, Any] = {name: None if value is None else value[keep] for name, value in given.items()}
+        point = PathPoint(**kept)
         return Sweep(self.path, self.lam[keep], point, self.sigma)
 
     @property

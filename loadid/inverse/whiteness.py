@@ -130,7 +130,7 @@ def _left_by_white_noise(path: RegularizationPath, lam: float) -> NDArray[np.flo
 
 
 def mode_lines(path: FactoredPath) -> NDArray[np.float64]:
-    """Periodogram of each left vector, (lines, modes): made once for a factorisation, copies with other data keep it."""
+    """Periodogram of each left vector, (lines, modes): made once for a factorisation and its copies."""
     found = path.__dict__.get("_mode_lines")
     if found is None:
         U, samples = path.U, path.problem.layout[0]  # type: ignore[attr-defined]

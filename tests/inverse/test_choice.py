@@ -1,16 +1,21 @@
-"""Which rule decides, when it hands over, and how the agreement is graded."""
+"""Which rule decides, when it hands over, how the agreement is graded, and what the guards make of it."""
+
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from loadid import flags as guards
 from loadid.inverse import choice as choices
+from loadid.inverse import odds, rules
 from loadid.inverse.choice import DEFAULT_RULES, RuleResult, agreement, choose
 from loadid.inverse.path import PathPoint
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
 from loadid.inverse.toeplitz import toeplitz
 from structures.errors import InputError
-from tests.benchmarks.fredholm import PROBLEMS
+from tests.benchmarks.fredholm import NOISES, PROBLEMS
 
 from .reference import echo
 
@@ -51,34 +56,40 @@ def test_default_without_a_noise_level_predicts_the_error_of_the_load() -> None:
     assert (chosen.sigma, chosen.sigma_source) == (None, "not known")
 
 
-def test_default_with_a_noise_level_is_discrepancy() -> None:
+def test_default_with_a_noise_level_steps_from_the_discrepancy_solution() -> None:
     path, sigma = smooth()
     chosen = choose(path, sigma=sigma, source="quiet segment")
-    assert chosen.rule == "discrepancy"
+    assert chosen.rule == "predicted_error"
     assert chosen.edf < 0.2 * 64
     assert chosen.sigma_source == "quiet segment"
+    lams = np.geomspace(1e-3, 1, 400)
+    start = rules.discrepancy(rules.Sweep.over(path, sigma), margin=0.99).lam
+    best = lams[np.argmin(path.predicted_error(lams, start, sigma))]
+    assert chosen.lam == pytest.approx(best, rel=0.03)
+    note = by_name(chosen)["discrepancy"].note
+    assert re.search(r"half, once and twice the noise level: \S+ / \S+ / \S+", note)
 
 
-def test_discrepancy_hands_over_where_the_solution_spends_the_data() -> None:
+def test_a_wide_band_load_is_refined_by_upre() -> None:
     path = impact()
     chosen = choose(path, sigma=SIGMA)
-    assert float(path.at(by_name(chosen)["discrepancy"].lam).edf) > 0.2 * path.m
+    assert float(path.at(by_name(chosen)["predicted_error"].lam).edf) > 0.2 * path.m
     assert chosen.rule == "upre"
     assert chosen.lam == by_name(chosen)["upre"].lam
 
 
 @pytest.mark.parametrize(
-    ("fails", "expected"),
+    ("known", "fails", "expected"),
     [
-        ({"predicted_error"}, "robust_gcv"),
-        ({"predicted_error", "robust_gcv"}, "gcv"),
-        ({"predicted_error", "robust_gcv", "gcv"}, "l_curve"),
+        (False, {"predicted_error"}, "robust_gcv"),
+        (False, {"predicted_error", "robust_gcv"}, "gcv"),
+        (False, {"predicted_error", "robust_gcv", "gcv"}, "l_curve"),
+        (True, {"predicted_error"}, "discrepancy"),
+        (True, {"predicted_error", "discrepancy"}, "upre"),
     ],
 )
 @pytest.mark.parametrize("how", ["refused", "edge"])
-def test_order_without_a_noise_level(monkeypatch: pytest.MonkeyPatch, fails: set[str], expected: str, how: str) -> None:
-    from loadid.inverse import rules
-
+def test_order(monkeypatch: pytest.MonkeyPatch, known: bool, fails: set[str], expected: str, how: str) -> None:
     ask = rules.run
 
     def run(name: str, sweep: rules.Sweep) -> RuleResult:
@@ -87,7 +98,8 @@ def test_order_without_a_noise_level(monkeypatch: pytest.MonkeyPatch, fails: set
         return RuleResult(name, None, note="refused") if how == "refused" else RuleResult(name, 1e-9, True)
 
     monkeypatch.setattr(rules, "run", run)
-    chosen = choose(smooth()[0])
+    path, sigma = smooth()
+    chosen = choose(path, sigma=sigma if known else None)
     assert chosen.rule == expected
     assert chosen.lam == by_name(chosen)[expected].lam
 
@@ -113,6 +125,9 @@ def test_a_path_on_which_no_rule_runs_needs_a_lambda() -> None:
     class Mute:
         m, null, scale, smooth, range, coefficients = 400_000, 0, 1.0, False, (1e-3, 1.0), None
 
+        def residual(self, lam: float) -> np.ndarray:
+            return np.zeros((2, 1))
+
         def at(self, lam: object) -> PathPoint:
             return PathPoint(np.ones_like(lam, float), np.ones_like(lam, float))
 
@@ -125,38 +140,139 @@ def test_a_path_on_which_no_rule_runs_needs_a_lambda() -> None:
 @pytest.mark.parametrize(
     ("lams", "spread", "verdict"),
     [
-        ({"gcv": 1e-3, "l_curve": 2e-3}, 0.30, "determined"),
-        ({"gcv": 1e-3, "l_curve": 5e-3}, 0.70, "usable"),
-        ({"gcv": 1e-3, "l_curve": 5e-2}, 1.70, "rules disagree"),
-        ({"gcv": 1e-5, "l_curve": 5e-2}, 3.70, "not determined"),
-        ({"gcv": 1e-3, "l_curve": 2e-3, "upre": 0.5}, 2.70, "not determined"),
+        ({"gcv": 1e-3, "quasi_optimality": 2e-3}, 0.30, "determined"),
+        ({"gcv": 1e-3, "quasi_optimality": 5e-3}, 0.70, "usable"),
+        ({"gcv": 1e-3, "quasi_optimality": 5e-2}, 1.70, "rules disagree"),
+        ({"gcv": 1e-5, "quasi_optimality": 5e-2}, 3.70, "not determined"),
+        ({"gcv": 1e-3, "quasi_optimality": 2e-3, "discrepancy": 0.5}, 2.70, "not determined"),
         ({"gcv": 1e-3, "robust_gcv": 0.9}, 0.0, "usable"),  # one kind, one voice
-        ({"robust_gcv": 1e-3, "l_curve": 1e-3}, 0.0, "determined"),
-        ({"quasi_optimality": 1e-3, "evidence": 1e-3}, np.inf, "not determined"),
+        ({"robust_gcv": 1e-3, "quasi_optimality": 1e-3}, 0.0, "determined"),
+        ({"l_curve": 1e-1, "evidence": 1e-5}, np.inf, "not determined"),
     ],
 )
 def test_verdict(lams: dict[str, float], spread: float, verdict: str) -> None:
-    found = agreement(results(**lams))
+    found = agreement(results(**lams), lams.get("gcv", 1e-3))
     assert found == (pytest.approx(spread, abs=0.01), verdict)
-    assert choices.MEANING[verdict]
+    assert odds.MEANING[verdict]
 
 
-def test_rules_at_an_end_have_no_voice() -> None:
-    asked = results(gcv=1e-9, robust_gcv=0.02, l_curve=0.03)
-    asked["gcv"] = RuleResult("gcv", 1e-9, True)
-    assert agreement(asked)[1] == "determined"
+def test_a_lambda_far_from_the_rules_is_not_determined_by_them() -> None:
+    asked = results(gcv=1e-3, quasi_optimality=1e-3)
+    assert agreement(asked, 1e-3)[1] == "determined"
+    assert agreement(asked, 0.5)[1] == "not determined"
+
+
+def test_correlated_noise_leaves_no_good_verdict() -> None:
+    asked = results(gcv=1e-3, quasi_optimality=1e-3)
+    assert agreement(asked, 1e-3, correlated=True) == (0.0, "rules disagree")
+
+
+def test_quasi_optimality_at_its_lower_end_has_no_voice() -> None:
+    asked = results(gcv=1e-3, quasi_optimality=1e-5)
+    asked["quasi_optimality"] = RuleResult("quasi_optimality", 1e-5, True)
+    assert agreement(asked, 1e-3) == (0.0, "usable")
+
+
+def test_distances_do_not_count_where_the_load_no_longer_changes() -> None:
+    path, _ = smooth()
+    assert agreement(results(gcv=1.0, quasi_optimality=1.0), 1e3, path) == (0.0, "determined")
 
 
 def test_verdict_travels_with_the_choice_and_the_sweep_draws_it() -> None:
-    chosen = choose(smooth()[0])
-    spread, verdict = agreement(by_name(chosen), chosen.lam)
-    assert (chosen.spread, chosen.verdict, chosen.odds) == (spread, verdict, choices.MEANING[verdict])
+    path, _ = smooth()
+    chosen = choose(path)
+    spread, verdict = agreement(by_name(chosen), chosen.lam, path)
+    assert (chosen.spread, chosen.verdict, chosen.odds) == (spread, verdict, odds.in_words(verdict, False))
     s = chosen.sweep
     assert s is not None
     assert np.all(np.diff(s.residual_norm) >= 0)
     assert np.all(np.diff(s.penalty_norm) <= 0)
     assert np.all(np.diff(s.edf) <= 0)
     assert s.gcv[np.argmin(np.abs(s.lam - by_name(chosen)["gcv"].lam))] == pytest.approx(s.gcv.min(), rel=1e-2)
+
+
+# -- correlated noise ------------------------------------------------------------------------------------------------
+def coloured(seed: int, kind: str = "AR(1) 0.9") -> SVDPath:
+    H, g = PROBLEMS["gravity"](200)
+    y = H @ g
+    noise = NOISES[kind](np.random.default_rng(seed), 200)
+    return SVDPath(LinearProblem.whitened(H, y + 0.01 * float(np.sqrt(np.mean(y**2))) * noise))
+
+
+def test_correlated_noise_hands_over_to_quasi_optimality_and_says_so() -> None:
+    found = [choose(coloured(seed)) for seed in range(8)]
+    seen = [c for c in found if c.correlated]
+    assert len(seen) >= 6
+    for chosen in seen:
+        assert chosen.verdict in ("rules disagree", "not determined")
+        flag = guards.correlated_noise(chosen)
+        assert flag is not None
+        assert flag.code == "LID-W403"
+        assert f"{flag.evidence.value:.1f}"[:3] in flag.message or f"{flag.evidence.value:.1g}" in flag.message
+    followed = [c for c in seen if c.whiteness["followed"]]
+    assert all(c.rule == "quasi_optimality" for c in followed)
+    assert all(c.lam > 5 * by_name(c)["predicted_error"].lam for c in followed)
+    white = [choose(coloured(seed, "white")) for seed in range(8)]
+    assert not any(c.correlated for c in white)
+    assert all(guards.correlated_noise(c) is None for c in white)
+
+
+# -- guards ----------------------------------------------------------------------------------------------------------
+def test_w404_needs_a_word_on_white_noise() -> None:
+    path, sigma = smooth()
+    rule = "dof_discrepancy"
+    chosen = choose(path, rule, sigma=sigma, source="unloaded record")
+    assert chosen.whiteness["modes"] >= 40  # shown by the data coefficients
+    assert guards.needs_white_noise(chosen) is None
+    few = replace(chosen, whiteness={"modes": 12.0, "chance": 0.5})
+    flag = guards.needs_white_noise(few)
+    assert flag is not None
+    assert (flag.code, flag.evidence.value) == ("LID-W404", 12)
+    assert guards.needs_white_noise(replace(few, sigma_source="unloaded record, white")) is None
+    assert guards.needs_white_noise(choose(path, sigma=sigma)) is None
+
+
+def test_w405_counts_the_noise_modes() -> None:
+    H, g = PROBLEMS["gravity"](24)
+    y = H @ g + 1e-3 * np.random.default_rng(0).standard_normal(24)
+    chosen = choose(SVDPath(LinearProblem.whitened(H, y)))
+    flag = guards.not_testable(chosen)
+    assert flag is not None
+    assert flag.code == "LID-W405"
+    assert str(flag.evidence.value) in flag.message
+    assert flag.evidence.value < 24
+    assert guards.not_testable(choose(SVDPath(LinearProblem.whitened(H, y)), sigma=1e-3)) is None
+    assert guards.not_testable(choose(smooth()[0])) is None
+
+
+def in_the_null_space(sigma: float = 1e-3) -> tuple[SVDPath, np.ndarray, float]:
+    """A linear load under a second difference: the best lambda is infinite."""
+    H, g = PROBLEMS["foxgood"](64)
+    y = H @ g
+    level = sigma * float(np.sqrt(np.mean(y**2)))
+    y = y + level * np.random.default_rng(5).standard_normal(64)
+    return SVDPath(LinearProblem.whitened(H, y, L=np.diff(np.eye(64), 2, axis=0))), g, level
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_load_in_the_null_space_of_the_penalty_is_found_and_flagged(known: bool) -> None:
+    path, g, level = in_the_null_space()
+    chosen = choose(path, sigma=level if known else None, source="unloaded record")
+    flat = np.column_stack([np.ones(64), np.arange(64)])
+    expected = flat @ np.linalg.lstsq(path.problem.H @ flat, path.problem.y, rcond=None)[0]
+    load = path.solution(chosen.lam, None).load
+    np.testing.assert_allclose(load, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+    assert np.linalg.norm(load - g) < 0.01 * np.linalg.norm(g)
+    flag = guards.at_the_end(chosen)
+    assert flag is not None
+    assert (flag.code, flag.evidence.value) == ("LID-W411", chosen.lam)
+    assert "null-space" in flag.message
+    assert guards.at_the_end(choose(smooth()[0])) is None
+
+
+def test_the_whole_set_of_guards_names_what_it_found() -> None:
+    codes = {f.code for f in guards.parameter(choose(coloured(0)), lambda factor: None)}
+    assert {"LID-W403", "LID-W407"} <= codes
 
 
 @pytest.mark.parametrize(("known", "typical"), [(True, 1.1), (False, 1.5)])
