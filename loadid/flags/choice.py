@@ -182,7 +182,7 @@ def disagreement(choice: Choice) -> Flag | None:
         Evidence(
             "spread of the rules, decades",
             float(min(choice.spread, 99.0)),
-            f"{DECADE:g}, and noise that is white" if choice.correlated else DECADE,
+            DECADE if choice.spread > DECADE else "noise that is white",
         ),
         f"{choice.verdict}: {listed or 'no rule found an optimum'}",
         "suspect correlated noise or model error before trusting any; look at the path plot and verify the model",
