@@ -157,7 +157,16 @@ def at_the_end(choice: Choice) -> Flag | None:
 
 
 def noise_source(choice: Choice, discrepancy: Callable[[float], float | None]) -> Flag | None:
-    """W406: the noise level decides and nobody said where it comes from."""
+    """W406: the data contradict the noise level, or it decides and nobody said where it comes from."""
+    if choice.shown is not None and choice.sigma is not None:
+        ratio = choice.shown / choice.sigma
+        return Flag(
+            "W406",
+            Evidence("noise that the residual shows, over the stated level", float(ratio), 1.0),
+            f"the residual shows {ratio:.3g} times the stated noise level ({choice.sigma_source}): the level is too low, "
+            f"or the model is wrong; lambda was chosen without it ({choice.rule})",
+            "measure the noise of the unloaded sensors again; then verify the model with a known load",
+        )
     if choice.sigma is None or choice.rule not in SIGMA_RULES:
         return None
     if any(source in choice.sigma_source for source in KNOWN_SOURCES):

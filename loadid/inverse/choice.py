@@ -61,6 +61,9 @@ class Choice:
         What the tests of the noise found (`whiteness_of`); empty where none could run.
     correlated : bool
         The tests say that the noise is correlated.
+    shown : float or None
+        Noise level that robust GCV shows, where it is above the stated one by more than chance: lambda was then chosen
+        without the stated one.
     """
 
     lam: float
@@ -76,6 +79,7 @@ class Choice:
     sweep: Sweep | None = field(default=None, repr=False)
     whiteness: Mapping[str, float] = field(default_factory=dict)
     correlated: bool = False
+    shown: float | None = None
 
 
 DEFAULT_RULES = (
@@ -99,6 +103,7 @@ ORDERS = {
 }
 WIDE, NEAR = 0.2, 1.0  # share of the data that a wide-band load spends; decades within which UPRE then refines it
 BELOW = 0.7  # decades by which a whiteness rule lies below quasi-optimality where it may follow correlated noise
+CHANCE = 1e-3  # of a residual so far above the stated noise
 CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
 
 
@@ -120,6 +125,8 @@ def choose(
         at an edge, discrepancy and UPRE (noise level known) or robust GCV, then GCV and the L-curve. Noise level known
         and more than a fifth of the data spent: UPRE, if it is not more than a decade below. Noise level not known
         and the noise shows itself as correlated (`whiteness_of`): quasi-optimality, which does not ask for white noise.
+        A noise level that the data contradict (`contradicted`) counts as not known: half of the true one would
+        otherwise cost more than three times the best error in half of the cases.
     sigma : float, optional
         Noise level of the whitened data.
     source : str
@@ -132,7 +139,22 @@ def choose(
 
     Notes
     -----
-    Figures: `odds`.
+    Load error over the smallest error of all lambdas, median / 90 % quantile / share above 3, on 9450 cases of seven
+    discrete ill-posed problems for each kind of noise (``python -m tests.benchmarks.rules``):
+
+    ==========================  ====================  ====================  ====================
+    rule                        white                 AR(1), 0.9            interpolated
+    ==========================  ====================  ====================  ====================
+    default, level not known    1.07 / 1.8 / 3.2 %    1.19 / 5.3 / 15.8 %   1.15 / 4.1 / 13.3 %
+    robust GCV                  1.10 / 2.1 / 5.3 %    7.34 / 9e7 / 57.5 %   4.63 / 1e6 / 53.2 %
+    GCV                         1.23 / 132 / 23.4 %   1e3 / 2e10 / 79.8 %   5e3 / 2e10 / 84.2 %
+    default, level known        1.15 / 2.1 / 3.7 %    1.13 / 2.1 / 3.5 %    1.10 / 2.1 / 3.8 %
+    discrepancy                 1.41 / 2.8 / 8.8 %    1.66 / 3.4 / 12.4 %   1.40 / 3.2 / 11.2 %
+    UPRE                        1.17 / 19 / 18.1 %    1.54 / 6e6 / 39.0 %   7.25 / 5e7 / 57.1 %
+    ==========================  ====================  ====================  ====================
+
+    ``rules disagree`` or worse: 31 % of the white cases (38 % with the level known), 90 % (92 %) of the correlated
+    ones, 96 % (91 %) of those in which the default is off by more than 3.
     """
     sweep = rules.Sweep.over(path, sigma)
     return decide(sweep, choice, {name: rules.run(name, sweep) for name in DEFAULT_RULES}, source)
@@ -145,7 +167,10 @@ def decide(
     path, sigma = sweep.path, sweep.sigma
     if isinstance(choice, str) and choice not in asked:
         asked[choice] = rules.run(choice, sweep)
-    lam, rule = _pick(path, choice, asked, sigma)
+    shown = contradicted(path, asked, sigma) if choice is None else None
+    if shown is not None:
+        asked["predicted_error"] = rules.run("predicted_error", replace(sweep, sigma=None))
+    lam, rule = _pick(path, choice, asked, None if shown is not None else sigma)
     evidence = whiteness_of(path, asked, lam)
     correlated = is_correlated(evidence)
     quasi = asked["quasi_optimality"]
@@ -174,7 +199,27 @@ def decide(
         ),
         whiteness=evidence,
         correlated=correlated,
+        shown=shown,
     )
+
+
+def contradicted(path: RegularizationPath, asked: dict[str, RuleResult], sigma: float | None) -> float | None:
+    """Noise level that the residual of robust GCV shows, where chance cannot explain that it is above the stated one.
+
+    Chi-square test at `CHANCE` with the degrees of freedom that this fit leaves; None where a fifth of the data or less
+    is left. Robust GCV does not know the stated level, and errs to the side of too much regularisation only a little:
+    with the right level it raises this alarm in one of a hundred cases.
+    """
+    found = asked["robust_gcv"]
+    if sigma is None or found.lam is None or found.edge:
+        return None
+    level = residual_level(path, found.lam)
+    if level is None:
+        return None
+    from scipy.special import gammaincinv
+
+    freedom = float(np.asarray(path.at(found.lam).left))
+    return level if level > sigma * np.sqrt(2 * gammaincinv(freedom / 2, 1 - CHANCE) / freedom) else None
 
 
 def whiteness_of(path: RegularizationPath, asked: dict[str, RuleResult], lam: float) -> dict[str, float]:
