@@ -1,6 +1,6 @@
 """Rules that every source file keeps: no explicit inverse, no normal equations, filters over the rank, nothing unsafe.
 
-Guards E103, E301, E302 and E408 have no condition to trigger at run time: they are properties of the code, checked here.
+Guards E103, E301, E302 and E408 have no condition at run time: they are properties of the code, checked here.
 """
 
 from __future__ import annotations

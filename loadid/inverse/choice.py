@@ -103,7 +103,8 @@ ORDERS = {
 }
 WIDE, NEAR = 0.2, 1.0  # share of the data that a wide-band load spends; decades within which UPRE then refines it
 BELOW = 0.7  # decades by which a whiteness rule lies below quasi-optimality where it may follow correlated noise
-CHANCE = 1e-3  # of a residual so far above the stated noise
+CHANCE, CLEARLY = 1e-3, 1.4  # of a residual so far above the stated noise; and how far at least
+ROOM = 0.5  # share of the data that a fit must leave to tell of noise above the stated level
 CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
 
 
@@ -125,8 +126,8 @@ def choose(
         at an edge, discrepancy and UPRE (noise level known) or robust GCV, then GCV and the L-curve. Noise level known
         and more than a fifth of the data spent: UPRE, if it is not more than a decade below. Noise level not known
         and the noise shows itself as correlated (`whiteness_of`): quasi-optimality, which does not ask for white noise.
-        A noise level that the data contradict (`contradicted`) counts as not known: half of the true one would
-        otherwise cost more than three times the best error in half of the cases.
+        A noise level that the data contradict (`contradicted`) is set aside, and robust GCV decides: half of the true
+        level would otherwise cost more than three times the best error in half of the cases.
     sigma : float, optional
         Noise level of the whitened data.
     source : str
@@ -168,9 +169,7 @@ def decide(
     if isinstance(choice, str) and choice not in asked:
         asked[choice] = rules.run(choice, sweep)
     shown = contradicted(path, asked, sigma) if choice is None else None
-    if shown is not None:
-        asked["predicted_error"] = rules.run("predicted_error", replace(sweep, sigma=None))
-    lam, rule = _pick(path, choice, asked, None if shown is not None else sigma)
+    lam, rule = _pick(path, "robust_gcv" if shown is not None else choice, asked, sigma)
     evidence = whiteness_of(path, asked, lam)
     correlated = is_correlated(evidence)
     quasi = asked["quasi_optimality"]
@@ -206,20 +205,21 @@ def decide(
 def contradicted(path: RegularizationPath, asked: dict[str, RuleResult], sigma: float | None) -> float | None:
     """Noise level that the residual of robust GCV shows, where chance cannot explain that it is above the stated one.
 
-    Chi-square test at `CHANCE` with the degrees of freedom that this fit leaves; None where a fifth of the data or less
-    is left. Robust GCV does not know the stated level, and errs to the side of too much regularisation only a little:
-    with the right level it raises this alarm in one of a hundred cases.
+    Chi-square test at `CHANCE` with the degrees of freedom that this fit leaves, and a factor of at least `CLEARLY`,
+    because robust GCV errs a little to the side of too much regularisation; None where less than `ROOM` of the data is
+    left: what a wide-band load leaves behind is load, too.
     """
     found = asked["robust_gcv"]
     if sigma is None or found.lam is None or found.edge:
         return None
-    level = residual_level(path, found.lam)
-    if level is None:
+    level, left = residual_level(path, found.lam), path.at(found.lam).left
+    if level is None or left is None or float(left) < ROOM * path.m:
         return None
     from scipy.special import gammaincinv
 
-    freedom = float(np.asarray(path.at(found.lam).left))
-    return level if level > sigma * np.sqrt(2 * gammaincinv(freedom / 2, 1 - CHANCE) / freedom) else None
+    freedom = float(left)
+    margin = max(CLEARLY, float(np.sqrt(2 * gammaincinv(freedom / 2, 1 - CHANCE) / freedom)))
+    return level if level > margin * sigma else None
 
 
 def whiteness_of(path: RegularizationPath, asked: dict[str, RuleResult], lam: float) -> dict[str, float]:

@@ -42,7 +42,10 @@ def main() -> None:
         ("frozen(y)", median(lambda: frozen(y), 2000)),
         ("A @ y, the bare product", median(lambda: A @ y, 2000)),
         ("StaticInversion.estimate(y)", median(lambda: family.estimate(y), 3)),
-        ("numpy lstsq of [H; lambda I]", median(lambda: np.linalg.lstsq(np.vstack([H, L]), np.r_[y, np.zeros(LOADS)]), 2)),
+        (
+            "numpy lstsq of [H; lambda I]",
+            median(lambda: np.linalg.lstsq(np.vstack([H, L]), np.r_[y, np.zeros(LOADS)]), 2),
+        ),
     ]
     print(f"{SENSORS} sensors, {LOADS} loads; microseconds per reading")
     for name, time in rows:

@@ -140,10 +140,11 @@ def smooth_kernel() -> ImpulseModel:
     return arrays((np.sin(2 * np.pi * 30 * (t + DT)) * np.exp(-60 * t))[:, None, None])
 
 
-def stated(factor: float) -> tuple[Flag, ...]:
+def stated(factor: float, choice: str | None = None) -> tuple[Flag, ...]:
     """Flags with a noise level that is a factor too small."""
     y = smooth_kernel().predict(pulse(), DT)
-    return flags(smooth_kernel(), noisy(y), noise=0.02 * rms(y) / factor, noise_source="unloaded record")
+    level = 0.02 * rms(y) / factor
+    return flags(smooth_kernel(), noisy(y), noise=level, noise_source="unloaded record", choice=choice)
 
 
 def trained(used: bool) -> tuple[Flag, ...]:
@@ -273,8 +274,15 @@ CASES = [
         "silent where the noise does not decide",
     ),
     Case(
-        "W407",
+        "W406",
         lambda: stated(30),
+        lambda: stated(1),
+        r"residual shows (2\d|3\d)[\d.]* times the stated noise level \(unloaded record\)",
+        "a level that the data contradict",
+    ),
+    Case(
+        "W407",
+        lambda: stated(30, "discrepancy"),
         lambda: stated(1),
         r"gcv [\d.e-]+.*spread of the rules, decades = [\d.]+ \(threshold 1\)",
     ),

@@ -15,6 +15,7 @@ from loadid.inverse.svd import SVDPath
 from loadid.validate import Known, Wrench, validate
 from structures import Channel, ForwardModel, MatrixModel, beams, loads, sensors, solids
 from structures.flags import Flag
+from tests.inverse.test_choice import coloured, in_the_null_space
 
 from .cases import Case, of, refused
 
@@ -81,6 +82,11 @@ def capped(steps: int) -> ConstrainedSolution:
     y = H @ bump() + 1e-2 * np.random.default_rng(1).standard_normal(48)
     path = ConstrainedPath(SVDPath(LinearProblem.whitened(H, y)), [NonNegative()])
     return path.prepare(1e-4).solve(y, cap=steps)
+
+
+def whole(problem: LinearProblem, **settings) -> tuple[Flag, ...]:
+    """Flags of an estimate from the operator and the data of a problem, noise level not known."""
+    return StaticInversion(problem.H, **settings).estimate(problem.y).flags
 
 
 TOTAL = np.ones((1, 48)) / 48
@@ -160,6 +166,30 @@ CASES = [
         lambda: flags(choice=5.0),
         lambda: flags(),
         r"[\d.]+ effective degrees of freedom are left of \d+",
+    ),
+    Case(
+        "W403",
+        lambda: whole(coloured(0).problem),
+        lambda: whole(coloured(0, "white").problem),
+        r"the noise is correlated: ",
+    ),
+    Case(
+        "W404",
+        lambda: flags(kernel(m=24), choice="dof_discrepancy"),
+        lambda: flags(kernel(m=24), choice="dof_discrepancy", noise_source="unloaded record, shown to be white"),
+        r"noise modes that were tested = \d+ \(threshold 40\)",
+    ),
+    Case(
+        "W405",
+        lambda: flags(kernel(m=24), noise=False),
+        lambda: flags(kernel(m=24)),
+        r"not testable: 1\d noise modes",
+    ),
+    Case(
+        "W411",
+        lambda: whole(in_the_null_space()[0].problem, penalty="second_difference"),
+        lambda: whole(in_the_null_space()[0].problem),
+        r"null-space",
     ),
     Case("W409", lambda: per_frame(False), lambda: per_frame(True), r"3 frames, [\d.]+ decades"),
     Case(
