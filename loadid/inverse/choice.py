@@ -104,7 +104,8 @@ ORDERS = {
 WIDE, NEAR = 0.2, 1.0  # share of the data that a wide-band load spends; decades within which UPRE then refines it
 BELOW = 0.7  # decades by which a whiteness rule lies below quasi-optimality where it may follow correlated noise
 CHANCE, CLEARLY = 1e-3, 1.4  # of a residual so far above the stated noise; and how far at least
-ROOM = 0.5  # share of the data that a fit must leave to tell of noise above the stated level
+CORNER = 1.5  # decades by which the corner of the L-curve lies below the lambda in use where it has a voice
+ROOM = 0.6  # share of the data that a fit must leave to tell of noise above the stated level
 CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
 
 
@@ -266,7 +267,8 @@ def agreement(
     quasi-optimality for those that do not (none where it ends below), discrepancy where the noise level is known (none
     where the load spends much of the data: it then smooths more than any other).
     Where the load no longer changes, above the largest and far below the smallest singular value, no distance is
-    counted. Correlated noise leaves no better verdict than ``rules disagree``.
+    counted. Correlated noise leaves no better verdict than ``rules disagree``. Where the noise level is not known,
+    a corner of the L-curve far below the lambda in use has a voice too.
     """
     ends = None if path is None else seen_modes(path)
     low, high = (BENEATH * ends[0], ends[1]) if ends else (0.0, np.inf)
@@ -275,6 +277,8 @@ def agreement(
         heard[2] = None
     if asked["quasi_optimality"].edge and (heard[1] or 0.0) < 0.5:
         heard[1] = None
+    if _cornered(asked, used):
+        heard.append(asked["l_curve"].lam)
     lams = [used, *(lam for lam in heard if lam is not None)]
     if len(lams) == 1:
         return float("inf"), "not determined"
@@ -283,6 +287,17 @@ def agreement(
     if None in heard[:2]:
         grade = max(grade, 1)
     return spread, GRADES[max(grade, 2) if correlated else grade]
+
+
+def _cornered(asked: dict[str, RuleResult], used: float) -> bool:
+    """Whether, without a noise level, the L-curve has its corner far below the lambda in use.
+
+    A wrong corner is more frequent than a wrong lambda, so that it counts from `CORNER` decades only.
+    """
+    corner, known = asked["l_curve"], asked["discrepancy"].lam is not None
+    if known or corner.lam is None or corner.edge or used <= 0:
+        return False
+    return corner.lam < 10**-CORNER * used
 
 
 def _pick(
