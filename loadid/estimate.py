@@ -196,9 +196,9 @@ class LoadEstimate:
         Parameters
         ----------
         w : ``"impulse"``, ``"mean"``, ``"sum"``, ``"peak"``, ``"resultant"`` or array
-            Impulse (step times sum, in unit s), mean over the axis or over `loads` (by area where a basis knows it),
-            sum over `loads`, largest magnitude, resultant of a basis (``load="Fz"``), or weights of the shape of `load`
-            or (samples,). Over loads, a sequence of frames gives its last one.
+            Impulse (step times sum, in unit s), mean over the axis or over `loads` (pressures by area where a basis
+            knows it), sum over `loads`, largest magnitude, resultant of a basis (``load="Fz"``), or weights of the
+            shape of `load` or (samples,). Over loads, a sequence of frames gives its last one.
         load : int or str
             Which load, by index or label, or which resultant; default the first.
         loads : sequence of int or str, optional

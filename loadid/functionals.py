@@ -98,8 +98,8 @@ def _named(
         weights[e.inside(window), j] = e.over("time").step
         return weights, "impulse", f"{e.units[j]} s"
     columns = [e.index(x) for x in loads] if loads is not None else None
-    if w in ("sum", "mean") and (columns is not None or (e.load.ndim == 1 and load is None)):
-        columns = list(range(len(e.labels))) if columns is None else columns
+    if w == "sum" or (w == "mean" and (columns is not None or (e.load.ndim == 1 and load is None))):
+        columns = (list(range(len(e.labels))) if load is None else [e.index(load)]) if columns is None else columns
         units = {e.units[j] for j in columns}
         if len(units) != 1:
             raise InputError(
@@ -124,9 +124,21 @@ def _named(
 
 
 def _shares(e: LoadEstimate, columns: list[int]) -> NDArray[np.float64]:
-    """Weights of a mean over loads: by their areas where the basis knows them."""
+    """Weights of a mean over loads: by their areas where these are pressures of a basis that knows them.
+
+    Raises
+    ------
+    InputError
+        Polynomials: their coefficients have no mean that would be one of the load.
+    """
     measures = None if e.geometry is None else e.geometry.get("measures")
-    if measures is None or e.geometry is None:
+    kind = None if e.geometry is None else e.geometry.get("kind")
+    if kind == "polynomials":
+        raise InputError(
+            "the coefficients of polynomials have no mean", where="functional", found="a basis of polynomials",
+            expected="nodal, patches or hats", hint="the first coefficient is the mean load over the region",
+        )  # fmt: skip
+    if measures is None or e.geometry is None or kind == "nodal":  # forces hold their areas already
         return np.full(len(columns), 1 / len(columns))
     count = len(e.geometry["components"])
     area = np.asarray(measures, float)[np.array(columns) // count]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +38,8 @@ class Calibration:
         Where the noise level (delta) comes from.
     date : str
         ISO date and time, UTC.
+    level : array or None
+        Noise level of the sensors that the records told, where neither the user nor the model states one.
     """
 
     lam: float
@@ -48,6 +50,7 @@ class Calibration:
     verdict: str
     sigma_source: str
     date: str
+    level: Any = field(default=None, repr=False, compare=False)
 
     def __str__(self) -> str:
         return (
@@ -75,7 +78,9 @@ def calibrate(family: StaticInversion, records: Sequence[Any]) -> Calibration:
         )
     given = [readings(r, family.model, family.sensors) for r in records]
     alone = [family._choose(family._pose(g)).lam for g in given]
-    joint = family._choose(family._pose(_together(given)))
+    posed = family._pose(_together(given))
+    joint = family._choose(posed)
+    told = posed.noise.known and family.noise is None and family.model.noise is None
     positive = np.array([x for x in alone if x > 0] or [1.0])
     names = [g.name if g.data is not None else f"record {i + 1}" for i, g in enumerate(given)]
     return Calibration(
@@ -87,6 +92,7 @@ def calibrate(family: StaticInversion, records: Sequence[Any]) -> Calibration:
         verdict=joint.verdict,
         sigma_source=joint.sigma_source,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
+        level=posed.noise.level if told else None,
     )
 
 

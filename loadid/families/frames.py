@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import flags as guards
 from ..estimate import LoadEstimate
+from ..inverse.faceposterior import FramesPosterior
 from .readings import Readings
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ def each_frame(family: StaticInversion, given: Readings) -> LoadEstimate:
         axis=given.axis,
         response=given.values,
         residual=np.stack([e.residual for e in singles if e.residual is not None]),
+        posterior=FramesPosterior([e.posterior for e in singles]),
         flags=guards.collect([guards.changing_lambda(lams), *unique.values()]),
         facts={**last.facts, "frames": len(singles)},
     )

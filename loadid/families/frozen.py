@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures import storage
 from structures.errors import InputError
+from structures.values import reals
+
+from .readings import LARGEST
 
 if TYPE_CHECKING:
     from .static import StaticInversion
@@ -27,8 +30,8 @@ class Frozen:
     ----------
     matrix : array, shape (loads, sensors), or None
         Loads per unit reading; None where constraints need a solver.
-    std : array, shape (loads,)
-        Posterior standard deviation of the loads (without constraints).
+    std : array, shape (loads,), or None
+        Posterior standard deviation of the loads (without constraints); None where the noise level is not known.
     lam, scale : float
         Relative lambda, and the scale that makes it absolute.
     rule, date, delta_source : str
@@ -42,7 +45,7 @@ class Frozen:
     """
 
     matrix: NDArray[np.float64] | None
-    std: NDArray[np.float64]
+    std: NDArray[np.float64] | None
     lam: float
     scale: float
     rule: str
@@ -62,7 +65,8 @@ class Frozen:
         InputError
             If the reading does not fit or holds NaN.
         """
-        y = np.asarray(y, float)
+        if type(y) is not np.ndarray or y.dtype.kind != "f":
+            y = reals(y, what="the reading is no real numbers", where="frozen")
         if y.shape != (len(self.sensors),):
             raise InputError(
                 "the reading does not fit the frozen inverse",
@@ -70,10 +74,9 @@ class Frozen:
                 found=f"shape {y.shape}",
                 expected=f"({len(self.sensors)},): {list(self.sensors)[:12]}",
             )
-        load = self.solver(y) if self.matrix is None else self.matrix @ y
-        if not np.isfinite(load.sum()):
-            self._refuse_nan(y)
-        return load
+        if not (np.abs(y).max() <= LARGEST):  # also NaN
+            self._refuse(y)
+        return self.solver(y) if self.matrix is None else self.matrix @ y
 
     def __str__(self) -> str:
         how = (
@@ -123,10 +126,10 @@ class Frozen:
                 "its content is not what this release expects", where=str(path), found=str(error), expected=KIND
             ) from None
 
-    def _refuse_nan(self, y: NDArray[np.float64]) -> None:
-        bad = [label for label, value in zip(self.sensors, y, strict=True) if not np.isfinite(value)]
+    def _refuse(self, y: NDArray[np.float64]) -> None:
+        bad = [label for label, value in zip(self.sensors, y, strict=True) if not abs(value) <= LARGEST]
         raise InputError(
-            "NaN or infinity in the reading",
+            f"NaN, infinity or a number above {LARGEST:g} in the reading",
             where="frozen",
             found=bad[:8],
             expected="a finite number per sensor",
@@ -148,22 +151,20 @@ def freeze(family: StaticInversion) -> Frozen:
         )
     posed = family.at_rest()
     lam = family.calibration.lam if family.calibration is not None else float(family.choice)  # type: ignore[arg-type]
-    sigma = posed.noise.sigma or 1.0
-    solution = posed.base.solution(lam, sigma)
+    known = posed.base.solution(lam, posed.noise.sigma).posterior
     matrix, solver = None, None
     if posed.constrained:
         solver = posed.solver(lam)
     else:
         matrix = np.ascontiguousarray(posed.inverse(lam))
-    assert solution.posterior is not None
     return Frozen(
         matrix=matrix,
-        std=solution.posterior.std,
+        std=None if known is None else known.std,
         lam=lam,
         scale=float(posed.base.scale),
         rule="given" if family.calibration is None else family.calibration.rule,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
-        delta_source=posed.noise.source,
+        delta_source=posed.noise.source if family.calibration is None else family.calibration.sigma_source,
         sensors=tuple(c.label for c in posed.channels),
         loads=tuple(c.label for c in family.model.loads),
         units=tuple(c.unit for c in family.model.loads),

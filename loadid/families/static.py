@@ -181,7 +181,8 @@ class StaticInversion:
         return freeze(self)
 
     # -- steps ----------------------------------------------------------------------------------------------------
-    def _pose(self, given: Readings) -> Steady:
+    def _pose(self, given: Readings, told: Any = None) -> Steady:
+        """Problem of these readings; `told` is the noise level of a calibration, where nobody stated one."""
         return pose(
             self.model,
             given,
@@ -189,7 +190,7 @@ class StaticInversion:
             L=self.L,
             truncated=self.method == "tsvd",
             constraints=self.constraints,
-            noise=self.noise,
+            noise=told if self.noise is None else self.noise,
             source=self.noise_source,
             interpolation=self.interpolation,
         )
@@ -213,7 +214,7 @@ class StaticInversion:
             raise NotIdentifiable(
                 "the null spaces of the sensors and of the penalty nearly meet: the smallest singular value of "
                 f"[H/|H|; L/|L|] is {posed.base.meeting:.2g}, below {MEETING:.2g}",
-                advice="add a resultant as a constraint, another sensor, or use penalty='identity'",
+                advice="add another sensor, or use penalty='identity' (with a resultant as a constraint, if known)",
                 code="LID-E306",
             )
         if self.free and not self.constraints and posed.rank < n and "LID-E306" not in self.allow:
@@ -275,12 +276,24 @@ class StaticInversion:
         Raises
         ------
         InputError
-            If sensors of several units have no noise levels: nothing says how they weigh.
+            If sensors of several units, or sensors and measured resultants, have no noise levels: nothing says how
+            they weigh.
         """
         rows = rows_of(self.sensors, self.model)
         channels = tuple(self.model.sensors[i] for i in rows)
-        given = Readings(np.ones((1, len(rows))), rows, channels, None, "none", "")
-        posed = self._pose(given)
+        told = None if self.calibration is None else self.calibration.level
+        stated = not (self.noise is None and told is None and self.model.noise is None)
+        # readings of zero are in the range of any noise; without a noise level they would have no scale
+        values = np.zeros((1, len(rows))) if stated else np.ones((1, len(rows)))
+        posed = self._pose(Readings(values, rows, channels, None, "none", ""), told)
+        if not posed.noise.known and posed.soft:
+            raise InputError(
+                "measured resultants weigh against the noise of the sensors, which is not known",
+                where="freeze",
+                found="no noise level",
+                expected="noise= per sensor",
+                hint="state the noise in the model (noise= of each sensor) or here",
+            )
         if not posed.noise.known and len({c.unit for c in channels}) > 1:
             raise InputError(
                 "sensors of several units have no noise levels: nothing says how they weigh",
@@ -341,7 +354,7 @@ class StaticInversion:
                 guards.mixed_kinds(given.channels, posed.noise.known),
                 *self._resolved(posed, choice, diagnosis),
                 *posed.fought(choice, posed.noise.sigma or facts["noise_level"]),
-                *guards.parameter(choice, lambda factor: discrepancy(posed, factor)),
+                *(() if self.free else guards.parameter(choice, lambda factor: discrepancy(posed, factor))),
                 guards.absolute_lambda(self.choice.lam, choice.scale) if isinstance(self.choice, Absolute) else None,
                 guards.inverse_crime(simulated, model.fingerprint),
                 guards.no_coverage(self.coverage),

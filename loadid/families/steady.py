@@ -16,12 +16,14 @@ from structures.model import Model
 
 from .. import flags as guards
 from ..inverse import diagnose, rules, whiteness
-from ..inverse.choice import Choice, choose, residual_level
+from ..inverse.choice import Choice, choose
 from ..inverse.constrained import ConstrainedPath
 from ..inverse.path import RegularizationPath
 from ..inverse.problem import LinearProblem, whiten
+from ..inverse.resultants import soft
 from ..inverse.svd import SVDPath
 from . import noise as noises
+from .level import noise_level
 from .readings import Readings
 
 
@@ -99,6 +101,11 @@ class Steady:
         if not self.base.smooth:
             return "noise only: what the cut-off leaves out is not in the band"
         return "noise and Gaussian prior; a load that does not fit the prior may lie outside"
+
+    @property
+    def soft(self) -> bool:
+        """Whether measured resultants weigh against the readings."""
+        return self.constrained and bool(soft(self.path.constraints))
 
     @property
     def correlated(self) -> Flag | None:
@@ -194,7 +201,7 @@ def pose(
 
 def _shown(base: SVDPath) -> float:
     """Noise level that the data show without constraints: what soft resultants weigh against if nobody stated it."""
-    return residual_level(base, choose(base).lam) or float(np.sqrt(base.at(1.0).residual2 / base.m)) or 1.0
+    return noise_level(base, choose(base), noises.Noise(None, False, "not known")) or 1.0
 
 
 def _refuse_silent(H: NDArray[np.float64], channels: Sequence[Channel]) -> None:

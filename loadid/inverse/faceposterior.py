@@ -20,11 +20,15 @@ class FacePosterior(DensePosterior):
     constraints leave.
     """
 
+    kind = "face"
     approximation = "active-set approximation"
+
+    def bias_weights(self, w: NDArray) -> None:
+        """Not known under constraints: another load lies on another face."""
 
 
 class FramesPosterior:
-    """Posteriors of frames, each on its own face, with independent noise.
+    """Posteriors of frames, each with a face or a lambda of its own, with independent noise.
 
     Parameters
     ----------
@@ -32,12 +36,16 @@ class FramesPosterior:
     """
 
     kind = "frames"
-    approximation = FacePosterior.approximation
 
     def __init__(self, each: Sequence[DensePosterior]) -> None:
         self.each = tuple(each)
         self.frames, self.frame_shape = len(self.each), self.each[0].shape
         self.shape = (self.frames, *self.frame_shape)
+
+    @property
+    def approximation(self) -> str | None:
+        """What it approximates; None where the frames are Gaussian as they stand."""
+        return next((p.approximation for p in self.each if isinstance(p, FacePosterior)), None)
 
     @property
     def std(self) -> NDArray[np.float64]:
@@ -67,7 +75,10 @@ class FramesPosterior:
         return list(zip(self.each, np.moveaxis(w, w.ndim - len(self.shape), 0), strict=True))
 
     def bias_weights(self, w: NDArray) -> NDArray[np.float64] | None:
-        """Not known under constraints."""
+        """``(R - I)^T w`` in the shape of `w`, frame by frame; None under constraints."""
+        parts = [p.bias_weights(x) for p, x in self._frames(w)]
+        known = [v for v in parts if v is not None]
+        return np.stack(known, axis=np.ndim(w) - len(self.shape)) if len(known) == len(parts) else None
 
     def to_arrays(self) -> dict[str, object]:
         """Plain arrays, for a result file."""
@@ -76,9 +87,18 @@ class FramesPosterior:
     @classmethod
     def from_arrays(cls, tree: dict) -> FramesPosterior:
         """Inverse of `to_arrays`."""
-        each = [tree["frames"][str(i)] for i in range(len(tree["frames"]))]
-        passed = [None if p.get("passed") is None else np.asarray(p["passed"]) for p in each]
-        return cls([
-            FacePosterior(np.asarray(p["factor"]), tuple(p["shape"]), passed=f)
-            for p, f in zip(each, passed, strict=True)
-        ])  # fmt: skip
+        return cls([dense(tree["frames"][str(i)]) for i in range(len(tree["frames"]))])
+
+
+def dense(tree: dict) -> DensePosterior:
+    """A dense posterior, or one on a face, from its arrays."""
+    passed, dual = (None if tree.get(k) is None else np.asarray(tree[k]) for k in ("passed", "dual"))
+    made = FacePosterior if tree["kind"] == FacePosterior.kind else DensePosterior
+    return made(
+        np.asarray(tree["factor"]),
+        tuple(tree["shape"]),
+        passed=passed,
+        dual=dual,
+        orthogonal=bool(tree.get("orthogonal", False)),
+        frames=tree.get("frames"),
+    )  # files from before these were kept hold the factor and the shape only

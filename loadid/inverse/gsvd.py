@@ -139,7 +139,7 @@ def _smallest(R: NDArray, n: int, labels: Sequence[str] | None) -> float:
         raise NotIdentifiable(
             f"{loads} seen neither by the sensors nor by the penalty (relative singular value "
             f"{values[-1] / values[0]:.2g}): {names(vectors_t[unseen].T, labels)}",
-            advice="add a sensor that sees it, choose penalty='identity', or add a constraint (a resultant)",
+            advice="add a sensor that sees it, or use penalty='identity' (with a resultant as a constraint, if known)",
             code="LID-E306",
         )
     return float(values[-1])

@@ -201,19 +201,11 @@ def from_arrays(tree: dict) -> Posterior:
     InputError
         If the kind is unknown.
     """
-    if tree.get("kind") == DensePosterior.kind:
-        passed, dual = (None if tree.get(k) is None else np.asarray(tree[k]) for k in ("passed", "dual"))
-        return DensePosterior(
-            np.asarray(tree["factor"]),
-            tuple(tree["shape"]),
-            passed=passed,
-            dual=dual,
-            orthogonal=bool(tree.get("orthogonal", False)),
-            frames=tree.get("frames"),
-        )  # files from before these were kept hold the factor and the shape only
-    if tree.get("kind") == "frames":
-        from .faceposterior import FramesPosterior
+    from .faceposterior import FacePosterior, FramesPosterior, dense
 
+    if tree.get("kind") in (DensePosterior.kind, FacePosterior.kind):
+        return dense(tree)
+    if tree.get("kind") == FramesPosterior.kind:
         return FramesPosterior.from_arrays(tree)
     if tree.get("kind") == SpectralPosterior.kind:
         return SpectralPosterior(np.asarray(tree["lines"]), tree["samples"], tree["padded"])

@@ -1,0 +1,135 @@
+"""Options of static inversion together: frames of their own, frozen inverses, measured resultants, functionals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from loadid import InputError, Record, StaticInversion, load
+from loadid.families.frozen import Frozen
+from loadid.inverse.constraints import NonNegative, Resultant
+from structures import Channel, ForwardModel, MatrixModel, bases, beams
+
+from .test_static import BEAM, bump, gauges, smooth
+
+LEVEL = 1e-3 * np.linspace(0.3, 3, 16)  # noise that differs from sensor to sensor
+
+
+def readings(seed=0, level=1e-3):
+    model = smooth()
+    return model, model.H @ bump() + level * np.random.default_rng(seed).standard_normal(16)
+
+
+# -- frames with a lambda each ----------------------------------------------------------------------------------------
+@pytest.mark.parametrize("constraints", [(), (NonNegative(),)])
+def test_frames_of_their_own_keep_their_posteriors(tmp_path, constraints):
+    model, y = readings()
+    family = StaticInversion(model, noise=1e-3, constraints=constraints)
+    each = family.estimate(np.stack([y, 2 * y, readings(1)[1]]), joint=False)
+    alone = family.estimate(readings(1)[1])
+    w = np.zeros((3, 24))
+    w[2] = 1.0
+    assert each.functional(w).std == pytest.approx(alone.functional("sum").std, rel=1e-9)
+    both = each.functional(np.ones((3, 24))).noise_std
+    apart = [family.estimate(x).functional("sum").noise_std for x in (y, 2 * y, readings(1)[1])]
+    assert both == pytest.approx(np.linalg.norm(apart), rel=1e-9)  # noise of different frames is independent
+    each.save(tmp_path / "frames.h5")
+    back = load(tmp_path / "frames.h5")
+    assert back.functional(w) == each.functional(w)
+    assert type(back.posterior) is type(each.posterior)
+    assert back.posterior.approximation == each.posterior.approximation
+    if not constraints:
+        assert each.functional(w, limit=2.0).bias_limit == pytest.approx(alone.functional("sum", limit=2.0).bias_limit)
+        assert back.functional(w, limit=2.0) == each.functional(w, limit=2.0)
+
+
+def test_frames_of_their_own_on_a_basis_have_a_summary():
+    beam = beams.cantilever(**BEAM)
+    model = ForwardModel(beam, gauges(10), bases.patches(beam, 8))
+    y = model.static() @ np.linspace(1, 2, 8)
+    each = StaticInversion(model, penalty="gradient").estimate(np.stack([y, 1.5 * y]), joint=False)
+    assert "resultants" in each.summary()
+
+
+def test_the_bias_under_constraints_stays_unknown_in_a_file(tmp_path):
+    model, y = readings()
+    held = StaticInversion(model, noise=1e-3, constraints=[NonNegative()]).estimate(y)
+    held.save(tmp_path / "held.h5")
+    for estimate in (held, load(tmp_path / "held.h5")):
+        assert estimate.posterior.approximation == "active-set approximation"
+        with pytest.raises(InputError, match="resolution"):
+            estimate.functional("sum", limit=1.0)
+
+
+# -- frozen -----------------------------------------------------------------------------------------------------------
+def test_without_a_noise_level_a_frozen_inverse_has_no_std(tmp_path):
+    model, y = readings()
+    frozen = StaticInversion(model, choice=1e-2).freeze()
+    np.testing.assert_allclose(frozen(y), StaticInversion(model, choice=1e-2).estimate(y).load, rtol=1e-9, atol=1e-12)
+    assert frozen.std is None
+    frozen.save(tmp_path / "inverse.h5")
+    assert Frozen.read(tmp_path / "inverse.h5").std is None
+
+
+def test_measured_resultants_need_a_noise_level_to_be_frozen():
+    total = Resultant(np.ones((1, 24)), [9.0], covariance=[[0.5]])
+    model, y = readings()
+    with pytest.raises(InputError, match="noise"):
+        StaticInversion(model, choice=1e-2, constraints=total).freeze()
+    family = StaticInversion(model, choice=1e-2, constraints=total, noise=1e-3)
+    np.testing.assert_allclose(family.freeze()(y), family.estimate(y).load, rtol=1e-9, atol=1e-12)
+
+
+def test_a_frozen_inverse_keeps_the_noise_that_the_records_told():
+    model, rng = smooth(), np.random.default_rng(0)
+    channels = [Channel(label=f"s{i}", quantity="displacement", unit="m", noise=x) for i, x in enumerate(LEVEL)]
+    ramp = np.outer(np.linspace(0, 1, 40), model.H @ bump())
+    records = [Record((k + 1) * ramp + LEVEL * rng.standard_normal((40, 16)), 0.01, channels) for k in range(2)]
+    family = StaticInversion(model)
+    calibration = family.calibrate(records)
+    frozen, estimate = family.freeze(), family.estimate(records[0])
+    np.testing.assert_allclose(frozen(records[0].values[-1]), estimate.load[-1], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(frozen.std, estimate.posterior.std[-1] / estimate.facts["noise_level"], rtol=1e-9)
+    assert frozen.delta_source == calibration.sigma_source == estimate.facts["noise_source"]
+
+
+def test_readings_of_a_singular_covariance_freeze():
+    """Nothing but zeros is in the range of every interpolation."""
+    rng = np.random.default_rng(0)
+    W, H = np.diff(np.eye(6), axis=0).T, rng.standard_normal((5, 8))
+    model = MatrixModel(W @ H)
+    y = W @ (H @ bump(8) + 1e-3 * rng.standard_normal(5))
+    family = StaticInversion(model, choice=1e-2, noise=1e-3, interpolation=W)
+    np.testing.assert_allclose(family.freeze()(y), family.estimate(y).load, rtol=1e-8, atol=1e-12)
+
+
+# -- measured resultants without a noise level ------------------------------------------------------------------------
+@pytest.mark.parametrize("seed", range(3))
+def test_measured_resultants_are_weighed_against_the_noise_that_is_seen(seed):
+    model, y = readings(seed)
+    total = Resultant(np.ones((1, 24)), [bump().sum()], covariance=[[0.04]])
+    known = StaticInversion(model, choice=1e-2, constraints=total, noise=1e-3).estimate(y)
+    free = StaticInversion(model, choice=1e-2, constraints=total).estimate(y)
+    assert 0.5 < free.functional("sum").std / known.functional("sum").std < 2.5
+    np.testing.assert_allclose(free.load.sum(), known.load.sum(), atol=0.05)
+
+
+# -- functionals ------------------------------------------------------------------------------------------------------
+def test_sums_and_means_over_loads():
+    model, y = readings()
+    frames = StaticInversion(model, noise=1e-3).estimate(np.stack([y, 2 * y]))
+    assert frames.functional("sum").value == pytest.approx(frames.load[-1].sum())
+    beam = beams.cantilever(**BEAM)
+    edges = [0.0, 0.2, 0.5, 1.0, 2.0]
+    pressures = ForwardModel(beam, gauges(10), bases.patches(beam, edges))
+    forces = ForwardModel(beam, gauges(10), bases.nodal(beam, (0.2, 2.0)))
+    for found, weights in (
+        (pressures, np.diff(edges) / 2.0),
+        (forces, np.full(len(forces.loads), 1 / len(forces.loads))),
+    ):
+        e = StaticInversion(found, noise=1e-6).estimate(found.static() @ np.linspace(1, 2, len(found.loads)))
+        assert e.functional("mean").value == pytest.approx(weights @ e.load)
+    smooth_loads = ForwardModel(beam, gauges(10), bases.polynomials(beam, 3))
+    e = StaticInversion(smooth_loads, noise=1e-6).estimate(smooth_loads.static() @ np.ones(4))
+    with pytest.raises(InputError, match="first coefficient"):
+        e.functional("mean")
