@@ -163,8 +163,8 @@ def noise_source(choice: Choice, discrepancy: Callable[[float], float | None]) -
         return Flag(
             "W406",
             Evidence("noise that the residual shows, over the stated level", float(ratio), 1.0),
-            f"the residual shows {ratio:.3g} times the stated noise level ({choice.sigma_source}): the level is too low, "
-            f"or the model is wrong; lambda was chosen without it ({choice.rule})",
+            f"the residual shows {ratio:.3g} times the stated noise level ({choice.sigma_source}): the level is too "
+            f"low, or the model is wrong; lambda was chosen without it ({choice.rule})",
             "measure the noise of the unloaded sensors again; then verify the model with a known load",
         )
     if choice.sigma is None or choice.rule not in SIGMA_RULES:
