@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from case_studies import contact_inversion, hammer_log, impact_plate
+from case_studies import contact_inversion, hammer_log, impact_plate, wing_gauges
 from loadid import Absolute, StaticInversion
 
 from .data import measured
@@ -151,3 +151,51 @@ class TestContactText:
         assert t[0] / t[-1] < s[0] / s[-1]
         family = StaticInversion(H, sensors=[int(i) for i in np.flatnonzero(keep)], choice=1e-3, noise=1.0)
         assert "W202" in family.estimate((H @ self.p)[keep]).codes
+
+    def test_constraints_sharpen_the_map(self):
+        rows = {r.method: r for r in contact_inversion.table(0.1, "bumps", "every node", seeds=3)}
+        assert rows["least squares"].map > 10  # worthless
+        plain = rows["Tikhonov, L = I"]
+        assert plain.map < 0.12
+        assert plain.resultant < 0.02
+        assert rows["L = I, p >= 0"].map < plain.map
+        assert rows["first difference, p >= 0, force plate"].map < plain.map
+        assert rows["L = I, resultant"].resultant < 1e-9
+        assert all(r.resultant < r.map for name, r in rows.items() if name != "least squares")
+
+    def test_picture(self, tmp_path):
+        rows = contact_inversion.table(0.1, seeds=1)
+        contact_inversion.figure(rows, contact_inversion.truth(contact_inversion.bumps), tmp_path / "x.png")
+        assert (tmp_path / "x.png").stat().st_size > 10_000
+
+
+# -- lift of a wing ---------------------------------------------------------------------------------------------------
+class TestWing:
+    @pytest.fixture(scope="class")
+    def rows(self):
+        return {r.method: r for r in wing_gauges.table(5)}
+
+    def test_resultants_are_right_long_before_the_distribution(self, rows):
+        for name in ("24 patches, gradient", "24 patches, Laplacian", "polynomials to degree 4"):
+            row = rows[name]
+            assert row.moment < 0.01
+            assert row.shear < 0.05
+            assert 2 * row.shear < row.distribution < 0.20
+
+    def test_the_band_holds_the_distribution_under_a_smoothness_prior(self, rows):
+        assert all(rows[f"24 patches, {x}"].covered > 0.85 for x in ("gradient", "Laplacian"))
+
+    def test_the_model_error_is_seen(self, rows):
+        """The stiffened bay that the model does not know shows itself above the noise of the gauges."""
+        assert "W406" in rows["24 patches, gradient"].estimate.codes
+
+    def test_both_levels_are_reached_and_said(self, rows):
+        row = rows["24 patches, gradient"]
+        assert row.validation.level == "distribution"
+        assert not row.validation.partial
+        assert "level: distribution" in row.estimate.summary()
+        assert len(row.validation.table().splitlines()) == 3
+
+    def test_picture(self, rows, tmp_path):
+        wing_gauges.figure(list(rows.values()), tmp_path / "x.png")
+        assert (tmp_path / "x.png").stat().st_size > 10_000
