@@ -170,32 +170,33 @@ class TestContactText:
 
 
 # -- lift of a wing ---------------------------------------------------------------------------------------------------
-class TestWing:
-    @pytest.fixture(scope="class")
-    def rows(self):
-        return {r.method: r for r in wing_gauges.table(5)}
+@pytest.fixture(scope="module")
+def wing():
+    return {r.method: r for r in wing_gauges.table(5)}
 
-    def test_resultants_are_right_long_before_the_distribution(self, rows):
+
+class TestWing:
+    def test_resultants_are_right_long_before_the_distribution(self, wing):
         for name in ("24 patches, gradient", "24 patches, Laplacian", "polynomials to degree 4"):
-            row = rows[name]
+            row = wing[name]
             assert row.moment < 0.01
             assert row.shear < 0.05
             assert 2 * row.shear < row.distribution < 0.20
 
-    def test_the_band_holds_the_distribution_under_a_smoothness_prior(self, rows):
-        assert all(rows[f"24 patches, {x}"].covered > 0.85 for x in ("gradient", "Laplacian"))
+    def test_the_band_holds_the_distribution_under_a_smoothness_prior(self, wing):
+        assert all(wing[f"24 patches, {x}"].covered > 0.85 for x in ("gradient", "Laplacian"))
 
-    def test_the_model_error_is_seen(self, rows):
+    def test_the_model_error_is_seen(self, wing):
         """The stiffened bay that the model does not know shows itself above the noise of the gauges."""
-        assert "W406" in rows["24 patches, gradient"].estimate.codes
+        assert "W406" in wing["24 patches, gradient"].estimate.codes
 
-    def test_both_levels_are_reached_and_said(self, rows):
-        row = rows["24 patches, gradient"]
+    def test_both_levels_are_reached_and_said(self, wing):
+        row = wing["24 patches, gradient"]
         assert row.validation.level == "distribution"
         assert not row.validation.partial
         assert "level: distribution" in row.estimate.summary()
         assert len(row.validation.table().splitlines()) == 3
 
-    def test_picture(self, rows, tmp_path):
-        wing_gauges.figure(list(rows.values()), tmp_path / "x.png")
+    def test_picture(self, wing, tmp_path):
+        wing_gauges.figure(list(wing.values()), tmp_path / "x.png")
         assert (tmp_path / "x.png").stat().st_size > 10_000
