@@ -14,6 +14,9 @@ from .channels import Channel
 from .errors import InputError
 from .flags import Flag
 
+WRONG = 0.5  # residual over response of a check from which on a model does not predict a sensor
+LOUD = 3.0  # times the noise below which a residual may be noise
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -50,7 +53,15 @@ class Certificate:
             f"{name}: gain {g:.4g}, shape {s:.4f}, residual {e:.2%}"
             for name, g, s, e in zip(self.sensors, self.gain, self.shape, self.error, strict=True)
         ]
-        return f"forward model verified against {self.source} on {self.date[:10]} ({'; '.join(rows)})"
+        verdict = "disagrees with" if self.wrong else "verified against"
+        return f"forward model {verdict} {self.source} on {self.date[:10]} ({'; '.join(rows)})"
+
+    @property
+    def wrong(self) -> tuple[str, ...]:
+        """Sensors that the model does not predict: a residual above half of the response, and above its noise."""
+        noise = [np.inf] * len(self.sensors) if self.noise_ratio is None else self.noise_ratio
+        found = zip(self.sensors, self.error, noise, strict=True)
+        return tuple(name for name, error, ratio in found if error > WRONG and ratio > LOUD)
 
     @classmethod
     def compare(
