@@ -97,7 +97,10 @@ class Steady:
     def band(self) -> str:
         """What the band holds, in words."""
         if self.constrained:
-            return "noise and prior on the active face of the constraints: an active-set approximation"
+            return (
+                "noise and prior on the active face of the constraints: an active-set approximation; a load that a "
+                "constraint holds shows no spread, which does not say that it is known"
+            )
         if not self.base.smooth:
             return "noise only: what the cut-off leaves out is not in the band"
         return "noise and Gaussian prior; a load that does not fit the prior may lie outside"

@@ -133,3 +133,10 @@ def test_sums_and_means_over_loads():
     e = StaticInversion(smooth_loads, noise=1e-6).estimate(smooth_loads.static() @ np.ones(4))
     with pytest.raises(InputError, match="first coefficient"):
         e.functional("mean")
+
+
+def test_the_band_says_that_a_held_load_is_not_known():
+    model, y = readings()
+    held = StaticInversion(model, noise=1e-3, constraints=[NonNegative()]).estimate(y)
+    assert np.any(held.std == 0)
+    assert "does not say that it is known" in held.summary()
