@@ -22,6 +22,7 @@ from ..provenance import provenance
 from . import smoothness
 from .calibration import Calibration, calibrate
 from .data import rows_of
+from .determined import missing
 from .frozen import Frozen, freeze
 from .geometry import geometry
 from .level import noise_level
@@ -217,6 +218,15 @@ class StaticInversion:
                 advice="add another sensor, or use penalty='identity' (with a resultant as a constraint, if known)",
                 code="LID-E306",
             )
+        if self.free and posed.constrained and posed.rank < n and "LID-E306" not in self.allow:
+            lacking = missing(posed)
+            if lacking:
+                raise NotIdentifiable(
+                    f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns, and the "
+                    f"constraints leave {lacking} load pattern{'s' if lacking > 1 else ''} free to move",
+                    advice="add sensors or a resultant, use a penalty (penalty='identity'), or fewer loads",
+                    code="LID-E306",
+                )
         if self.free and not self.constraints and posed.rank < n and "LID-E306" not in self.allow:
             raise NotIdentifiable(
                 f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns "

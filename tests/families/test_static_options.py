@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import InputError, Record, StaticInversion, load
+from loadid import InputError, NotIdentifiable, Record, StaticInversion, load
 from loadid.families.frozen import Frozen
-from loadid.inverse.constraints import NonNegative, Resultant
+from loadid.inverse.constraints import Bounds, NonNegative, Resultant, Support
 from structures import Channel, ForwardModel, MatrixModel, bases, beams
 
 from .test_static import BEAM, bump, gauges, smooth
@@ -140,3 +140,29 @@ def test_the_band_says_that_a_held_load_is_not_known():
     held = StaticInversion(model, noise=1e-3, constraints=[NonNegative()]).estimate(y)
     assert np.any(held.std == 0)
     assert "does not say that it is known" in held.summary()
+
+
+# -- without regularisation -------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("constraint", [NonNegative(), Bounds(lower=-10, upper=10), Support(np.arange(6))])
+def test_bounds_do_not_determine_a_load(constraint):
+    """Differences leave a constant open: inside its bounds it may be anything, so that a band would be a lie."""
+    H = np.diff(np.eye(6), axis=0)
+    with pytest.raises(NotIdentifiable, match="rank 5 of 6"):
+        StaticInversion(MatrixModel(H), penalty=None, noise=0.1, constraints=constraint).estimate(H @ np.arange(6.0))
+
+
+@pytest.mark.parametrize(
+    "constraint", [Resultant(np.ones((1, 6)), [15.0]), Resultant(np.ones((1, 6)), [15.0], covariance=[[0.1]]),
+                   Support([1, 2, 3, 4, 5])],
+)  # fmt: skip
+def test_a_resultant_or_a_support_may_determine_it(constraint):
+    H = np.diff(np.eye(6), axis=0)
+    found = StaticInversion(MatrixModel(H), penalty=None, noise=0.1, constraints=constraint)
+    np.testing.assert_allclose(found.estimate(H @ np.arange(6.0)).load, np.arange(6.0), atol=1e-8)
+
+
+def test_signs_that_the_data_push_against_determine_the_rest():
+    model, y = readings()
+    found = StaticInversion(model, penalty=None, noise=1e-3, constraints=[NonNegative()]).estimate(y)
+    assert found.load.min() >= 0
+    assert np.sum(found.load > 0) <= 16

@@ -1,0 +1,38 @@
+"""Whether constraints make up for what the sensors do not see, where nothing regularises."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
+from .steady import Steady
+
+PUSH = 1e-9  # of the largest gradient at rest, below which a constraint holds a load by chance
+
+
+def missing(posed: Steady) -> int:
+    """Load patterns that neither the readings nor the constraints fix without regularisation; 0 is what it must be.
+
+    Resultants count as readings. A sign or a bound fixes a load only where the data push against it: a load that may
+    move inside its bounds is bounded, not determined.
+    """
+    problem, n = posed.base.problem, posed.H.shape[1]
+    rows, free = [problem.H / np.linalg.norm(problem.H)], np.ones(n, bool)
+    solution = posed.path.solve(0.0)
+    least = PUSH * float(np.max(np.abs(problem.H.T @ problem.y), initial=0.0))
+    for c, push, active in zip(posed.path.constraints, solution.multipliers, solution.active, strict=True):
+        if isinstance(c, Resultant):
+            C = np.asarray(c.C, float)
+            rows.append(C / np.linalg.norm(C, axis=1, keepdims=True))
+        elif isinstance(c, Support):
+            free &= np.isin(np.arange(n), np.asarray(c.loads))
+        elif isinstance(c, NonNegative | Bounds):
+            held = (np.asarray(active, bool) & (np.abs(push) > least)).reshape(-1, push.shape[-1]).all(axis=0)
+            loads = np.arange(n) if c.loads is None else np.asarray(c.loads)
+            free[loads[held]] = False
+        elif isinstance(c, FrictionCone):
+            contacts = np.asarray(c.contacts)
+            is_open = (np.asarray(active) == 0).reshape(-1, len(contacts)).all(axis=0)
+            free[contacts[is_open].ravel()] = False
+    count = int(free.sum())
+    return count - int(np.linalg.matrix_rank(np.vstack(rows)[:, free])) if count else 0
