@@ -63,6 +63,9 @@ def paired(H: NDArray, L: NDArray, labels: Sequence[str] | None = None) -> Facto
     m, n = H.shape
     if not np.any(L):
         raise InputError("the penalty matrix is zero", where="penalty", expected="a matrix that penalises something")
+    weights = L.diagonal()
+    if L.shape == (n, n) and np.all(weights != 0) and np.count_nonzero(L) == n:
+        return weighted(H, weights)
     size = norm2(H) or 1.0
     alpha = size / norm2(L)
     stack = np.empty((m + len(L), n), order="F")
@@ -76,6 +79,15 @@ def paired(H: NDArray, L: NDArray, labels: Sequence[str] | None = None) -> Facto
     W = Wt.T
     s = np.linalg.norm(lower @ W, axis=0) / alpha
     return Factors(U, pad(c, n), s, scipy.linalg.solve_triangular(R, W), R.T @ W, meeting, alpha)
+
+
+def weighted(H: NDArray, weights: NDArray) -> Factors:
+    """Modes of (H, diag(weights)): the SVD of H diag(1 / weights), no more than without a penalty."""
+    U, c, Wt = svd(H / weights)
+    n, W = H.shape[1], Wt.T
+    balance = norm2(H) / float(np.abs(weights).max())
+    least = float(np.abs(weights).min() / np.abs(weights).max())
+    return Factors(U, pad(c, n), np.ones(n), W / weights[:, None], W * weights[:, None], least, balance)
 
 
 def augmented(H: NDArray, L: NDArray, y: NDArray, x: float) -> NDArray[np.float64]:

@@ -112,6 +112,8 @@ def predicted_error(sweep: Sweep) -> RuleResult:
     choice of a smoothing parameter.
     """
     path, sigma = sweep.path, sweep.sigma
+    if path.predicted_error(sweep.lam[-1:], float(sweep.lam[-1]), 1.0) is None:
+        raise Refusal("predicted_error is not defined on this path")
     start = None
     if sigma is not None:
         met = discrepancy(sweep, margin=SAFE)
@@ -131,8 +133,7 @@ def predicted_error(sweep: Sweep) -> RuleResult:
 
     def error(lam: NDArray) -> NDArray:
         value = path.predicted_error(lam, pilot, level)
-        if value is None:
-            raise Refusal("predicted_error is not defined on this path")
+        assert value is not None
         return value
 
     return search("predicted_error", sweep, error)

@@ -412,3 +412,22 @@ def test_four_formulas_give_one_answer(name: str) -> None:
         mean = N @ b + prior @ H.T @ np.linalg.solve(S, y - F @ b)
         for other in (stacked, normal, mean):
             np.testing.assert_allclose(filtered, other, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("shape", [(12, 8), (8, 12)])
+@pytest.mark.parametrize("lam", [1e-3, 0.1, 3.0])
+def test_a_diagonal_penalty_is_a_weighted_identity(shape: tuple[int, int], lam: float) -> None:
+    """Against augmented least squares, and against the same penalty in a form that is not seen to be diagonal."""
+    rng = np.random.default_rng(7)
+    H, y, weights = rng.standard_normal(shape), rng.standard_normal(shape[0]), np.geomspace(0.2, 5, shape[1])
+    path = SVDPath(LinearProblem.whitened(H, y, L=np.diag(weights)))
+    Q = np.linalg.qr(rng.standard_normal((shape[1], shape[1])))[0]
+    other = SVDPath(LinearProblem.whitened(H, y, L=Q * weights))
+    x = lam * float(path.scale)
+    expected = np.linalg.lstsq(np.vstack([H, x * np.diag(weights)]), np.r_[y, np.zeros(shape[1])], rcond=None)[0]
+    np.testing.assert_allclose(path.solution(lam, None).load, expected, rtol=1e-9, atol=1e-12)
+    assert float(path.scale) == pytest.approx(float(other.scale), rel=1e-10)
+    for name in ("residual2", "penalty2", "edf", "edf2", "sensitivity", "objective"):
+        assert getattr(path.at(lam), name) == pytest.approx(getattr(other.at(lam), name), rel=1e-8)
+    np.testing.assert_allclose(path.solution(lam, 0.1).posterior.std, other.solution(lam, 0.1).posterior.std, rtol=1e-8)
+    np.testing.assert_allclose(path.resolution(lam), other.resolution(lam), atol=1e-9)
