@@ -129,9 +129,9 @@ def test_a_path_on_which_no_rule_runs_needs_a_lambda() -> None:
             return np.zeros((2, 1))
 
         def predicted_error(self, lam: object, pilot: float, sigma: float) -> None:
-        return None
+            return None
 
-    def at(self, lam: object) -> PathPoint:
+        def at(self, lam: object) -> PathPoint:
             return PathPoint(np.ones_like(lam, float), np.ones_like(lam, float))
 
     with pytest.raises(InputError, match="relative lambda") as caught:
