@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import real
 
 if TYPE_CHECKING:
     from loadid.estimate import LoadEstimate
@@ -196,7 +197,7 @@ def _weights(w: ArrayLike) -> NDArray[np.float64]:
 
 def _bias_limit(posterior: object, weights: NDArray, limit: float) -> float | None:
     """Worst error of regularisation for loads of at most `limit`: limit times the sum of |(R - I)^T w|."""
-    if isinstance(limit, bool) or not np.isfinite(limit) or limit <= 0:
+    if (real(limit) or 0.0) <= 0:
         raise InputError(
             "no amplitude limit", where="limit", found=repr(limit), expected="a positive number in the unit of the load"
         )

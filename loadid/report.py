@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from loadid.summary import (
     against,
     allowed,
+    along,
     cannot_tell,
     comparison,
     diagnosis,
@@ -26,7 +27,6 @@ from loadid.summary import (
     notes,
     number,
     plus_minus,
-    quantity,
     rules,
     sort,
 )
@@ -122,7 +122,7 @@ def _result(e: LoadEstimate) -> str:
     cards = []
     for peak, impulse in order[:_SHOWN]:
         kind = "" if e.axis is None else "peak "
-        at = "" if peak.at is None or e.axis is None else f" at {quantity(peak.at, e.axis.unit)}"
+        at = "" if peak.at is None or e.axis is None else f" at {along(e.axis, peak.at)}"
         lines = [escape(peak.label), f"<b>{escape(f'{plus_minus(peak.value, peak.std)} {peak.unit}')}</b>"]
         lines.append(escape(" · ".join(x for x in (f"{kind}{at}".strip(), impulse) if x)))
         cards.append(f"<li>{lines[0]}{lines[1]}{lines[2]}</li>")

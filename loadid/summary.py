@@ -11,7 +11,7 @@ import numpy as np
 from structures.errors import InputError
 
 if TYPE_CHECKING:
-    from loadid.estimate import LoadEstimate
+    from loadid.estimate import Axis, LoadEstimate
     from loadid.inverse.choice import Choice
     from loadid.inverse.diagnose import Diagnosis
     from structures.flags import Flag
@@ -65,6 +65,11 @@ def quantity(value: float, unit: str) -> str:
         if abs(value) * factor >= 1 and unit == "s":
             return f"{value * factor:.4g} {prefix}{unit}"
     return f"{value:.4g} {unit}"
+
+
+def along(axis: Axis, value: float) -> str:
+    """A place on the first axis: ``"5.12 ms"``, ``"frame 7"``."""
+    return quantity(value, axis.unit) if axis.unit else f"{axis.name} {value:g}"
 
 
 def sort(flags: Iterable[Flag]) -> list[Flag]:
@@ -293,6 +298,8 @@ def _shape(e: LoadEstimate) -> str:
     text = f"Load estimate: {len(e.labels)} load{'s' * (len(e.labels) != 1)}"
     if e.axis is None:
         return text
+    if e.axis.unit == "":  # counted, not measured
+        return f"{text}, {len(e.load)} {e.axis.name}s, {e.axis.values[0]:g} to {e.axis.values[-1]:g}"
     span = quantity(float(e.axis.values[-1] - e.axis.values[0]), e.axis.unit)
     step = f", step {quantity(e.axis.step, e.axis.unit)}" if len(e.axis.values) > 1 else ""
     return f"{text}, {len(e.load)} samples over {span}{step}"
@@ -304,7 +311,7 @@ def _loads(e: LoadEstimate) -> list[str]:
     lines = []
     for peak, impulse in shown:
         word = "peak " if e.axis is not None else ""
-        at = "" if peak.at is None or e.axis is None else f" at {quantity(peak.at, e.axis.unit)}"
+        at = "" if peak.at is None or e.axis is None else f" at {along(e.axis, peak.at)}"
         lines.append(
             f"{peak.label}: {word}{plus_minus(peak.value, peak.std)} {peak.unit}{at}"
             + (f", {impulse}" if impulse else "")

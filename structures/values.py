@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .errors import InputError
 
@@ -23,6 +24,27 @@ def real(value: Any) -> float | None:
     except (TypeError, ValueError, OverflowError):
         return None
     return number if math.isfinite(number) else None
+
+
+def reals(value: Any, *, where: str, what: str = "no real numbers", hint: str = "") -> NDArray[np.float64]:
+    """Real numbers of any shape, as a new array; infinity and NaN may be among them, masked entries become NaN.
+
+    Raises
+    ------
+    InputError
+        Texts that are none, objects, truth values, complex numbers, or rows of different lengths.
+    """
+    value = value.toarray() if hasattr(value, "toarray") else value
+    try:
+        array = value if np.ma.isMaskedArray(value) else np.asarray(value)
+        if array.dtype.kind in "bc":
+            raise TypeError("truth values" if array.dtype.kind == "b" else "complex numbers")
+        found = np.array(array, float)
+    except (TypeError, ValueError) as error:
+        raise InputError(what, where=where, found=str(error)[:200], expected="real numbers", hint=hint) from None
+    if np.ma.isMaskedArray(value):
+        found[np.ma.getmaskarray(value)] = np.nan
+    return found
 
 
 def shown(value: Any) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.model import Model
+from structures.values import reals
 
 Array = NDArray[np.float64]
 
@@ -151,7 +152,11 @@ def settle(
 
 
 def _matrix(given: Any, where: str) -> Array:
-    if np.iscomplexobj(given):
+    try:
+        array = np.asarray(given)
+    except ValueError:  # rows of different lengths
+        array = np.empty(0)
+    if np.iscomplexobj(array):
         raise InputError(
             "a complex matrix",
             where=where,
@@ -160,7 +165,7 @@ def _matrix(given: Any, where: str) -> Array:
             hint="stack real and imaginary parts as rows, and judge sets of rows with design.compare",
         )
     try:
-        H = np.asarray(given, float)
+        H = np.asarray(array, float)
     except (TypeError, ValueError):
         H = np.empty(0)
     if H.ndim != 2 or 0 in H.shape or not np.all(np.isfinite(H)):
@@ -175,10 +180,7 @@ def _matrix(given: Any, where: str) -> Array:
 
 
 def _noise(noise: ArrayLike, m: int, where: str) -> Array:
-    try:
-        level = np.asarray(noise, float)
-    except (TypeError, ValueError):
-        level = np.full(1, np.nan)
+    level = reals(noise, what="the noise is no real number", where=where)
     level = np.full(m, float(level)) if level.ndim == 0 else level
     good = level.shape in ((m,), (m, m)) and bool(np.all(np.isfinite(level)))
     if good and level.ndim == 1:
@@ -192,8 +194,8 @@ def _noise(noise: ArrayLike, m: int, where: str) -> Array:
         raise InputError(
             "no noise level",
             where=where,
-            found=f"shape {level.shape}",
-            expected=f"std > 0, one or ({m},), or a positive definite covariance ({m}, {m})",
+            found=f"shape {level.shape}, smallest {level.min(initial=np.inf):.3g}",
+            expected=f"finite: std > 0, one or ({m},), or a positive definite covariance ({m}, {m})",
             hint="the std of each sensor in its own unit",
         )
     return level

@@ -76,7 +76,7 @@ def calibrate(family: StaticInversion, records: Sequence[Any]) -> Calibration:
             expected="a list of readings",
             hint="calibrate([reading_1, reading_2, ...])",
         )
-    given = [readings(r, family.model, family.sensors) for r in records]
+    given = [_read(family, r, i) for i, r in enumerate(records)]
     alone = [family._choose(family._pose(g)).lam for g in given]
     posed = family._pose(_together(given))
     joint = family._choose(posed)
@@ -94,6 +94,16 @@ def calibrate(family: StaticInversion, records: Sequence[Any]) -> Calibration:
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         level=posed.noise.level if told else None,
     )
+
+
+def _read(family: StaticInversion, record: Any, i: int) -> Readings:
+    """Readings of one record; a refusal names it."""
+    try:
+        return readings(record, family.model, family.sensors)
+    except InputError as error:
+        raise InputError(
+            error.what, where=f"calibrate, record {i + 1}", found=error.found, expected=error.expected, hint=error.hint
+        ) from None
 
 
 def _together(given: Sequence[Readings]) -> Readings:

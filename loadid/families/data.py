@@ -106,6 +106,10 @@ def rows_of(sensors: Sequence[str | int] | None, model: Model) -> NDArray[np.int
     InputError
         If one is unknown or chosen twice.
     """
+    if sensors is not None and (isinstance(sensors, str) or not hasattr(sensors, "__iter__")):
+        raise InputError(
+            "no list of sensors", where="sensors", found=repr(sensors)[:80], expected=f"a list, such as [{sensors!r}]"
+        )
     rows = np.arange(len(model.sensors)) if sensors is None else np.array([_row(s, model) for s in sensors])
     if len(rows) == 0 or len(set(rows.tolist())) != len(rows):
         raise InputError(
@@ -143,7 +147,7 @@ def _row(sensor: str | int, model: Model) -> int:
     labels = [s.label for s in model.sensors]
     if sensor in labels:
         return labels.index(str(sensor))
-    if isinstance(sensor, int) and -len(labels) <= sensor < len(labels):
+    if isinstance(sensor, int | np.integer) and not isinstance(sensor, bool) and -len(labels) <= sensor < len(labels):
         return sensor % len(labels)
     raise InputError("the model has no such sensor", where="sensors", found=repr(sensor), expected=f"one of {labels}")
 

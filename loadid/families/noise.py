@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.model import Model
+from structures.values import reals
 
 from ..inverse.problem import Cholesky
 from .data import Data
@@ -119,26 +120,27 @@ def steady(given: Any, source: str | None, interpolation: ArrayLike | None, mode
 
 
 def _level(given: Any, count: int, what: str) -> NDArray[np.float64]:
-    level = np.asarray(given, float)
+    level = reals(given, what="the noise is no real number", where="noise")
     level = np.full(count, float(level)) if level.ndim == 0 else level
     if level.shape not in {(count,), (count, count)} or not np.all(np.isfinite(level)):
         raise InputError(
             f"the noise does not fit the {what}",
             where="noise",
-            found=f"shape {level.shape}",
-            expected=f"a number, ({count},) or ({count}, {count})",
+            found=f"shape {level.shape}" + ("" if np.all(np.isfinite(level)) else ", NaN or infinity in it"),
+            expected=f"finite: a number, ({count},) or ({count}, {count})",
         )
     return level
 
 
 def _interpolated(given: Any, source: str | None, interpolation: ArrayLike, count: int) -> Noise:
     """Covariance of readings that were interpolated from markers."""
-    W = np.asarray(interpolation.toarray() if hasattr(interpolation, "toarray") else interpolation, float)
+    W = reals(interpolation, what="the interpolation is no matrix of real numbers", where="interpolation")
     if W.ndim != 2 or W.shape[0] != count or not np.all(np.isfinite(W)) or given is None:
         raise InputError(
             "the interpolation does not fit the readings, or its markers have no noise",
             where="interpolation",
-            found=f"shape {W.shape}, noise {'missing' if given is None else 'given'}",
+            found=f"shape {W.shape}, {'' if np.all(np.isfinite(W)) else 'NaN or infinity in it, '}"
+            f"noise {'missing' if given is None else 'given'}",
             expected=f"({count}, markers), with noise= of the markers",
         )
     level = _level(given, W.shape[1], "markers")

@@ -15,10 +15,13 @@ from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.model import Model
+from structures.values import reals
 
 from ..estimate import Axis
 from ..record import Record
 from .data import Data, gather, health, rows_of
+
+LARGEST = 1e100  # of a reading, in any unit: its square must stay a number
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,14 @@ def readings(found: Any, model: Model, sensors: Sequence[str | int] | None) -> R
             expected="a finite number per sensor",
             hint="leave a lost sensor out: sensors=[...] with the others",
         )
+    if np.max(np.abs(table)) > LARGEST:
+        raise InputError(
+            "the readings are beyond the range of numbers",
+            where="estimate",
+            found=f"{np.max(np.abs(table)):.3g}",
+            expected=f"at most {LARGEST:g}",
+            hint="check the units",
+        )
     single = table.ndim == 1
     axis = None if single else Axis("frame", "", np.arange(float(len(table))))
     table = np.atleast_2d(table)
@@ -118,24 +129,23 @@ def _mapping(found: Mapping[str, Any], channels: Sequence[Channel]) -> NDArray[n
             expected=f"only {sorted(known)[:12]}",
             hint="take it out, or add the sensor to the model",
         )
-    try:
-        return np.stack([np.asarray(have[c.label], float) for c in channels], axis=-1)
-    except (TypeError, ValueError) as error:
+    columns = [
+        reals(have[c.label], what=f"the reading {c.label!r} is no real number", where="estimate") for c in channels
+    ]
+    shapes = {column.shape for column in columns}
+    if len(shapes) > 1 or columns[0].ndim > 1 or columns[0].size == 0:
         raise InputError(
-            "the readings are no numbers of one shape", where="estimate", found=str(error), expected="real numbers"
-        ) from None
+            "the readings have no common number of frames",
+            where="estimate",
+            found=f"shapes {sorted(shapes)}",
+            expected="one number per sensor, or (frames,) of the same length for each",
+        )
+    return np.stack(columns, axis=-1)
 
 
 def _array(found: Any, rows: NDArray[np.int_], model: Model) -> NDArray[np.float64]:
     """A bare array of all sensors of the model, or of the used ones."""
-    if np.iscomplexobj(found):
-        raise InputError("a static reading is real", where="estimate", found="complex numbers", expected="real numbers")
-    try:
-        table = np.asarray(found, float)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            "the readings are no numbers", where="estimate", found=str(error), expected="real numbers"
-        ) from None
+    table = reals(found, what="the readings are no numbers", where="estimate")
     wanted = (len(rows), len(model.sensors))
     if table.ndim not in (1, 2) or table.size == 0 or table.shape[-1] not in wanted:
         raise InputError(

@@ -72,6 +72,15 @@ def matrix(penalty: str | ArrayLike | None, loads: int, basis: Any) -> NDArray[n
 def _field(penalty: str, basis: Any) -> NDArray[np.float64]:
     """Gradient or Laplacian of one component over the places of a basis."""
     places = np.asarray(basis.coordinates, float)
+    if len(places) < 2 or not places.shape[-1] or not np.any(np.ptp(places, axis=0)):
+        raise InputError(
+            "the load basis does not know where its loads are",
+            where="penalty",
+            found=f"{len(places)} points without different places",
+            expected="a basis of two or more places",
+            hint="give the structure coordinates= (files.load takes them), or use penalty='first_difference' in the "
+            "order of the loads, or 'identity'",
+        )
     along = _along(places)
     if along is not None:
         order, L = np.argsort(along), np.zeros((len(places) - penalties.order(penalty), len(places)))

@@ -27,6 +27,6 @@ def allowed(codes: Sequence[str]) -> tuple[str, ...]:
     InputError
         If one of them is no guard code.
     """
-    if isinstance(codes, str):
+    if not isinstance(codes, list | tuple | set | frozenset):
         raise InputError("allow takes a list of codes", where="allow", found=repr(codes), expected=f"[{codes!r}]")
     return known_codes(codes)

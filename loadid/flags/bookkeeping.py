@@ -44,7 +44,7 @@ def absolute_lambda(lam: float, scale: float) -> Flag:
 def changing_lambda(lams: Sequence[float]) -> Flag | None:
     """W409: lambda was chosen anew for each frame."""
     used = np.array([x for x in lams if x > 0])
-    if len(lams) < 2:
+    if len(set(lams)) < 2:  # one frame, or a lambda that was fixed before
         return None
     spread = float(np.ptp(np.log10(used))) if len(used) else 0.0
     return Flag(

@@ -80,6 +80,7 @@ class ConstrainedPath:
         self._columns = y[:, None] if y.ndim == 1 else y
         self._points: dict[float, tuple[Point, ...]] = {}
         self._solvers: OrderedDict[float, ConstrainedSolver] = OrderedDict()
+        self._known: dict[float, NDArray[np.float64]] = {}  # scalars: several rules and guards sweep the same lambdas
 
     # -- the contract -------------------------------------------------------------------------------------------------
     @property
@@ -120,7 +121,10 @@ class ConstrainedPath:
         each = np.atleast_1d(lam)
         rows = np.zeros((9, len(each)))
         for k in np.argsort(-each, kind="stable"):
-            rows[:, k] = self._scalars(float(each[k]))
+            value = float(each[k])
+            if value not in self._known:
+                self._known[value] = self._scalars(value)
+            rows[:, k] = self._known[value]
         return PathPoint(**dict(zip(SCALARS, rows if lam.ndim else rows[:, 0], strict=True)))
 
     def residual(self, lam: float) -> NDArray[np.float64]:

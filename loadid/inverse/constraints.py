@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import reals
 
 __all__ = ["Bounds", "Constraint", "FrictionCone", "NonNegative", "Resultant", "Support"]
 
@@ -20,14 +21,15 @@ class NonNegative:
 
     Parameters
     ----------
-    loads : array of int, optional
-        Numbers of the loads; None is all of them.
+    loads : array of int or of bool, optional
+        Numbers of the loads, or a mask over all of them; None is all.
     """
 
     loads: ArrayLike | None = None
+    masked: int | None = field(default=None, init=False, repr=False)  # length of a mask
 
     def __post_init__(self) -> None:
-        _set(self, loads=_numbers(self.loads, "NonNegative"))
+        _set(self, masked=_masked(self.loads), loads=_numbers(self.loads, "NonNegative"))
 
     def __str__(self) -> str:
         return f"non-negative ({_count(self.loads)})"
@@ -41,18 +43,19 @@ class Bounds:
     ----------
     lower, upper : float or array, optional
         One for all, or one per load of `loads`.
-    loads : array of int, optional
-        Numbers of the loads; None is all of them.
+    loads : array of int or of bool, optional
+        Numbers of the loads, or a mask over all of them; None is all.
     """
 
     lower: ArrayLike | None = None
     upper: ArrayLike | None = None
     loads: ArrayLike | None = None
+    masked: int | None = field(default=None, init=False, repr=False)  # length of a mask
 
     def __post_init__(self) -> None:
         loads = _numbers(self.loads, "Bounds")
-        lower = np.asarray(-np.inf if self.lower is None else self.lower, float)
-        upper = np.asarray(np.inf if self.upper is None else self.upper, float)
+        lower = reals(-np.inf if self.lower is None else self.lower, where="Bounds")
+        upper = reals(np.inf if self.upper is None else self.upper, where="Bounds")
         if np.any(np.isnan(lower)) or np.any(np.isnan(upper)):
             raise InputError("NaN in the bounds", where="Bounds", expected="numbers; infinite where there is no bound")
         if self.lower is None and self.upper is None:
@@ -62,7 +65,7 @@ class Bounds:
                 "bounds are one number, or one per load", where="Bounds",
                 found=f"shapes {lower.shape} and {upper.shape}", expected="() or (loads,)",
             )  # fmt: skip
-        _set(self, lower=lower, upper=upper, loads=loads)
+        _set(self, lower=lower, upper=upper, masked=_masked(self.loads), loads=loads)
 
     def __str__(self) -> str:
         return f"bounds ({_count(self.loads)})"
@@ -79,13 +82,13 @@ class Support:
     """
 
     loads: ArrayLike
+    masked: int | None = field(default=None, init=False, repr=False)  # length of a mask
 
     def __post_init__(self) -> None:
-        mask = np.asarray(self.loads)
-        loads = np.flatnonzero(mask) if mask.dtype == bool else _numbers(self.loads, "Support")
+        loads = _numbers(self.loads, "Support")
         if loads is None or len(loads) == 0:
             raise InputError("a support without any load", where="Support", expected="numbers of the loads that act")
-        _set(self, loads=loads)
+        _set(self, masked=_masked(self.loads), loads=loads)
 
     def __str__(self) -> str:
         return f"support ({_count(self.loads)})"
@@ -114,7 +117,7 @@ class Resultant:
     labels: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        C, value = np.atleast_2d(np.asarray(self.C, float)), np.atleast_1d(np.asarray(self.value, float))
+        C, value = np.atleast_2d(reals(self.C, where="Resultant")), np.atleast_1d(reals(self.value, where="Resultant"))
         R = len(C)
         if C.ndim != 2 or value.ndim > 2 or len(value) != R or not np.all(np.isfinite(C)):
             raise InputError(
@@ -172,17 +175,21 @@ class FrictionCone:
                 expected="integers, (contacts, 2) or (contacts, 3)",
             )  # fmt: skip
         k, dim = contacts.shape
-        mu = np.asarray(self.mu, float)
+        mu = reals(self.mu, where="FrictionCone")
         if mu.shape not in ((), (k,)) or not np.all(np.isfinite(mu)) or np.any(mu < 0):
             raise InputError(
                 "no friction coefficient", where="FrictionCone", found=self.mu,
                 expected=f"one finite number >= 0, or {k} of them",
             )  # fmt: skip
-        if self.facets is not None and (int(self.facets) != self.facets or self.facets < 3):
-            raise InputError("too few facets", where="FrictionCone", found=self.facets, expected="3 or more, or None")
+        if self.facets is not None and not _facets(self.facets):
+            raise InputError(
+                "no number of facets", where="FrictionCone", found=repr(self.facets),
+                expected=f"an integer from 3 to {FACETS}, or None",
+                hint="None is the round cone, which is exact and faster than many facets",
+            )  # fmt: skip
         normals = None
         if self.normals is not None:
-            normals = np.atleast_2d(np.asarray(self.normals, float))
+            normals = np.atleast_2d(reals(self.normals, where="FrictionCone"))
             length = np.linalg.norm(normals, axis=-1)
             if normals.shape != (k, dim) or not np.all(np.isfinite(length)) or np.any(length == 0):
                 raise InputError(
@@ -198,6 +205,7 @@ class FrictionCone:
         return f"friction cone ({len(contacts)} contacts, {kind})"
 
 
+FACETS = 360  # of a pyramid: beyond, the round cone is no different
 Constraint = NonNegative | Bounds | Support | Resultant | FrictionCone
 
 
@@ -207,6 +215,10 @@ def _set(spec: object, **values: Any) -> None:
             value = value.copy()
             value.flags.writeable = False
         object.__setattr__(spec, name, value)
+
+
+def _facets(count: Any) -> bool:
+    return isinstance(count, int | np.integer) and not isinstance(count, bool) and 3 <= count <= FACETS
 
 
 def _numbers(loads: ArrayLike | None, where: str) -> NDArray | None:
@@ -223,8 +235,14 @@ def _numbers(loads: ArrayLike | None, where: str) -> NDArray | None:
     return found.astype(int)
 
 
+def _masked(loads: ArrayLike | None) -> int | None:
+    """How many loads a mask speaks of; None of numbers."""
+    mask = np.asarray(loads)
+    return mask.size if loads is not None and mask.dtype == bool else None
+
+
 def _covariance(covariance: ArrayLike, R: int) -> NDArray[np.float64]:
-    S = np.asarray(covariance, float)
+    S = reals(covariance, where="Resultant")
     S = np.diag(S) if S.ndim == 1 else S
     if S.shape != (R, R) or not np.all(np.isfinite(S)) or not np.allclose(S, S.T, rtol=1e-8, atol=0):
         raise InputError(

@@ -167,7 +167,9 @@ def _check_kinds(constraints: Sequence[Constraint]) -> None:
             )  # fmt: skip
 
 
-def _within(numbers: NDArray, n: int, where: str) -> NDArray[np.int_]:
+def _within(numbers: NDArray, n: int, where: str, masked: int | None = None) -> NDArray[np.int_]:
+    if masked not in (None, n):
+        raise InputError("the mask does not fit the loads", where=where, found=f"{masked} entries", expected=n)
     if np.any(numbers < 0) or np.any(numbers >= n):
         bad = numbers[(numbers < 0) | (numbers >= n)]
         raise InputError(
@@ -181,7 +183,7 @@ def _support(constraints: Sequence[Constraint], n: int) -> NDArray[np.int_]:
     for c in constraints:
         if isinstance(c, Support):
             mask = np.zeros(n, bool)
-            mask[_within(np.asarray(c.loads), n, "Support")] = True
+            mask[_within(np.asarray(c.loads), n, "Support", c.masked)] = True
             keep &= mask
     if not np.any(keep):
         raise InputError("the supports have no load in common", where="Support", expected="at least one load")
@@ -231,7 +233,7 @@ def _bounds(constraints: Sequence[Constraint], n: int, keep: NDArray) -> tuple[N
     for number, c in enumerate(constraints):
         if not isinstance(c, NonNegative | Bounds):
             continue
-        loads = np.arange(n) if c.loads is None else _within(np.asarray(c.loads), n, type(c).__name__)
+        loads = np.arange(n) if c.loads is None else _within(np.asarray(c.loads), n, type(c).__name__, c.masked)
         limits = (0.0, INF) if isinstance(c, NonNegative) else (c.lower, c.upper)
         new_low, new_up = (np.asarray(x, float) for x in limits)
         try:

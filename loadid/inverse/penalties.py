@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import reals
 
 from .lines import degree, grid, line
 from .surface import surface
@@ -63,8 +64,7 @@ def matrix(penalty: str | ArrayLike, samples: int, loads: int = 1) -> NDArray[np
                 expected=f"more than {degree} for {penalty}",
             )
         return np.asarray(np.kron(difference(samples, degree), np.eye(loads)), float)
-    penalty = penalty.toarray() if hasattr(penalty, "toarray") else penalty  # sparse
-    L = np.atleast_2d(np.asarray(penalty, float))
+    L = np.atleast_2d(reals(penalty, what="the penalty is no matrix of real numbers", where="penalty"))
     if L.ndim != 2 or L.shape[1] != samples * loads or not np.all(np.isfinite(L)):
         raise InputError(
             "the penalty matrix does not fit the unknowns",

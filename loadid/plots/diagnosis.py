@@ -123,17 +123,16 @@ def columns(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: boo
     left, right = figure.subplots(2, 1) if narrow else figure.subplots(1, 2)
     names = _names(estimate, d.n)
     known = d.sigma is not None
+    size, each = _reference(estimate, known)
     for k, j in enumerate(d.shown):
         color, line = _LINES[k % len(_LINES)]
         few = {"marker": "o", "ms": 3} if d.m <= 60 else {}
-        y = d.signatures[:, k] / (d.sigma if known and d.sigma else 1.0)
+        y = d.signatures[:, k] * size / (d.sigma if known and d.sigma else 1.0)
         left.plot(np.arange(1, d.m + 1), y, color=color, ls=line, lw=1.2, label=_who(names, d, int(j)), **few)
     left.axhline(0, color=GREY, lw=0.6)
     if known:
         left.axhspan(-1, 1, color=SKY, alpha=0.35, lw=0, label="± noise std")
-    units = {unit(u) for u in estimate.units}
-    each = f"per {units.pop()}" if len(units) == 1 else "per unit load"
-    left.set(xlabel="datum (sensor)", ylabel=f"response / noise std [{each}]" if known else f"response [{each}]")
+    left.set(xlabel="datum (sensor)", ylabel=f"response {'/ noise std ' if known else ''}{each}")
     left.set_title("columns of H: what a load does to the sensors", loc="left", fontsize=9)
     _room(left)
     left.legend(fontsize=7, loc="upper left")
@@ -332,6 +331,17 @@ def _names(estimate: LoadEstimate, n: int) -> list[str]:
     if len(estimate.labels) == n:
         return [text(label) for label in estimate.labels]
     return [f"load {j + 1}" for j in range(n)]
+
+
+def _reference(estimate: LoadEstimate, known: bool) -> tuple[float, str]:
+    """Size of the load that is shown, and its words: the largest of the estimate beside a noise std, else one unit."""
+    units = {unit(u) for u in estimate.units}
+    if len(units) != 1:
+        return 1.0, "per unit load"
+    word, size = units.pop(), float(np.abs(estimate.load).max())
+    if not known or size == 0:
+        return 1.0, f"per {word}"
+    return size, f"for {size:.3g} {word} on it, as the largest load"
 
 
 def _who(names: list[str], d: Diagnosis, j: int) -> str:

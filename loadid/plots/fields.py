@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from loadid.flags.inversion import nodal_as_pressure
 from structures.errors import InputError
 
-from .style import BLUE, GREY, INK, NARROW, ORANGE, SKY, mark, new_figure, places, text, tidy, unit
+from .style import BLUE, GREY, INK, NARROW, ORANGE, SKY, known_numbers, mark, new_figure, places, text, tidy, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -154,7 +154,7 @@ def _taken(e: LoadEstimate, quantity: str, truth: ArrayLike | None, frame: int |
 
 
 def _known(truth: ArrayLike, e: LoadEstimate, row: tuple[int, ...]) -> NDArray[np.float64]:
-    known = np.asarray(truth, float)
+    known = known_numbers(truth)
     known = known[row] if known.shape == e.load.shape else known
     if known.shape != e.load.shape[-1:]:
         raise InputError("the known load does not fit", where="truth", found=known.shape, expected=e.load.shape[-1:])

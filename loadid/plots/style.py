@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from loadid.estimate import NOT_VERIFIED
 from loadid.summary import allowed, overridden, sort
 from structures.errors import InputError
+from structures.values import reals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,6 +28,7 @@ INK, GREY = "#222222", "#8a8a8a"
 PALE = "#9fc3dd"  # of a broad line below a thin one
 PANELS = 6
 NARROW = 4.0  # inches: the width of a phone
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DENSE = 5000  # points of a line beyond which a vector picture would be larger than a bitmap
 
 
@@ -70,10 +72,18 @@ def known_load(estimate: LoadEstimate, truth: ArrayLike | None) -> NDArray | Non
     """A known load in the shape of the estimate."""
     if truth is None:
         return None
-    array = np.asarray(truth, float)
+    array = known_numbers(truth)
     array = array[:, None] if array.ndim == 1 and estimate.load.ndim == 2 else array
     if array.shape != estimate.load.shape:
         raise InputError("the known load does not fit", where="truth", found=array.shape, expected=estimate.load.shape)
+    return array
+
+
+def known_numbers(truth: ArrayLike) -> NDArray[np.float64]:
+    """A known load as finite numbers."""
+    array = reals(truth, where="truth", what="the known load is no real numbers")
+    if not np.all(np.isfinite(array)):
+        raise InputError("NaN or infinity in the known load", where="truth", expected="finite numbers")
     return array
 
 
@@ -116,15 +126,25 @@ def tidy(ax: Axes) -> None:
 
 def few_labels(axis: Any) -> None:
     """Label the decades of a log axis only, where it has two or more of them."""
-    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator, ScalarFormatter
 
     low, high = axis.get_view_interval()
     if high > 30 * low:
+        axis.set_major_locator(LogLocator(numticks=8))
+        axis.set_major_formatter(FuncFormatter(_decade))  # plain text: setting formulas takes most of a report's time
         axis.set_minor_formatter(NullFormatter())
+        if high > 1e4 * low:
+            axis.set_minor_locator(NullLocator())  # dozens of ticks without labels, that nobody reads
         return
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(ScalarFormatter())
     axis.set_minor_formatter(NullFormatter())
+
+
+def _decade(value: float, _: int) -> str:
+    """``10⁻³``."""
+    power = f"{round(float(np.log10(value)))}" if value > 0 else ""
+    return "10" + power.translate(_RAISED) if power else ""
 
 
 def legend_above(ax: Axes) -> None:

@@ -88,6 +88,11 @@ def coverage(
     InputError
         No draw, no load or a level outside (0, 1); loads or noise that do not fit the model.
     """
+    if not (hasattr(family, "estimate") and hasattr(family, "model")):
+        raise InputError(
+            "no family", where="coverage", found=type(family).__name__, expected="StaticInversion, Deconvolution, ...",
+            hint="coverage(StaticInversion(model), loads, noise=...)",
+        )  # fmt: skip
     draws = (READINGS if dt is None else HISTORIES) if draws is None else draws
     shapes = _static(loads) if dt is None else _histories(loads)
     if draws < 1 or not 0 < level < 1 or not (callable(shapes) or shapes):

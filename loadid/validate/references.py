@@ -253,7 +253,14 @@ def _averaged(function: Callable[[NDArray], ArrayLike], boxes: NDArray) -> NDArr
 
 
 def _asked(function: Callable[[NDArray], ArrayLike], x: NDArray) -> NDArray[np.float64]:
-    found = numbers(function(x), "values of the reference function")
+    try:
+        answer = function(x)
+    except Exception as error:  # whatever a user's function may raise
+        raise InputError(
+            "the reference function fails", where="Known", found=f"{type(error).__name__}: {error}",
+            expected="values at the places it is given", hint=f"it was called with an array of shape {x.shape}",
+        ) from error  # fmt: skip
+    found = numbers(answer, "values of the reference function")
     if found.ndim == 0:
         found = np.full(len(x), float(found))
     if found.ndim > 2 or len(found) != len(x):

@@ -196,7 +196,13 @@ def polynomials(structure: Structure, degree: int, *, region: Any = None, compon
     """
     where = "bases.polynomials"
     if isinstance(degree, bool) or degree != 0:
-        integer("degree", degree, where=where, limit=DEGREE)
+        try:
+            integer("degree", degree, where=where, limit=DEGREE)
+        except InputError:
+            raise InputError(
+                "no degree", where=where, found=shown(degree), expected=f"an integer from 0 to {DEGREE}",
+                hint="finer detail than that takes patches or hats",
+            ) from None  # fmt: skip
     part = region_of(structure, region, where)
     domain, window = part.domain, part.window
     if not part.whole:

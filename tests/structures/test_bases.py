@@ -469,7 +469,7 @@ WRONG = {
     "component none": (lambda: bases.nodal(PLATE, components=()), "no components"),
     "degree": (lambda: bases.polynomials(BEAM, -1), "degree"),
     "degree bool": (lambda: bases.polynomials(BEAM, False), "degree"),
-    "degree high": (lambda: bases.polynomials(BEAM, 100), "1 to 40"),
+    "degree high": (lambda: bases.polynomials(BEAM, 100), "0 to 40"),
     "nodes": (lambda: bases.nodal(BEAM, nodes=[1, 99]), r"\[99\], not in the region"),
     "nodes twice": (lambda: bases.nodal(BEAM, nodes=[1, 1]), "different node numbers"),
     "nodes text": (lambda: bases.nodal(BEAM, nodes="1+Z"), "no list of nodes"),
