@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,7 @@ from .constraints import Constraint
 from .feasible import Feasible, compile_
 from .path import Coefficients, PathPoint, Solution
 from .resultants import resultants_of, soft, soft_values, whitening
-from .solver import ConstrainedSolution, ConstrainedSolver
+from .solver import ConstrainedSolution, ConstrainedSolver, grams
 from .svd import SVDPath
 from .tangent import Tangent, posterior
 
@@ -202,12 +203,16 @@ class ConstrainedPath:
             raise InputError("no relative lambda", where="lambda", found=lam, expected="a finite number >= 0")
         if lam not in self._solvers:
             self._solvers[lam] = ConstrainedSolver(
-                self.base, self.constraints, self.feasible, lam * float(self.scale), self.sigma
+                self.base, self.constraints, self.feasible, lam * float(self.scale), self.sigma, self._grams
             )
             while len(self._solvers) > KEPT:
                 self._solvers.popitem(last=False)
         self._solvers.move_to_end(lam)
         return self._solvers[lam]
+
+    @cached_property
+    def _grams(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return grams(self.base, self.feasible)
 
     def _solved(self, lam: float) -> tuple[Point, ...]:
         """Points at `lam`, from the cache or from the nearest lambda in it."""

@@ -24,15 +24,14 @@ class Quadratic:
     A : array, shape (rows, n)
     feasible : Feasible
         For the blocks, which share one length scale.
+    gram : array, shape (n, n), optional
+        A^T A, where it is known.
     """
 
-    def __init__(self, A: NDArray, feasible: Feasible) -> None:
-        from scipy.linalg import blas
-
+    def __init__(self, A: NDArray, feasible: Feasible, gram: NDArray | None = None) -> None:
         self.A = np.asfortranarray(A, float)
         self.n = A.shape[1]
-        upper = blas.dsyrk(1.0, self.A, trans=1)
-        self.G = np.triu(upper) + np.triu(upper, 1).T
+        self.G = gram_of(self.A) if gram is None else gram
         d = np.diag(self.G).copy()
         for c in feasible.cones:
             d[c.index] = np.max(d[c.index], axis=1)[:, None]
@@ -193,3 +192,11 @@ def _kernel(C: NDArray) -> NDArray[np.float64]:
     s, Vt = np.linalg.svd(C, full_matrices=True)[1:]
     rank = int(np.sum(s > max(C.shape) * EPS * s.max(initial=0.0)))
     return Vt[rank:].T
+
+
+def gram_of(A: NDArray) -> NDArray[np.float64]:
+    """A^T A, both triangles."""
+    from scipy.linalg import blas
+
+    upper = blas.dsyrk(1.0, np.asfortranarray(A, float), trans=1)
+    return np.triu(upper) + np.triu(upper, 1).T

@@ -17,7 +17,7 @@ from .constraints import Constraint
 from .face import Face
 from .feasible import Feasible
 from .multipliers import by_constraint, with_soft
-from .quadratic import Quadratic
+from .quadratic import Quadratic, gram_of
 from .resultants import resultants_of, soft, soft_values, with_values
 from .svd import SVDPath
 
@@ -69,6 +69,12 @@ class ConstrainedSolution:
         return float(np.sqrt(self.residual2) - np.sqrt(self.free_residual2))
 
 
+def grams(base: SVDPath, feasible: Feasible) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Gram matrices of operator and penalty in local unknowns; they direct the steps, no solution comes from them."""
+    return gram_of(feasible.columns(base.Y.T * base.c[:, None])), gram_of(feasible.columns(base.Y.T * base.s[:, None]))
+
+
+
 class ConstrainedSolver:
     """``min |H g - y|^2 + lambda^2 |L g|^2`` under constraints, at one lambda, for many y.
 
@@ -85,11 +91,14 @@ class ConstrainedSolver:
         Absolute lambda.
     sigma : float
         Noise level of the whitened data, which soft resultants are weighed against.
+    grams : (array, array), optional
+        Gram matrices of operator and penalty in local unknowns (`grams`), which are the same at every lambda.
     """
 
     def __init__(
-        self, base: SVDPath, constraints: Sequence[Constraint], feasible: Feasible, lam: float, sigma: float
-    ) -> None:
+        self, base: SVDPath, constraints: Sequence[Constraint], feasible: Feasible, lam: float, sigma: float,
+        grams: tuple[NDArray, NDArray] | None = None,
+    ) -> None:  # fmt: skip
         self.base, self.constraints, self.feasible, self.lam, self.sigma = (
             base, tuple(constraints), feasible, float(lam), float(sigma),
         )  # fmt: skip
@@ -97,7 +106,8 @@ class ConstrainedSolver:
         d = np.sqrt(c**2 + (self.lam * s) ** 2)
         safe = np.where(d > 0, d, 1.0)
         self.weights, self.seen, self.prior = d, c / safe, self.lam * s / safe
-        self.quadratic = Quadratic(feasible.columns(base.Y.T * d[:, None]), feasible)
+        whole = None if grams is None else grams[0] + self.lam**2 * grams[1]
+        self.quadratic = Quadratic(feasible.columns(base.Y.T * d[:, None]), feasible, whole)
 
     # -- data ---------------------------------------------------------------------------------------------------------
     def compress(self, y: NDArray) -> tuple[NDArray, NDArray]:
