@@ -12,12 +12,14 @@ from structures.arrays import MatrixModel
 from structures.errors import InputError, NotIdentifiable
 from structures.flags import Flag
 from structures.model import Model
+from structures.values import real
 
 from .. import flags as guards
 from ..estimate import LoadEstimate
 from ..inverse import diagnose, penalties
 from ..inverse.choice import Choice, choose, residual_level
 from ..inverse.path import Solution
+from ..inverse.sweeping import LARGEST
 from ..provenance import provenance
 from . import smoothness
 from .calibration import Calibration, calibrate
@@ -30,6 +32,7 @@ from .readings import Readings, readings
 from .steady import Absolute, Steady, discrepancy, pose, transfer
 
 MEETING = float(np.sqrt(np.finfo(float).eps))  # of [H/|H|; L/|L|], below which no minimiser stands out
+SMALLEST = 1e-100  # relative lambda: its inverse square, the variance of the prior, must stay a number
 MANY = 16  # loads from which their mesh can be called fine
 
 
@@ -102,6 +105,8 @@ class StaticInversion:
                     "without a penalty there is no lambda to choose", where="choice", found=choice, expected="None"
                 )
             choice = 0.0
+        if choice is not None and not isinstance(choice, str | Absolute):
+            choice = _relative(choice)
         self.model: Model = model if isinstance(model, Model) else MatrixModel(model)
         self.method, self.penalty, self.choice = method, penalty, choice
         self.constraints = tuple(constraints) if isinstance(constraints, list | tuple) else (constraints,)
@@ -414,6 +419,17 @@ class StaticInversion:
             "interpolated": self.interpolation is not None,
             "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
         }
+
+
+def _relative(choice: Any) -> float:
+    """A lambda that a user gave, as a number."""
+    lam = real(choice)
+    if lam is None or not (lam == 0 or SMALLEST <= lam <= LARGEST):
+        raise InputError(
+            "no relative lambda", where="choice", found=repr(choice)[:80],
+            expected=f"0, a number from {SMALLEST:g} to {LARGEST:g}, or the name of a rule",
+        )  # fmt: skip
+    return lam
 
 
 def _noise_share(posterior: Any, load: NDArray[np.float64]) -> float | None:
