@@ -173,6 +173,11 @@ def _own(e: LoadEstimate, w: ArrayLike, load: int | str | None, window: Window |
     if own.shape == e.load.shape:
         weights = own.copy()
     elif own.ndim == 1 and e.load.ndim == 2 and len(own) == len(e.load):
+        if e.axis is not None and e.axis.name == "frame" and e.load.shape[0] == e.load.shape[1]:
+            raise InputError(
+                "weights over frames and over loads have the same length here", where="w", found=own.shape,
+                expected=f"{e.load.shape}", hint="give the weights of every frame and load",
+            )  # fmt: skip
         weights = np.zeros(e.load.shape)
         weights[:, e.index(load)] = own
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from structures.errors import InputError
 from structures.values import reals
 
 from .readings import LARGEST
+from .steady import Absolute, Steady
 
 if TYPE_CHECKING:
     from .static import StaticInversion
@@ -57,13 +59,19 @@ class Frozen:
     model: str
     solver: Any = None
 
-    def __call__(self, y: ArrayLike) -> NDArray[np.float64]:
+    def __call__(self, y: ArrayLike, resultants: Sequence[ArrayLike] | None = None) -> NDArray[np.float64]:
         """Loads (loads,) of one reading (sensors,).
+
+        Parameters
+        ----------
+        y : array, shape (sensors,)
+        resultants : sequence of array, optional
+            New values of the resultant constraints, in their order: a force/torque sensor that is read with the others.
 
         Raises
         ------
         InputError
-            If the reading does not fit or holds NaN.
+            If the reading does not fit or holds NaN, or resultants are given where none is a constraint.
         """
         if type(y) is not np.ndarray or y.dtype.kind != "f":
             y = reals(y, what="the reading is no real numbers", where="frozen")
@@ -76,7 +84,17 @@ class Frozen:
             )
         if not (np.abs(y).max() <= LARGEST):  # also NaN
             self._refuse(y)
-        return self.solver(y) if self.matrix is None else self.matrix @ y
+        if self.matrix is None:
+            return self.solver(y, resultants)
+        if resultants is not None:
+            raise InputError(
+                "this frozen inverse has no resultant constraint",
+                where="frozen",
+                found="resultants",
+                expected="a reading alone",
+                hint="freeze a family with constraints=[Resultant(...)]",
+            )
+        return self.matrix @ y
 
     def __str__(self) -> str:
         how = (
@@ -139,7 +157,7 @@ class Frozen:
 
 def freeze(family: StaticInversion) -> Frozen:
     """See `StaticInversion.freeze`."""
-    fixed = family.calibration is not None or isinstance(family.choice, int | float)
+    fixed = family.calibration is not None or isinstance(family.choice, int | float | Absolute)
     if not fixed:
         raise InputError(
             "lambda is not fixed yet",
@@ -150,7 +168,7 @@ def freeze(family: StaticInversion) -> Frozen:
             "incomparable",
         )
     posed = family.at_rest()
-    lam = family.calibration.lam if family.calibration is not None else float(family.choice)  # type: ignore[arg-type]
+    lam = _fixed(family, posed)
     known = posed.base.solution(lam, posed.noise.sigma).posterior
     matrix, solver = None, None
     if posed.constrained:
@@ -171,3 +189,12 @@ def freeze(family: StaticInversion) -> Frozen:
         model=family.model.fingerprint,
         solver=solver,
     )
+
+
+def _fixed(family: StaticInversion, posed: Steady) -> float:
+    """The relative lambda that was calibrated or given."""
+    if family.calibration is not None:
+        return family.calibration.lam
+    if isinstance(family.choice, Absolute):
+        return family.choice.relative(posed.base)
+    return float(family.choice)  # type: ignore[arg-type]

@@ -118,7 +118,7 @@ class Steady:
             return None
         size = np.sqrt(np.diag(R))
         found = whiteness.effective_number(np.eye(len(R)), R / size / size[:, None])
-        return guards.interpolated(found.nominal, found.effective, found.rank)
+        return guards.interpolated(found.nominal, found.effective, found.rank, self.base.problem.dropped)
 
     def fought(self, choice: Choice, sigma: float) -> list[Flag | None]:
         """What the constraints did: W308 where they fight the data, W410 where the solver ended on its limit."""
@@ -139,12 +139,12 @@ class Steady:
         """Regularised inverse (loads, sensors) of readings in their own units, without constraints."""
         return self.base.inverse(lam) @ self.whitening
 
-    def solver(self, lam: float) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    def solver(self, lam: float) -> Callable[..., NDArray[np.float64]]:
         """Solver of one reading after another under the constraints, each started from the one before."""
         prepared, W, last = self.path.prepare(lam), self.whitening, [None]
 
-        def solve(y: NDArray[np.float64]) -> NDArray[np.float64]:
-            found = prepared.solve(W @ y, warm=last[0])
+        def solve(y: NDArray[np.float64], resultants: Sequence[ArrayLike] | None = None) -> NDArray[np.float64]:
+            found = prepared.solve(W @ y, warm=last[0], resultants=resultants)
             last[0] = found
             return found.load
 

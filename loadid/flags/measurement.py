@@ -66,7 +66,7 @@ def high_pass(channels: Sequence[Channel], duration: float) -> Flag | None:
     )
 
 
-def interpolated(m: int, effective: float, rank: int) -> Flag | None:
+def interpolated(m: int, effective: float, rank: int, dropped: float = 0.0) -> Flag | None:
     """W203: the noise of the data is correlated, as interpolation or filtering makes it.
 
     Parameters
@@ -77,13 +77,16 @@ def interpolated(m: int, effective: float, rank: int) -> Flag | None:
         (tr C)^2 / tr(C^2) of their noise covariance, scaled to unit variances.
     rank : int
         Rank of C.
+    dropped : float
+        Share of the model, by its norm, outside the range of C: such responses cannot be read and were left out.
     """
     if rank == m and effective > CORRELATED * m:
         return None
+    left = f"; {dropped:.1%} of the model lies outside what they can show and was left out" if dropped > 1e-6 else ""
     return Flag(
         "W203",
         Evidence("effective number of data", effective, CORRELATED * m),
         f"nominal m = {m}, effective m = {effective:.1f}, rank of the noise covariance {rank}: the data were "
-        "interpolated or filtered",
+        f"interpolated or filtered{left}",
         "invert on the raw markers; the covariance given here was whitened on its range",
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import InputError, NotIdentifiable, Record, StaticInversion, load
+from loadid import Absolute, InputError, NotIdentifiable, Record, StaticInversion, load
 from loadid.families.frozen import Frozen
 from loadid.inverse.constraints import Bounds, NonNegative, Resultant, Support
 from structures import Channel, ForwardModel, MatrixModel, bases, beams
@@ -166,3 +166,33 @@ def test_signs_that_the_data_push_against_determine_the_rest():
     found = StaticInversion(model, penalty=None, noise=1e-3, constraints=[NonNegative()]).estimate(y)
     assert found.load.min() >= 0
     assert np.sum(found.load > 0) <= 16
+
+
+# -- what a stream of readings needs ----------------------------------------------------------------------------------
+def test_a_frozen_solver_takes_new_resultants() -> None:
+    x = (np.arange(24) + 0.5) / 24
+    H = 0.1 / np.pi / (0.01 + (x[:, None] - x) ** 2) / 24
+    y = H @ np.exp(-(((x - 0.5) / 0.1) ** 2))
+    total = np.ones((1, 24))
+    held = StaticInversion(H, noise=1e-3, choice=1e-2, constraints=[NonNegative(), Resultant(total, [4.0])]).freeze()
+    for value in (4.0, 4.5, 3.8):
+        load = held(y, resultants=[[value]])
+        assert load.sum() == pytest.approx(value, rel=1e-9)
+        assert load.min() >= -1e-12
+    free = StaticInversion(H, noise=1e-3, choice=1e-2).freeze()
+    with pytest.raises(InputError, match="no resultant"):
+        free(y, resultants=[[4.0]])
+
+
+def test_an_absolute_lambda_can_be_frozen() -> None:
+    H = np.random.default_rng(0).standard_normal((8, 5))
+    family = StaticInversion(H, noise=1.0, choice=Absolute(0.5))
+    y = np.arange(8.0)
+    np.testing.assert_allclose(family.freeze()(y), family.estimate(y).load, rtol=1e-9)
+
+
+def test_weights_that_could_mean_two_things_are_refused() -> None:
+    H = np.random.default_rng(0).standard_normal((8, 5))
+    square = StaticInversion(H, noise=1.0).estimate(np.ones((5, 8)))
+    with pytest.raises(InputError, match="same length"):
+        square.functional(np.ones(5))
