@@ -1,12 +1,20 @@
-"""Whether constraints make up for what the sensors do not see, where nothing regularises."""
+"""Whether sensors, penalty and constraints together determine the load."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
+
+from structures.errors import NotIdentifiable
 
 from ..inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from .steady import Steady
 
+if TYPE_CHECKING:
+    from .static import StaticInversion
+
+MEETING = float(np.sqrt(np.finfo(float).eps))  # of [H/|H|; L/|L|], below which no minimiser stands out
 PUSH = 1e-9  # of the largest gradient at rest, below which a constraint holds a load by chance
 
 
@@ -36,3 +44,31 @@ def missing(posed: Steady) -> int:
             free[contacts[is_open].ravel()] = False
     count = int(free.sum())
     return count - int(np.linalg.matrix_rank(np.vstack(rows)[:, free])) if count else 0
+
+
+def refuse_undetermined(family: StaticInversion, posed: Steady) -> None:
+    """Refuse a load that neither the sensors nor the penalty nor the constraints determine (LID-E306)."""
+    n = family.H.shape[1]
+    if family.L is not None and posed.base.meeting < MEETING and "LID-E306" not in family.allow:
+        raise NotIdentifiable(
+            "the null spaces of the sensors and of the penalty nearly meet: the smallest singular value of "
+            f"[H/|H|; L/|L|] is {posed.base.meeting:.2g}, below {MEETING:.2g}",
+            advice="add another sensor, or use penalty='identity' (with a resultant as a constraint, if known)",
+            code="LID-E306",
+        )
+    if family.free and posed.constrained and posed.rank < n and "LID-E306" not in family.allow:
+        lacking = missing(posed)
+        if lacking:
+            raise NotIdentifiable(
+                f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns, and the "
+                f"constraints leave {lacking} load pattern{'s' if lacking > 1 else ''} free to move",
+                advice="add sensors or a resultant, use a penalty (penalty='identity'), or fewer loads",
+                code="LID-E306",
+            )
+    if family.free and not family.constraints and posed.rank < n and "LID-E306" not in family.allow:
+        raise NotIdentifiable(
+            f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns "
+            f"from {len(posed.H)} sensors",
+            advice="add sensors, use a penalty (penalty='identity'), or fewer loads",
+            code="LID-E306",
+        )

@@ -9,31 +9,28 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.arrays import MatrixModel
-from structures.errors import InputError, NotIdentifiable
-from structures.flags import Flag
+from structures.errors import InputError
 from structures.model import Model
 from structures.values import real
 
 from .. import flags as guards
 from ..estimate import LoadEstimate
 from ..inverse import diagnose, penalties
-from ..inverse.choice import Choice, choose, residual_level
-from ..inverse.path import Solution
+from ..inverse.choice import Choice, choose
 from ..inverse.sweeping import LARGEST
 from ..provenance import provenance
-from . import smoothness
+from . import smoothness, telling
 from .calibration import Calibration, calibrate
 from .data import rows_of
-from .determined import missing
+from .determined import refuse_undetermined
 from .frozen import Frozen, freeze
 from .geometry import geometry
 from .level import noise_level
 from .readings import Readings, readings
-from .steady import Absolute, Steady, discrepancy, pose, transfer
+from .sampling import drawn
+from .steady import Absolute, Steady, pose, transfer
 
-MEETING = float(np.sqrt(np.finfo(float).eps))  # of [H/|H|; L/|L|], below which no minimiser stands out
 SMALLEST = 1e-100  # relative lambda: its inverse square, the variance of the prior, must stay a number
-MANY = 16  # loads from which their mesh can be called fine
 
 
 class StaticInversion:
@@ -150,7 +147,7 @@ class StaticInversion:
         given = readings(found, self.model, self.sensors)
         self._progress(0.1, "posing the problem")
         posed = self._pose(given)
-        self._refuse_undetermined(posed)
+        refuse_undetermined(self, posed)
         if not joint and len(given.values) > 1:
             from .frames import each_frame
 
@@ -186,6 +183,18 @@ class StaticInversion:
         """
         return freeze(self)
 
+    def sample(self, found: Any, draws: int = 200, *, seed: int = 0) -> NDArray[np.float64]:
+        """Loads drawn from the posterior, (draws, loads) or (draws, frames, loads).
+
+        Without constraints these are draws of the Gaussian posterior; under constraints each draw is a solution for
+        perturbed data and prior, which meets them (randomise-then-optimise, an approximation; see
+        `ConstrainedPath.sample`): bands made of them are one-sided where they must be.
+        """
+        posed = self._pose(readings(found, self.model, self.sensors))
+        refuse_undetermined(self, posed)
+        choice = self._choose(posed)
+        return drawn(posed, choice, noise_level(posed.path, choice, posed.noise), draws, seed)
+
     # -- steps ----------------------------------------------------------------------------------------------------
     def _pose(self, given: Readings, told: Any = None) -> Steady:
         """Problem of these readings; `told` is the noise level of a calibration, where nobody stated one."""
@@ -214,32 +223,6 @@ class StaticInversion:
         """Without regularisation."""
         return self.penalty is None or (isinstance(self.choice, int | float) and self.choice == 0)
 
-    def _refuse_undetermined(self, posed: Steady) -> None:
-        n = self.H.shape[1]
-        if self.L is not None and posed.base.meeting < MEETING and "LID-E306" not in self.allow:
-            raise NotIdentifiable(
-                "the null spaces of the sensors and of the penalty nearly meet: the smallest singular value of "
-                f"[H/|H|; L/|L|] is {posed.base.meeting:.2g}, below {MEETING:.2g}",
-                advice="add another sensor, or use penalty='identity' (with a resultant as a constraint, if known)",
-                code="LID-E306",
-            )
-        if self.free and posed.constrained and posed.rank < n and "LID-E306" not in self.allow:
-            lacking = missing(posed)
-            if lacking:
-                raise NotIdentifiable(
-                    f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns, and the "
-                    f"constraints leave {lacking} load pattern{'s' if lacking > 1 else ''} free to move",
-                    advice="add sensors or a resultant, use a penalty (penalty='identity'), or fewer loads",
-                    code="LID-E306",
-                )
-        if self.free and not self.constraints and posed.rank < n and "LID-E306" not in self.allow:
-            raise NotIdentifiable(
-                f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns "
-                f"from {len(posed.H)} sensors",
-                advice="add sensors, use a penalty (penalty='identity'), or fewer loads",
-                code="LID-E306",
-            )
-
     def _answer(self, given: Readings, posed: Steady, choice: Choice) -> LoadEstimate:
         path = posed.path
         # a residual above the stated noise is model error: the band must not be narrower than what is seen
@@ -254,7 +237,7 @@ class StaticInversion:
         diagnosis = diagnose.diagnose(
             posed.base, choice.lam, sigma, load=np.atleast_2d(load)[-1], geometry=self.geometry
         )
-        facts = self._facts(posed, choice, sigma, solution, diagnosis)
+        facts = telling.facts(posed, choice, sigma, solution, diagnosis)
         self._progress(1.0, "done")
         return LoadEstimate(
             load=load,
@@ -268,7 +251,7 @@ class StaticInversion:
             residual=response - load @ posed.H.T,
             sensors=[c.label for c in given.channels],
             sensor_units=[c.unit for c in given.channels],
-            flags=self._flags(given, posed, choice, facts, solution, diagnosis),
+            flags=telling.flags(self, given, posed, choice, facts, diagnosis),
             allowed=self.allow,
             certificate=self.model.certificate,
             posterior=solution.posterior,
@@ -277,14 +260,13 @@ class StaticInversion:
             facts=facts,
             provenance=provenance(
                 self.name,
-                settings=self._settings(posed, choice),
+                settings=telling.settings(self, posed),
                 inputs={given.name: given.sha256},
                 model=self.model.fingerprint,
                 prior=smoothness.words(self.penalty, self.basis),
             ),
         )
 
-    # -- saying -------------------------------------------------------------------------------------------------------
     def at_rest(self) -> Steady:
         """The problem without readings: what a frozen inverse is made of.
 
@@ -319,107 +301,6 @@ class StaticInversion:
             )
         return posed
 
-    def _facts(
-        self, posed: Steady, choice: Choice, sigma: float, solution: Solution, diagnosis: diagnose.Diagnosis
-    ) -> dict[str, Any]:
-        path, load, posterior = posed.path, solution.load, solution.posterior
-        kappa, rank, nullity = posed.layout
-        point = path.at(choice.lam)
-        return {
-            "path": posed.solved_by,
-            "m": len(posed.H),
-            "n": posed.H.shape[1],
-            "frames": 1 if load.ndim == 1 else len(load),
-            "rank": rank,
-            "nullity": nullity,
-            "kappa": kappa,
-            "edf": None if point.edf is None else float(point.edf),
-            "residual_to_noise": residual_level(path, choice.lam) if posed.noise.known else None,
-            "noise_share": _noise_share(posterior, load),
-            "noise_level": float(sigma),
-            "noise_source": posed.noise.source,
-            "band": posed.band,
-            "resolution": diagnosis.width,
-            "resolution_unit": diagnosis.width_unit,
-            "peak_bias": diagnosis.peak_bias,
-        }
-
-    def _flags(
-        self,
-        given: Readings,
-        posed: Steady,
-        choice: Choice,
-        facts: dict[str, Any],
-        solution: Any,
-        diagnosis: diagnose.Diagnosis,
-    ) -> tuple[Flag, ...]:
-        model, lost = self.model, [s.label for i, s in enumerate(self.model.sensors) if i not in given.rows]
-        after = (facts["kappa"], facts["rank"], facts["nullity"])
-        unseen = [c.label for c, column in zip(model.loads, posed.H.T, strict=True) if not np.any(column)]
-        simulated = "" if given.data is None else given.data.record.simulated_by
-        return guards.collect(
-            [
-                *self._overridden(posed),
-                *model.flags,
-                guards.not_verified(model.certificate),
-                *given.flags,
-                guards.null_space(facts["m"], facts["n"], facts["rank"], unseen),
-                None if posed.full is None else guards.lost_channels(posed.full, after, lost),
-                posed.correlated,
-                guards.mixed_kinds(given.channels, posed.noise.known),
-                *self._resolved(posed, choice, diagnosis),
-                *posed.fought(choice, posed.noise.sigma or facts["noise_level"]),
-                *(() if self.free else guards.parameter(choice, lambda factor: discrepancy(posed, factor))),
-                guards.absolute_lambda(self.choice.lam, choice.scale) if isinstance(self.choice, Absolute) else None,
-                guards.inverse_crime(simulated, model.fingerprint),
-                guards.no_coverage(self.coverage),
-                guards.used_for_training("the record", given.fingerprints & getattr(model, "training", frozenset())),
-                guards.resolution(
-                    facts["nullity"],
-                    smoothness.words(self.penalty, self.basis),
-                    facts["resolution"],
-                    facts["resolution_unit"],
-                    facts["peak_bias"],
-                ),
-            ]
-        )
-
-    def _resolved(self, posed: Steady, choice: Choice, diagnosis: diagnose.Diagnosis) -> list[Flag | None]:
-        """W304, W310, and W107 where no penalty ties neighbouring loads together."""
-        edf = None if choice.edf is None else choice.edf / diagnosis.frames
-        found = [
-            guards.over_smoothed(edf, diagnosis.plateau),
-            guards.recoverable(diagnosis.plateau, diagnosis.seen, edf),
-        ]
-        smooth = self.basis is not None and self.basis.kind == "polynomials"
-        if self.L is None and not smooth and diagnosis.n >= MANY:
-            parts = {} if self.basis is None else {"components": len(self.basis.components), "edges": self.basis.edges}
-            found.append(guards.refined(diagnose.against_half(posed.base.problem.H, diagnosis.eta, **parts)))
-        return found
-
-    def _overridden(self, posed: Steady) -> list[Flag]:
-        """Refusals that `allow` took away."""
-        found = []
-        if "LID-E102" in self.allow and guards.diagonal(self.H) is not None:
-            found.append(guards.overridden("E102", "off-diagonal entries", 0, 1))
-        if "LID-E306" in self.allow and self.free and posed.rank < self.H.shape[1]:
-            found.append(guards.overridden("E306", "rank", posed.rank, self.H.shape[1]))
-        return found
-
-    def _settings(self, posed: Steady, choice: Choice) -> dict[str, Any]:
-        given = self.choice.lam if isinstance(self.choice, Absolute) else self.choice
-        return {
-            "method": self.method,
-            "penalty": self.penalty if isinstance(self.penalty, str | None) else "matrix",
-            "choice": given,
-            "calibration": None if self.calibration is None else str(self.calibration),
-            "constraints": [str(c) for c in self.constraints],
-            "path": posed.solved_by,
-            "noise_source": posed.noise.source,
-            "interpolated": self.interpolation is not None,
-            "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
-        }
-
 
 def _relative(choice: Any) -> float:
     """A lambda that a user gave, as a number."""
@@ -430,13 +311,3 @@ def _relative(choice: Any) -> float:
             expected=f"0, a number from {SMALLEST:g} to {LARGEST:g}, or the name of a rule",
         )  # fmt: skip
     return lam
-
-
-def _noise_share(posterior: Any, load: NDArray[np.float64]) -> float | None:
-    """Share of the variance of the largest load that is noise; None where the posterior does not tell."""
-    noise = getattr(posterior, "noise_std", None)
-    if noise is None:
-        return None
-    at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
-    noise, std = np.broadcast_to(noise, load.shape), np.broadcast_to(posterior.std, load.shape)
-    return float((noise[at] / std[at]) ** 2) if std[at] > 0 else None

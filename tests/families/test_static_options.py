@@ -196,3 +196,29 @@ def test_weights_that_could_mean_two_things_are_refused() -> None:
     square = StaticInversion(H, noise=1.0).estimate(np.ones((5, 8)))
     with pytest.raises(InputError, match="same length"):
         square.functional(np.ones(5))
+
+
+# -- draws ------------------------------------------------------------------------------------------------------------
+def test_draws_reproduce_the_posterior() -> None:
+    model, y = readings()
+    family = StaticInversion(model, noise=1e-3, choice=2e-2)
+    estimate, drawn = family.estimate(y), family.sample(y, 4000)
+    assert drawn.shape == (4000, 24)
+    np.testing.assert_allclose(drawn.mean(axis=0), estimate.load, atol=5 * estimate.posterior.std.max() / 60)
+    np.testing.assert_allclose(drawn.std(axis=0), estimate.posterior.std, rtol=0.1)
+    frames = family.sample(np.stack([y, 2 * y]), 50)
+    assert frames.shape == (50, 2, 24)
+
+
+def test_draws_meet_the_constraints_and_cover_more_than_the_face() -> None:
+    """A bump with p >= 0: the band of the draws has a width where loads are held, the active face has none."""
+    model, y = readings(level=1e-2)
+    family = StaticInversion(model, noise=1e-2, constraints=NonNegative())
+    drawn = family.sample(y, 100)
+    assert drawn.min() >= 0
+    held = family.estimate(y).std == 0
+    assert np.any(held)
+    assert np.all(np.quantile(drawn, 0.975, axis=0)[held] > 0)
+    for wrong in (0, -1, 2.5, True, "many"):
+        with pytest.raises(InputError, match="draws"):
+            family.sample(y, wrong)
