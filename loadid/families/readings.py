@@ -77,7 +77,7 @@ def readings(found: Any, model: Model, sensors: Sequence[str | int] | None) -> R
         return found
     if isinstance(found, Record):
         data = gather(found, None, model, sensors)
-        over = Axis("time", "s", np.arange(len(data.values)) * data.dt)
+        over = Axis("time", "s", np.asarray(np.arange(len(data.values)) * data.dt, float))
         name = found.source or found.name or "record"
         return Readings(data.values, data.rows, data.channels, over, name, found.sha256, health(data), data)
     rows = rows_of(sensors, model)

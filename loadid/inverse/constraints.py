@@ -218,7 +218,7 @@ def _set(spec: object, **values: Any) -> None:
 
 
 def _facets(count: Any) -> bool:
-    return isinstance(count, int | np.integer) and not isinstance(count, bool) and 3 <= count <= FACETS
+    return bool(isinstance(count, int | np.integer) and not isinstance(count, bool) and 3 <= count <= FACETS)
 
 
 def _numbers(loads: ArrayLike | None, where: str) -> NDArray | None:

@@ -74,7 +74,6 @@ def grams(base: SVDPath, feasible: Feasible) -> tuple[NDArray[np.float64], NDArr
     return gram_of(feasible.columns(base.Y.T * base.c[:, None])), gram_of(feasible.columns(base.Y.T * base.s[:, None]))
 
 
-
 class ConstrainedSolver:
     """``min |H g - y|^2 + lambda^2 |L g|^2`` under constraints, at one lambda, for many y.
 

@@ -136,7 +136,7 @@ def test_a_field_penalty_needs_places(tmp_path):
         loaded, [sensors.Displacement("6+Z", noise=1e-6), sensors.Displacement("3+Z", noise=1e-6)], basis
     )
     for penalty in ("gradient", "laplacian"):
-        with pytest.raises(InputError, match="where its loads are.*coordinates="):
+        with pytest.raises(InputError, match=r"where its loads are.*coordinates="):
             StaticInversion(model, penalty=penalty)
 
 
