@@ -22,6 +22,13 @@ OTHERWISE = 1.2  # ratio of two gains that are told apart
 
 def resolution(nullity: int, prior: str, width: float, unit: str, bias: float | None = None) -> Flag:
     """N303: what regularisation did, always said."""
+    if nullity == 0 and bias == 0 and unit == "loads":
+        return Flag(
+            "N303",
+            Evidence("resolution width", float(width), None),
+            "nothing was filled in: each load is determined by the data, at full height",
+            "judge the loads by their std",
+        )
     null = f"{nullity} components in ker(H) are set by the prior ({prior}); " if nullity else ""
     peak = "" if bias is None else f"; a single-sample peak is shown at {1 - bias:.0%} of its height"
     return Flag(

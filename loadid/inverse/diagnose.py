@@ -197,6 +197,7 @@ def diagnose(
     heights = np.einsum("ik,k,ik->i", path.X, path.filter_factors(lam), path.Y)
     candidate = None if load is None else np.asarray(load, float).ravel()
     peak = n // 2 if candidate is None or not np.any(candidate) else int(np.argmax(np.abs(candidate)))
+    bias = float(1 - heights[peak])
     worst, best = int(np.argmin(heights)), int(np.argmax(heights))
     whole = n <= WHOLE
     columns = np.arange(n) if whole else np.unique([*np.linspace(0, n - 1, SAMPLED).astype(int), peak, worst, best])
@@ -229,7 +230,7 @@ def diagnose(
         width_unit=where.unit,
         load=peak,
         width=float(measured.widths[columns == peak][0]),
-        peak_bias=float(1 - heights[peak]),
+        peak_bias=bias if abs(bias) > 1e-12 else 0.0,
         worst=worst,
         matrix=R if whole else None,
         shown=shown,

@@ -177,6 +177,14 @@ class FactoredPath:
             raise InputError(
                 "NaN or inf in the operator or the data", where="inverse problem", expected="no such number"
             )
+        if np.all(self.scale <= 0) and c.max(initial=0.0) > 0:
+            raise InputError(
+                "the sensors see only what the penalty leaves free: no lambda changes the load",
+                where="inverse problem",
+                found=f"{len(np.flatnonzero(c))} observed modes, none of them penalised",
+                expected="a sensor that sees more",
+                hint="penalty='identity', or another sensor",
+            )
         if np.all(self.scale <= 0):
             raise InputError(
                 "the forward model is zero: no load moves any sensor",

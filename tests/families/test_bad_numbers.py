@@ -5,6 +5,7 @@ import pytest
 
 from loadid import StaticInversion
 from loadid.inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
+from loadid.validate import Known, coverage, validate
 from structures import ForwardModel, InputError, MatrixModel, bases, beams, files, sensors
 from structures.values import reals
 
@@ -156,3 +157,39 @@ def test_frames_are_counted_in_words():
     text = StaticInversion(H, **SETTINGS).estimate(np.stack([Y, 2 * Y])).summary()
     assert "2 frames, 0 to 1" in text
     assert "at frame 1" in text
+
+
+def test_one_sensor_that_sees_only_what_the_penalty_leaves_free():
+    with pytest.raises(InputError, match="only what the penalty leaves free"):
+        StaticInversion(np.ones((1, 5)), penalty="gradient", noise=1.0).estimate([1.0])
+
+
+def test_known_loads_must_be_numbers(tmp_path):
+    estimate = StaticInversion(H, **SETTINGS).estimate(Y)
+    for truth, said in (("x", "no real numbers"), (np.full(4, np.nan), "NaN"), (np.ones(3), "does not fit")):
+        with pytest.raises(InputError, match=said):
+            estimate.plot(truth=truth)
+        with pytest.raises(InputError, match=said):
+            estimate.report(tmp_path / "r.html", truth=truth)
+    assert not list(tmp_path.iterdir())
+
+
+def test_limits_of_functionals_are_numbers():
+    with pytest.raises(InputError, match="amplitude limit"):
+        StaticInversion(H, **SETTINGS).estimate(Y).functional("sum", limit="a")
+
+
+def test_a_reference_function_that_fails_is_named():
+    beam = beams.cantilever(length=1.0, EI=100.0, mass_per_length=1.0, elements=6)
+    model = ForwardModel(beam, [sensors.Displacement("6+Z", noise=1e-6)], bases.patches(beam, 3))
+    estimate = StaticInversion(model).estimate([1e-3])
+    with pytest.raises(InputError, match=r"reference function fails.*ZeroDivisionError"):
+        validate(estimate, Known(lambda x: 1 / 0))
+    with pytest.raises(InputError, match="no family"):
+        coverage(model, np.ones(3), noise=1e-6, draws=2)
+
+
+def test_what_is_determined_in_full_is_said_so():
+    estimate = StaticInversion(H, penalty=None, **SETTINGS).estimate(Y)
+    assert estimate.facts["peak_bias"] == 0
+    assert "determined by the data" in next(f.message for f in estimate.flags if f.code == "LID-N303")
