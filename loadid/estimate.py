@@ -308,10 +308,13 @@ class LoadEstimate:
         path: str | os.PathLike | None = None,
         show: bool = False,
     ) -> Figure:
-        """Picture of the load, of the ``"response"`` or of the ``"path"`` (how lambda was chosen).
+        """Picture of the load, or of what the data tell of it.
 
         Parameters
         ----------
+        kind : str
+            ``"load"``, ``"field"`` (over its places), ``"response"``, ``"path"`` (how lambda was chosen), ``"lcurve"``,
+            ``"gcv"``, ``"picard"``, ``"filter_factors"``, ``"resolution"`` or ``"columns"``.
         truth : array, optional
             Known load of the shape of `load` (or (samples,) for one load), drawn beside it.
         ax : matplotlib Axes, optional

@@ -132,7 +132,7 @@ def columns(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: boo
     left.axhline(0, color=GREY, lw=0.6)
     if known:
         left.axhspan(-1, 1, color=SKY, alpha=0.35, lw=0, label="± noise std")
-    left.set(xlabel="datum (sensor)", ylabel=f"response {'/ noise std ' if known else ''}{each}")
+    left.set(xlabel="datum (sensor)", ylabel=f"response {each}{' / noise std' if known else ''}")
     left.set_title("columns of H: what a load does to the sensors", loc="left", fontsize=9)
     _room(left)
     left.legend(fontsize=7, loc="upper left")
@@ -341,7 +341,7 @@ def _reference(estimate: LoadEstimate, known: bool) -> tuple[float, str]:
     word, size = units.pop(), float(np.abs(estimate.load).max())
     if not known or size == 0:
         return 1.0, f"per {word}"
-    return size, f"for {size:.3g} {word} on it, as the largest load"
+    return size, f"to {size:.3g} {word}"
 
 
 def _who(names: list[str], d: Diagnosis, j: int) -> str:
