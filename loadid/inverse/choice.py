@@ -103,9 +103,10 @@ ORDERS = {
 }
 WIDE, NEAR = 0.2, 1.0  # share of the data that a wide-band load spends; decades within which UPRE then refines it
 BELOW = 0.7  # decades by which a whiteness rule lies below quasi-optimality where it may follow correlated noise
-CHANCE, CLEARLY = 1e-3, 1.4  # of a residual so far above the stated noise; and how far at least
+CHANCE, CLEARLY = 1e-2, 1.3  # of a residual so far above the stated noise; and how far at least
 CORNER = 1.5  # decades by which the corner of the L-curve lies below the lambda in use where it has a voice
-ROOM = 0.6  # share of the data that a fit must leave to tell of noise above the stated level
+SPARE = 0.2  # share of the data that a fit leaves for the test of the stated noise level
+ESTIMATED = ("roughness", "residual power")  # sources of a level that the misfit of the model made
 CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
 
 
@@ -127,8 +128,8 @@ def choose(
         at an edge, discrepancy and UPRE (noise level known) or robust GCV, then GCV and the L-curve. Noise level known
         and more than a fifth of the data spent: UPRE, if it is not more than a decade below. Noise level not known
         and the noise shows itself as correlated (`whiteness_of`): quasi-optimality, which does not ask for white noise.
-        A noise level that the data contradict (`contradicted`) is set aside, and robust GCV decides: half of the true
-        level would otherwise cost more than three times the best error in half of the cases.
+        A noise level that the data contradict (`contradicted`) is set aside, and robust GCV decides: a level far below
+        the true one would let the noise through.
     sigma : float, optional
         Noise level of the whitened data.
     source : str
@@ -169,7 +170,7 @@ def decide(
     path, sigma = sweep.path, sweep.sigma
     if isinstance(choice, str) and choice not in asked:
         asked[choice] = rules.run(choice, sweep)
-    shown = contradicted(path, asked, sigma) if choice is None else None
+    shown = contradicted(sweep, asked, source) if choice is None else None
     lam, rule = _pick(path, "robust_gcv" if shown is not None else choice, asked, sigma)
     evidence = whiteness_of(path, asked, lam)
     correlated = is_correlated(evidence)
@@ -203,22 +204,25 @@ def decide(
     )
 
 
-def contradicted(path: RegularizationPath, asked: dict[str, RuleResult], sigma: float | None) -> float | None:
-    """Noise level that the residual of robust GCV shows, where chance cannot explain that it is above the stated one.
+def contradicted(sweep: rules.Sweep, asked: dict[str, RuleResult], source: str) -> float | None:
+    """Noise level that the data show, where chance cannot explain that it is above the stated one.
 
-    Chi-square test at `CHANCE` with the degrees of freedom that this fit leaves, and a factor of at least `CLEARLY`,
-    because robust GCV errs a little to the side of too much regularisation; None where less than `ROOM` of the data is
-    left: what a wide-band load leaves behind is load, too.
+    The fit may spend all data but `SPARE` of them, so that the residual which it leaves is noise, or what the model
+    cannot explain: a chi-square test at `CHANCE` with those degrees of freedom, and a factor of at least `CLEARLY`.
+    None where robust GCV, which would have to stand in, found no optimum, and where the level itself was estimated
+    from the misfit of the model (`ESTIMATED`).
     """
-    found = asked["robust_gcv"]
-    if sigma is None or found.lam is None or found.edge:
+    path, sigma, found, left = sweep.path, sweep.sigma, asked["robust_gcv"], sweep.point.left
+    if sigma is None or left is None or found.lam is None or found.edge or source.startswith(ESTIMATED):
         return None
-    level, left = residual_level(path, found.lam), path.at(found.lam).left
-    if level is None or left is None or float(left) < ROOM * path.m:
+    enough = np.flatnonzero(left >= SPARE * path.m)
+    if not len(enough):
         return None
     from scipy.special import gammaincinv
 
-    freedom = float(left)
+    k = int(enough[0])
+    freedom = float(left[k])
+    level = float(np.sqrt(sweep.point.residual2[k] / freedom))
     margin = max(CLEARLY, float(np.sqrt(2 * gammaincinv(freedom / 2, 1 - CHANCE) / freedom)))
     return level if level > margin * sigma else None
 

@@ -277,7 +277,7 @@ CASES = [
         "W406",
         lambda: stated(30),
         lambda: stated(1),
-        r"residual shows (2\d|3\d)[\d.]* times the stated noise level \(unloaded record\)",
+        r"residual shows [123]\d[\d.]* times the stated noise level \(unloaded record\)",
         "a level that the data contradict",
     ),
     Case(
