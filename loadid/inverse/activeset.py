@@ -16,6 +16,7 @@ TIGHT = 1e-13  # natural residual, relative to the data, at which a solution is 
 GOOD = 1e-11  # and below which it is accepted when rounding lets it fall no further
 PATIENCE = 12  # steps without halving the residual after which the faces are taken to cycle
 CAP = 80
+EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +67,11 @@ def solve(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: Point | N
     here = origin(feasible) if start is None else replace(start, steps=0)
     if feasible.simple and not feasible.cones and quadratic.well:
         here = _bounds_only(quadratic, b, feasible, here, cap)
+    plane = _rows_only(feasible)
+    if plane and not quadratic.well:
+        here = _on_plane(quadratic, b, feasible, here)
     found = newton(quadratic, b, feasible, here, cap=cap)
-    routes = [_homotopy, _from_inside]
+    routes = [] if plane else [_homotopy, _from_inside]  # a plane has one face: no route leads to a better one
     if any(np.any(c.facets) for c in feasible.cones):
         routes.reverse()  # between facets and edges proximal steps are slow
     steps = found.steps
@@ -85,6 +89,39 @@ def _bounds_only(q: Quadratic, b: NDArray, s: Feasible, start: Point, cap: int) 
     aim = start.h - q.tau * ((q.A @ start.h - b) @ q.A) if start.aim is None else start.aim
     h, aim, steps = exchange(q, b, s, aim, cap)
     return replace(start, h=h, aim=None, steps=steps)
+
+
+def _rows_only(s: Feasible) -> bool:
+    """Whether nothing but rows C h = r holds."""
+    free = np.all(np.isneginf(s.lower)) and np.all(np.isposinf(s.upper))
+    return bool(len(s.equal) and not len(s.below) and not s.cones and free)
+
+
+def _on_plane(q: Quadratic, b: NDArray, s: Feasible, start: Point) -> Point:
+    """Minimiser where C h = r is all that holds: least squares in the null space of C.
+
+    The multipliers never meet the inverse of an ill-conditioned A (Björck, Numerical Methods for Least Squares
+    Problems, SIAM 1996, section 5.1.3).
+    """
+    from scipy.linalg import solve_triangular
+
+    C, rank = s.equal.matrix, len(s.equal)
+    Q, T = np.linalg.qr(C.T, mode="complete")
+    if rank > q.n or np.abs(np.diag(T)).min() <= 100 * EPS * np.abs(T).max():
+        return start  # rows that follow from each other: Newton sorts them
+    fixed = Q[:, :rank] @ np.linalg.lstsq(T[:rank].T, s.equal.value, rcond=None)[0]
+    V = Q[:, rank:]
+    right = b - q.A @ fixed
+    W, R = np.linalg.qr(q.A @ V)
+    diagonal = np.abs(np.diag(R))
+    if R.shape[0] == R.shape[1] and diagonal.min(initial=np.inf) > q.n * EPS * diagonal.max(initial=0.0):
+        w = solve_triangular(R, W.T @ right)
+    else:
+        w = np.linalg.lstsq(q.A @ V, right, rcond=None)[0]
+    h = fixed + V @ w
+    gradient = (q.A @ h - b) @ q.A
+    nu = -np.linalg.lstsq(T[:rank], Q[:, :rank].T @ gradient, rcond=None)[0]
+    return replace(start, h=h, nu=nu, aim=None)
 
 
 def _from_inside(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: Point) -> Point:

@@ -381,3 +381,22 @@ def test_no_regularisation_and_fewer_data_than_loads() -> None:
     best = nnls(base.problem.H, base.problem.y)[1] ** 2
     assert found.residual2 == pytest.approx(best, rel=1e-6, abs=1e-9)
     assert found.load.min() >= 0
+
+
+@pytest.mark.parametrize("lam", [1e-2, 1e-4, 1e-6, 1e-8])
+def test_rows_alone_on_ill_conditioned_operators_are_solved_in_one_step(lam):
+    """Null space of the rows and augmented least squares as the reference; no proximal detour is taken."""
+    n, rng = 50, np.random.default_rng(0)
+    x, at = (np.arange(n) + 0.5) / n, np.linspace(0, 1, 60)
+    H = np.exp(-((at[:, None] - x) ** 2) / 2 / 0.06**2) / n
+    y = H @ np.exp(-(((x - 0.4) / 0.05) ** 2)) + 1e-4 * rng.standard_normal(60)
+    C, value = np.stack([np.ones(n), x]) / n, np.array([0.09, 0.04])
+    path = ConstrainedPath(SVDPath(LinearProblem.whitened(H, y)), [Resultant(C, value)], sigma=1e-4)
+    found = path.solve(lam)
+    V, fixed = np.linalg.svd(C)[2][2:].T, np.linalg.lstsq(C, value, rcond=None)[0]
+    A = np.vstack([H, lam * float(path.scale) * np.eye(n)])
+    w = np.linalg.lstsq(A @ V, np.concatenate([y, np.zeros(n)]) - A @ fixed, rcond=None)[0]
+    g = fixed + V @ w
+    assert found.solver == "active set"
+    assert np.linalg.norm(found.load - g) <= 1e-14 / lam**1.5 * np.linalg.norm(g)
+    np.testing.assert_allclose(C @ found.load, value, atol=1e-11)
