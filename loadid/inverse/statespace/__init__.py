@@ -1,0 +1,1 @@
+"""Exact Tikhonov over whole records in O(N), for models that are discrete state spaces."""
