@@ -100,8 +100,8 @@ def noise_std(record: Record) -> tuple[Vector, str] | None:
     return std, f"quiet part before the response: {shortest} samples ({shortest * record.dt:.4g} s)"
 
 
-def require_finite(record: Record) -> None:
-    """Nothing, if the record has no gap.
+def require_finite(record: Record, *, hint: str = "select channels or a window without the gap") -> None:
+    """Nothing, if the record has no gap; `hint` says what to do otherwise.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def require_finite(record: Record) -> None:
             where=record.source or "record",
             found="; ".join(where),
             expected="numbers",
-            hint="select channels or a window without the gap",
+            hint=hint,
         )
 
 
@@ -202,7 +202,7 @@ def _findings(record: Record, column: int) -> list[Flag]:
     if inner:
         longest = float(max(b - a for a, b in inner))
         text = f"{len(inner)} stretch(es) of held samples, the logger repeats a value (likely): {_show(inner, number)}"
-        found.append(flag("held", longest, 8, text, "treat them as missing: use a window without them"))
+        found.append(flag("held", longest, 8, text, "mark them as missing (NaN), or use a window without them"))
     if tail:
         a, b = tail[0]
         text = f"dead from sample {number[a]} to the end, {b - a} equal samples (likely)"
@@ -223,7 +223,7 @@ def _rail_flag(flag: Callable[..., Flag], y: Vector, number: NDArray, side: str,
     count = sum(b - a for a, b in runs)
     rail = float(y[runs[0][0]])
     text = f"{count} samples in {len(runs)} stretch(es) at the {side} rail {rail:.6g} ({sure}): {_show(runs, number)}"
-    advice = "lower the gain and measure again, or treat these samples as bounds"
+    advice = "lower the gain and measure again, or mark these samples as missing (NaN) and let the rest tell"
     if sure == "possible":
         return flag("saturated", float(count), RAIL_RUN, f"saturated: {text}", advice)
     if count > 0.05 * len(y):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,14 @@ from structures.errors import InputError
 from structures.flags import Flag
 from structures.measured import MeasuredModel, digests
 from structures.model import Model
+from structures.statespace import STABLE, StateSpace
 
 from ..record import Record
 
 SHORTEST = 4  # samples
+WITHOUT_GAPS = "select channels or a window without the gap"
+WITH_GAPS = "Deconvolution of a model with state_space() or impulse_response() takes records with gaps"
+LEFT_OUT = "nothing to do: they are left out of the fit, not filled in, and the std of the load shows what that costs"
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,7 @@ class Data:
     Parameters
     ----------
     values : array, shape (samples, used sensors)
+        Zero where a sample is missing.
     dt : float
     rows : array of int
         Rows of the model that are used.
@@ -35,6 +41,8 @@ class Data:
         Of the record, in the order of `rows`.
     record : Record
         All channels of the record.
+    missing : array of bool, shape (samples, used sensors)
+        Samples that were not recorded (NaN in the record); all False unless the family takes gaps.
     """
 
     values: NDArray[np.float64]
@@ -42,6 +50,7 @@ class Data:
     rows: NDArray[np.int_]
     channels: tuple[Channel, ...]
     record: Record
+    missing: NDArray[np.bool_]
 
     @property
     def duration(self) -> float:
@@ -49,19 +58,42 @@ class Data:
         return len(self.values) * self.dt
 
     @property
+    def rms(self) -> NDArray[np.float64]:
+        """Root mean square of the recorded samples of every channel, shape (used sensors,)."""
+        return np.sqrt(np.sum(self.values**2, axis=0) / np.maximum(np.sum(~self.missing, axis=0), 1))
+
+    @cached_property
+    def gaps(self) -> str:
+        """Missing samples in words, ``"40 of 1200 samples of s0, 2 of s1"``; "" where none is missing."""
+        lost = np.sum(self.missing, axis=0)
+        said = [(n, c.label) for n, c in zip(lost.tolist(), self.channels, strict=True) if n]
+        if not said:
+            return ""
+        first, *others = said
+        return ", ".join([f"{first[0]} of {len(self.values)} samples of {first[1]}", *(f"{n} of {c}" for n, c in others)])
+
+    @property
     def fingerprints(self) -> set[str]:
         """Digests of the used channels: a model made from hits knows those of its training."""
         return set(digests(self.values))
 
 
-def gather(record: Any, dt: float | None, model: Model, sensors: Sequence[str | int] | None) -> Data:
+def gather(
+    record: Any, dt: float | None, model: Model, sensors: Sequence[str | int] | None, *, allow_missing: bool = False
+) -> Data:
     """Match a record to the sensors of a model: by label, or by position for bare arrays.
+
+    Parameters
+    ----------
+    allow_missing : bool
+        NaN marks a sample that was not recorded; else it is refused. A channel of NaN alone is refused by name.
 
     Raises
     ------
     InputError
-        A missing step or channel, units that do not fit, samples that are missing.
+        A missing step or channel, units that do not fit, samples that are missing, an unstable model.
     """
+    require_stable(model)
     rows = rows_of(sensors, model)
     if not isinstance(record, Record) and np.iscomplexobj(record):
         raise InputError("a record of time is real", where="estimate", found="complex numbers", expected="real samples")
@@ -92,10 +124,45 @@ def gather(record: Any, dt: float | None, model: Model, sensors: Sequence[str | 
                 expected=row.unit,
                 hint=f"state the unit of the channel (--unit {channel.label}={row.unit})",
             )
+    return _settled(picked, rows, record, allow_missing)
+
+
+def _settled(picked: Record, rows: NDArray[np.int_], record: Record, allow_missing: bool) -> Data:
+    """The picked channels, with their gaps marked or refused."""
     from ..quality import require_finite
 
-    require_finite(picked)
-    return Data(np.asarray(picked.values), record.dt, rows, picked.channels, record)
+    missing = np.isnan(picked.values)
+    empty = [c.label for c, lost in zip(picked.channels, missing.T, strict=True) if lost.all()]
+    if empty:
+        raise InputError(
+            "a channel holds no number: every sample is missing (NaN)",
+            where=record.source or "record",
+            found=", ".join(empty),
+            expected="samples on every channel that is inverted",
+            hint="leave the channel out (sensors=[...] with the others), or repair the record",
+        )
+    if not allow_missing:
+        require_finite(picked, hint=f"{WITHOUT_GAPS}; {WITH_GAPS}")
+    values = np.where(missing, 0.0, picked.values) if missing.any() else np.asarray(picked.values)
+    return Data(values, record.dt, rows, picked.channels, record, missing)
+
+
+def require_stable(model: Model) -> None:
+    """Nothing, unless the model is a state space with a pole outside the unit circle.
+
+    Raises
+    ------
+    InputError
+        Names the pole: what grows without end cannot be told from the load.
+    """
+    if isinstance(model, StateSpace) and model.radius > STABLE:
+        raise InputError(
+            "the model is unstable: its response grows without end, and no load can be told from it",
+            where="StateSpace",
+            found=f"an eigenvalue of A of modulus {model.radius:.6g}",
+            expected="at most 1",
+            hint="check A and its step dt, and that it is discrete, not continuous (expm(A dt))",
+        )
 
 
 def rows_of(sensors: Sequence[str | int] | None, model: Model) -> NDArray[np.int_]:
@@ -121,7 +188,10 @@ def rows_of(sensors: Sequence[str | int] | None, model: Model) -> NDArray[np.int
 def health(data: Data) -> tuple[Flag, ...]:
     """What reading found, and the health of the channels that are used."""
     used = data.record.select([c.label for c in data.channels])
-    return (*data.record.flags, *used.health())
+    found = used.health()
+    if data.missing.any():  # what is refused elsewhere has been dealt with
+        found = tuple(replace(f, advice=LEFT_OUT) if f.evidence.name == "missing" else f for f in found)
+    return (*data.record.flags, *found)
 
 
 def _record(values: Any, dt: float | None, model: Model, rows: NDArray) -> Record:

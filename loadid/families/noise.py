@@ -73,7 +73,7 @@ def resolve(given: ArrayLike | None, source: str | None, model: Model, data: Dat
         return Noise(
             found[0], True, "data sheet (stated with the channels)" if stated else f"quiet segment ({found[1]})"
         )
-    scale = np.sqrt(np.mean(data.values**2, axis=0))
+    scale = data.rms
     if len({c.unit for c in data.channels}) < 2:
         scale = np.full(count, float(np.sqrt(np.mean(scale**2))))
     if np.any(scale == 0):
