@@ -297,6 +297,19 @@ class ForwardModel(Model):
         loads = self.loads if self.basis is None else self.basis
         return ForwardModel(self.structure.scaled(parameter, factor), self.sensors, loads, **self._settings)
 
+    def with_loads(self, loads: Sequence[Any]) -> ForwardModel:
+        """The same structure and sensors under other loads; modes and factor are shared, so that moving a load is cheap.
+
+        Raises
+        ------
+        InputError
+            As `ForwardModel`, for loads that do not fit the structure.
+        """
+        other = ForwardModel(self.structure, self.sensors, loads, **self._settings)
+        other.__dict__.update({name: self.__dict__[name] for name in ("factor", "modes") if name in self.__dict__})
+        other.certificate = self.certificate
+        return other
+
     @property
     def natural_frequencies(self) -> NDArray[np.float64] | None:
         """Natural frequencies (Hz) that the model retains, ascending, 0 for rigid-body modes; None without mass."""

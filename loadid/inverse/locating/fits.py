@@ -1,0 +1,176 @@
+"""Tikhonov fits of histories at given places: one fit per candidate, with one dimensionless lambda for all of them.
+
+A fit minimises ``|H g - y|^2 + sum_k lambda_k^2 |g_k|^2`` over the histories of one load or of several. What it leaves of
+any data is the *remainder* ``[y - H g; -lambda g]``; its squared norm is the objective at its minimum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..convolution import Convolution
+from ..toeplitz import toeplitz
+
+Array = NDArray[np.float64]
+PRECISE = 1e-9  # relative residual of the normal equations at which conjugate gradients stop
+CAP = 3000  # their steps at most
+NORM = 1e-6  # relative accuracy of the largest singular value of an operator
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One fit of one set of data.
+
+    Parameters
+    ----------
+    load : array, shape (samples, loads)
+    residual : array, shape (samples, sensors)
+    penalty : array
+        lambda g of all loads in one vector.
+    exact : bool
+        Whether the solver came to its accuracy.
+    """
+
+    load: Array
+    residual: Array
+    penalty: Array
+    exact: bool = True
+
+    @property
+    def residual2(self) -> float:
+        """Squared norm of the residual."""
+        return float(np.sum(self.residual**2))
+
+    @property
+    def remainder(self) -> Array:
+        """Residual and penalty in one vector."""
+        return np.concatenate([self.residual.ravel(), self.penalty])
+
+
+class Fit(Protocol):
+    """A regularised operator that can be asked for any data."""
+
+    lam: Array
+    name: str
+
+    @property
+    def edf(self) -> float:
+        """Effective degrees of freedom."""
+        ...
+
+    def solve(self, y: Array) -> Fitted:
+        """Fit of data (samples, sensors)."""
+        ...
+
+
+class DenseFit:
+    """Fit by SVD of the Toeplitz operator; every set of data then costs three products.
+
+    Parameters
+    ----------
+    h : array, shape (samples, sensors, loads)
+        Whitened impulse responses.
+    lam : array, shape (loads,), optional
+        Absolute lambda of each load.
+    relative : float, optional
+        Instead, lambda over the largest singular value of the operator; for one load.
+    """
+
+    name = "dense SVD"
+
+    def __init__(self, h: Array, lam: Array | None = None, *, relative: float | None = None) -> None:
+        self.shape = h.shape
+        N, _, p = h.shape
+        scale = np.ones(p) if lam is None else lam
+        H = toeplitz(h / scale).reshape(-1, N * p)
+        self.U, self.s, self.V = np.linalg.svd(H, full_matrices=False)
+        self.damping = 1.0 if lam is not None else (relative or 0.0) * float(self.s[0])
+        self.lam, self._scale = (np.full(p, self.damping) if lam is None else lam), scale
+        self.filter = self.s**2 / (self.s**2 + self.damping**2)
+
+    @property
+    def edf(self) -> float:
+        """Effective degrees of freedom."""
+        return float(np.sum(self.filter))
+
+    def solve(self, y: Array) -> Fitted:
+        """Fit of data (samples, sensors)."""
+        beta = self.U.T @ y.reshape(-1)
+        residual = y - (self.U @ (self.filter * beta)).reshape(y.shape)
+        scaled = (self.s / (self.s**2 + self.damping**2) * beta) @ self.V
+        return Fitted(scaled.reshape(self.shape[0], -1) / self._scale, residual, -self.damping * scaled)
+
+
+class LongFit:
+    """The same fit without a matrix: FFT products and conjugate gradients with a circulant preconditioner.
+
+    T. F. Chan, SIAM J. Sci. Stat. Comput. 9 (1988) 766, for the preconditioner: the padded spectrum stands for the
+    operator, exactly so where the response has decayed within the record.
+    """
+
+    name = "FFT and conjugate gradients"
+
+    def __init__(self, h: Array, lam: Array | None = None, *, relative: float | None = None) -> None:
+        if lam is None:
+            lam = np.full(h.shape[2], (relative or 0.0) * norm(Convolution(h)))
+        self.lam, self.operator = lam, Convolution(h / lam)
+        lines = self.operator.lines
+        gram = np.einsum("ksi,ksj->kij", lines.conj(), lines)
+        self._gram = gram + np.eye(gram.shape[1])
+
+    @property
+    def edf(self) -> float:
+        """Effective degrees of freedom, estimated over the padded spectrum (an upper estimate)."""
+        lines, loads = self._gram.shape[:2]
+        inverse = np.linalg.solve(self._gram, np.broadcast_to(np.eye(loads), self._gram.shape))
+        per_line = loads - np.einsum("kii->k", inverse).real
+        return float(self.operator.samples * np.mean(per_line))
+
+    def solve(self, y: Array) -> Fitted:
+        """Fit of data (samples, sensors)."""
+        w, exact = self._conjugate_gradients(self.operator.adjoint(y))
+        return Fitted(w / self.lam, y - self.operator.apply(w), -w.ravel(), exact)
+
+    def _conjugate_gradients(self, b: Array) -> tuple[Array, bool]:
+        """Solve ``(H^T H + I) w = b``."""
+        w, r = np.zeros_like(b), b
+        z = self._precondition(r)
+        d, rz = z, float(np.sum(r * z))
+        limit = PRECISE * float(np.linalg.norm(b))
+        for _ in range(CAP):
+            if float(np.linalg.norm(r)) <= limit:
+                return w, True
+            q = self.operator.adjoint(self.operator.apply(d)) + d
+            step = rz / float(np.sum(d * q))
+            w, r = w + step * d, r - step * q
+            z = self._precondition(r)
+            before, rz = rz, float(np.sum(r * z))
+            d = z + (rz / before) * d
+        return w, False
+
+    def _precondition(self, r: Array) -> Array:
+        from scipy import fft
+
+        padded = self.operator.padded
+        R = fft.rfft(r, padded, axis=0)
+        Z = np.linalg.solve(self._gram, R[..., None])[..., 0]
+        return np.asarray(fft.irfft(Z, padded, axis=0)[: len(r)])
+
+
+def norm(operator: Convolution) -> float:
+    """Largest singular value, by Lanczos steps with FFT products."""
+    from scipy.sparse.linalg import LinearOperator, svds
+
+    data, unknowns = (operator.samples, operator.sensors), (operator.samples, operator.loads)
+    wrapped = LinearOperator(
+        operator.shape,
+        matvec=lambda g: operator.apply(g.reshape(unknowns)).ravel(),
+        rmatvec=lambda r: operator.adjoint(r.reshape(data)).ravel(),
+        dtype=float,
+    )
+    start = np.random.default_rng(0).standard_normal(min(operator.shape))
+    return float(svds(wrapped, k=1, tol=NORM, v0=start, return_singular_vectors=False)[0])

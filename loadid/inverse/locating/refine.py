@@ -1,0 +1,152 @@
+"""From a candidate to the place between candidates: Gauss-Newton on the place, the load eliminated.
+
+Variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973) 413; Kaufman, BIT 15 (1975) 49, for the Jacobian) of
+the Tikhonov objective: the histories are fitted anew at every place, and ``-(I - P) dH/dx g`` is what a step of the place
+does to the remainder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..convolution import Convolution
+from .fits import Fit, Fitted
+
+Array = NDArray[np.float64]
+STEPS = 15
+LONGEST = 0.5  # step of a place, in spacings of the candidates
+SETTLED = 1e-4  # step below which the place stands, in spacings
+DIFFERENCE = 1e-3  # step of the differences of the impulse responses, in spacings
+HALVINGS = 6
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Places with their histories at the minimum of the objective.
+
+    Parameters
+    ----------
+    place : array, shape (loads, dim)
+    fitted : Fitted
+    curvature : array, shape (loads * dim, loads * dim)
+        Upper triangular R with ``R^T R`` the precision of the places for noise of unit level.
+    edge : bool
+        A place came to rest on the bounds.
+    settled : bool
+        The steps came to rest.
+    """
+
+    place: Array
+    fitted: Fitted
+    curvature: Array
+    edge: bool
+    settled: bool
+
+    @property
+    def objective(self) -> float:
+        """Squared residual plus penalty."""
+        return float(np.sum(self.fitted.remainder**2))
+
+    def covariance(self, sigma: float) -> Array:
+        """Covariance of the places (loads, dim, dim) at noise level `sigma`; infinite where the data tell nothing."""
+        from scipy.linalg import solve_triangular
+
+        loads, dim = self.place.shape
+        size = np.abs(np.diagonal(self.curvature))
+        if size.min(initial=np.inf) <= 1e-12 * max(size.max(initial=0.0), np.finfo(float).tiny):
+            return np.full((loads, dim, dim), np.inf)
+        half = sigma * solve_triangular(self.curvature, np.eye(len(self.curvature)))
+        full = (half @ half.T).reshape(loads, dim, loads, dim)
+        return np.array([full[k, :, k] for k in range(loads)])
+
+
+def refine(
+    start: Array,
+    y: Array,
+    lam: Array,
+    responses: Callable[[Array], Array],
+    fit: Callable[[Array, Array], Fit],
+    bounds: tuple[Array, Array],
+    spacing: float,
+) -> Refined:
+    """Refine the places of loads that act at once.
+
+    Parameters
+    ----------
+    start : array, shape (loads, dim)
+    y : array, shape (samples, sensors)
+        Whitened data.
+    lam : array, shape (loads,)
+        Absolute lambda of each load.
+    responses : callable
+        Places (n, dim) -> whitened impulse responses (samples, sensors, n).
+    fit : callable
+        Impulse responses and lambda -> Fit.
+    bounds : (low, high), arrays of shape (dim,)
+        Box that holds the places.
+    spacing : float
+        Of the candidates.
+    """
+    loads, dim = start.shape
+    place, settled = np.clip(start, *bounds), False
+    model = _at(place, responses, spacing, bounds)
+    solver = fit(model.h, lam)
+    fitted = solver.solve(y)
+    for _ in range(STEPS):
+        J = _jacobian(model, solver, fitted)
+        step = np.linalg.lstsq(J, -fitted.remainder, rcond=None)[0].reshape(loads, dim)
+        step *= min(1.0, LONGEST * spacing / max(float(np.abs(step).max()), np.finfo(float).tiny))
+        taken = 0.0
+        for _ in range(HALVINGS):
+            trial = np.clip(place + step, *bounds)
+            taken = float(np.abs(trial - place).max())
+            if taken < SETTLED * spacing:
+                break
+            new = _at(trial, responses, spacing, bounds)
+            other = fit(new.h, lam)
+            better = other.solve(y)
+            if np.sum(better.remainder**2) < np.sum(fitted.remainder**2):
+                place, model, solver, fitted = trial, new, other, better
+                break
+            step, taken = step / 2, 0.0
+        if taken < SETTLED * spacing:
+            settled = True
+            break
+    curvature = np.linalg.qr(_jacobian(model, solver, fitted), mode="r")
+    edge = bool(np.any((place <= bounds[0]) | (place >= bounds[1])))
+    return Refined(place, fitted, curvature, edge, settled)
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Impulse responses at the places (samples, sensors, loads), and their slopes (..., loads, dim)."""
+
+    h: Array
+    slope: Array
+
+
+def _at(place: Array, responses: Callable[[Array], Array], spacing: float, bounds: tuple[Array, Array]) -> _Model:
+    """Responses at the places and central differences around them, one-sided at the bounds."""
+    loads, dim = place.shape
+    step = DIFFERENCE * spacing * np.eye(dim)
+    ahead = np.clip(place[:, None] + step, *bounds)
+    behind = np.clip(place[:, None] - step, *bounds)
+    h = responses(np.concatenate([place, ahead.reshape(-1, dim), behind.reshape(-1, dim)]))
+    moved = h[..., loads:].reshape(*h.shape[:2], 2, loads, dim)
+    width = np.einsum("ldd->ld", ahead - behind)
+    return _Model(h[..., :loads], (moved[:, :, 0] - moved[:, :, 1]) / width)
+
+
+def _jacobian(model: _Model, solver: Fit, fitted: Fitted) -> Array:
+    """Change of the remainder with each coordinate of each load, (remainder, loads * dim)."""
+    _, _, loads, dim = model.slope.shape
+    columns = []
+    for k in range(loads):
+        for d in range(dim):
+            change = Convolution(model.slope[:, :, k, d, None]).apply(fitted.load[:, k, None])
+            columns.append(-solver.solve(change).remainder)
+    return np.column_stack(columns)
