@@ -1,0 +1,226 @@
+"""The columns A = H D that a sparse solver asks for: products, single columns, and blocks of their Gram matrix."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError
+
+from ..convolution import Convolution
+from .dictionaries import Dictionary
+
+FADED = 1e-10  # share of the largest response below which it has died away
+CHUNK = 2048  # rows of columns that are held at once
+
+
+class Atoms(Protocol):
+    """What a sparse solver asks of an operator of shape (m, n)."""
+
+    m: int
+    n: int
+
+    def apply(self, x: NDArray) -> NDArray[np.float64]:
+        """A x, (m,)."""
+        ...
+
+    def adjoint(self, r: NDArray) -> NDArray[np.float64]:
+        """A^T r, (n,)."""
+        ...
+
+    def columns(self, which: NDArray) -> NDArray[np.float64]:
+        """Columns of A, (m, k)."""
+        ...
+
+    def gram(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+        """Block of A^T A."""
+        ...
+
+
+class DenseAtoms:
+    """Atoms that are given as a matrix (m, n)."""
+
+    def __init__(self, matrix: NDArray) -> None:
+        self.matrix = np.asarray(matrix, float)
+        if self.matrix.ndim != 2 or not np.all(np.isfinite(self.matrix)):
+            raise InputError("no matrix of finite numbers", where="dictionary", found=f"shape {self.matrix.shape}")
+        self.m, self.n = self.matrix.shape
+
+    def apply(self, x: NDArray) -> NDArray[np.float64]:
+        """A x."""
+        return self.matrix @ x
+
+    def adjoint(self, r: NDArray) -> NDArray[np.float64]:
+        """A^T r."""
+        return self.matrix.T @ r
+
+    def columns(self, which: NDArray) -> NDArray[np.float64]:
+        """Columns of A, (m, k)."""
+        return self.matrix[:, which]
+
+    def gram(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+        """Block of A^T A."""
+        return self.matrix[:, rows].T @ self.matrix[:, columns]
+
+
+class ShiftedAtoms:
+    """Responses to the shifted waveforms of a dictionary at every load.
+
+    A column is a kernel (response to a waveform) that begins at its shift and is cut at the end of the record. The
+    product of two columns is the cross-correlation of their kernels at the difference of the shifts, as long as one of
+    them dies away within the record; else, and only then, the columns themselves are multiplied.
+
+    Parameters
+    ----------
+    h : array, shape (taps, sensors, loads)
+        Impulse responses, whitened.
+    dictionary : Dictionary
+        Of the histories of each load.
+    weight : array, shape (samples, sensors), optional
+        0 for missing data.
+    """
+
+    def __init__(self, h: NDArray, dictionary: Dictionary, weight: NDArray | None = None) -> None:
+        self.dictionary, self.samples = dictionary, dictionary.samples
+        self.operator = Convolution(h, self.samples, weight)
+        self._h = np.zeros((self.samples, *h.shape[1:]))
+        self._h[: len(h)] = h[: self.samples]
+        self.sensors, self.loads = h.shape[1:]
+        self.m, self.n = self.samples * self.sensors, dictionary.atoms * self.loads
+        self.weight = weight
+        shift = np.concatenate([f.first + f.step * np.arange(f.count) for f in dictionary.families])
+        wave = np.repeat(np.arange(len(dictionary.families)), [f.count for f in dictionary.families])
+        self.shift, self.wave = np.repeat(shift, self.loads), np.repeat(wave, self.loads)
+        self.load = np.tile(np.arange(self.loads), dictionary.atoms)
+        self.slot = np.repeat(np.arange(dictionary.atoms), self.loads)
+        cut = np.maximum(-self.shift, 0)
+        name = (cut * len(dictionary.families) + self.wave) * self.loads + self.load
+        _, self._first, self._kind = np.unique(name, return_index=True, return_inverse=True)
+        self._begin = np.maximum(self.shift, 0)
+        self._kernels: dict[int, NDArray[np.float64]] = {}
+        self._alive = np.full(len(self._first), -1)
+        self._products: dict[tuple[int, int], NDArray[np.float64]] = {}
+        self._partial = None if weight is None else np.flatnonzero(np.any(weight != 1, axis=1))
+
+    # -- products ---------------------------------------------------------------------------------------------------
+    def history(self, x: NDArray) -> NDArray[np.float64]:
+        """D x: coefficients (n,) to loads (samples, loads)."""
+        return self.dictionary.synthesise(x.reshape(-1, self.loads))
+
+    def apply(self, x: NDArray) -> NDArray[np.float64]:
+        """H D x, (m,)."""
+        return self.operator.apply(self.history(x)).reshape(-1)
+
+    def adjoint(self, r: NDArray) -> NDArray[np.float64]:
+        """D^T H^T r, (n,)."""
+        return self.dictionary.analyse(self.operator.adjoint(r.reshape(self.samples, self.sensors))).reshape(-1)
+
+    # -- columns ----------------------------------------------------------------------------------------------------
+    def columns(self, which: NDArray) -> NDArray[np.float64]:
+        """Columns of A, (m, k)."""
+        return self._rows(which, 0, self.samples, self.weight).reshape(self.m, len(which))
+
+    def _rows(self, which: NDArray, start: int, stop: int, weight: NDArray | None) -> NDArray[np.float64]:
+        """Samples start to stop of some columns, (stop - start, sensors, k)."""
+        block = np.zeros((stop - start, self.sensors, len(which)))
+        for c, j in enumerate(which):
+            q, shift = self._kernel(self._kind[j]), self._begin[j]
+            low = max(start, shift)
+            if low < stop:
+                block[low - start :, :, c] = q[low - shift : stop - shift]
+        if weight is not None:
+            block *= weight[start:stop, :, None]
+        return block
+
+    def _kernel(self, kind: int) -> NDArray[np.float64]:
+        """Response (samples, sensors) to a waveform from its first sample in the record on."""
+        if kind not in self._kernels:
+            j = self._first[kind]
+            waveform = self.dictionary.families[self.wave[j]].waveform[max(-int(self.shift[j]), 0) :]
+            q = _convolved(self._h[:, :, self.load[j]], waveform)
+            size = np.abs(q).max(axis=1)
+            alive = np.flatnonzero(size > FADED * size.max())
+            self._kernels[kind] = q
+            self._alive[kind] = alive[-1] + 1 if len(alive) else 0
+        return self._kernels[kind]
+
+    # -- Gram matrix ------------------------------------------------------------------------------------------------
+    def gram(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+        """Block of A^T A."""
+        block = np.empty((len(rows), len(columns)))
+        first, second = self._dies(rows), self._dies(columns)
+        if first.any():
+            block[first] = self._looked_up(rows[first], columns)
+        if not first.all() and second.any():
+            block[np.ix_(~first, second)] = self._looked_up(rows[~first], columns[second])
+        if not (first.all() or second.all()):
+            block[np.ix_(~first, ~second)] = self._multiplied(rows[~first], columns[~second])
+        return block
+
+    def _dies(self, which: NDArray) -> NDArray[np.bool_]:
+        """Whether the response to an atom has died away within the record."""
+        for kind in np.unique(self._kind[which]):
+            self._kernel(kind)
+        return self._begin[which] + self._alive[self._kind[which]] <= self.samples
+
+    def _looked_up(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+        block = np.empty((len(rows), len(columns)))
+        for a in np.unique(self._kind[rows]):
+            i = np.flatnonzero(self._kind[rows] == a)
+            for b in np.unique(self._kind[columns]):
+                j = np.flatnonzero(self._kind[columns] == b)
+                lag = self._begin[rows[i]][:, None] - self._begin[columns[j]]
+                block[np.ix_(i, j)] = self._correlation(a, b)[lag + self.samples]
+        if self._partial is not None and len(self._partial):
+            block -= self._lost(rows, columns)
+        return block
+
+    def _lost(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+        """What the weights take away from the products of full columns."""
+        left, right = self._at(rows, self._partial), self._at(columns, self._partial)
+        rest = 1 - self.weight[self._partial] ** 2  # type: ignore[index]
+        return np.einsum("tsi,ts,tsj->ij", left, rest, right, optimize=True)
+
+    def _at(self, which: NDArray, samples: NDArray) -> NDArray[np.float64]:
+        """Columns at some samples only, without weights, (len(samples), sensors, k)."""
+        block = np.zeros((len(samples), self.sensors, len(which)))
+        for c, j in enumerate(which):
+            after = samples >= self._begin[j]
+            block[after, :, c] = self._kernel(self._kind[j])[samples[after] - self._begin[j]]
+        return block
+
+    def _correlation(self, a: int, b: int) -> NDArray[np.float64]:
+        """``sum_t a_t b_(t + lag)`` over all sensors at lags -samples .. samples, stored from index 0."""
+        if (a, b) in self._products:
+            return self._products[a, b]
+        from scipy import fft
+
+        p, q = self._kernel(a), self._kernel(b)
+        padded = fft.next_fast_len(2 * self.samples + 1, real=True)
+        lines = np.sum(fft.rfft(p, padded, axis=0).conj() * fft.rfft(q, padded, axis=0), axis=1)
+        circular = fft.irfft(lines, padded)
+        self._products[a, b] = np.concatenate([circular[-self.samples :], circular[: self.samples + 1]])
+        return self._products[a, b]
+
+    def _multiplied(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+        """Block of A^T A by multiplying columns, a chunk of samples at a time."""
+        block = np.zeros((len(rows), len(columns)))
+        begin = int(max(self._begin[rows].min(), self._begin[columns].min()))
+        for start in range(begin, self.samples, CHUNK):
+            stop = min(start + CHUNK, self.samples)
+            r = np.flatnonzero(self.shift[rows] < stop)
+            c = np.flatnonzero(self.shift[columns] < stop)
+            left = self._rows(rows[r], start, stop, self.weight).reshape(-1, len(r))
+            right = self._rows(columns[c], start, stop, self.weight).reshape(-1, len(c))
+            block[np.ix_(r, c)] += left.T @ right
+        return block
+
+
+def _convolved(q: NDArray, waveform: NDArray) -> NDArray[np.float64]:
+    """Response (samples, sensors) to a waveform instead of a spike."""
+    response = np.zeros_like(q)
+    for k, value in enumerate(waveform[: len(q)]):
+        response[k:] += value * q[: len(q) - k]
+    return response
