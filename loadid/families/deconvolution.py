@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
-from structures.flags import Flag
+from structures.flags import Flag, codes
 from structures.model import Model
 
 from .. import flags as guards
@@ -18,6 +18,7 @@ from ..inverse import diagnose, penalties, rules
 from ..inverse.choice import Choice, choose, residual_level
 from ..inverse.svd import SVDPath
 from ..provenance import provenance
+from . import histories
 from .data import Data, gather, health
 from .level import noise_level
 from .posing import UNUSABLE, Posed, Settings, diagonal, pose
@@ -210,11 +211,17 @@ class Deconvolution:
         """W505 of what the padded transform cannot represent."""
         return None if isinstance(posed.path, SVDPath) else guards.unfinished(posed.values, residual)
 
+    def _beginning(self, posed: Posed, choice: Choice, data: Data, sigma: float) -> Flag | None:
+        """W518 of a record that starts in motion."""
+        missing = data.missing[-len(posed.values) :] if data.missing.any() else None
+        lam, penalty = choice.lam * choice.scale, self.settings.penalty
+        return histories.beginning(posed.h, posed.values, posed.noise.level, lam, penalty, sigma, missing)
+
     def _flags(
         self, posed: Posed, choice: Choice, data: Data, facts: dict[str, Any], residual: NDArray
     ) -> tuple[Flag, ...]:
         model, lost = self.model, [s.label for i, s in enumerate(self.model.sensors) if i not in data.rows]
-        rows = [model.sensors[i] for i in data.rows]
+        told = histories.layout(model, data, posed.h, self.settings.penalty)
         after = (facts["kappa"], facts["rank"], facts["nullity"])
         penalty = self.settings.penalty if isinstance(self.settings.penalty, str) else "user matrix"
         return guards.collect(
@@ -223,12 +230,12 @@ class Deconvolution:
                 *model.flags,
                 guards.not_verified(model.certificate),
                 *health(data),
-                guards.null_space(facts["m"], facts["n"], facts["rank"]),
+                histories.determined(model, facts["m"], facts["n"], facts["rank"], posed.h),
                 None if posed.full is None else guards.lost_channels(posed.full, after, lost),
                 guards.mixed_kinds(data.channels, posed.noise.known),
-                guards.high_pass(rows, data.duration),
-                guards.memory(model.decay_rate, data.duration, posed.h) or self._end(posed, residual),
-                guards.aliased(model.natural_frequencies, data.dt),
+                *told,
+                None if "W505" in codes(told) else self._end(posed, residual),
+                self._beginning(posed, choice, data, facts["noise_level"]),
                 *guards.parameter(choice, lambda factor: _discrepancy(posed, factor)),
                 guards.inverse_crime(data.record.simulated_by, model.fingerprint),
                 guards.no_coverage(self.coverage),

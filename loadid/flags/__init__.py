@@ -16,7 +16,7 @@ from .choice import (
     parameter,
 )
 from .constraints import fighting, stopped
-from .dynamics import aliased, memory, unfinished
+from .dynamics import aliased, drifting, in_motion, memory, unfinished
 from .inversion import (
     index_offset,
     nodal_as_pressure,
@@ -27,7 +27,7 @@ from .inversion import (
     resolution,
     resolution_law,
 )
-from .measurement import high_pass, interpolated, lost_channels, mixed_kinds, null_space
+from .measurement import gaps, high_pass, interpolated, lost_channels, mixed_kinds, not_apart, null_space
 from .model import not_verified
 from .validation import inverse_crime, no_coverage, resultant_only, used_for_training
 
@@ -41,9 +41,12 @@ __all__ = [
     "correlated_noise",
     "diagonal",
     "disagreement",
+    "drifting",
     "fighting",
+    "gaps",
     "gcv_minimum",
     "high_pass",
+    "in_motion",
     "index_offset",
     "interpolated",
     "inverse_crime",
@@ -55,6 +58,7 @@ __all__ = [
     "no_coverage",
     "nodal_as_pressure",
     "noise_source",
+    "not_apart",
     "not_testable",
     "not_verified",
     "null_space",

@@ -8,6 +8,9 @@ from structures.channels import Channel
 from structures.flags import Evidence, Flag
 
 CORRELATED = 0.5  # effective over nominal number of data
+LOST = 0.5  # missing share of a channel
+APART = 1e-6  # singular values of the loads, smallest over largest, below which the difference is rounding
+MOTION = ("velocity", "acceleration", "angular_velocity", "angular_acceleration")  # blind at 0 Hz
 
 
 def null_space(m: int, n: int, rank: int, unseen: Sequence[str] = ()) -> Flag | None:
@@ -50,19 +53,81 @@ def mixed_kinds(channels: Sequence[Channel], known: bool) -> Flag | None:
     )
 
 
-def high_pass(channels: Sequence[Channel], duration: float) -> Flag | None:
-    """W205: every channel is AC-coupled and the record reaches below the corners."""
-    corners = [c.highpass for c in channels]
+def high_pass(channels: Sequence[Channel], duration: float, recorded: Sequence[Channel] = ()) -> Flag | None:
+    """W205: no channel sees 0 Hz because of AC coupling, and the record reaches below the corners.
+
+    Also where a channel was recorded AC-coupled and the model takes it for one that sees 0 Hz.
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+        Sensors of the model that are used. Velocities and accelerations see no static load anyway.
+    duration : float
+        Of the record, s.
+    recorded : sequence of Channel, optional
+        Channels of the record, in the same order.
+    """
+    unknown = [r.label for c, r in zip(channels, recorded, strict=False) if r.highpass and not c.highpass]
+    if unknown:
+        corner = max(r.highpass for r in recorded if r.highpass)
+        return Flag(
+            "W205",
+            Evidence("corner of the record that the model does not know, Hz", corner, 0.0),
+            f"recorded AC-coupled, and taken by the model for sensors that see 0 Hz: {', '.join(unknown)}; the slow part "
+            "of the load comes out wrong",
+            f"state the corner on the sensor of the model too: highpass={corner:.4g}",
+        )
+    corners = [c.highpass for c in channels if c.highpass or c.quantity not in MOTION]
     if not corners or any(c is None for c in corners):
         return None
     corner, lowest = min(c for c in corners if c is not None), 1 / duration
     if lowest >= corner:
         return None
+    others = ", or sees motion only" if len(corners) < len(channels) else ""
     return Flag(
         "W205",
         Evidence("lowest frequency of the record, Hz", lowest, corner),
-        f"every channel is AC-coupled: the static part of the load is unobservable below {corner:.3g} Hz",
+        f"every channel is AC-coupled{others}: the static part of the load is unobservable below {corner:.3g} Hz",
         "add a strain or displacement sensor that sees 0 Hz, or do not read the mean of the load",
+    )
+
+
+def gaps(lost: Sequence[float], labels: Sequence[str]) -> Flag | None:
+    """W210: more of a channel is missing than there; `lost` is the missing share of each channel."""
+    worst = [(x, name) for x, name in zip(lost, labels, strict=True) if x > LOST]
+    if not worst:
+        return None
+    said = ", ".join(f"{name} ({x:.0%})" for x, name in worst[:8]) + (", ..." if len(worst) > 8 else "")
+    return Flag(
+        "W210",
+        Evidence("missing share of a channel", max(x for x, _ in worst), LOST),
+        f"more than half of the samples are missing: {said}; the rest was used as it is",
+        "leave the channel out (sensors=[...]) if its other samples are in doubt too, and look at the std of the load",
+    )
+
+
+def not_apart(ratio: float, combination: Sequence[float], loads: Sequence[str], sensors: int) -> Flag | None:
+    """W201: at no frequency do the sensors tell all loads apart.
+
+    Parameters
+    ----------
+    ratio : float
+        Smallest over largest singular value of the frequency response, columns of equal size, on the best line; zero
+        where there are fewer sensors than loads.
+    combination : sequence of float
+        The combination of the loads that is seen least, of norm 1, over all lines.
+    """
+    if ratio >= APART:
+        return None
+    size = [abs(c) for c in combination]
+    among = [name for name, s in zip(loads, size, strict=True) if s > 0.1 * max(size)]
+    few = f"{len(loads)} loads on {sensors} sensors: " if sensors < len(loads) else ""
+    return Flag(
+        "W201",
+        Evidence("loads told apart, smallest over largest singular value on the best line", ratio, APART),
+        f"{few}at no frequency can the sensors tell apart the loads {', '.join(among[:8])}"
+        f"{', ...' if len(among) > 8 else ''}: how the response is shared among them is set by the prior",
+        "add a sensor that sees them differently, join them into one load, or read their sum only",
     )
 
 

@@ -1,0 +1,107 @@
+"""Does a record begin in motion? What loads before it would explain, beyond what loads within it can.
+
+The responses to loads before the first sample span what a structure can do freely: the columns ``h[k + j]``, j > 0. If
+adding them to the model of the first samples removes much more than noise, the record does not start at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import penalties
+from .toeplitz import toeplitz
+
+WINDOW = 48  # samples from the start that are looked at
+PAST = 48  # delays from which loads before the record are taken
+DIMENSIONS = 24  # free motions that are told apart, at most
+WEAK = 1e-4  # free motions below this share of the strongest are left out
+SHORTEST = 16  # samples below which nothing can be said
+
+
+@dataclass(frozen=True)
+class Start:
+    """What the first samples say about the time before them.
+
+    Parameters
+    ----------
+    gain : float
+        Sum of squares that free motion removes from the misfit of the first samples, over the noise variance.
+    motions : int
+        Number of free motions that were allowed; `gain` is near it for a record that starts at rest.
+    share : float
+        Largest free motion over the largest response of the record, for the sensor where that is most.
+    first : float
+        Largest whitened response in the first sample, over the noise level.
+    """
+
+    gain: float
+    motions: int
+    share: float
+    first: float
+
+
+def start(
+    h: NDArray, y: NDArray, lam: float, penalty: str = "identity", sigma: float = 1.0, missing: NDArray | None = None
+) -> Start | None:
+    """Test of a start at rest, on the first samples alone.
+
+    The load of the first sample is left free: a blow that falls into it is no motion before it. A score test of added
+    columns in penalised least squares; under Gaussian loads of the prior the gain is chi-squared with `motions`
+    degrees of freedom.
+
+    Parameters
+    ----------
+    h : array, shape (taps, sensors, loads)
+        Impulse responses of the whitened sensors.
+    y : array, shape (samples, sensors)
+        Whitened data.
+    lam : float
+        Absolute lambda of the whitened problem.
+    penalty : str
+        Name of the penalty.
+    sigma : float
+        Noise level of the whitened data.
+    missing : array of bool, shape (samples, sensors), optional
+
+    Returns
+    -------
+    Start or None
+        None where the record or the impulse response is too short to tell, or the data are zero.
+    """
+    n, (_, m, p) = min(WINDOW, len(h) // 2, len(y)), h.shape
+    there = np.ones((n, m), bool) if missing is None else ~missing[:n]
+    largest = np.max(np.abs(y), axis=0)
+    if n < SHORTEST or not largest.any() or not there.any() or not sigma > 0:
+        return None
+    free = _free(h, n)
+    within = toeplitz(h[:n]).reshape(n * m, n * p)
+    L = penalties.matrix(penalty, n, p)
+    L = (np.eye(n * p) if L is None else L)[p:]  # without the row that ties the first load to nothing or to the next
+    keep = there.ravel()
+    A = np.vstack([within[keep], lam * L])
+    Q = np.linalg.qr(A)[0]
+
+    def left(columns: NDArray) -> NDArray:
+        tall = np.vstack([columns, np.zeros((len(L), columns.shape[1]))])
+        return tall - Q @ (Q.T @ tall)
+
+    misfit, motions = left(y[:n].reshape(-1, 1)[keep]), left(free[keep])
+    found = np.linalg.lstsq(motions, misfit, rcond=1e-8)[0]
+    motion = np.max(np.abs((free @ found).reshape(n, m)), axis=0)
+    return Start(
+        gain=float(np.sum((motions @ found) ** 2)) / sigma**2,
+        motions=free.shape[1],
+        share=float(np.max(motion[largest > 0] / largest[largest > 0])),
+        first=float(np.max(np.abs(y[0]))) / sigma,
+    )
+
+
+def _free(h: NDArray, n: int) -> NDArray[np.float64]:
+    """Orthonormal free motions of the first `n` samples, (n * sensors, motions): tails of the impulse responses."""
+    delays = np.unique(np.geomspace(1, len(h) - n, PAST).astype(int))
+    tails = np.stack([h[j : j + n] for j in delays], axis=-1).reshape(n * h.shape[1], -1)
+    U, s, _ = np.linalg.svd(tails, full_matrices=False)
+    return U[:, : max(min(int(np.sum(s > WEAK * s[0])), DIMENSIONS, len(U) // 4), 1)]
