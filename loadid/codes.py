@@ -50,6 +50,7 @@ GUARDS = {
     "W509": "modes above the Nyquist frequency",
     "W517": "a constant load that no sensor sees and the penalty leaves free",
     "W518": "a record that starts in motion",
+    "E514": "a load unknown in space and time that the sensors do not determine",
     "N701": "resultants alone were compared",
     "W702": "data simulated by the model that inverts them",
     "W703": "coverage of the band",

@@ -1,0 +1,215 @@
+"""Distributed loads over space and time: a load basis times its histories, with priors along both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.mapped import MappedModel
+from structures.model import Model
+from structures.motion import Motion, motion
+
+from .. import flags as guards
+from ..estimate import LoadEstimate
+from ..flags.spacetime import undetermined_field
+from ..inverse.mapped import MappedPosterior
+from . import spatial
+from .data import Data, gather
+from .deconvolution import Deconvolution
+from .geometry import geometry
+
+LINES = 24  # on which the sensors are asked how many loads they tell apart
+APART = 1e-9  # singular value over the largest, rows and columns scaled, below which a combination leaves no trace
+Array = NDArray[np.float64]
+
+
+class FieldDeconvolution:
+    """Distributed load ``q(x, t) = sum_j phi_j(x) g_j(t)`` from response histories.
+
+    Minimises ``|R^(-1/2) (h * g - y)|^2 + lambda^2 |(L_t x W) g|^2`` over whole records: L_t the penalty in time, W the
+    root of the spatial precision, ``|W g|^2 = integral of q^2 + length^2 |grad q|^2`` (without a spatial prior
+    ``|g|^2``). With the identity in time these are the two separate penalties ``lambda_t^2 |g|^2 + lambda_x^2
+    |L_x g|^2``. In the variables ``u = W g`` it is a deconvolution without a spatial prior, which `Deconvolution`
+    solves by what suits the length of the record; nothing of the size of (places x samples)^2 is formed.
+
+    The load, put on the structure again, gives a motion that obeys the equation of motion exactly (`motion`): after P.
+    Mainçon, C. Barnardo, C. M. Larsen, "VIV force estimation using inverse FEM", OMAE 2008, 673-681.
+
+    Parameters
+    ----------
+    model : Model
+        Whose loads are a `structures.bases` basis (any loads do).
+    space : {"gradient", "laplacian"}, array or None
+        Spatial prior; see `spatial.root`. None: no prior in space, refused where the sensors do not tell the loads
+        apart (LID-E514).
+    length : float, optional
+        Length of the spatial prior (m).
+    shapes : array (loads, unknowns), optional
+        Instead of a prior: the load is a combination of these columns (mode shapes at the places of the basis, say).
+    time : str
+        Penalty in time: ``identity``, ``first_difference``, ``second_difference``.
+    choice, hold, noise, noise_source, sensors, allow, coverage, progress
+        As in `Deconvolution`.
+
+    Raises
+    ------
+    InputError
+        Settings that do not fit.
+    """
+
+    name = "field deconvolution"
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        space: str | ArrayLike | None = None,
+        length: float | None = None,
+        shapes: ArrayLike | None = None,
+        time: str = "identity",
+        choice: str | float | None = None,
+        hold: str | None = None,
+        noise: ArrayLike | None = None,
+        noise_source: str | None = None,
+        sensors: Sequence[str | int] | None = None,
+        allow: Sequence[str] = (),
+        coverage: Any = None,
+        progress: Callable[[float, str], None] | None = None,
+    ) -> None:
+        if not isinstance(time, str):
+            raise InputError("the penalty in time is a name", where="time", found=type(time).__name__,
+                             expected="identity, first_difference or second_difference")  # fmt: skip
+        if space is not None and shapes is not None:
+            raise InputError("shapes are a spatial prior of their own", where="space", found="space and shapes",
+                             expected="one of the two")  # fmt: skip
+        self.model, self.space, self.length, self.time = model, space, length, time
+        self.shapes = None if shapes is None else MappedModel(model, shapes)
+        self.basis = getattr(model, "basis", None)
+        self.sensors, self.allow = sensors, guards.allowed(allow)
+        spatial.root(space, length, len(model.loads), self.basis, 1)  # refuses before any data
+        self._settings = {
+            "penalty": time, "choice": choice, "hold": hold, "noise": noise, "noise_source": noise_source,
+            "sensors": sensors, "allow": allow, "coverage": coverage, "progress": progress,
+        }  # fmt: skip
+        Deconvolution(model, **self._settings)  # type: ignore[arg-type]  # refuses the others
+
+    def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
+        """Rebuild the distributed load that caused a record.
+
+        Parameters
+        ----------
+        record : Record, or array of shape (samples, sensors)
+        dt : float, optional
+            Step in s of a bare array.
+
+        Returns
+        -------
+        LoadEstimate
+            Coefficients of the basis over time (samples, loads), with its geometry; see `Deconvolution.estimate`.
+
+        Raises
+        ------
+        InputError
+            As `Deconvolution.estimate`.
+        NotIdentifiable
+            Where the sensors do not tell the loads apart and nothing is said of the field between them (LID-E514).
+        """
+        data = gather(record, dt, self.model, self.sensors)
+        told = self._told_apart(data)
+        T = self._combinations(told)
+        model = self.model if T is None else self.shapes or MappedModel(self.model, T)
+        found = Deconvolution(model, **self._settings).estimate(record, dt)  # type: ignore[arg-type]
+        return self._over_places(found, T, told, data)
+
+    def motion(self, estimate: LoadEstimate) -> Motion:
+        """Motion of the whole structure under an estimate: displacement, velocity and acceleration of every DOF.
+
+        Raises
+        ------
+        InputError
+            If the model is no ForwardModel, or the estimate is none of its loads over time.
+        """
+        return motion(self.model, estimate.load, estimate.over("time").step, self._hold)  # type: ignore[arg-type]
+
+    # -- inside -----------------------------------------------------------------------------------------------------
+    @property
+    def _hold(self) -> str:
+        return str(self._settings["hold"] or self.model.default_hold)
+
+    def _combinations(self, told: int) -> Array | None:
+        """Matrix T (loads, unknowns) that makes loads of what is solved for; None where it is the identity."""
+        if self.shapes is not None:
+            return self.shapes.T
+        W = spatial.root(self.space, self.length, len(self.model.loads), self.basis, told)
+        if W is None:
+            return None
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(W, np.eye(len(W))), float)
+
+    def _told_apart(self, data: Data) -> int:
+        """Combinations of the unknowns of one sample that the sensors tell apart, at the best frequency.
+
+        Raises
+        ------
+        NotIdentifiable
+            If these are fewer than the unknowns, nothing is said of the field, and `allow` does not hold E514.
+        """
+        H = _lines(self.shapes or self.model, data, self._hold)
+        told, unknowns = told_apart(H[:, data.rows]), H.shape[2]
+        if told < unknowns and self.space is None and "LID-E514" not in self.allow:
+            raise undetermined_field(told, unknowns, len(data.rows), len(data.values))
+        return told
+
+    def _over_places(self, found: LoadEstimate, T: Array | None, told: int, data: Data) -> LoadEstimate:
+        """The estimate in the loads of the model, with their places and all that is said of them."""
+        loads = [c.label for c in self.model.loads]
+        places = None if self.basis is None else geometry(self.basis)
+        length = None if self.space is None else self.length
+        facts = {**found.facts, "places": len(loads), "told_apart": told}
+        extra = [guards.inverse_crime(data.record.simulated_by, self.model.fingerprint)]
+        if told < (T.shape[1] if self.shapes is not None and T is not None else len(loads)) and self.space is None:
+            extra.append(guards.overridden("E514", "combinations told apart", told, len(loads)))
+        history = {
+            **found.provenance, "family": self.name, "model": self.model.fingerprint,
+            "prior": f"in time {found.provenance['prior']}; in space {spatial.words(self.space, length)}",
+        }  # fmt: skip
+        told_of: dict[str, Any] = {
+            "labels": loads, "units": [c.unit for c in self.model.loads], "geometry": places, "facts": facts,
+            "flags": guards.collect([*extra, *found.flags]), "provenance": history,
+        }  # fmt: skip
+        if T is None:
+            return replace(found, **told_of)
+        posterior = None if found.posterior is None else MappedPosterior(found.posterior, T)
+        std = found.std @ np.abs(T).T if posterior is None else posterior.std
+        bias = None if found.bias is None else found.bias @ T.T
+        std = std if bias is None else np.maximum(std, np.abs(bias))
+        return replace(found, load=found.load @ T.T, std=std, bias=bias, posterior=posterior, **told_of)
+
+
+def told_apart(H: NDArray) -> int:
+    """Largest rank of the lines (lines, sensors, loads), units taken out: combinations of loads that leave a trace."""
+    size = np.abs(H)
+    rows, columns = np.sqrt(np.mean(size**2, axis=(0, 2))), np.sqrt(np.mean(size**2, axis=(0, 1)))
+    tiny = np.finfo(float).tiny
+    # rows first: their units; then columns, which may be a load that hardly acts
+    scaled = H / np.where(rows > 0, rows, 1.0)[:, None]
+    columns = np.sqrt(np.mean(np.abs(scaled) ** 2, axis=(0, 1)))
+    singular = np.linalg.svd(scaled / np.where(columns > 0, columns, 1.0), compute_uv=False)
+    return int(np.max(np.sum(singular > APART * np.maximum(singular[:, :1], tiny), axis=1)))
+
+
+def _lines(model: Model, data: Data, hold: str) -> NDArray[np.complex128]:
+    """Frequency response (lines, sensors, loads) between zero and the Nyquist frequency."""
+    nyquist = 0.5 / data.dt
+    f = np.geomspace(max(1 / data.duration, 1e-4 * nyquist), 0.9 * nyquist, LINES)
+    try:
+        return model.frf(f)
+    except InputError:  # a model of impulse responses only
+        h = model.impulse_response(data.dt, len(data.values), hold)
+        return np.fft.rfft(h, axis=0)[:: max(1, len(h) // (2 * LINES))]

@@ -1,0 +1,92 @@
+"""A model under combinations of its loads: other unknowns, the same sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import InputError
+from .model import Model
+from .statespace import StateSpace, channels, digest
+from .values import reals
+
+
+class MappedModel(Model):
+    """A model whose loads are ``g = T u``: its unknowns u are combinations of the loads.
+
+    Fewer columns than loads make a low-order basis of them (mode shapes, say); a square T changes the variables, as a
+    spatial prior does.
+
+    Parameters
+    ----------
+    model : Model
+        What it gives, this one gives too.
+    T : array (loads, unknowns)
+    labels : sequence of str, optional
+        Names of the unknowns; those of the loads where T is square, else ``u0, u1, ...``.
+
+    Raises
+    ------
+    InputError
+        If T does not fit, or holds NaN.
+    """
+
+    def __init__(self, model: Model, T: ArrayLike, labels: Sequence[str] | None = None) -> None:
+        self.model, self.T = model, reals(T, where="MappedModel", what="the combinations are no matrix of real numbers")
+        loads = len(model.loads)
+        if self.T.ndim != 2 or self.T.shape[0] != loads or 0 in self.T.shape or not np.all(np.isfinite(self.T)):
+            raise InputError("the combinations do not fit the loads", where="MappedModel", found=f"shape {self.T.shape}",
+                             expected=f"finite, ({loads}, unknowns)", hint="one row per load")  # fmt: skip
+        self.T.flags.writeable = False
+        self.sensors, self.certificate, self.flags = model.sensors, model.certificate, model.flags
+        self.basis = None
+        square = self.T.shape[1] == loads and labels is None
+        self.loads = model.loads if square else channels(labels, self.T.shape[1], "u", "unknowns")
+
+    def __repr__(self) -> str:
+        return f"MappedModel({self.T.shape[1]} unknowns of {self.model!r})"
+
+    def static(self) -> NDArray[np.float64]:
+        """As that of the model, (sensors, unknowns)."""
+        return self.model.static() @ self.T
+
+    def frf(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
+        """As that of the model, (lines, sensors, unknowns)."""
+        return self.model.frf(frequencies) @ self.T
+
+    def impulse_response(self, dt: float, samples: int, hold: str | None = None) -> NDArray[np.float64]:
+        """As that of the model, (samples, sensors, unknowns)."""
+        return self.model.impulse_response(dt, samples, hold or self.default_hold) @ self.T
+
+    def state_space(self, dt: float, hold: str | None = None) -> StateSpace:
+        """As that of the model, driven by the unknowns."""
+        s: Any = self.model.state_space(dt, hold or self.default_hold)
+        return StateSpace(s.A, s.B @ self.T, s.C, s.D @ self.T, dt, s.hold, sensors=self.sensors, loads=self.loads)
+
+    @property
+    def default_hold(self) -> str:
+        """That of the model."""
+        return self.model.default_hold
+
+    @property
+    def noise(self) -> NDArray[np.float64] | None:
+        """That of the model."""
+        return self.model.noise
+
+    @property
+    def natural_frequencies(self) -> NDArray[np.float64] | None:
+        """Those of the model."""
+        return self.model.natural_frequencies
+
+    @property
+    def decay_rate(self) -> float | None:
+        """That of the model."""
+        return self.model.decay_rate
+
+    @property
+    def fingerprint(self) -> str:
+        """Sha256 of the model and the combinations."""
+        return digest("MappedModel", self.model.fingerprint, self.T, self.loads)
