@@ -58,7 +58,7 @@ class L1:
     nonnegative: bool = False
 
     def levels(self, n: int) -> NDArray[np.float64]:
-        """mu w_j, (n,)."""
+        """Bound of each correlation, mu w_j, (n,)."""
         return np.full(n, self.mu) if self.weights is None else self.mu * self.weights
 
     def excess(self, c: NDArray) -> NDArray[np.float64]:
