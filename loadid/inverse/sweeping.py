@@ -95,10 +95,14 @@ def need_sigma(sweep: Sweep, rule: str) -> float:
 
 
 def seen_modes(path: RegularizationPath) -> tuple[float, float] | None:
-    """Smallest and largest generalised singular value, relative, that rounding leaves; None without a factorisation."""
+    """Smallest and largest generalised singular value, relative, that rounding leaves; None where they are not known.
+
+    A path without a factorisation may state the smallest one as its property ``seen``.
+    """
     modes = path.coefficients
     if modes is None:
-        return None
+        seen = getattr(path, "seen", None)
+        return None if seen is None else (float(seen), 1.0)
     relative = modes.gamma / modes.gamma.max()
     floor = 10 * np.finfo(float).eps * np.sqrt(len(relative))
     return float(np.min(relative[relative > floor], initial=1.0)), 1.0

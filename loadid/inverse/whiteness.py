@@ -57,8 +57,8 @@ def residuals(path: RegularizationPath, lams: NDArray) -> Iterator[NDArray[np.fl
     """Whitened residual (samples, sensors) at each lambda; with the left vectors at hand one product for a tile."""
     U, problem = getattr(path, "U", None), getattr(path, "problem", None)
     if not isinstance(path, FactoredPath) or problem is None or U is None or problem.y.ndim > 1:
-        for lam in lams:
-            rest = path.residual(float(lam))
+        own = getattr(path, "residuals", None)  # of many lambdas at once, where a path has a quick way
+        for rest in (path.residual(float(lam)) for lam in lams) if own is None else own(lams):
             yield rest.reshape(len(rest), -1)
         return
     r, samples = U.shape[1], problem.layout[0]

@@ -1,0 +1,119 @@
+"""The path of a long record judged on some of its windows: where to look for lambda before the whole is asked.
+
+All windows have the same length and the same matrices, so that one recursion of gains and covariances serves them all;
+each begins in a state of its own that is an unknown. Their lambda is that of the whole record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import NotIdentifiable
+
+from ..path import Solution
+from .covariance import spread
+from .passes import Solved, solve
+from .path import Scalars, StateSpacePath
+from .record import Record
+from .riccati import Gains, gains
+
+LENGTH, COUNT = 512, 6  # samples of a window; windows
+
+
+class WindowsPath(StateSpacePath):
+    """Sum of the paths of some windows of a record, for rules only.
+
+    Parameters
+    ----------
+    record : Record
+        Of one window.
+    windows : array, shape (windows, samples, m)
+        Their data.
+    scale : float
+        Of the whole record.
+    """
+
+    def __init__(self, record: Record, windows: NDArray, scale: float) -> None:
+        self.windows = windows
+        self._solutions: dict[float, tuple[Gains, list[Solved]]] = {}
+        super().__init__(record, scale=scale)
+        count = len(windows)
+        self.m, self.null, self._limit = count * record.data, count * len(record.free), count * self._limit
+
+    @property
+    def unknowns(self) -> int:
+        """Loads times samples of all windows."""
+        return len(self.windows) * self.record.samples * self.record.p
+
+    def scalars(self, lam: float) -> Scalars:
+        """Sums over the windows at one relative lambda."""
+        held, each = self._each(lam)
+        known, count = spread(self.record, held, every_sample=False), len(self.windows)
+        sums = np.zeros(4)
+        for y, one in zip(self.windows, each, strict=True):
+            rest = y - one.response
+            again = solve(self.record, held, rest)
+            sums += [np.sum(rest**2), np.sum(one.inputs**2), np.sum(again.load**2), np.sum(again.inputs * one.inputs)]
+        penalty, total = count * known.penalty, self.unknowns + self.null
+        return Scalars(
+            residual2=float(sums[0]),
+            penalty2=float(sums[1]),
+            edf=total - penalty,
+            left=(self.m - total) + penalty,
+            ratio=count * held.logdet - 2 * self.unknowns * np.log(held.lam) - self._limit,
+            trace=count * known.trace,
+            change2=float(sums[2]),
+            bend=float(sums[3]),
+        )
+
+    def residual(self, lam: float) -> NDArray[np.float64]:
+        """Whitened residuals of the windows side by side, (samples, windows * m)."""
+        return np.hstack([y - one.response for y, one in zip(self.windows, self._each(lam)[1], strict=True)])
+
+    def _bias2(self, at: float, pilot: float) -> float:
+        then, each = self._each(at)[0], self._each(pilot)[1]
+        return float(sum(np.sum((solve(self.record, then, one.response).load - one.load) ** 2) for one in each))
+
+    def _each(self, lam: float) -> tuple[Gains, list[Solved]]:
+        """Gains, and the solution of every window."""
+        if lam not in self._solutions:
+            held = gains(self.record, lam * float(self.scale))
+            self._solutions[lam] = held, [solve(self.record, held, y) for y in self.windows]
+        return self._solutions[lam]
+
+    def solution(self, lam: float, sigma: float | None) -> Solution:
+        """Not for windows.
+
+        Raises
+        ------
+        NotImplementedError
+            Always: ask the path of the record.
+        """
+        raise NotImplementedError("windows choose lambda; the record has the solution")
+
+
+def windows_of(path: StateSpacePath) -> WindowsPath | None:
+    """Windows of a long record, from the quietest to the most energetic; None where they cannot stand for it.
+
+    Those without missing samples count, and the state at their start must be seen by the sensors.
+    """
+    record = path.record
+    starts = np.arange(0, record.samples - LENGTH + 1, LENGTH)
+    same = np.array([np.all(record.kind[k : k + LENGTH] == record.kind[k]) for k in starts])
+    common = np.bincount(record.kind[starts[same]]).argmax() if same.any() else -1
+    starts = starts[same & (record.kind[starts] == common)]
+    if len(starts) < COUNT:
+        return None
+    energy = np.array([np.sum(record.y[k : k + LENGTH] ** 2) for k in starts])
+    picked = starts[np.argsort(energy)[np.linspace(0, len(starts) - 1, COUNT).round().astype(int)]]
+    one = replace(
+        record, kind=np.full(LENGTH, common, np.int32), y=np.zeros((LENGTH, record.m)), free=np.arange(record.n),
+        data=int(LENGTH * np.sum(np.any(record.C[common] != 0, axis=1) | np.any(record.D[common] != 0, axis=1))),
+    )  # fmt: skip
+    try:
+        return WindowsPath(one, np.array([record.y[k : k + LENGTH] for k in picked]), float(path.scale))
+    except NotIdentifiable:
+        return None

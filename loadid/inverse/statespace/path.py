@@ -1,0 +1,271 @@
+"""The regularization path of a record over a state space: everything that the rules ask, in O(N) for each lambda."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError, NotIdentifiable
+
+from ..path import PathPoint, Solution
+from .certificate import gradient
+from .covariance import spread
+from .nodes import Table, Values, powers_of_rest
+from .passes import Solved, forward, solve
+from .posterior import StateSpacePosterior
+from .record import Record
+from .riccati import Gains, feedback, gains
+from .scale import largest, smallest, unforced
+
+LOWEST = 1e-8  # relative lambda below which the square-root recursion loses its digits
+TINY = np.finfo(float).tiny
+KEPT = 20_000  # samples up to which gains and residuals of all nodes are kept
+WIDE = 0.25  # decades between the nodes of a quick path
+FIELDS = ("residual2", "penalty2", "edf", "left", "ratio", "trace", "change2", "bend")
+
+
+@dataclass(frozen=True)
+class Scalars:
+    """What one lambda gives, all positive: see `PathPoint`; `ratio` is the evidence term, `trace` tr of the covariance.
+
+    `change2` is the squared norm of the estimate from the residual as data, and `bend` the product of its L g with that
+    of the estimate: zero on a path that leaves them out.
+    """
+
+    residual2: float
+    penalty2: float
+    edf: float
+    left: float
+    ratio: float
+    trace: float
+    change2: float
+    bend: float
+
+    def array(self) -> NDArray[np.float64]:
+        """In the order of `FIELDS`."""
+        return np.array([getattr(self, name) for name in FIELDS])
+
+
+class StateSpacePath:
+    """Exact Tikhonov of a finite record over a state space, ``min |H g - y|^2 + lam^2 |L g|^2``, in O(N).
+
+    A lambda costs one Riccati recursion over the memory of the record (`riccati`), one covariance recursion for the
+    traces, and two passes over the data. The rules see a spline through a fifth of a decade of such nodes (`nodes`);
+    `exact`, `solution`, `residual` and `resolve` are exact at any lambda.
+
+    Parameters
+    ----------
+    record : Record
+    quick : bool
+        Leave out what needs a second solve (sensitivity for quasi-optimality, bend of the L-curve), and space the nodes
+        more widely: for rules that only confirm what shorter windows chose.
+    scale : float, optional
+        Of the problem that this is part of.
+    """
+
+    smooth = True
+    coefficients = None
+
+    def __init__(self, record: Record, *, quick: bool = False, scale: float | None = None) -> None:
+        self.record, self.quick = record, quick
+        self.m, self.null = record.data, len(record.free)
+        if self.m == 0:
+            raise InputError("no data", where="state-space path", found="every sample is missing",
+                             expected="some measured samples")  # fmt: skip
+        self._limit = self._unforced()
+        self.scale = np.asarray(largest(record) if scale is None else scale)
+        if not 1e-140 < float(self.scale) < 1e140:
+            raise InputError("the forward model is zero, or beyond the range of numbers", where="inverse problem",
+                             found=f"largest generalised singular value {float(self.scale):.2g}",
+                             expected="between 1e-140 and 1e140",
+                             hint="check the sensors, the loads and the units")  # fmt: skip
+        self._table = self._new_table(lambda lam: self.scalars(lam).array())
+        self._kept: dict[float, tuple[Gains, Solved]] = {}
+        self._errors: dict[float, Table] = {}
+
+    def _unforced(self) -> float:
+        """ln det of what the data tell of the free states alone; refused where that is nothing."""
+        if not self.null:
+            return 0.0
+        R = np.abs(np.diag(np.linalg.qr(unforced(self.record), mode="r")))
+        if len(R) < self.null or R.min() <= self.m * np.finfo(float).eps * R.max():
+            raise NotIdentifiable(
+                "a load that the penalty leaves free, or an unknown start, is not seen by the sensors "
+                f"(relative response {R.min() / max(R.max(), TINY):.2g})",
+                advice="add a sensor that sees a constant load, choose penalty='identity' or a leaky difference, or "
+                "start from rest",
+                code="LID-E306",
+            )
+        return 2 * float(np.sum(np.log(R)))
+
+    # -- the contract -------------------------------------------------------------------------------------------------
+    @property
+    def range(self) -> tuple[float, float]:
+        """Relative lambda from below the smallest singular value of the lines, but not below 1e-8, up to 1."""
+        return float(np.clip(1e-3 * self.seen, LOWEST, 0.1)), 1.0
+
+    @property
+    def seen(self) -> float:
+        """Smallest relative generalised singular value that counts, from the lines of the steady system."""
+        if not hasattr(self, "_smallest"):
+            self._smallest = float(np.clip(smallest(self.record) / float(self.scale), LOWEST, 1.0))
+        return self._smallest
+
+    @property
+    def unknowns(self) -> int:
+        """Loads times samples."""
+        return self.record.samples * self.record.p
+
+    def at(self, lam: ArrayLike) -> PathPoint:
+        """Scalars of the path at relative `lam`, from a spline between nodes; lambda 0 is not on this path."""
+        lam = np.asarray(lam, float)
+        self._check(lam)
+        if lam.size == 1 and not self._table.holds(lam.reshape(-1)):
+            return self._alone(lam)
+        point = self._point(np.atleast_1d(lam), self._table.at(np.atleast_1d(lam)))
+        if lam.ndim:
+            return point
+        return PathPoint(**{k: None if v is None else v[0] for k, v in vars(point).items()})
+
+    def _alone(self, lam: NDArray) -> PathPoint:
+        """Exact scalars at one lambda, without those that need its neighbours."""
+        own = self.scalars(float(lam.reshape(-1)[0]))
+
+        def shaped(x: float) -> NDArray:
+            return np.full(lam.shape, x)
+
+        objective = own.residual2 + (float(lam.reshape(-1)[0]) * float(self.scale)) ** 2 * own.penalty2
+        return PathPoint(
+            shaped(own.residual2), shaped(own.penalty2), edf=shaped(own.edf), left=shaped(own.left),
+            objective=shaped(objective), log_ratio=shaped(own.ratio),
+            sensitivity=None if self.quick else shaped(2 * np.sqrt(own.change2)),
+            bend=None if self.quick else shaped(-4 * own.bend),
+        )  # fmt: skip
+
+    def exact(self, lam: float) -> PathPoint:
+        """Scalars at one relative lambda without interpolation; traces of powers from a fine stencil in ln lambda."""
+        table = Table(lambda x: self.scalars(x * lam).array(), step=0.02)
+        point = self._point(np.array([lam]), table.at(np.ones(1)))
+        own = self.scalars(lam)
+        values = {k: None if v is None else v[0] for k, v in vars(point).items()}
+        return replace(PathPoint(**values), residual2=np.asarray(own.residual2), penalty2=np.asarray(own.penalty2),
+                       edf=np.asarray(own.edf), left=np.asarray(own.left), log_ratio=np.asarray(own.ratio))  # fmt: skip
+
+    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64]:
+        """Squared load error at each `lam` (k,) that would be made if the load were the estimate at `pilot`."""
+        lam = np.atleast_1d(np.asarray(lam, float))
+        self._check(lam)
+        if pilot not in self._errors:
+            self._errors[pilot] = self._new_table(lambda at: np.array([self._bias2(at, pilot)]))
+        # noise: tr of P H^T H P, with P = (H^T H + lam^2 L^T L)^-1 and dP/dt = -lam^2 P L^T L P
+        trace, slope, *_ = self._table.at(lam).slopes(FIELDS.index("trace"))
+        return self._errors[pilot].at(lam).value(0) + sigma**2 * np.maximum(trace + slope, 0.0)
+
+    def residual(self, lam: float) -> NDArray[np.float64]:
+        """Whitened residual (samples, sensors), 0 where data are missing."""
+        self._check(np.array([lam]))
+        return self.record.y - self._solved(lam)[1].response
+
+    def residuals(self, lams: NDArray) -> list[NDArray[np.float64]]:
+        """Residuals for the tests of whiteness: exact for one lambda, of the nearest node for many."""
+        if len(lams) == 1 or self.record.samples > KEPT:
+            return [self.residual(float(lam)) for lam in lams]
+        nodes = self._table.nodes(lams)
+        return [self.residual(float(nodes[np.argmin(np.abs(np.log(nodes / lam)))])) for lam in lams]
+
+    def solution(self, lam: float, sigma: float | None) -> Solution:
+        """Load history (samples, loads) and its posterior."""
+        self._check(np.array([lam]))
+        held, solved = self._solved(lam)
+        if sigma is None:
+            return Solution(solved.load, None)
+        return Solution(solved.load, StateSpacePosterior(self.record, held.lam, sigma, held))
+
+    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+        """What would be estimated from the noise-free response of `load` (samples, loads)."""
+        return solve(self.record, self._solved(lam)[0], self.response(load)).load
+
+    def response(self, load: NDArray) -> NDArray[np.float64]:
+        """Whitened response (samples, sensors) to a load (samples, loads) on a system at rest."""
+        # with the feedback E the input is g - E xi: the load is what is put in
+        held = feedback(self.record, self.record.E)
+        return forward(self.record, held, np.ascontiguousarray(load, float), np.zeros(self.record.n))[2]
+
+    def gradient(self, lam: float) -> float:
+        """Norm of half the gradient of the objective at the solution over that of H^T y: a certificate."""
+        held, solved = self._solved(lam)
+        return gradient(self.record, held.lam, solved)
+
+    # -- inside -------------------------------------------------------------------------------------------------------
+    def scalars(self, lam: float) -> Scalars:
+        """Everything at one relative lambda."""
+        held, solved = self._solved(lam)
+        known = spread(self.record, held, every_sample=False)
+        rest = self.record.y - solved.response
+        count = self.unknowns + self.null
+        change2 = bend = 0.0
+        if not self.quick:
+            again = solve(self.record, held, rest)
+            change2, bend = float(np.sum(again.load**2)), float(np.sum(again.inputs * solved.inputs))
+        return Scalars(
+            residual2=float(np.sum(rest**2)),
+            penalty2=float(np.sum(solved.inputs**2)),
+            edf=count - known.penalty,
+            left=(self.m - count) + known.penalty,
+            ratio=held.logdet - 2 * self.unknowns * np.log(held.lam) - self._limit,
+            trace=known.trace,
+            change2=change2,
+            bend=bend,
+        )
+
+    def _bias2(self, at: float, pilot: float) -> float:
+        """Squared distance of the estimate at `pilot` from what would be made of its response."""
+        first = self._solved(pilot)[1]
+        return float(np.sum((solve(self.record, self._gains(at), first.response).load - first.load) ** 2))
+
+    def _new_table(self, compute: Callable[[float], NDArray]) -> Table:
+        return Table(compute, step=WIDE, around=1, degree=5) if self.quick else Table(compute)
+
+    def _point(self, lam: NDArray, values: Values) -> PathPoint:
+        found = dict(zip(FIELDS, np.exp(values.log), strict=True))
+        rest2, rest4 = powers_of_rest(values.slopes(FIELDS.index("left")))
+        edf, slope, *_ = values.slopes(FIELDS.index("edf"))
+        return PathPoint(
+            residual2=found["residual2"],
+            penalty2=found["penalty2"],
+            edf=edf,
+            edf2=np.clip(edf + slope, 0.0, edf),
+            left=found["left"],
+            rest2=rest2,
+            rest4=rest4,
+            sensitivity=None if self.quick else 2 * np.sqrt(found["change2"]),
+            objective=found["residual2"] + (lam * float(self.scale)) ** 2 * found["penalty2"],
+            log_ratio=found["ratio"],
+            bend=None if self.quick else -4 * found["bend"],
+        )
+
+    def _gains(self, lam: float) -> Gains:
+        return self._kept[lam][0] if lam in self._kept else gains(self.record, lam * float(self.scale))
+
+    def _solved(self, lam: float) -> tuple[Gains, Solved]:
+        """Gains and solution at a relative lambda: all that were asked for of a short record, the last of a long one."""
+        lam = float(lam)
+        if lam not in self._kept:
+            held = gains(self.record, lam * float(self.scale))
+            if self.record.samples > KEPT:
+                self._kept.clear()
+            self._kept[lam] = held, solve(self.record, held)
+        return self._kept[lam]
+
+    @staticmethod
+    def _check(lam: NDArray) -> None:
+        if not np.all(np.isfinite(lam)) or np.any(lam < 0.9 * LOWEST):
+            raise InputError(
+                "lambda is too small for the state-space path", where="lambda", found=float(np.min(lam)),
+                expected=f"a relative lambda of at least {LOWEST:g}",
+                hint="below that the recursion loses all digits: use the dense path (path='dense') on a window",
+            )  # fmt: skip
+

@@ -1,0 +1,140 @@
+"""Gains of the linear-quadratic problem of a record: backward Riccati recursion in square-root form.
+
+One QR factorisation of a small matrix for each sample, without differences of large numbers (P = Gamma^T Gamma):
+
+    [ D         C       ]        [ M^1/2   M^1/2 K ]
+    [ lam I     0       ]  =  Q  [ 0       Gamma_k ]
+    [ Gamma G   Gamma F ]        [ 0       0       ]
+
+Where the matrices do not change the gains settle, and the recursion ends. Kailath, Sayed & Hassibi, Linear Estimation,
+Prentice Hall 2000, ch. 12, for the array form; Anderson & Moore, Optimal Control, 1990, for the problem.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compiled import AVAILABLE, compiled
+from .record import Record
+from .small import multiply, solve_upper, triangularise
+
+STRIDE = 32  # samples between two looks at the gains
+SETTLED = 4e-15  # relative change over a stride that is rounding
+FLOOR = 1e-11  # change that no longer falls, and is rounding of a badly conditioned step
+STALLED = 3  # looks without a fall
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Feedback of every sample at one lambda.
+
+    Parameters
+    ----------
+    lam : float
+        Absolute lambda.
+    K : array, shape (rows, p, n)
+        Distinct gains, the last sample's first.
+    R : array, shape (rows, p, p)
+        Upper triangular factors, M = R^T R.
+    which : array of int, shape (samples,)
+        Row of each sample.
+    root : array, shape (n, n)
+        Factor of the cost of the initial state, P_0 = root^T root.
+    logdet : float
+        ln det of the precision of inputs and free states together, that is of (H^T H + lam^2 L^T L).
+    start : array, shape (free, free)
+        Upper triangular root of the covariance of the free states, start start^T at unit noise.
+    """
+
+    lam: float
+    K: NDArray[np.float64]
+    R: NDArray[np.float64]
+    which: NDArray[np.int32]
+    root: NDArray[np.float64]
+    logdet: float
+    start: NDArray[np.float64]
+
+
+def gains(record: Record, lam: float) -> Gains:
+    """Gains of a record at one absolute lambda."""
+    rows = 4096
+    while True:
+        rows = min(rows, record.samples)
+        K, R = np.empty((rows, record.p, record.n)), np.empty((rows, record.p, record.p))
+        which = np.empty(record.samples, np.int32)
+        used, root, logdet = _recursion(
+            record.F, record.G, record.C, record.D, record.kind, float(lam), K, R, which,
+            STRIDE, SETTLED, FLOOR, STALLED,
+        )  # fmt: skip
+        if used <= rows:
+            break
+        rows *= 4
+    start = np.zeros((0, 0))
+    if len(record.free):
+        from scipy.linalg import solve_triangular
+
+        corner = np.linalg.qr(root[:, record.free], mode="r")
+        start = solve_triangular(corner, np.eye(len(corner)))
+        logdet += 2 * float(np.sum(np.log(np.abs(np.diag(corner)))))
+    return Gains(float(lam), K[:used], R[:used], which, root, logdet, start)
+
+
+def feedback(record: Record, K: NDArray | None = None) -> Gains:
+    """One feedback for all samples (default none), with M = I: for passes that solve nothing."""
+    p = record.p
+    K = np.zeros((p, record.n)) if K is None else K
+    return Gains(0.0, K[None], np.eye(p)[None], np.zeros(record.samples, np.int32), np.empty(0), 0.0, np.zeros((0, 0)))
+
+
+def _recursion(
+    F: NDArray, G: NDArray, C: NDArray, D: NDArray, kind: NDArray, lam: float,
+    K: NDArray, R: NDArray, which: NDArray, stride: int, settled: float, floor: float, stalled: int,
+) -> tuple[int, NDArray, float]:  # fmt: skip
+    """Fill K, R and which from the end; rows used (one more than there are if they do not suffice), root, sum ln M."""
+    n, p, m = F.shape[1], G.shape[2], C.shape[1]
+    stack = np.zeros((m + p + n, p + n))
+    root, below = np.zeros((n, n)), np.zeros((n, p + n))
+    left, right = np.zeros((n, p)), np.zeros((n, n))
+    row, logdet, last, steady, since, before, stale = -1, 0.0, 0.0, False, 0, np.inf, 0
+    for k in range(len(kind) - 1, -1, -1):
+        j = kind[k]
+        if k + 1 < len(kind) and j != kind[k + 1]:
+            steady, since, before, stale = False, 0, np.inf, 0
+        if steady:
+            which[k] = row
+            logdet += last
+            continue
+        row += 1
+        if row == len(K):
+            return row + 1, root, logdet
+        multiply(root, G[j], left)
+        multiply(root, F[j], right)
+        stack[:m, :p], stack[:m, p:] = D[j], C[j]
+        stack[m : m + p] = 0.0
+        for i in range(p):
+            stack[m + i, i] = lam
+        below[:, :p], below[:, p:] = left, right
+        stack[m + p :] = below
+        triangularise(stack)
+        R[row] = stack[:p, :p]
+        solve_upper(R[row], stack[:p, p:], K[row])
+        root[:] = stack[p : p + n, p:]
+        which[k], last = row, 0.0
+        for i in range(p):
+            last += 2.0 * np.log(abs(R[row, i, i]))
+        logdet += last
+        since += 1
+        if since > stride and since % stride == 0:
+            change = np.abs(K[row] - K[row - stride]).max()
+            size = np.abs(K[row]).max()
+            stale = stale + 1 if change >= 0.98 * before else 0
+            before = change
+            steady = change <= settled * size or (change <= floor * size and stale >= stalled)
+    return row + 1, root, logdet
+
+
+if AVAILABLE:
+    _recursion = compiled(_recursion)
