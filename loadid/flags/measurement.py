@@ -73,7 +73,7 @@ def high_pass(channels: Sequence[Channel], duration: float, recorded: Sequence[C
         return Flag(
             "W205",
             Evidence("corner of the record that the model does not know, Hz", corner, 0.0),
-            f"recorded AC-coupled, and taken by the model for sensors that see 0 Hz: {', '.join(unknown)}; the slow part "
+            f"recorded AC-coupled, taken by the model for sensors that see 0 Hz: {', '.join(unknown)}; the slow part "
             "of the load comes out wrong",
             f"state the corner on the sensor of the model too: highpass={corner:.4g}",
         )

@@ -209,8 +209,9 @@ def contradicted(sweep: rules.Sweep, asked: dict[str, RuleResult], source: str) 
 
     The fit may spend all data but `SPARE` of them, so that the residual which it leaves is noise, or what the model
     cannot explain: a chi-square test at `CHANCE` with those degrees of freedom, and a factor of at least `CLEARLY`.
-    None where robust GCV, which would have to stand in, found no optimum, and where the level itself was estimated
-    from the misfit of the model (`ESTIMATED`).
+    None where robust GCV, which would have to stand in, found no optimum or one that spends more (a fit that leaves
+    enough is then smoother than the load, and leaves some of it), and where the level itself was estimated from the
+    misfit of the model (`ESTIMATED`).
     """
     path, sigma, found, left = sweep.path, sweep.sigma, asked["robust_gcv"], sweep.point.left
     if sigma is None or left is None or found.lam is None or found.edge or source.startswith(ESTIMATED):
@@ -221,6 +222,8 @@ def contradicted(sweep: rules.Sweep, asked: dict[str, RuleResult], source: str) 
     from scipy.special import gammaincinv
 
     k = int(enough[0])
+    if sweep.lam[k] > found.lam:
+        return None
     freedom = float(left[k])
     level = float(np.sqrt(sweep.point.residual2[k] / freedom))
     margin = max(CLEARLY, float(np.sqrt(2 * gammaincinv(freedom / 2, 1 - CHANCE) / freedom)))
