@@ -179,8 +179,9 @@ class ShiftedAtoms:
 
     def _lost(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
         """What the weights take away from the products of full columns."""
+        assert self.weight is not None and self._partial is not None
         left, right = self._at(rows, self._partial), self._at(columns, self._partial)
-        rest = 1 - self.weight[self._partial] ** 2  # type: ignore[index]
+        rest = 1 - self.weight[self._partial] ** 2
         return np.einsum("tsi,ts,tsj->ij", left, rest, right, optimize=True)
 
     def _at(self, which: NDArray, samples: NDArray) -> NDArray[np.float64]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -95,7 +97,7 @@ def solve(
         x[which] = part.x
         used = groups.norms(x) > 0
     assert best is not None
-    return SparseSolution(**{**best.__dict__, "steps": steps})
+    return replace(best, steps=steps)
 
 
 def _standing_out(size: NDArray, mu: float, small: bool) -> NDArray[np.int_]:

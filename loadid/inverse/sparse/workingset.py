@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +53,8 @@ class _WorkingSet:
         return x
 
 
-def solve(atoms: Atoms, y: NDArray, penalty: L1, *, tol: float = 1e-6, start: NDArray | None = None) -> SparseSolution:
-    """Minimise ``1/2 |A x - y|^2`` plus an l1 penalty to a relative duality gap.
+class Solver:
+    """l1 problems of one operator and record at several mu; each starts where the last one ended.
 
     A round takes in the atoms that stand out most of their neighbours among those that violate the optimality
     conditions (neighbouring responses are nearly equal: one of them will do), and solves the problem on the working set
@@ -66,44 +66,56 @@ def solve(atoms: Atoms, y: NDArray, penalty: L1, *, tol: float = 1e-6, start: ND
     ----------
     atoms : Atoms
     y : array, shape (m,)
-    penalty : L1
-    tol : float
-        Gap over ``1/2 |y|^2`` at which to stop.
-    start : array, shape (n,), optional
-        Coefficients to start from: the solution of a neighbouring problem.
-
-    Returns
-    -------
-    SparseSolution
-        With ``converged`` False where rounding or the number of rounds ended it.
     """
-    work = _WorkingSet(atoms)
-    if start is not None and np.any(start):
-        work.grow(np.flatnonzero(start))
-        work.x = np.array(start[work.which], float)
-    levels, steps, best = penalty.levels(atoms.n), 0, None
-    for turn in range(ROUNDS):
-        x = work.full(atoms.n)
-        residual = y - atoms.apply(x) if np.any(work.x) else np.array(y, float)
-        c = atoms.adjoint(residual)
-        objective, distance = gap(y, residual, penalty.value(work.x, work.which), penalty.dual_scale(c))
-        if best is None or distance < best.gap:
-            best = SparseSolution(
-                x, np.flatnonzero(x), residual, penalty.mu, distance, objective, steps, distance <= tol
-            )
-        if distance <= tol:
-            break
-        new = _standing_out(penalty.excess(c), levels, work.which)
-        if not len(new) and turn and best.gap < distance:
-            break  # nothing left to add and no progress: rounding
-        work.prune()
-        work.grow(new)
-        taken = _minimise(work, c[work.which], levels[work.which], penalty.nonnegative)
-        steps += taken
-        if not taken and not len(new):
-            break
-    assert best is not None
-    return SparseSolution(**{**best.__dict__, "steps": steps})
+
+    def __init__(self, atoms: Atoms, y: NDArray) -> None:
+        self.atoms, self.y = atoms, np.asarray(y, float)
+        self._work = _WorkingSet(atoms)
+
+    def solve(self, penalty: L1, *, tol: float = 1e-6) -> SparseSolution:
+        """Minimise ``1/2 |A x - y|^2`` plus an l1 penalty to a relative duality gap.
+
+        Parameters
+        ----------
+        penalty : L1
+        tol : float
+            Gap over ``1/2 |y|^2`` at which to stop.
+
+        Returns
+        -------
+        SparseSolution
+            With ``converged`` False where rounding or the number of rounds ended it.
+        """
+        atoms, y, work = self.atoms, self.y, self._work
+        if penalty.nonnegative:
+            work.x = np.maximum(work.x, 0.0)
+        levels, steps, best = penalty.levels(atoms.n), 0, None
+        for turn in range(ROUNDS):
+            x = work.full(atoms.n)
+            residual = y - atoms.apply(x) if np.any(work.x) else y.copy()
+            c = atoms.adjoint(residual)
+            objective, distance = gap(y, residual, penalty.value(work.x, work.which), penalty.dual_scale(c))
+            if best is None or distance < best.gap:
+                support = np.flatnonzero(x)
+                best = SparseSolution(x, support, residual, penalty.mu, distance, objective, 0, distance <= tol)
+            if distance <= tol:
+                break
+            new = _standing_out(penalty.excess(c), levels, work.which)
+            if not len(new) and turn and best.gap < distance:
+                break  # nothing left to add and no progress: rounding
+            work.prune()
+            work.grow(new)
+            taken = _minimise(work, c[work.which], levels[work.which], penalty.nonnegative)
+            steps += taken
+            if not taken and not len(new):
+                break
+        assert best is not None
+        return replace(best, steps=steps)
+
+
+def solve(atoms: Atoms, y: NDArray, penalty: L1, *, tol: float = 1e-6) -> SparseSolution:
+    """One l1 problem, from zero: see `Solver.solve`."""
+    return Solver(atoms, y).solve(penalty, tol=tol)
 
 
 def _standing_out(excess: NDArray, levels: NDArray, known: NDArray) -> NDArray[np.int_]:
@@ -125,7 +137,9 @@ def _minimise(work: _WorkingSet, c: NDArray, levels: NDArray, nonnegative: bool)
     sign = np.sign(x)
     active = sign != 0
     _start(G, c, levels, active, sign, nonnegative)
-    for step in range(STEPS + len(x)):
+    steps = 0
+    while steps < STEPS + len(x):
+        steps += 1
         a = np.flatnonzero(active)
         if not len(a):
             break
@@ -143,7 +157,7 @@ def _minimise(work: _WorkingSet, c: NDArray, levels: NDArray, nonnegative: bool)
         if t == 1.0 and not len(dropped) and not _start(G, c - G @ (x - x0), levels, active, sign, nonnegative):
             break
     work.x = x
-    return step + 1 if len(x) else 0
+    return steps
 
 
 def _newton(G: NDArray, a: NDArray, slope: NDArray) -> NDArray[np.float64]:
