@@ -90,7 +90,9 @@ class StateSpacePath:
         """ln det of what the data tell of the free states alone; refused where that is nothing."""
         if not self.null:
             return 0.0
-        R = np.abs(np.diag(np.linalg.qr(unforced(self.record), mode="r")))
+        columns = unforced(self.record)
+        size = np.linalg.norm(columns, axis=0)  # a load and a state have units of their own
+        R = np.abs(np.diag(np.linalg.qr(columns / np.where(size > 0, size, 1.0), mode="r")))
         if len(R) < self.null or R.min() <= self.m * np.finfo(float).eps * R.max():
             raise NotIdentifiable(
                 "a load that the penalty leaves free, or an unknown start, is not seen by the sensors "
@@ -99,7 +101,7 @@ class StateSpacePath:
                 "start from rest",
                 code="LID-E306",
             )
-        return 2 * float(np.sum(np.log(R)))
+        return 2 * float(np.sum(np.log(R * size)))
 
     # -- the contract -------------------------------------------------------------------------------------------------
     @property
@@ -187,6 +189,10 @@ class StateSpacePath:
     def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
         return solve(self.record, self._solved(lam)[0], self.response(load)).load
+
+    def start(self, lam: float) -> NDArray[np.float64]:
+        """State of the augmented system at the first sample."""
+        return self._solved(lam)[1].start
 
     def response(self, load: NDArray) -> NDArray[np.float64]:
         """Whitened response (samples, sensors) to a load (samples, loads) on a system at rest."""
