@@ -1,0 +1,207 @@
+"""Normal equations of a record, with weights on its unknowns: products and solutions in O(N), never the matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .blocks import Blocks
+
+CHUNK = 512  # blocks worked on at once
+
+
+class Factor(Protocol):
+    """Solves with one matrix."""
+
+    def solve(self, r: NDArray) -> NDArray[np.float64]:
+        """Solution v (size,)."""
+        ...
+
+
+class Normal(Protocol):
+    """``Q = H^T H + lambda^2 L^T L`` over unknowns v: free states at the start, then the loads (samples, loads)."""
+
+    @property
+    def size(self) -> int:
+        """Unknowns."""
+        ...
+
+    @property
+    def start(self) -> int:
+        """Free states: that many unknowns come before the loads."""
+        ...
+
+    @property
+    def data2(self) -> float:
+        """Squared norm of the whitened data."""
+        ...
+
+    @property
+    def q(self) -> NDArray[np.float64]:
+        """H^T y, shape (size,)."""
+        ...
+
+    def apply(self, v: NDArray) -> NDArray[np.float64]:
+        """Q v."""
+        ...
+
+    def factor(self, weight: NDArray | None = None) -> Factor:
+        """Factors of ``Q + diag(weight)``; where the weight (size,) is infinite, the unknown is held at 0."""
+        ...
+
+    def norms(self, v: NDArray) -> tuple[float, float]:
+        """Squared norms of ``y - H v`` and of ``L v``."""
+        ...
+
+
+class BlockNormal:
+    """Normal equations of a record in blocks at one absolute lambda.
+
+    A solution eliminates the loads of every block (all blocks at once), then runs over the blocks with the n states
+    that join them, and puts the loads back.
+
+    Parameters
+    ----------
+    blocks : Blocks
+    lam : float
+        Absolute lambda, > 0.
+    """
+
+    def __init__(self, blocks: Blocks, lam: float) -> None:
+        self.blocks, self.lam = blocks, float(lam)
+        B = blocks
+        yt, wt = B.Ty.transpose(0, 2, 1), self.lam**2 * B.Tw.transpose(0, 2, 1)
+        self.Hgg, self.Hgx = yt @ B.Ty + wt @ B.Tw, yt @ B.Oy + wt @ B.Ow
+        self.Hxx = B.Oy.transpose(0, 2, 1) @ B.Oy + self.lam**2 * B.Ow.transpose(0, 2, 1) @ B.Ow
+
+    @property
+    def start(self) -> int:
+        """Free states."""
+        return len(self.blocks.free)
+
+    @property
+    def size(self) -> int:
+        """Free states and loads."""
+        return self.start + self.blocks.samples * self.blocks.p
+
+    @cached_property
+    def data2(self) -> float:
+        """Squared norm of the whitened data."""
+        return float(np.sum(self.blocks.y**2))
+
+    @cached_property
+    def q(self) -> NDArray[np.float64]:
+        """H^T y."""
+        B = self.blocks
+        own, back = (B.each(M.transpose(0, 2, 1), B.y) for M in (B.Ty, B.Oy))
+        return self._adjoint(own, back)
+
+    def apply(self, v: NDArray) -> NDArray[np.float64]:
+        """Q v: states forward, their adjoint backward."""
+        B, g = self.blocks, self.blocks.split(v[self.start :])
+        x = B.states(v[: self.start], g)[:-1]
+        own = B.each(self.Hgg, g) + B.each(self.Hgx, x)
+        back = B.each(self.Hgx.transpose(0, 2, 1), g) + B.each(self.Hxx, x)
+        return self._adjoint(own, back)
+
+    def _adjoint(self, own: NDArray, back: NDArray) -> NDArray[np.float64]:
+        """Gradient from that of each block by its own loads and by its start."""
+        B = self.blocks
+        mu = np.zeros((B.count + 1, B.n))
+        for j in range(B.count - 1, -1, -1):
+            mu[j] = back[j] + mu[j + 1] @ B.Phi[B.pattern[j]]
+        g = own + B.each(B.Gamma.transpose(0, 2, 1), mu[1:])
+        return np.concatenate([mu[0, B.free], B.join(g)])
+
+    def factor(self, weight: NDArray | None = None) -> BlockFactor:
+        """Factors of ``Q + diag(weight)``; where the weight is infinite, the unknown is held at 0."""
+        return BlockFactor(self, self._weights(weight))
+
+    def norms(self, v: NDArray) -> tuple[float, float]:
+        """Squared norms of ``y - H v`` and of ``L v``."""
+        B, g = self.blocks, self.blocks.split(v[self.start :])
+        x = B.states(v[: self.start], g)[:-1]
+        rest = B.y - B.each(B.Oy, x) - B.each(B.Ty, g)
+        return float(np.sum(rest**2)), float(np.sum((B.each(B.Ow, x) + B.each(B.Tw, g)) ** 2))
+
+    def _weights(self, weight: NDArray | None) -> NDArray[np.float64]:
+        """Weights (blocks, b p), infinite behind the end of the record."""
+        B = self.blocks
+        d = np.full(B.count * B.width, np.inf)
+        d[: B.samples * B.p] = 0.0 if weight is None else weight[self.start :]
+        return d.reshape(B.count, B.width)
+
+    def scaled(self, d: NDArray) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64]]]:
+        """Some blocks after others: ``t (Hgg + diag(d)) t``, of unit diagonal, and t (0 where a load is held)."""
+        for a in range(0, self.blocks.count, CHUNK):
+            part = slice(a, a + CHUNK)
+            scaled = self.Hgg[self.blocks.pattern[part]]
+            diagonal = np.einsum("jii->ji", scaled)
+            t = 1 / np.sqrt(diagonal + d[part])
+            scaled *= t[:, :, None]
+            scaled *= t[:, None, :]
+            diagonal[:] = 1.0
+            yield part, scaled, t
+
+
+class BlockFactor:
+    """Factors of the normal equations of a record with the weights ``d`` (blocks, b p); solves right side after right side.
+
+    With A = Phi - Gamma S Hgx, c = Gamma S Gamma^T and S = (Hgg + diag(d))^-1 of every block, the cost to go
+    x^T P x / 2 - v^T x and the states at the joints obey
+
+        P_j = Hxx - Hgx^T S Hgx + A^T P Z,    Z = (I + c P)^-1 A,    x_{j+1} = Z x_j + (I + c P)^-1 (Gamma S r_j + c v).
+    """
+
+    def __init__(self, normal: BlockNormal, d: NDArray) -> None:
+        from scipy.linalg.lapack import dgesv
+
+        self.normal, self.d = normal, d
+        B, n = normal.blocks, normal.blocks.n
+        self.Sx, self.Su = np.empty((2, B.count, B.width, n))
+        for part, scaled, t in normal.scaled(d):
+            k = B.pattern[part]
+            right = np.concatenate([normal.Hgx[k], B.Gamma[k].transpose(0, 2, 1)], axis=2)
+            found = t[:, :, None] * np.linalg.solve(scaled, t[:, :, None] * right)
+            self.Sx[part], self.Su[part] = found[:, :, :n], found[:, :, n:]
+        self.c, A, J = np.empty((3, B.count, n, n))
+        for i, rows in enumerate(B.members):
+            self.c[rows] = B.Gamma[i] @ self.Su[rows]
+            A[rows] = B.Phi[i] - B.Gamma[i] @ self.Sx[rows]
+            J[rows] = normal.Hxx[i] - normal.Hgx[i].T @ self.Sx[rows]
+        self.P, self.Z = np.zeros((B.count + 1, n, n)), np.empty((B.count, n, n))
+        eye = np.eye(n)
+        for j in range(B.count - 1, -1, -1):
+            self.Z[j] = dgesv(eye + self.c[j] @ self.P[j + 1], A[j])[2]
+            P = J[j] + A[j].T @ (self.P[j + 1] @ self.Z[j])
+            self.P[j] = (P + P.T) / 2
+
+    def solve(self, r: NDArray) -> NDArray[np.float64]:
+        """Solution v (size,) of ``(Q + diag(weight)) v = r``."""
+        N, B, n = self.normal, self.normal.blocks, self.normal.blocks.n
+        own, Sr = B.split(r[N.start :]), np.empty((B.count, B.width))
+        for part, scaled, t in N.scaled(self.d):
+            Sr[part] = t * np.linalg.solve(scaled, (t * own[part])[:, :, None])[:, :, 0]
+        b, Zt = B.each(B.Gamma, Sr), self.Z.transpose(0, 2, 1)
+        constant = -B.each(N.Hgx.transpose(0, 2, 1), Sr) - _times(Zt, _times(self.P[1:], b))
+        v = np.zeros((B.count + 1, n))
+        for j in range(B.count - 1, -1, -1):
+            v[j] = constant[j] + Zt[j] @ v[j + 1]
+        x, f = np.zeros((B.count + 1, n)), B.free
+        if len(f):
+            x[0, f] = np.linalg.solve(self.P[0][np.ix_(f, f)], v[0, f] + r[: N.start])
+        push = np.linalg.solve(np.eye(n) + self.c @ self.P[1:], (b + _times(self.c, v[1:]))[:, :, None])[:, :, 0]
+        for j in range(B.count):
+            x[j + 1] = self.Z[j] @ x[j] + push[j]
+        mu = _times(self.P[1:], x[1:]) - v[1:]
+        g = Sr - _times(self.Sx, x[:-1]) - _times(self.Su, mu)
+        return np.concatenate([x[0, f], B.join(g)])
+
+
+def _times(matrices: NDArray, vectors: NDArray) -> NDArray[np.float64]:
+    """Product of each matrix with its vector."""
+    return (matrices @ vectors[:, :, None])[:, :, 0]

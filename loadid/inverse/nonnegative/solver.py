@@ -1,0 +1,216 @@
+"""Non-negative Tikhonov of a record: ``min |H g - y|^2 + lambda^2 |L g|^2`` where some or all loads only push."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError, NotIdentifiable
+
+from ..statespace.record import Record
+from .blocks import Blocks, cut
+from .certificate import gap
+from .exchange import Exchanged, exchange
+from .interior import interior
+from .normal import BlockNormal, Factor, Normal
+from .spread import Spread, spread
+
+CONVERGED = 1e-6  # relative duality gap of a solution
+PACE = 0.7  # loads on the wrong side must fall at this rate; else the interior-point method is faster
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class NonNegativeSolution:
+    """Loads that push, with what shows that they are the minimum.
+
+    Parameters
+    ----------
+    load : array, shape (samples, loads)
+        >= 0 where signed; held loads are exactly 0.
+    held : array of bool, shape (samples, loads)
+        The active set: loads at 0 that would pull if they could.
+    multiplier : array, shape (samples, loads)
+        Half the derivative of the objective by a load: >= 0 where held, 0 where free.
+    gap : float
+        Objective minus a lower bound of its minimum, over ``|y|^2 / 2``; `certificate.gap` says how.
+    converged : bool
+        The gap is below 1e-6.
+    steps : int
+        Factorisations.
+    solver : str
+    residual2, penalty2 : float
+        Squared norms of ``y - H g`` and of ``L g``.
+    lam : float
+        Absolute lambda.
+    start : array
+        States of the model and of the load at the first sample, those that were unknown.
+    """
+
+    load: NDArray[np.float64]
+    held: NDArray[np.bool_]
+    multiplier: NDArray[np.float64]
+    gap: float
+    converged: bool
+    steps: int
+    solver: str
+    residual2: float
+    penalty2: float
+    lam: float
+    start: NDArray[np.float64]
+
+
+class NonNegativeRecord:
+    """A record whose loads, or some of them, only push; solved at one lambda after another, each start warm.
+
+    Parameters
+    ----------
+    record : Record
+        Whitened data over a state space with its penalty (`loadid.inverse.statespace.record`): several sensors and
+        loads, missing data and an unknown start are in it.
+    signed : array of bool or of int, optional
+        Loads that only push, as a mask (loads,) or their numbers; default all. The others take either sign.
+
+    Raises
+    ------
+    InputError
+        Numbers of loads that are not there.
+    """
+
+    def __init__(self, record: Record, signed: ArrayLike | None = None) -> None:
+        self.blocks: Blocks = cut(record)
+        self.signed = _loads(signed, record.p)
+        free = np.zeros(len(record.free), bool)
+        self._signed = np.concatenate([free, np.tile(self.signed, record.samples)])
+
+    def solve(
+        self, lam: float, warm: NonNegativeSolution | None = None, progress: Progress | None = None
+    ) -> NonNegativeSolution:
+        """Solution at the absolute `lam`, from the active set of `warm` or of the unconstrained solution.
+
+        Parameters
+        ----------
+        lam : float
+            Absolute lambda, > 0: that which the unconstrained path chose will do (see `loadid.inverse.nonnegative`).
+        warm : NonNegativeSolution, optional
+            Of a lambda or of data nearby.
+        progress : callable, optional
+            Called as ``progress(fraction, text)``.
+
+        Raises
+        ------
+        InputError
+            A lambda that is not positive.
+        NotIdentifiable
+            If lambda is so small that the equations have no solution in these numbers.
+        """
+        if not (np.isfinite(lam) and lam > 0):
+            raise InputError("no absolute lambda", where="lambda", found=lam, expected="a finite number > 0")
+        normal = BlockNormal(self.blocks, float(lam))
+        shape = (self.blocks.samples, self.blocks.p)
+        held = None if warm is None else np.concatenate([np.zeros(normal.start, bool), warm.held.reshape(-1)])
+        found = minimise(normal, self._signed, held, progress)
+        g = found.v[normal.start :]
+        residual2, penalty2 = normal.norms(found.v)
+        return NonNegativeSolution(
+            g.reshape(shape), found.held[normal.start :].reshape(shape),
+            np.where(found.held, np.maximum(found.gradient, 0.0), 0.0)[normal.start :].reshape(shape),
+            found.gap, found.gap <= CONVERGED, found.steps, found.solver, residual2, penalty2, float(lam),
+            found.v[: normal.start],
+        )  # fmt: skip
+
+    def spread(self, lam: float, held: NDArray | None = None) -> Spread:
+        """Variance at unit noise and degrees of freedom with the `held` loads (samples, loads) held; None: none."""
+        normal = BlockNormal(self.blocks, float(lam))
+        weight = np.zeros(normal.size)
+        if held is not None:
+            weight[normal.start :] = np.where(held.reshape(-1), np.inf, 0.0)
+        return spread(normal.factor(weight))
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Unknowns, gradient, held unknowns, relative duality gap, factorisations, and what solved it."""
+
+    v: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+    held: NDArray[np.bool_]
+    gap: float
+    steps: int
+    solver: str
+
+
+def minimise(normal: Normal, signed: NDArray, held: NDArray | None = None, progress: Progress | None = None) -> Minimum:
+    """Minimum of ``v^T Q v / 2 - q^T v`` with v >= 0 where `signed`.
+
+    Blocks of loads change between free and held as long as that goes fast; else an interior-point method finds the
+    active set, and the exchange ends it with exact zeros. Of all points seen, that with the smallest gap is returned.
+    """
+    report = _reporter(progress)
+    unbounded = normal.factor()
+    free = unbounded.solve(normal.q)
+    if not np.all(np.isfinite(free)):
+        raise NotIdentifiable(
+            "the normal equations cannot be solved in these numbers: lambda is too small",
+            advice="take a larger lambda", code="LID-E306",
+        )  # fmt: skip
+    held = signed & (free < 0) if held is None else held & signed
+    first = exchange(normal, signed, held, report, pace=PACE)
+    best = _certified(normal, unbounded, signed, first, 0, "active set")
+    if first.settled and best.gap <= CONVERGED:
+        return best
+    inner = interior(normal, signed, free, report)
+    steps = first.steps + inner.steps
+    held = signed & (inner.s * np.linalg.norm(inner.v) > inner.v * np.linalg.norm(inner.s))
+    last = exchange(normal, signed, held, report)
+    inside = Exchanged(np.where(held, 0.0, inner.v), np.zeros(0), held, False, 0)
+    return min(
+        best,
+        _certified(normal, unbounded, signed, last, steps, "interior point, active set"),
+        _certified(normal, unbounded, signed, inside, steps, "interior point"),
+        key=lambda m: m.gap,
+    )
+
+
+def _certified(normal: Normal, free: Factor, signed: NDArray, found: Exchanged, steps: int, solver: str) -> Minimum:
+    """A point made admissible, with its gap."""
+    v = np.where(signed, np.maximum(found.v, 0.0), found.v)
+    gradient = found.gradient if found.settled else normal.apply(v) - normal.q
+    return Minimum(v, gradient, found.held, gap(normal, free, v, gradient, signed), steps + found.steps, solver)
+
+
+def _reporter(progress: Progress | None) -> Callable[[], None]:
+    """Counts steps; how many there will be is not known, so that the fraction only approaches 1."""
+    steps = 0
+
+    def report() -> None:
+        nonlocal steps
+        steps += 1
+        if progress is not None:
+            progress(1 - 0.9**steps, f"loads that push, step {steps}")
+
+    return report
+
+
+def _loads(signed: ArrayLike | None, p: int) -> NDArray[np.bool_]:
+    """Mask (loads,) of the loads that only push."""
+    if signed is None:
+        return np.ones(p, bool)
+    given = np.atleast_1d(np.asarray(signed))
+    if given.dtype == bool and given.shape == (p,):
+        return given.copy()
+    mask = np.zeros(p, bool)
+    if (
+        given.dtype == bool
+        or given.ndim != 1
+        or not np.issubdtype(given.dtype, np.integer)
+        or np.any((given < 0) | (given >= p))
+    ):
+        raise InputError("these are no loads of the record", where="signed", found=signed,
+                         expected=f"a mask ({p},), or numbers from 0 to {p - 1}")  # fmt: skip
+    mask[given] = True
+    return mask
