@@ -11,8 +11,12 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "Absolute": "loadid.families.steady",
     "Deconvolution": "loadid.families.deconvolution",
+    "FieldDeconvolution": "loadid.families.field",
+    "HarmonicInversion": "loadid.families.harmonic",
     "InputError": "structures.errors",
     "LoadEstimate": "loadid.estimate",
+    "LocationResult": "loadid.location",
+    "LocationSearch": "loadid.families.location",
     "NotIdentifiable": "structures.errors",
     "Record": "loadid.record",
     "StaticInversion": "loadid.families.static",

@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .damping import Modal
 from .discretise import blocks, check
 from .errors import InputError
+from .factor import Factor
 from .forward import ForwardModel
 from .structure import Structure
-from .values import reals
+from .values import positive, reals
 
 Array = NDArray[np.float64]
 
@@ -143,3 +145,72 @@ def _advance(lam: Array, c: Array, push: Array, dt: float, hold: str) -> tuple[A
         states[k] = x
     scale = np.where(lam > 0, np.sqrt(lam), 1.0)
     return states[..., 0] / scale, states[..., 1]
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicMotion:
+    """Complex motion of every DOF under loads on one frequency line.
+
+    Parameters
+    ----------
+    structure : Structure
+    frequency : float
+        Hz.
+    displacement : array (n,), complex
+        m, rad.
+    forces : array (n,), complex
+        The load on every DOF.
+    """
+
+    structure: Structure
+    frequency: float
+    displacement: NDArray[np.complex128] = field(repr=False)
+    forces: NDArray[np.complex128] = field(repr=False)
+
+    @property
+    def velocity(self) -> NDArray[np.complex128]:
+        """Of every DOF (n,): m/s, rad/s."""
+        return 2j * np.pi * self.frequency * self.displacement
+
+    def along(self, direction: int = 3) -> NDArray[np.intp]:
+        """DOFs that point along an axis (3: Z), by node."""
+        return np.array([i for i, dof in enumerate(self.structure.dofs) if abs(dof.direction) == direction], np.intp)
+
+    def imbalance(self) -> float:
+        """Relative residual of ``(K + i omega C - omega^2 M) u = f`` over the free DOFs, forces and moments each."""
+        s, omega = self.structure, 2 * np.pi * self.frequency
+        assert s.M_free is not None  # it moves
+        u, f = self.displacement[s.free], self.forces[s.free]
+        terms = [s.K_free @ u, -(omega**2) * (s.M_free @ u), f]
+        if s.C_free is not None:
+            terms.insert(0, 1j * omega * (s.C_free @ u))
+        turns = np.array([3 < abs(s.dofs[i].direction) <= 6 for i in s.free])
+        residual, found = sum(terms[:-1]) - f, 0.0
+        for part in (turns, ~turns):
+            largest = max(float(np.linalg.norm(term[part])) for term in terms)
+            found = max(found, float(np.linalg.norm(residual[part])) / largest if largest > 0 else 0.0)
+        return found
+
+
+def harmonic_motion(model: ForwardModel, load: ArrayLike, frequency: float) -> HarmonicMotion:
+    """Motion of the whole structure under complex loads (loads,) on one line (Hz): one sparse solve.
+
+    Raises
+    ------
+    InputError
+        If the load does not fit, a load moves over the structure, or its damping is no matrix.
+    """
+    f, s = positive("frequency", frequency, where="harmonic_motion", unit="Hz"), model.structure
+    g = np.asarray(load, complex).reshape(-1)
+    if model.moving or s.M_free is None or isinstance(s.damping, Modal):
+        raise InputError("one solve needs matrices that stay", where="harmonic_motion",
+                         found="a load that moves, no mass, or modal damping",
+                         expected="fixed loads, mass, and Rayleigh damping or C",
+                         hint="model.frf([frequency]) with a displacement sensor at every node takes them")  # fmt: skip
+    if g.shape != (len(model.loads),) or not np.all(np.isfinite(g)):
+        raise InputError("the load does not fit the model", where="harmonic_motion", found=f"shape {g.shape}",
+                         expected=f"finite, ({len(model.loads)},)")  # fmt: skip
+    omega, forces = 2 * np.pi * f, model._columns @ g
+    dynamic = s.K_free - omega**2 * s.M_free + (0.0 if s.C_free is None else 1j * omega * s.C_free)
+    u = Factor(dynamic, check=False).solve(forces)
+    return HarmonicMotion(s, f, s.expand(u), s.expand(forces))

@@ -1,0 +1,270 @@
+"""Loads on one frequency line, from the complex amplitudes of the responses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError, NotIdentifiable
+from structures.model import Model
+from structures.values import positive
+
+from .. import flags as guards
+from ..estimate import Axis, LoadEstimate
+from ..inverse import diagnose, rules
+from ..inverse.choice import choose, residual_level
+from ..inverse.problem import LinearProblem
+from ..inverse.svd import SVDPath
+from ..provenance import provenance
+from . import spatial
+from .data import rows_of
+from .field import told_apart
+from .geometry import geometry
+from .level import noise_level
+from .noise import Noise
+
+Complex = NDArray[np.complex128]
+
+
+class HarmonicInversion:
+    """Loads of one frequency line from complex amplitudes, ``Y = H(f) G``.
+
+    Minimises ``|R^(-1/2) (H G - Y)|^2 + lambda^2 |W G|^2`` at the line, real and imaginary parts as one real problem, so
+    that every rule and the band are those of a static inversion. The response that the model gives to the estimate
+    obeys the equation of motion exactly: after P. Mainçon, C. Barnardo, C. M. Larsen, "VIV force estimation using
+    inverse FEM", OMAE 2008, 673-681.
+
+    Parameters
+    ----------
+    model : Model
+        Anything that gives ``frf``.
+    frequency : float
+        Hz.
+    space : {"gradient", "laplacian"}, array or None
+        Spatial prior; see `spatial.root`. None: ``|W G| = |G|``.
+    length : float, optional
+        Length of the spatial prior (m).
+    choice : str, float or None
+        Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
+    noise : float or array (sensors,), optional
+        Standard deviation of the complex amplitudes, ``sqrt(mean |error|^2)``.
+    noise_source : str, optional
+        Where that level comes from.
+    sensors, allow, coverage, progress
+        As in `Deconvolution`.
+
+    Raises
+    ------
+    InputError
+        Settings that do not fit.
+    """
+
+    name = "harmonic inversion"
+
+    def __init__(
+        self,
+        model: Model,
+        frequency: float,
+        *,
+        space: str | ArrayLike | None = None,
+        length: float | None = None,
+        choice: str | float | None = None,
+        noise: ArrayLike | None = None,
+        noise_source: str | None = None,
+        sensors: Sequence[str | int] | None = None,
+        allow: Sequence[str] = (),
+        coverage: Any = None,
+        progress: Callable[[float, str], None] | None = None,
+    ) -> None:
+        self.model, self.frequency = model, positive("frequency", frequency, where="HarmonicInversion", unit="Hz")
+        self.space, self.length, self.choice = space, length, choice
+        self.noise, self.noise_source, self.sensors = noise, noise_source, sensors
+        self.allow, self.coverage = guards.allowed(allow), coverage
+        self._progress = progress or (lambda fraction, text: None)
+        self.basis = getattr(model, "basis", None)
+        self.rows = rows_of(sensors, model)
+        self.H: Complex = model.frf([self.frequency])[0][self.rows]
+        rank = told_apart(self.H[None])
+        self.W = spatial.root(space, length, self.H.shape[1], self.basis, rank)
+
+    def estimate(self, amplitudes: Any) -> LoadEstimate:
+        """Rebuild the loads behind complex amplitudes.
+
+        Parameters
+        ----------
+        amplitudes : array (sensors,) or mapping of label to number, complex
+            In the units of the sensors; ``y(t) = Re[Y exp(i 2 pi f t)]``.
+
+        Returns
+        -------
+        LoadEstimate
+            Complex loads (1, loads) on a frequency axis of one line; the std is ``sqrt(mean |error|^2)``.
+
+        Raises
+        ------
+        InputError
+            Amplitudes that do not fit, NaN.
+        NotIdentifiable
+            With lambda 0, where the sensors do not determine the load (LID-E306).
+        """
+        Y = self._amplitudes(amplitudes)
+        self._progress(0.1, "posing the problem")
+        posed = self._pose(Y)
+        self._refuse_undetermined(posed)
+        self._progress(0.4, "choosing lambda")
+        choice = choose(posed.path, self.choice, sigma=posed.noise.sigma, source=posed.noise.source)
+        sigma = noise_level(posed.path, choice, posed.noise)
+        solution = posed.path.solution(choice.lam, sigma)
+        parts, assumed = solution.load, solution.posterior
+        assert assumed is not None
+        bias = diagnose.hidden(posed.path, choice.lam, parts, assumed.std, axis=-1)
+        load, std = parts[0] + 1j * parts[1], np.linalg.norm(np.maximum(assumed.std, np.abs(bias)), axis=0)
+        channels = [self.model.sensors[i] for i in self.rows]
+        facts = self._facts(posed, choice.lam, sigma, parts)
+        self._progress(1.0, "done")
+        return LoadEstimate(
+            load=load[None],
+            std=std[None],
+            bias=(bias[0] + 1j * bias[1])[None],
+            labels=[c.label for c in self.model.loads],
+            units=[c.unit for c in self.model.loads],
+            axis=Axis("frequency", "Hz", np.array([self.frequency])),
+            choice=choice,
+            response=Y[None],
+            residual=(Y - self.H @ load)[None],
+            sensors=[c.label for c in channels],
+            sensor_units=[c.unit for c in channels],
+            flags=guards.collect(
+                [
+                    *self.model.flags,
+                    *self._overridden(posed),
+                    guards.not_verified(self.model.certificate),
+                    guards.null_space(facts["m"], facts["n"], facts["rank"]),
+                    guards.mixed_kinds(channels, posed.noise.known),
+                    *guards.parameter(choice, posed.discrepancy),
+                    guards.no_coverage(self.coverage),
+                ]
+            ),
+            allowed=self.allow,
+            certificate=self.model.certificate,
+            geometry=None if self.basis is None else geometry(self.basis),
+            facts=facts,
+            provenance=provenance(
+                self.name,
+                settings={"frequency": self.frequency, "space": self._said, "length": self.length,
+                          "choice": self.choice, "noise_source": posed.noise.source,
+                          "sensors": None if self.sensors is None else [str(s) for s in self.sensors]},
+                inputs={},
+                model=self.model.fingerprint,
+                prior=f"in space {spatial.words(self.space, self.length)}",
+            ),
+        )  # fmt: skip
+
+    # -- inside -----------------------------------------------------------------------------------------------------
+    @property
+    def _said(self) -> str | None:
+        return self.space if self.space is None or isinstance(self.space, str) else "matrix"
+
+    def _amplitudes(self, given: Any) -> Complex:
+        labels = [self.model.sensors[i].label for i in self.rows]
+        if isinstance(given, Mapping):
+            missing = [x for x in labels if x not in given]
+            if missing:
+                raise InputError("there is no amplitude of a sensor of the model", where="estimate", found=list(given),
+                                 expected=f"amplitudes of {missing}", hint="or leave it out: sensors=[...]")  # fmt: skip
+            given = [given[x] for x in labels]
+        try:
+            Y = np.array(given, complex)
+        except (TypeError, ValueError) as error:
+            raise InputError("the amplitudes are no numbers", where="estimate", found=str(error)[:200],
+                             expected="complex numbers") from None  # fmt: skip
+        if Y.ndim == 1 and len(Y) == len(self.model.sensors) > len(self.rows):
+            Y = Y[self.rows]
+        if Y.shape != (len(self.rows),) or not np.all(np.isfinite(Y)):
+            raise InputError("the amplitudes do not fit the model", where="estimate",
+                             found=f"shape {Y.shape}" + ("" if np.all(np.isfinite(Y)) else " with NaN or infinity"),
+                             expected=f"finite, ({len(self.rows)},): {labels[:12]}")  # fmt: skip
+        return Y
+
+    def _pose(self, Y: Complex) -> _Posed:
+        """The line as a real problem: real parts before imaginary ones."""
+        noise, H = self._noise(Y), self.H
+        loads = H.shape[1]
+        both = np.stack([np.hstack([H.real, -H.imag]), np.hstack([H.imag, H.real])])
+        L = None if self.W is None else np.kron(np.eye(2), self.W)
+        problem = LinearProblem.whitened(both, np.stack([Y.real, Y.imag]), noise.level, L, (2, loads))
+        return _Posed(SVDPath(problem, labels=[f"{part} {c.label}" for part in ("Re", "Im") for c in self.model.loads]),
+                      noise)  # fmt: skip
+
+    def _noise(self, Y: Complex) -> Noise:
+        """Std of the real and of the imaginary part of each amplitude; else a scale per unit."""
+        count = len(self.rows)
+        if self.noise is not None:
+            try:
+                level = np.broadcast_to(np.asarray(self.noise, float), (count,))
+            except (TypeError, ValueError):
+                level = np.full(count, np.nan)
+            if not np.all(np.isfinite(level)) or np.any(level <= 0):
+                raise InputError("the noise does not fit the sensors", where="noise", found=str(self.noise)[:80],
+                                 expected=f"a positive number, or ({count},)")  # fmt: skip
+            return Noise(level / np.sqrt(2), True, self.noise_source or "a guess of the user")
+        units = [self.model.sensors[i].unit for i in self.rows]
+        size = {u: np.sqrt(np.mean([abs(y) ** 2 for y, v in zip(Y, units, strict=True) if v == u])) for u in units}
+        if not all(size.values()):
+            raise InputError("all amplitudes of a kind are zero", where="estimate",
+                             found=[u for u, s in size.items() if s == 0], expected="a response",
+                             hint="state the noise of the amplitudes (noise=)")  # fmt: skip
+        return Noise(np.array([size[u] for u in units]), False, "not known")
+
+    @property
+    def _free(self) -> bool:
+        return isinstance(self.choice, int | float) and self.choice == 0
+
+    def _refuse_undetermined(self, posed: _Posed) -> None:
+        rank, n = posed.path.rank, 2 * self.H.shape[1]
+        if self._free and rank < n and "LID-E306" not in self.allow:
+            raise NotIdentifiable(
+                f"without regularisation the load is not determined: rank {rank // 2} of {n // 2} complex unknowns "
+                f"from {len(self.rows)} sensors",
+                advice="add sensors, give lambda > 0, or use fewer loads",
+                code="LID-E306",
+            )
+
+    def _overridden(self, posed: _Posed) -> list[Any]:
+        n = 2 * self.H.shape[1]
+        if self._free and posed.path.rank < n:
+            return [guards.overridden("E306", "rank", posed.path.rank, n)]
+        return []
+
+    def _facts(self, posed: _Posed, lam: float, sigma: float, load: NDArray) -> dict[str, Any]:
+        path, n = posed.path, 2 * self.H.shape[1]
+        kappa = diagnose.layout(path.singular_values, n)[0]
+        point = path.at(lam)
+        return {
+            "path": "dense SVD, real and imaginary parts",
+            "m": int(path.m),
+            "n": n,
+            "rank": path.rank,
+            "nullity": n - path.rank,
+            "kappa": kappa,
+            "edf": None if point.edf is None else float(point.edf),
+            "residual_to_noise": residual_level(path, lam) if posed.noise.known else None,
+            "noise_level": float(sigma),
+            "noise_source": posed.noise.source,
+        }
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """A line as a real problem, and its noise."""
+
+    path: SVDPath
+    noise: Noise
+
+    def discrepancy(self, factor: float) -> float | None:
+        """Lambda of the discrepancy rule at a multiple of the noise level."""
+        return rules.discrepancy(rules.Sweep.over(self.path, self.noise.sigma), factor).lam
