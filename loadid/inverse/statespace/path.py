@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,7 +88,7 @@ class StateSpacePath:
         self._errors: dict[float, Table] = {}
 
     def _unforced(self) -> float:
-        """ln det of what the data tell of the free states alone; refused where that is nothing."""
+        """Log det of what the data tell of the free states alone; refused where that is nothing."""
         if not self.null:
             return 0.0
         columns = unforced(self.record)
@@ -130,7 +131,8 @@ class StateSpacePath:
         point = self._point(np.atleast_1d(lam), self._table.at(np.atleast_1d(lam)))
         if lam.ndim:
             return point
-        return PathPoint(**{k: None if v is None else v[0] for k, v in vars(point).items()})
+        one: Any = {k: None if v is None else v[0] for k, v in vars(point).items()}
+        return PathPoint(**one)
 
     def _alone(self, lam: NDArray) -> PathPoint:
         """Exact scalars at one lambda, without those that need its neighbours."""
@@ -152,7 +154,7 @@ class StateSpacePath:
         table = Table(lambda x: self.scalars(x * lam).array(), step=0.02)
         point = self._point(np.array([lam]), table.at(np.ones(1)))
         own = self.scalars(lam)
-        values = {k: None if v is None else v[0] for k, v in vars(point).items()}
+        values: Any = {k: None if v is None else v[0] for k, v in vars(point).items()}
         return replace(PathPoint(**values), residual2=np.asarray(own.residual2), penalty2=np.asarray(own.penalty2),
                        edf=np.asarray(own.edf), left=np.asarray(own.left), log_ratio=np.asarray(own.ratio))  # fmt: skip
 
@@ -257,7 +259,7 @@ class StateSpacePath:
         return self._kept[lam][0] if lam in self._kept else gains(self.record, lam * float(self.scale))
 
     def _solved(self, lam: float) -> tuple[Gains, Solved]:
-        """Gains and solution at a relative lambda: all that were asked for of a short record, the last of a long one."""
+        """Gains and solution at a relative lambda: of a short record all that were asked for, of a long one one."""
         lam = float(lam)
         if lam not in self._kept:
             held = gains(self.record, lam * float(self.scale))
@@ -274,4 +276,3 @@ class StateSpacePath:
                 expected=f"a relative lambda of at least {LOWEST:g}",
                 hint="below that the recursion loses all digits: use the dense path (path='dense') on a window",
             )  # fmt: skip
-

@@ -90,11 +90,12 @@ def record(system: Augmented, y: NDArray, missing: NDArray | None = None) -> Rec
     if y.ndim != 2 or y.shape[1] != system.m:
         raise InputError("the data do not fit the system", where="state-space path", found=f"shape {y.shape}",
                          expected=f"(samples, {system.m})")  # fmt: skip
-    kind, shown = np.zeros(len(y), np.int32), np.ones((1, system.m), bool)
+    kind: NDArray[np.int32] = np.zeros(len(y), np.int32)
+    shown = np.ones((1, system.m), bool)
     if missing is not None and np.any(missing):
         y[missing] = 0.0
-        shown, kind = np.unique(~missing, axis=0, return_inverse=True)
-        kind = kind.reshape(-1).astype(np.int32)
+        shown, places = np.unique(~missing, axis=0, return_inverse=True)
+        kind = places.reshape(-1).astype(np.int32)
     if not np.all(np.isfinite(y)):
         raise InputError("NaN or inf in the data", where="state-space path", expected="finite numbers",
                          hint="declare what is missing")  # fmt: skip

@@ -26,11 +26,12 @@ def largest(record: Record) -> float:
     """Largest generalised singular value of (H, L): of ``L g`` to the data, free states fitted.
 
     That of a record beyond `LONG` samples is extrapolated by its growth over the last doubling: flat where the response
-    has been forgotten by then, a power of the length where a difference of a static load is asked for.
+    has been forgotten by then, a power of the length where a difference of a static load is asked for. A moving load is
+    followed over its whole way.
     """
-    if record.samples <= LONG:
+    if record.samples <= LONG or np.ptp(record.F, axis=0).any() or np.ptp(record.G, axis=0).any():
         return _largest(record)
-    half, whole = _largest(_first(record, LONG // 2)), _largest(_first(record, LONG))
+    half, whole = _largest(_full(record, LONG // 2)), _largest(_full(record, LONG))
     if half <= 0:
         return whole
     return float(whole * (record.samples / LONG) ** max(np.log2(whole / half), 0.0))
@@ -64,12 +65,31 @@ def _largest(record: Record) -> float:
 
 def smallest(record: Record) -> float:
     """Smallest singular value of the steady system from ``L g`` to the data, over all frequencies."""
+    return float(lines(record).min())
+
+
+def layout(record: Record) -> tuple[float, int, int]:
+    """Condition number of the part that the data see, rank and nullity, by the lines of the steady system."""
+    values, unknowns = lines(record), record.samples * record.p
+    seen = values > record.samples * record.p * np.finfo(float).eps * values.max()
+    rank = min(round(unknowns * float(np.sum(seen)) / (LINES * record.p)), record.data)
+    return float(values.max() / values[seen].min()), rank, max(unknowns - rank, 0)
+
+
+def lines(record: Record) -> NDArray[np.float64]:
+    """Singular values of the steady system from ``L g`` to the data, (lines, min(m, p)), up to Nyquist."""
     z = np.exp(1j * np.pi * np.arange(1, LINES + 1) / LINES)
-    kind = int(np.argmax(np.abs(record.C).sum(axis=(1, 2))))  # with the most sensors
+    kind = fullest(record)
     F, G, C, D = record.F[kind], record.G[kind], record.C[kind], record.D[kind]
     H = C @ np.linalg.solve(z[:, None, None] * np.eye(record.n) - F, np.broadcast_to(G, (LINES, *G.shape))) + D
-    return float(np.linalg.svd(H, compute_uv=False)[:, : min(record.m, record.p)].min())
+    return np.linalg.svd(H, compute_uv=False)
 
 
-def _first(record: Record, samples: int) -> Record:
-    return replace(record, kind=record.kind[:samples], y=record.y[:samples])
+def _full(record: Record, samples: int) -> Record:
+    """So many samples with the most complete of the sets of sensors."""
+    return replace(record, kind=np.full(samples, fullest(record), np.int32), y=record.y[:samples])
+
+
+def fullest(record: Record) -> int:
+    """Kind of sample with the most sensors."""
+    return int(np.argmax(np.abs(record.C).sum(axis=(1, 2)) + np.abs(record.D).sum(axis=(1, 2))))

@@ -1,4 +1,4 @@
-"""Products and triangular factors of matrices of a dozen rows: loops where they are compiled, numpy where they are not."""
+"""Products and triangular factors of matrices of a dozen rows: loops where they are compiled, else numpy."""
 
 from __future__ import annotations
 
