@@ -17,10 +17,12 @@ from structures.flags import Flag
 from structures.measured import MeasuredModel, digests
 from structures.model import Model
 from structures.statespace import STABLE, StateSpace
+from structures.values import real, reals, shown
 
 from ..record import Record
 
 SHORTEST = 4  # samples
+SAME = 1e-6  # relative difference of two steps that is rounding of a file
 WITHOUT_GAPS = "select channels or a window without the gap"
 WITH_GAPS = "Deconvolution of a model with state_space() or impulse_response() takes records with gaps"
 LEFT_OUT = "nothing to do: they are left out of the fit, not filled in, and the std of the load shows what that costs"
@@ -70,7 +72,9 @@ class Data:
         if not said:
             return ""
         first, *others = said
-        return ", ".join([f"{first[0]} of {len(self.values)} samples of {first[1]}", *(f"{n} of {c}" for n, c in others)])
+        return ", ".join(
+            [f"{first[0]} of {len(self.values)} samples of {first[1]}", *(f"{n} of {c}" for n, c in others)]
+        )
 
     @property
     def fingerprints(self) -> set[str]:
@@ -79,7 +83,13 @@ class Data:
 
 
 def gather(
-    record: Any, dt: float | None, model: Model, sensors: Sequence[str | int] | None, *, allow_missing: bool = False
+    record: Any,
+    dt: float | None,
+    model: Model,
+    sensors: Sequence[str | int] | None,
+    *,
+    allow_missing: bool = False,
+    timed: bool = True,
 ) -> Data:
     """Match a record to the sensors of a model: by label, or by position for bare arrays.
 
@@ -87,6 +97,8 @@ def gather(
     ----------
     allow_missing : bool
         NaN marks a sample that was not recorded; else it is refused. A channel of NaN alone is refused by name.
+    timed : bool
+        The model is asked for histories: its step must be that of the record. False for static readings.
 
     Raises
     ------
@@ -95,14 +107,18 @@ def gather(
     """
     require_stable(model)
     rows = rows_of(sensors, model)
-    if not isinstance(record, Record) and np.iscomplexobj(record):
-        raise InputError("a record of time is real", where="estimate", found="complex numbers", expected="real samples")
     if not isinstance(record, Record):
         record = _record(record, dt, model, rows)
-    elif dt is not None and abs(dt / record.dt - 1) > 1e-9:
+    elif dt is not None and not (real(dt) and abs(dt / record.dt - 1) < 1e-9):
         raise InputError(
-            "the record has its own step", where="estimate", found=f"dt = {dt}", expected=f"dt = {record.dt}"
+            "the record has its own step",
+            where="estimate",
+            found=f"dt = {shown(dt)}",
+            expected=f"dt = {record.dt:.9g} s",
+            hint="leave dt out",
         )
+    if timed:
+        require_step(model, record.dt)
     wanted = [model.sensors[i] for i in rows]
     columns = [_column(s, record) for s in wanted]
     picked = record.select(columns)
@@ -165,6 +181,25 @@ def require_stable(model: Model) -> None:
         )
 
 
+def require_step(model: Model, dt: float) -> None:
+    """Nothing, unless the model was made for another step (s) than `dt`.
+
+    Raises
+    ------
+    InputError
+        Both steps.
+    """
+    own = getattr(model, "dt", None)
+    if own is not None and abs(dt / own - 1) > SAME:
+        raise InputError(
+            "the record and the model have different steps",
+            where="estimate",
+            found=f"dt = {dt:.9g} s",
+            expected=f"dt = {own:.9g} s",
+            hint="give the sampling rate as recorded (--fs, dt=), resample, or make the model for this step",
+        )
+
+
 def rows_of(sensors: Sequence[str | int] | None, model: Model) -> NDArray[np.int_]:
     """Rows of the model that are used; None is all of them.
 
@@ -197,7 +232,7 @@ def health(data: Data) -> tuple[Flag, ...]:
 def _record(values: Any, dt: float | None, model: Model, rows: NDArray) -> Record:
     if dt is None:
         raise InputError("the step of a bare array is not known", where="estimate", found="no dt", expected="dt= in s")
-    table = np.asarray(values, float)
+    table = numbers(values, "the record is no table of real numbers")
     table = table[:, None] if table.ndim == 1 else table
     wanted = [
         model.sensors[i]
@@ -211,6 +246,24 @@ def _record(values: Any, dt: float | None, model: Model, rows: NDArray) -> Recor
             expected=f"(samples, {len(rows)}): {[model.sensors[i].label for i in rows]}",
         )
     return Record(table, dt, [Channel(label=c.label, quantity=c.quantity, unit=c.unit) for c in wanted])
+
+
+def numbers(values: Any, what: str) -> NDArray[np.float64]:
+    """An array of real numbers; texts are refused even where they read as numbers, as their units are not known.
+
+    Raises
+    ------
+    InputError
+        With `what`.
+    """
+    try:
+        texts = np.asarray(values).dtype.kind in "US"
+    except (TypeError, ValueError):  # rows of different lengths: `reals` says so
+        texts = False
+    if texts:
+        hint = "read the file with loadid.read, or convert the texts to numbers"
+        raise InputError(what, where="estimate", found="texts", expected="real numbers", hint=hint)
+    return reals(values, what=what, where="estimate")
 
 
 def _row(sensor: str | int, model: Model) -> int:

@@ -15,11 +15,10 @@ from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.model import Model
-from structures.values import reals
 
 from ..estimate import Axis
 from ..record import Record
-from .data import Data, gather, health, rows_of
+from .data import Data, gather, health, numbers, rows_of
 
 LARGEST = 1e100  # of a reading, in any unit: its square must stay a number
 
@@ -76,7 +75,7 @@ def readings(found: Any, model: Model, sensors: Sequence[str | int] | None) -> R
     if isinstance(found, Readings):
         return found
     if isinstance(found, Record):
-        data = gather(found, None, model, sensors)
+        data = gather(found, None, model, sensors, timed=False)
         over = Axis("time", "s", np.asarray(np.arange(len(data.values)) * data.dt, float))
         name = found.source or found.name or "record"
         return Readings(data.values, data.rows, data.channels, over, name, found.sha256, health(data), data)
@@ -129,9 +128,7 @@ def _mapping(found: Mapping[str, Any], channels: Sequence[Channel]) -> NDArray[n
             expected=f"only {sorted(known)[:12]}",
             hint="take it out, or add the sensor to the model",
         )
-    columns = [
-        reals(have[c.label], what=f"the reading {c.label!r} is no real number", where="estimate") for c in channels
-    ]
+    columns = [numbers(have[c.label], f"the reading {c.label!r} is no real number") for c in channels]
     shapes = {column.shape for column in columns}
     if len(shapes) > 1 or columns[0].ndim > 1 or columns[0].size == 0:
         raise InputError(
@@ -145,7 +142,7 @@ def _mapping(found: Mapping[str, Any], channels: Sequence[Channel]) -> NDArray[n
 
 def _array(found: Any, rows: NDArray[np.int_], model: Model) -> NDArray[np.float64]:
     """A bare array of all sensors of the model, or of the used ones."""
-    table = reals(found, what="the readings are no numbers", where="estimate")
+    table = numbers(found, "the readings are no numbers")
     wanted = (len(rows), len(model.sensors))
     if table.ndim not in (1, 2) or table.size == 0 or table.shape[-1] not in wanted:
         raise InputError(

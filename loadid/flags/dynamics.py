@@ -14,8 +14,8 @@ from ..inverse.start import Start
 MEMORY = 0.01  # share of the first response that may be left at the end of a record
 FEW = 3.0  # periods of the lowest mode below which a record is called short
 UNSEEN = 1e-8  # static over dynamic gain that is rounding
-PRESENT = 5.0  # first sample over the noise from which a response is there
-UNREST = 10.0  # times the misfit that chance removes per free motion
+PRESENT = 0.05  # share of the largest response from which the first sample is no rest
+UNREST = 5.0  # times the misfit that chance removes per free motion
 VISIBLE = 0.02  # share of the largest response from which a motion matters
 MOVING = 0.03  # share of the largest response that may be there at the end of a record on the FFT path
 
@@ -97,8 +97,8 @@ def in_motion(found: Start | None) -> Flag | None:
     return Flag(
         "W518",
         Evidence("misfit of the start that motion before it removes, per motion", found.gain / found.motions, UNREST),
-        f"the record starts in motion: its first sample is {found.first:.3g} times the noise, and what moved before it "
-        f"is up to {found.share:.0%} of the largest response; a model at rest puts this into the load",
+        f"the record starts in motion: its first sample holds {found.first:.0%} of the largest response, and loads "
+        "within the record do not explain it; a model at rest puts this into the load",
         'initial="unknown" (state-space models), or a record that begins before the load; where the structure was at '
         "rest, the index offset or the alignment of the channels is wrong",
     )

@@ -121,7 +121,7 @@ def not_apart(ratio: float, combination: Sequence[float], loads: Sequence[str], 
         return None
     size = [abs(c) for c in combination]
     among = [name for name, s in zip(loads, size, strict=True) if s > 0.1 * max(size)]
-    few = f"{len(loads)} loads on {sensors} sensors: " if sensors < len(loads) else ""
+    few = f"{len(loads)} loads, {sensors} sensor{'s' * (sensors > 1)}: " if sensors < len(loads) else ""
     return Flag(
         "W201",
         Evidence("loads told apart, smallest over largest singular value on the best line", ratio, APART),

@@ -18,6 +18,8 @@ WINDOW = 48  # samples from the start that are looked at
 PAST = 48  # delays from which loads before the record are taken
 DIMENSIONS = 24  # free motions that are told apart, at most
 WEAK = 1e-4  # free motions below this share of the strongest are left out
+LOOSE = 0.1  # of lambda: a load that the prior does not fit must not look like motion
+CLEAR = 5.0  # first sample over the noise from which a response is there
 SHORTEST = 16  # samples below which nothing can be said
 
 
@@ -28,13 +30,15 @@ class Start:
     Parameters
     ----------
     gain : float
-        Sum of squares that free motion removes from the misfit of the first samples, over the noise variance.
+        Sum of squares that free motion removes from the misfit of the first samples, over the variance of the noise or
+        of what is then left, whichever is larger: a load that is smoothed too much leaves misfit that is no motion.
     motions : int
         Number of free motions that were allowed; `gain` is near it for a record that starts at rest.
     share : float
         Largest free motion over the largest response of the record, for the sensor where that is most.
     first : float
-        Largest whitened response in the first sample, over the noise level.
+        Response in the first sample over the largest of the record, for the sensor where that is most; of sensors whose
+        first sample is not clearly above their noise it is 0.
     """
 
     gain: float
@@ -48,9 +52,9 @@ def start(
 ) -> Start | None:
     """Test of a start at rest, on the first samples alone.
 
-    The load of the first sample is left free: a blow that falls into it is no motion before it. A score test of added
-    columns in penalised least squares; under Gaussian loads of the prior the gain is chi-squared with `motions`
-    degrees of freedom.
+    Columns are added to a penalised least-squares fit, and what they remove from its misfit is compared with what
+    chance removes. The load of the first sample is left free, since a blow that falls into it is no motion before it,
+    and the others are held by a tenth of lambda (`LOOSE`), so that a start at rest passes whatever the load.
 
     Parameters
     ----------
@@ -81,7 +85,7 @@ def start(
     L = penalties.matrix(penalty, n, p)
     L = (np.eye(n * p) if L is None else L)[p:]  # without the row that ties the first load to nothing or to the next
     keep = there.ravel()
-    A = np.vstack([within[keep], lam * L])
+    A = np.vstack([within[keep], LOOSE * lam * L])
     Q = np.linalg.qr(A)[0]
 
     def left(columns: NDArray) -> NDArray:
@@ -90,13 +94,22 @@ def start(
 
     misfit, motions = left(y[:n].reshape(-1, 1)[keep]), left(free[keep])
     found = np.linalg.lstsq(motions, misfit, rcond=1e-8)[0]
+    after, spare = misfit - motions @ found, len(A) - A.shape[1] - free.shape[1]
+    variance = max(sigma**2, float(np.sum(after**2)) / max(spare, 1))
     motion = np.max(np.abs((free @ found).reshape(n, m)), axis=0)
     return Start(
-        gain=float(np.sum((motions @ found) ** 2)) / sigma**2,
+        gain=float(np.sum((motions @ found) ** 2)) / variance,
         motions=free.shape[1],
         share=float(np.max(motion[largest > 0] / largest[largest > 0])),
-        first=float(np.max(np.abs(y[0]))) / sigma,
+        first=_first(y, there, largest, sigma),
     )
+
+
+def _first(y: NDArray, there: NDArray, largest: NDArray, sigma: float) -> float:
+    """Share of the first sample; the noise is judged by third differences too, as a misfit may be no noise at all."""
+    rough = np.median(np.abs(np.diff(y, n=3, axis=0)), axis=0) / (0.6745 * np.sqrt(20))
+    clear = there[0] & (np.abs(y[0]) > CLEAR * np.minimum(sigma, rough)) & (largest > 0)
+    return float(np.max(np.abs(y[0, clear]) / largest[clear], initial=0.0))
 
 
 def _free(h: NDArray, n: int) -> NDArray[np.float64]:
