@@ -149,7 +149,7 @@ class BlockNormal:
 
 
 class BlockFactor:
-    """Factors of the normal equations of a record with the weights ``d`` (blocks, b p); solves right side after right side.
+    """Factors of the normal equations of a record with weights ``d`` (blocks, b p): for one right side after another.
 
     With A = Phi - Gamma S Hgx, c = Gamma S Gamma^T and S = (Hgg + diag(d))^-1 of every block, the cost to go
     x^T P x / 2 - v^T x and the states at the joints obey

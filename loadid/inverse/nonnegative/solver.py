@@ -79,10 +79,17 @@ class NonNegativeRecord:
     ------
     InputError
         Numbers of loads that are not there.
+
+    Attributes
+    ----------
+    m : int
+        Number of data.
+    signed : array of bool, shape (loads,)
     """
 
     def __init__(self, record: Record, signed: ArrayLike | None = None) -> None:
         self.blocks: Blocks = cut(record)
+        self.m = record.data
         self.signed = _loads(signed, record.p)
         free = np.zeros(len(record.free), bool)
         self._signed = np.concatenate([free, np.tile(self.signed, record.samples)])
@@ -151,13 +158,7 @@ def minimise(normal: Normal, signed: NDArray, held: NDArray | None = None, progr
     active set, and the exchange ends it with exact zeros. Of all points seen, that with the smallest gap is returned.
     """
     report = _reporter(progress)
-    unbounded = normal.factor()
-    free = unbounded.solve(normal.q)
-    if not np.all(np.isfinite(free)):
-        raise NotIdentifiable(
-            "the normal equations cannot be solved in these numbers: lambda is too small",
-            advice="take a larger lambda", code="LID-E306",
-        )  # fmt: skip
+    unbounded, free = _unconstrained(normal)
     held = signed & (free < 0) if held is None else held & signed
     first = exchange(normal, signed, held, report, pace=PACE)
     best = _certified(normal, unbounded, signed, first, 0, "active set")
@@ -176,10 +177,27 @@ def minimise(normal: Normal, signed: NDArray, held: NDArray | None = None, progr
     )
 
 
+def _unconstrained(normal: Normal) -> tuple[Factor, NDArray[np.float64]]:
+    """Factors of Q and the minimum without signs."""
+    try:
+        with np.errstate(all="ignore"):  # judged by what comes out
+            factor = normal.factor()
+            free = factor.solve(normal.q)
+    except np.linalg.LinAlgError:
+        free = np.array([np.nan])
+    if not np.all(np.isfinite(free)):
+        raise NotIdentifiable(
+            "the normal equations cannot be solved in these numbers: lambda is too small",
+            advice="take a larger lambda", code="LID-E306",
+        )  # fmt: skip
+    return factor, free
+
+
 def _certified(normal: Normal, free: Factor, signed: NDArray, found: Exchanged, steps: int, solver: str) -> Minimum:
-    """A point made admissible, with its gap."""
-    v = np.where(signed, np.maximum(found.v, 0.0), found.v)
-    gradient = found.gradient if found.settled else normal.apply(v) - normal.q
+    """A point made admissible, with its gap; no load at all where rounding has made it none."""
+    finite = bool(np.all(np.isfinite(found.v)))
+    v = np.where(signed, np.maximum(found.v, 0.0), found.v) if finite else np.zeros(normal.size)
+    gradient = found.gradient if found.settled and finite else normal.apply(v) - normal.q
     return Minimum(v, gradient, found.held, gap(normal, free, v, gradient, signed), steps + found.steps, solver)
 
 
