@@ -176,6 +176,47 @@ def declared(highpass: tuple[float | None, ...]) -> ImpulseModel:
     return ImpulseModel(impulse(), DT, kind="held", sensors=rows, loads=model.loads)
 
 
+def gapped(share: float) -> np.ndarray:
+    """A record of which the first channel has lost a share."""
+    y = noisy(arrays(impulse()).predict(pulse(), DT))
+    y[np.random.default_rng(1).permutation(N)[: int(share * N)], 0] = np.nan
+    return y
+
+
+def moved(kind: type, **settings) -> ForwardModel:
+    """Two sensors of motion on the beam."""
+    seen = [kind(at=x, label=f"m{x}", **settings) for x in (0.4, 1.1)]
+    return ForwardModel(BEAM, seen, [loads.Point(at=0.9, direction="Z", label="p")], modes=4)
+
+
+def in_motion(start: int) -> tuple[Flag, ...]:
+    """A record of a pulse at sample 20 that begins at `start`; noise level not known."""
+    model = moved(sensors.Displacement)
+    return flags(model, noisy(model.predict(pulse(220), DT))[start : start + N], noise=None)
+
+
+def coupled(corner: float | None, known: bool) -> tuple[Flag, ...]:
+    """A strain gauge recorded AC-coupled, whose model knows it or not, beside an accelerometer."""
+    gauge = sensors.StrainGauge(at=0.9, fibre=0.01, label="s", highpass=corner if known else None)
+    place = loads.Point(at=0.9, direction="Z", label="p")
+    model = ForwardModel(BEAM, [gauge, sensors.Accelerometer(at=1.3, label="a")], [place], modes=4)
+    rows = [replace(gauge, highpass=corner), model.sensors[1]]
+    return flags(model, Record(noisy(model.predict(pulse(), DT)), DT, rows))
+
+
+def brief(decay: float) -> tuple[Flag, ...]:
+    """A record of 30 samples."""
+    model = arrays(impulse(decay=decay)[:30])
+    return flags(model, noisy(model.predict(pulse(30), DT)))
+
+
+def twins(apart: float) -> ForwardModel:
+    """Two loads at one place, or `apart` m apart, and three gauges."""
+    other = beam()
+    pair = [loads.Point(at=x, direction="Z", label=name) for x, name in ((0.9, "p"), (0.9 + apart, "q"))]
+    return ForwardModel(other.structure, other.sensors, pair, modes=4)
+
+
 UNIT, IDENTITY = np.zeros((N, 1, 1)), np.zeros((N, 1, 1))
 UNIT[70:], IDENTITY[0] = 1.0, 1.0
 TMP: list = []
@@ -196,6 +237,13 @@ CASES = [
         lambda: flags(arrays(impulse(1, 2))),
         lambda: flags(arrays(impulse(3, 2))),
         r"m = 100 data, n = 200 unknowns, rank r = 100, nullity 100",
+    ),
+    Case(
+        "W201",
+        lambda: flags(twins(1e-13)),
+        lambda: flags(twins(0.4)),
+        r"at no frequency can the sensors tell apart the loads p, q.*-> add a sensor that sees them",
+        "loads that no line tells apart",
     ),
     Case(
         "W202",
@@ -230,6 +278,20 @@ CASES = [
         "silent for a record that does not reach the corner",
     ),
     Case(
+        "W205",
+        lambda: coupled(30.0, known=True),
+        lambda: coupled(None, known=True),
+        r"AC-coupled, or sees motion only: .* below 30 Hz",
+        "beside accelerometers, which see no static load either",
+    ),
+    Case(
+        "W205",
+        lambda: coupled(0.5, known=False),
+        lambda: coupled(0.5, known=True),
+        r"taken by the model for sensors that see 0 Hz: s;.*highpass=0\.5",
+        "a corner that the model does not know",
+    ),
+    Case(
         "W206",
         lambda: flags(arrays(impulse()), clipped(0.5)),
         lambda: flags(arrays(impulse()), clipped(1.0)),
@@ -246,7 +308,20 @@ CASES = [
         r"unit of a = m/s\^2 \(threshold m\)",
         "unit against kind",
     ),
+    Case(
+        "W206",
+        lambda: flags(arrays(impulse()), gapped(0.1), noise=1.0),
+        lambda: flags(arrays(impulse()), gapped(0.0), noise=1.0),
+        r"channel s0: 10 of 100 samples are missing.*left out of the fit",
+        "a gap that the fit leaves out",
+    ),
     Case("W209", lambda: cut_file(TMP, 8), lambda: cut_file(TMP, 0), r"truncated: 99 of 100 rows"),
+    Case(
+        "W210",
+        lambda: flags(arrays(impulse()), gapped(0.6), noise=1.0),
+        lambda: flags(arrays(impulse()), gapped(0.4), noise=1.0),
+        r"more than half of the samples are missing: s0 \(60%\).*= 0\.6 \(threshold 0\.5\)",
+    ),
     Case("N303", lambda: flags(arrays(impulse(1, 2))), lambda: (), r"100 components in ker\(H\).*finer than \S+ s"),
     Case(
         "W401",
@@ -300,6 +375,20 @@ CASES = [
         "from the slowest decay of a structure",
     ),
     Case(
+        "W505",
+        lambda: flags(beam(zeta=0.01), noisy(beam(zeta=0.01).predict(pulse(45), DT))),
+        lambda: flags(beam(zeta=0.15), noisy(beam().predict(pulse(450), DT))),
+        r"holds 0\.53 periods of the lowest mode \(11\.7\d Hz\).*record longer \(6\.2\d s instead of 0\.045 s\)",
+        "a record of half a period",
+    ),
+    Case(
+        "W505",
+        lambda: brief(5.0),
+        lambda: brief(300.0),
+        r"8\d\.\d% of the response is left",
+        "a record of 30 samples",
+    ),
+    Case(
         "E506",
         lambda: refused(lambda: flags(arrays(UNIT))),
         lambda: refused(lambda: flags(arrays(IDENTITY))),
@@ -311,6 +400,20 @@ CASES = [
         lambda: flags(beam(), dt=1 / 400),
         r"1 modes lie above the Nyquist frequency 125 Hz.*= 187\.\d \(threshold 125\)",
     ),
+    Case(
+        "W517",
+        lambda: flags(moved(sensors.Accelerometer), penalty="first_difference"),
+        lambda: flags(moved(sensors.Accelerometer)),
+        r"no sensor \(m0\.4, m1\.1\) sees a constant part of p.*threshold 1e-08",
+    ),
+    Case(
+        "W517",
+        lambda: flags(moved(sensors.Displacement, highpass=2.0), penalty="second_difference"),
+        lambda: flags(moved(sensors.Displacement), penalty="second_difference"),
+        r"second_difference leaves it free",
+        "AC-coupled",
+    ),
+    Case("W518", lambda: in_motion(60), lambda: in_motion(0), r"first sample holds \d+% .*\(threshold 5\)"),
     Case("W702", lambda: simulated(True), lambda: simulated(False), r"same model [0-9a-f]{12}"),
     Case(
         "W703",
