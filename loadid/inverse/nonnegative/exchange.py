@@ -56,12 +56,12 @@ def exchange(
 def on_face(normal: Normal, factor: Factor, held: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Minimum where the held unknowns are 0, refined, and its gradient."""
     v = factor.solve(np.where(held, 0.0, normal.q))
-    gradient = normal.apply(v) - normal.q
+    gradient = normal.gradient(v)
     level = REFINED * float(np.abs(normal.q).max(initial=0.0))
     for _ in range(3):
         rest = np.where(held, 0.0, -gradient)
         if np.abs(rest).max(initial=0.0) <= level:
             break
         v = v + factor.solve(rest)
-        gradient = normal.apply(v) - normal.q
+        gradient = normal.gradient(v)
     return v, gradient

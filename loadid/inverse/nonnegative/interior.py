@@ -32,7 +32,7 @@ def interior(normal: Normal, signed: NDArray, start: NDArray, step: Callable[[],
     q, z = normal.q, signed
     v = start.copy()
     v[z] = np.maximum(v[z], 0.0) + 0.1 * float(np.mean(np.abs(v[z])))
-    gradient = normal.apply(v) - q
+    gradient = normal.gradient(v)
     s = np.zeros(len(v))
     s[z] = np.maximum(gradient[z], 0.0) + 0.1 * float(np.mean(np.abs(gradient[z])))
     size, steps = max(int(np.count_nonzero(z)), 1), 0
@@ -54,7 +54,7 @@ def interior(normal: Normal, signed: NDArray, start: NDArray, step: Callable[[],
         ds = np.where(z, -s - ratio * dv + push, 0.0)
         length = NEAR * min(_reach(v, dv, z), _reach(s, ds, z)) if size else 1.0
         v, s = v + length * dv, s + length * ds
-        gradient = normal.apply(v) - q
+        gradient = normal.gradient(v)
         steps += 1
     return Inside(v, s, steps)
 

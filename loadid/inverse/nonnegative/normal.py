@@ -46,7 +46,11 @@ class Normal(Protocol):
         ...
 
     def apply(self, v: NDArray) -> NDArray[np.float64]:
-        """Q v."""
+        """Q v, from H v and L v."""
+        ...
+
+    def gradient(self, v: NDArray) -> NDArray[np.float64]:
+        """Q v - q, from the residual ``H v - y`` and L v."""
         ...
 
     def factor(self, weight: NDArray | None = None) -> Factor:
@@ -62,7 +66,9 @@ class BlockNormal:
     """Normal equations of a record in blocks at one absolute lambda.
 
     A solution eliminates the loads of every block (all blocks at once), then runs over the blocks with the n states
-    that join them, and puts the loads back.
+    that join them, and puts the loads back. The Gram matrices of the blocks direct the steps; what is minimal is judged
+    by `gradient`, and solutions are refined by it (corrected semi-normal equations: Björck, Linear Algebra Appl. 88/89
+    (1987) 31).
 
     Parameters
     ----------
@@ -73,10 +79,9 @@ class BlockNormal:
 
     def __init__(self, blocks: Blocks, lam: float) -> None:
         self.blocks, self.lam = blocks, float(lam)
-        B = blocks
-        yt, wt = B.Ty.transpose(0, 2, 1), self.lam**2 * B.Tw.transpose(0, 2, 1)
-        self.Hgg, self.Hgx = yt @ B.Ty + wt @ B.Tw, yt @ B.Oy + wt @ B.Ow
-        self.Hxx = B.Oy.transpose(0, 2, 1) @ B.Oy + self.lam**2 * B.Ow.transpose(0, 2, 1) @ B.Ow
+        B, lam2 = blocks, self.lam**2
+        self.Hgg, self.Hgx = gram(B.Ty, B.Ty) + lam2 * gram(B.Tw, B.Tw), gram(B.Ty, B.Oy) + lam2 * gram(B.Tw, B.Ow)
+        self.Hxx = gram(B.Oy, B.Oy) + lam2 * gram(B.Ow, B.Ow)
 
     @property
     def start(self) -> int:
@@ -96,25 +101,35 @@ class BlockNormal:
     @cached_property
     def q(self) -> NDArray[np.float64]:
         """H^T y."""
-        B = self.blocks
-        own, back = (B.each(M.transpose(0, 2, 1), B.y) for M in (B.Ty, B.Oy))
-        return self._adjoint(own, back)
+        return self._adjoint(self.blocks.y, np.zeros((self.blocks.count, self.blocks.width)))
 
     def apply(self, v: NDArray) -> NDArray[np.float64]:
         """Q v: states forward, their adjoint backward."""
+        return self._adjoint(*self._images(v))
+
+    def gradient(self, v: NDArray) -> NDArray[np.float64]:
+        """Q v - q, with the residual formed first: nothing that large numbers would hide is lost."""
+        response, rough = self._images(v)
+        return self._adjoint(response - self.blocks.y, rough)
+
+    def _images(self, v: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """H v and L v, block by block."""
         B, g = self.blocks, self.blocks.split(v[self.start :])
         x = B.states(v[: self.start], g)[:-1]
-        own = B.each(self.Hgg, g) + B.each(self.Hgx, x)
-        back = B.each(self.Hgx.transpose(0, 2, 1), g) + B.each(self.Hxx, x)
-        return self._adjoint(own, back)
+        return B.each(B.Oy, x) + B.each(B.Ty, g), B.each(B.Ow, x) + B.each(B.Tw, g)
 
-    def _adjoint(self, own: NDArray, back: NDArray) -> NDArray[np.float64]:
-        """Gradient from that of each block by its own loads and by its start."""
+    def _adjoint(self, response: NDArray, rough: NDArray) -> NDArray[np.float64]:
+        """H^T response + lambda^2 L^T rough."""
         B = self.blocks
-        mu = np.zeros((B.count + 1, B.n))
+
+        def of(seen: NDArray, counted: NDArray) -> NDArray:
+            back = B.each(seen.transpose(0, 2, 1), response)
+            return back + self.lam**2 * B.each(counted.transpose(0, 2, 1), rough)
+
+        back, mu = of(B.Oy, B.Ow), np.zeros((B.count + 1, B.n))
         for j in range(B.count - 1, -1, -1):
             mu[j] = back[j] + mu[j + 1] @ B.Phi[B.pattern[j]]
-        g = own + B.each(B.Gamma.transpose(0, 2, 1), mu[1:])
+        g = of(B.Ty, B.Tw) + B.each(B.Gamma.transpose(0, 2, 1), mu[1:])
         return np.concatenate([mu[0, B.free], B.join(g)])
 
     def factor(self, weight: NDArray | None = None) -> BlockFactor:
@@ -123,10 +138,8 @@ class BlockNormal:
 
     def norms(self, v: NDArray) -> tuple[float, float]:
         """Squared norms of ``y - H v`` and of ``L v``."""
-        B, g = self.blocks, self.blocks.split(v[self.start :])
-        x = B.states(v[: self.start], g)[:-1]
-        rest = B.y - B.each(B.Oy, x) - B.each(B.Ty, g)
-        return float(np.sum(rest**2)), float(np.sum((B.each(B.Ow, x) + B.each(B.Tw, g)) ** 2))
+        response, rough = self._images(v)
+        return float(np.sum((self.blocks.y - response) ** 2)), float(np.sum(rough**2))
 
     def _weights(self, weight: NDArray | None) -> NDArray[np.float64]:
         """Weights (blocks, b p), infinite behind the end of the record."""
@@ -205,3 +218,8 @@ class BlockFactor:
 def _times(matrices: NDArray, vectors: NDArray) -> NDArray[np.float64]:
     """Product of each matrix with its vector."""
     return (matrices @ vectors[:, :, None])[:, :, 0]
+
+
+def gram(A: NDArray, B: NDArray) -> NDArray[np.float64]:
+    """Inner products of the columns of A and of B, pattern by pattern."""
+    return A.transpose(0, 2, 1) @ B

@@ -197,7 +197,7 @@ def _certified(normal: Normal, free: Factor, signed: NDArray, found: Exchanged, 
     """A point made admissible, with its gap; no load at all where rounding has made it none."""
     finite = bool(np.all(np.isfinite(found.v)))
     v = np.where(signed, np.maximum(found.v, 0.0), found.v) if finite else np.zeros(normal.size)
-    gradient = found.gradient if found.settled and finite else normal.apply(v) - normal.q
+    gradient = found.gradient if found.settled and finite else normal.gradient(v)
     return Minimum(v, gradient, found.held, gap(normal, free, v, gradient, signed), steps + found.steps, solver)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .normal import BlockFactor
+from .normal import BlockFactor, gram
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ def spread(factor: BlockFactor) -> Spread:
     N, B = factor.normal, factor.normal.blocks
     loads, states, f = np.empty((B.count, B.width)), np.empty((B.count + 1, B.n, B.n)), B.free
     K, pushed, own = np.empty((B.count, B.width, B.n)), np.empty((B.count, B.n, B.n)), np.empty(B.count)
-    grams = B.Ty.transpose(0, 2, 1) @ B.Ty
+    grams = gram(B.Ty, B.Ty)
     eye = np.eye(B.width)
     for part, scaled, t in N.scaled(factor.d):
         k = B.pattern[part]
