@@ -19,6 +19,7 @@ _PUBLIC = {
     "LocationSearch": "loadid.families.location",
     "NotIdentifiable": "structures.errors",
     "Record": "loadid.record",
+    "SparseDeconvolution": "loadid.families.sparse",
     "StaticInversion": "loadid.families.static",
     "load": "loadid.estimate",
     "read": "loadid.readers",

@@ -1,7 +1,7 @@
 """Tikhonov fits of histories at given places: one fit per candidate, with one dimensionless lambda for all of them.
 
-A fit minimises ``|H g - y|^2 + sum_k lambda_k^2 |g_k|^2`` over the histories of one load or of several. What it leaves of
-any data is the *remainder* ``[y - H g; -lambda g]``; its squared norm is the objective at its minimum.
+A fit minimises ``|H g - y|^2 + sum_k lambda_k^2 |g_k|^2`` over the histories of one load or of several. What it leaves
+of any data is the *remainder* ``[y - H g; -lambda g]``; its squared norm is the objective at its minimum.
 """
 
 from __future__ import annotations
@@ -68,28 +68,22 @@ class Fit(Protocol):
 
 
 class DenseFit:
-    """Fit by SVD of the Toeplitz operator; every set of data then costs three products.
+    """Fit by SVD of the Toeplitz operator of one load; every set of data then costs three products.
 
     Parameters
     ----------
-    h : array, shape (samples, sensors, loads)
+    h : array, shape (samples, sensors, 1)
         Whitened impulse responses.
-    lam : array, shape (loads,), optional
-        Absolute lambda of each load.
-    relative : float, optional
-        Instead, lambda over the largest singular value of the operator; for one load.
+    relative : float
+        Lambda over the largest singular value of the operator.
     """
 
     name = "dense SVD"
 
-    def __init__(self, h: Array, lam: Array | None = None, *, relative: float | None = None) -> None:
-        self.shape = h.shape
-        N, _, p = h.shape
-        scale = np.ones(p) if lam is None else lam
-        H = toeplitz(h / scale).reshape(-1, N * p)
-        self.U, self.s, self.V = np.linalg.svd(H, full_matrices=False)
-        self.damping = 1.0 if lam is not None else (relative or 0.0) * float(self.s[0])
-        self.lam, self._scale = (np.full(p, self.damping) if lam is None else lam), scale
+    def __init__(self, h: Array, *, relative: float) -> None:
+        self.U, self.s, self.V = np.linalg.svd(toeplitz(h).reshape(-1, len(h)), full_matrices=False)
+        self.damping = relative * float(self.s[0])
+        self.lam = np.array([self.damping])
         self.filter = self.s**2 / (self.s**2 + self.damping**2)
 
     @property
@@ -101,8 +95,43 @@ class DenseFit:
         """Fit of data (samples, sensors)."""
         beta = self.U.T @ y.reshape(-1)
         residual = y - (self.U @ (self.filter * beta)).reshape(y.shape)
-        scaled = (self.s / (self.s**2 + self.damping**2) * beta) @ self.V
-        return Fitted(scaled.reshape(self.shape[0], -1) / self._scale, residual, -self.damping * scaled)
+        load = (self.s / (self.s**2 + self.damping**2) * beta) @ self.V
+        return Fitted(load[:, None], residual, -self.damping * load)
+
+
+class JointFit:
+    """Fit of one load or several at given lambdas, by QR of ``[H; lambda I]``: what one place of a search costs.
+
+    Parameters
+    ----------
+    h : array, shape (samples, sensors, loads)
+        Whitened impulse responses.
+    lam : array, shape (loads,)
+        Absolute lambda of each load.
+    """
+
+    name = "dense QR"
+
+    def __init__(self, h: Array, lam: Array) -> None:
+        from scipy.linalg import qr
+
+        H = toeplitz(h / lam)
+        n = H.shape[2]
+        stacked = np.concatenate([H.reshape(-1, n), np.eye(n)])
+        Q = qr(stacked, mode="economic", overwrite_a=True, check_finite=False)[0]
+        self.lam, self._upper, self._lower = lam, Q[:-n], Q[-n:]
+
+    @property
+    def edf(self) -> float:
+        """Effective degrees of freedom."""
+        return float(np.sum(self._upper**2))
+
+    def solve(self, y: Array) -> Fitted:
+        """Fit of data (samples, sensors)."""
+        z = self._upper.T @ y.reshape(-1)
+        scaled = self._lower @ z  # lambda g: the lower block is the inverse of R
+        residual = y - (self._upper @ z).reshape(y.shape)
+        return Fitted(scaled.reshape(len(y), -1) / self.lam, residual, -scaled)
 
 
 class LongFit:
@@ -125,9 +154,7 @@ class LongFit:
     @property
     def edf(self) -> float:
         """Effective degrees of freedom, estimated over the padded spectrum (an upper estimate)."""
-        lines, loads = self._gram.shape[:2]
-        inverse = np.linalg.solve(self._gram, np.broadcast_to(np.eye(loads), self._gram.shape))
-        per_line = loads - np.einsum("kii->k", inverse).real
+        per_line = np.sum(1 - 1 / np.linalg.eigvalsh(self._gram), axis=1)
         return float(self.operator.samples * np.mean(per_line))
 
     def solve(self, y: Array) -> Fitted:

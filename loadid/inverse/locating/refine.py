@@ -1,8 +1,8 @@
 """From a candidate to the place between candidates: Gauss-Newton on the place, the load eliminated.
 
-Variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973) 413; Kaufman, BIT 15 (1975) 49, for the Jacobian) of
-the Tikhonov objective: the histories are fitted anew at every place, and ``-(I - P) dH/dx g`` is what a step of the place
-does to the remainder.
+Variable projection (Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973) 413; Kaufman, BIT 15 (1975) 49, for the Jacobian)
+of the Tikhonov objective: the histories are fitted anew at every place, and ``-(I - P) dH/dx g`` is what a step of the
+place does to the remainder.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from ..convolution import Convolution
 from .fits import Fit, Fitted
 
 Array = NDArray[np.float64]
-STEPS = 15
+STEPS = 12
+TRIED = 3  # steps before a start is given up as hopeless
 LONGEST = 0.5  # step of a place, in spacings of the candidates
 SETTLED = 1e-4  # step below which the place stands, in spacings
 DIFFERENCE = 1e-3  # step of the differences of the impulse responses, in spacings
@@ -72,6 +73,8 @@ def refine(
     fit: Callable[[Array, Array], Fit],
     bounds: tuple[Array, Array],
     spacing: float,
+    *,
+    hopeless: float | None = None,
 ) -> Refined:
     """Refine the places of loads that act at once.
 
@@ -90,13 +93,17 @@ def refine(
         Box that holds the places.
     spacing : float
         Of the candidates.
+    hopeless : float, optional
+        Objective above which the search is given up after a few steps.
     """
     loads, dim = start.shape
     place, settled = np.clip(start, *bounds), False
     model = _at(place, responses, spacing, bounds)
     solver = fit(model.h, lam)
     fitted = solver.solve(y)
-    for _ in range(STEPS):
+    for step_number in range(STEPS):
+        if hopeless is not None and step_number >= TRIED and np.sum(fitted.remainder**2) > hopeless:
+            break
         J = _jacobian(model, solver, fitted)
         step = np.linalg.lstsq(J, -fitted.remainder, rcond=None)[0].reshape(loads, dim)
         step *= min(1.0, LONGEST * spacing / max(float(np.abs(step).max()), np.finfo(float).tiny))

@@ -13,7 +13,12 @@ Progress = Callable[[float, str], None]
 
 
 def over(
-    work: Callable[[T], R], items: Sequence[T], *, workers: int | None = None, progress: Progress | None = None, text: str
+    work: Callable[[T], R],
+    items: Sequence[T],
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+    text: str,
 ) -> list[R]:
     """Results of `work` for every item, in their order.
 
@@ -29,6 +34,8 @@ def over(
     text : str
     """
     tell = progress or (lambda fraction, text: None)
+    if not items:
+        return []
     threads = min(workers or os.cpu_count() or 1, len(items))
     if threads == 1:
         found = []

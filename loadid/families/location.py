@@ -1,0 +1,519 @@
+"""Where a load of unknown history acted: every candidate place fitted alike, the smallest residual, refined between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.flags import Flag
+from structures.model import Model
+
+from .. import flags as guards
+from ..design.places import of_model
+from ..estimate import LoadEstimate
+from ..flags import location as found_flags
+from ..inverse.locating import alike, fits, scan, several
+from ..inverse.locating.refine import Refined, refine
+from ..inverse.whitening import whiten
+from ..location import LocationResult, Rival
+from ..provenance import provenance
+from . import noise as noises
+from .data import Data, gather, health
+from .deconvolution import Deconvolution
+from .locating.candidates import Candidates
+from .locating.grid import Grid, grid_of
+
+Array = NDArray[np.float64]
+DENSE = 600  # unknowns up to which a fit is one SVD
+MEMORY = 1.5e9  # bytes of all factors together, up to which they are kept
+RIVALS = 3  # other basins that are refined too, for each load
+HOPELESS = 2.0  # times the least objective above which a rival is given up after some steps
+LEVEL = 0.95  # of the chi-square set of candidates
+
+
+class LocationSearch:
+    """Place and history of a load whose place is not known.
+
+    Each load of the model is a candidate. Every one is fitted to the whole record by Tikhonov regularisation with the
+    same lambda over the largest singular value of its own operator; the smallest residual wins. Between candidates the
+    place is refined by Gauss-Newton steps, the history eliminated, with responses of the model at the very place where
+    it can move its loads, else interpolated over the grid. A family then rebuilds the load there.
+
+    Parameters
+    ----------
+    model : Model
+        Its loads are the candidates; it must give ``impulse_response``.
+    family : callable
+        Family that rebuilds the load at the places found: ``family(model, **settings)``.
+    choice : float
+        Relative lambda of the search, one for all candidates. From 1e-5 to 1e-2 it hardly matters; above 0.03 residuals
+        measure bias. Rules and truncation differ from candidate to candidate and are refused (LID-E513).
+    impacts : int
+        Loads that act in the record, each at its own place.
+    refine : bool
+        Refine places between the candidates.
+    places : array, shape (candidates, dim), optional
+        Places of the candidates (m), where the model does not know them.
+    method : {"tikhonov"}
+    hold : {"foh", "zoh"}, optional
+        How a load moves between samples; default the model's own.
+    noise, noise_source, sensors
+        As for `Deconvolution`.
+    settings : mapping, optional
+        Further settings of the family (``{"choice": "discrepancy"}``).
+    allow : sequence of str
+        Guard codes whose refusal is overridden: LID-E512, and those of the family.
+    workers : int, optional
+        Threads; default the number of processors.
+    progress : callable, optional
+        Called as ``progress(fraction, text)``; what it raises ends the search, and nothing is kept.
+
+    Raises
+    ------
+    InputError
+        Settings that are none, fewer than two candidates.
+    NotIdentifiable
+        LID-E513, as said.
+
+    Notes
+    -----
+    19 candidates on a beam, three or two accelerometers, 1 to 30 % noise (``python -m tests.benchmarks.location``): all
+    misses of 1520 searches had a runner-up within 1.045 of the best residual, hence the threshold of flag W511. The
+    factors of all candidates are kept: further records of the same length cost products only.
+    """
+
+    name = "location"
+
+    def __init__(
+        self,
+        model: Model,
+        family: Callable[..., Any] = Deconvolution,
+        *,
+        choice: float = 1e-3,
+        impacts: int = 1,
+        refine: bool = True,
+        places: ArrayLike | None = None,
+        method: str = "tikhonov",
+        hold: str | None = None,
+        noise: ArrayLike | None = None,
+        noise_source: str | None = None,
+        sensors: Sequence[str | int] | None = None,
+        settings: Mapping[str, Any] | None = None,
+        allow: Sequence[str] = (),
+        workers: int | None = None,
+        progress: Callable[[float, str], None] | None = None,
+    ) -> None:
+        _check_candidates(model)
+        self.choice = _one_lambda(choice, method)
+        self.impacts = _count(impacts, len(model.loads))
+        self.allow = guards.allowed(allow)
+        self.model, self.family, self.refine = model, family, bool(refine)
+        self.noise, self.noise_source, self.sensors, self.hold = noise, noise_source, sensors, hold
+        self.settings, self.workers = dict(settings or {}), workers
+        self.grid = grid_of(model, places)
+        self._progress = progress or (lambda fraction, text: None)
+        self._kept: tuple[Any, _Fitted] | None = None
+
+    def check(self, dt: float, samples: int) -> tuple[Flag, ...]:
+        """Guards that need the model only: E512 where candidates at different places leave the same data.
+
+        Parameters
+        ----------
+        dt : float
+            Step (s) of the records to come.
+        samples : int
+        """
+        h = self.model.impulse_response(dt, samples, self.hold or self.model.default_hold)
+        groups = self._alike(h)
+        found = [found_flags.alike_allowed(groups, alike.ALIKE)] if groups else []
+        return guards.collect([*self.model.flags, *found])
+
+    def estimate(self, record: Any, dt: float | None = None) -> LocationResult:
+        """Places of the loads that caused a record, and the loads there.
+
+        Parameters
+        ----------
+        record : Record, or array of shape (samples, sensors)
+        dt : float, optional
+            Step in s of a bare array.
+
+        Raises
+        ------
+        InputError
+            A record that does not fit the model, or candidates that no sensor sees.
+        NotIdentifiable
+            Candidates at different places that leave the same data (LID-E512), unless allowed; what the family refuses.
+        """
+        found, posed = self._locate(record, dt)
+        self._progress(0.9, "estimating the load")
+        if self.refine and posed.candidates.how and posed.at is not None:
+            model = posed.candidates.at(posed.at)
+        else:
+            model = posed.candidates.chosen(found.best)
+        load: LoadEstimate = self.family(model, **self._family_settings()).estimate(record, dt)
+        self._progress(1.0, "done")
+        return replace(found, estimate=replace(load, flags=(*load.flags, *_own(found.flags))))
+
+    def locate(self, record: Any, dt: float | None = None) -> LocationResult:
+        """As `estimate`, without the load: the places alone."""
+        found = self._locate(record, dt)[0]
+        self._progress(1.0, "done")
+        return found
+
+    # -- steps --------------------------------------------------------------------------------------------------------
+    def _locate(self, record: Any, dt: float | None) -> tuple[LocationResult, _Posed]:
+        data = gather(record, dt, self.model, self.sensors)
+        posed = self._pose(data)
+        self._progress(0.6, "comparing candidates")
+        chosen = self._choose(posed)
+        said = _said(posed, chosen)
+        self._progress(0.7, "refining the place")
+        solutions = self._refine(posed, chosen) if self.refine and posed.candidates.how else []
+        return self._result(posed, chosen, said, solutions)
+
+    def _pose(self, data: Data) -> _Posed:
+        noise = noises.resolve(self.noise, self.noise_source, self.model, data)
+        level = np.asarray(noise.level, float)
+        size = float(np.sqrt(np.mean(level**2 if level.ndim == 1 else np.diagonal(level))))
+        relative = level / (size if level.ndim == 1 else size**2)
+        key = (data.dt, len(data.values), data.rows.tobytes(), relative.round(12).tobytes())
+        if self._kept is None or self._kept[0] != key:
+            self._kept = None  # the old factors must not lie beside the new ones
+            self._kept = key, self._factor(data, relative)
+        kept = self._kept[1]
+        y = whiten(data.values, relative, axis=1)
+        if not np.any(y):
+            raise InputError("the record is zero throughout", where="record", expected="a response",
+                             hint="record the event")  # fmt: skip
+        return _Posed(data, noise, size if noise.known else None, y, relative, **vars(kept))
+
+    def _factor(self, data: Data, relative: Array) -> _Fitted:
+        samples = len(data.values)
+        candidates = Candidates(self.model, self.grid, data.dt, samples, self.hold or self.model.default_hold)
+        groups = self._alike(candidates.h[:, data.rows], relative)
+        if groups and "LID-E512" not in self.allow:
+            raise found_flags.alike(groups, alike.ALIKE)
+        h = whiten(candidates.h[:, data.rows], relative, axis=1)
+        size = 8 * samples * (h[:, :, 0].size + samples)
+        kind = fits.DenseFit if samples <= DENSE and size * h.shape[2] <= MEMORY else fits.LongFit
+        made = scan.over(
+            lambda j: kind(h[:, :, j, None], relative=self.choice),
+            range(h.shape[2]),
+            workers=self.workers,
+            progress=lambda fraction, text: self._progress(0.6 * fraction, text),
+            text="factorising candidates",
+        )
+        return _Fitted(candidates, h, tuple(made), groups)
+
+    def _alike(self, h: Array, relative: Array | None = None) -> tuple[tuple[str, ...], ...]:
+        white = h if relative is None else whiten(h, relative, axis=1)
+        found = alike.groups(white, None if self.grid is None else self.grid.near)
+        return tuple(tuple(self.model.loads[j].label for j in group) for group in found)
+
+    def _choose(self, posed: _Posed) -> several.Chosen:
+        """The best candidates, and the scores of all."""
+        solved = scan.over(
+            lambda fit: fit.solve(posed.y), posed.fits, workers=1 if posed.dense else self.workers,
+            progress=lambda fraction, text: self._progress(0.6 + 0.1 * fraction, text), text="comparing candidates",
+        )  # fmt: skip
+        scores = np.array([s.residual2 for s in solved])
+        if self.impacts == 1:
+            best = int(np.argmin(scores))
+            return several.Chosen((best,), solved[best], scores[None])
+        return several.together(posed.y, self.impacts, posed.fits, posed.joint, posed.response)
+
+    def _refine(self, posed: _Posed, chosen: several.Chosen) -> list[tuple[Refined, str, int]]:
+        """The place from the best candidates and from rivals in other basins; each with its origin and its load."""
+        grid = self.grid
+        assert grid is not None
+        lam = np.array([float(posed.fits[j].lam[0]) for j in chosen.indices])
+        starts = [(chosen.indices, "", 0)]
+        for k, best in enumerate(chosen.indices):
+            for j in _basins(chosen.scores[k], grid.near, best)[:RIVALS]:
+                if j not in chosen.indices:
+                    moved = tuple(j if i == k else b for i, b in enumerate(chosen.indices))
+                    starts.append((moved, self.model.loads[j].label, k))
+
+        def one(start: tuple[tuple[int, ...], str, int], enough: float | None = None) -> tuple[Refined, str, int]:
+            place = grid.places[np.array(start[0])][:, grid.used]
+            found = refine(place, posed.y, lam, posed.whitened, posed.fit, grid.bounds, grid.spacing, hopeless=enough)
+            return found, start[1] or self.model.loads[start[0][0]].label, start[2]
+
+        first = one(starts[0])
+        others = scan.over(
+            lambda start: one(start, HOPELESS * first[0].objective), starts[1:], workers=self.workers,
+            progress=lambda fraction, text: self._progress(0.75 + 0.15 * fraction, text), text="refining other places",
+        )  # fmt: skip
+        return [first, *others]
+
+    # -- saying -------------------------------------------------------------------------------------------------------
+    def _result(
+        self, posed: _Posed, chosen: several.Chosen, said: _Said, solutions: list[tuple[Refined, str, int]]
+    ) -> tuple[LocationResult, _Posed]:
+        grid, norm = self.grid, float(np.linalg.norm(posed.y))
+        residual2, best, at, covariance, rivals = chosen.fitted.residual2, chosen.indices, None, None, ()
+        found = None if grid is None else grid.places[np.array(best)]
+        sigma = _level(posed, residual2, chosen)
+        edge = False
+        if solutions and grid is not None:
+            winner = min((s[0] for s in solutions), key=lambda r: r.fitted.residual2)
+            residual2, at, edge = winner.fitted.residual2, winner.place, winner.edge
+            found = grid.full(at)
+            best = tuple(int(np.argmin(np.linalg.norm(grid.places - p, axis=1))) for p in found)
+            sigma = _level(posed, residual2, chosen)
+            covariance = np.zeros((len(found), *[found.shape[1]] * 2))
+            covariance[np.ix_(range(len(found)), grid.used, grid.used)] = winner.covariance(sigma)
+            rivals = _rivals(solutions, winner, grid)
+        posed = replace(posed, at=at)
+        level = None if posed.sigma is None else float(np.sqrt(residual2 / posed.y.size)) / posed.sigma
+        exact = chosen.fitted.exact and all(s[0].fitted.exact for s in solutions)
+        facts = {
+            "m": int(posed.y.size),
+            "n": len(posed.y) * len(best),
+            "candidates": len(self.model.loads),
+            "sensors": len(posed.data.rows),
+            "lambda": self.choice,
+            "edf": sum(posed.fits[j].edf for j in chosen.indices),
+            "residual_to_noise": None
+            if posed.sigma is None
+            else float(np.sqrt(residual2 / posed.y.size)) / posed.sigma,
+            "noise_level": sigma,
+            "noise_source": posed.noise.source,
+            "path": posed.fits[0].name,
+            "exact": bool(exact),
+            "responses": posed.candidates.how if solutions else "candidates only",
+            "ratio": said.ratio,
+        }
+        result = LocationResult(
+            labels=[c.label for c in self.model.loads],
+            places=None if grid is None else grid.places,
+            spacing=None if grid is None else grid.spacing,
+            scores=np.sqrt(chosen.scores) / norm,
+            best=best,
+            runner_up=said.runner_up,
+            ratio=said.ratio,
+            plausible=[self._plausible(scores, sigma) for scores in chosen.scores],
+            alike=posed.groups,
+            found=found,
+            covariance=covariance,
+            refined=bool(solutions),
+            residual=float(np.sqrt(residual2)) / norm,
+            rivals=rivals,
+            allowed=self.allow,
+            geometry=self._geometry(posed.data),
+            facts=facts,
+            provenance=self._provenance(posed),
+        )
+        return replace(result, flags=self._flags(posed, result, said, edge)), posed
+
+    def _plausible(self, scores: Array, sigma: float) -> list[str]:
+        from scipy.stats import chi2
+
+        dim = 1 if self.grid is None else len(self.grid.used)
+        within = np.flatnonzero(scores <= scores.min() + sigma**2 * chi2.ppf(LEVEL, dim))
+        return [self.model.loads[j].label for j in within[np.argsort(scores[within], kind="stable")]]
+
+    def _flags(self, posed: _Posed, result: LocationResult, said: _Said, edge: bool) -> tuple[Flag, ...]:
+        where, names = result.where, result.labels
+        found: list[Flag | None] = [found_flags.alike_allowed(posed.groups, alike.ALIKE)] if posed.groups else []
+        if result.refined:
+            assert result.std is not None
+            assert result.spacing is not None
+            found += [
+                found_flags.ambiguous(r.ratio, where[r.load], f"a load near candidate {r.label}")
+                for r in result.rivals[:1]
+            ]
+            found += [
+                found_flags.blurred(float(np.max(s)), result.spacing, w) for s, w in zip(result.std, where, strict=True)
+            ]
+            found += [found_flags.at_the_rim(where[0])] if edge else []
+        else:
+            found.append(found_flags.ambiguous(said.ratio, names[said.best], names[said.runner_up]))
+        data, model = posed.data, self.model
+        return guards.collect(
+            [
+                found_flags.few_sensors(len(data.rows), len(result.best)),
+                found_flags.biased(self.choice),
+                found_flags.unexplained(result.facts["residual_to_noise"], result.residual),
+                *found,
+                *model.flags,
+                guards.not_verified(model.certificate),
+                *health(data),
+                guards.mixed_kinds(data.channels, posed.noise.known),
+                guards.aliased(model.natural_frequencies, data.dt),
+                guards.inverse_crime(data.record.simulated_by, model.fingerprint),
+            ]
+        )
+
+    def _geometry(self, data: Data) -> dict[str, Any]:
+        sensors, _, outline = of_model(self.model)
+        parts = {"sensors": None if sensors is None else sensors[data.rows], "outline": outline}
+        return {name: np.asarray(value, float) for name, value in parts.items() if value is not None}
+
+    def _family_settings(self) -> dict[str, Any]:
+        common = {"noise": self.noise, "noise_source": self.noise_source, "sensors": self.sensors, "hold": self.hold}
+        given = {name: value for name, value in common.items() if value is not None}
+        return given | ({"allow": self.allow} if self.allow else {}) | self.settings
+
+    def _provenance(self, posed: _Posed) -> dict[str, Any]:
+        record = posed.data.record
+        return provenance(
+            self.name,
+            settings={
+                "choice": self.choice, "impacts": self.impacts, "refine": self.refine, "hold": self.hold,
+                "family": getattr(self.family, "name", getattr(self.family, "__name__", "a callable")),
+            },
+            inputs={record.source or record.name or "record": record.sha256},
+            model=self.model.fingerprint,
+            prior="a load of zero mean and constant variance, white in time; any candidate alike",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """What is made once for all records of a length: responses (whitened), a fit per candidate, groups alike."""
+
+    candidates: Candidates
+    h: Array
+    fits: tuple[fits.Fit, ...]
+    groups: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """One record, whitened by relative noise levels, with the fits that it is shown to.
+
+    `sigma` is the noise level of the whitened data where it is known; `at` holds the refined places.
+    """
+
+    data: Data
+    noise: noises.Noise
+    sigma: float | None
+    y: Array
+    relative: Array
+    candidates: Candidates
+    h: Array
+    fits: tuple[fits.Fit, ...]
+    groups: tuple[tuple[str, ...], ...]
+    at: Array | None = None
+
+    @property
+    def dense(self) -> bool:
+        """Every candidate has its factors: a fit costs less than handing it to a thread."""
+        return isinstance(self.fits[0], fits.DenseFit)
+
+    def fit(self, h: Array, lam: Array) -> fits.Fit:
+        """A fit of its own for some responses."""
+        return fits.JointFit(h, lam) if len(h) * h.shape[2] <= DENSE else fits.LongFit(h, lam)
+
+    def joint(self, indices: Sequence[int]) -> fits.Fit:
+        """Some candidates together."""
+        lam = np.array([float(self.fits[j].lam[0]) for j in indices])
+        return self.fit(self.h[:, :, list(indices)], lam)
+
+    def response(self, index: int, history: Array) -> Array:
+        """Response (samples, sensors) of a candidate."""
+        from ..inverse.convolution import Convolution
+
+        return Convolution(self.h[:, :, index, None]).apply(history[:, None])
+
+    def whitened(self, places: Array) -> Array:
+        """Whitened responses (samples, sensors, n) of loads at places."""
+        return whiten(self.candidates.responses(places)[:, self.data.rows], self.relative, axis=1)
+
+
+@dataclass(frozen=True)
+class _Said:
+    """What the candidates alone say: best, runner-up, and the ratio of their residual norms."""
+
+    best: int
+    runner_up: int
+    ratio: float
+
+
+def _said(posed: _Posed, chosen: several.Chosen) -> _Said:
+    """Of the load for which the runner-up comes closest."""
+    found = []
+    for best, scores in zip(chosen.indices, chosen.scores, strict=True):
+        taken = [j for j in chosen.indices if j != best]
+        others = np.array([np.inf if j in {best, *taken} else s for j, s in enumerate(scores)])
+        second = int(np.argmin(others))
+        floor = np.finfo(float).eps * float(np.linalg.norm(posed.y))  # data without noise may leave nothing
+        ratio = max(np.sqrt(others[second]), floor) / max(np.sqrt(scores[best]), floor)
+        found.append(_Said(best, second, float(ratio)))
+    return min(found, key=lambda s: s.ratio)
+
+
+def _level(posed: _Posed, residual2: float, chosen: several.Chosen) -> float:
+    """Noise level of the whitened data: as stated, or what the fit leaves where that is more or nothing is stated."""
+    spent = sum(posed.fits[j].edf for j in chosen.indices)
+    left = float(np.sqrt(residual2 / max(posed.y.size - spent, 1.0)))
+    return left if posed.sigma is None else max(left, posed.sigma)
+
+
+def _basins(scores: Array, near: NDArray, best: int) -> list[int]:
+    """Local minima of the scores outside the neighbourhood of the best, best first."""
+    lowest = np.array([np.min(scores[near[j]]) for j in range(len(scores))])
+    found = [j for j in np.flatnonzero(scores <= lowest) if not near[best, j]]
+    return sorted((int(j) for j in found), key=lambda j: float(scores[j]))
+
+
+def _rivals(solutions: list[tuple[Refined, str, int]], winner: Refined, grid: Grid) -> tuple[Rival, ...]:
+    """Solutions at another place than the winner, closest in residual first."""
+    floor = np.finfo(float).tiny
+    found = []
+    for one, label, load in solutions:
+        away = float(np.linalg.norm(one.place - winner.place, axis=1).max())
+        if one is not winner and away > grid.spacing:
+            ratio = np.sqrt(one.fitted.residual2 / max(winner.fitted.residual2, floor))
+            place = tuple(float(v) for v in grid.full(one.place)[load])
+            found.append(Rival(place, label, float(ratio), load))
+    return tuple(sorted(found, key=lambda r: r.ratio))
+
+
+def _own(flags: Sequence[Flag]) -> tuple[Flag, ...]:
+    """Flags of the place, for the load estimate that has all others already."""
+    return tuple(f for f in flags if f.code in ("LID-W511", "LID-E512"))
+
+
+def _check_candidates(model: Model) -> None:
+    if not isinstance(model, Model) or len(model.loads) < 2:
+        raise InputError(
+            "no candidates", where="LocationSearch",
+            found=f"a model with {len(model.loads)} load" if isinstance(model, Model) else type(model).__name__,
+            expected="a model whose loads are at least two candidate places",
+            hint="ForwardModel(structure, sensors, [loads.Point(at=x) for x in grid])",
+        )  # fmt: skip
+    kinds = {(c.quantity, c.unit) for c in model.loads}
+    if len(kinds) > 1:
+        raise InputError(
+            "candidates of different kinds", where="LocationSearch", found=sorted(f"{q} ({u})" for q, u in kinds),
+            expected="one kind of load", hint="search forces and moments in two searches",
+        )  # fmt: skip
+
+
+def _one_lambda(choice: Any, method: str) -> float:
+    if method == "tsvd":
+        raise found_flags.not_comparable("a truncation rank", "method='tsvd'")
+    if method != "tikhonov":
+        raise InputError("unknown method", where="method", found=repr(method), expected="'tikhonov'")
+    if isinstance(choice, str):
+        raise found_flags.not_comparable("a rule, which chooses another lambda for each", repr(choice))
+    if np.ndim(choice) > 0 or isinstance(choice, Mapping):
+        raise found_flags.not_comparable("a lambda for each", f"{len(choice)} values")
+    if isinstance(choice, bool) or not isinstance(choice, int | float | np.number) or not 0 < choice < 1:
+        raise InputError("no relative lambda", where="choice", found=repr(choice), expected="a number between 0 and 1",
+                         hint="choice=1e-3")  # fmt: skip
+    return float(choice)
+
+
+def _count(impacts: Any, candidates: int) -> int:
+    if isinstance(impacts, bool) or not isinstance(impacts, int | np.integer) or not 1 <= impacts < candidates:
+        raise InputError("no number of loads", where="impacts", found=repr(impacts),
+                         expected=f"an integer from 1 to {candidates - 1}", hint="impacts=1")  # fmt: skip
+    return int(impacts)
