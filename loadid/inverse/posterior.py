@@ -207,8 +207,16 @@ def from_arrays(tree: dict) -> Posterior:
         return dense(tree)
     if tree.get("kind") == FramesPosterior.kind:
         return FramesPosterior.from_arrays(tree)
+    if tree.get("kind") == "support":
+        from .sparse.posterior import SupportPosterior
+
+        return SupportPosterior.from_arrays(tree)
     if tree.get("kind") == SpectralPosterior.kind:
         return SpectralPosterior(np.asarray(tree["lines"]), tree["samples"], tree["padded"])
+    if tree.get("kind") == "convolved":
+        from .convolved.posterior import ConvolvedPosterior
+
+        return ConvolvedPosterior.from_arrays(tree)
     raise InputError(
         "unknown kind of posterior", where="result file", found=tree.get("kind"), expected="dense or spectral"
     )

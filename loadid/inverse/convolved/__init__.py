@@ -1,0 +1,1 @@
+"""Tikhonov deconvolution of long records behind impulse responses, by FFT products and conjugate gradients."""

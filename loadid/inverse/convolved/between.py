@@ -1,0 +1,165 @@
+"""What the path says between the lambdas at which it was computed.
+
+All scalars are sums of functions of ``1 / (1 + lambda^2 / gamma^2)``, analytic in t = ln lambda^2 in a strip of
+half-width pi, so that few nodes do: Hermite polynomials through logarithms and their derivatives where the solves give
+these (`moments`), a spline where they do not (`Traces`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+TINY = np.finfo(float).tiny
+STEP, CLOSE = 0.5, 0.25  # decades between nodes with derivatives, and between those of a spline
+WIDE = 1.0  # relative lambda above which nodes are twice as far apart
+BEYOND = np.array([1e2, 1e3, 1e4])  # relative lambda where the governed part is known to fall as 1 / lambda^2
+DECADE = np.log(10)
+
+
+class Table:
+    """Logarithms of scalars with derivatives in t at nodes, each node computed when first asked for.
+
+    Parameters
+    ----------
+    compute : callable
+        Relative lambda -> groups of scalars, each (scalars, d): logarithm and d - 1 derivatives in t = ln lambda^2.
+    low : float
+        Smallest relative lambda of a node.
+    """
+
+    def __init__(self, compute: Callable[[float], tuple[NDArray, ...]], low: float) -> None:
+        self._compute, self._t = compute, nodes(low, STEP, BEYOND[-1])
+        self._found: dict[int, tuple[NDArray, ...]] = {}
+
+    def holds(self, lam: NDArray) -> bool:
+        """Whether these can be answered without computing anything."""
+        return all(i in self._found for i in self._range(lam))
+
+    def at(self, lam: NDArray) -> NDArray[np.float64]:
+        """Scalars of all groups at relative lambdas (k,): shape (scalars, k)."""
+        from scipy.interpolate import BPoly
+
+        where = self._range(lam)
+        for i in where:
+            if i not in self._found:
+                self._found[i] = self._compute(float(np.exp(0.5 * self._t[i])))
+        groups = zip(*(self._found[i] for i in where), strict=True)
+        curves = [BPoly.from_derivatives(self._t[where], [values.T for values in group]) for group in groups]
+        return np.concatenate([np.exp(curve(2 * np.log(lam))).T for curve in curves])
+
+    def _range(self, lam: NDArray) -> range:
+        last = len(self._t) - 1
+        low = int(np.searchsorted(self._t, 2 * np.log(lam.min()), side="right")) - 1
+        high = int(np.searchsorted(self._t, 2 * np.log(lam.max()), side="left"))
+        low = min(max(low, 0), last - 1)
+        return range(low, min(max(high, low + 1), last) + 1)
+
+
+def nodes(low: float, step: float, high: float) -> NDArray[np.float64]:
+    """Values of t = ln lambda^2 from `low` to beyond `high`, `step` decades of lambda apart; twice that above `WIDE`."""
+    fine = np.arange(np.log(low), np.log(WIDE) + step * DECADE, step * DECADE)
+    coarse = np.arange(fine[-1], np.log(high) + 2 * step * DECADE, 2 * step * DECADE)[1:]
+    return 2 * np.concatenate([fine, coarse])
+
+
+def logs(values: NDArray) -> NDArray[np.float64]:
+    """Logarithms with derivatives from values with derivatives, both (scalars, d)."""
+    value = np.maximum(values[:, :1], TINY)
+    share = np.where(values[:, :1] > TINY, values / value, 0.0)
+    out = np.concatenate([np.log(value), np.zeros_like(values[:, 1:])], axis=1)
+    for n in range(1, values.shape[1]):  # f^(n) = sum_k C(n - 1, k) f^(k) u^(n - k) with f' = f u'
+        out[:, n] = share[:, n] - sum(comb(n - 1, k) * share[:, k] * out[:, n - k] for k in range(1, n))
+    return out
+
+
+@dataclass(frozen=True)
+class Powers:
+    """Traces at some lambdas, (k,) each: the part of tr A that the penalty governs, its rest, and derivatives in t."""
+
+    part: NDArray[np.float64]
+    rest: NDArray[np.float64]
+    first: NDArray[np.float64]
+    second: NDArray[np.float64]
+    third: NDArray[np.float64]
+
+
+class Traces:
+    """Spline through the odds ``part / rest`` of the degrees of freedom, which is straight for a single mode.
+
+    Parameters
+    ----------
+    compute : callable
+        Relative lambda -> (part, rest, trace of B) with part + rest the number of governed modes.
+    low : float
+        Smallest relative lambda that will be asked for.
+    """
+
+    def __init__(self, compute: Callable[[float], tuple[float, float, float]], low: float) -> None:
+        self._compute, self._low = compute, low
+
+    @cached_property
+    def _nodes(self) -> tuple[NDArray, NDArray]:
+        t = nodes(self._low, CLOSE, 10.0)
+        lam = np.exp(0.5 * t)
+        found = np.array([self._compute(float(x)) for x in lam])
+        found[:, 0] = np.maximum(found[:, 0], 1 / (1 + lam**2))  # that of the largest mode alone
+        part = found[-1, 0] * (lam[-1] / BEYOND) ** 2
+        rows = np.stack([part, np.sum(found[-1, :2]) - part, np.full(len(part), found[-1, 2])], axis=1)
+        return np.append(t, 2 * np.log(BEYOND)), np.concatenate([found, rows])
+
+    @cached_property
+    def _spline(self) -> Callable[..., NDArray]:
+        from scipy.interpolate import make_interp_spline
+
+        t, found = self._nodes
+        part, rest, trace = np.maximum(found, TINY).T
+        # beyond the largest mode the odds fall as 1 / lambda^2: taken out, little is left to interpolate
+        return make_interp_spline(t, np.array([np.log(part / rest) + t, np.log(trace)]).T, k=5)
+
+    def powers(self, lam: NDArray) -> Powers:
+        """Part, rest and derivatives at relative lambdas."""
+        t, (_, found) = 2 * np.log(lam), self._nodes
+        count = float(found[-1, 0] + found[-1, 1])
+        s, s1, s2, s3 = (self._spline(t, nu=k)[:, 0] for k in range(4))
+        s, s1 = s - t, s1 - 1.0
+        f, g = 1 / (1 + np.exp(-s)), 1 / (1 + np.exp(s))
+        return Powers(
+            count * f,
+            count * g,
+            count * f * g * s1,
+            count * f * g * ((g - f) * s1**2 + s2),
+            count * f * g * (((g - f) ** 2 - 2 * f * g) * s1**3 + 3 * (g - f) * s1 * s2 + s3),
+        )
+
+    def trace(self, lam: NDArray) -> tuple[NDArray, NDArray]:
+        """Trace of B and its derivative in t."""
+        t = 2 * np.log(lam)
+        value = np.exp(self._spline(t)[:, 1])
+        return value, value * self._spline(t, nu=1)[:, 1]
+
+    @property
+    def grid(self) -> NDArray[np.float64]:
+        """Relative lambdas, closely spaced, over all nodes."""
+        t = self._nodes[0]
+        return np.exp(0.5 * np.linspace(t[0], t[-1], 16 * len(t)))
+
+    def log_ratio(self, lam: NDArray) -> NDArray[np.float64]:
+        """Sum of ln(1 + gamma^2 / lambda^2): the integral of the part over t, from lambda to infinity."""
+        nodes = self._nodes[0]
+        x, w = np.polynomial.legendre.leggauss(8)
+
+        def over(a: NDArray, b: NDArray) -> NDArray:
+            t = 0.5 * (a + b)[:, None] + 0.5 * (b - a)[:, None] * x
+            return 0.5 * (b - a) * (self.powers(np.exp(0.5 * t.ravel())).part.reshape(t.shape) @ w)
+
+        whole = over(nodes[:-1], nodes[1:])
+        after = np.append(np.cumsum(whole[::-1])[::-1], 0.0) + self._nodes[1][-1, 0]  # beyond: part ~ 1 / lambda^2
+        t = 2 * np.log(lam)
+        k = np.clip(np.searchsorted(nodes, t, side="left"), 0, len(nodes) - 1)
+        return over(t, nodes[k]) + after[k]

@@ -1,0 +1,286 @@
+"""Path of a record convolved with impulse responses of any length: exact finite-record Tikhonov by FFT products."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+
+from ..path import PathPoint, Solution
+from . import probes
+from .between import Table, Traces, logs
+from .circulant import Circulant
+from .displacement import SWEPT, columns, profile
+from .moments import Moments, chain, moments, slopes
+from .operator import Operator
+from .pcg import Reached, Sides, refined, solve
+from .posterior import ConvolvedPosterior
+from .scale import largest
+
+SCALARS, TIGHT = 1e-8, 1e-11  # tolerance of solves whose answers are only sums; the second one below `WEAK`
+WEAK = 100.0  # times the smallest lambda
+TRACES = 1e-9
+LOWEST = 1e-5  # lambda times the largest penalty over the norm of H: below, too many digits are lost
+
+
+class ConvolvedPath:
+    """``min |H g - y|^2 + lambda^2 |L g|^2`` with H the causal block Toeplitz operator of h, right at both ends.
+
+    Nothing is assumed of what comes after the record; before it the load is zero. The penalty acts in time with free
+    ends, as the dense one does. A lambda costs some solves by conjugate gradients (`pcg`) with a circulant
+    preconditioner, of six transforms for one load and one sensor in each step. Exact to the tolerance of these: loads,
+    residuals, `exact`, degrees of freedom and the variance of every sample (`displacement`: no probes). Interpolated
+    between half decades of lambda (a quarter for traces): what `at` says (`between`). Estimated by fixed probes
+    (`probes`): traces where sensors, loads and gaps in the data ask for more than `displacement.SWEPT` columns, and
+    variances where they ask for more than `displacement.MANY`.
+
+    Parameters
+    ----------
+    h : array, shape (taps, sensors, loads)
+        Impulse responses, whitened: row s over the noise level of sensor s. Zero beyond their end.
+    y : array, shape (samples, sensors)
+        Whitened data.
+    penalty : str
+        Named penalty.
+    weight : array, shape (samples, sensors), optional
+        What rows of H and data are multiplied by; 0 where a datum is missing (its value is then not used).
+    scale : float, optional
+        Largest generalised singular value, where it is known.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, NaN, a model that is zero.
+    NotIdentifiable
+        A constant (or linear) load that neither the sensors nor the penalty see (LID-E306).
+    """
+
+    smooth = True
+    coefficients = None
+
+    def __init__(
+        self, h: NDArray, y: NDArray, penalty: str = "identity", weight: NDArray | None = None,
+        *, scale: float | None = None,
+    ) -> None:  # fmt: skip
+        h, y = np.asarray(h, float), np.asarray(y, float)
+        if h.ndim != 3 or y.ndim != 2 or y.shape[1] != h.shape[1] or 0 in h.shape + y.shape:
+            raise InputError("impulse responses and data do not fit", where="convolved path",
+                             found=f"h {h.shape}, y {y.shape}",
+                             expected="(taps, sensors, loads) and (samples, sensors)")  # fmt: skip
+        used = np.ones(y.shape, bool) if weight is None else np.asarray(weight) != 0
+        if used.shape != y.shape or (weight is not None and not np.all(np.isfinite(weight))):
+            raise InputError("the weights do not fit the data", where="convolved path", found=f"shape {used.shape}",
+                             expected=f"{y.shape}, finite")  # fmt: skip
+        if not np.any(used):
+            raise InputError("no data", where="convolved path", found="every sample is missing",
+                             expected="some measured samples")  # fmt: skip
+        if not (np.all(np.isfinite(h)) and np.all(np.isfinite(y[used]))):
+            raise InputError("NaN or inf in the model or the data", where="convolved path",
+                             expected="finite numbers", hint="weight 0 where a sample is missing")  # fmt: skip
+        if np.all(used) and weight is not None and np.all(np.asarray(weight) == 1.0):
+            weight = None
+        self.operator = Operator(h, len(y), penalty, weight)
+        kept = np.where(used, y, 0.0) * (1.0 if weight is None else np.asarray(weight, float))
+        self.y = np.ascontiguousarray(kept.T)[None]  # (1, sensors, samples)
+        self.m, self.null = int(np.sum(used)), self.operator.order * self.operator.loads
+        self.scale = np.asarray(largest(self.operator) if scale is None else float(scale))
+        if not 1e-140 < float(self.scale) < 1e140:
+            raise InputError("the forward model is beyond the range of numbers", where="inverse problem",
+                             found=f"largest generalised singular value {float(self.scale):.2g}",
+                             expected="between 1e-140 and 1e140", hint="check the units")  # fmt: skip
+        self._table = Table(self._node, self.lowest)
+        self._errors: dict[float, Table] = {}
+        self._kept: tuple[float, Reached] | None = None
+
+    # -- the contract -------------------------------------------------------------------------------------------------
+    @property
+    def samples(self) -> int:
+        """Length of the record."""
+        return self.operator.samples
+
+    @property
+    def unknowns(self) -> int:
+        """Loads times samples."""
+        return self.operator.samples * self.operator.loads
+
+    @cached_property
+    def range(self) -> tuple[float, float]:
+        """Relative lambda from below the smallest singular value of the lines, as far as digits allow, up to 1."""
+        return float(max(self.lowest, min(1e-3 * self.seen, 0.1))), 1.0
+
+    @cached_property
+    def lowest(self) -> float:
+        """Smallest relative lambda that is solved for: `LOWEST` times the norm of H over that of the penalty."""
+        o = self.operator
+        norm = float(self.scale) if o.order == 0 else largest(o.with_penalty("identity"))
+        return LOWEST * norm / 2**o.order / float(self.scale)
+
+    @cached_property
+    def seen(self) -> float:
+        """Smallest relative generalised singular value of the lines of a padded transform of the impulse responses."""
+        lines = self.operator.cut(min(self.samples, 4096)).lines
+        values = np.linalg.svd(np.moveaxis(lines, -1, 0)[1:], compute_uv=False).min(axis=1)
+        theta = np.pi * np.arange(1, lines.shape[-1]) / (lines.shape[-1] - 1)
+        return float(np.min(values / (2 * np.sin(theta / 2)) ** self.operator.order) / float(self.scale))
+
+    def at(self, lam: ArrayLike) -> PathPoint:
+        """Scalars of the path at relative `lam`, from nodes half a decade apart (a quarter for traces)."""
+        lam = np.asarray(lam, float)
+        self._check(lam)
+        if lam.size == 1 and not self._table.holds(lam.reshape(-1)):
+            return self._alone(lam)
+        values = self._between(np.atleast_1d(lam))
+        return PathPoint(**{name: x if lam.ndim else x[0] for name, x in values.items()})
+
+    def exact(self, lam: float) -> PathPoint:
+        """Scalars at one relative lambda without interpolation; traces of powers are left out."""
+        return self._alone(np.asarray(float(lam)))
+
+    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64]:
+        """Squared load error at each `lam` (k,) that would be made if the load were the estimate at `pilot`."""
+        lam = np.atleast_1d(np.asarray(lam, float))
+        self._check(lam)
+        if pilot not in self._errors:
+            load = self._solved(pilot).x
+            response = self.operator.apply(load)
+            self._errors = {pilot: Table(lambda at: self._bias2(at, load, response), self.lowest)}
+        noise = self._noise2(lam) if sigma > 0 else 0.0
+        return self._errors[pilot].at(lam)[0] + sigma**2 * noise
+
+    def residual(self, lam: float) -> NDArray[np.float64]:
+        """Whitened residual (samples, sensors), 0 where data are missing."""
+        return np.ascontiguousarray(self._solved(lam).r[0].T)
+
+    def solution(self, lam: float, sigma: float | None) -> Solution:
+        """Load history (samples, loads) and its posterior."""
+        load = np.ascontiguousarray(self._solved(lam).x[0].T)
+        if sigma is None:
+            return Solution(load, None)
+        return Solution(load, ConvolvedPosterior(self.operator, float(lam) * float(self.scale), sigma))
+
+    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+        """What would be estimated from the noise-free response of `load` (samples, loads)."""
+        self._check(np.asarray(lam))
+        g = np.ascontiguousarray(np.asarray(load, float).T)[None]
+        return np.ascontiguousarray(self._solve(float(lam), Sides(y=self.operator.apply(g))).x[0].T)
+
+    def gradient(self, lam: float) -> float:
+        """Norm of half the gradient of the objective at the solution over that of H^T y: a certificate."""
+        return self._solved(lam).gradient
+
+    # -- inside -------------------------------------------------------------------------------------------------------
+    def _circulant(self, lam: float) -> Circulant:
+        return Circulant(self.operator, lam * float(self.scale))
+
+    def _solve(self, lam: float, sides: Sides) -> Reached:
+        return solve(self.operator, self._circulant(lam), sides)
+
+    def _solved(self, lam: float) -> Reached:
+        """Solution at a relative lambda; the last one is kept."""
+        self._check(np.asarray(lam))
+        if self._kept is None or self._kept[0] != float(lam):
+            self._kept = float(lam), refined(self.operator, self._circulant(lam), self.y)
+        return self._kept[1]
+
+    def _moments(self, lam: float) -> Moments:
+        return moments(self.operator, self._circulant(lam), self.y, 3, self._tolerance(lam))
+
+    def _tolerance(self, lam: float) -> float:
+        return SCALARS if lam >= WEAK * self.lowest else TIGHT
+
+    def _node(self, lam: float) -> tuple[NDArray, ...]:
+        """Objective, residual, roughness and its bend (both times lambda^2); change of the load: logarithms, slopes."""
+        found = self._moments(lam)
+        p, d = found.rest[:, 0], found.drop[:, 0]
+        falls = slopes(d)
+        objective, residual2 = np.append(p[0], falls[1][:4]), np.append(p[1], 2 * falls[2][:4])
+        groups = logs(np.array([objective, residual2, falls[1][:5]])), logs(np.array([falls[2][:4]]))
+        if self.operator.order == 0:  # f / c^2 = (1 - f) / lambda^2
+            return *groups, logs(np.array([falls[3][:3]]))
+        assert found.change_slope is not None
+        return *groups, logs(np.array([[found.change2[0], found.change_slope[0]]]))
+
+    def _between(self, lam: NDArray) -> dict[str, NDArray]:
+        """Every scalar at relative lambdas (k,)."""
+        objective, residual2, rough, bend, change2 = self._table.at(lam)
+        powers, x2 = self._traces.powers(lam), (lam * float(self.scale)) ** 2
+        if self.operator.order == 0:
+            change2 = change2 / x2
+        left = (self.m - self.unknowns) + powers.rest
+        edf = self.null + powers.part
+        rest2 = np.clip(left + powers.first, left**2 / self.m, left)
+        rest4 = left + 11 / 6 * powers.first - powers.second + powers.third / 6
+        return {
+            "residual2": residual2,
+            "penalty2": rough / x2,
+            "edf": edf,
+            "edf2": np.clip(edf + powers.first, edf**2 / self.unknowns, edf),
+            "left": left,
+            "rest2": rest2,
+            "rest4": np.clip(rest4, rest2**2 / self.m, rest2),
+            "sensitivity": 2 * np.sqrt(change2),
+            "objective": objective,
+            "log_ratio": self._traces.log_ratio(lam),
+            "bend": -4 * bend / x2,
+        }
+
+    def _alone(self, lam: NDArray) -> PathPoint:
+        """Exact scalars at one lambda, without those that need its neighbours."""
+        relative = float(lam.reshape(-1)[0])
+        found, (part, rest, _) = self._moments(relative), self._trace(relative)
+        x2 = (relative * float(self.scale)) ** 2
+
+        def shaped(x: float) -> NDArray[np.float64]:
+            return np.full(lam.shape, x)
+
+        return PathPoint(
+            shaped(found.rest[1, 0]), shaped(found.drop[1, 0] / x2),
+            edf=shaped(self.null + part), left=shaped(self.m - self.unknowns + rest),
+            sensitivity=shaped(2 * np.sqrt(found.change2[0])), objective=shaped(found.rest[0, 0]),
+            bend=shaped(-4 * found.drop[2, 0] / x2),
+        )  # fmt: skip
+
+    @cached_property
+    def _traces(self) -> Traces:
+        return Traces(self._trace, self.range[0])
+
+    def _trace(self, lam: float) -> tuple[float, float, float]:
+        """Degrees of freedom that the penalty governs, those that are left of them, and the trace of B."""
+        x = lam * float(self.scale)
+        if columns(self.operator) > SWEPT:
+            return probes.traces(self.operator, x, TRACES)
+        found = profile(self.operator, x, TRACES)
+        return float(np.sum(1.0 - found.rough)), float(np.sum(found.rough)), float(np.sum(found.variance))
+
+    def _noise2(self, lam: NDArray) -> NDArray[np.float64]:
+        """Squared load error that noise of unit level makes, tr B H^T H B."""
+        grid, values = self._noise_table
+        return np.exp(np.interp(np.log(lam), np.log(grid), np.log(values)))
+
+    @cached_property
+    def _noise_table(self) -> tuple[NDArray, NDArray]:
+        grid = self._traces.grid
+        if self.operator.order == 0:  # sum of f^2 / c^2 = sum of f (1 - f) / lambda^2
+            value = -self._traces.powers(grid).first / (grid * float(self.scale)) ** 2
+        else:
+            value = np.add(*self._traces.trace(grid))  # dB/dt = -B lambda^2 L^T L B
+        # it falls with lambda: where rounding has eaten the difference, at a very small one, that is what is kept
+        falling = np.maximum.accumulate(value[::-1])[::-1]
+        return grid, np.maximum(falling, np.finfo(float).tiny)
+
+    def _bias2(self, lam: float, load: NDArray, response: NDArray) -> tuple[NDArray, ...]:
+        """Squared distance of a load from what would be made of its response: logarithm with two slopes."""
+        one, two, three = chain(self.operator, self._circulant(lam), response, 3, self._tolerance(lam))[0]
+        lost = load - one
+        value, first = float(np.sum(lost**2)), 2 * float(np.sum(lost * two))
+        second = 2 * float(np.sum(two**2)) + 2 * float(np.sum(lost * (two - 2 * three)))
+        return (logs(np.array([[value, first, second]])),)
+
+    def _check(self, lam: NDArray) -> None:
+        if not np.all(np.isfinite(lam)) or np.any(lam < 0.99 * self.lowest):
+            raise InputError("lambda is too small for this path", where="lambda", found=float(np.min(lam)),
+                             expected=f"a relative lambda of at least {self.lowest:.2g}",
+                             hint="use the dense path (path='dense') on a window")  # fmt: skip

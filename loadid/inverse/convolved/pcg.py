@@ -1,0 +1,184 @@
+"""Preconditioned conjugate gradients on the stacked system ``[H; lam L]``, several right sides at once.
+
+In the least-squares form (CGLS) the residuals of data and penalty are carried, and the gradient is formed from them:
+this keeps the digits that ``H^T H`` would lose. Björck, Numerical Methods for Least Squares Problems, SIAM 1996, ch. 7.
+The iteration stops on the gradient in the norm of the preconditioner, which measures the error of the load in the
+energy norm as far as the preconditioner is good, and not on the plain residual: that one can be small while smooth
+loads are still wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError
+
+from .circulant import Circulant
+from .operator import Operator
+
+TOLERANCE = 1e-12
+MOST = 4000  # iterations
+STALLED, FINE = 300, 20  # iterations without a smaller gradient that end it, and those once it is below `SMALL`
+SMALL = 1e-10
+ROUNDING = 1e-9  # gradient beyond which a stalled iteration is no solution
+HARD = 60  # iterations beyond which the solution is checked by a correction
+CORRECTED = 1e-4  # tolerance of a correction
+CHANGED = 1e-8  # change of the load that calls for one more
+PASSES = 6
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Right sides of ``(H^T H + lam^2 L^T L) x = b + H^T y + lam L^T c``; what is None is zero.
+
+    Parameters
+    ----------
+    y : array, shape (k, sensors, samples), optional
+    c : array, shape (k, loads, samples - order), optional
+    b : array, shape (k, loads, samples), optional
+    """
+
+    y: NDArray | None = None
+    c: NDArray | None = None
+    b: NDArray | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of right sides."""
+        return next(len(x) for x in (self.y, self.c, self.b) if x is not None)
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Where the iteration ended.
+
+    Parameters
+    ----------
+    x : array, shape (k, loads, samples)
+        Solutions.
+    r : array, shape (k, sensors, samples)
+        ``y - H x``.
+    q : array, shape (k, loads, samples - order)
+        ``c - lam L x``.
+    gradient : float
+        Norm of ``b + H^T r + lam L^T q`` relative to that at x = 0, the largest of all right sides.
+    iterations : int
+    """
+
+    x: NDArray[np.float64]
+    r: NDArray[np.float64]
+    q: NDArray[np.float64]
+    gradient: float
+    iterations: int
+
+
+def solve(
+    operator: Operator, circulant: Circulant, sides: Sides, tolerance: float = TOLERANCE, most: int = MOST,
+    start: NDArray | None = None, strict: bool = True,
+) -> Reached:  # fmt: skip
+    """Solve for all right sides at the lambda of the preconditioner.
+
+    Parameters
+    ----------
+    tolerance : float
+        Gradient in the norm of the preconditioner, relative to that at x = 0.
+    start : array, shape (k, loads, samples), optional
+        Where to start, such as the solution at a neighbouring lambda.
+    strict : bool
+        Whether to refuse an answer that is neither within the tolerance nor at the level of rounding.
+
+    Raises
+    ------
+    InputError
+        If it ends above `ROUNDING` times the first gradient and above the tolerance.
+    """
+    lam, N, k = circulant.lam, operator.samples, sides.count
+    x = np.zeros((k, operator.loads, N))
+    r = np.zeros((k, operator.sensors, N)) if sides.y is None else np.array(sides.y, float)
+    q = np.zeros((k, operator.loads, N - operator.order)) if sides.c is None else np.array(sides.c, float)
+    b = sides.b
+
+    def gradient(live: NDArray) -> NDArray:
+        s = operator.adjoint(r[live]) + lam * operator.rough_adjoint(q[live])
+        return s if b is None else s + b[live]
+
+    live = np.arange(k)
+    s = gradient(live)
+    z = circulant.solve(s)
+    zero, first = _dot(s, s), _dot(s, z)  # of x = 0: what all gradients are measured by
+    if start is not None:
+        x += start
+        r -= operator.apply(x)
+        q -= lam * operator.rough(x)
+        s = gradient(live)
+        z = circulant.solve(s)
+    energy, plain = _dot(s, z), _dot(s, s)
+    best, since = energy.copy(), np.zeros(k, int)
+    iterations, d = 0, z
+    keep = energy > tolerance**2 * first
+    while True:
+        if not keep.all():
+            live, d, energy = live[keep], d[keep], energy[keep]
+        if not len(live) or iterations == most:
+            break
+        u, v = operator.apply(d), lam * operator.rough(d)
+        step = (energy / (_dot(u, u) + _dot(v, v)))[:, None, None]
+        x[live] += step * d
+        r[live] -= step * u
+        q[live] -= step * v
+        s = gradient(live)
+        z = circulant.solve(s)
+        now = _dot(s, z)
+        d = z + (now / energy)[:, None, None] * d
+        energy, plain[live], iterations = now, _dot(s, s), iterations + 1
+        since[live] = np.where(now < best[live], 0, since[live] + 1)
+        best[live] = np.minimum(best[live], now)
+        patience = np.where(best[live] < SMALL**2 * first[live], FINE, STALLED)
+        keep = (now > tolerance**2 * first[live]) & (since[live] < patience)
+    reached = float(np.sqrt(np.max(plain / np.where(zero > 0, zero, 1.0), initial=0.0)))
+    if not np.isfinite(reached) or (strict and np.any(best > max(tolerance, ROUNDING) ** 2 * first)):
+        raise unsettled(f"gradient {reached:.2g} times the first after {iterations} steps")
+    return Reached(x, r, q, reached, iterations)
+
+
+def refined(operator: Operator, circulant: Circulant, y: NDArray) -> Reached:
+    """Solution for data y (1, sensors, samples), corrected from its own residual until the load no longer changes.
+
+    A small gradient does not show an error along loads that almost no data and no penalty see (second differences and a
+    small lambda). A correction does: it starts from that gradient alone.
+
+    Raises
+    ------
+    InputError
+        If the load still changes by more than `CHANGED` after `PASSES` corrections.
+    """
+    found = solve(operator, circulant, Sides(y=y))
+    if found.iterations <= HARD:
+        return found
+    scale = float(np.linalg.norm(operator.adjoint(y)))
+    for _ in range(PASSES):
+        r = y - operator.apply(found.x)
+        q = -circulant.lam * operator.rough(found.x)
+        more = solve(operator, circulant, Sides(y=r, c=q), CORRECTED, strict=False)
+        x = found.x + more.x
+        slope = operator.adjoint(more.r) + circulant.lam * operator.rough_adjoint(more.q)
+        found = Reached(x, more.r, more.q, float(np.linalg.norm(slope)) / scale, found.iterations + more.iterations)
+        change = float(np.linalg.norm(more.x) / max(np.linalg.norm(x), np.finfo(float).tiny))
+        if change <= CHANGED:
+            return found
+    raise unsettled(f"the load still changes by {change:.2g} of its size after {found.iterations} steps")
+
+
+def unsettled(found: str) -> InputError:
+    """What is raised in place of an answer that is not one."""
+    return InputError("the iteration does not settle at this lambda", where="convolved path", found=found,
+                      expected="a lambda at which data and penalty determine the load to some digits",
+                      hint="a larger lambda, or a shorter record on the dense path")  # fmt: skip
+
+
+def _dot(a: NDArray, b: NDArray) -> NDArray[np.float64]:
+    """Inner products of each right side."""
+    return np.einsum("kij,kij->k", a, b)
