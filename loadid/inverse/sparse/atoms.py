@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from ..convolution import Convolution
 from .dictionaries import Dictionary
 
 FADED = 1e-10  # share of the largest response below which it has died away
+LARGEST = 50_000_000  # numbers in the responses to a dictionary that is given as a matrix
 CHUNK = 2048  # rows of columns that are held at once
 
 
@@ -63,6 +64,60 @@ class DenseAtoms:
     def gram(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
         """Block of A^T A."""
         return self.matrix[:, rows].T @ self.matrix[:, columns]
+
+
+class MatrixAtoms(DenseAtoms):
+    """Responses to the columns of a dictionary that a user gives, at every load.
+
+    Parameters
+    ----------
+    h : array, shape (taps, sensors, loads)
+        Impulse responses, whitened.
+    D : array, shape (samples, atoms)
+        Histories of one load; every load has the same.
+    weight : array, shape (samples, sensors), optional
+        0 for missing data.
+
+    Raises
+    ------
+    InputError
+        Where the responses do not fit in `LARGEST` numbers.
+    """
+
+    def __init__(self, h: NDArray, D: NDArray, weight: NDArray | None = None) -> None:
+        self.D, self.samples, self.loads = np.asarray(D, float), len(D), h.shape[2]
+        operator = Convolution(h, self.samples, weight)
+        size = operator.shape[0] * self.D.shape[1] * self.loads
+        if size > LARGEST:
+            raise InputError(
+                "the dictionary is too large for a matrix",
+                where="dictionary",
+                found=f"{self.D.shape[1]} atoms of {self.samples} samples, {size:.2g} numbers with their responses",
+                expected=f"at most {LARGEST:.0e}",
+                hint="fewer atoms, a window of the record, or 'bspline' or 'wavelet', which need no matrix",
+            )
+        matrix = np.empty((operator.shape[0], self.D.shape[1], self.loads))
+        for load in range(self.loads):
+            for k, column in enumerate(self.D.T):
+                g = np.zeros((self.samples, self.loads))
+                g[:, load] = column
+                matrix[:, k, load] = operator.apply(g).reshape(-1)
+        super().__init__(matrix.reshape(operator.shape[0], -1))
+        self.load = np.tile(np.arange(self.loads), self.D.shape[1])
+        self.slot = np.repeat(np.arange(self.D.shape[1]), self.loads)
+
+    def history(self, x: NDArray) -> NDArray[np.float64]:
+        """D x: coefficients (n,) to loads (samples, loads)."""
+        return self.D @ x.reshape(-1, self.loads)
+
+    def histories(self, which: NDArray) -> Any:
+        """Loads of single atoms, sparse (samples * loads, k)."""
+        from scipy.sparse import csc_matrix
+
+        full = np.zeros((self.samples, self.loads, len(which)))
+        for c, j in enumerate(which):
+            full[:, self.load[j], c] = self.D[:, self.slot[j]]
+        return csc_matrix(full.reshape(-1, len(which)))
 
 
 class ShiftedAtoms:
@@ -116,6 +171,21 @@ class ShiftedAtoms:
     def adjoint(self, r: NDArray) -> NDArray[np.float64]:
         """D^T H^T r, (n,)."""
         return self.dictionary.analyse(self.operator.adjoint(r.reshape(self.samples, self.sensors))).reshape(-1)
+
+    def histories(self, which: NDArray) -> Any:
+        """Loads of single atoms, sparse (samples * loads, k)."""
+        from scipy.sparse import csc_matrix
+
+        rows, columns, values = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
+        for c, j in enumerate(which):
+            waveform = self.dictionary.families[self.wave[j]].waveform
+            time = self.shift[j] + np.arange(len(waveform))
+            inside = (time >= 0) & (time < self.samples)
+            rows.append(time[inside] * self.loads + self.load[j])
+            columns.append(np.full(np.count_nonzero(inside), c))
+            values.append(waveform[inside])
+        at = np.concatenate(rows), np.concatenate(columns)
+        return csc_matrix((np.concatenate(values), at), (self.samples * self.loads, len(which)))
 
     # -- columns ----------------------------------------------------------------------------------------------------
     def columns(self, which: NDArray) -> NDArray[np.float64]:
@@ -179,7 +249,8 @@ class ShiftedAtoms:
 
     def _lost(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
         """What the weights take away from the products of full columns."""
-        assert self.weight is not None and self._partial is not None
+        assert self.weight is not None
+        assert self._partial is not None
         left, right = self._at(rows, self._partial), self._at(columns, self._partial)
         rest = 1 - self.weight[self._partial] ** 2
         return np.einsum("tsi,ts,tsj->ij", left, rest, right, optimize=True)

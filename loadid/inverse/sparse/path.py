@@ -1,4 +1,4 @@
-"""A sparse problem over the size of its penalty, and the rules that choose mu: discrepancy and information criterion."""
+"""A sparse problem over mu, and the rules that choose it: discrepancy and information criterion."""
 
 from __future__ import annotations
 
@@ -107,7 +107,10 @@ class SparsePath:
         return found
 
     def reweighted(self, x: NDArray) -> SparsePath:
-        """The problem whose penalty holds down what is small in x (Candes, Wakin & Boyd, J. Fourier Anal. 14 (2008) 877)."""
+        """The problem whose penalty holds down what is small in x.
+
+        Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14 (2008) 877.
+        """
         size = np.abs(x) if self.groups is None else self.groups.norms(x)
         weights = 1 / (1 + size / (SHARP * max(float(size.max()), 1e-300)))
         return SparsePath(
@@ -131,7 +134,7 @@ class SparsePath:
                 break
             fitted = self.fitted(s.x, 0.0)
             value = ebic(fitted.residual2, k, self.data, self.atoms.n, sigma)
-            rows.append((ratio, s.residual @ s.residual, self.penalty(s.x), k, fitted.residual2, value))
+            rows.append((float(ratio), float(s.residual @ s.residual), self.penalty(s.x), k, fitted.residual2, value))
             best = int(np.argmin([r[-1] for r in rows]))
             if len(rows) - best > PATIENCE:
                 break

@@ -1,0 +1,347 @@
+"""Sparse deconvolution: impacts as a few waveforms of a dictionary, by an l1 or a group penalty."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.flags import Flag
+from structures.model import Model
+
+from .. import flags as guards
+from ..estimate import Axis, LoadEstimate
+from ..flags import sparsity as told
+from ..inverse.choice import Choice, Sweep
+from ..inverse.convolution import Convolution
+from ..inverse.rules import RuleResult
+from ..inverse.sparse.path import TOLERANCE
+from ..inverse.sparse.posterior import SupportPosterior
+from ..provenance import provenance
+from . import histories
+from .data import Data, gather, health
+from .sparsity import Chosen, Wanted, amplitude_share, choose, pose, posing
+
+DICTIONARIES = ("dirac", "bspline", "wavelet")
+RULES = ("discrepancy", "ebic")
+GROUPS = ("loads", "slots")
+AGREED = (0.1, 0.3)  # relative distance of the loads of two rules up to which mu is determined, usable
+BAND = (
+    "the noise on the chosen support; not in it: the choice of the support, and what the dictionary cannot represent. "
+    "Where no waveform was chosen it is zero"
+)
+
+
+class SparseDeconvolution:
+    """Load histories that are a few waveforms of a dictionary.
+
+    Minimises ``1/2 |R^(-1/2) (h * D x - y)|^2 + mu |x|_1`` over whole records of any length, to a duality gap that is
+    part of the answer, and then fits the amplitudes on the support by least squares, which the penalty had shrunk
+    (Jacquelin, Bennani & Hamelin, J. Sound Vib. 265 (2003) 81, for the problem; Qiao et al., J. Sound Vib. 2016, for
+    sparse dictionaries). Spikes fit hits of one or two samples; for longer pulses they are wrong (flag W311), B-splines
+    are right. A load that acts all the time asks for `Deconvolution`; `recommend` tells which prior fits.
+
+    Parameters
+    ----------
+    model : Model
+        Anything that gives ``impulse_response``.
+    dictionary : {"dirac", "bspline", "wavelet"} or array
+        Waveforms: spikes of one sample, cubic B-splines, Daubechies wavelets, or a matrix (samples, atoms) whose
+        columns every load may have.
+    knots : int, sequence of int, "scan" or None
+        Spacing of the B-splines in samples; several, or "scan" (2, 4, 8, 16; the same as None), are compared by the
+        extended information criterion. The best is a third to a fifth of the width of a pulse.
+    nonnegative : bool
+        Coefficients are not negative: the load only pushes (spikes, B-splines, matrices without negative entries).
+    groups : {"loads", "slots"} or None
+        ``"loads"``: which of the candidates acted: the history of a load is zero as a whole, or not.
+        ``"slots"``: the loads act at the same times.
+    reweighted : int
+        Rounds of reweighting, which hold small coefficients down and leave large ones.
+    debias : bool
+        Least squares on the support; without it the shrunken amplitudes of the penalty are returned.
+    choice : {"discrepancy", "ebic"}, float or None
+        Rule for mu, or mu over the smallest at which everything is zero. None: discrepancy, with the stated noise
+        level, or with that which the least squares of the best extended information criterion leaves.
+    load_class : {"impact", "service"}, optional
+        What kind of load is expected; flag W510 where this prior does not fit it.
+    tol : float
+        Relative duality gap, over ``1/2 |y|^2``.
+    hold : {"foh", "zoh"}, optional
+        How a load moves between samples; default the model's own.
+    noise : float or array, optional
+        Noise std of the sensors, (sensors,) or a covariance (sensors, sensors).
+    noise_source : str, optional
+        Where that level comes from.
+    sensors : sequence of str or int, optional
+        Sensors of the model to use; default all.
+    allow : sequence of str
+        Guard codes whose refusal is overridden.
+    coverage : Coverage, optional
+    progress : callable, optional
+        Called as ``progress(fraction, text)``.
+    """
+
+    name = "sparse deconvolution"
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        dictionary: str | ArrayLike = "dirac",
+        knots: int | str | Sequence[int] | None = None,
+        nonnegative: bool = False,
+        groups: str | None = None,
+        reweighted: int = 0,
+        debias: bool = True,
+        choice: str | float | None = None,
+        load_class: str | None = None,
+        tol: float = TOLERANCE,
+        hold: str | None = None,
+        noise: ArrayLike | None = None,
+        noise_source: str | None = None,
+        sensors: Sequence[str | int] | None = None,
+        allow: Sequence[str] = (),
+        coverage: Any = None,
+        progress: Callable[[float, str], None] | None = None,
+    ) -> None:
+        if not isinstance(dictionary, str):
+            dictionary = np.asarray(dictionary, float)
+        self.wanted = Wanted(dictionary, knots, nonnegative, groups, reweighted, debias, choice, tol)
+        _check(self.wanted, load_class)
+        self.posing = posing(hold, noise, noise_source, guards.allowed(allow))
+        self.model, self.sensors, self.coverage, self.load_class = model, sensors, coverage, load_class
+        self._progress = progress or (lambda fraction, text: None)
+
+    def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
+        """Rebuild the loads that caused a record.
+
+        Parameters
+        ----------
+        record : Record, or array of shape (samples, sensors)
+            NaN marks a missing sample.
+        dt : float, optional
+            Step in s of a bare array.
+
+        Returns
+        -------
+        LoadEstimate
+            Loads (samples, loads); `facts` hold the duality gap, the size of the support, mu and the knots.
+
+        Raises
+        ------
+        InputError
+            A record that does not fit the model, or an impulse response without a usable diagonal (LID-E506).
+        NotIdentifiable
+            Where nothing but noise is in the record, or the problem cannot be solved to a gap of 1e-5.
+        """
+        data = gather(record, dt, self.model, self.sensors, allow_missing=True)
+        problem = pose(self.model, data, self.posing)
+        chosen = choose(problem, self.wanted, self._progress)
+        load, posterior = self._load(chosen, problem.samples)
+        predicted = Convolution(problem.raw, problem.samples).apply(load)
+        response = np.where(problem.missing, predicted, problem.values)
+        share = amplitude_share(chosen)
+        facts, choice = self._facts(chosen, share), self._choice(chosen)
+        self._progress(1.0, "done")
+        return LoadEstimate(
+            load=load,
+            std=posterior.std,
+            labels=[c.label for c in self.model.loads],
+            units=[c.unit for c in self.model.loads],
+            axis=Axis(name="time", unit="s", values=np.asarray(np.arange(len(load)) * data.dt, float)),
+            choice=choice,
+            response=response,
+            residual=response - predicted,
+            sensors=[c.label for c in data.channels],
+            sensor_units=[c.unit for c in data.channels],
+            flags=self._flags(chosen, data, facts, choice, share),
+            allowed=self.posing.allow,
+            certificate=self.model.certificate,
+            posterior=posterior,
+            facts=facts,
+            provenance=provenance(
+                self.name,
+                settings=self._settings(chosen),
+                inputs={data.record.source or data.record.name or "record": data.record.sha256},
+                model=self.model.fingerprint,
+                prior=self._prior(chosen),
+            ),
+        )
+
+    # -- numbers ----------------------------------------------------------------------------------------------------
+    def _load(self, chosen: Chosen, samples: int) -> tuple[NDArray[np.float64], SupportPosterior]:
+        """Loads (samples, loads of the model), zero for those that groups left out, and their covariance."""
+        found, atoms = chosen.fit, chosen.atoms
+        x = found.full(atoms.n) if self.wanted.debias else chosen.solution.x
+        count = len(self.model.loads)
+        load = np.zeros((samples, count))
+        load[:, chosen.loads] = atoms.history(x)
+        return load, SupportPosterior.of(
+            atoms.histories(found.support), chosen.loads, count, chosen.sigma * found.spread, load.shape
+        )
+
+    def _facts(self, chosen: Chosen, share: tuple[float, int] | None) -> dict[str, Any]:
+        problem, found = chosen.problem, chosen.fit
+        freedom = max(problem.data - len(found.x), 1)
+        others = len(self.model.loads) // len(chosen.loads) if self.wanted.groups == "loads" else 1
+        facts = {
+            "path": "l1, active set on shifted responses" if self.wanted.groups != "slots" else "groups, active set",
+            "m": problem.data,
+            "n": chosen.atoms.n * others,
+            "edf": float(len(found.x)),
+            "residual_to_noise": float(np.sqrt(found.residual2 / freedom)) if problem.noise.known else None,
+            "noise_level": float(chosen.sigma),
+            "noise_source": problem.noise.source
+            if problem.noise.known
+            else "what the fit of the best criterion leaves",
+            "gap": float(chosen.solution.gap),
+            "support": len(found.x),
+            "mu": float(chosen.solution.mu),
+            "support_kappa": found.kappa,
+            "band": BAND,
+        }
+        if chosen.knots is not None:
+            facts["knots"] = chosen.knots
+        if self.wanted.groups == "loads":
+            facts["acting_loads"] = [self.model.loads[j].label for j in chosen.loads]
+        if share is not None:
+            facts["amplitude_std_with_neighbours"] = share[0]
+        if len(chosen.scores) > 1:
+            facts["criterion_by_knots"] = ", ".join(f"{k}: {v:.1f}" for k, v in sorted(chosen.scores.items()))
+        return facts
+
+    def _choice(self, chosen: Chosen) -> Choice:
+        rules = tuple(
+            RuleResult(name, chosen.ratios.get(name), edge=chosen.edge and name == chosen.rule,
+                       note="" if name in chosen.ratios else "not asked")
+            for name in RULES
+        )  # fmt: skip
+        verdict, spread, odds = self._verdict(chosen)
+        s = chosen.sweep
+        sweep = None
+        if s is not None and len(s.ratio) > 1:
+            norm, size = np.sqrt(s.residual2)[::-1], s.penalty[::-1]
+            sweep = Sweep(s.ratio[::-1].copy(), norm.copy(), size.copy(), s.count[::-1].astype(float))
+        return Choice(
+            lam=chosen.ratio, scale=chosen.scale, rule=chosen.rule, rules=rules, spread=spread, verdict=verdict,
+            odds=odds, sigma=chosen.problem.noise.sigma, sigma_source=chosen.problem.noise.source,
+            edf=float(len(chosen.fit.x)), sweep=sweep, shown=chosen.shown,
+        )  # fmt: skip
+
+    def _verdict(self, chosen: Chosen) -> tuple[str, float, str]:
+        """How far the loads of the two rules agree: once amplitudes are fitted, mu matters by the support alone."""
+        other = chosen.ratios.get("ebic" if chosen.rule != "ebic" else "discrepancy")
+        if other is None or other == chosen.ratio:
+            return "usable", 0.0, "mu of one rule alone"
+        along = chosen.problem.path(chosen.atoms, self.wanted.nonnegative)
+        second = along.fitted(along.at(other).x, self.wanted.small, chosen.sigma)
+        first = chosen.atoms.history(chosen.fit.full(chosen.atoms.n))
+        distance = np.linalg.norm(chosen.atoms.history(second.full(chosen.atoms.n)) - first) / np.linalg.norm(first)
+        grade = int(np.searchsorted(AGREED, distance))
+        spread = float(abs(np.log10(other / chosen.ratio)))
+        text = f"the loads at the mu of both rules, amplitudes fitted, are {distance:.1%} apart"
+        return ("determined", "usable", "rules disagree")[grade], spread, text
+
+    # -- words ------------------------------------------------------------------------------------------------------
+    def _prior(self, chosen: Chosen) -> str:
+        what = {
+            "dirac": "few spikes of one sample",
+            "bspline": f"few cubic B-splines with knots every {chosen.knots} samples",
+            "wavelet": "few Daubechies wavelets",
+            "user": "few columns of a matrix of the user",
+        }[self.wanted.named]
+        sign = ", none negative" if self.wanted.nonnegative else ""
+        group = {None: "", "loads": "; few of the loads act", "slots": "; the loads act at the same times"}
+        return f"{what}{sign}{group[self.wanted.groups]} (Laplace, l1)"
+
+    def _flags(
+        self, chosen: Chosen, data: Data, facts: dict[str, Any], choice: Choice, share: tuple[float, int] | None
+    ) -> tuple[Flag, ...]:
+        model, problem = self.model, chosen.problem
+        gain, knots = chosen.gain
+        residual = facts["residual_to_noise"]
+        wrong = told.wide_pulses(gain, knots, len(chosen.fit.x)) if self.wanted.named == "dirac" else None
+        label = "" if share is None else model.loads[chosen.loads[share[1]]].label
+        return guards.collect(
+            [
+                *model.flags,
+                guards.not_verified(model.certificate),
+                *health(data),
+                guards.mixed_kinds(data.channels, problem.noise.known),
+                *histories.layout(model, data, problem.raw, None),
+                *guards.parameter(choice, lambda factor: None),
+                told.declared_class(self.load_class, "sparse"),
+                told.dense_support(len(chosen.fit.x), chosen.atoms.n),
+                wrong,
+                None if residual is None or wrong is not None else told.unexplained(residual, self._prior(chosen)),
+                None if share is None else told.unsure_amplitudes(share[0], label),
+                told.stopped_gap(chosen.solution.gap, max(self.wanted.tol, TOLERANCE)),
+                guards.inverse_crime(data.record.simulated_by, model.fingerprint),
+                guards.no_coverage(self.coverage),
+                guards.used_for_training("the record", data.fingerprints & getattr(model, "training", frozenset())),
+            ]
+        )
+
+    def _settings(self, chosen: Chosen) -> dict[str, Any]:
+        w = self.wanted
+        return {
+            "dictionary": w.named,
+            "knots": chosen.knots,
+            "scan": not isinstance(w.knots, int) and w.named == "bspline",
+            "nonnegative": w.nonnegative,
+            "groups": w.groups,
+            "reweighted": w.reweighted,
+            "debias": w.debias,
+            "choice": w.choice,
+            "hold": self.posing.hold,
+            "noise_source": chosen.problem.noise.source,
+            "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
+        }
+
+
+def _check(w: Wanted, load_class: str | None) -> None:
+    """Refuse settings that mean nothing.
+
+    Raises
+    ------
+    InputError
+        Unknown names, a mu that is no ratio, signs of what has no sign.
+    """
+    if isinstance(w.dictionary, str) and w.dictionary not in DICTIONARIES:
+        raise InputError("unknown dictionary", where="dictionary", found=repr(w.dictionary),
+                         expected=f"one of {', '.join(DICTIONARIES)}, or a matrix (samples, atoms)")  # fmt: skip
+    if w.knots is not None and w.named != "bspline":
+        raise InputError("only B-splines have knots", where="knots", found=repr(w.knots),
+                         expected="dictionary='bspline'")  # fmt: skip
+    spacings = [w.knots] if isinstance(w.knots, int | np.integer) else w.knots
+    if spacings is not None and not (isinstance(spacings, str) and spacings == "scan"):
+        whole = not isinstance(spacings, str) and len(spacings) and all(
+            isinstance(k, int | np.integer) and not isinstance(k, bool) and k >= 1 for k in spacings
+        )  # fmt: skip
+        if not whole:
+            raise InputError("no spacing of knots", where="knots", found=repr(w.knots),
+                             expected="a positive integer, some of them, or 'scan'")  # fmt: skip
+    signed = w.named == "wavelet" or (not isinstance(w.dictionary, str) and np.any(w.dictionary < 0))
+    if w.nonnegative and signed:
+        raise InputError("these waveforms have both signs: coefficients that are not negative say nothing of the load",
+                         where="nonnegative", found=w.named, expected="dictionary='dirac' or 'bspline'")  # fmt: skip
+    if w.groups is not None and w.groups not in GROUPS:
+        raise InputError("unknown groups", where="groups", found=repr(w.groups), expected="'loads', 'slots' or None")
+    if w.groups == "slots" and w.nonnegative:
+        raise InputError("groups of loads at one time have no sign", where="nonnegative", found="with groups='slots'",
+                         expected="groups='loads' or None")  # fmt: skip
+    if isinstance(w.reweighted, bool) or not isinstance(w.reweighted, int) or not 0 <= w.reweighted <= 20:
+        raise InputError("no number of rounds", where="reweighted", found=repr(w.reweighted), expected="0 to 20")
+    number = isinstance(w.choice, int | float | np.number) and not isinstance(w.choice, bool)
+    if w.choice is not None and not (w.choice in RULES if isinstance(w.choice, str) else number and 0 < w.choice < 1):
+        raise InputError("no rule and no relative mu", where="choice", found=repr(w.choice),
+                         expected="'discrepancy', 'ebic', or a number between 0 and 1")  # fmt: skip
+    if not (isinstance(w.tol, float) and 1e-14 <= w.tol <= 1e-5):
+        raise InputError("no tolerance", where="tol", found=repr(w.tol), expected="a duality gap of 1e-14 to 1e-5")
+    if load_class is not None and load_class not in told.CLASSES:
+        raise InputError("unknown class of load", where="load_class", found=repr(load_class),
+                         expected="'impact' or 'service'")  # fmt: skip

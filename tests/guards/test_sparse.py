@@ -1,0 +1,111 @@
+"""Guards of the sparse family: the prior that does not fit, heights that the data do not tell, what is not solved."""
+
+from __future__ import annotations
+
+from functools import cache
+from unittest import mock
+
+import numpy as np
+
+from loadid import SparseDeconvolution
+from loadid.flags import sparsity
+from loadid.inverse.sparse import workingset
+from structures import ImpulseModel
+from structures.flags import Flag
+from tests import halfsine
+
+from .cases import Case, refused
+
+DT = 1 / halfsine.RATE
+N = 600
+
+
+def model() -> ImpulseModel:
+    """The struck beam of the half-sine benchmark, its first samples."""
+    return ImpulseModel(halfsine.impulse_response(N), DT, kind="held")
+
+
+def record(load: np.ndarray, noise: float = 0.01) -> tuple[np.ndarray, float]:
+    """Noisy response to a load, and the std of its noise."""
+    clean = halfsine.respond(load)
+    std = noise * float(np.sqrt(np.mean(clean**2)))
+    return clean + std * np.random.default_rng(0).standard_normal(len(load)), std
+
+
+def pulse(width: int) -> np.ndarray:
+    """One half-sine of 100 N."""
+    load = np.zeros(N)
+    load[200 : 200 + width] = 100 * np.sin(np.pi * (np.arange(width) + 0.5) / width)
+    return load
+
+
+@cache
+def flags(width: int, noise: float = 0.01, **settings) -> tuple[Flag, ...]:
+    """Flags of a sparse inversion of one pulse."""
+    y, std = record(pulse(width), noise)
+    return SparseDeconvolution(model(), noise=std, noise_source="unloaded record", **settings).estimate(y, DT).flags
+
+
+def dense(settings: dict) -> tuple[Flag, ...]:
+    """Flags for a load that acts all the time, seen by a sensor that answers at once."""
+    h, rng = np.zeros(200), np.random.default_rng(1)
+    h[:3] = 1.0, 0.5, 0.2
+    load = np.sin(np.arange(200) / 9) if settings["slow"] else np.eye(200)[50] * 20
+    y = np.convolve(h, load)[:200] + 0.01 * rng.standard_normal(200)
+    return (
+        SparseDeconvolution(ImpulseModel(h, DT, kind="held"), noise=0.01, noise_source="unloaded record")
+        .estimate(y, DT)
+        .flags
+    )
+
+
+def noise_alone(level: float) -> tuple[Flag, ...]:
+    y, std = record(pulse(11), 0.01)
+    return refused(lambda: SparseDeconvolution(model(), noise=level * std).estimate(y, DT))
+
+
+def unsolved(rounds: int) -> tuple[Flag, ...]:
+    """The refusal where the solver may take a few rounds only."""
+    y, std = record(pulse(3), 0.01)
+    with mock.patch.object(workingset, "ROUNDS", rounds):
+        return refused(lambda: SparseDeconvolution(model(), noise=std, choice=0.001).estimate(y, DT))
+
+
+def found(flag: Flag | None) -> tuple[Flag, ...]:
+    return () if flag is None else (flag,)
+
+
+CASES = [
+    Case("W311", lambda: flags(41), lambda: flags(41, dictionary="bspline"), r"knots every (4|8|16) samples", "pulses"),
+    Case("W311", lambda: dense({"slow": True}), lambda: dense({"slow": False}), r"\d+ of 200 waveforms", "dense"),
+    Case(
+        "W311",
+        lambda: flags(3, dictionary="bspline", knots=16),
+        lambda: flags(41, dictionary="bspline", knots=8),
+        r"residual is \d+\.?\d* times the stated noise",
+        "misfit",
+    ),
+    Case(
+        "W311",
+        lambda: found(sparsity.impulsive(25.0, "white noise")),
+        lambda: found(sparsity.impulsive(3.0, "white noise")),
+        "kurtosis 25",
+        "smooth prior",
+    ),
+    Case("W304", lambda: flags(1, 0.2), lambda: flags(11, dictionary="bspline"), r"± \d+% only", "heights"),
+    Case(
+        "W510",
+        lambda: flags(11, dictionary="bspline", load_class="service"),
+        lambda: flags(11, dictionary="bspline", load_class="impact"),
+        "load class says service",
+    ),
+    Case(
+        "W410",
+        lambda: found(sparsity.stopped_gap(3e-6, 1e-6)),
+        lambda: found(sparsity.stopped_gap(3e-7, 1e-6)),
+        "3e-06",
+        "gap",
+    ),
+    Case("E312", lambda: noise_alone(1000.0), lambda: noise_alone(1.0), "nothing beyond its noise"),
+    Case("E410", lambda: unsolved(1), lambda: unsolved(200), r"gap \d"),
+]
