@@ -1,4 +1,4 @@
-"""A riser in sheared current: load and response from a few sensors, both exactly in equilibrium; where the flow excites.
+"""A riser in sheared current: load and response from a few sensors, exactly in equilibrium, and where the flow excites.
 
 After P. Mainçon, C. Barnardo, C. M. Larsen, "VIV force estimation using inverse FEM", OMAE 2008, 673-681 (abstract seen
 only): load *and* response satisfy dynamic equilibrium exactly, loads are reasonably small, the response agrees with the
@@ -20,16 +20,18 @@ of the inversion. Run ``python -m case_studies.riser_viv``: prints both tables a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import HarmonicInversion, LoadEstimate
-from loadid.zones import harmonic_power
+from loadid import FieldDeconvolution, HarmonicInversion, LoadEstimate
+from loadid.zones import harmonic_power, mean_power
 from structures import ForwardModel, Structure, bases, risers, sensors
-from structures.motion import harmonic_motion
+from structures.motion import Motion, harmonic_motion, motion
 
 RISER: dict[str, Any] = {"length": 9.63, "EI": 135.4, "mass_per_length": 0.85}
 TENSION, ELEMENTS, LOSS = 700.0, 60, 0.01
@@ -136,3 +138,157 @@ def line_table(
 def relative(found: NDArray, known: NDArray) -> float:
     """Norm of the difference over that of the known."""
     return float(np.linalg.norm(found - known) / np.linalg.norm(known))
+
+
+# -- a history --------------------------------------------------------------------------------------------------------
+DT, SAMPLES, PLACES, MODES, WINDOW = 1 / 50, 800, 20, 10, 1.5
+EXCITED = {2: 0.6, 3: 0.75}  # mode (from 0) and where its excitation begins, over L
+LEVEL = 0.02  # noise over the rms of each kind of sensor
+
+
+def strengths() -> dict[int, Array]:
+    """Strength of each mode's excitation over time: the third dies away while the fourth grows."""
+    t = np.arange(SAMPLES) * DT
+    start = 0.5 - 0.5 * np.cos(np.pi * np.clip(t / 2, 0, 1))
+    change = 0.5 - 0.5 * np.cos(np.pi * np.clip((t - 5) / 6, 0, 1))
+    return {2: start * (1 - change), 3: start * change}
+
+
+def flow() -> tuple[Array, Structure]:
+    """Nodal forces of the flow over time (samples, 59), excitation less drag, and the riser."""
+    riser, t = structure(ABOVE * float(FREQUENCIES[2])), np.arange(SAMPLES) * DT
+    push = np.zeros((SAMPLES, len(NODES)))
+    for mode, strength in strengths().items():
+        frequency = ABOVE * float(FREQUENCIES[mode])
+        force = np.where(EXCITED[mode] * RISER["length"] < X, fluid_force(frequency, EXCITED[mode]), 0.0)
+        push += strength[:, None] * np.real(force * np.exp(2j * np.pi * frequency * t)[:, None])
+    on = min(EXCITED.values()) * RISER["length"] < X
+    drag = np.zeros(riser.n)
+    drag[[riser.index(f"{k}+Z") for k in NODES]] = np.where(on, 0.0, DRAG * H)
+    from scipy import sparse
+
+    wet = replace(riser, C=sparse.csr_array(sparse.diags_array(drag)))
+    speeds = ForwardModel(wet, [sensors.Velocity(f"{k}+Z") for k in NODES], bases.nodal(wet), modes=40)
+    velocity = speeds.state_space(DT).simulate(push)
+    return push - np.where(on, 0.0, DRAG * H) * velocity, riser
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Estimate, its motion and the truth at the inner nodes: loads in N/m, power in W/m, both (samples, 59)."""
+
+    estimate: LoadEstimate
+    motion: Motion
+    known: Motion
+    load: Array
+    truth: Array
+    power: Array
+    exact: Array
+
+    def figures(self) -> dict[str, float]:
+        """Relative errors, agreement of the zones, and the residual of the equation of motion."""
+        at = self.motion.along()[1:-1]
+        inside = slice(round(WINDOW / DT), -round(WINDOW / DT))
+        p, e = self.power[inside], self.exact[inside]
+        big = np.abs(e) > 0.1 * np.abs(e).max()
+        fed = [np.where(x > 0, x, 0).sum() for x in (p, e)]
+        return {
+            "displacement": relative(self.motion.displacement[:, at], self.known.displacement[:, at]),
+            "load": relative(self.load, self.truth),
+            "sign of power": float(np.mean(np.sign(p[big]) == np.sign(e[big]))),
+            "correlation of power": float(np.corrcoef(p.ravel(), e.ravel())[0, 1]),
+            "power in": abs(float(fed[0] / fed[1]) - 1),
+            "equation of motion": self.motion.imbalance(),
+        }
+
+    def begins(self, second: float) -> float:
+        """Lowest place of the upper excitation zone (m) at a time, from the estimate."""
+        row = self.power[round(second / DT)]
+        damping = np.flatnonzero(row < 0.1 * row.max())
+        return float(X[damping.max() + 1]) if len(damping) and damping.max() + 1 < len(X) else float(X[0])
+
+
+def history(seed: int = 0, counts: tuple[int, int] = FULL) -> History:
+    """The load over place and time from noisy records, and the zones."""
+    forces, riser = flow()
+    nodal = ForwardModel(riser, layout(*counts), bases.nodal(riser))
+    clean = nodal.predict(forces, DT)
+    kinds = np.repeat([0, 1], counts)
+    noise = LEVEL * np.sqrt([np.mean(clean[:, kinds == k] ** 2) for k in kinds])
+    record = clean + noise * np.random.default_rng(seed).standard_normal(clean.shape)
+    hats = bases.hats(riser, PLACES)
+    few = ForwardModel(riser, nodal.sensors, hats, modes=MODES)
+    family = FieldDeconvolution(few, space="gradient", noise=noise, noise_source="known")
+    estimate = family.estimate(record, DT)
+    whole = ForwardModel(riser, nodal.sensors, hats)
+    found, known = motion(whole, estimate.load, DT), motion(nodal, forces, DT)
+    load, at = hats.evaluate(estimate.load, X)[..., 0], found.along()[1:-1]
+    return History(
+        estimate, found, known, load, forces / H,
+        mean_power(load, found.velocity[:, at], DT, WINDOW),
+        mean_power(forces / H, known.velocity[:, at], DT, WINDOW),
+    )  # fmt: skip
+
+
+# -- what is shown ----------------------------------------------------------------------------------------------------
+def show(table: dict[float, tuple[Line, list[LoadEstimate]]], counts: tuple[int, int]) -> str:
+    """The table of one layout as text."""
+    head = "noise   displacement   force   sign of power   corr(power)   power in   equation of motion"
+    rows = [
+        f"{share:5.1%} {r.field:14.4f} {r.force:7.2f} {r.sign:15.2f} {r.correlation:13.2f} {r.power_in:10.2f}"
+        f" {r.imbalance:20.1e}"
+        for share, (r, _) in table.items()
+    ]
+    return "\n".join([f"{counts[0]} accelerometers, {counts[1]} strains: relative errors", head, *rows])
+
+
+def picture(found: History, lines: LoadEstimate, path: Path) -> None:
+    """Zones over place and time, estimated and true, and the power on one line."""
+    from matplotlib.figure import Figure
+
+    from loadid.plots.spacetime import draw_map, signed
+
+    figure = Figure(figsize=(9.5, 8.5), layout="constrained")
+    axes = figure.subplots(4, 1, height_ratios=(1, 1, 1, 0.9))
+    t = np.arange(SAMPLES) * DT
+    top, force = float(np.abs(found.exact).max()), float(np.abs(found.truth).max())
+    for ax, values, title, word, most in (
+        (axes[0], found.load, "load, estimated", "load [N/m]", force),
+        (axes[1], found.power, "zones, estimated: red excites, blue damps", "mean power [W/m]", top),
+        (axes[2], found.exact, "zones, true", "mean power [W/m]", top),
+    ):
+        draw_map(ax, t, X, values, word, signed(most))
+        ax.set_title(title, loc="left", fontsize=9)
+        ax.set(ylabel="x [m]")
+    axes[2].set_xlabel("time [s]")
+    riser, truth = structure(ABOVE * float(FREQUENCIES[2])), fluid_force(ABOVE * float(FREQUENCIES[2]), 0.6)
+    model = ForwardModel(riser, layout(*FULL), bases.nodal(riser))
+    for force_on, style, name in ((truth, "k--", "true"), (lines.load[0], "C0", "rebuilt")):
+        moved = harmonic_motion(model, force_on, ABOVE * float(FREQUENCIES[2]))
+        axes[3].plot(X, harmonic_power(force_on, moved.velocity[moved.along()[1:-1]]) / H, style, label=name)
+    axes[3].axhline(0, color="0.6", lw=0.6)
+    axes[3].set(xlabel="x [m]", ylabel="mean power [W/m]")
+    axes[3].set_title("one line at 5.01 Hz, 1 % noise", loc="left", fontsize=9)
+    axes[3].legend()
+    figure.savefig(path, dpi=130)
+
+
+def main() -> None:
+    """Print the tables and save the picture."""
+    tables = {counts: line_table(counts) for counts in (FULL, FEW)}
+    for counts, table in tables.items():
+        sys.stdout.write(show(table, counts) + "\n\n")
+    found = history()
+    sys.stdout.write(f"history, {LEVEL:.0%} noise, {found.estimate.facts['path']}:\n")
+    for name, value in found.figures().items():
+        sys.stdout.write(f"  {name:22s}{value:10.3g}\n")
+    for second in (4, 14):
+        sys.stdout.write(f"  excited above x = {found.begins(second) / RISER['length']:.2f} L at {second} s\n")
+    target = Path("riser_viv.png")
+    picture(found, tables[FULL][0.01][1][0], target)
+    found.estimate.plot("spacetime", path=target.with_name("riser_load.png"))
+    sys.stdout.write(f"pictures: {target}, riser_load.png\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -313,8 +313,9 @@ class LoadEstimate:
         Parameters
         ----------
         kind : str
-            ``"load"``, ``"field"`` (over its places), ``"response"``, ``"path"`` (how lambda was chosen), ``"lcurve"``,
-            ``"gcv"``, ``"picard"``, ``"filter_factors"``, ``"resolution"`` or ``"columns"``.
+            ``"load"``, ``"field"`` (over its places), ``"spacetime"`` (along a line over time), ``"response"``,
+            ``"path"`` (how lambda was chosen), ``"lcurve"``, ``"gcv"``, ``"picard"``, ``"filter_factors"``,
+            ``"resolution"`` or ``"columns"``.
         truth : array, optional
             Known load of the shape of `load` (or (samples,) for one load), drawn beside it.
         ax : matplotlib Axes, optional

@@ -38,8 +38,9 @@ class MappedModel(Model):
         self.model, self.T = model, reals(T, where="MappedModel", what="the combinations are no matrix of real numbers")
         loads = len(model.loads)
         if self.T.ndim != 2 or self.T.shape[0] != loads or 0 in self.T.shape or not np.all(np.isfinite(self.T)):
-            raise InputError("the combinations do not fit the loads", where="MappedModel", found=f"shape {self.T.shape}",
-                             expected=f"finite, ({loads}, unknowns)", hint="one row per load")  # fmt: skip
+            raise InputError("the combinations do not fit the loads", where="MappedModel",
+                             found=f"shape {self.T.shape}", expected=f"finite, ({loads}, unknowns)",
+                             hint="one row per load")  # fmt: skip
         self.T.flags.writeable = False
         self.sensors, self.certificate, self.flags = model.sensors, model.certificate, model.flags
         self.basis = None
@@ -60,11 +61,6 @@ class MappedModel(Model):
     def impulse_response(self, dt: float, samples: int, hold: str | None = None) -> NDArray[np.float64]:
         """As that of the model, (samples, sensors, unknowns)."""
         return self.model.impulse_response(dt, samples, hold or self.default_hold) @ self.T
-
-    def state_space(self, dt: float, hold: str | None = None) -> StateSpace:
-        """As that of the model, driven by the unknowns."""
-        s: Any = self.model.state_space(dt, hold or self.default_hold)
-        return StateSpace(s.A, s.B @ self.T, s.C, s.D @ self.T, dt, s.hold, sensors=self.sensors, loads=self.loads)
 
     @property
     def default_hold(self) -> str:
@@ -90,3 +86,24 @@ class MappedModel(Model):
     def fingerprint(self) -> str:
         """Sha256 of the model and the combinations."""
         return digest("MappedModel", self.model.fingerprint, self.T, self.loads)
+
+
+class MappedStates(MappedModel):
+    """A `MappedModel` of a model that has a state space."""
+
+    def state_space(self, dt: float, hold: str | None = None) -> StateSpace:
+        """As that of the model, driven by the unknowns."""
+        s: Any = self.model.state_space(dt, hold or self.default_hold)
+        return StateSpace(s.A, s.B @ self.T, s.C, s.D @ self.T, dt, s.hold, sensors=self.sensors, loads=self.loads)
+
+
+def mapped(model: Model, T: ArrayLike, labels: Sequence[str] | None = None) -> MappedModel:
+    """A model under the combinations T of its loads, with a state space where the model has one.
+
+    Raises
+    ------
+    InputError
+        As `MappedModel`.
+    """
+    kind = MappedModel if type(model).state_space is Model.state_space else MappedStates
+    return kind(model, T, labels)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.mapped import MappedModel
+from structures.mapped import mapped
 from structures.model import Model
 from structures.motion import Motion, motion
 
@@ -53,8 +53,8 @@ class FieldDeconvolution:
         Instead of a prior: the load is a combination of these columns (mode shapes at the places of the basis, say).
     time : str
         Penalty in time: ``identity``, ``first_difference``, ``second_difference``.
-    choice, hold, noise, noise_source, sensors, allow, coverage, progress
-        As in `Deconvolution`.
+    choice, sensors, allow, **settings
+        As in `Deconvolution`, with all its other settings: noise, hold, path, initial, coverage, progress, ...
 
     Raises
     ------
@@ -73,13 +73,9 @@ class FieldDeconvolution:
         shapes: ArrayLike | None = None,
         time: str = "identity",
         choice: str | float | None = None,
-        hold: str | None = None,
-        noise: ArrayLike | None = None,
-        noise_source: str | None = None,
         sensors: Sequence[str | int] | None = None,
         allow: Sequence[str] = (),
-        coverage: Any = None,
-        progress: Callable[[float, str], None] | None = None,
+        **settings: Any,
     ) -> None:
         if not isinstance(time, str):
             raise InputError("the penalty in time is a name", where="time", found=type(time).__name__,
@@ -88,15 +84,15 @@ class FieldDeconvolution:
             raise InputError("shapes are a spatial prior of their own", where="space", found="space and shapes",
                              expected="one of the two")  # fmt: skip
         self.model, self.space, self.length, self.time = model, space, length, time
-        self.shapes = None if shapes is None else MappedModel(model, shapes)
+        self.shapes = None if shapes is None else mapped(model, shapes)
         self.basis = getattr(model, "basis", None)
         self.sensors, self.allow = sensors, guards.allowed(allow)
         spatial.root(space, length, len(model.loads), self.basis, 1)  # refuses before any data
-        self._settings = {
-            "penalty": time, "choice": choice, "hold": hold, "noise": noise, "noise_source": noise_source,
-            "sensors": sensors, "allow": allow, "coverage": coverage, "progress": progress,
-        }  # fmt: skip
-        Deconvolution(model, **self._settings)  # type: ignore[arg-type]  # refuses the others
+        if "penalty" in settings:
+            raise InputError("a field has two penalties", where="penalty", found=repr(settings["penalty"])[:60],
+                             expected="time= and space=")  # fmt: skip
+        self._settings = {"penalty": time, "choice": choice, "sensors": sensors, "allow": allow, **settings}
+        Deconvolution(model, **self._settings)  # refuses the others
 
     def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
         """Rebuild the distributed load that caused a record.
@@ -119,11 +115,11 @@ class FieldDeconvolution:
         NotIdentifiable
             Where the sensors do not tell the loads apart and nothing is said of the field between them (LID-E514).
         """
-        data = gather(record, dt, self.model, self.sensors)
+        data = gather(record, dt, self.model, self.sensors, allow_missing=True)
         told = self._told_apart(data)
         T = self._combinations(told)
-        model = self.model if T is None else self.shapes or MappedModel(self.model, T)
-        found = Deconvolution(model, **self._settings).estimate(record, dt)  # type: ignore[arg-type]
+        model = self.model if T is None else self.shapes or mapped(self.model, T)
+        found = Deconvolution(model, **self._settings).estimate(record, dt)
         return self._over_places(found, T, told, data)
 
     def motion(self, estimate: LoadEstimate) -> Motion:
@@ -139,7 +135,7 @@ class FieldDeconvolution:
     # -- inside -----------------------------------------------------------------------------------------------------
     @property
     def _hold(self) -> str:
-        return str(self._settings["hold"] or self.model.default_hold)
+        return str(self._settings.get("hold") or self.model.default_hold)
 
     def _combinations(self, told: int) -> Array | None:
         """Matrix T (loads, unknowns) that makes loads of what is solved for; None where it is the identity."""
@@ -194,8 +190,7 @@ class FieldDeconvolution:
 
 def told_apart(H: NDArray) -> int:
     """Largest rank of the lines (lines, sensors, loads), units taken out: combinations of loads that leave a trace."""
-    size = np.abs(H)
-    rows, columns = np.sqrt(np.mean(size**2, axis=(0, 2))), np.sqrt(np.mean(size**2, axis=(0, 1)))
+    rows = np.sqrt(np.mean(np.abs(H) ** 2, axis=(0, 2)))
     tiny = np.finfo(float).tiny
     # rows first: their units; then columns, which may be a load that hardly acts
     scaled = H / np.where(rows > 0, rows, 1.0)[:, None]

@@ -33,8 +33,8 @@ Complex = NDArray[np.complex128]
 class HarmonicInversion:
     """Loads of one frequency line from complex amplitudes, ``Y = H(f) G``.
 
-    Minimises ``|R^(-1/2) (H G - Y)|^2 + lambda^2 |W G|^2`` at the line, real and imaginary parts as one real problem, so
-    that every rule and the band are those of a static inversion. The response that the model gives to the estimate
+    Minimises ``|R^(-1/2) (H G - Y)|^2 + lambda^2 |W G|^2`` at the line, real and imaginary parts as one real problem,
+    so that every rule and the band are those of a static inversion. The response that the model gives to the estimate
     obeys the equation of motion exactly: after P. Mainçon, C. Barnardo, C. M. Larsen, "VIV force estimation using
     inverse FEM", OMAE 2008, 673-681.
 
@@ -175,7 +175,7 @@ class HarmonicInversion:
             missing = [x for x in labels if x not in given]
             if missing:
                 raise InputError("there is no amplitude of a sensor of the model", where="estimate", found=list(given),
-                                 expected=f"amplitudes of {missing}", hint="or leave it out: sensors=[...]")  # fmt: skip
+                                 expected=f"amplitudes of {missing}", hint="or leave out: sensors=[...]")  # fmt: skip
             given = [given[x] for x in labels]
         try:
             Y = np.array(given, complex)

@@ -1,9 +1,9 @@
 """Spatial priors of a load field: how rough it may be from place to place, as a change of variables.
 
-With the root W of the spatial precision, ``W^T W = (mass + length^2 L^T L) / mean measure``, the penalty of a field over
-places and time is ``|(L_t x W) g|^2``: its prior covariance is the Kronecker product of one in time and one in space. In
-the variables ``u = W g`` it is that of loads without a spatial prior, so that every solver in time serves: nothing of
-the size of places times samples is formed.
+With the root W of the spatial precision, ``W^T W = (mass + length^2 L^T L) / mean measure``, the penalty of a field
+over places and time is ``|(L_t x W) g|^2``: its prior covariance is the Kronecker product of one in time and one in
+space. In the variables ``u = W g`` it is that of loads without a spatial prior, so that every solver in time serves:
+nothing of the size of places times samples is formed.
 """
 
 from __future__ import annotations

@@ -213,6 +213,10 @@ def from_arrays(tree: dict) -> Posterior:
         return SupportPosterior.from_arrays(tree)
     if tree.get("kind") == SpectralPosterior.kind:
         return SpectralPosterior(np.asarray(tree["lines"]), tree["samples"], tree["padded"])
+    if tree.get("kind") == "mapped":
+        from .mapped import MappedPosterior
+
+        return MappedPosterior.from_arrays(tree)
     if tree.get("kind") == "convolved":
         from .convolved.posterior import ConvolvedPosterior
 

@@ -16,6 +16,7 @@ from .diagnosis import columns, filter_factors, modes, picard, resolution
 from .fields import field
 from .loads import draw_load, load_figure
 from .responses import response_figure
+from .spacetime import spacetime, zones
 from .style import (
     BLUE,
     GREEN,
@@ -45,10 +46,11 @@ if TYPE_CHECKING:
 __all__ = [
     "BLUE", "GREEN", "GREY", "INK", "NARROW", "ORANGE", "PALE", "PANELS", "PURPLE", "SKY", "columns", "draw_load",
     "field", "filter_factors", "gcv", "lcurve", "load_figure", "mark", "modes", "path_figure", "picard",
-    "picture_format", "plot", "rendered", "resolution", "response_figure", "save", "text", "unit",
+    "picture_format", "plot", "rendered", "resolution", "response_figure", "save", "spacetime", "text", "unit", "zones",
 ]  # fmt: skip
 
-_OF_LOADS: dict[str, Callable[..., Figure]] = {"load": load_figure, "field": field}  # a known load can stand beside
+# a known load can stand beside
+_OF_LOADS: dict[str, Callable[..., Figure]] = {"load": load_figure, "field": field, "spacetime": spacetime}
 _OTHERS: dict[str, Callable[..., Figure]] = {
     "response": response_figure,
     "path": path_figure,
