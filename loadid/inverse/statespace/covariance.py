@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from ..compiled import AVAILABLE, compiled
 from .record import Record
-from .riccati import FLOOR, SETTLED, STALLED, STRIDE, Gains
+from .riccati import Gains
+from .settling import NEAR, NEVER, SETTLED, SHARE, STALLED, STRIDE, arrival, decay
 from .small import multiply, multiply_by_transposed, solve_upper
 
 
@@ -45,15 +46,14 @@ def spread(record: Record, gains: Gains, every_sample: bool = True) -> Spread:
         X[np.ix_(record.free, record.free)] = gains.start @ gains.start.T
     variance = np.empty((record.samples if every_sample else 1, record.p))
     trace, penalty = _recursion(
-        record.F, record.G, record.E, record.kind, gains.K, gains.R, gains.which, X, variance, every_sample,
-        STRIDE, SETTLED, FLOOR, STALLED,
-    )  # fmt: skip
+        record.F, record.G, record.E, record.kind, gains.K, gains.R, gains.which, X, variance, every_sample, STRIDE
+    )
     return Spread(variance if every_sample else None, float(trace), float(gains.lam**2 * penalty))
 
 
 def _recursion(
     F: NDArray, G: NDArray, E: NDArray, kind: NDArray, K: NDArray, R: NDArray, which: NDArray, X: NDArray,
-    variance: NDArray, every: bool, stride: int, settled: float, floor: float, stalled: int,
+    variance: NDArray, every: bool, stride: int,
 ) -> tuple[float, float]:  # fmt: skip
     """Fill `variance` where wanted; sums of the variances of the loads and of the inputs."""
     n, p, samples = F.shape[1], G.shape[2], len(kind)
@@ -61,17 +61,20 @@ def _recursion(
     push, change, closed = np.zeros((n, p)), np.zeros((n, n)), np.zeros((n, n))
     rows, product, square = np.zeros((p, n)), np.zeros((p, n)), np.zeros((p, p))
     moved, fed, old, inner = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((p, p))
-    own = np.zeros(p)
-    trace, penalty, load, part, k, since, before, stale, row, j = 0.0, 0.0, 0.0, 0.0, 0, 0, np.inf, 0, -1, -1
+    own, weight, work = np.zeros(p), np.zeros(n), np.zeros((n, n))
+    trace, penalty, load, part, k, row, j = 0.0, 0.0, 0.0, 0.0, 0, -1, -1
+    since, until, peak, before, opened = 0, -1, 0.0, np.inf, 0
     while k < samples:
         if which[k] != row or kind[k] != j:
-            row, j, since, before, stale = which[k], kind[k], 0, np.inf, 0
+            row, j, since, until, peak, before, opened = which[k], kind[k], 0, -1, 0.0, np.inf, 0
             solve_upper(R[row], eye, half)
             multiply_by_transposed(half, half, inner)  # M^-1
             multiply(G[j], half, push)
             multiply_by_transposed(push, push, fed)
             multiply(G[j], K[row], change)
             closed[:] = F[j] - change
+            for i in range(n):  # of each state, what it does to a load or an input
+                weight[i] = max(np.abs(K[row, :, i]).max(), np.abs(E[:, i] - K[row, :, i]).max())
         rows[:] = E - K[row]
         multiply(rows, X, product)
         multiply_by_transposed(product, rows, square)
@@ -91,10 +94,22 @@ def _recursion(
         k += 1
         if since % stride == 0:
             if since > 0:
-                gap, size = np.abs(X - old).max(), np.abs(X).max()
-                stale = stale + 1 if gap >= 0.98 * before else 0
-                before = gap
-                if gap <= settled * size or (gap <= floor * size and stale >= stalled):
+                gap, size = 0.0, np.abs(inner).max()
+                for i in range(n):
+                    for h in range(n):
+                        gap = max(gap, weight[i] * weight[h] * abs(X[i, h] - old[i, h]))
+                        size = max(size, weight[i] * weight[h] * abs(X[i, h]))
+                if until < 0 and gap <= NEAR * size:
+                    until = arrival(since, gap, size, decay(closed, moved, work), samples)
+                steady = False
+                if until == NEVER:
+                    peak = max(peak, gap)
+                    if since - opened > max(opened // 2, 16 * stride):
+                        steady = peak <= STALLED * size and peak >= SHARE * before
+                        peak, before, opened = 0.0, peak, since
+                else:
+                    steady = gap <= SETTLED * size or 0 <= until <= since
+                if steady:
                     while k < samples and which[k] == row and kind[k] == j:
                         if every:
                             variance[k] = own

@@ -6,8 +6,8 @@ One QR factorisation of a small matrix for each sample, without differences of l
     [ lam I     0       ]  =  Q  [ 0       Gamma_k ]
     [ Gamma G   Gamma F ]        [ 0       0       ]
 
-Where the matrices do not change the gains settle, and the recursion ends. Kailath, Sayed & Hassibi, Linear Estimation,
-Prentice Hall 2000, ch. 12, for the array form; Anderson & Moore, Optimal Control, 1990, for the problem.
+Where the matrices do not change the gains settle (`settling`), and the recursion ends. Kailath, Sayed & Hassibi,
+Linear Estimation, Prentice Hall 2000, ch. 12, for the array form; Anderson & Moore, Optimal Control, 1990, for the problem.
 """
 
 from __future__ import annotations
@@ -19,12 +19,8 @@ from numpy.typing import NDArray
 
 from ..compiled import AVAILABLE, compiled
 from .record import Record
+from .settling import NEAR, NEVER, SETTLED, SHARE, STALLED, STRIDE, arrival, decay
 from .small import multiply, solve_upper, triangularise
-
-STRIDE = 32  # samples between two looks at the gains
-SETTLED = 4e-15  # relative change over a stride that is rounding
-FLOOR = 1e-11  # change that no longer falls, and is rounding of a badly conditioned step
-STALLED = 3  # looks without a fall
 
 
 @dataclass(frozen=True)
@@ -66,9 +62,8 @@ def gains(record: Record, lam: float) -> Gains:
         K, R = np.empty((rows, record.p, record.n)), np.empty((rows, record.p, record.p))
         which = np.empty(record.samples, np.int32)
         used, root, logdet = _recursion(
-            record.F, record.G, record.C, record.D, record.kind, float(lam), K, R, which,
-            STRIDE, SETTLED, FLOOR, STALLED,
-        )  # fmt: skip
+            record.F, record.G, record.C, record.D, record.kind, float(lam), K, R, which, STRIDE
+        )
         if used <= rows:
             break
         rows *= 4
@@ -91,18 +86,20 @@ def feedback(record: Record, K: NDArray | None = None) -> Gains:
 
 def _recursion(
     F: NDArray, G: NDArray, C: NDArray, D: NDArray, kind: NDArray, lam: float,
-    K: NDArray, R: NDArray, which: NDArray, stride: int, settled: float, floor: float, stalled: int,
+    K: NDArray, R: NDArray, which: NDArray, stride: int,
 ) -> tuple[int, NDArray, float]:  # fmt: skip
     """Fill K, R and which from the end; rows used (one more than there are if they do not suffice), root, sum ln M."""
     n, p, m = F.shape[1], G.shape[2], C.shape[1]
     stack = np.zeros((m + p + n, p + n))
     root, below = np.zeros((n, n)), np.zeros((n, p + n))
     left, right = np.zeros((n, p)), np.zeros((n, n))
-    row, logdet, last, steady, since, before, stale = -1, 0.0, 0.0, False, 0, np.inf, 0
+    closed, work, weight = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    row, logdet, last, steady, since, until = -1, 0.0, 0.0, False, 0, -1
+    peak, before, opened = 0.0, np.inf, 0
     for k in range(len(kind) - 1, -1, -1):
         j = kind[k]
         if k + 1 < len(kind) and j != kind[k + 1]:
-            steady, since, before, stale = False, 0, np.inf, 0
+            steady, since, until, peak, before, opened = False, 0, -1, 0.0, np.inf, 0
         if steady:
             which[k] = row
             logdet += last
@@ -127,12 +124,29 @@ def _recursion(
             last += 2.0 * np.log(abs(R[row, i, i]))
         logdet += last
         since += 1
-        if since > stride and since % stride == 0:
-            change = np.abs(K[row] - K[row - stride]).max()
-            size = np.abs(K[row]).max()
-            stale = stale + 1 if change >= 0.98 * before else 0
-            before = change
-            steady = change <= settled * size or (change <= floor * size and stale >= stalled)
+        if since <= stride or since % stride != 0:
+            continue
+        # gains in the units of states that cost the same: no answer depends on the units of a state
+        change, size = 0.0, 0.0
+        for i in range(n):
+            weight[i] = 0.0
+            for h in range(n):
+                weight[i] += root[h, i] ** 2
+            weight[i] = 1.0 / np.sqrt(weight[i]) if weight[i] > 0.0 else 0.0
+            for h in range(p):
+                change = max(change, weight[i] * abs(K[row, h, i] - K[row - stride, h, i]))
+                size = max(size, weight[i] * abs(K[row, h, i]))
+        if until < 0 and change <= NEAR * size:
+            multiply(G[j], K[row], closed)
+            closed[:] = F[j] - closed
+            until = arrival(since, change, size, decay(closed, right, work), len(kind))
+        if until == NEVER:
+            peak = max(peak, change)
+            if since - opened > max(opened // 2, 16 * stride):
+                steady = peak <= STALLED * size and peak >= SHARE * before
+                peak, before, opened = 0.0, peak, since
+        else:
+            steady = change <= SETTLED * size or 0 <= until <= since
     return row + 1, root, logdet
 
 
