@@ -92,6 +92,7 @@ def _named(
     """Weights, name and unit of a functional that has a name."""
     weights = np.zeros(e.load.shape)
     if w == "resultant":
+        _refuse_window(w, window)
         weights[_frame(e)], label, unit = _resultant(e, load)
         return weights, label, unit
     if w == "impulse":
@@ -100,6 +101,7 @@ def _named(
         return weights, "impulse", f"{e.units[j]} s"
     columns = [e.index(x) for x in loads] if loads is not None else None
     if w == "sum" or (w == "mean" and (columns is not None or (e.load.ndim == 1 and load is None))):
+        _refuse_window(w, window)
         columns = (list(range(len(e.labels))) if load is None else [e.index(load)]) if columns is None else columns
         units = {e.units[j] for j in columns}
         if len(units) != 1:
@@ -116,12 +118,23 @@ def _named(
         return weights, "mean", e.units[j]
     if w == "peak":
         column = np.abs(e.load if e.load.ndim == 1 else e.load[:, j])
+        if window is not None:
+            column = np.where(e.inside(window), column, -1.0)
         at = int(np.argmax(column))
         weights[(at,) if e.load.ndim == 1 else (at, j)] = 1.0
         return weights, "peak", e.units[at if e.load.ndim == 1 else j]
     raise InputError(
         "no such functional", where="w", found=w, expected="'impulse', 'mean', 'sum', 'peak', 'resultant' or an array"
     )
+
+
+def _refuse_window(w: str, window: Window | None) -> None:
+    """Sums over loads are those of one frame: a window in time would be ignored."""
+    if window is not None:
+        raise InputError(
+            f"the {w} over loads is taken of the last frame: it has no window", where="window", found=window,
+            expected="None", hint="'impulse', 'mean' and 'peak' of one load take a window; else give the weights",
+        )  # fmt: skip
 
 
 def _shares(e: LoadEstimate, columns: list[int]) -> NDArray[np.float64]:

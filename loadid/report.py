@@ -30,6 +30,7 @@ from loadid.summary import (
     rules,
     sort,
 )
+from structures.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,7 +59,15 @@ def write_report(estimate: LoadEstimate, path: str | os.PathLike, *, truth: Arra
     """
     from structures.storage import as_path, replace
 
-    replace(as_path(path), page(estimate, truth=truth).encode())
+    target = as_path(path)
+    if not target.resolve().parent.is_dir():  # said before the pictures are drawn
+        raise InputError(
+            "the folder does not exist",
+            where=str(target),
+            found=str(target.resolve().parent),
+            hint="make the folder first, or write elsewhere",
+        )
+    replace(target, page(estimate, truth=truth).encode())
 
 
 def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:

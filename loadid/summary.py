@@ -24,6 +24,7 @@ FACTS = {
     "nullity": "nullity",
     "kappa": "condition number of the visible part",
     "frames": "frames",
+    "missing": "missing",
     "edf": "effective degrees of freedom",
     "residual_to_noise": "residual / noise",
     "resolution": "resolution width",

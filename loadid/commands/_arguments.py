@@ -6,6 +6,8 @@ import math
 from argparse import ArgumentTypeError
 
 METHODS = ("tikhonov", "tsvd")
+PATHS = ("auto", "dense", "statespace", "toeplitz", "fft")
+STARTS = ("rest", "unknown")
 NONE = "none"
 
 
@@ -64,6 +66,17 @@ def penalty(text: str) -> str:
     if text not in (*ORDER, NONE):
         raise ArgumentTypeError(f"{text!r} is no penalty ({', '.join(ORDER)}, {NONE})")
     return text
+
+
+def leak(text: str) -> float:
+    """A leak of a difference, between 0 and 1."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < 1:
+        raise ArgumentTypeError(f"{text!r} is no leak: a number between 0 and 1")
+    return value
 
 
 def seed(text: str) -> int:

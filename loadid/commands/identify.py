@@ -69,6 +69,7 @@ def identify(
     module, name = FAMILIES[family]
     chosen = getattr(import_module(module), name)
     given = {key: value for key, value in options.items() if value is not None}
+    _refuse_unknown(given, chosen)
     if given.get("penalty") == arguments.NONE:
         given["penalty"] = None
     try:
@@ -78,6 +79,21 @@ def identify(
     return (
         replace(estimate, provenance={**estimate.provenance, "notes": list(found.notes)}) if found.notes else estimate
     )
+
+
+def _refuse_unknown(given: dict[str, Any], family: Any) -> None:
+    """Nothing, if the family takes every setting."""
+    from inspect import signature
+
+    taken = [name for name, p in signature(family).parameters.items() if p.kind is p.KEYWORD_ONLY]
+    unknown = [name for name in given if name not in taken]
+    if unknown:
+        raise InputError(
+            f"{family.__name__} has no such setting",
+            where="identify",
+            found=", ".join(unknown),
+            expected=f"some of {', '.join(taken)}",
+        )
 
 
 def _with_contradiction(error: InputError, record: Record) -> InputError:
@@ -203,6 +219,19 @@ def _configure(parser: ArgumentParser) -> None:
         help="rule (discrepancy, upre, gcv, robust_gcv, l_curve, evidence, ...), or a relative lambda",
     )
     parser.add_argument(
+        "--path", choices=arguments.PATHS, help="solver; default auto, which the result names: by length and model"
+    )
+    parser.add_argument(
+        "--initial", choices=arguments.STARTS, help="state of the structure at the first sample; default rest"
+    )
+    parser.add_argument(
+        "--leak",
+        type=arguments.leak,
+        metavar="PHI",
+        help="with first_difference: a load that returns to zero by itself, for sensors that see no constant",
+    )
+    parser.add_argument("--nonnegative", action="store_true", help="loads that push and never pull")
+    parser.add_argument(
         "--allow", type=names, metavar="CODE,...", help="refusals to override (E306, ...); printed on every picture"
     )
     parser.add_argument(
@@ -229,7 +258,8 @@ def _run(args: Namespace) -> int:
     with Bar() as bar:
         estimate = identify(
             log, model, family=args.family, responses=args.response, method=args.method, penalty=args.penalty,
-            choice=args.choice, allow=allow, progress=bar,
+            choice=args.choice, path=args.path, initial=args.initial, leak=args.leak,
+            constraints=_constraints(args), allow=allow, progress=bar,
         )  # fmt: skip
     error = None if truth is None else relative_error(estimate, truth)
     written = write_all(estimate, args.output, report=args.report, plot=args.plot, truth=truth)
@@ -237,6 +267,15 @@ def _run(args: Namespace) -> int:
     answer = {**estimate.to_dict(arrays=args.json_full), "against_known": error, "written": written}
     emit(args, answer, "\n".join(lines))
     return 0
+
+
+def _constraints(args: Namespace) -> list[Any] | None:
+    """Constraints that were asked for; None leaves them to the family."""
+    if not args.nonnegative:
+        return None
+    from loadid.inverse.constraints import NonNegative
+
+    return [NonNegative()]
 
 
 def write_all(

@@ -130,6 +130,12 @@ def compare(
             "no layouts", where="design.compare", found=type(sensor_sets).__name__,
             expected="a mapping from a name to a layout", hint='{"two rows": ["s1", "s2"], "one row": ["s1"]}',
         )  # fmt: skip
+    if candidates is not None and structure is not None:
+        raise InputError(
+            "candidates and structure are two ways to say what the sets pick from", where="design.compare",
+            found="both", expected="one of them",
+            hint="candidates= for labels or indices, structure= for sensors that are placed on it",
+        )  # fmt: skip
     sets: dict[str, tuple[Candidates, NDArray[np.intp]]] = {}
     if candidates is not None:
         pool = settle(candidates, noise=noise, loads=loads, at=at, loads_at=loads_at, where="design.compare")

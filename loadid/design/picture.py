@@ -136,7 +136,7 @@ def _line(ax: Axes, one: Judged, x: NDArray, rest: Sequence[NDArray | None], dir
         ax.plot(candidates, np.full(len(candidates), 0.5 * low), "|", color=GREY, ms=6, label="candidates")
     if sensors is not None:
         ax.plot(sensors, np.full(len(sensors), 0.5 * low), "^", color=INK, ms=7, label="sensors")
-    ax.set_xlabel(f"{'xyz'[direction]} in m")
+    ax.set_xlabel(f"{'xyz'[direction]} [m]")
     ax.legend(fontsize=8, frameon=False, ncols=4, loc="upper center")
 
 
@@ -154,7 +154,7 @@ def _map(ax: Axes, one: Judged, x: NDArray, rest: Sequence[NDArray | None], axes
         ax.plot(*sensors.T, "^", color="white", mec=INK, mew=1.4, ms=9, zorder=3, label="sensors")
     ax.set_aspect("equal", adjustable="box")
     ax.margins(0.08)
-    ax.set_xlabel(f"{'xyz'[axes[0]]} in m")
-    ax.set_ylabel(f"{'xyz'[axes[1]]} in m")
+    ax.set_xlabel(f"{'xyz'[axes[0]]} [m]")
+    ax.set_ylabel(f"{'xyz'[axes[1]]} [m]")
     figure.colorbar(points, ax=ax, label="posterior std over amplitude", shrink=0.85)
     ax.legend(fontsize=8, frameon=False, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.16))

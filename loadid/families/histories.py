@@ -21,7 +21,9 @@ from .data import Data
 HEAD = 400  # samples of the impulse response that hold the free motions
 
 
-def layout(model: Model, data: Data, h: NDArray, penalty: str | ArrayLike | None) -> tuple[Flag, ...]:
+def layout(
+    model: Model, data: Data, h: NDArray, penalty: str | ArrayLike | None, leak: float | None = None
+) -> tuple[Flag, ...]:
     """Guards that need no answer: AC coupling, gaps, drift, memory, aliasing.
 
     Parameters
@@ -30,6 +32,8 @@ def layout(model: Model, data: Data, h: NDArray, penalty: str | ArrayLike | None
         Impulse responses.
     penalty : str, array or None
         As the family takes it.
+    leak : float, optional
+        Of the difference: it then holds constants too.
     """
     rows = [model.sensors[i] for i in data.rows]
     lost = np.mean(data.missing, axis=0)
@@ -37,7 +41,7 @@ def layout(model: Model, data: Data, h: NDArray, penalty: str | ArrayLike | None
         [
             guards.high_pass(rows, data.duration, data.channels),
             guards.gaps(lost.tolist(), [c.label for c in data.channels]),
-            _drift(model, data, h, penalty),
+            _drift(model, data, h, penalty) if leak is None else None,
             guards.memory(model.decay_rate, data.duration, h, model.natural_frequencies),
             guards.aliased(model.natural_frequencies, data.dt),
         ]

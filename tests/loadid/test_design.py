@@ -367,10 +367,10 @@ GRID = np.stack(np.meshgrid(np.linspace(0, 1, 4), np.linspace(0, 0.5, 3)), axis=
     ("at", "loads_at", "axes"),
     [
         (None, None, "load, in the order"),
-        (LINE, np.linspace(0.1, 0.9, 4), "x in m"),
-        (np.column_stack([0 * LINE, LINE]), np.column_stack([np.zeros(4), np.arange(4.0)]), "y in m"),
-        (GRID[:10], GRID[:4] * 0.9, "x in m"),
-        (np.column_stack([GRID[:10, 0], 0 * LINE, GRID[:10, 1]]), np.column_stack([GRID[:4], GRID[:4, 1]]), "x in m"),
+        (LINE, np.linspace(0.1, 0.9, 4), "x [m]"),
+        (np.column_stack([0 * LINE, LINE]), np.column_stack([np.zeros(4), np.arange(4.0)]), "y [m]"),
+        (GRID[:10], GRID[:4] * 0.9, "x [m]"),
+        (np.column_stack([GRID[:10, 0], 0 * LINE, GRID[:10, 1]]), np.column_stack([GRID[:4], GRID[:4, 1]]), "x [m]"),
     ],
 )
 def test_pictures(tmp_path, at, loads_at, axes):
@@ -384,6 +384,11 @@ def test_pictures(tmp_path, at, loads_at, axes):
     if at is not None:
         assert len(marks["worst load"]) == 1
         assert len(marks["sensors"]) == 3
+
+
+def test_one_way_to_say_what_the_sets_pick_from():
+    with pytest.raises(InputError, match="two ways"):
+        design.compare({"a": [0, 1]}, candidates=lorentz(10, 4), structure=object())
 
 
 def test_a_panel_for_each_layout():

@@ -115,6 +115,7 @@ def test_functionals_see_the_correlation_and_agree_with_samples():
         ({"load": 3}, "no such load"),
         ({"window": (5, 6)}, "holds no sample"),
         ({"w": "median"}, "no such functional"),
+        ({"w": "sum", "window": (0.0, 0.01)}, "no window"),
         ({"w": np.ones(3)}, "do not fit"),
     ],
 )
@@ -123,8 +124,17 @@ def test_functionals_that_make_no_sense_are_refused(arguments, word):
         impact().functional(**arguments)
 
 
+def test_the_peak_of_a_window():
+    e = impact()
+    late = e.axis.values >= 0.012
+    assert e.functional("peak", window=(0.012, 1.0)).value == pytest.approx(max(e.load[late, 0], key=abs))
+    assert abs(e.functional("peak").value) > abs(e.functional("peak", window=(0.012, 1.0)).value)
+
+
 def test_a_static_load_has_no_impulse_but_sums():
     e = static()
+    with pytest.raises(InputError, match="no window"):
+        e.functional("sum", window=(0, 1))
     with pytest.raises(InputError, match="static load"):
         e.functional("impulse")
     total = e.functional(np.ones(4))

@@ -83,3 +83,22 @@ def test_a_report_that_fails_leaves_no_result(run, logs, model, tmp_path, monkey
     assert code == 3
     assert "broken" in err
     assert not (tmp_path / "r.h5").exists()
+
+
+@pytest.mark.parametrize("where", ["while it computes", "while it writes"])
+def test_a_run_that_is_stopped_leaves_no_partial_result(run, logs, model, tmp_path, monkeypatch, where):
+    """Ctrl-C: exit code 130, one line, the old result untouched, and no temporary file."""
+    (tmp_path / "r.h5").write_bytes(b"the result of yesterday")
+    before, reached = listing(tmp_path), []
+
+    def stop(*args, **kwargs):
+        reached.append(args)
+        if where == "while it writes" or args[1] >= 0.5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(*("os.fsync", stop) if where == "while it writes" else ("loadid.progress.Bar.__call__", stop))
+    code, out, err = run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5")
+    assert (code, out) == (130, "")
+    assert "interrupted" in err
+    assert reached
+    assert listing(tmp_path) == before

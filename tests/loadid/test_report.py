@@ -131,8 +131,12 @@ def test_it_is_written_whole_and_is_the_same_each_time(tmp_path):
     e.report(tmp_path / "a.html")
     e.report(tmp_path / "b.html")
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
-    with pytest.raises(InputError, match="cannot be written"):
-        e.report(tmp_path / "none" / "a.html")
+
+
+def test_a_folder_that_is_not_there_is_said_before_anything_is_drawn(tmp_path, monkeypatch):
+    monkeypatch.setattr("loadid.report.page", lambda *a, **k: pytest.fail("drawn in vain"))
+    with pytest.raises(InputError, match=r"the folder does not exist.*none"):
+        small().report(tmp_path / "none" / "a.html")
 
 
 def test_notebooks_get_a_fragment():
