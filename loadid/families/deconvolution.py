@@ -15,14 +15,16 @@ from structures.model import Model
 from .. import flags as guards
 from ..estimate import Axis, LoadEstimate
 from ..inverse import diagnose, penalties, rules
-from ..inverse.choice import Choice, choose, residual_level
-from ..inverse.svd import SVDPath
+from ..inverse.choice import Choice, choose, given, residual_level
+from ..inverse.confirm import confirm
+from ..inverse.toeplitz import SpectralPath
 from ..provenance import provenance
 from . import histories
 from .data import Data, gather, health
 from .level import noise_level
-from .posing import UNUSABLE, Posed, Settings, diagonal, pose
+from .posing import PATHS, UNUSABLE, Posed, Settings, diagonal, pose
 
+LONG = 20_000  # unknowns beyond which a lambda that was given is taken without asking the rules
 PRIOR = {
     "identity": "a load of zero mean and constant variance, white in time",
     "first_difference": "a random walk in time",
@@ -36,9 +38,10 @@ class Deconvolution:
     """Load histories from response histories.
 
     Minimises ``|R^(-1/2) (h * g - y)|^2 + lambda^2 |L g|^2`` over whole records (Jacquelin, Bennani & Hamelin, J. Sound
-    Vib. 265 (2003) 81, for the problem; Hansen, SIAM 1998, for the method). Records of up to 2000 unknowns are solved
-    exactly by SVD; longer ones, and measured models, line by line over the zero-padded spectrum with one lambda, which
-    is right where the response decays within the record (flag W505 says when it does not).
+    Vib. 265 (2003) 81, for the problem; Hansen, SIAM 1998, for the method), exactly and at any length: short records by
+    SVD, longer ones by recursions over the state space of the model, or by convolution where it has none; the result
+    says which. Measured models go line by line over the zero-padded spectrum, which carries the errors of their FRFs
+    and is right where the response decays within the record (flag W505 says when it does not).
 
     Parameters
     ----------
@@ -50,6 +53,15 @@ class Deconvolution:
         (rows, samples * loads), or None for plain least squares, refused where the data do not determine the load.
     choice : str, float or None
         Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
+    path : {"auto", "dense", "statespace", "toeplitz", "fft"}
+        Solver; ``auto`` takes what fits the length, the model and the other settings (`loadid.families.posing.pose`).
+    initial : ``"rest"``, ``"unknown"`` or array (states,)
+        State of the model at the first sample: at rest, an unknown of the data, or known. State-space path only.
+    leak : float, optional
+        The first difference becomes ``g_k - leak g_{k-1}``: a load that returns to zero by itself, for sensors that do
+        not see a constant. State-space path only.
+    from_zero : bool
+        The load is zero before the record, and a difference penalty counts its first step. State-space path only.
     hold : {"foh", "zoh"}, optional
         How a load moves between samples; default the model's own, which is first order where it has a choice.
     noise : float or array, optional
@@ -75,6 +87,10 @@ class Deconvolution:
         method: str = "tikhonov",
         penalty: str | ArrayLike | None = "identity",
         choice: str | float | None = None,
+        path: str = "auto",
+        initial: str | ArrayLike = "rest",
+        leak: float | None = None,
+        from_zero: bool = False,
         hold: str | None = None,
         noise: ArrayLike | None = None,
         noise_source: str | None = None,
@@ -93,7 +109,15 @@ class Deconvolution:
                     "without a penalty there is no lambda to choose", where="choice", found=choice, expected="None"
                 )
             choice = 0.0
-        self.settings = Settings(method, penalty, hold, noise, noise_source, guards.allowed(allow))
+        if path not in PATHS:
+            raise InputError("unknown path", where="path", found=repr(path), expected=f"one of {', '.join(PATHS)}")
+        if isinstance(initial, str) and initial not in ("rest", "unknown"):
+            raise InputError("unknown start", where="initial", found=repr(initial),
+                             expected="'rest', 'unknown' or the state (states,)")  # fmt: skip
+        free = choice is not None and not isinstance(choice, str) and choice == 0
+        self.settings = Settings(
+            method, penalty, hold, noise, noise_source, guards.allowed(allow), path, initial, leak, from_zero, free
+        )
         self.model, self.choice, self.sensors, self.coverage = model, choice, sensors, coverage
         self._progress = progress or (lambda fraction, text: None)
 
@@ -118,18 +142,19 @@ class Deconvolution:
         NotIdentifiable
             Without regularisation, where the data do not determine the load (LID-E306).
         """
-        data = gather(record, dt, self.model, self.sensors)
+        data = gather(record, dt, self.model, self.sensors, allow_missing=True)
         self._progress(0.1, "posing the problem")
         posed = pose(self.model, data, self.settings)
         self._refuse_undetermined(posed)
         self._progress(0.5, "choosing lambda")
-        choice = choose(posed.path, self.choice, sigma=posed.noise.sigma, source=posed.noise.source)
+        choice = self._choose(posed)
         self._progress(0.9, "estimating the load")
         # a residual above the stated noise is model error: the band must not be narrower than what is seen
         sigma = noise_level(posed.path, choice, posed.noise)
         solution = posed.path.solution(choice.lam, sigma)
-        residual = posed.values - posed.predict(solution.load)
+        response, residual = posed.compare(solution.load, choice.lam)
         facts = self._facts(posed, choice, sigma, data.dt, solution.load)
+        facts |= {"missing": data.gaps} if data.gaps else {}
         assert solution.posterior is not None
         std = solution.posterior.std
         bias = diagnose.hidden(posed.path, choice.lam, solution.load, std)
@@ -143,7 +168,7 @@ class Deconvolution:
             units=[c.unit for c in self.model.loads],
             axis=Axis(name="time", unit="s", values=np.asarray(np.arange(len(solution.load)) * data.dt, float)),
             choice=choice,
-            response=posed.values,
+            response=response,
             residual=residual,
             sensors=[c.label for c in data.channels],
             sensor_units=[c.unit for c in data.channels],
@@ -161,11 +186,23 @@ class Deconvolution:
             ),
         )
 
+    def _choose(self, posed: Posed) -> Choice:
+        """Lambda by the rules: of a long record on windows first, then confirmed on the whole."""
+        sigma, source = posed.noise.sigma, posed.noise.source
+        number = isinstance(self.choice, int | float) and not isinstance(self.choice, bool)
+        if number and posed.unknowns > LONG:
+            return given(posed.path, self.choice, sigma=sigma, source=source)
+        choice = choose(posed.judged, self.choice, sigma=sigma, source=source)
+        if posed.judged is posed.path:
+            return choice
+        self._progress(0.6, "confirming lambda on the whole record")
+        return confirm(posed.path, choice, sigma)
+
     # -- saying -----------------------------------------------------------------------------------------------------
     def _refuse_undetermined(self, posed: Posed) -> None:
-        if self._free and posed.path.rank < posed.unknowns and "LID-E306" not in self.settings.allow:
+        if self._free and posed.rank < posed.unknowns and "LID-E306" not in self.settings.allow:
             raise NotIdentifiable(
-                f"without regularisation the load is not determined: rank {posed.path.rank} of {posed.unknowns} "
+                f"without regularisation the load is not determined: rank {posed.rank} of {posed.unknowns} "
                 f"unknowns from {posed.path.m} data",
                 advice="add sensors, use a penalty (penalty='identity'), or give lambda > 0",
                 code="LID-E306",
@@ -181,8 +218,8 @@ class Deconvolution:
         found = []
         if "LID-E506" in self.settings.allow and (ratio := diagonal(posed.h)) <= UNUSABLE:
             found.append(guards.overridden("E506", "|h(0)| / max |h|", ratio, UNUSABLE))
-        if "LID-E306" in self.settings.allow and self._free and posed.path.rank < posed.unknowns:
-            found.append(guards.overridden("E306", "rank", posed.path.rank, posed.unknowns))
+        if "LID-E306" in self.settings.allow and self._free and posed.rank < posed.unknowns:
+            found.append(guards.overridden("E306", "rank", posed.rank, posed.unknowns))
         return found
 
     def _facts(self, posed: Posed, choice: Choice, sigma: float, dt: float, load: NDArray) -> dict[str, Any]:
@@ -209,10 +246,12 @@ class Deconvolution:
     @staticmethod
     def _end(posed: Posed, residual: NDArray) -> Flag | None:
         """W505 of what the padded transform cannot represent."""
-        return None if isinstance(posed.path, SVDPath) else guards.unfinished(posed.values, residual)
+        return guards.unfinished(posed.values, residual) if isinstance(posed.path, SpectralPath) else None
 
     def _beginning(self, posed: Posed, choice: Choice, data: Data, sigma: float) -> Flag | None:
-        """W518 of a record that starts in motion."""
+        """W518 of a record that starts in motion, where the model starts at rest."""
+        if not isinstance(self.settings.initial, str) or self.settings.initial != "rest":
+            return None
         missing = data.missing[-len(posed.values) :] if data.missing.any() else None
         lam, penalty = choice.lam * choice.scale, self.settings.penalty
         return histories.beginning(posed.h, posed.values, posed.noise.level, lam, penalty, sigma, missing)
@@ -221,7 +260,7 @@ class Deconvolution:
         self, posed: Posed, choice: Choice, data: Data, facts: dict[str, Any], residual: NDArray
     ) -> tuple[Flag, ...]:
         model, lost = self.model, [s.label for i, s in enumerate(self.model.sensors) if i not in data.rows]
-        told = histories.layout(model, data, posed.h, self.settings.penalty)
+        told = histories.layout(model, data, posed.h, self.settings.penalty, self.settings.leak)
         after = (facts["kappa"], facts["rank"], facts["nullity"])
         penalty = self.settings.penalty if isinstance(self.settings.penalty, str) else "user matrix"
         return guards.collect(
@@ -266,4 +305,4 @@ def _prior(penalty: str | ArrayLike | None) -> str:
 
 def _discrepancy(posed: Posed, factor: float) -> float | None:
     """Lambda of the discrepancy rule at a multiple of the noise level."""
-    return rules.discrepancy(rules.Sweep.over(posed.path, posed.noise.sigma), factor).lam
+    return rules.discrepancy(rules.Sweep.over(posed.judged, posed.noise.sigma), factor).lam

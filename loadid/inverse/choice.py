@@ -163,6 +163,16 @@ def choose(
     return decide(sweep, choice, {name: rules.run(name, sweep) for name in DEFAULT_RULES}, source)
 
 
+def given(path: RegularizationPath, lam: float, *, sigma: float | None = None, source: str = "not known") -> Choice:
+    """A relative lambda of the user, where no rule is asked: for paths on which a sweep is dear."""
+    lam = _pick(path, lam, {}, sigma)[0]
+    point = path.at(lam)
+    return Choice(
+        lam=lam, scale=float(path.scale), rule="given", verdict="not determined", odds="lambda was given; no rule asked",
+        sigma=sigma, sigma_source=source, edf=None if point.edf is None else float(point.edf),
+    )  # fmt: skip
+
+
 def decide(
     sweep: rules.Sweep, choice: str | float | None, asked: dict[str, RuleResult], source: str = "not known"
 ) -> Choice:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -193,6 +194,14 @@ class SpectralPosterior:
         return {"kind": self.kind, "lines": self.lines, "samples": self.samples, "padded": self.padded}
 
 
+ELSEWHERE = {  # kind -> module and class that reads it
+    "convolved": (".convolved.posterior", "ConvolvedPosterior"),
+    "mapped": (".mapped", "MappedPosterior"),
+    "statespace": (".statespace.posterior", "StateSpacePosterior"),
+    "support": (".sparse.posterior", "SupportPosterior"),
+}
+
+
 def from_arrays(tree: dict) -> Posterior:
     """Posterior from what `to_arrays` gave.
 
@@ -207,20 +216,15 @@ def from_arrays(tree: dict) -> Posterior:
         return dense(tree)
     if tree.get("kind") == FramesPosterior.kind:
         return FramesPosterior.from_arrays(tree)
-    if tree.get("kind") == "support":
-        from .sparse.posterior import SupportPosterior
-
-        return SupportPosterior.from_arrays(tree)
     if tree.get("kind") == SpectralPosterior.kind:
         return SpectralPosterior(np.asarray(tree["lines"]), tree["samples"], tree["padded"])
-    if tree.get("kind") == "mapped":
-        from .mapped import MappedPosterior
-
-        return MappedPosterior.from_arrays(tree)
-    if tree.get("kind") == "convolved":
-        from .convolved.posterior import ConvolvedPosterior
-
-        return ConvolvedPosterior.from_arrays(tree)
+    if tree.get("kind") in ELSEWHERE:
+        module, name = ELSEWHERE[tree["kind"]]
+        found: Posterior = getattr(import_module(module, __package__), name).from_arrays(tree)
+        return found
     raise InputError(
-        "unknown kind of posterior", where="result file", found=tree.get("kind"), expected="dense or spectral"
+        "unknown kind of posterior",
+        where="result file",
+        found=tree.get("kind"),
+        expected="a kind that this version knows",
     )

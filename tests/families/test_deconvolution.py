@@ -102,7 +102,7 @@ def test_dense_and_fft_path_agree_on_a_decayed_record():
     long = np.vstack([g, np.zeros((1500, 1))])
     y = noisy(ImpulseModel(h, DT, kind="held").predict(long, DT), 0.01)
     dense = Deconvolution(ImpulseModel(h[:1500], DT, kind="held"), choice=1e-3, noise=1.0).estimate(y[:1500], dt=DT)
-    fft = Deconvolution(ImpulseModel(h, DT, kind="held"), choice=1e-3, noise=1.0).estimate(y, dt=DT)
+    fft = Deconvolution(ImpulseModel(h, DT, kind="held"), choice=1e-3, noise=1.0, path="fft").estimate(y, dt=DT)
     assert dense.facts["path"] == "dense SVD"
     assert fft.facts["path"] == "zero-padded FFT"
     # both are regularised by nearly the same absolute lambda
@@ -229,7 +229,7 @@ class TestRefusals:
         solve = Deconvolution(model)
         for bad, words in (
             (y[:, :2], r"\(100, 2\)"),
-            (np.where(np.arange(100)[:, None] == 5, np.nan, y), "NaN"),
+            (np.where(np.arange(100)[:, None] == 5, np.inf, y), "inf"),
         ):
             with pytest.raises(InputError, match=words):
                 solve.estimate(bad, dt=DT)
@@ -394,7 +394,12 @@ def test_the_band_knows_what_regularisation_hides():
     w = np.zeros_like(estimate.load)
     w[pulse_only] = dt
     assert abs(miss) > 3 * np.sqrt(estimate.posterior.variance(w))  # a stationary prior alone is overconfident here
-    assert abs(miss) < 2 * found.std
+    assert abs(miss) < 3 * found.std  # what is hidden, the noise, and the model of the demo, which is not the truth's
+    padded = Deconvolution(model(), path="fft").estimate(simulated.record)
+    wrong = padded.functional("impulse", window=(470 * dt, 566.5 * dt)).value - float(
+        simulated.force[pulse_only].sum() * dt
+    )
+    assert abs(miss) < 0.6 * abs(wrong)  # the ends of the record are right
     assert np.sign(estimate.bias[pulse_only].sum()) == np.sign(miss)
 
 
@@ -407,7 +412,7 @@ def test_a_record_that_ends_in_motion_is_flagged_on_the_padded_path():
     for g, flagged in ((load, True), (rest, False)):
         y = np.convolve(h, g)[:2100]
         y = y + 0.01 * y.std() * rng.standard_normal(2100)
-        estimate = Deconvolution(ImpulseModel(h, DT, kind="held")).estimate(y, dt=DT)
+        estimate = Deconvolution(ImpulseModel(h, DT, kind="held"), path="fft").estimate(y, dt=DT)
         assert estimate.facts["path"] == "zero-padded FFT"
         assert ("W505" in estimate.codes) is flagged
 

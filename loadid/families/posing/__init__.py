@@ -1,0 +1,84 @@
+"""How a record and a model become a problem with a path: dense, over states, by convolution, or by measured lines."""
+
+from __future__ import annotations
+
+from structures.errors import InputError
+from structures.measured import MeasuredModel
+from structures.model import Model
+from structures.statespace import StateSpace
+
+from ...inverse.compiled import AVAILABLE
+from .. import noise as noises
+from ..data import Data
+from .convolved import convolved, convolved_measured
+from .dense import DENSE, dense
+from .lines import lines, measured_lines
+from .posed import UNUSABLE, Posed, Settings, diagonal, shift
+from .states import MOST, TAPS, at_rest_in_place, state_space_of, states
+
+__all__ = ["PATHS", "UNUSABLE", "Posed", "Settings", "diagonal", "pose"]
+
+PATHS = ("auto", "dense", "statespace", "toeplitz", "fft")
+SMALL = 1000 if AVAILABLE else DENSE  # unknowns up to which a factorisation, which tells more, is about as quick
+
+
+def pose(model: Model, data: Data, settings: Settings) -> Posed:
+    """Problem of a record, on the path that was asked for or that fits.
+
+    ``auto``: dense up to some thousand unknowns, where penalties are matrices, and without regularisation; beyond, and
+    for missing samples or an initial state, the state-space path of a model with a few dozen states, else convolution.
+    Measured models go by lines, which carry the errors of their FRFs; the truncated SVD by dense matrix or by lines.
+
+    Raises
+    ------
+    InputError
+        No usable diagonal (LID-E506), different steps, or what the path does not take.
+    """
+    if isinstance(model, MeasuredModel):
+        if settings.path in ("dense", "statespace"):
+            raise InputError("a measured model has no such path", where="path", found=repr(settings.path),
+                             expected="'auto', 'fft' or 'toeplitz'")  # fmt: skip
+        if settings.path == "toeplitz" or data.missing.any():
+            return convolved_measured(model, data, settings)
+        settings.refuse_special("line by line")
+        return measured_lines(model, data, settings)
+    hold, samples = settings.hold or model.default_hold, len(data.values)
+    kind, system = _kind(model, data, settings)
+    taps = min(samples, TAPS) if kind == "statespace" else samples
+    still = system is not None and system.moving
+    h = (at_rest_in_place(system) if still and system else model).impulse_response(data.dt, taps, hold)
+    late = 0 if still else shift(h[:, data.rows], model, settings.allow)
+    noise = noises.resolve(settings.noise, settings.noise_source, model, data)
+    if kind == "statespace":
+        assert system is not None
+        return states(system, h[late:], late, noise, data, settings)
+    h, values = h[late:], data.values[late:]
+    if kind == "dense":
+        return dense(h, values, noise, data, settings)
+    if kind == "toeplitz":
+        return convolved(h, values, data.missing[late:], noise, data, settings)
+    return lines(h, values, noise, data, settings)
+
+
+def _kind(model: Model, data: Data, settings: Settings) -> tuple[str, StateSpace | None]:
+    """Name of the path, and the state space if it is that one."""
+    if getattr(model, "moving", False) and settings.path in ("auto", "statespace"):
+        return "statespace", state_space_of(model, data.dt, settings.hold)
+    unknowns = len(data.values) * len(model.loads)
+    gaps = bool(data.missing.any())
+    if settings.path != "auto":
+        system = state_space_of(model, data.dt, settings.hold) if settings.path == "statespace" else None
+        if settings.path == "statespace" and system is None:
+            raise InputError("the model has no state space", where="path", found="'statespace'",
+                             expected="'dense' or 'toeplitz', or another model")  # fmt: skip
+        return settings.path, system
+    if settings.truncated:
+        return ("dense" if unknowns <= DENSE else "fft"), None
+    if not settings.named or settings.free or (unknowns <= SMALL and not gaps and not settings.special):
+        return "dense", None
+    system = state_space_of(model, data.dt, settings.hold)
+    if system is not None and (len(system.A) <= MOST or settings.special):
+        return "statespace", system
+    if settings.special:
+        settings.refuse_special("convolution")
+    return ("dense" if unknowns <= DENSE and not gaps else "toeplitz"), None

@@ -1,0 +1,150 @@
+"""What is asked of a problem, and the problem as posed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.model import Model
+
+from ... import flags as guards
+from ...inverse.path import RegularizationPath
+from .. import noise as noises
+
+UNUSABLE = 1e-12  # |h(0)| over max |h| below which the diagonal is zero
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What decides how a problem is posed; see `Deconvolution`."""
+
+    method: str
+    penalty: str | ArrayLike | None
+    hold: str | None
+    noise: ArrayLike | None
+    noise_source: str | None
+    allow: tuple[str, ...]
+    path: str = "auto"
+    initial: str | ArrayLike = "rest"
+    leak: float | None = None
+    from_zero: bool = False
+    free: bool = False
+
+    @property
+    def truncated(self) -> bool:
+        """Truncated SVD in place of Tikhonov."""
+        return self.method == "tsvd"
+
+    @property
+    def named(self) -> bool:
+        """A penalty that every path knows."""
+        return isinstance(self.penalty, str)
+
+    @property
+    def resting(self) -> bool:
+        """The structure is at rest at the first sample."""
+        return isinstance(self.initial, str) and self.initial == "rest"
+
+    @property
+    def special(self) -> bool:
+        """Asks for what only the state-space path gives."""
+        return not self.resting or self.leak is not None or self.from_zero
+
+    def refuse_special(self, path: str) -> None:
+        """Refuse a start or a leak on a path that does not know them.
+
+        Raises
+        ------
+        InputError
+            If one was asked for.
+        """
+        if self.special:
+            name = "initial" if not self.resting else "leak" if self.leak is not None else "from_zero"
+            raise InputError(
+                f"the {path} path does not know this setting", where=name, found=repr(getattr(self, name))[:60],
+                expected="a model with state_space() and path='auto' or 'statespace'",
+            )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A problem as posed.
+
+    Parameters
+    ----------
+    path : RegularizationPath
+    noise : Noise
+    compare : callable
+        (load, relative lambda) -> measured and predicted-minus response: response and residual (samples, sensors);
+        what is missing in the response is filled by the prediction.
+    values : array, shape (samples, sensors)
+        The data, advanced where the impulse response begins late.
+    name : str
+        Which path it is.
+    h : array, shape (taps, sensors, loads)
+        Impulse response of the used sensors; of a long record its beginning.
+    layout : (kappa, rank, nullity)
+        Conditioning of the visible part.
+    full : (kappa, rank, nullity) or None
+        The same with all sensors of the model, where only some are used.
+    unknowns : int
+    judged : RegularizationPath
+        What the rules are asked on: the path itself, or the windows of a long record.
+    """
+
+    path: RegularizationPath
+    noise: noises.Noise
+    compare: Callable[[NDArray, float], tuple[NDArray, NDArray]]
+    values: NDArray[np.float64]
+    name: str
+    h: NDArray[np.float64]
+    layout: tuple[float, int, int]
+    full: tuple[float, int, int] | None
+    unknowns: int
+    judged: RegularizationPath
+
+    @property
+    def rank(self) -> int:
+        """Unknowns that the data see."""
+        return self.layout[1]
+
+
+def by_prediction(
+    values: NDArray, predict: Callable[[NDArray], NDArray]
+) -> Callable[[NDArray, float], tuple[NDArray, NDArray]]:
+    """Comparison of complete data with the prediction of a load."""
+
+    def compare(load: NDArray, lam: float) -> tuple[NDArray, NDArray]:
+        return values, values - predict(load)
+
+    return compare
+
+
+def diagonal(h: NDArray) -> float:
+    """First sample of the impulse responses (samples, sensors, loads) over their maximum, for the worst load."""
+    level = np.max(np.abs(h), axis=1)
+    return float(np.min(level[0] / level.max(axis=0)))
+
+
+def shift(h: NDArray, model: Model, allow: tuple[str, ...]) -> int:
+    """Samples by which data are advanced so that the first load to arrive has a diagonal (0 with a first-order hold).
+
+    No more than that: what a load that arrives earlier does in between must stay in the operator. The last samples of
+    a load that arrives later are not seen, and are left to the prior.
+    """
+    level = np.max(np.abs(h), axis=1)  # (samples, loads)
+    largest = level.max(axis=0)
+    for j in np.flatnonzero(largest == 0):
+        raise guards.index_offset(0.0, model.loads[j].label, None)
+    usable = level > UNUSABLE * largest
+    if "LID-E506" in allow or usable[0].all():
+        return 0
+    first = np.argmax(usable, axis=0)
+    worst = int(np.argmax(first))
+    if first[worst] > len(h) // 2:
+        raise guards.index_offset(float(level[0, worst] / largest[worst]), model.loads[worst].label, int(first[worst]))
+    return int(first.min())

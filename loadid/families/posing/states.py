@@ -1,0 +1,116 @@
+"""The state-space path: exact and O(N), for models that are discrete state spaces of some dozen states."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError
+from structures.model import Model
+from structures.statespace import StateSpace
+
+from ...inverse.statespace.augmented import Augmented, augment
+from ...inverse.statespace.coarse import windows_of
+from ...inverse.statespace.measured import measured, moving
+from ...inverse.statespace.passes import forward
+from ...inverse.statespace.path import KEPT, StateSpacePath
+from ...inverse.statespace.riccati import feedback
+from ...inverse.statespace.scale import layout
+from ..data import Data
+from ..noise import Noise
+from .posed import Posed, Settings
+
+MOST = 64  # states up to which small matrices are quick
+TAPS = 4096  # samples of the impulse response that guards look at
+
+
+def state_space_of(model: Model, dt: float, hold: str | None) -> StateSpace | None:
+    """Discrete state space of a model; None where it has none."""
+    if type(model).state_space is Model.state_space:
+        return None
+    system: StateSpace = model.state_space(dt, hold or model.default_hold)
+    return system
+
+
+def at_rest_in_place(system: StateSpace) -> StateSpace:
+    """The system with its loads held where they are in the middle of the record: what guards look at."""
+    B, D = (M if M.ndim == 2 else M[len(M) // 2] for M in (system.B, system.D))
+    return StateSpace(system.A, B, system.C, D, system.dt, system.hold, sensors=system.sensors, loads=system.loads)
+
+
+def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, settings: Settings) -> Posed:
+    """Problem of a state space whose first `late` Markov parameters are zero.
+
+    Parameters
+    ----------
+    h : array, shape (taps, sensors, loads)
+        Beginning of the impulse responses of all sensors, advanced.
+
+    Raises
+    ------
+    InputError
+        An initial state that does not fit, loads that move over another number of samples, or a penalty without a name.
+    """
+    if not isinstance(settings.penalty, str):
+        raise InputError("the state-space path takes a named penalty", where="penalty", found="a matrix or None",
+                         expected="identity, first_difference or second_difference")  # fmt: skip
+    C, D = _advanced(system, late)
+    rows, values, missing = data.rows, data.values[late:], data.missing[late:]
+    start = _start(system, settings)
+    unknown = isinstance(start, str) and start == "unknown"
+    rest = np.zeros(len(system.A))
+
+    def respond(load: NDArray, first: NDArray) -> NDArray:
+        """Response (samples, sensors) of the used sensors to a load, from a state at the first sample."""
+        plain = measured(_systems(system, C[rows], D[..., rows, :], len(values), "identity"), np.zeros_like(values))
+        return forward(plain, feedback(plain), np.ascontiguousarray(load, float), first)[2]
+
+    known = respond(np.zeros((len(values), D.shape[-1])), start) if isinstance(start, np.ndarray) else 0.0
+    extra = {"leak": settings.leak, "from_zero": settings.from_zero, "unknown_start": unknown}
+    systems = _systems(system, C[rows], D[..., rows, :], len(values), settings.penalty, **extra)
+    own = measured(systems, np.where(missing, np.nan, values - known), noise.level)
+    path = StateSpacePath(own, quick=len(values) > KEPT)
+    judged = (windows_of(path) or path) if len(values) > KEPT else path
+
+    def compare(load: NDArray, lam: float) -> tuple[NDArray, NDArray]:
+        predicted = known + respond(load, path.start(lam)[: len(rest)] if unknown else rest)
+        shown = np.where(missing, predicted, values)
+        return shown, shown - predicted
+
+    full = None
+    if len(rows) < len(C):
+        size = np.sqrt(np.mean(h**2, axis=(0, 2)))
+        everything = _systems(system, C, D, len(values), settings.penalty, **extra)
+        full = layout(measured(everything, np.zeros((len(values), len(C))), np.where(size > 0, size, 1.0)))
+    return Posed(
+        path, noise, compare, values, "state space, O(N)", h[:, rows], layout(own), full, path.unknowns, judged
+    )
+
+
+def _systems(
+    system: StateSpace, C: NDArray, D: NDArray, samples: int, penalty: str, **extra: Any
+) -> Augmented | list[Augmented]:
+    """One augmented system, or one for each sample where loads move."""
+    if system.moving:
+        return moving(system.A, system.B, C, D, samples, penalty, **extra)
+    return augment(system.A, system.B, C, D, penalty, **extra)
+
+
+def _advanced(system: StateSpace, late: int) -> tuple[NDArray, NDArray]:
+    """Output matrices that pair a load with the response `late` samples later."""
+    if late == 0 or system.moving:
+        return system.C, system.D
+    before = system.C @ np.linalg.matrix_power(system.A, late - 1)
+    return before @ system.A, before @ system.B
+
+
+def _start(system: StateSpace, settings: Settings) -> str | NDArray[np.float64]:
+    if isinstance(settings.initial, str):
+        return settings.initial
+    x0 = np.asarray(settings.initial, float)
+    if x0.shape != (len(system.A),) or not np.all(np.isfinite(x0)):
+        raise InputError("the initial state does not fit the model", where="initial", found=f"shape {x0.shape}, or NaN",
+                         expected=f"({len(system.A)},), 'rest' or 'unknown'")  # fmt: skip
+    return x0
