@@ -24,6 +24,7 @@ _PUBLIC = {
     "load": "loadid.estimate",
     "read": "loadid.readers",
     "read_all": "loadid.readers",
+    "recommend": "loadid.families.recommend",
 }
 
 __all__ = sorted([*_PUBLIC, "__version__"])

@@ -305,7 +305,8 @@ def _level(first: Problem, sweep: Sweep) -> tuple[float, float | None]:
     if first.noise.sigma is None:
         return seen, None
     margin = max(1.3, float(np.sqrt(2 * gammaincinv(freedom / 2, 0.99) / freedom)))
-    return (seen, seen) if seen > margin * first.noise.sigma else (first.noise.sigma, None)
+    # a level a little too small would ask the penalty for a fit of noise: what the best criterion leaves is the floor
+    return max(seen, first.noise.sigma), seen if seen > margin * first.noise.sigma else None
 
 
 def _ratio(
