@@ -7,6 +7,8 @@ from argparse import ArgumentTypeError
 
 METHODS = ("tikhonov", "tsvd")
 PATHS = ("auto", "dense", "statespace", "toeplitz", "fft")
+SPARSE_RULES = ("ebic",)
+DICTIONARIES = ("dirac", "bspline", "wavelet")
 STARTS = ("rest", "unknown")
 NONE = "none"
 
@@ -48,14 +50,15 @@ def choice(text: str) -> str | float:
     """A rule, or a relative lambda >= 0."""
     from loadid.inverse.rules import RULES
 
-    if text in RULES:
+    known = (*RULES, *SPARSE_RULES)
+    if text in known:
         return text
     try:
         lam = float(text)
     except ValueError:
         lam = math.nan
     if not (math.isfinite(lam) and lam >= 0):
-        raise ArgumentTypeError(f"{text!r} is no rule ({', '.join(RULES)}) and no relative lambda >= 0")
+        raise ArgumentTypeError(f"{text!r} is no rule ({', '.join(known)}) and no relative lambda >= 0")
     return lam
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 NAMES = {
     code: GUARDS[code]
     for code in (
-        *("W105", "W114", "W201", "W204", "W205", "W206", "W207", "W208", "W209"),
+        *("W105", "W114", "W201", "W204", "W205", "W206", "W207", "W208", "W209", "W210"),
         *("W505", "W509", "W702", "W704"),
     )
 }
@@ -128,6 +128,8 @@ def check_model(findings: Findings, model: Model) -> None:
 
 def check_pair(findings: Findings, model: Model, record: Record, where: str, responses: list[str] | None) -> None:
     """Guards that need the model and a record of its sensors."""
+    import numpy as np
+
     from loadid import flags
     from loadid.quality import noise_std
 
@@ -136,9 +138,11 @@ def check_pair(findings: Findings, model: Model, record: Record, where: str, res
     used = responses_of(record, model, responses)
     noisy = model.noise is not None or noise_std(used) is not None
     findings.run("W204", where, lambda: flags.mixed_kinds(used.channels, noisy))
-    findings.run("W205", where, lambda: flags.high_pass(model.sensors, used.duration))
+    findings.run("W205", where, lambda: flags.high_pass(model.sensors, used.duration, used.channels))
+    lost = np.isnan(used.values).mean(axis=0).tolist()
+    findings.run("W210", where, lambda: flags.gaps(lost, used.labels))
     h = model.impulse_response(used.dt, len(used))
-    findings.run("W505", where, lambda: flags.memory(model.decay_rate, used.duration, h))
+    findings.run("W505", where, lambda: flags.memory(model.decay_rate, used.duration, h, model.natural_frequencies))
     if model.natural_frequencies is not None:
         findings.run("W509", where, lambda: flags.aliased(model.natural_frequencies, used.dt))
     if record.simulated_by:

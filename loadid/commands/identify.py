@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from loadid.record import Record
     from structures.model import Model
 
-FAMILIES = {"deconvolution": ("loadid.families.deconvolution", "Deconvolution")}
+FAMILIES = {
+    "deconvolution": ("loadid.families.deconvolution", "Deconvolution"),
+    "sparse": ("loadid.families.sparse", "SparseDeconvolution"),
+}
 
 
 def identify(
@@ -39,7 +42,7 @@ def identify(
     Parameters
     ----------
     family : str
-        ``"deconvolution"``.
+        ``"deconvolution"`` or ``"sparse"``.
     responses : sequence of str, optional
         Channels of the log in the order of the sensors of the model; default those of the same names.
     record : str, optional
@@ -47,7 +50,8 @@ def identify(
     reading : dict, optional
         Keyword arguments of `loadid.readers.read`.
     **options
-        Settings of the family; those that are None are left to it, and the penalty ``"none"`` is plain least squares.
+        Settings of the family; those that are None are left to it, the penalty ``"none"`` is plain least squares, and
+        ``nonnegative=True`` asks every family for loads that only push.
 
     Returns
     -------
@@ -68,10 +72,7 @@ def identify(
     found = _read(log, record, reading) if isinstance(log, str | Path) else log
     module, name = FAMILIES[family]
     chosen = getattr(import_module(module), name)
-    given = {key: value for key, value in options.items() if value is not None}
-    _refuse_unknown(given, chosen)
-    if given.get("penalty") == arguments.NONE:
-        given["penalty"] = None
+    given = _given(options, chosen)
     try:
         estimate = chosen(known, **given).estimate(responses_of(found, known, responses))
     except InputError as error:
@@ -81,11 +82,23 @@ def identify(
     )
 
 
-def _refuse_unknown(given: dict[str, Any], family: Any) -> None:
-    """Nothing, if the family takes every setting."""
+def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
+    """The settings that were given, as the family takes them.
+
+    Raises
+    ------
+    InputError
+        One that it does not take.
+    """
     from inspect import signature
 
+    given = {key: value for key, value in options.items() if value is not None}
     taken = [name for name, p in signature(family).parameters.items() if p.kind is p.KEYWORD_ONLY]
+    if given.get("nonnegative") and "nonnegative" not in taken and "constraints" in taken:
+        from loadid.inverse.constraints import NonNegative
+
+        del given["nonnegative"]
+        given["constraints"] = [*given.get("constraints", ()), NonNegative()]
     unknown = [name for name in given if name not in taken]
     if unknown:
         raise InputError(
@@ -94,6 +107,9 @@ def _refuse_unknown(given: dict[str, Any], family: Any) -> None:
             found=", ".join(unknown),
             expected=f"some of {', '.join(taken)}",
         )
+    if given.get("penalty") == arguments.NONE:
+        given["penalty"] = None
+    return given
 
 
 def _with_contradiction(error: InputError, record: Record) -> InputError:
@@ -230,6 +246,11 @@ def _configure(parser: ArgumentParser) -> None:
         metavar="PHI",
         help="with first_difference: a load that returns to zero by itself, for sensors that see no constant",
     )
+    parser.add_argument(
+        "--dictionary",
+        choices=arguments.DICTIONARIES,
+        help="waveforms of the sparse family: spikes (default), splines for longer pulses, wavelets",
+    )
     parser.add_argument("--nonnegative", action="store_true", help="loads that push and never pull")
     parser.add_argument(
         "--allow", type=names, metavar="CODE,...", help="refusals to override (E306, ...); printed on every picture"
@@ -258,8 +279,8 @@ def _run(args: Namespace) -> int:
     with Bar() as bar:
         estimate = identify(
             log, model, family=args.family, responses=args.response, method=args.method, penalty=args.penalty,
-            choice=args.choice, path=args.path, initial=args.initial, leak=args.leak,
-            constraints=_constraints(args), allow=allow, progress=bar,
+            choice=args.choice, path=args.path, initial=args.initial, leak=args.leak, dictionary=args.dictionary,
+            nonnegative=args.nonnegative or None, allow=allow, progress=bar,
         )  # fmt: skip
     error = None if truth is None else relative_error(estimate, truth)
     written = write_all(estimate, args.output, report=args.report, plot=args.plot, truth=truth)
@@ -267,15 +288,6 @@ def _run(args: Namespace) -> int:
     answer = {**estimate.to_dict(arrays=args.json_full), "against_known": error, "written": written}
     emit(args, answer, "\n".join(lines))
     return 0
-
-
-def _constraints(args: Namespace) -> list[Any] | None:
-    """Constraints that were asked for; None leaves them to the family."""
-    if not args.nonnegative:
-        return None
-    from loadid.inverse.constraints import NonNegative
-
-    return [NonNegative()]
 
 
 def write_all(

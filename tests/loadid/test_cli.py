@@ -120,6 +120,8 @@ def test_help_lists_the_commands_and_the_exit_codes(run):
         ["identify", "a.csv", "--model", "m.h5", "-o", "r.h5", "--method", "foo"],
         ["identify", "a.csv", "--model", "m.h5", "-o", "r.h5", "--penalty", "foo"],
         ["identify", "a.csv", "--model", "m.h5", "-o", "r.h5", "--family", "foo"],
+        ["identify", "a.csv", "--model", "m.h5", "-o", "r.h5", "--path", "foo"],
+        ["identify", "a.csv", "--model", "m.h5", "-o", "r.h5", "--leak", "1"],
     ],
 )
 def test_wrong_words_are_usage(run, argv):
@@ -378,6 +380,57 @@ def test_what_cannot_be_identified_leaves_no_file(run, logs, model, tmp_path, mo
     assert code == 3
     assert word in err
     assert not out
+    assert not (tmp_path / "r.h5").exists()
+
+
+class Asked(Exception):
+    """What a family was asked for."""
+
+
+def sparse_family(model, *, dictionary="dirac", nonnegative=False, choice=None, allow=(), progress=None):
+    raise Asked({"dictionary": dictionary, "nonnegative": nonnegative, "choice": choice})
+
+
+def constrained_family(model, *, path="auto", initial="rest", leak=None, constraints=(), penalty="identity",
+                       choice=None, allow=(), progress=None):  # fmt: skip
+    raise Asked({"path": path, "initial": initial, "leak": leak, "constraints": constraints, "penalty": penalty})
+
+
+@pytest.mark.parametrize(
+    ("words", "asked"),
+    [
+        (["--family", "sparse", "--dictionary", "bspline"], {"dictionary": "bspline", "nonnegative": False}),
+        (["--family", "sparse", "--nonnegative", "--choice", "ebic"], {"nonnegative": True, "choice": "ebic"}),
+        ([], {"path": "auto", "initial": "rest", "leak": None, "constraints": ()}),
+        (["--path", "statespace", "--initial", "unknown"], {"path": "statespace", "initial": "unknown"}),
+        (["--penalty", "first_difference", "--leak", "0.99"], {"penalty": "first_difference", "leak": 0.99}),
+        (["--penalty", "none"], {"penalty": None}),
+    ],
+)
+def test_words_of_the_command_line_reach_the_family(run, logs, model, tmp_path, monkeypatch, words, asked):
+    monkeypatch.setattr("loadid.families.sparse.SparseDeconvolution", sparse_family)
+    monkeypatch.setattr("loadid.families.deconvolution.Deconvolution", constrained_family)
+    with pytest.raises(Asked) as caught:
+        run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", *words)
+    assert asked.items() <= caught.value.args[0].items()
+
+
+def test_loads_that_push_are_a_constraint_where_the_family_has_constraints(run, logs, model, tmp_path, monkeypatch):
+    from loadid.inverse.constraints import NonNegative
+
+    monkeypatch.setattr("loadid.families.deconvolution.Deconvolution", constrained_family)
+    with pytest.raises(Asked) as caught:
+        run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", "--nonnegative")
+    (one,) = caught.value.args[0]["constraints"]
+    assert isinstance(one, NonNegative)
+
+
+@pytest.mark.parametrize("words", [["--dictionary", "dirac"], ["--family", "sparse", "--penalty", "identity"]])
+def test_a_setting_of_another_family_is_refused(run, logs, model, tmp_path, words):
+    code, _, err = run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", *words)
+    assert code == 3
+    assert "no such setting" in err
+    assert words[-2].removeprefix("--") in err
     assert not (tmp_path / "r.h5").exists()
 
 
