@@ -15,13 +15,14 @@ from ..path import PathPoint, Solution
 from .certificate import gradient
 from .covariance import spread
 from .nodes import Table, Values, powers_of_rest
-from .passes import Solved, forward, solve
+from .passes import Solved, forward, refined, solve
 from .posterior import StateSpacePosterior
 from .record import Record
 from .riccati import Gains, feedback, gains
 from .scale import largest, smallest, unforced
 
 LOWEST = 1e-8  # relative lambda below which the square-root recursion loses its digits
+SMALL = 1e-3  # relative lambda below which a solution is worth a step of refinement
 TINY = np.finfo(float).tiny
 KEPT = 20_000  # samples up to which gains and residuals of all nodes are kept
 WIDE = 0.25  # decades between the nodes of a quick path
@@ -86,6 +87,7 @@ class StateSpacePath:
         self._table = self._new_table(lambda lam: self.scalars(lam).array())
         self._kept: dict[float, tuple[Gains, Solved]] = {}
         self._errors: dict[float, Table] = {}
+        self._pilot: tuple[float, Solved] | None = None
 
     def _unforced(self) -> float:
         """Log det of what the data tell of the free states alone; refused where that is nothing."""
@@ -184,6 +186,9 @@ class StateSpacePath:
         """Load history (samples, loads) and its posterior."""
         self._check(np.array([lam]))
         held, solved = self._solved(lam)
+        if lam <= SMALL:
+            solved = refined(self.record, held, solved)
+            self._kept[float(lam)] = held, solved
         if sigma is None:
             return Solution(solved.load, None)
         return Solution(solved.load, StateSpacePosterior(self.record, held.lam, sigma, held))
@@ -231,7 +236,9 @@ class StateSpacePath:
 
     def _bias2(self, at: float, pilot: float) -> float:
         """Squared distance of the estimate at `pilot` from what would be made of its response."""
-        first = self._solved(pilot)[1]
+        if self._pilot is None or self._pilot[0] != pilot:
+            self._pilot = pilot, self._solved(pilot)[1]
+        first = self._pilot[1]
         return float(np.sum((solve(self.record, self._gains(at), first.response).load - first.load) ** 2))
 
     def _new_table(self, compute: Callable[[float], NDArray]) -> Table:
