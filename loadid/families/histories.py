@@ -48,10 +48,10 @@ def layout(
     )
 
 
-def determined(model: Model, m: int, n: int, rank: int, h: NDArray) -> Flag | None:
-    """W201: the loads that the sensors cannot tell apart at any frequency, and rank loss of the whole problem."""
+def determined(model: Model, m: int, n: int, rank: int | None, h: NDArray) -> Flag | None:
+    """W201: the loads that the sensors cannot tell apart at any frequency, and rank loss where the rank is known."""
     ratio, combination = apart(h)
-    lacking = guards.null_space(m, n, rank)
+    lacking = None if rank is None else guards.null_space(m, n, rank)
     named = guards.not_apart(ratio, combination.tolist(), [c.label for c in model.loads], h.shape[1])
     if lacking is None or named is None:
         return lacking or named
