@@ -128,8 +128,8 @@ def recommend(
         alike = "" if ahead > told.CLEARLY else f" or as well as pulses (criterion {ahead:.2g} apart)"
         reason += (
             f"{alike}; neither prior is to be trusted with heights: the places are good, the amplitudes are not "
-            f"(± {share:.0%} if neighbouring samples act too; Tikhonov shows a single-sample peak at {shown:.0%} of its "
-            "height)"
+            f"(± {share:.0%} if neighbouring samples act too; Tikhonov shows a single-sample peak at {shown:.0%} of "
+            "its height)"
         )
     return Recommendation("spikes", "SparseDeconvolution", reason, trusted, peaked[worst], width, knots, scores)
 
