@@ -101,10 +101,10 @@ def _matrices(system: Filter, width: int, backwards: bool) -> tuple[NDArray, NDA
     toeplitz, answer = np.zeros((width, ins, width, outs)), np.concatenate([D[None], C @ before[:-1] @ B])
     for k in range(width):
         toeplitz[k, :, k:] = answer[: width - k].transpose(2, 0, 1)
-    toeplitz = toeplitz[order, :, order].reshape(width * ins, width * outs)
+    direct = toeplitz[order, :, order].reshape(width * ins, width * outs)
     observe = (C @ before)[order].transpose(2, 0, 1).reshape(n, width * outs)
     reach = (before[::-1] @ B)[order].transpose(0, 2, 1).reshape(width * ins, n)
-    return np.vstack([toeplitz, observe]), reach, powers[width]
+    return np.vstack([direct, observe]), reach, powers[width]
 
 
 def _jumps(A: NDArray, most: int) -> list[NDArray[np.float64]]:

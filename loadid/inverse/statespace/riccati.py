@@ -7,7 +7,8 @@ One QR factorisation of a small matrix for each sample, without differences of l
     [ Gamma G   Gamma F ]        [ 0       0       ]
 
 Where the matrices do not change the gains settle (`settling`), and the recursion ends. Kailath, Sayed & Hassibi,
-Linear Estimation, Prentice Hall 2000, ch. 12, for the array form; Anderson & Moore, Optimal Control, 1990, for the problem.
+Linear Estimation, Prentice Hall 2000, ch. 12, for the array form; Anderson & Moore, Optimal Control, 1990, for the
+problem.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from numpy.typing import NDArray
 
 from ..compiled import AVAILABLE, compiled
 from .record import Record
+from .rooted import spare, step
 from .settling import NEAR, NEVER, SETTLED, SHARE, STALLED, STRIDE, arrival, decay
-from .small import multiply, solve_upper, triangularise
+from .small import multiply
 
 
 @dataclass(frozen=True)
@@ -62,11 +64,14 @@ def gains(record: Record, lam: float) -> Gains:
         K, R = np.empty((rows, record.p, record.n)), np.empty((rows, record.p, record.p))
         which = np.empty(record.samples, np.int32)
         used, root, logdet = _recursion(
-            record.F, record.G, record.C, record.D, record.kind, float(lam), K, R, which, STRIDE
-        )
+            *record.entries, record.F, record.G, record.C, record.D, record.kind, float(lam), K, R, which,
+            STRIDE, spare(record.m),
+        )  # fmt: skip
         if used <= rows:
             break
         rows *= 4
+    square = np.asarray(np.linalg.qr(root, mode="r"))
+    root = np.vstack([square, np.zeros((record.n - len(square), record.n))])
     start = np.zeros((0, 0))
     if len(record.free):
         from scipy.linalg import solve_triangular
@@ -85,15 +90,13 @@ def feedback(record: Record, K: NDArray | None = None) -> Gains:
 
 
 def _recursion(
-    F: NDArray, G: NDArray, C: NDArray, D: NDArray, kind: NDArray, lam: float,
-    K: NDArray, R: NDArray, which: NDArray, stride: int,
+    at: NDArray, entries: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, kind: NDArray, lam: float,
+    K: NDArray, R: NDArray, which: NDArray, stride: int, spare: int,
 ) -> tuple[int, NDArray, float]:  # fmt: skip
     """Fill K, R and which from the end; rows used (one more than there are if they do not suffice), root, sum ln M."""
     n, p, m = F.shape[1], G.shape[2], C.shape[1]
-    stack = np.zeros((m + p + n, p + n))
-    root, below = np.zeros((n, n)), np.zeros((n, p + n))
-    left, right = np.zeros((n, p)), np.zeros((n, n))
-    closed, work, weight = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    stack, root, height = np.zeros((p + n, m + p + n + spare)), np.zeros((n, n + spare + 1)), n
+    closed, right, work, weight = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
     row, logdet, last, steady, since, until = -1, 0.0, 0.0, False, 0, -1
     peak, before, opened = 0.0, np.inf, 0
     for k in range(len(kind) - 1, -1, -1):
@@ -106,19 +109,8 @@ def _recursion(
             continue
         row += 1
         if row == len(K):
-            return row + 1, root, logdet
-        multiply(root, G[j], left)
-        multiply(root, F[j], right)
-        stack[:m, :p], stack[:m, p:] = D[j], C[j]
-        stack[m : m + p] = 0.0
-        for i in range(p):
-            stack[m + i, i] = lam
-        below[:, :p], below[:, p:] = left, right
-        stack[m + p :] = below
-        triangularise(stack)
-        R[row] = stack[:p, :p]
-        solve_upper(R[row], stack[:p, p:], K[row])
-        root[:] = stack[p : p + n, p:]
+            return row + 1, root[:, :height].T, logdet
+        height = step(at, entries[j], F[j], G[j], C[j], D[j], lam, root, height, stack, K[row], R[row])
         which[k], last = row, 0.0
         for i in range(p):
             last += 2.0 * np.log(abs(R[row, i, i]))
@@ -130,8 +122,8 @@ def _recursion(
         change, size = 0.0, 0.0
         for i in range(n):
             weight[i] = 0.0
-            for h in range(n):
-                weight[i] += root[h, i] ** 2
+            for h in range(height):
+                weight[i] += root[i, h] ** 2
             weight[i] = 1.0 / np.sqrt(weight[i]) if weight[i] > 0.0 else 0.0
             for h in range(p):
                 change = max(change, weight[i] * abs(K[row, h, i] - K[row - stride, h, i]))
@@ -147,7 +139,7 @@ def _recursion(
                 peak, before, opened = 0.0, peak, since
         else:
             steady = change <= SETTLED * size or 0 <= until <= since
-    return row + 1, root, logdet
+    return row + 1, root[:, :height].T, logdet
 
 
 if AVAILABLE:

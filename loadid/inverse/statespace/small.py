@@ -1,4 +1,4 @@
-"""Products and triangular factors of matrices of a dozen rows: loops where they are compiled, else numpy."""
+"""Products and triangular solves of matrices of a dozen rows: compiled loops, or numpy where nothing compiles."""
 
 from __future__ import annotations
 
@@ -30,40 +30,6 @@ def _multiply_by_transposed(A: NDArray, B: NDArray, out: NDArray) -> None:
             out[i, j] = total
 
 
-def _triangularise(A: NDArray) -> None:
-    """Overwrite A (rows, columns), rows >= columns, by the R of its QR factorisation; rows below it hold no meaning."""
-    rows, columns = A.shape
-    w = np.empty(columns)
-    for j in range(columns):
-        norm2 = 0.0
-        for i in range(j + 1, rows):
-            norm2 += A[i, j] * A[i, j]
-        if norm2 == 0.0:
-            continue
-        alpha = np.sqrt(norm2 + A[j, j] * A[j, j])
-        if A[j, j] > 0.0:
-            alpha = -alpha
-        first = A[j, j] - alpha
-        scale = 2.0 / (norm2 + first * first)
-        for c in range(j + 1, columns):
-            w[c] = first * A[j, c]
-        for i in range(j + 1, rows):
-            v = A[i, j]
-            if v != 0.0:
-                for c in range(j + 1, columns):
-                    w[c] += v * A[i, c]
-        for c in range(j + 1, columns):
-            A[j, c] -= scale * first * w[c]
-        for i in range(j + 1, rows):
-            v = scale * A[i, j]
-            if v != 0.0:
-                for c in range(j + 1, columns):
-                    A[i, c] -= v * w[c]
-        A[j, j] = alpha
-        for i in range(j + 1, rows):
-            A[i, j] = 0.0
-
-
 def _solve_upper(R: NDArray, B: NDArray, out: NDArray) -> None:
     """Put R^-1 B into `out`, R upper triangular."""
     p = R.shape[0]
@@ -83,12 +49,6 @@ def _numpy_multiply_by_transposed(A: NDArray, B: NDArray, out: NDArray) -> None:
     np.matmul(A, B.T, out=out)
 
 
-def _numpy_triangularise(A: NDArray) -> None:
-    columns = A.shape[1]
-    A[:columns] = np.linalg.qr(A, mode="r")
-    A[columns:] = 0.0
-
-
 def _numpy_solve_upper(R: NDArray, B: NDArray, out: NDArray) -> None:
     out[:] = np.linalg.solve(R, B)
 
@@ -96,8 +56,7 @@ def _numpy_solve_upper(R: NDArray, B: NDArray, out: NDArray) -> None:
 if AVAILABLE:
     multiply = compiled(_multiply)
     multiply_by_transposed = compiled(_multiply_by_transposed)
-    triangularise = compiled(_triangularise)
     solve_upper = compiled(_solve_upper)
 else:
     multiply, multiply_by_transposed = _numpy_multiply, _numpy_multiply_by_transposed
-    triangularise, solve_upper = _numpy_triangularise, _numpy_solve_upper
+    solve_upper = _numpy_solve_upper
