@@ -213,4 +213,4 @@ def harmonic_motion(model: ForwardModel, load: ArrayLike, frequency: float) -> H
     omega, forces = 2 * np.pi * f, model._columns @ g
     dynamic = s.K_free - omega**2 * s.M_free + (0.0 if s.C_free is None else 1j * omega * s.C_free)
     u = Factor(dynamic, check=False).solve(forces)
-    return HarmonicMotion(s, f, s.expand(u), s.expand(forces))
+    return HarmonicMotion(s, f, np.asarray(s.expand(u), complex), np.asarray(s.expand(forces), complex))

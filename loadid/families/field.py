@@ -166,8 +166,10 @@ class FieldDeconvolution:
         """The estimate in the loads of the model, with their places and all that is said of them."""
         loads = [c.label for c in self.model.loads]
         places = None if self.basis is None else geometry(self.basis)
-        length = None if self.space is None else self.length
-        facts = {**found.facts, "places": len(loads), "told_apart": told}
+        length = self.length
+        if length is None and self.space is not None:
+            length = spatial.spacing(self.basis, told)
+        facts = {**found.facts, "places": len(loads), "told_apart": told, "length": length}
         extra = [guards.inverse_crime(data.record.simulated_by, self.model.fingerprint)]
         if told < (T.shape[1] if self.shapes is not None and T is not None else len(loads)) and self.space is None:
             extra.append(guards.overridden("E514", "combinations told apart", told, len(loads)))

@@ -51,7 +51,7 @@ def root(space: str | ArrayLike | None, length: float | None, loads: int, basis:
     if isinstance(space, str) and space not in SPACES:
         raise InputError("unknown spatial prior", where="space", found=repr(space),
                          expected=f"{', '.join(SPACES)}, a matrix (rows, {loads}), or None")  # fmt: skip
-    scale = _default(length, basis, rank) if length is None else positive("length", length, where="space", unit="m")
+    scale = spacing(basis, rank) if length is None else positive("length", length, where="space", unit="m")
     if isinstance(space, str):
         L, degree = smoothness.matrix(space, loads, basis), penalties.order(space)
     else:
@@ -71,7 +71,8 @@ def words(space: str | ArrayLike | None, length: float | None) -> str:
     return f"{what} held small" + ("" if length is None else f", length {length:.3g}")
 
 
-def _default(length: float | None, basis: Any, rank: int) -> float:
+def spacing(basis: Any, rank: int) -> float:
+    """Distance (m) at which `rank` points would fill the loaded region; 1 where the places are not known."""
     if basis is None or basis.measures is None:
         return 1.0
     places = np.asarray(basis.coordinates, float)

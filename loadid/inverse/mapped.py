@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 from .posterior import DensePosterior, Posterior, SpectralPosterior
 
 Array = NDArray[np.float64]
-STRIDE, SETTLED = 32, 1e-12  # samples between two looks at a covariance, and its relative change that is none
 
 
 class MappedPosterior:
@@ -86,36 +86,43 @@ def _std(base: Any, T: Array) -> Array:
 
 
 def _over_states(base: Any, T: Array) -> Array:
-    """From the recursion of the state's covariance X: ``T [(E - K) X (E - K)^T + M^-1] T^T`` at every sample."""
+    """Over a state space: the recursion of its own posterior in other coordinates of the load, where T is square."""
+    from .statespace.covariance import spread
+
+    record, held = base.record, base._gains
+    if T.shape[0] != T.shape[1]:
+        return _every_sample(base, T)
+    # with inputs T w the feedback is T K and the precision T^-T M T^-1, of which the recursion takes the root
+    loads = replace(record, E=np.ascontiguousarray(T @ record.E), G=_right(record.G, T))
+    upper = np.linalg.qr(_right(held.R, T), mode="r")
+    turned = replace(held, K=np.ascontiguousarray(T @ held.K), R=np.ascontiguousarray(upper))
+    return np.asarray(base.sigma * np.sqrt(spread(loads, turned).variance), float)
+
+
+def _right(stack: Array, T: Array) -> Array:
+    """``A T^-1`` of a stack of matrices A."""
+    return np.ascontiguousarray(np.swapaxes(np.linalg.solve(T.T, np.swapaxes(stack, -1, -2)), -1, -2))
+
+
+def _every_sample(base: Any, T: Array) -> Array:
+    """``T [(E - K) X (E - K)^T + M^-1] T^T`` at every sample, by the recursion of the state's covariance X."""
     from scipy.linalg import solve_triangular
 
     record, held = base.record, base._gains
-    n, samples = record.n, record.samples
-    X, variance = np.zeros((n, n)), np.empty((samples, len(T)))
+    X, variance = np.zeros((record.n, record.n)), np.empty((record.samples, len(T)))
     if len(record.free):
-        half = solve_triangular(held.corner, np.eye(len(record.free)))
-        X[np.ix_(record.free, record.free)] = half @ half.T
+        X[np.ix_(record.free, record.free)] = held.start @ held.start.T
     row = kind = -1
-    k = since = 0
-    old = X
-    while k < samples:
+    for k in range(record.samples):
         if held.which[k] != row or record.kind[k] != kind:
-            row, kind, since, old = int(held.which[k]), int(record.kind[k]), 0, X
+            row, kind = int(held.which[k]), int(record.kind[k])
             own = solve_triangular(held.R[row], T.T, trans=1).T  # T R^-1
             push = solve_triangular(held.R[row], record.G[kind].T, trans=1).T
             closed, fed = record.F[kind] - record.G[kind] @ held.K[row], push @ push.T
             rows = T @ (record.E - held.K[row])
         variance[k] = np.einsum("in,in->i", rows @ X, rows) + np.sum(own**2, axis=1)
-        k, since = k + 1, since + 1
-        if since % STRIDE == 0:
-            if np.abs(X - old).max() <= SETTLED * np.abs(X).max():
-                same = np.flatnonzero((held.which[k:] != row) | (record.kind[k:] != kind))
-                stop = k + (int(same[0]) if len(same) else samples - k)
-                variance[k:stop] = variance[k - 1]
-                k = stop
-            old = X
         X = closed @ X @ closed.T + fed
-    return base.sigma * np.sqrt(variance)
+    return np.asarray(base.sigma * np.sqrt(variance), float)
 
 
 def _asked(base: Any, T: Array) -> Array:
