@@ -189,8 +189,7 @@ class Deconvolution:
     def _choose(self, posed: Posed) -> Choice:
         """Lambda by the rules: of a long record on windows first, then confirmed on the whole."""
         sigma, source = posed.noise.sigma, posed.noise.source
-        number = isinstance(self.choice, int | float) and not isinstance(self.choice, bool)
-        if number and posed.unknowns > LONG:
+        if not isinstance(self.choice, str | bool | None) and posed.unknowns > LONG:
             return given(posed.path, self.choice, sigma=sigma, source=source)
         choice = choose(posed.judged, self.choice, sigma=sigma, source=source)
         if posed.judged is posed.path:

@@ -168,8 +168,9 @@ def given(path: RegularizationPath, lam: float, *, sigma: float | None = None, s
     lam = _pick(path, lam, {}, sigma)[0]
     point = path.at(lam)
     return Choice(
-        lam=lam, scale=float(path.scale), rule="given", verdict="not determined", odds="lambda was given; no rule asked",
-        sigma=sigma, sigma_source=source, edf=None if point.edf is None else float(point.edf),
+        lam=lam, scale=float(path.scale), rule="given", verdict="not determined",
+        odds="lambda was given: no rule asked", sigma=sigma,
+        sigma_source=source, edf=None if point.edf is None else float(point.edf),
     )  # fmt: skip
 
 

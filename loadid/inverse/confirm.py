@@ -27,7 +27,7 @@ def confirm(path: RegularizationPath, choice: Choice, sigma: float | None) -> Ch
     low, high = path.range
     for _ in range(TRIES):
         ends = np.clip([middle * 10**-REACH, middle * 10**REACH], low, high)
-        lam = np.geomspace(*ends, 15)
+        lam = np.geomspace(float(ends[0]), float(ends[1]), 15)
         found = rules.run(choice.rule, Sweep(path, lam, path.at(lam), sigma))
         if found.lam is None or not found.edge or ends[0] <= low < middle or middle < high <= ends[1]:
             break

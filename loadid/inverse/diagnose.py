@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import NotIdentifiable
 
 from .decay import Decay, decay
+from .path import RegularizationPath
 from .picard import Plateau, plateau
 from .refine import Refinement, against_half, refinement
 from .spread import Layout, spreads, width
 from .svd import SVDPath
-from .toeplitz import SpectralPath
 
 __all__ = [
     "Decay", "Diagnosis", "Layout", "Plateau", "Refinement", "against_half", "decay", "diagnose", "hidden", "layout",
@@ -269,7 +269,7 @@ def layout(singular_values: NDArray, n: int) -> tuple[float, int, int]:
     return float(s[0] / s[rank - 1]), rank, max(n - rank, 0)
 
 
-def resolution(path: SVDPath | SpectralPath, lam: float, load: NDArray) -> tuple[float, float]:
+def resolution(path: RegularizationPath, lam: float, load: NDArray) -> tuple[float, float]:
     """Width in samples of the answer to a single-sample load at the peak, and the share of its height that is lost."""
     sample, j = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
     unit = np.zeros(load.shape)
@@ -281,7 +281,7 @@ def resolution(path: SVDPath | SpectralPath, lam: float, load: NDArray) -> tuple
 
 
 def hidden(
-    path: SVDPath | SpectralPath, lam: float, load: NDArray, std: NDArray, *, axis: int = 0
+    path: RegularizationPath, lam: float, load: NDArray, std: NDArray, *, axis: int = 0
 ) -> NDArray[np.float64]:
     """What regularisation is expected to hide, (R - I) g for the part of the estimate that stands out of its noise.
 

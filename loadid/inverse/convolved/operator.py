@@ -44,6 +44,11 @@ class Operator:
         self.lines = fft.rfft(self.h, self.padded)
         self.weight = None if weight is None else np.ascontiguousarray(weight.T, float)
 
+    @property
+    def rows(self) -> int:
+        """Rows of the penalty for one load."""
+        return self.samples - self.order
+
     def cut(self, samples: int) -> Operator:
         """The same for the first samples alone."""
         weight = None if self.weight is None else self.weight[:, :samples].T

@@ -16,7 +16,7 @@ from .circulant import Circulant
 from .displacement import SWEPT, columns, profile
 from .moments import Moments, chain, moments, slopes
 from .operator import Operator
-from .pcg import Reached, Sides, refined, solve
+from .pcg import Reached, refined
 from .posterior import ConvolvedPosterior
 from .scale import largest
 
@@ -165,7 +165,8 @@ class ConvolvedPath:
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
         self._check(np.asarray(lam))
         g = np.ascontiguousarray(np.asarray(load, float).T)[None]
-        return np.ascontiguousarray(self._solve(float(lam), Sides(y=self.operator.apply(g))).x[0].T)
+        found = refined(self.operator, self._circulant(float(lam)), self.operator.apply(g))
+        return np.ascontiguousarray(found.x[0].T)
 
     def gradient(self, lam: float) -> float:
         """Norm of half the gradient of the objective at the solution over that of H^T y: a certificate."""
@@ -174,9 +175,6 @@ class ConvolvedPath:
     # -- inside -------------------------------------------------------------------------------------------------------
     def _circulant(self, lam: float) -> Circulant:
         return Circulant(self.operator, lam * float(self.scale))
-
-    def _solve(self, lam: float, sides: Sides) -> Reached:
-        return solve(self.operator, self._circulant(lam), sides)
 
     def _solved(self, lam: float) -> Reached:
         """Solution at a relative lambda; the last one is kept."""

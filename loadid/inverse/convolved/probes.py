@@ -1,7 +1,7 @@
 """Estimates where the displacement rank is large: many sensors, loads or gaps in the data.
 
-Traces by random signs (Hutchinson, Commun. Stat. Simul. Comput. 19 (1990) 433), the same at each lambda; the diagonal of
-B by combs of random signs, which see each sample once and mistake only what is correlated over the distance between
+Traces by random signs (Hutchinson, Commun. Stat. Simul. Comput. 19 (1990) 433), the same at each lambda; the diagonal
+of B by combs of random signs, which see each sample once and mistake only what is correlated over the distance between
 their teeth (Tang & Saad, Numer. Linear Algebra Appl. 19 (2012) 485).
 """
 

@@ -123,7 +123,7 @@ def refine(
         if taken < SETTLED * spacing:
             settled = True
             break
-    curvature = np.linalg.qr(_jacobian(model, solver, fitted), mode="r")
+    curvature = np.asarray(np.linalg.qr(_jacobian(model, solver, fitted), mode="r"))
     edge = bool(np.any((place <= bounds[0]) | (place >= bounds[1])))
     return Refined(place, fitted, curvature, edge, settled)
 

@@ -36,6 +36,16 @@ class Normal(Protocol):
         ...
 
     @property
+    def direct(self) -> bool:
+        """Whether a factor solves in one go, whatever the weights are."""
+        ...
+
+    @property
+    def reach(self) -> float:
+        """Bound of the largest eigenvalue of Q."""
+        ...
+
+    @property
     def data2(self) -> float:
         """Squared norm of the whitened data."""
         ...
@@ -76,6 +86,9 @@ class BlockNormal:
     lam : float
         Absolute lambda, > 0.
     """
+
+    direct = True
+    reach = np.inf  # not needed where factors are cheap
 
     def __init__(self, blocks: Blocks, lam: float) -> None:
         self.blocks, self.lam = blocks, float(lam)

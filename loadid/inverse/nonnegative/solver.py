@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,10 +17,12 @@ from .certificate import gap
 from .exchange import Exchanged, exchange
 from .interior import interior
 from .normal import BlockNormal, Factor, Normal
+from .projected import projected
 from .spread import Spread, spread
 
 CONVERGED = 1e-6  # relative duality gap of a solution
 PACE = 0.7  # loads on the wrong side must fall at this rate; else the interior-point method is faster
+GRADIENTS = (1000, 3000, 9000)  # steps of the projected gradient before each exchange
 
 Progress = Callable[[float, str], None]
 
@@ -71,7 +74,7 @@ class NonNegativeRecord:
     ----------
     record : Record
         Whitened data over a state space with its penalty (`loadid.inverse.statespace.record`): several sensors and
-        loads, missing data and an unknown start are in it.
+        loads, missing data and an unknown start are in it. `NonNegativeRecord.convolved` takes impulse responses.
     signed : array of bool or of int, optional
         Loads that only push, as a mask (loads,) or their numbers; default all. The others take either sign.
 
@@ -88,11 +91,53 @@ class NonNegativeRecord:
     """
 
     def __init__(self, record: Record, signed: ArrayLike | None = None) -> None:
-        self.blocks: Blocks = cut(record)
-        self.m = record.data
-        self.signed = _loads(signed, record.p)
-        free = np.zeros(len(record.free), bool)
-        self._signed = np.concatenate([free, np.tile(self.signed, record.samples)])
+        self.blocks: Blocks | None = cut(record)
+        self._set(partial(BlockNormal, self.blocks), (record.samples, record.p), len(record.free), record.data, signed)
+
+    @classmethod
+    def convolved(
+        cls, h: NDArray, y: NDArray, penalty: str = "identity", *, weight: NDArray | None = None,
+        signed: ArrayLike | None = None,
+    ) -> NonNegativeRecord:  # fmt: skip
+        """A record behind impulse responses: the same answers by FFT products and conjugate gradients.
+
+        Each step costs some tens to hundreds of products; where a state space is at hand it is much faster.
+
+        Parameters
+        ----------
+        h : array, shape (taps, sensors, loads)
+            Impulse responses, whitened.
+        y : array, shape (samples, sensors)
+            Whitened data.
+        penalty : str
+            Named penalty, ends free.
+        weight : array, shape (samples, sensors), optional
+            What each datum is multiplied by; 0 where it is missing (it may be NaN there).
+        signed : array, optional
+            As of the constructor.
+        """
+        from ..convolved.operator import Operator
+        from .convolved import ConvolvedNormal
+
+        used = np.ones(y.shape, bool) if weight is None else weight != 0
+        data = np.where(used, y, 0.0) * (1.0 if weight is None else weight)
+        if not np.all(np.isfinite(data)):
+            raise InputError("NaN or inf in the data", where="loads that push", expected="finite numbers",
+                             hint="weight 0 where a sample is missing")  # fmt: skip
+        made = cls.__new__(cls)
+        made.blocks = None
+        operator = Operator(h, len(y), penalty, weight)
+        made._set(
+            partial(ConvolvedNormal, operator, data), (len(y), operator.loads), 0, int(np.count_nonzero(used)), signed
+        )
+        return made
+
+    def _set(
+        self, normal: Callable[[float], Normal], shape: tuple[int, int], start: int, m: int, signed: ArrayLike | None
+    ) -> None:
+        self.normal, self.shape, self.start, self.m = normal, shape, start, m
+        self.signed = _loads(signed, shape[1])
+        self._signed = np.concatenate([np.zeros(start, bool), np.tile(self.signed, shape[0])])
 
     def solve(
         self, lam: float, warm: NonNegativeSolution | None = None, progress: Progress | None = None
@@ -117,8 +162,7 @@ class NonNegativeRecord:
         """
         if not (np.isfinite(lam) and lam > 0):
             raise InputError("no absolute lambda", where="lambda", found=lam, expected="a finite number > 0")
-        normal = BlockNormal(self.blocks, float(lam))
-        shape = (self.blocks.samples, self.blocks.p)
+        normal, shape = self.normal(float(lam)), self.shape
         held = None if warm is None else np.concatenate([np.zeros(normal.start, bool), warm.held.reshape(-1)])
         found = minimise(normal, self._signed, held, progress)
         g = found.v[normal.start :]
@@ -131,7 +175,22 @@ class NonNegativeRecord:
         )  # fmt: skip
 
     def spread(self, lam: float, held: NDArray | None = None) -> Spread:
-        """Variance at unit noise and degrees of freedom with the `held` loads (samples, loads) held; None: none."""
+        """Variance at unit noise and degrees of freedom with the `held` loads (samples, loads) held; None: none.
+
+        With the held loads of a solution this is what noise moves while the active set stays as it is. Without any it
+        is the posterior of the record without signs: cutting a Gaussian to a convex set lowers its covariance in every
+        direction (Brascamp & Lieb, J. Funct. Anal. 22 (1976) 366), so that it bounds the spread of loads that push.
+
+        Raises
+        ------
+        InputError
+            Behind impulse responses: there is no covariance recursion.
+        """
+        if self.blocks is None:
+            raise InputError(
+                "no covariance behind impulse responses", where="loads that push", expected="a state space",
+                hint="take the posterior of the path without signs: it is a bound",
+            )  # fmt: skip
         normal = BlockNormal(self.blocks, float(lam))
         weight = np.zeros(normal.size)
         if held is not None:
@@ -154,27 +213,52 @@ class Minimum:
 def minimise(normal: Normal, signed: NDArray, held: NDArray | None = None, progress: Progress | None = None) -> Minimum:
     """Minimum of ``v^T Q v / 2 - q^T v`` with v >= 0 where `signed`.
 
-    Blocks of loads change between free and held as long as that goes fast; else an interior-point method finds the
-    active set, and the exchange ends it with exact zeros. Of all points seen, that with the smallest gap is returned.
+    Loads change between free and held as long as that goes fast. Else an interior-point method (where factors are
+    cheap) or a projected gradient finds the active set, and the exchange ends it with exact zeros. Of all points seen,
+    that with the smallest gap is returned.
     """
     report = _reporter(progress)
     unbounded, free = _unconstrained(normal)
     held = signed & (free < 0) if held is None else held & signed
-    first = exchange(normal, signed, held, report, pace=PACE)
+    first = exchange(normal, signed, held, report, pace=PACE if normal.direct else 1.0)
     best = _certified(normal, unbounded, signed, first, 0, "active set")
     if first.settled and best.gap <= CONVERGED:
         return best
+    route = _from_inside if normal.direct else _by_gradient
+    return min(best, *route(normal, unbounded, signed, free, first, report), key=lambda m: m.gap)
+
+
+def _from_inside(
+    normal: Normal, unbounded: Factor, signed: NDArray, free: NDArray, first: Exchanged, report: Callable[[], None]
+) -> list[Minimum]:
+    """Interior point, then exchange."""
     inner = interior(normal, signed, free, report)
     steps = first.steps + inner.steps
     held = signed & (inner.s * np.linalg.norm(inner.v) > inner.v * np.linalg.norm(inner.s))
     last = exchange(normal, signed, held, report)
     inside = Exchanged(np.where(held, 0.0, inner.v), np.zeros(0), held, False, 0)
-    return min(
-        best,
+    return [
         _certified(normal, unbounded, signed, last, steps, "interior point, active set"),
         _certified(normal, unbounded, signed, inside, steps, "interior point"),
-        key=lambda m: m.gap,
-    )
+    ]
+
+
+def _by_gradient(
+    normal: Normal, unbounded: Factor, signed: NDArray, free: NDArray, first: Exchanged, report: Callable[[], None]
+) -> list[Minimum]:
+    """Projected gradient, then exchange; more and more of it until the exchange ends."""
+    v, steps, found = free, first.steps, []
+    for count in GRADIENTS:
+        v = projected(normal, signed, v, count, report)
+        held = signed & (v == 0)
+        last = exchange(normal, signed, held, report)
+        steps += last.steps
+        found.append(_certified(normal, unbounded, signed, last, steps, "projected gradient, active set"))
+        if found[-1].gap <= CONVERGED:
+            break
+        inside = Exchanged(v, np.zeros(0), held, False, 0)
+        found.append(_certified(normal, unbounded, signed, inside, steps, "projected gradient"))
+    return found
 
 
 def _unconstrained(normal: Normal) -> tuple[Factor, NDArray[np.float64]]:

@@ -39,7 +39,7 @@ class WindowsPath(StateSpacePath):
     def __init__(self, record: Record, windows: NDArray, scale: float) -> None:
         self.windows = windows
         self._solutions: dict[float, tuple[Gains, list[Solved]]] = {}
-        super().__init__(record, scale=scale)
+        super().__init__(record, quick=True, scale=scale)
         count = len(windows)
         self.m, self.null, self._limit = count * record.data, count * len(record.free), count * self._limit
 
@@ -52,21 +52,16 @@ class WindowsPath(StateSpacePath):
         """Sums over the windows at one relative lambda."""
         held, each = self._each(lam)
         known, count = spread(self.record, held, every_sample=False), len(self.windows)
-        sums = np.zeros(4)
-        for y, one in zip(self.windows, each, strict=True):
-            rest = y - one.response
-            again = solve(self.record, held, rest)
-            sums += [np.sum(rest**2), np.sum(one.inputs**2), np.sum(again.load**2), np.sum(again.inputs * one.inputs)]
         penalty, total = count * known.penalty, self.unknowns + self.null
         return Scalars(
-            residual2=float(sums[0]),
-            penalty2=float(sums[1]),
+            residual2=float(sum(np.sum((y - one.response) ** 2) for y, one in zip(self.windows, each, strict=True))),
+            penalty2=float(sum(np.sum(one.inputs**2) for one in each)),
             edf=total - penalty,
             left=(self.m - total) + penalty,
             ratio=count * held.logdet - 2 * self.unknowns * np.log(held.lam) - self._limit,
             trace=count * known.trace,
-            change2=float(sums[2]),
-            bend=float(sums[3]),
+            change2=0.0,
+            bend=0.0,
         )
 
     def residual(self, lam: float) -> NDArray[np.float64]:

@@ -64,6 +64,7 @@ def _recursion(
     own, weight, work = np.zeros(p), np.zeros(n), np.zeros((n, n))
     trace, penalty, load, part, k, row, j = 0.0, 0.0, 0.0, 0.0, 0, -1, -1
     since, until, peak, before, opened = 0, -1, 0.0, np.inf, 0
+    inputs_differ = bool(np.any(E != 0.0))
     while k < samples:
         if which[k] != row or kind[k] != j:
             row, j, since, until, peak, before, opened = which[k], kind[k], 0, -1, 0.0, np.inf, 0
@@ -72,18 +73,19 @@ def _recursion(
             multiply(G[j], half, push)
             multiply_by_transposed(push, push, fed)
             multiply(G[j], K[row], change)
-            closed[:] = F[j] - change
-            for i in range(n):  # of each state, what it does to a load or an input
-                weight[i] = max(np.abs(K[row, :, i]).max(), np.abs(E[:, i] - K[row, :, i]).max())
-        rows[:] = E - K[row]
+            closed[:] = F[j]
+            closed -= change
+            rows[:] = E
+            rows -= K[row]
         multiply(rows, X, product)
         multiply_by_transposed(product, rows, square)
         load = 0.0
         for i in range(p):
             own[i] = square[i, i] + inner[i, i]
             load += own[i]
-        multiply(K[row], X, product)
-        multiply_by_transposed(product, K[row], square)
+        if inputs_differ:
+            multiply(K[row], X, product)
+            multiply_by_transposed(product, K[row], square)
         part = 0.0
         for i in range(p):
             part += square[i, i] + inner[i, i]
@@ -94,6 +96,8 @@ def _recursion(
         k += 1
         if since % stride == 0:
             if since > 0:
+                for i in range(n):  # of each state, what it does to a load or an input
+                    weight[i] = max(np.abs(K[row, :, i]).max(), np.abs(rows[:, i]).max())
                 gap, size = 0.0, np.abs(inner).max()
                 for i in range(n):
                     for h in range(n):

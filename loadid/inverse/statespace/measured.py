@@ -45,8 +45,10 @@ def measured(systems: Augmented | Sequence[Augmented], y: ArrayLike, noise: Nois
                          hint="declare clipped samples as missing")  # fmt: skip
     noise = np.ones(first.m) if noise is None else noise
     whitener(noise, first.m)  # judged as a whole, whatever is missing
-    patterns, pattern = np.unique(~np.isnan(y), axis=0, return_inverse=True)
-    pattern = np.asarray(pattern).reshape(-1)
+    patterns, pattern = np.ones((1, first.m), bool), np.zeros(len(y), np.intp)
+    if np.isnan(y).any():
+        patterns, places = np.unique(~np.isnan(y), axis=0, return_inverse=True)
+        pattern = np.asarray(places).reshape(-1)
     roots, data = [_root(noise, there) for there in patterns], np.zeros(y.shape)
     for i, (there, root) in enumerate(zip(patterns, roots, strict=True)):
         own = pattern == i
