@@ -44,7 +44,8 @@ def memory(
         Evidence("response left after the record", left, MEMORY),
         f"the record is shorter than the memory: {left:.1%} of the response is left at its end, "
         f"so start and end are contaminated{_periods(frequencies, duration)}",
-        f"record longer{_enough(decay_rate, duration)}, begin before the load, or use a state-space method",
+        f"record longer{_enough(decay_rate, duration)}, begin before the load, or take the start as unknown "
+        '(initial="unknown", state-space models)',
     )
 
 
