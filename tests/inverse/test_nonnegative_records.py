@@ -37,6 +37,7 @@ class Case:
     y: NDArray
     states: int
     loads: int
+    h: NDArray  # (samples, sensors, loads)
 
     @property
     def scale(self) -> float:
@@ -94,7 +95,7 @@ def case(
         L = np.hstack([np.zeros((len(L), 6)), L])
     data = np.where(missing, np.nan, y)
     made = record(augment(A, B, C, D, penalty, unknown_start=start), data, missing)
-    return Case(made, flat, L, y.reshape(-1)[there], 6 if start else 0, loads)
+    return Case(made, flat, L, y.reshape(-1)[there], 6 if start else 0, loads, h)
 
 
 @pytest.mark.parametrize("penalty", PENALTIES)
@@ -306,3 +307,30 @@ def test_a_lambda_that_is_lost_in_rounding_is_refused() -> None:
     normal = BlockNormal(NonNegativeRecord(c.record).blocks, 1e-200)
     with pytest.raises(NotIdentifiable, match="lambda"):
         minimise(normal, np.ones(normal.size, bool))
+
+
+@pytest.mark.parametrize("penalty", PENALTIES)
+def test_impulse_responses_give_the_same_loads(penalty: str) -> None:
+    c = case(penalty, 120, sensors=2, loads=2, gaps=True)
+    lam = 0.05 * c.scale
+    seen = np.any(c.record.C[c.record.kind] != 0, axis=2).astype(float)
+    h = c.h
+    y = np.where(seen > 0, c.record.y, np.nan)
+    found = NonNegativeRecord.convolved(h, y, penalty, weight=seen, signed=[1]).solve(lam)
+    expected = NonNegativeRecord(c.record, [1]).solve(lam)
+    np.testing.assert_allclose(found.load, expected.load, atol=1e-7 * np.abs(expected.load).max())
+    assert found.gap < 1e-9
+    assert np.array_equal(found.held, expected.held)
+
+
+def test_impulse_responses_through_the_projected_gradient() -> None:
+    y, _ = halfsine.record(3, 0.01, 0, 500)
+    lam = 5e-4 * float(np.linalg.norm(convolution(500), 2))
+    problem = NonNegativeRecord.convolved(halfsine.impulse_response(500)[:, None, None], y[:, None])
+    found = problem.solve(lam)
+    expected = NonNegativeRecord(record(augment(*matrices(), "identity"), y[:, None])).solve(lam)
+    np.testing.assert_allclose(found.load, expected.load, atol=1e-5 * expected.load.max())
+    assert found.converged
+    assert found.solver.startswith("projected gradient")
+    with pytest.raises(InputError, match="covariance"):
+        problem.spread(lam)
