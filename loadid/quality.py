@@ -7,6 +7,7 @@ of a smooth signal, a boxcar, a rest at zero, a decay below the last bit are not
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -120,6 +121,36 @@ def require_finite(record: Record, *, hint: str = "select channels or a window w
         )
 
 
+def masked(record: Record) -> Record:
+    """The record with gaps (NaN) where a channel is clipped, held or dead, for families that leave gaps out of the fit.
+
+    What is only possible (``saturated``) stays, as do channels that are flat throughout; `health` lists all of them.
+
+    Parameters
+    ----------
+    record : Record
+
+    Returns
+    -------
+    Record
+        The same record where nothing is found. A note says how many samples of which channel were taken out.
+    """
+    values, notes = np.array(record.values), []
+    for i, label in enumerate(record.labels):
+        number = np.flatnonzero(~np.isnan(record.values[:, i]))
+        y = record.values[number, i]
+        if len(y) < 8 or y.min() == y.max():
+            continue
+        step = _last_bit(y)
+        clips = [runs for sign in (1.0, -1.0) for runs, sure in [_at_rail(sign * y, step)] if sure != "possible"]
+        bad = [number[a:b] for runs in (*clips, _held(y, step)) for a, b in runs]
+        if bad:
+            lost = np.unique(np.concatenate(bad))
+            values[lost, i] = np.nan
+            notes.append(f"{len(lost)} clipped or held samples of {label} were taken out (NaN)")
+    return replace(record, values=values, notes=(*record.notes, *notes)) if notes else record
+
+
 def describe(record: Record) -> dict[str, Any]:
     """What `loadid info` and `loadid check` print: plain numbers and texts, ready for JSON.
 
@@ -202,7 +233,7 @@ def _findings(record: Record, column: int) -> list[Flag]:
     if inner:
         longest = float(max(b - a for a, b in inner))
         text = f"{len(inner)} stretch(es) of held samples, the logger repeats a value (likely): {_show(inner, number)}"
-        found.append(flag("held", longest, 8, text, "mark them as missing (NaN), or use a window without them"))
+        found.append(flag("held", longest, 8, text, "take them out (quality.masked), or use a window without them"))
     if tail:
         a, b = tail[0]
         text = f"dead from sample {number[a]} to the end, {b - a} equal samples (likely)"
@@ -223,7 +254,7 @@ def _rail_flag(flag: Callable[..., Flag], y: Vector, number: NDArray, side: str,
     count = sum(b - a for a, b in runs)
     rail = float(y[runs[0][0]])
     text = f"{count} samples in {len(runs)} stretch(es) at the {side} rail {rail:.6g} ({sure}): {_show(runs, number)}"
-    advice = "lower the gain and measure again, or mark these samples as missing (NaN) and let the rest tell"
+    advice = "lower the gain and measure again, or take these samples out (quality.masked) and let the rest tell"
     if sure == "possible":
         return flag("saturated", float(count), RAIL_RUN, f"saturated: {text}", advice)
     if count > 0.05 * len(y):

@@ -6,6 +6,7 @@ import pytest
 from loadid import Deconvolution, Record, StaticInversion, read
 from loadid.families.data import gather, health
 from loadid.families.noise import resolve
+from loadid.quality import masked
 from structures import Channel, ForwardModel, ImpulseModel, InputError, MatrixModel, StateSpace, loads, sensors
 from structures import damping as dampings
 from structures.beams import Section, materials, simply_supported
@@ -163,7 +164,32 @@ def test_a_record_with_gaps_is_inverted_in_any_unit():
     y = y + 0.01 * y.std() * np.random.default_rng(0).standard_normal(y.shape)
     y[np.random.default_rng(1).random(y.shape) < 0.1] = np.nan
     first, small = (
-        Deconvolution(ImpulseModel(c * h, DT, kind="held"), choice=0.03).estimate(c * y, DT).load for c in (1.0, 1e-6)
-    )
+        Deconvolution(
+            StateSpace(SYSTEM.A, SYSTEM.B, c * SYSTEM.C, c * SYSTEM.D, DT, SYSTEM.hold), choice=0.03
+        ).estimate(c * y, DT).load
+        for c in (1.0, 1e-6)
+    )  # fmt: skip
     assert np.linalg.norm(first - g) < 0.1 * np.linalg.norm(g)
     assert np.linalg.norm(first - small) < 1e-9 * np.linalg.norm(g)
+
+
+def test_clipped_and_held_samples_can_be_taken_out():
+    """A sensor that clips misleads; without its clipped samples the other sensor and its rest tell the load."""
+    g = np.zeros((N, 1))
+    g[20:40, 0] = 100 * np.hanning(20)
+    y = MODEL.predict(g, DT)
+    y = y + 0.005 * y.std() * np.random.default_rng(0).standard_normal(y.shape)
+    rail = 0.4 * np.abs(y[:, 0]).max()
+    clipped = Record(np.column_stack([np.clip(y[:, 0], -rail, rail), y[:, 1]]), DT, MODEL.sensors)
+    rest = masked(clipped)
+    assert np.isnan(rest["s0"]).sum() > 5
+    assert np.all(np.abs(clipped["s0"][np.isnan(rest["s0"])]) == rail)
+    assert not np.isnan(rest["s1"]).any()
+    assert "clipped or held samples of s0 were taken out" in rest.notes[-1]
+    assert masked(Record(y, DT, MODEL.sensors)).notes == ()
+    wrong, right = (
+        np.linalg.norm(Deconvolution(MODEL, noise=0.005 * y.std(), choice=1e-2).estimate(x).load - g)
+        for x in (clipped, rest)
+    )
+    assert right < 0.1 * np.linalg.norm(g)
+    assert right < 0.3 * wrong
