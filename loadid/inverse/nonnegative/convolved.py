@@ -28,7 +28,7 @@ class ConvolvedNormal:
     """
 
     start = 0
-    direct = False
+    direct, precision = False, 1e-9
 
     def __init__(self, operator: Operator, y: NDArray, lam: float) -> None:
         self.operator, self.lam = operator, float(lam)

@@ -13,7 +13,6 @@ from .normal import Factor, Normal
 CAP, PATIENCE = 60, 6  # steps, and steps without fewer loads on the wrong side
 FEW = 10  # loads on the wrong side that are worth every patience
 SLACK = 1e-13  # of the largest H^T y: gradient that is rounding
-REFINED = 1e-12  # residual of the free loads, of the largest H^T y, above which a solution is refined
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +56,7 @@ def on_face(normal: Normal, factor: Factor, held: NDArray) -> tuple[NDArray[np.f
     """Minimum where the held unknowns are 0, refined, and its gradient."""
     v = factor.solve(np.where(held, 0.0, normal.q))
     gradient = normal.gradient(v)
-    level = REFINED * float(np.abs(normal.q).max(initial=0.0))
+    level = normal.precision * float(np.abs(normal.q).max(initial=0.0))
     for _ in range(3):
         rest = np.where(held, 0.0, -gradient)
         if np.abs(rest).max(initial=0.0) <= level:

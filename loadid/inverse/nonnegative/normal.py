@@ -41,6 +41,11 @@ class Normal(Protocol):
         ...
 
     @property
+    def precision(self) -> float:
+        """Gradient on free loads, over the largest H^T y, above which a solution is refined."""
+        ...
+
+    @property
     def reach(self) -> float:
         """Bound of the largest eigenvalue of Q."""
         ...
@@ -87,7 +92,7 @@ class BlockNormal:
         Absolute lambda, > 0.
     """
 
-    direct = True
+    direct, precision = True, 1e-12
     reach = np.inf  # not needed where factors are cheap
 
     def __init__(self, blocks: Blocks, lam: float) -> None:

@@ -21,6 +21,7 @@ from .projected import projected
 from .spread import Spread, spread
 
 CONVERGED = 1e-6  # relative duality gap of a solution
+ROUNDING = 1e-12  # gap at which loads that still change sides do so by rounding
 PACE = 0.7  # loads on the wrong side must fall at this rate; else the interior-point method is faster
 GRADIENTS = (1000, 3000, 9000)  # steps of the projected gradient before each exchange
 
@@ -222,7 +223,7 @@ def minimise(normal: Normal, signed: NDArray, held: NDArray | None = None, progr
     held = signed & (free < 0) if held is None else held & signed
     first = exchange(normal, signed, held, report, pace=PACE if normal.direct else 1.0)
     best = _certified(normal, unbounded, signed, first, 0, "active set")
-    if first.settled and best.gap <= CONVERGED:
+    if best.gap <= (CONVERGED if first.settled else ROUNDING):
         return best
     route = _from_inside if normal.direct else _by_gradient
     return min(best, *route(normal, unbounded, signed, free, first, report), key=lambda m: m.gap)
@@ -254,7 +255,7 @@ def _by_gradient(
         last = exchange(normal, signed, held, report)
         steps += last.steps
         found.append(_certified(normal, unbounded, signed, last, steps, "projected gradient, active set"))
-        if found[-1].gap <= CONVERGED:
+        if found[-1].gap <= (CONVERGED if last.settled else ROUNDING):
             break
         inside = Exchanged(v, np.zeros(0), held, False, 0)
         found.append(_certified(normal, unbounded, signed, inside, steps, "projected gradient"))
