@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from ..design.places import of_model
 from ..estimate import LoadEstimate
 from ..flags import location as found_flags
 from ..inverse.locating import alike, fits, scan, several
-from ..inverse.locating.refine import Refined, refine
+from ..inverse.locating.refine import refine
 from ..inverse.whitening import whiten
 from ..location import LocationResult, Rival
 from ..provenance import provenance
@@ -26,12 +26,14 @@ from . import noise as noises
 from .data import Data, gather, health
 from .deconvolution import Deconvolution
 from .locating.candidates import Candidates
-from .locating.grid import Grid, grid_of
+from .locating.grid import grid_of
+from .locating.posed import DENSE, Factored, Posed
+from .locating.verdict import Said, Solution, basins, noise_level, rivals_of, said
 
 Array = NDArray[np.float64]
-DENSE = 600  # unknowns up to which a fit is one SVD
 MEMORY = 1.5e9  # bytes of all factors together, up to which they are kept
 RIVALS = 3  # other basins that are refined too, for each load
+BESIDE = 2  # neighbours of the best from which the place is refined too: between candidates lie local minima
 HOPELESS = 2.0  # times the least objective above which a rival is given up after some steps
 LEVEL = 0.95  # of the chi-square set of candidates
 
@@ -117,7 +119,7 @@ class LocationSearch:
         self.settings, self.workers = dict(settings or {}), workers
         self.grid = grid_of(model, places)
         self._progress = progress or (lambda fraction, text: None)
-        self._kept: tuple[Any, _Fitted] | None = None
+        self._kept: tuple[Any, Factored] | None = None
 
     def check(self, dt: float, samples: int) -> tuple[Flag, ...]:
         """Guards that need the model only: E512 where candidates at different places leave the same data.
@@ -166,17 +168,17 @@ class LocationSearch:
         return found
 
     # -- steps --------------------------------------------------------------------------------------------------------
-    def _locate(self, record: Any, dt: float | None) -> tuple[LocationResult, _Posed]:
+    def _locate(self, record: Any, dt: float | None) -> tuple[LocationResult, Posed]:
         data = gather(record, dt, self.model, self.sensors)
         posed = self._pose(data)
         self._progress(0.6, "comparing candidates")
         chosen = self._choose(posed)
-        said = _said(posed, chosen)
+        verdict = said(posed, chosen)
         self._progress(0.7, "refining the place")
         solutions = self._refine(posed, chosen) if self.refine and posed.candidates.how else []
-        return self._result(posed, chosen, said, solutions)
+        return self._result(posed, chosen, verdict, solutions)
 
-    def _pose(self, data: Data) -> _Posed:
+    def _pose(self, data: Data) -> Posed:
         noise = noises.resolve(self.noise, self.noise_source, self.model, data)
         level = np.asarray(noise.level, float)
         size = float(np.sqrt(np.mean(level**2 if level.ndim == 1 else np.diagonal(level))))
@@ -190,9 +192,9 @@ class LocationSearch:
         if not np.any(y):
             raise InputError("the record is zero throughout", where="record", expected="a response",
                              hint="record the event")  # fmt: skip
-        return _Posed(data, noise, size if noise.known else None, y, relative, **vars(kept))
+        return Posed(data, noise, size if noise.known else None, y, relative, **vars(kept))
 
-    def _factor(self, data: Data, relative: Array) -> _Fitted:
+    def _factor(self, data: Data, relative: Array) -> Factored:
         samples = len(data.values)
         candidates = Candidates(self.model, self.grid, data.dt, samples, self.hold or self.model.default_hold)
         groups = self._alike(candidates.h[:, data.rows], relative)
@@ -208,14 +210,14 @@ class LocationSearch:
             progress=lambda fraction, text: self._progress(0.6 * fraction, text),
             text="factorising candidates",
         )
-        return _Fitted(candidates, h, tuple(made), groups)
+        return Factored(candidates, h, tuple(made), groups)
 
     def _alike(self, h: Array, relative: Array | None = None) -> tuple[tuple[str, ...], ...]:
         white = h if relative is None else whiten(h, relative, axis=1)
         found = alike.groups(white, None if self.grid is None else self.grid.near)
         return tuple(tuple(self.model.loads[j].label for j in group) for group in found)
 
-    def _choose(self, posed: _Posed) -> several.Chosen:
+    def _choose(self, posed: Posed) -> several.Chosen:
         """The best candidates, and the scores of all."""
         solved = scan.over(
             lambda fit: fit.solve(posed.y), posed.fits, workers=1 if posed.dense else self.workers,
@@ -225,21 +227,24 @@ class LocationSearch:
         if self.impacts == 1:
             best = int(np.argmin(scores))
             return several.Chosen((best,), solved[best], scores[None])
-        return several.together(posed.y, self.impacts, posed.fits, posed.joint, posed.response)
+        lam = np.array([float(f.lam[0]) for f in posed.fits])
+        problem = several.Joint(posed.y, posed.h / lam, posed.fits, posed.joint)
+        return several.together(problem, self.impacts)
 
-    def _refine(self, posed: _Posed, chosen: several.Chosen) -> list[tuple[Refined, str, int]]:
+    def _refine(self, posed: Posed, chosen: several.Chosen) -> list[Solution]:
         """The place from the best candidates and from rivals in other basins; each with its origin and its load."""
         grid = self.grid
         assert grid is not None
         lam = np.array([float(posed.fits[j].lam[0]) for j in chosen.indices])
         starts = [(chosen.indices, "", 0)]
         for k, best in enumerate(chosen.indices):
-            for j in _basins(chosen.scores[k], grid.near, best)[:RIVALS]:
+            beside, beyond = basins(chosen.scores[k], grid.near, best)
+            for j in [*beside[:BESIDE], *beyond[:RIVALS]]:
                 if j not in chosen.indices:
                     moved = tuple(j if i == k else b for i, b in enumerate(chosen.indices))
                     starts.append((moved, self.model.loads[j].label, k))
 
-        def one(start: tuple[tuple[int, ...], str, int], enough: float | None = None) -> tuple[Refined, str, int]:
+        def one(start: tuple[tuple[int, ...], str, int], enough: float | None = None) -> Solution:
             place = grid.places[np.array(start[0])][:, grid.used]
             found = refine(place, posed.y, lam, posed.whitened, posed.fit, grid.bounds, grid.spacing, hopeless=enough)
             return found, start[1] or self.model.loads[start[0][0]].label, start[2]
@@ -253,22 +258,23 @@ class LocationSearch:
 
     # -- saying -------------------------------------------------------------------------------------------------------
     def _result(
-        self, posed: _Posed, chosen: several.Chosen, said: _Said, solutions: list[tuple[Refined, str, int]]
-    ) -> tuple[LocationResult, _Posed]:
+        self, posed: Posed, chosen: several.Chosen, verdict: Said, solutions: list[Solution]
+    ) -> tuple[LocationResult, Posed]:
         grid, norm = self.grid, float(np.linalg.norm(posed.y))
-        residual2, best, at, covariance, rivals = chosen.fitted.residual2, chosen.indices, None, None, ()
+        residual2, best, at, covariance = chosen.fitted.residual2, chosen.indices, None, None
+        rivals: tuple[Rival, ...] = ()
         found = None if grid is None else grid.places[np.array(best)]
-        sigma = _level(posed, residual2, chosen)
+        sigma = noise_level(posed, residual2, chosen)
         edge = False
         if solutions and grid is not None:
             winner = min((s[0] for s in solutions), key=lambda r: r.fitted.residual2)
             residual2, at, edge = winner.fitted.residual2, winner.place, winner.edge
             found = grid.full(at)
             best = tuple(int(np.argmin(np.linalg.norm(grid.places - p, axis=1))) for p in found)
-            sigma = _level(posed, residual2, chosen)
+            sigma = noise_level(posed, residual2, chosen)
             covariance = np.zeros((len(found), *[found.shape[1]] * 2))
-            covariance[np.ix_(range(len(found)), grid.used, grid.used)] = winner.covariance(sigma)
-            rivals = _rivals(solutions, winner, grid)
+            covariance[np.ix_(np.arange(len(found)), grid.used, grid.used)] = winner.covariance(sigma)
+            rivals = rivals_of(solutions, winner, grid)
         posed = replace(posed, at=at)
         level = None if posed.sigma is None else float(np.sqrt(residual2 / posed.y.size)) / posed.sigma
         exact = chosen.fitted.exact and all(s[0].fitted.exact for s in solutions)
@@ -279,15 +285,13 @@ class LocationSearch:
             "sensors": len(posed.data.rows),
             "lambda": self.choice,
             "edf": sum(posed.fits[j].edf for j in chosen.indices),
-            "residual_to_noise": None
-            if posed.sigma is None
-            else float(np.sqrt(residual2 / posed.y.size)) / posed.sigma,
+            "residual_to_noise": level,
             "noise_level": sigma,
             "noise_source": posed.noise.source,
             "path": posed.fits[0].name,
             "exact": bool(exact),
             "responses": posed.candidates.how if solutions else "candidates only",
-            "ratio": said.ratio,
+            "ratio": verdict.ratio,
         }
         result = LocationResult(
             labels=[c.label for c in self.model.loads],
@@ -295,8 +299,8 @@ class LocationSearch:
             spacing=None if grid is None else grid.spacing,
             scores=np.sqrt(chosen.scores) / norm,
             best=best,
-            runner_up=said.runner_up,
-            ratio=said.ratio,
+            runner_up=verdict.runner_up,
+            ratio=verdict.ratio,
             plausible=[self._plausible(scores, sigma) for scores in chosen.scores],
             alike=posed.groups,
             found=found,
@@ -309,7 +313,7 @@ class LocationSearch:
             facts=facts,
             provenance=self._provenance(posed),
         )
-        return replace(result, flags=self._flags(posed, result, said, edge)), posed
+        return replace(result, flags=self._flags(posed, result, verdict, edge)), posed
 
     def _plausible(self, scores: Array, sigma: float) -> list[str]:
         from scipy.stats import chi2
@@ -318,7 +322,7 @@ class LocationSearch:
         within = np.flatnonzero(scores <= scores.min() + sigma**2 * chi2.ppf(LEVEL, dim))
         return [self.model.loads[j].label for j in within[np.argsort(scores[within], kind="stable")]]
 
-    def _flags(self, posed: _Posed, result: LocationResult, said: _Said, edge: bool) -> tuple[Flag, ...]:
+    def _flags(self, posed: Posed, result: LocationResult, verdict: Said, edge: bool) -> tuple[Flag, ...]:
         where, names = result.where, result.labels
         found: list[Flag | None] = [found_flags.alike_allowed(posed.groups, alike.ALIKE)] if posed.groups else []
         if result.refined:
@@ -333,7 +337,7 @@ class LocationSearch:
             ]
             found += [found_flags.at_the_rim(where[0])] if edge else []
         else:
-            found.append(found_flags.ambiguous(said.ratio, names[said.best], names[said.runner_up]))
+            found.append(found_flags.ambiguous(verdict.ratio, names[verdict.best], names[verdict.runner_up]))
         data, model = posed.data, self.model
         return guards.collect(
             [
@@ -360,7 +364,7 @@ class LocationSearch:
         given = {name: value for name, value in common.items() if value is not None}
         return given | ({"allow": self.allow} if self.allow else {}) | self.settings
 
-    def _provenance(self, posed: _Posed) -> dict[str, Any]:
+    def _provenance(self, posed: Posed) -> dict[str, Any]:
         record = posed.data.record
         return provenance(
             self.name,
@@ -372,108 +376,6 @@ class LocationSearch:
             model=self.model.fingerprint,
             prior="a load of zero mean and constant variance, white in time; any candidate alike",
         )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Fitted:
-    """What is made once for all records of a length: responses (whitened), a fit per candidate, groups alike."""
-
-    candidates: Candidates
-    h: Array
-    fits: tuple[fits.Fit, ...]
-    groups: tuple[tuple[str, ...], ...]
-
-
-@dataclass(frozen=True)
-class _Posed:
-    """One record, whitened by relative noise levels, with the fits that it is shown to.
-
-    `sigma` is the noise level of the whitened data where it is known; `at` holds the refined places.
-    """
-
-    data: Data
-    noise: noises.Noise
-    sigma: float | None
-    y: Array
-    relative: Array
-    candidates: Candidates
-    h: Array
-    fits: tuple[fits.Fit, ...]
-    groups: tuple[tuple[str, ...], ...]
-    at: Array | None = None
-
-    @property
-    def dense(self) -> bool:
-        """Every candidate has its factors: a fit costs less than handing it to a thread."""
-        return isinstance(self.fits[0], fits.DenseFit)
-
-    def fit(self, h: Array, lam: Array) -> fits.Fit:
-        """A fit of its own for some responses."""
-        return fits.JointFit(h, lam) if len(h) * h.shape[2] <= DENSE else fits.LongFit(h, lam)
-
-    def joint(self, indices: Sequence[int]) -> fits.Fit:
-        """Some candidates together."""
-        lam = np.array([float(self.fits[j].lam[0]) for j in indices])
-        return self.fit(self.h[:, :, list(indices)], lam)
-
-    def response(self, index: int, history: Array) -> Array:
-        """Response (samples, sensors) of a candidate."""
-        from ..inverse.convolution import Convolution
-
-        return Convolution(self.h[:, :, index, None]).apply(history[:, None])
-
-    def whitened(self, places: Array) -> Array:
-        """Whitened responses (samples, sensors, n) of loads at places."""
-        return whiten(self.candidates.responses(places)[:, self.data.rows], self.relative, axis=1)
-
-
-@dataclass(frozen=True)
-class _Said:
-    """What the candidates alone say: best, runner-up, and the ratio of their residual norms."""
-
-    best: int
-    runner_up: int
-    ratio: float
-
-
-def _said(posed: _Posed, chosen: several.Chosen) -> _Said:
-    """Of the load for which the runner-up comes closest."""
-    found = []
-    for best, scores in zip(chosen.indices, chosen.scores, strict=True):
-        taken = [j for j in chosen.indices if j != best]
-        others = np.array([np.inf if j in {best, *taken} else s for j, s in enumerate(scores)])
-        second = int(np.argmin(others))
-        floor = np.finfo(float).eps * float(np.linalg.norm(posed.y))  # data without noise may leave nothing
-        ratio = max(np.sqrt(others[second]), floor) / max(np.sqrt(scores[best]), floor)
-        found.append(_Said(best, second, float(ratio)))
-    return min(found, key=lambda s: s.ratio)
-
-
-def _level(posed: _Posed, residual2: float, chosen: several.Chosen) -> float:
-    """Noise level of the whitened data: as stated, or what the fit leaves where that is more or nothing is stated."""
-    spent = sum(posed.fits[j].edf for j in chosen.indices)
-    left = float(np.sqrt(residual2 / max(posed.y.size - spent, 1.0)))
-    return left if posed.sigma is None else max(left, posed.sigma)
-
-
-def _basins(scores: Array, near: NDArray, best: int) -> list[int]:
-    """Local minima of the scores outside the neighbourhood of the best, best first."""
-    lowest = np.array([np.min(scores[near[j]]) for j in range(len(scores))])
-    found = [j for j in np.flatnonzero(scores <= lowest) if not near[best, j]]
-    return sorted((int(j) for j in found), key=lambda j: float(scores[j]))
-
-
-def _rivals(solutions: list[tuple[Refined, str, int]], winner: Refined, grid: Grid) -> tuple[Rival, ...]:
-    """Solutions at another place than the winner, closest in residual first."""
-    floor = np.finfo(float).tiny
-    found = []
-    for one, label, load in solutions:
-        away = float(np.linalg.norm(one.place - winner.place, axis=1).max())
-        if one is not winner and away > grid.spacing:
-            ratio = np.sqrt(one.fitted.residual2 / max(winner.fitted.residual2, floor))
-            place = tuple(float(v) for v in grid.full(one.place)[load])
-            found.append(Rival(place, label, float(ratio), load))
-    return tuple(sorted(found, key=lambda r: r.ratio))
 
 
 def _own(flags: Sequence[Flag]) -> tuple[Flag, ...]:

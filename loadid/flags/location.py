@@ -10,7 +10,7 @@ from structures.flags import Evidence, Flag
 
 AMBIGUOUS = 1.05  # runner-up over best: all misses of 1520 simulated searches lay below 1.045
 COARSE = 0.03  # relative lambda above which residuals measure bias: misses with ratios above 1.05 were seen from there
-LOUD, LARGE = 3.0, 0.2  # residual over noise, and over data, from which on no candidate explains the data
+LOUD, LARGE = 3.0, 0.1  # residual over noise, and over data, from which on no candidate explains the data
 CERTAIN = 1.96  # half-width of the 95 % band in standard deviations
 
 

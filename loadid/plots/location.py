@@ -124,7 +124,7 @@ def _surface(ax: Axes, result: LocationResult, load: int, axes: list[int], truth
     x, score = result.places[:, axes], result.scores[load]
     floor = max(float(score.min()), 1e-12 * float(score.max()))
     drawn = ax.scatter(
-        *x.T, c=np.maximum(score, floor), s=90, marker="s", cmap="viridis_r", lw=0,
+        x[:, 0], x[:, 1], c=np.maximum(score, floor), s=90, marker="s", cmap="viridis_r", lw=0,
         norm=LogNorm(floor, max(float(score.max()), 1.001 * floor)),
     )  # fmt: skip
     ax.get_figure(root=True).colorbar(drawn, ax=ax, shrink=0.8).set_label("residual over data", fontsize=9)  # type: ignore[union-attr]
@@ -142,7 +142,8 @@ def _surface(ax: Axes, result: LocationResult, load: int, axes: list[int], truth
             size, turn = np.linalg.eigh(result.covariance[load][np.ix_(axes, axes)])
             width, height = 2 * ELLIPSE * np.sqrt(np.maximum(size, 0.0))
             angle = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
-            ax.add_patch(Ellipse(result.found[load, axes], width, height, angle=angle, fc="none", ec=ORANGE))
+            centre = (float(result.found[load, axes[0]]), float(result.found[load, axes[1]]))
+            ax.add_patch(Ellipse(centre, width, height, angle=angle, fc="none", ec=ORANGE))
     outline = result.geometry.get("outline")
     if outline is not None and outline.shape[1] > max(axes):
         ends = outline[:, axes]

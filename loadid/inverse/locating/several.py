@@ -1,8 +1,8 @@
 """Several loads that act at once: few of many groups of unknowns, each group the history of one candidate.
 
 Two starts, and the better one improved: group orthogonal matching pursuit (Eldar, Kuppinger & Boelcskei, IEEE Trans.
-Signal Process. 58 (2010) 3042), and the best combination of the groups that the group lasso (Yuan & Lin, J. R. Stat. Soc. B
-68 (2006) 49) puts first. Then single groups are exchanged until no exchange lowers the objective of the joint fit.
+Signal Process. 58 (2010) 3042), and the best combination of the groups that the group lasso (Yuan & Lin, J. R. Stat.
+Soc. B 68 (2006) 49) puts first. Then single groups are exchanged until no exchange lowers the objective of the joint fit.
 """
 
 from __future__ import annotations
@@ -150,6 +150,6 @@ def _exchanged(problem: Joint, chosen: list[int]) -> list[int]:
 
 
 def _responses(problem: Joint, key: Sequence[int], final: Fitted) -> Array:
-    """Response of each load alone, (loads, samples, sensors); `h` is over lambda, and so is the history made greater."""
+    """Response of each load alone, (loads, samples, sensors); `h` is over lambda, its history times lambda."""
     scaled = final.penalty.reshape(-1, len(key))  # -lambda g
     return np.array([Convolution(problem.h[:, :, j, None]).apply(-scaled[:, i, None]) for i, j in enumerate(key)])
