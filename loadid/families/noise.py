@@ -51,15 +51,7 @@ def resolve(given: ArrayLike | None, source: str | None, model: Model, data: Dat
     """
     count = len(data.rows)
     if given is not None:
-        level = np.asarray(given, float)
-        level = np.full(count, float(level)) if level.ndim == 0 else level
-        if level.shape not in {(count,), (count, count)} or not np.all(np.isfinite(level)):
-            raise InputError(
-                "the noise does not fit the sensors",
-                where="noise",
-                found=f"shape {level.shape}",
-                expected=f"a number, ({count},) or ({count}, {count})",
-            )
+        level = _level(given, count, "sensors")
         return Noise(level, True, source or ("covariance" if level.ndim == 2 else "a guess of the user"))
     declared = model.noise
     if declared is not None:

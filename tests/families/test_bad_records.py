@@ -103,6 +103,19 @@ def test_static_readings_are_no_texts(bad):
         StaticInversion(model).estimate(bad)
 
 
+@pytest.mark.parametrize("noise", ["loud", [1.0, "x"], [1.0, np.nan], [1.0, 2.0, 3.0], np.inf, 0.0, -1.0, True])
+def test_noise_that_is_none(noise):
+    refused("noise", MODEL, Y, noise=noise)
+
+
+def test_static_readings_have_no_step_to_fit():
+    """A state space may stand for its static gain: the step of the frames is then free."""
+    frames = Record(np.abs(Y[:5]) + 1, 0.5, MODEL.sensors)
+    assert gather(frames, None, SYSTEM, None, timed=False).dt == 0.5
+    with pytest.raises(InputError, match="different steps"):
+        gather(frames, None, SYSTEM, None)
+
+
 # -- gaps -------------------------------------------------------------------------------------------------------------
 def test_gaps_are_marked_and_hold_nothing():
     y = with_gap((slice(10, 14), 0))
