@@ -22,6 +22,7 @@ from structures.values import real, reals, shown
 from ..record import Record
 
 SHORTEST = 4  # samples
+LARGEST = 1e100  # of a reading, in any unit: its square must stay a number
 SAME = 1e-6  # relative difference of two steps that is rounding of a file
 WITHOUT_GAPS = "select channels or a window without the gap"
 WITH_GAPS = "Deconvolution of a model with state_space() or impulse_response() takes records with gaps"
@@ -157,6 +158,14 @@ def _settled(picked: Record, rows: NDArray[np.int_], record: Record, allow_missi
             expected="samples on every channel that is inverted",
             hint="leave the channel out (sensors=[...] with the others), or repair the record",
         )
+    if np.nanmax(np.abs(picked.values)) > LARGEST:
+        raise InputError(
+            "the readings are beyond the range of numbers",
+            where=record.source or "record",
+            found=f"{np.nanmax(np.abs(picked.values)):.3g}",
+            expected=f"at most {LARGEST:g}",
+            hint="check the units",
+        )
     if not allow_missing:
         require_finite(picked, hint=f"{WITHOUT_GAPS}; {WITH_GAPS}")
     values = np.where(missing, 0.0, picked.values) if missing.any() else np.asarray(picked.values)
@@ -268,8 +277,8 @@ def numbers(values: Any, what: str) -> NDArray[np.float64]:
 
 def _row(sensor: str | int, model: Model) -> int:
     labels = [s.label for s in model.sensors]
-    if sensor in labels:
-        return labels.index(str(sensor))
+    if isinstance(sensor, str) and sensor in labels:
+        return labels.index(sensor)
     if isinstance(sensor, int | np.integer) and not isinstance(sensor, bool) and -len(labels) <= sensor < len(labels):
         return sensor % len(labels)
     raise InputError("the model has no such sensor", where="sensors", found=repr(sensor), expected=f"one of {labels}")

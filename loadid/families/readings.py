@@ -18,9 +18,7 @@ from structures.model import Model
 
 from ..estimate import Axis
 from ..record import Record
-from .data import Data, gather, health, numbers, rows_of
-
-LARGEST = 1e100  # of a reading, in any unit: its square must stay a number
+from .data import LARGEST, Data, gather, health, numbers, rows_of
 
 
 @dataclass(frozen=True)

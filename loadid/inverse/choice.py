@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
+from structures.values import real, shown
 
 from . import rules
 from .odds import in_words
@@ -324,14 +325,15 @@ def _pick(
     if isinstance(choice, str):
         return _given(asked[choice]), choice
     if choice is not None:
-        if isinstance(choice, bool) or not (np.isfinite(choice) and 0 <= choice <= LARGEST):
+        lam = real(choice)
+        if lam is None or not 0 <= lam <= LARGEST:
             raise InputError(
                 "no relative lambda",
                 where="choice",
-                found=choice,
+                found=shown(choice),
                 expected=f"a number from 0 to {LARGEST:g}, or the name of a rule",
             )
-        return float(choice), "given"
+        return lam, "given"
     order = [asked[name] for name in ORDERS[sigma is not None] if asked[name].lam is not None]
     inside = [r for r in order if not r.edge or r.free]
     running = inside or order or [r for r in asked.values() if r.lam is not None]

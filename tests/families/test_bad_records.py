@@ -90,6 +90,7 @@ def test_an_unstable_pole(factor, stable):
         (with_gap((7, 1), np.inf), "channel s1: infinite values; found: 1, the first at sample 7"),
         (with_gap((slice(None), 1)), r"holds no number.*found: s1;.*leave the channel out"),
         (np.full((N, 2), np.nan), "found: s0, s1;"),
+        (np.full((N, 2), 1e300), "beyond the range of numbers"),
     ],
 )
 def test_numbers_that_are_none(bad, words):
@@ -106,6 +107,16 @@ def test_static_readings_are_no_texts(bad):
 @pytest.mark.parametrize("noise", ["loud", [1.0, "x"], [1.0, np.nan], [1.0, 2.0, 3.0], np.inf, 0.0, -1.0, True])
 def test_noise_that_is_none(noise):
     refused("noise", MODEL, Y, noise=noise)
+
+
+@pytest.mark.parametrize("choice", [[], [1.0], {}, 1j, -1.0, np.nan, True, object()])
+def test_lambda_that_is_none(choice):
+    refused("relative lambda", MODEL, Y[:40], choice=choice)
+
+
+@pytest.mark.parametrize("chosen", [[np.zeros(2)], [None], ["s9"], ["s0", 0], [True], "s0"])
+def test_sensors_that_are_none(chosen):
+    refused("sensor", MODEL, Y, sensors=chosen)
 
 
 def test_static_readings_have_no_step_to_fit():
