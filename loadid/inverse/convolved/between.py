@@ -62,7 +62,7 @@ class Table:
 
 
 def nodes(low: float, step: float, high: float) -> NDArray[np.float64]:
-    """Values of t = ln lambda^2 from `low` to beyond `high`, `step` decades of lambda apart, above `WIDE` twice that."""
+    """Values of t = ln lambda^2 from `low` to beyond `high`, `step` decades of lambda apart, twice that above 1."""
     fine = np.arange(np.log(low), np.log(WIDE) + step * DECADE, step * DECADE)
     coarse = np.arange(fine[-1], np.log(high) + 2 * step * DECADE, 2 * step * DECADE)[1:]
     return 2 * np.concatenate([fine, coarse])
