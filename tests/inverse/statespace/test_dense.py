@@ -48,7 +48,10 @@ def test_everything_equals_the_dense_problem(penalty: str, mix: str) -> None:
     variance = 1.3**2 * np.diag(exact.covariance)[:n]
     assert off(posterior.std, np.sqrt(variance).reshape(w.shape)) < 1e-9
     assert off(posterior.noise_std, 1.3 * np.sqrt(np.diag(exact.noise_covariance)[:n])) < 1e-8
-    assert off(posterior.variance(np.array([w, -2 * w])), 1.69 * weights @ exact.covariance @ weights * np.array([1, 4])) < 1e-9
+    assert (
+        off(posterior.variance(np.array([w, -2 * w])), 1.69 * weights @ exact.covariance @ weights * np.array([1, 4]))
+        < 1e-9
+    )
     assert off(posterior.noise_variance(w), 1.69 * weights @ exact.noise_covariance @ weights) < 1e-9
     assert off(posterior.bias_weights(w), (exact.resolution.T @ weights - weights)[:n]) < 1e-9
     assert off(path.resolve(record.load, LAM), (exact.resolution[:, :n] @ record.load.reshape(-1))[:n]) < 1e-9

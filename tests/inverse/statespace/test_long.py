@@ -1,0 +1,55 @@
+"""Long records: gains that settle are the gains, and the gradient vanishes, on systems that are hard on a recursion."""
+
+import numpy as np
+import pytest
+
+from loadid.inverse.statespace import covariance, riccati
+from loadid.inverse.statespace.path import StateSpacePath
+from loadid.inverse.statespace.record import Record
+
+from .cases import Case, case, modal, off
+
+SAMPLES = 20_000
+HARD = {
+    "lightly damped": modal([3, 11, 30], 1e-4, "d"),
+    "accelerometer, lightly damped": modal([3, 11, 30], 1e-4, "a"),
+    "stiff, near Nyquist": modal([5, 40, 420, 495], 0.01, "d"),
+    "free body": modal([0, 20, 60], [0, 0.01, 0.01], "d"),
+    "all but still": modal([0.001, 20], [0.05, 0.01], "d"),
+    "two modes as one": modal([20, 20, 60], 0.01, "d"),
+    "three kinds of sensor": modal([3, 11, 30, 100], 0.005, "dav"),
+}
+MATCHES = [(name, "identity", lam) for name in HARD for lam in (1e-1, 1e-4)] + [
+    (name, penalty, lam)
+    for name in HARD
+    if "accelerometer" not in name
+    for penalty, lam in (("first_difference", 1e-1), ("second_difference", 1e-1), ("second_difference", 1e-5))
+]
+
+
+def hard(name: str, samples: int = SAMPLES) -> Case:
+    """A bump and a sine that push, with noise."""
+    return case(HARD[name], samples)
+
+
+def unsettled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every sample of a recursion is computed."""
+    for module in (riccati, covariance):
+        monkeypatch.setattr(module, "STRIDE", 1 << 40)
+
+
+@pytest.mark.parametrize(("name", "penalty", "lam"), MATCHES)
+def test_settled_gains_are_the_gains(name: str, penalty: str, lam: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = hard(name)
+    record: Record = given.record(penalty, given.y)
+    scale = float(StateSpacePath(given.record(penalty, given.y[:1000])).scale)
+    path = StateSpacePath(record, scale=scale)
+    solution, edf = path.solution(lam, 1.0), float(path.scalars(lam).edf)
+    assert path.gradient(lam) < 1e-12
+    std = solution.posterior.std
+    unsettled(monkeypatch)
+    every = StateSpacePath(record, scale=scale)
+    exact = every.solution(lam, 1.0)
+    assert off(solution.load, exact.load) < 1e-9
+    assert np.max(np.abs(std / exact.posterior.std - 1)) < 1e-9
+    assert abs(edf / float(every.scalars(lam).edf) - 1) < 1e-9
