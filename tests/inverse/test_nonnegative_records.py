@@ -334,3 +334,19 @@ def test_impulse_responses_through_the_projected_gradient() -> None:
     assert found.solver.startswith("projected gradient")
     with pytest.raises(InputError, match="covariance"):
         problem.spread(lam)
+
+
+def test_loads_that_move() -> None:
+    n, rng = 60, np.random.default_rng(4)
+    F = np.repeat(0.9 * np.linalg.qr(rng.standard_normal((4, 4)))[0][None], n, 0)
+    G, C, D = rng.standard_normal((n, 4, 1)), np.repeat(rng.standard_normal((1, 2, 4)), n, 0), np.zeros((n, 2, 1))
+    y, H = rng.standard_normal((n, 2)), np.zeros((n, 2, n))
+    for j in range(n):
+        x = G[j, :, 0]
+        for k in range(j + 1, n):
+            H[k, :, j], x = C[k] @ x, F[k] @ x
+    kinds = np.arange(n, dtype=np.int32)
+    moving = Record(F, G, C, D, np.zeros((1, 4)), kinds, y, np.arange(0), y.size)
+    found = NonNegativeRecord(moving).solve(0.5)
+    expected = nnls(np.vstack([H.reshape(-1, n), 0.5 * np.eye(n)]), np.r_[y.reshape(-1), np.zeros(n)])[0]
+    np.testing.assert_allclose(found.load[:, 0], expected, atol=1e-12)

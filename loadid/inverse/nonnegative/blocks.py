@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..statespace.record import Record
 
-LOADS = 32  # loads of a block: small factors are cheap, and the steps from block to block few
+LOADS = 48  # loads of a block: small factors are cheap, and the steps from block to block few
 PADDING = -1  # kind of a sample behind the end of the record
 
 
