@@ -23,8 +23,9 @@ from . import histories
 from .data import Data, gather, health
 from .level import noise_level
 from .posing import PATHS, UNUSABLE, Posed, Settings, diagonal, pose
+from .pushing import facts as pushing_facts
+from .pushing import push, signs
 
-LONG = 20_000  # unknowns beyond which a lambda that was given is taken without asking the rules
 PRIOR = {
     "identity": "a load of zero mean and constant variance, white in time",
     "first_difference": "a random walk in time",
@@ -62,6 +63,9 @@ class Deconvolution:
         not see a constant. State-space path only.
     from_zero : bool
         The load is zero before the record, and a difference penalty counts its first step. State-space path only.
+    constraints : sequence of NonNegative
+        Loads that only push (`loadid.inverse.constraints.NonNegative`). Lambda is then the largest at which such a load
+        explains the data, where no rule was asked for by name; the std stays that of the load without signs, a bound.
     hold : {"foh", "zoh"}, optional
         How a load moves between samples; default the model's own, which is first order where it has a choice.
     noise : float or array, optional
@@ -91,6 +95,7 @@ class Deconvolution:
         initial: str | ArrayLike = "rest",
         leak: float | None = None,
         from_zero: bool = False,
+        constraints: Sequence[Any] = (),
         hold: str | None = None,
         noise: ArrayLike | None = None,
         noise_source: str | None = None,
@@ -116,8 +121,9 @@ class Deconvolution:
                              expected="'rest', 'unknown' or the state (states,)")  # fmt: skip
         free = choice is not None and not isinstance(choice, str) and choice == 0
         self.settings = Settings(
-            method, penalty, hold, noise, noise_source, guards.allowed(allow), path, initial, leak, from_zero, free
-        )
+            method, penalty, hold, noise, noise_source, guards.allowed(allow), path, initial, leak, from_zero, free,
+            signs(constraints),
+        )  # fmt: skip
         self.model, self.choice, self.sensors, self.coverage = model, choice, sensors, coverage
         self._progress = progress or (lambda fraction, text: None)
 
@@ -151,22 +157,28 @@ class Deconvolution:
         self._progress(0.9, "estimating the load")
         # a residual above the stated noise is model error: the band must not be narrower than what is seen
         sigma = noise_level(posed.path, choice, posed.noise)
+        pushed = None
+        if (signed := self.settings.signed) is not False:
+            keep = self.choice is not None
+            pushed, choice = push(posed, choice, sigma, signed, keep, lambda f, t: self._progress(0.7 + 0.2 * f, t))
         solution = posed.path.solution(choice.lam, sigma)
-        response, residual = posed.compare(solution.load, choice.lam)
-        facts = self._facts(posed, choice, sigma, data.dt, solution.load)
+        load = solution.load if pushed is None else pushed.load
+        response, residual = posed.compare(load, choice.lam)
+        facts = self._facts(posed, choice, sigma, data.dt, load)
         facts |= {"missing": data.gaps} if data.gaps else {}
+        facts |= {} if pushed is None else pushing_facts(pushed, posed.path.m, posed.noise.known)
         assert solution.posterior is not None
         std = solution.posterior.std
-        bias = diagnose.hidden(posed.path, choice.lam, solution.load, std)
+        bias = diagnose.hidden(posed.path, choice.lam, load, std)
         self._progress(1.0, "done")
         return LoadEstimate(
-            load=solution.load,
+            load=load,
             # the posterior holds the bias of an average sample; where more is expected to be hidden, that counts
             std=np.maximum(std, np.abs(bias)),
             bias=bias,
             labels=[c.label for c in self.model.loads],
             units=[c.unit for c in self.model.loads],
-            axis=Axis(name="time", unit="s", values=np.asarray(np.arange(len(solution.load)) * data.dt, float)),
+            axis=Axis(name="time", unit="s", values=np.asarray(np.arange(len(load)) * data.dt, float)),
             choice=choice,
             response=response,
             residual=residual,
@@ -189,7 +201,7 @@ class Deconvolution:
     def _choose(self, posed: Posed) -> Choice:
         """Lambda by the rules: of a long record on windows first, then confirmed on the whole."""
         sigma, source = posed.noise.sigma, posed.noise.source
-        if not isinstance(self.choice, str | bool | None) and posed.unknowns > LONG:
+        if not isinstance(self.choice, str | bool | None) and posed.path.coefficients is None:
             return given(posed.path, self.choice, sigma=sigma, source=source)
         choice = choose(posed.judged, self.choice, sigma=sigma, source=source)
         if posed.judged is posed.path:

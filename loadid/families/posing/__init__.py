@@ -38,7 +38,7 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
         if settings.path in ("dense", "statespace"):
             raise InputError("a measured model has no such path", where="path", found=repr(settings.path),
                              expected="'auto', 'fft' or 'toeplitz'")  # fmt: skip
-        if settings.path == "toeplitz" or data.missing.any():
+        if settings.path == "toeplitz" or data.missing.any() or settings.signed is not False:
             return convolved_measured(model, data, settings)
         settings.refuse_special("line by line")
         return measured_lines(model, data, settings)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.measured import MeasuredModel
 
 from ...inverse.convolution import Convolution
 from ...inverse.convolved.path import ConvolvedPath
+from ...inverse.nonnegative.solver import NonNegativeRecord
 from ...inverse.whitening import whiten
 from ..data import Data
 from ..noise import Noise
@@ -36,7 +37,8 @@ def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data:
     settings.refuse_special("Toeplitz")
     used, samples = h[:, data.rows], len(values)
     weight = (~missing).astype(float) if missing.any() else None
-    path = ConvolvedPath(whiten(used, noise.level, 1), whiten(values, noise.level, 1), settings.penalty, weight)
+    penalty, h_white, y_white = settings.penalty, whiten(used, noise.level, 1), whiten(values, noise.level, 1)
+    path = ConvolvedPath(h_white, y_white, penalty, weight)
     forward = Convolution(used, samples)
 
     def compare(load: NDArray, lam: float) -> tuple[NDArray, NDArray]:
@@ -48,9 +50,13 @@ def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data:
     if len(data.rows) < h.shape[1]:
         size = np.sqrt(np.mean(h**2, axis=(0, 2)))
         full = _layout(Convolution(h / np.where(size > 0, size, 1.0)[:, None], samples))
-    layout = _layout(Convolution(whiten(used, noise.level, 1), samples))
+    layout = _layout(Convolution(h_white, samples))
+
+    def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
+        return NonNegativeRecord.convolved(h_white, y_white, penalty, weight=weight, signed=signed)
+
     n = path.unknowns
-    return Posed(path, noise, compare, values, "Toeplitz, preconditioned CG", used, layout, full, n, path)
+    return Posed(path, noise, compare, values, "Toeplitz, preconditioned CG", used, layout, full, n, path, pushing)
 
 
 def convolved_measured(model: MeasuredModel, data: Data, settings: Settings) -> Posed:

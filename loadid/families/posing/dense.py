@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 
 from ...inverse import diagnose, penalties
+from ...inverse.nonnegative.solver import NonNegativeRecord
 from ...inverse.problem import LinearProblem
 from ...inverse.svd import SVDPath
 from ...inverse.toeplitz import toeplitz
+from ...inverse.whitening import whiten
 from ..data import Data
 from ..noise import Noise
 from .posed import Posed, Settings, by_prediction
@@ -56,4 +58,15 @@ def dense(h: NDArray, values: NDArray, noise: Noise, data: Data, settings: Setti
 
     kappa, _, _ = diagnose.layout(path.singular_values, n)
     layout = kappa, path.rank, max(n - path.rank, 0)
-    return Posed(path, noise, by_prediction(values, predict), values, "dense SVD", used, layout, full, n, path)
+    penalty = settings.penalty
+
+    def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
+        if not isinstance(penalty, str):
+            raise InputError("signs take a named penalty", where="penalty", found="a matrix or None",
+                             expected="identity, first_difference or second_difference")  # fmt: skip
+        return NonNegativeRecord.convolved(
+            whiten(used, noise.level, 1), whiten(values, noise.level, 1), penalty, signed=signed
+        )
+
+    compare = by_prediction(values, predict)
+    return Posed(path, noise, compare, values, "dense SVD", used, layout, full, n, path, pushing)

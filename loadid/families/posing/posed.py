@@ -12,6 +12,7 @@ from structures.errors import InputError
 from structures.model import Model
 
 from ... import flags as guards
+from ...inverse.nonnegative.solver import NonNegativeRecord
 from ...inverse.path import RegularizationPath
 from .. import noise as noises
 
@@ -33,6 +34,7 @@ class Settings:
     leak: float | None = None
     from_zero: bool = False
     free: bool = False
+    signed: ArrayLike | bool | None = False
 
     @property
     def truncated(self) -> bool:
@@ -94,6 +96,8 @@ class Posed:
     unknowns : int
     judged : RegularizationPath
         What the rules are asked on: the path itself, or the windows of a long record.
+    pushing : callable, optional
+        Numbers of the loads that only push (None: all) -> the same problem under signs.
     """
 
     path: RegularizationPath
@@ -106,6 +110,7 @@ class Posed:
     full: tuple[float, int, int] | None
     unknowns: int
     judged: RegularizationPath
+    pushing: Callable[[ArrayLike | None], NonNegativeRecord] | None = None
 
     @property
     def rank(self) -> int:

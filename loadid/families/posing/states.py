@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.model import Model
 from structures.statespace import StateSpace
 
+from ...inverse.nonnegative.solver import NonNegativeRecord
 from ...inverse.statespace.augmented import Augmented, augment
 from ...inverse.statespace.coarse import windows_of
 from ...inverse.statespace.measured import measured, moving
@@ -84,9 +85,12 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
         size = np.sqrt(np.mean(h**2, axis=(0, 2)))
         everything = _systems(system, C, D, len(values), settings.penalty, **extra)
         full = layout(measured(everything, np.zeros((len(values), len(C))), np.where(size > 0, size, 1.0)))
-    return Posed(
-        path, noise, compare, values, "state space, O(N)", h[:, rows], layout(own), full, path.unknowns, judged
-    )
+
+    def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
+        return NonNegativeRecord(own, signed)
+
+    name, seen = "state space, O(N)", layout(own)
+    return Posed(path, noise, compare, values, name, h[:, rows], seen, full, path.unknowns, judged, pushing)
 
 
 def _systems(
