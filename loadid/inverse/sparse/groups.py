@@ -15,7 +15,9 @@ from .lasso import SparseSolution, gap
 ROUNDS = 200
 STEPS = 100  # Newton steps in one round
 SLACK = 1e-9
+ENOUGH = 0.01  # of the gap that is asked for: decrease that a Newton step promises below which a round ends
 RIDGE = 1e-13
+SHRUNK = 0.2  # of its norm: a group that a step has left with less is minimised over alone
 FEW = 8  # coefficients of a group up to which it counts as small: many of them may start at once
 LARGEST = 6000  # coefficients in use at once
 
@@ -92,7 +94,7 @@ def solve(
         G = _gram(atoms, which, known, G)
         known = which
         part = _Part(G, c[which], x[which], groups.labels[which], mu * groups.weights)
-        steps += part.minimise()
+        steps += part.minimise(ENOUGH * tol * 0.5 * float(y @ y))
         x = np.zeros(atoms.n)
         x[which] = part.x
         used = groups.norms(x) > 0
@@ -133,25 +135,28 @@ class _Part:
         names, self.group = np.unique(labels, return_inverse=True)
         self.G, self.b, self.x, self.level = G, c + G @ x, x.copy(), levels[names]
         self.count = len(names)
+        self._modes: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
         self.members = [np.flatnonzero(self.group == g) for g in range(self.count)]
 
-    def minimise(self) -> int:
-        """Newton steps until nothing moves; their number."""
+    def minimise(self, enough: float) -> int:
+        """Newton steps until one promises less than `enough`; their number."""
         for g in range(self.count):
             if not self.x[self.members[g]].any():
-                self._begin(g)
+                self._alone(g)
+        before = self._norms()
         for step in range(STEPS):
-            self._clear()
+            self._clear(before)
+            before = self._norms()
             a = np.flatnonzero(self._norms()[self.group] > 0)
             if not len(a):
                 return step
             slope, H = self._model(a)
             d = _solved(H, slope)
             gain = float(slope @ d)
-            before = self.x.copy()
             if gain <= 0 or not self._move(a, d, gain):
                 return step
-            if np.abs(self.x - before).max() <= 1e-14 * np.abs(self.x).max():
+            if gain <= enough:
+                self._clear(before)
                 return step + 1
         return STEPS
 
@@ -162,21 +167,44 @@ class _Part:
         norms = np.sqrt(np.bincount(self.group, x**2, minlength=self.count))
         return float(0.5 * x @ (self.G @ x) - self.b @ x + self.level @ norms)
 
-    def _begin(self, g: int) -> None:
-        """A proximal step of a group from zero."""
+    def _own(self, g: int) -> NDArray[np.float64]:
+        """Correlations of a group with what the others leave."""
         m = self.members[g]
-        c = self.b[m] - self.G[m] @ self.x
-        size, bound = np.linalg.norm(c), np.linalg.norm(self.G[np.ix_(m, m)], 2)
-        if size > self.level[g] and bound > 0:
-            self.x[m] = (1 - self.level[g] / size) / bound * c
+        return self.b[m] - self.G[m] @ self.x + self.G[np.ix_(m, m)] @ self.x[m]
 
-    def _clear(self) -> None:
-        """Set groups to zero that are best there while the others stay."""
-        for g in np.flatnonzero(self._norms() > 0):
-            m = self.members[g]
-            own = self.b[m] - self.G[m] @ self.x + self.G[np.ix_(m, m)] @ self.x[m]
-            if np.linalg.norm(own) <= self.level[g]:
-                self.x[m] = 0.0
+    def _alone(self, g: int) -> None:
+        """The minimum over one group, the others held: its norm s solves ``|(s G + mu I)^-1 c| = 1``."""
+        from scipy.optimize import brentq
+
+        m, c = self.members[g], self._own(g)
+        if np.linalg.norm(c) <= self.level[g]:
+            self.x[m] = 0.0
+            return
+        if g not in self._modes:
+            self._modes[g] = np.linalg.eigh(self.G[np.ix_(m, m)])
+        values, vectors = self._modes[g]
+        values = np.maximum(values, RIDGE * values[-1])
+        modal = vectors.T @ c
+
+        def excess(log: float) -> float:
+            return float(np.linalg.norm(modal / (np.exp(log) * values + self.level[g]))) - 1
+
+        size = np.log(np.linalg.norm(c) / values[-1])
+        high = float(np.log(np.linalg.norm(modal / values)))  # without a penalty it is not larger than this
+        low = min(float(size), high) - 1
+        while excess(low) < 0:
+            low -= 5
+        norm = np.exp(brentq(excess, low, high + 1, xtol=1e-12))
+        self.x[m] = vectors @ (norm * modal / (norm * values + self.level[g]))
+
+    def _clear(self, before: NDArray) -> None:
+        """Set groups to zero that are best there while the others stay; minimise alone over those that have shrunk."""
+        norms = self._norms()
+        for g in np.flatnonzero(norms > 0):
+            if np.linalg.norm(self._own(g)) <= self.level[g]:
+                self.x[self.members[g]] = 0.0
+            elif norms[g] < SHRUNK * before[g]:
+                self._alone(g)  # Newton's model holds within a norm of the group: near zero it cannot move
 
     def _model(self, a: NDArray) -> tuple[NDArray, NDArray]:
         """Descent slope and Hessian of the objective on the coefficients `a`, whose groups are not zero."""
@@ -186,7 +214,8 @@ class _Part:
         for g in np.unique(group):
             m = np.flatnonzero(group == g)
             u = self.x[a[m]] / norms[g]
-            H[np.ix_(m, m)] += self.level[g] / norms[g] * (np.eye(len(m)) - np.outer(u, u))
+            H[m, m] += self.level[g] / norms[g]
+            H[np.ix_(m, m)] -= self.level[g] / norms[g] * np.outer(u, u)
         return slope, H
 
     def _move(self, a: NDArray, d: NDArray, gain: float) -> bool:
