@@ -9,7 +9,6 @@ record, the solution, and the std of every sample.
 from __future__ import annotations
 
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -40,7 +39,7 @@ from structures.statespace import StateSpace
 from .forward import exponent
 
 FS, FREQUENCIES, DAMPING = 10240.0, np.linspace(62, 1158, 6), np.linspace(0.01, 0.015, 6)
-NOISE, RELATIVE, TAPS = 0.01, 1.5e-2, 20_000
+NOISE, RELATIVE, TAPS = 0.01, 1.5e-2, 1 << 16
 LIMITS = {
     "job at 1e6, s": 2.5,
     "solve at 1e6, s": 0.25,
@@ -90,7 +89,7 @@ class Case:
 
     @cached_property
     def lam(self) -> float:
-        """Absolute lambda of the whitened problem, as the theory page measures with."""
+        """Absolute lambda of the whitened problem: a given share of the largest |H|."""
         h = self.model.impulse_response(self.model.dt, TAPS)[:, 0, 0]
         return float(RELATIVE * np.abs(np.fft.rfft(h, 4 * TAPS)).max() / self.sigma)
 
@@ -294,16 +293,13 @@ def _memory(samples: int) -> None:
     c = case(samples)
     before = _resident() - c.y.nbytes
     job(c)
-    print((_highest() - before) / (8.0 * samples))
+    print((_resident("VmHWM") - before) / (8.0 * samples))
 
 
-def _resident() -> float:
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * float(resource.getpagesize())
-
-
-def _highest() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0
+def _resident(field: str = "VmRSS") -> float:
+    """Memory of this process, or its highest (VmHWM; that of `resource` begins with the parent's)."""
+    with open("/proc/self/status") as file:
+        return next(1024.0 * float(line.split()[1]) for line in file if line.startswith(field))
 
 
 def short(repeat: int) -> dict[str, float]:
