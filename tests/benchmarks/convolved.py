@@ -1,9 +1,9 @@
 """Long records behind impulse responses: one lambda, and all that rules ask. `python -m tests.benchmarks.convolved`.
 
 Six lightly damped modes (62 to 1158 Hz, 10240 Hz sampling, displacement), half-sine pulses, 1 % noise, lambda 1.5e-2
-of the largest singular value, L = I; four loads and six sensors with random mode shapes. Beside it what a user would write:
-scipy's LSMR on an FFT LinearOperator, with its tolerance lowered until its load is as near to a reference as ours
-(about 1e-8). CPU seconds, medians. Then the path over half decades with traces and std, and windows.
+of the largest singular value, L = I; four loads and six sensors with random mode shapes. Beside it what a user would
+write: scipy's LSMR on an FFT LinearOperator, with its tolerance lowered until its load is as near to a reference as
+ours (about 1e-8). CPU seconds, medians. Then the path over half decades with traces and std, and windows.
 """
 
 from __future__ import annotations

@@ -130,6 +130,9 @@ def test_scalars_are_those_of_the_dense_path(both: dict[str, tuple[ConvolvedPath
     one, two = path.exact(0.02), ref.at(0.02)
     for field in ("residual2", "penalty2", "edf", "left", "objective", "sensitivity", "bend"):
         assert float(getattr(one, field)) == pytest.approx(float(getattr(two, field)), rel=1e-6), field
+    for mine, theirs in zip(path.residuals(lam), lam, strict=True):
+        exact = ref.residual(float(theirs))
+        assert np.linalg.norm(mine.ravel() - exact.ravel()) < 0.02 * np.linalg.norm(exact)
     pilot = 0.05 if name == "identity" else 1e-3
     expected = ref.predicted_error(lam, pilot, 1.0)
     np.testing.assert_allclose(path.predicted_error(lam, pilot, 1.0), expected, rtol=0.02)

@@ -31,6 +31,8 @@ class Moments:
         ``|g_1|^2`` and its derivative in t.
     change2, change_slope : array
         ``|g_2|^2``, where g_2 = -dg/dt, and its derivative in t; the slope is None after two solves.
+    residual, residual_slope : array, shape (k, sensors, samples)
+        ``y - H g_1`` and its derivative in t.
     """
 
     rest: NDArray[np.float64]
@@ -39,6 +41,8 @@ class Moments:
     load_slope: NDArray[np.float64]
     change2: NDArray[np.float64]
     change_slope: NDArray[np.float64] | None
+    residual: NDArray[np.float64]
+    residual_slope: NDArray[np.float64]
 
 
 def chain(
@@ -73,7 +77,7 @@ def moments(operator: Operator, circulant: Circulant, y: NDArray, solves: int, t
     slope = None if solves < 3 else 2 * (_dot(loads[1], loads[1]) - 2 * _dot(loads[1], loads[2]))
     return Moments(
         np.array(rest), np.array(drop), _dot(loads[0], loads[0]), -2 * _dot(loads[0], loads[1]),
-        _dot(loads[1], loads[1]), slope,
+        _dot(loads[1], loads[1]), slope, rests[1], responses[1],
     )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from .scale import largest
 SCALARS, TIGHT = 1e-8, 1e-11  # tolerance of solves whose answers are only sums; the second one below `WEAK`
 WEAK = 100.0  # times the smallest lambda
 TRACES = 1e-9
+KEPT = 200_000  # data up to which the residuals of all nodes are kept
 LOWEST = 1e-5  # lambda times the largest penalty over the norm of H: below, too many digits are lost
 
 
@@ -92,6 +93,7 @@ class ConvolvedPath:
                              found=f"largest generalised singular value {float(self.scale):.2g}",
                              expected="between 1e-140 and 1e140", hint="check the units")  # fmt: skip
         self._table = Table(self._node, self.lowest)
+        self._residuals: dict[float, tuple[NDArray, NDArray]] = {}
         self._errors: dict[float, Table] = {}
         self._kept: tuple[float, Reached] | None = None
 
@@ -154,6 +156,14 @@ class ConvolvedPath:
         """Whitened residual (samples, sensors), 0 where data are missing."""
         return np.ascontiguousarray(self._solved(lam).r[0].T)
 
+    def residuals(self, lams: NDArray) -> list[NDArray[np.float64]]:
+        """Residuals for the tests of whiteness: exact for one lambda, from cubics between nodes for many."""
+        if len(lams) == 1 or self.y.size > KEPT:
+            return [self.residual(float(lam)) for lam in lams]
+        self._table.at(np.asarray(lams, float))
+        nodes = np.sort(list(self._residuals))
+        return [self._residual_between(nodes, float(lam)) for lam in lams]
+
     def solution(self, lam: float, sigma: float | None) -> Solution:
         """Load history (samples, loads) and its posterior."""
         load = np.ascontiguousarray(self._solved(lam).x[0].T)
@@ -171,6 +181,15 @@ class ConvolvedPath:
     def gradient(self, lam: float) -> float:
         """Norm of half the gradient of the objective at the solution over that of H^T y: a certificate."""
         return self._solved(lam).gradient
+
+    def _residual_between(self, nodes: NDArray, lam: float) -> NDArray[np.float64]:
+        """Cubic through the residuals and their slopes at the nodes on both sides."""
+        k = int(np.clip(np.searchsorted(nodes, lam), 1, len(nodes) - 1))
+        width = 2 * np.log(nodes[k] / nodes[k - 1])
+        x = 2 * np.log(lam / nodes[k - 1]) / width
+        (r, dr), (s, ds) = (self._residuals[float(node)] for node in nodes[k - 1 : k + 1])
+        ahead = x * x * (3 - 2 * x)
+        return (1 - ahead) * r + ahead * s + width * x * (1 - x) * ((1 - x) * dr - x * ds)
 
     # -- inside -------------------------------------------------------------------------------------------------------
     def _circulant(self, lam: float) -> Circulant:
@@ -192,6 +211,8 @@ class ConvolvedPath:
     def _node(self, lam: float) -> tuple[NDArray, ...]:
         """Objective, residual, roughness and its bend (both times lambda^2); change of the load: logarithms, slopes."""
         found = self._moments(lam)
+        if self.y.size <= KEPT:
+            self._residuals[lam] = found.residual[0].T, found.residual_slope[0].T
         p, d = found.rest[:, 0], found.drop[:, 0]
         falls = slopes(d)
         objective, residual2 = np.append(p[0], falls[1][:4]), np.append(p[1], 2 * falls[2][:4])
