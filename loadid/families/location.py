@@ -114,6 +114,12 @@ class LocationSearch:
         self.choice = _one_lambda(choice, method)
         self.impacts = _count(impacts, len(model.loads))
         self.allow = guards.allowed(allow)
+        if not callable(family):
+            raise InputError("no family", where="family", found=repr(family), expected="a class such as Deconvolution",
+                             hint="family=loadid.Deconvolution")  # fmt: skip
+        if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
+            raise InputError("no number of threads", where="workers", found=repr(workers), expected="an integer >= 1",
+                             hint="leave it out")  # fmt: skip
         self.model, self.family, self.refine = model, family, bool(refine)
         self.noise, self.noise_source, self.sensors, self.hold = noise, noise_source, sensors, hold
         self.settings, self.workers = dict(settings or {}), workers

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 from structures.values import reals
 
-from .style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, new_figure, save, text, tidy
+from .style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, few_labels, new_figure, save, text, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,6 +85,7 @@ def draw_residual(ax: Axes, result: LocationResult, *, load: int = 0) -> None:
     ax.axhline(AMBIGUOUS * score[order[0]], color=GREY, lw=0.8, ls="--", label="1.05 times the best")
     ax.set_xticks(at, [text(result.labels[j]) for j in order], rotation=90, fontsize=7)
     ax.set_yscale("log")
+    few_labels(ax.yaxis)
     ax.set_ylabel("residual over data")
     if len(score) > len(order):
         ax.set_xlabel(f"the best {len(order)} of {len(score)} candidates")
@@ -127,7 +128,9 @@ def _surface(ax: Axes, result: LocationResult, load: int, axes: list[int], truth
         x[:, 0], x[:, 1], c=np.maximum(score, floor), s=90, marker="s", cmap="viridis_r", lw=0,
         norm=LogNorm(floor, max(float(score.max()), 1.001 * floor)),
     )  # fmt: skip
-    ax.get_figure(root=True).colorbar(drawn, ax=ax, shrink=0.8).set_label("residual over data", fontsize=9)  # type: ignore[union-attr]
+    bar = ax.get_figure(root=True).colorbar(drawn, ax=ax, shrink=0.8)  # type: ignore[union-attr]
+    bar.set_label("residual over data", fontsize=9)
+    few_labels(bar.ax.yaxis)
     seen = result.geometry.get("sensors")
     if seen is not None and seen.shape[1] > max(axes):
         ax.plot(*seen[:, axes].T, "^", color=GREEN, ms=8, label="sensors")

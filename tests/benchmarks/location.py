@@ -1,9 +1,9 @@
 """Misses of the search for a place, and what it costs. `python -m tests.benchmarks.location [SEEDS] [IMPACTS]`.
 
-1520 searches among 19 candidates on a beam (two layouts, four noise levels, SEEDS = 10 draws), without refinement: hits,
-ratio of the runner-up, misses without a flag. The same with truncated SVD in place of Tikhonov. Then IMPACTS = 100 impacts
-on a plate, refined. Then CPU seconds of one search: the factors made once; each further record; beside dense SVDs made
-anew for every record, which is what the recipe costs as it is usually written. About three minutes.
+1520 searches among 19 candidates on a beam (two layouts, four noise levels, SEEDS = 10 draws), without refinement:
+hits, ratio of the runner-up, misses without a flag. The same with truncated SVD in place of Tikhonov. Then IMPACTS =
+100 impacts on a plate, refined. Then CPU seconds of one search: the factors made once; each further record; beside
+dense SVDs made anew for every record, which is what the recipe costs as it is usually written. About three minutes.
 """
 
 from __future__ import annotations

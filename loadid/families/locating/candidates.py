@@ -89,6 +89,9 @@ class Candidates:
             return self.model.with_loads(self._loads(places))
         first = self.model.loads[0]
         channels = [Channel(label=f"load at {_words(p)}", quantity=first.quantity, unit=first.unit) for p in places]
+        if isinstance(self.model, StateSpace):
+            mix = self._weights(places).T
+            return _columns(self.model, self.model.B @ mix, self.model.D @ mix, channels)
         return self._impulses(self.responses(places), channels)
 
     def chosen(self, indices: Sequence[int]) -> Model:
@@ -97,10 +100,8 @@ class Candidates:
         if isinstance(self.model, ForwardModel) and self.model.basis is None:
             return self.model.with_loads(picked)
         if isinstance(self.model, StateSpace):
-            m, columns = self.model, list(indices)
-            one = StateSpace(m.A, m.B[:, columns], m.C, m.D[:, columns], m.dt, m.hold, sensors=m.sensors, loads=picked)
-            one.certificate = m.certificate
-            return one
+            columns = list(indices)
+            return _columns(self.model, self.model.B[:, columns], self.model.D[:, columns], picked)
         return self._impulses(self.h[..., list(indices)], picked)
 
     # -- inside -------------------------------------------------------------------------------------------------------
@@ -133,6 +134,13 @@ class Candidates:
         x, scale = self.grid.places[:, self.grid.used], self.grid.spacing
         kernel = "cubic" if x.shape[1] == 1 else "thin_plate_spline"
         return np.asarray(RBFInterpolator(x / scale, np.eye(len(x)), kernel=kernel)(places / scale))
+
+
+def _columns(model: StateSpace, B: Array, D: Array, loads: Sequence[Channel]) -> StateSpace:
+    """A state space under other loads."""
+    one = StateSpace(model.A, B, model.C, D, model.dt, model.hold, sensors=model.sensors, loads=loads)
+    one.certificate = model.certificate
+    return one
 
 
 def _direction(load: Channel) -> str:

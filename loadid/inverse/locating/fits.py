@@ -18,7 +18,7 @@ from ..toeplitz import toeplitz
 Array = NDArray[np.float64]
 PRECISE = 1e-9  # relative residual of the normal equations at which conjugate gradients stop
 CAP = 3000  # their steps at most
-NORM = 1e-6  # relative accuracy of the largest singular value of an operator
+NORM = 1e-4  # relative accuracy of the largest singular value of an operator
 
 
 @dataclass(frozen=True)

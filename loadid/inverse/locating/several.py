@@ -2,7 +2,7 @@
 
 Two starts, and the better one improved: group orthogonal matching pursuit (Eldar, Kuppinger & Boelcskei, IEEE Trans.
 Signal Process. 58 (2010) 3042), and the best combination of the groups that the group lasso (Yuan & Lin, J. R. Stat.
-Soc. B 68 (2006) 49) puts first. Then single groups are exchanged until no exchange lowers the objective of the joint fit.
+Soc. B 68 (2006) 49) puts first. Then single groups are exchanged until none lowers the objective of the joint fit.
 """
 
 from __future__ import annotations
