@@ -26,15 +26,15 @@ STARTS, PEAKS = (200, 900, 1500), (1.0, 0.6, 0.8)
 WIDTHS, NOISES = (3, 11, 41), (0.01, 0.05)
 
 
-def system() -> StateSpace:
+def system(hold: str = "foh") -> StateSpace:
     """One load, one displacement sensor, 12 states."""
     omega = 2 * np.pi * FREQUENCIES
-    modes = blocks(omega**2, 2 * DAMPING * omega, 1 / RATE, "foh")
+    modes = blocks(omega**2, 2 * DAMPING * omega, 1 / RATE, hold)
     A = np.zeros((12, 12))
     for k in range(6):
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = modes.A[k]
     C = (SIGNS[:, None] * modes.c).reshape(1, 12)
-    return StateSpace(A, modes.B.reshape(12, 1), C, [[SIGNS @ modes.D]], 1 / RATE, "foh")
+    return StateSpace(A, modes.B.reshape(12, 1), C, [[SIGNS @ modes.D]], 1 / RATE, hold)
 
 
 def impulse_response(samples: int = SAMPLES) -> NDArray[np.float64]:

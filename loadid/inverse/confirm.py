@@ -29,7 +29,7 @@ def confirm(path: RegularizationPath, choice: Choice, sigma: float | None) -> Ch
         ends = np.clip([middle * 10**-REACH, middle * 10**REACH], low, high)
         lam = np.geomspace(float(ends[0]), float(ends[1]), 15)
         found = rules.run(choice.rule, Sweep(path, lam, path.at(lam), sigma))
-        if found.lam is None or not found.edge or ends[0] <= low < middle or middle < high <= ends[1]:
+        if found.lam is None or not found.edge or (ends[0] <= low if found.lam < middle else high <= ends[1]):
             break
         middle = found.lam
     assert found is not None

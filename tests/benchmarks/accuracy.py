@@ -1,8 +1,10 @@
-"""Digits at small lambda, beside the routes that a user might take. `python -m tests.benchmarks.accuracy [DRAWS]`.
+"""Digits at small lambda, beside the routes of a user. `python -m tests.benchmarks.accuracy [DRAWS [SAMPLES]]`.
 
 Operators of 150 x 120 with condition number 1e10 and noisy data, L = first difference: largest relative error of the
 solution over the draws, against a Householder QR in extended precision. The normal equations and the eigenvalues of
 their pencils square the condition number; Elden's standard form solves with the penalty first.
+
+Then records over a state space, whose operator has a condition number beyond 1e18, at four relative lambdas.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ from loadid.inverse.svd import SVDPath
 
 LAMBDAS = (1e-2, 1e-5, 1e-8)  # absolute
 KAPPA, SHAPE = 1e10, (150, 120)
+RELATIVE = (1e-2, 1e-4, 1e-6, 1e-8)  # of records over a state space
+SQUARE_ROOT = (2e-14, 6e-13, 1e-11, 1e-8)  # what the square-root recursion is known to reach there, L = I, 600 samples
 Route = Callable[[NDArray, NDArray, NDArray, float], NDArray]
 
 
@@ -117,13 +121,55 @@ def errors(routes: dict[str, Route], seeds: int) -> dict[str, NDArray[np.float64
     return worst
 
 
+def long_errors(samples: int) -> dict[str, dict[str, NDArray[np.float64]]]:
+    """Relative errors of a record over a state space, for each penalty, route and relative lambda of `RELATIVE`.
+
+    Displacement of the half-sine benchmark in advance form (the data of the next sample beside the load of this one).
+    """
+    from loadid.inverse.statespace.augmented import augment
+    from loadid.inverse.statespace.path import StateSpacePath
+    from loadid.inverse.statespace.record import record
+    from tests import halfsine
+
+    s = halfsine.system("zoh")
+    C, D = s.C @ s.A, s.C @ s.B
+    h = np.concatenate([D[None], s.impulse_response(s.dt, samples + 1)[2:]])[:, 0, 0]
+    H = scipy.linalg.toeplitz(h, np.zeros(samples))
+    clean = H @ halfsine.pulses(41, samples + 150)[150:]
+    y = clean + halfsine.level(clean, 0.01) * np.random.default_rng(0).standard_normal(samples)
+    found: dict[str, dict[str, NDArray[np.float64]]] = {}
+    for penalty in ("identity", "first_difference", "second_difference"):
+        L = penalties.matrix(penalty, samples)
+        L = np.eye(samples) if L is None else L
+        path = StateSpacePath(record(augment(s.A, s.B, C, D, penalty), y[:, None]))
+        found[penalty] = {name: np.zeros(len(RELATIVE)) for name in ("state space", "augmented QR", "normal equations")}
+        for k, relative in enumerate(RELATIVE):
+            lam = relative * float(path.scale)
+            exact = extended(H, y, L, lam)
+            routes = {
+                "state space": path.solution(relative, None).load[:, 0],
+                "augmented QR": stacked(H, y, L, lam),
+                "normal equations": normal(H, y, L, lam),
+            }
+            for name, load in routes.items():
+                found[penalty][name][k] = float(np.linalg.norm(load - exact) / np.linalg.norm(exact))
+    return found
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 5
     print(f"relative error, largest of {seeds} draws, {SHAPE[0]} x {SHAPE[1]}, condition {KAPPA:g}, first difference")
     print(f"{'lambda':28}" + "".join(f"{lam:>10.0e}" for lam in LAMBDAS))
     for name, row in errors(ROUTES, seeds).items():
         print(f"{name:28}" + "".join(f"{x:>10.1e}" for x in row))
+    samples = int(sys.argv[2]) if len(sys.argv) > 2 else 600
+    print(f"\nrelative error over a state space, displacement in advance form, {samples} samples")
+    print(f"{'relative lambda':28}" + "".join(f"{lam:>10.0e}" for lam in RELATIVE))
+    print(f"{'square-root recursion, L = I':28}" + "".join(f"{x:>10.0e}" for x in SQUARE_ROOT) + "   (to reach)")
+    for penalty, routes in long_errors(samples).items():
+        for name, row in routes.items():
+            print(f"{penalty[:8] + ', ' + name:28}" + "".join(f"{x:>10.1e}" for x in row))
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from .riccati import Gains, feedback, gains
 from .scale import largest, smallest, unforced
 
 LOWEST = 1e-8  # relative lambda below which the square-root recursion loses its digits
-SMALL = 1e-3  # relative lambda below which a solution is worth a step of refinement
+SMALL = 1e-3  # relative lambda below which the solution of a long record, too, is worth a step of refinement
 TINY = np.finfo(float).tiny
 KEPT = 20_000  # samples up to which gains and residuals of all nodes are kept
 WIDE = 0.25  # decades between the nodes of a quick path
@@ -186,7 +186,7 @@ class StateSpacePath:
         """Load history (samples, loads) and its posterior."""
         self._check(np.array([lam]))
         held, solved = self._solved(lam)
-        if lam <= SMALL:
+        if lam <= SMALL or self.record.samples <= KEPT:
             solved = refined(self.record, held, solved)
             self._kept[float(lam)] = held, solved
         if sigma is None:

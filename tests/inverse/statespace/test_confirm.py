@@ -1,0 +1,75 @@
+"""Lambda that windows chose and the whole record confirms, against the rule run on the whole record directly."""
+
+import numpy as np
+import pytest
+
+from loadid.inverse.choice import Choice, choose
+from loadid.inverse.confirm import confirm
+from loadid.inverse.rules import run
+from loadid.inverse.statespace.coarse import windows_of
+from loadid.inverse.statespace.path import StateSpacePath
+from loadid.inverse.sweeping import Sweep
+
+from .cases import Case, beam
+
+SAMPLES = 30_000
+
+
+@pytest.fixture(scope="module")
+def cornered() -> StateSpacePath:
+    """Three knocks in the last twentieth of a record, noise everywhere."""
+    system, rng = beam("d", "foh", 1), np.random.default_rng(0)
+    load = np.zeros((SAMPLES, 1))
+    for at in (28_600, 29_000, 29_500):
+        load[at : at + 40, 0] = 20 * np.sin(np.pi * np.arange(40) / 40)
+    y = system.simulate(load)
+    sigma = 0.05 * y[28_500:].std(axis=0)
+    given = Case(system, y + sigma * rng.standard_normal(y.shape), sigma, load)
+    return given.path("identity")
+
+
+@pytest.fixture(scope="module")
+def quick(cornered: StateSpacePath) -> StateSpacePath:
+    return StateSpacePath(cornered.record, quick=True, scale=float(cornered.scale))
+
+
+@pytest.mark.parametrize(("rule", "sigma"), [("robust_gcv", None), ("discrepancy", 1.0)])
+def test_lambda_is_that_of_the_whole_record(
+    rule: str, sigma: float | None, cornered: StateSpacePath, quick: StateSpacePath
+) -> None:
+    windows = windows_of(cornered)
+    assert windows is not None
+    guess = choose(windows, rule, sigma=sigma)
+    found = confirm(quick, guess, sigma)
+    lam = np.geomspace(1e-3, 1, 45)
+    direct = run(rule, Sweep(quick, lam, quick.at(lam), sigma))
+    assert direct.lam is not None
+    assert not direct.edge
+    assert abs(np.log(found.lam / direct.lam)) < 0.02
+    # what was found between nodes is the optimum of the exact path, too
+    lam = np.geomspace(direct.lam / 3, direct.lam * 3, 15)
+    fine = run(rule, Sweep(cornered, lam, cornered.at(lam), sigma)).lam
+    assert fine is not None
+    assert abs(np.log(found.lam / fine)) < 0.02
+    assert "confirmed on the whole record" in next(r.note for r in found.rules if r.rule == rule)
+
+
+@pytest.mark.parametrize(("rule", "sigma"), [("robust_gcv", None), ("discrepancy", 1.0)])
+def test_a_first_guess_far_off_is_left(rule: str, sigma: float | None, quick: StateSpacePath) -> None:
+    at = [confirm(quick, Choice(lam, 1.0, rule), sigma).lam for lam in (1e-3, 0.5)]
+    assert abs(np.log(at[0] / at[1])) < 0.02
+
+
+def test_a_given_lambda_is_kept(quick: StateSpacePath) -> None:
+    given = Choice(0.01, 1.0, "given")
+    assert confirm(quick, given, 1.0) is given
+
+
+def test_a_rule_that_finds_nothing_leaves_the_lambda_of_the_windows(quick: StateSpacePath) -> None:
+    """No lambda leaves a residual of a millionth of the noise."""
+    from loadid.inverse.rules import RuleResult
+
+    guess = Choice(0.02, 1.0, "discrepancy", rules=(RuleResult("discrepancy", 0.02),))
+    found = confirm(quick, guess, 1e-6)
+    assert found.lam == 0.02
+    assert "whole record" in found.rules[0].note

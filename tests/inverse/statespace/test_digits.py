@@ -1,0 +1,19 @@
+"""Digits at small lambda, against extended precision: those of the square-root recursion and of dense least squares."""
+
+import numpy as np
+import pytest
+
+from tests.benchmarks.accuracy import SQUARE_ROOT, long_errors
+
+
+@pytest.fixture(scope="module")
+def worst() -> dict[str, dict[str, np.ndarray]]:
+    return long_errors(150)
+
+
+@pytest.mark.parametrize("penalty", ["identity", "first_difference", "second_difference"])
+def test_the_digits_of_the_square_root_recursion(penalty: str, worst: dict[str, dict[str, np.ndarray]]) -> None:
+    errors = worst[penalty]
+    assert np.all(errors["state space"] <= 4 * np.array(SQUARE_ROOT))
+    # what normal equations lose, at the two smallest lambdas
+    assert np.all(errors["state space"][2:] <= 1e-3 * errors["normal equations"][2:])
