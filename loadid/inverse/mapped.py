@@ -96,7 +96,9 @@ def _over_states(base: Any, T: Array) -> Array:
     loads = replace(record, E=np.ascontiguousarray(T @ record.E), G=_right(record.G, T))
     upper = np.linalg.qr(_right(held.R, T), mode="r")
     turned = replace(held, K=np.ascontiguousarray(T @ held.K), R=np.ascontiguousarray(upper))
-    return np.asarray(base.sigma * np.sqrt(spread(loads, turned).variance), float)
+    variance = spread(loads, turned).variance
+    assert variance is not None  # asked for every sample
+    return np.asarray(base.sigma * np.sqrt(variance), float)
 
 
 def _right(stack: Array, T: Array) -> Array:
