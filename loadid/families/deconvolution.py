@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, NotIdentifiable
 from structures.flags import Flag, codes
 from structures.model import Model
+from structures.values import real
 
 from .. import flags as guards
 from ..estimate import Axis, LoadEstimate
-from ..inverse import diagnose, penalties, rules
+from ..inverse import diagnose, rules
 from ..inverse.choice import Choice, choose, given, residual_level
 from ..inverse.confirm import confirm
 from ..inverse.toeplitz import SpectralPath
@@ -22,7 +23,7 @@ from ..provenance import provenance
 from . import histories
 from .data import Data, gather, health
 from .level import noise_level
-from .posing import PATHS, UNUSABLE, Posed, Settings, diagonal, pose
+from .posing import UNUSABLE, Posed, Settings, diagonal, pose
 from .pushing import facts as pushing_facts
 from .pushing import push, signs
 
@@ -104,22 +105,16 @@ class Deconvolution:
         coverage: Any = None,
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
-        if method not in ("tikhonov", "tsvd"):
-            raise InputError("unknown method", where="method", found=repr(method), expected="'tikhonov' or 'tsvd'")
-        if isinstance(penalty, str):
-            penalties.order(penalty)
+        if choice is not None and not isinstance(choice, str) and real(choice) is None:
+            raise InputError("no relative lambda", where="choice", found=repr(choice)[:80],
+                             expected="a number, the name of a rule, or None")  # fmt: skip
         if penalty is None:
-            if choice not in (None, 0, 0.0):
+            if choice not in (None, 0):
                 raise InputError(
                     "without a penalty there is no lambda to choose", where="choice", found=choice, expected="None"
                 )
             choice = 0.0
-        if path not in PATHS:
-            raise InputError("unknown path", where="path", found=repr(path), expected=f"one of {', '.join(PATHS)}")
-        if isinstance(initial, str) and initial not in ("rest", "unknown"):
-            raise InputError("unknown start", where="initial", found=repr(initial),
-                             expected="'rest', 'unknown' or the state (states,)")  # fmt: skip
-        free = choice is not None and not isinstance(choice, str) and choice == 0
+        free = not isinstance(choice, str | None) and choice == 0
         self.settings = Settings(
             method, penalty, hold, noise, noise_source, guards.allowed(allow), path, initial, leak, from_zero, free,
             signs(constraints),

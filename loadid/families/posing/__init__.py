@@ -13,12 +13,11 @@ from ..data import Data
 from .convolved import convolved, convolved_measured
 from .dense import DENSE, dense
 from .lines import lines, measured_lines
-from .posed import UNUSABLE, Posed, Settings, diagonal, shift
+from .posed import PATHS, UNUSABLE, Posed, Settings, diagonal, shift
 from .states import MOST, TAPS, at_rest_in_place, state_space_of, states
 
 __all__ = ["PATHS", "UNUSABLE", "Posed", "Settings", "diagonal", "pose"]
 
-PATHS = ("auto", "dense", "statespace", "toeplitz", "fft")
 SMALL = 1000 if AVAILABLE else DENSE  # unknowns up to which a factorisation, which tells more, is about as quick
 
 

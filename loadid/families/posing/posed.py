@@ -8,15 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.discretise import HOLDS
 from structures.errors import InputError
 from structures.model import Model
+from structures.values import number, reals
 
 from ... import flags as guards
 from ...inverse.nonnegative.solver import NonNegativeRecord
 from ...inverse.path import RegularizationPath
+from ...inverse.penalties import order
 from .. import noise as noises
 
+PATHS = ("auto", "dense", "statespace", "toeplitz", "fft")
 UNUSABLE = 1e-12  # |h(0)| over max |h| below which the diagonal is zero
+
+
+def _one_of(name: str, value: object, allowed: tuple) -> None:
+    if not isinstance(value, str | bool | None) or value not in allowed:
+        raise InputError(f"unknown {name}", where=name, found=repr(value)[:80],
+                         expected=f"one of {', '.join(repr(x) for x in allowed)}")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -35,6 +45,20 @@ class Settings:
     from_zero: bool = False
     free: bool = False
     signed: ArrayLike | bool | None = False
+
+    def __post_init__(self) -> None:
+        _one_of("method", self.method, ("tikhonov", "tsvd"))
+        _one_of("path", self.path, PATHS)
+        _one_of("hold", self.hold, (None, *HOLDS))
+        _one_of("from_zero", self.from_zero, (False, True))
+        if isinstance(self.penalty, str):
+            order(self.penalty)
+        if self.leak is not None:
+            object.__setattr__(self, "leak", number("leak", self.leak, where="leak"))
+        if isinstance(self.initial, str):
+            _one_of("initial", self.initial, ("rest", "unknown"))
+        else:
+            object.__setattr__(self, "initial", reals(self.initial, what="no initial state", where="initial"))
 
     @property
     def truncated(self) -> bool:
