@@ -29,11 +29,11 @@ def signs(constraints: Sequence[Any]) -> ArrayLike | bool | None:
     InputError
         A constraint that is not `NonNegative`.
     """
-    found = list(constraints) if isinstance(constraints, list | tuple) else [constraints]
-    for c in found:
-        if not isinstance(c, NonNegative):
-            raise InputError("load histories take signs only", where="constraints", found=repr(c)[:80],
-                             expected="[NonNegative()] or [NonNegative(loads=[...])]")  # fmt: skip
+    given: list[Any] = list(constraints) if isinstance(constraints, list | tuple) else [constraints]
+    found = [c for c in given if isinstance(c, NonNegative)]
+    if len(found) < len(given):
+        raise InputError("load histories take signs only", where="constraints", found=repr(constraints)[:80],
+                         expected="[NonNegative()] or [NonNegative(loads=[...])]")  # fmt: skip
     if not found:
         return False
     if any(c.loads is None for c in found):

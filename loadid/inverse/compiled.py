@@ -20,6 +20,6 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         return function
     from numba import njit
 
-    fast: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
-    fast.plain = function
-    return fast  # type: ignore[no-any-return]
+    fast: Callable[..., Any] = njit(cache=True, nogil=True, error_model="numpy")(function)
+    fast.plain = function  # type: ignore[attr-defined]
+    return fast
