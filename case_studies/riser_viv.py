@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import FieldDeconvolution, HarmonicInversion, LoadEstimate
+from loadid.families.harmonic import complex_load
 from loadid.zones import harmonic_power, mean_power
 from structures import ForwardModel, Structure, bases, risers, sensors
 from structures.motion import Motion, harmonic_motion, motion
@@ -96,14 +97,15 @@ class Line:
 
 def compare(estimate: LoadEstimate, model: ForwardModel, truth: Complex) -> Line:
     """Estimated against true force, motion and power."""
-    found, known = (harmonic_motion(model, g, float(estimate.axis.values[0])) for g in (estimate.load[0], truth))
+    load, frequency = complex_load(estimate), estimate.facts["frequency"]
+    found, known = (harmonic_motion(model, g, frequency) for g in (load, truth))
     at = found.along()[1:-1]
-    power = harmonic_power(estimate.load[0], found.velocity[at])
+    power = harmonic_power(load, found.velocity[at])
     exact = harmonic_power(truth, known.velocity[at])
     big = np.abs(exact) > 0.1 * np.abs(exact).max()
     return Line(
         relative(found.displacement[at], known.displacement[at]),
-        relative(estimate.load[0], truth),
+        relative(load, truth),
         float(np.mean(np.sign(power[big]) == np.sign(exact[big]))),
         float(np.corrcoef(power, exact)[0, 1]),
         abs(float(power[power > 0].sum() / exact[exact > 0].sum()) - 1),
@@ -263,7 +265,7 @@ def picture(found: History, lines: LoadEstimate, path: Path) -> None:
     axes[2].set_xlabel("time [s]")
     riser, truth = structure(ABOVE * float(FREQUENCIES[2])), fluid_force(ABOVE * float(FREQUENCIES[2]), 0.6)
     model = ForwardModel(riser, layout(*FULL), bases.nodal(riser))
-    for force_on, style, name in ((truth, "k--", "true"), (lines.load[0], "C0", "rebuilt")):
+    for force_on, style, name in ((truth, "k--", "true"), (complex_load(lines), "C0", "rebuilt")):
         moved = harmonic_motion(model, force_on, ABOVE * float(FREQUENCIES[2]))
         axes[3].plot(X, harmonic_power(force_on, moved.velocity[moved.along()[1:-1]]) / H, style, label=name)
     axes[3].axhline(0, color="0.6", lw=0.6)

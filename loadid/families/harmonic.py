@@ -102,7 +102,8 @@ class HarmonicInversion:
         Returns
         -------
         LoadEstimate
-            Complex loads (1, loads) on a frequency axis of one line; the std is ``sqrt(mean |error|^2)``.
+            Loads (2, loads): the part in phase, Re G, and the part in quadrature, Im G, each with its std;
+            `complex_load` puts them together.
 
         Raises
         ------
@@ -122,20 +123,21 @@ class HarmonicInversion:
         parts, assumed = solution.load, solution.posterior
         assert assumed is not None
         bias = diagnose.hidden(posed.path, choice.lam, parts, assumed.std, axis=-1)
-        load, std = parts[0] + 1j * parts[1], np.linalg.norm(np.maximum(assumed.std, np.abs(bias)), axis=0)
+        rest = Y - self.H @ (parts[0] + 1j * parts[1])
         channels = [self.model.sensors[i] for i in self.rows]
         facts = self._facts(posed, choice.lam, sigma, parts)
         self._progress(1.0, "done")
         return LoadEstimate(
-            load=load[None],
-            std=std[None],
-            bias=(bias[0] + 1j * bias[1])[None],
+            load=parts,
+            std=np.maximum(assumed.std, np.abs(bias)),
+            bias=bias,
+            posterior=assumed,
             labels=[c.label for c in self.model.loads],
             units=[c.unit for c in self.model.loads],
-            axis=Axis("frequency", "Hz", np.array([self.frequency])),
+            axis=Axis("part", "", np.arange(2.0)),
             choice=choice,
-            response=Y[None],
-            residual=(Y - self.H @ load)[None],
+            response=np.stack([Y.real, Y.imag]),
+            residual=np.stack([rest.real, rest.imag]),
             sensors=[c.label for c in channels],
             sensor_units=[c.unit for c in channels],
             flags=guards.collect(
@@ -151,7 +153,7 @@ class HarmonicInversion:
             ),
             allowed=self.allow,
             certificate=self.model.certificate,
-            geometry=None if self.basis is None else geometry(self.basis),
+            geometry=None if self.basis is None else _geometry(self.basis),
             facts=facts,
             provenance=provenance(
                 self.name,
@@ -246,6 +248,7 @@ class HarmonicInversion:
         point = path.at(lam)
         return {
             "path": "dense SVD, real and imaginary parts",
+            "frequency": self.frequency,
             "m": int(path.m),
             "n": n,
             "rank": path.rank,
@@ -256,6 +259,27 @@ class HarmonicInversion:
             "noise_level": float(sigma),
             "noise_source": posed.noise.source,
         }
+
+
+def complex_load(estimate: LoadEstimate) -> Complex:
+    """Complex amplitudes (loads,) of an estimate of one line: ``g(t) = Re[G exp(i 2 pi f t)]``.
+
+    Raises
+    ------
+    InputError
+        If the estimate is not one of a line.
+    """
+    if estimate.axis is None or estimate.axis.name != "part":
+        raise InputError("this is no estimate of a frequency line", where="complex_load",
+                         found="a static load" if estimate.axis is None else f"a load over {estimate.axis.name}",
+                         expected="what HarmonicInversion.estimate gives")  # fmt: skip
+    return np.asarray(estimate.load[0] + 1j * estimate.load[1], complex)
+
+
+def _geometry(basis: Any) -> dict[str, Any]:
+    """Places of the loads; no resultants, as a sum over one part alone would tell half."""
+    found = geometry(basis)
+    return {**found, "resultant": found["resultant"][:0], "resultant_labels": []}
 
 
 @dataclass(frozen=True)

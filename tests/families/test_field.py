@@ -1,11 +1,15 @@
 """Distributed loads over space and time, and on one frequency line, against dense solutions and closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from loadid import FieldDeconvolution, HarmonicInversion, InputError, NotIdentifiable
+from loadid.estimate import Axis
 from loadid.families import spatial
 from loadid.families.field import told_apart
+from loadid.families.harmonic import complex_load
 from loadid.inverse import penalties
 from loadid.inverse.mapped import MappedPosterior
 from loadid.inverse.posterior import from_arrays
@@ -34,15 +38,15 @@ NOISE = 0.03 * CLEAN.std(axis=0)
 RECORD = CLEAN + NOISE * RNG.standard_normal(CLEAN.shape)
 
 
-def dense(T, time, lam):
+def dense(T, time, lam, seen=slice(None)):
     """Load and its standard deviation, by one dense least-squares problem and its covariance: T maps unknowns."""
     loads, unknowns = T.shape
     A = toeplitz(MODEL.impulse_response(DT, N)).reshape(-1, N * loads)
     A = (A / np.tile(NOISE, N)[:, None]) @ np.kron(np.eye(N), T)
     L = penalties.matrix(time, N, unknowns)
     L = np.eye(N * unknowns) if L is None else L
-    stack = np.vstack([A, lam * L])
-    u = np.linalg.lstsq(stack, np.concatenate([(RECORD / NOISE).ravel(), np.zeros(len(L))]), rcond=None)[0]
+    stack = np.vstack([A[seen], lam * L])
+    u = np.linalg.lstsq(stack, np.concatenate([(RECORD / NOISE).ravel()[seen], np.zeros(len(L))]), rcond=None)[0]
     half = np.linalg.qr(stack, mode="r")
     spread = np.kron(np.eye(N), T) @ np.linalg.solve(half, np.eye(len(half)))
     return u.reshape(N, unknowns) @ T.T, np.linalg.norm(spread, axis=1).reshape(N, loads)
@@ -67,6 +71,16 @@ def test_the_load_is_that_of_the_dense_problem(space, time, path):
     back = from_arrays({"kind": "mapped", "base": found.posterior.base.to_arrays(), "T": found.posterior.T})
     assert isinstance(back, MappedPosterior)
     assert back.variance(w) == pytest.approx(found.posterior.variance(w), rel=1e-6)
+
+
+def test_missing_samples():
+    seen = np.random.default_rng(5).random(RECORD.shape) > 0.1
+    found = FieldDeconvolution(MODEL, space="gradient", length=LENGTH, choice=0.02, noise=NOISE).estimate(
+        np.where(seen, RECORD, np.nan), DT
+    )
+    load, std = dense(whole("gradient"), "identity", found.choice.lam * found.choice.scale, seen.ravel())
+    assert found.load == pytest.approx(load, abs=1e-7 * np.abs(load).max())
+    assert found.posterior.std == pytest.approx(found.facts["noise_level"] * std, rel=1e-6)
 
 
 def test_the_variance_of_any_sum_and_its_bias_weights():
@@ -227,11 +241,11 @@ def test_a_mapped_model_is_the_model_under_its_combinations():
 
 def test_plate_pressure_near_its_oracle():
     """A travelling pressure that is not in the basis, from 16 gauges; the full size is in the benchmark."""
-    places, q, y, noise = plate.record(300, 0)
-    error, oracle = plate.errors(y, noise, q, places, steps=(-0.5, -0.25, 0.25, 0.5))
+    places, q, y, noise = plate.record(240, 0)
+    error, oracle = plate.errors(y, noise, q, places, steps=(-0.25, 0.25))
     assert error <= 1.2 * oracle
     assert error < 0.55
-    with pytest.raises(NotIdentifiable, match=r"16 sensors tell 16 of 169 places apart.*nullity 45900"):
+    with pytest.raises(NotIdentifiable, match=r"16 sensors tell 16 of 169 places apart.*nullity 36720"):
         plate.full_grid(y, noise)
 
 
@@ -250,17 +264,23 @@ def test_a_line_is_the_complex_least_squares_problem(space):
     lam = found.choice.lam * found.choice.scale / np.sqrt(2)  # each part carries half of the noise
     A = np.vstack([MODEL.frf([F])[0] / LEVEL[:, None], lam * W])
     expected = np.linalg.lstsq(A, np.concatenate([SEEN / LEVEL, np.zeros(6)]), rcond=None)[0]
-    assert found.load[0] == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+    assert complex_load(found) == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
     half = np.linalg.solve(np.linalg.qr(A, mode="r"), np.eye(6))
     sigma = found.facts["noise_level"]
-    assert np.all(found.std[0] >= 0.999 * sigma * np.linalg.norm(half, axis=1))
-    assert found.residual[0] == pytest.approx(SEEN - MODEL.frf([F])[0] @ expected, abs=1e-9 * np.abs(SEEN).max())
-    assert found.axis.values.tolist() == [F]
+    assert np.linalg.norm(found.posterior.std, axis=0) == pytest.approx(sigma * np.linalg.norm(half, axis=1), rel=1e-6)
+    assert found.residual[0] + 1j * found.residual[1] == pytest.approx(
+        SEEN - MODEL.frf([F])[0] @ expected, abs=1e-9 * np.abs(SEEN).max()
+    )
+    assert found.facts["frequency"] == F
+    assert "rank" in found.summary()
+    assert len(found.plot("field").axes) > 0
+    with pytest.raises(InputError, match="no estimate of a frequency line"):
+        complex_load(replace(found, axis=Axis("frame", "", np.arange(2.0))))
 
 
 def test_a_line_without_regularisation_and_in_other_units():
     free = HarmonicInversion(MODEL, F, choice=0.0, noise=LEVEL).estimate(AMPLITUDES)
-    assert free.load[0] == pytest.approx(LINE, abs=1e-6)
+    assert complex_load(free) == pytest.approx(LINE, abs=1e-6)
     by_name = dict(zip([s.label for s in GAUGES], SEEN, strict=True))
     reference = HarmonicInversion(MODEL, F, noise=LEVEL).estimate(by_name)
     for factor in (1e-6, 1e6):
@@ -268,7 +288,7 @@ def test_a_line_without_regularisation_and_in_other_units():
         same = ImpulseModel(MODEL.impulse_response(DT, 4000), DT, kind="held")
         a, b = (HarmonicInversion(m, F, noise=k * LEVEL).estimate(k * SEEN) for m, k in ((h, factor), (same, 1.0)))
         assert a.load == pytest.approx(b.load, abs=1e-9 * np.abs(b.load).max())
-    assert np.linalg.norm(reference.load[0] - LINE) < np.linalg.norm(LINE)
+    assert np.linalg.norm(complex_load(reference) - LINE) < np.linalg.norm(LINE)
     with pytest.raises(NotIdentifiable, match="rank 3 of 6"):
         HarmonicInversion(MODEL, F, choice=0, sensors=[0, 1, 2]).estimate(SEEN[:3])
 
