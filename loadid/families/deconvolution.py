@@ -25,6 +25,7 @@ from .data import Data, gather, health
 from .level import noise_level
 from .posing import UNUSABLE, Posed, Settings, diagonal, pose
 from .pushing import facts as pushing_facts
+from .pushing import flags as pushing_flags
 from .pushing import push, signs
 
 PRIOR = {
@@ -158,10 +159,13 @@ class Deconvolution:
             pushed, choice = push(posed, choice, sigma, signed, keep, lambda f, t: self._progress(0.7 + 0.2 * f, t))
         solution = posed.path.solution(choice.lam, sigma)
         load = solution.load if pushed is None else pushed.load
-        response, residual = posed.compare(load, choice.lam)
+        response, residual = posed.compare(load, choice.lam, None if pushed is None else pushed.start)
         facts = self._facts(posed, choice, sigma, data.dt, load)
         facts |= {"missing": data.gaps} if data.gaps else {}
-        facts |= {} if pushed is None else pushing_facts(pushed, posed.path.m, posed.noise.known)
+        signed_flags: tuple[Flag, ...] = ()
+        if pushed is not None:
+            facts |= pushing_facts(pushed, posed.path.m, posed.noise.known)
+            signed_flags = pushing_flags(pushed, posed, choice, sigma)
         assert solution.posterior is not None
         std = solution.posterior.std
         bias = diagnose.hidden(posed.path, choice.lam, load, std)
@@ -179,7 +183,7 @@ class Deconvolution:
             residual=residual,
             sensors=[c.label for c in data.channels],
             sensor_units=[c.unit for c in data.channels],
-            flags=self._flags(posed, choice, data, facts, residual),
+            flags=guards.collect([*signed_flags, *self._flags(posed, choice, data, facts, residual)]),
             allowed=self.settings.allow,
             certificate=self.model.certificate,
             posterior=solution.posterior,
@@ -189,7 +193,7 @@ class Deconvolution:
                 settings=self._settings(posed),
                 inputs={data.record.source or data.record.name or "record": data.record.sha256},
                 model=self.model.fingerprint,
-                prior=_prior(self.settings.penalty),
+                prior=_prior(self.settings.penalty) + ("" if pushed is None else "; it only pushes"),
             ),
         )
 

@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from structures.errors import InputError
+from structures.flags import Flag
 
+from .. import flags as guards
 from ..inverse.choice import Choice
 from ..inverse.constraints import NonNegative
 from ..inverse.nonnegative.discrepancy import discrepancy
-from ..inverse.nonnegative.solver import NonNegativeSolution
+from ..inverse.nonnegative.solver import CONVERGED, NonNegativeSolution
 from ..inverse.rules import RuleResult
 from .posing import Posed
 
@@ -88,3 +90,15 @@ def facts(solution: NonNegativeSolution, m: int, known: bool) -> dict[str, Any]:
         "solver": solution.solver,
         "steps": solution.steps,
     }
+
+
+def flags(solution: NonNegativeSolution, posed: Posed, choice: Choice, sigma: float) -> tuple[Flag, ...]:
+    """W308 and W410 of a load under signs."""
+    free = float(np.sum(posed.path.residual(choice.lam) ** 2))
+    known = sigma if posed.noise.known else None
+    return guards.collect(
+        [
+            guards.pulling(solution, free, sigma, posed.path.m),
+            guards.stopped(solution, known, posed.path.m, CONVERGED),
+        ]
+    )

@@ -15,7 +15,7 @@ from .choice import (
     not_testable,
     parameter,
 )
-from .constraints import fighting, stopped
+from .constraints import fighting, pulling, stopped
 from .dynamics import aliased, drifting, in_motion, memory, unfinished
 from .inversion import (
     index_offset,
@@ -65,6 +65,7 @@ __all__ = [
     "over_smoothed",
     "overridden",
     "parameter",
+    "pulling",
     "recoverable",
     "refined",
     "resolution",

@@ -147,6 +147,30 @@ class TestSigns:
         e = Deconvolution(own, noise=noise, choice=0.02, constraints=[NonNegative(loads=[1])]).estimate(-y, dt=DT)
         assert e.load[:, 0].min() < 0 <= e.load[:, 1].min()
 
+    def test_loads_that_pull_are_said(self):
+        own = model(at=(0.65,))
+        _, y, noise = case(own)
+        pushed = Deconvolution(own, noise=noise, constraints=[NonNegative()])
+        flag = next(f for f in pushed.estimate(-y, dt=DT).flags if f.code == "LID-W308")
+        assert flag.evidence.value > 2
+        assert "only push" in flag.message
+        good = pushed.estimate(y, dt=DT)
+        assert not {"W308", "W410"} & good.codes
+        assert good.provenance["prior"].endswith("it only pushes")
+
+    def test_unknown_start_under_signs(self):
+        own = model(at=(0.65,))
+        system = own.state_space(DT, "foh")
+        x0 = np.random.default_rng(3).standard_normal(len(system.A)) * 1e-3
+        g = np.zeros((N, 1))
+        g[100:140, 0] = np.hanning(40) * 5
+        y = system.simulate(g, x0)
+        noise = 1e-3 * y.std(axis=0)
+        y = y + noise * np.random.default_rng(0).standard_normal(y.shape)
+        e = Deconvolution(system, initial="unknown", noise=noise, constraints=[NonNegative()]).estimate(y, dt=DT)
+        assert np.linalg.norm(e.load - g) < 0.1 * np.linalg.norm(g)
+        assert np.sqrt(np.mean((e.residual / noise) ** 2)) == pytest.approx(1.0, abs=0.1)
+
     def test_other_constraints_are_refused(self):
         with pytest.raises(InputError, match="signs only"):
             Deconvolution(model(), constraints=[Bounds(upper=1.0)])

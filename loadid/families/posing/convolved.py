@@ -41,7 +41,7 @@ def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data:
     path = ConvolvedPath(h_white, y_white, penalty, weight)
     forward = Convolution(used, samples)
 
-    def compare(load: NDArray, lam: float) -> tuple[NDArray, NDArray]:
+    def compare(load: NDArray, lam: float, start: NDArray | None) -> tuple[NDArray, NDArray]:
         predicted = forward.apply(load)
         shown = np.where(missing, predicted, values)
         return shown, shown - predicted

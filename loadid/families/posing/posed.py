@@ -105,8 +105,9 @@ class Posed:
     path : RegularizationPath
     noise : Noise
     compare : callable
-        (load, relative lambda) -> measured and predicted-minus response: response and residual (samples, sensors);
-        what is missing in the response is filled by the prediction.
+        (load, relative lambda, start or None) -> response and residual (samples, sensors); what is missing in the
+        response is filled by the prediction. `start` is the state at the first sample, where that is an unknown and
+        not that of the path.
     values : array, shape (samples, sensors)
         The data, advanced where the impulse response begins late.
     name : str
@@ -126,7 +127,7 @@ class Posed:
 
     path: RegularizationPath
     noise: noises.Noise
-    compare: Callable[[NDArray, float], tuple[NDArray, NDArray]]
+    compare: Callable[[NDArray, float, NDArray | None], tuple[NDArray, NDArray]]
     values: NDArray[np.float64]
     name: str
     h: NDArray[np.float64]
@@ -144,10 +145,10 @@ class Posed:
 
 def by_prediction(
     values: NDArray, predict: Callable[[NDArray], NDArray]
-) -> Callable[[NDArray, float], tuple[NDArray, NDArray]]:
+) -> Callable[[NDArray, float, NDArray | None], tuple[NDArray, NDArray]]:
     """Comparison of complete data with the prediction of a load."""
 
-    def compare(load: NDArray, lam: float) -> tuple[NDArray, NDArray]:
+    def compare(load: NDArray, lam: float, start: NDArray | None) -> tuple[NDArray, NDArray]:
         return values, values - predict(load)
 
     return compare

@@ -75,8 +75,10 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     path = StateSpacePath(own, quick=len(values) > KEPT)
     judged = (windows_of(path) or path) if len(values) > KEPT else path
 
-    def compare(load: NDArray, lam: float) -> tuple[NDArray, NDArray]:
-        predicted = known + respond(load, path.start(lam)[: len(rest)] if unknown else rest)
+    def compare(load: NDArray, lam: float, first: NDArray | None) -> tuple[NDArray, NDArray]:
+        if unknown and first is None:
+            first = path.start(lam)
+        predicted = known + respond(load, rest if first is None or not unknown else first[: len(rest)])
         shown = np.where(missing, predicted, values)
         return shown, shown - predicted
 
