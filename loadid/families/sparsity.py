@@ -50,7 +50,7 @@ class Wanted:
     @property
     def small(self) -> float:
         """Share of the largest coefficient below which one is left out: spikes are apart, splines overlap."""
-        return path.SMALL if isinstance(self.dictionary, str) and self.dictionary != "bspline" else 0.0
+        return 0.0 if self.named == "bspline" else path.SMALL
 
     @property
     def named(self) -> str:
@@ -276,7 +276,9 @@ def _swept(
         beside: list[int] = []
     else:
         spacings = [1]
-        beside = [k for k in WIDER if k <= first.samples // 8] if wanted.named == "dirac" else []
+        beside = (
+            [k for k in WIDER if k <= first.samples // 8] if wanted.named == "dirac" and wanted.groups is None else []
+        )
     sweeps = {}
     for i, k in enumerate(spacings + beside):
         progress(

@@ -18,7 +18,7 @@ TOLERANCE = 1e-6  # duality gap of an answer, over 1/2 |y|^2
 COARSE = 1e-4  # of a step of a sweep
 GRID = np.geomspace(0.7, 1e-4, 28)  # relative mu of a sweep
 PATIENCE = 6  # points of the sweep without a better criterion after which it ends
-DENSE = 0.5  # share of the data that a support may use up: beyond, a criterion says nothing
+DENSE = 0.5  # share of the data, or of the dictionary, beyond which nothing is sparse and a criterion says nothing
 SMALL = 0.05  # share of the largest coefficient below which one is left out of the least squares
 MARGIN = 1.05  # by which the residual of what is left may exceed the noise
 SHARP = 0.15  # of Candes' epsilon: share of the largest coefficient below which reweighting holds down
@@ -130,7 +130,7 @@ class SparsePath:
         for ratio in GRID:
             s = self.at(float(ratio), COARSE)
             k = len(s.support)
-            if k > DENSE * self.data:
+            if k > DENSE * min(self.data, self.atoms.n):
                 break
             fitted = self.fitted(s.x, 0.0)
             value = ebic(fitted.residual2, k, self.data, self.atoms.n, sigma)

@@ -199,12 +199,13 @@ def _step(
         return 1.0, np.zeros(0, int)
     ratio = np.where(crossing, -x[a] / np.where(crossing, d, 1.0), np.inf)
     slope = g[a] - levels[a] * sign[a]
-    t, first = 1.0, float(ratio.min())
+    t, first, full = 1.0, float(ratio.min()), np.zeros(len(x))
     while t > first:
         moved = np.where(ratio <= t, 0.0, x[a] + t * d)
         change = moved - x[a]
         # objective on the orthant: quadratic with this slope
-        if 0.5 * change @ (G[np.ix_(a, a)] @ change) < slope @ change:
+        full[a] = change
+        if 0.5 * full @ (G @ full) < slope @ change:
             return t, a[ratio <= t]
         t *= 0.5
     return first, a[ratio <= first]
