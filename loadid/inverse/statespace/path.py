@@ -24,6 +24,7 @@ from .scale import largest, smallest, unforced
 LOWEST = 1e-8  # relative lambda below which the square-root recursion loses its digits
 SMALL = 1e-3  # relative lambda below which the solution of a long record, too, is worth a step of refinement
 TINY = np.finfo(float).tiny
+MEMORY = 8192  # samples of tail that cost digits as a small lambda does: gradient 3e-10 for 24000, refined 1e-15
 KEPT = 20_000  # samples up to which gains and residuals of all nodes are kept
 WIDE = 0.25  # decades between the nodes of a quick path
 FIELDS = ("residual2", "penalty2", "edf", "left", "ratio", "trace", "change2", "bend")
@@ -186,7 +187,7 @@ class StateSpacePath:
         """Load history (samples, loads) and its posterior."""
         self._check(np.array([lam]))
         held, solved = self._solved(lam)
-        if lam <= SMALL or self.record.samples <= KEPT:
+        if lam <= SMALL or self.record.samples <= KEPT or len(held.K) > MEMORY:
             solved = refined(self.record, held, solved)
             self._kept[float(lam)] = held, solved
         if sigma is None:

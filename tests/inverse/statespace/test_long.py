@@ -53,3 +53,13 @@ def test_settled_gains_are_the_gains(name: str, penalty: str, lam: float, monkey
     assert off(solution.load, exact.load) < 1e-9
     assert np.max(np.abs(std / exact.posterior.std - 1)) < 1e-9
     assert abs(edf / float(every.scalars(lam).edf) - 1) < 1e-9
+
+
+def test_a_memory_of_many_samples_leaves_no_gradient() -> None:
+    """A second difference at a large lambda on a free body: 24000 samples until the gains settle, 2e-10 unrefined."""
+    given = case(HARD["free body"], 60_000)
+    scale = float(StateSpacePath(given.record("second_difference", given.y[:5000])).scale)
+    path = StateSpacePath(given.record("second_difference", given.y), scale=scale)
+    path.solution(1.0, None)
+    assert 20_000 < len(path._kept[1.0][0].K) < 40_000
+    assert path.gradient(1.0) < 1e-13
