@@ -14,6 +14,7 @@ ROUNDS = 200  # of new atoms
 STEPS = 60  # Newton steps in one round, and as many more as the working set has atoms
 RIDGE = 1e-13  # of the diagonal of the Gram matrix, for neighbours that are equal to rounding
 SLACK = 1e-9  # of mu: an atom on its bound is no violation
+SHORTER, SHORTEST = 0.3, 0.005  # of a step that would drop too much; below the last one goes to the first sign change
 APART = 0.5  # correlation below which two atoms of the working set may start at once
 
 
@@ -200,12 +201,12 @@ def _step(
     ratio = np.where(crossing, -x[a] / np.where(crossing, d, 1.0), np.inf)
     slope = g[a] - levels[a] * sign[a]
     t, first, full = 1.0, float(ratio.min()), np.zeros(len(x))
-    while t > first:
+    while t > max(first, SHORTEST):
         moved = np.where(ratio <= t, 0.0, x[a] + t * d)
         change = moved - x[a]
         # objective on the orthant: quadratic with this slope
         full[a] = change
         if 0.5 * full @ (G @ full) < slope @ change:
             return t, a[ratio <= t]
-        t *= 0.5
+        t *= SHORTER
     return first, a[ratio <= first]
