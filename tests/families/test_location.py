@@ -148,9 +148,9 @@ def test_the_scores_are_residuals_of_least_squares():
     assert found.ratio == pytest.approx(second / found.scores.min(), rel=1e-12)
 
 
-def refined(place=0.637, level=0.02):
+def refined(place=0.637, level=0.02, seed=0):
     """The refined place, and the objective as a function of the place by an independent fit."""
-    record = struck(place, level)
+    record = struck(place, level, seed)
     model, y = beam(CLEAR), record.values
     grid = grid_of(model, None)
     between = Candidates(model, grid, DT, SAMPLES, "zoh")
@@ -175,7 +175,20 @@ def test_the_refined_place_is_the_minimum_and_its_std_the_curvature():
     assert low > mid < high
     assert abs((high - low) / (high + low - 2 * mid)) * step / 2 < 1e-3 * SPACING  # Newton's step from here
     curvature = (high + low - 2 * mid) / step**2 / 2
-    assert found.covariance(1.0)[0, 0, 0] == pytest.approx(1 / curvature, rel=0.05)
+    small = 1e-6 * np.sqrt(curvature)
+    assert found.covariance(small)[0, 0, 0] == pytest.approx(small**2 / curvature, rel=0.05)
+
+
+def test_the_stated_std_is_the_scatter_of_the_places():
+    """Noise makes a part of the curvature by itself: with that part left in, the std would be too small."""
+    found = [refined(0.637, 0.3, seed)[0] for seed in range(16)]
+    off = np.array([r.place[0, 0] - 0.637 for r in found])
+    sigma = struck(0.637, 0.3).channels[0].noise
+    std = np.array([np.sqrt(r.covariance(sigma)[0, 0, 0]) for r in found])
+    naive = np.array([sigma / abs(r.curvature[0, 0]) for r in found])
+    assert 0.7 < np.median(std) / np.sqrt(np.mean(off**2)) < 1.5
+    assert np.median(std / naive) > 1.2
+    assert np.isinf(found[0].covariance(1e9)).all()
 
 
 @pytest.mark.parametrize("place", [0.15, 0.637, 1.05, 1.849])

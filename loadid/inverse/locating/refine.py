@@ -23,6 +23,7 @@ LONGEST = 0.5  # step of a place, in spacings of the candidates
 SETTLED = 1e-4  # step below which the place stands, in spacings
 DIFFERENCE = 1e-3  # step of the differences of the impulse responses, in spacings
 HALVINGS = 6
+PROBES = 12  # draws of noise from which its share of the curvature is estimated
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,9 @@ class Refined:
     place : array, shape (loads, dim)
     fitted : Fitted
     curvature : array, shape (loads * dim, loads * dim)
-        Upper triangular R with ``R^T R`` the precision of the places for noise of unit level.
+        Upper triangular R: ``R^T R`` is the curvature of half the objective over the places.
+    chance : array, of the same shape
+        Curvature that noise of unit level makes by itself: the histories that it feigns are moved too.
     edge : bool
         A place came to rest on the bounds.
     settled : bool
@@ -44,6 +47,7 @@ class Refined:
     place: Array
     fitted: Fitted
     curvature: Array
+    chance: Array
     edge: bool
     settled: bool
 
@@ -53,14 +57,17 @@ class Refined:
         return float(np.sum(self.fitted.remainder**2))
 
     def covariance(self, sigma: float) -> Array:
-        """Covariance of the places (loads, dim, dim) at noise level `sigma`; infinite where the data tell nothing."""
-        from scipy.linalg import solve_triangular
+        """Covariance of the places (loads, dim, dim) at noise level `sigma`; infinite where the data tell nothing.
 
+        With A the curvature and S what is left of it without the share of the noise, the slope of the objective at the
+        true place scatters by ``sigma^2 A``, and the place by ``sigma^2 S^-1 A S^-1``.
+        """
         loads, dim = self.place.shape
-        size = np.abs(np.diagonal(self.curvature))
-        if size.min(initial=np.inf) <= 1e-12 * max(size.max(initial=0.0), np.finfo(float).tiny):
+        signal = np.einsum("ki,kj->ij", self.curvature, self.curvature) - sigma**2 * self.chance
+        low, high = np.linalg.eigvalsh(signal)[[0, -1]]
+        if low <= 1e-12 * max(high, np.finfo(float).tiny):
             return np.full((loads, dim, dim), np.inf)
-        half = sigma * solve_triangular(self.curvature, np.eye(len(self.curvature)))
+        half = sigma * np.linalg.solve(signal, self.curvature.T)
         full = (half @ half.T).reshape(loads, dim, loads, dim)
         return np.array([full[k, :, k] for k in range(loads)])
 
@@ -124,8 +131,9 @@ def refine(
             settled = True
             break
     curvature = np.asarray(np.linalg.qr(_jacobian(model, solver, fitted), mode="r"))
+    chance = _chance(model, solver, y.shape)
     edge = bool(np.any((place <= bounds[0]) | (place >= bounds[1])))
-    return Refined(place, fitted, curvature, edge, settled)
+    return Refined(place, fitted, curvature, chance, edge, settled)
 
 
 @dataclass(frozen=True)
@@ -157,3 +165,10 @@ def _jacobian(model: _Model, solver: Fit, fitted: Fitted) -> Array:
             change = Convolution(model.slope[:, :, k, d, None]).apply(fitted.load[:, k, None])
             columns.append(-solver.solve(change).remainder)
     return np.column_stack(columns)
+
+
+def _chance(model: _Model, solver: Fit, shape: tuple[int, ...]) -> Array:
+    """Curvature that unit noise makes by itself, over a few draws of it (fixed, so that two runs agree)."""
+    rng = np.random.default_rng(0)
+    draws = [_jacobian(model, solver, solver.solve(rng.standard_normal(shape))) for _ in range(PROBES)]
+    return np.mean([np.einsum("ki,kj->ij", J, J) for J in draws], axis=0)
