@@ -200,7 +200,7 @@ class _Part:
     def _clear(self, before: NDArray) -> None:
         """Set groups to zero that are best there while the others stay; minimise alone over those that have shrunk."""
         norms = self._norms()
-        for g in np.flatnonzero(norms > 0):
+        for g in map(int, np.flatnonzero(norms > 0)):
             if np.linalg.norm(self._own(g)) <= self.level[g]:
                 self.x[self.members[g]] = 0.0
             elif norms[g] < SHRUNK * before[g]:
