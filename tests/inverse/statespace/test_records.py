@@ -71,6 +71,7 @@ def test_windows_are_the_sum_of_their_dense_problems() -> None:
     assert off(point.residual2, residual2) < 1e-9
     assert off(point.penalty2, penalty2) < 1e-9
     assert off(point.edf, COUNT * np.trace(at.influence)) < 1e-9
+    assert off(point.left, COUNT * np.trace(np.eye(len(dense.y)) - at.influence)) < 1e-9
     assert windows.m == COUNT * len(dense.y)
     assert windows_of(case(beam("ds", "foh", 1), LENGTH * COUNT - 1).path("identity")) is None
 
