@@ -181,9 +181,9 @@ def test_the_refined_place_is_the_minimum_and_its_std_the_curvature():
 
 def test_the_stated_std_is_the_scatter_of_the_places():
     """Noise makes a part of the curvature by itself: with that part left in, the std would be too small."""
-    found = [refined(0.637, 0.3, seed)[0] for seed in range(16)]
+    found = [refined(0.637, 0.2, seed)[0] for seed in range(16)]
     off = np.array([r.place[0, 0] - 0.637 for r in found])
-    sigma = struck(0.637, 0.3).channels[0].noise
+    sigma = struck(0.637, 0.2).channels[0].noise
     std = np.array([np.sqrt(r.covariance(sigma)[0, 0, 0]) for r in found])
     naive = np.array([sigma / abs(r.curvature[0, 0]) for r in found])
     assert 0.7 < np.median(std) / np.sqrt(np.mean(off**2)) < 1.5
