@@ -130,13 +130,9 @@ def main(samples: int) -> None:
             family = FieldDeconvolution(under, space=space, noise=noise, noise_source="known")
             found = family.estimate(y, DT)
             spent = time.process_time() - start
-            ours, best = (
-                errors(y, noise, q, places, space=space) if seed == 0 else (error(basis, found.load, q, places), 0)
-            )
-            told = f"{best:9.4f}{ours / best:8.3f}" if best else " " * 17
-            print(
-                f"  {seed:4d}  {space or 'none':9s}{ours:7.4f}{told}{floor:14.4f}{spent:8.2f}   {found.facts['path']}"
-            )
+            ours, best = errors(y, noise, q, places, space=space)
+            print(f"  {seed:4d}  {space or 'none':9s}{ours:7.4f}{best:9.4f}{ours / best:8.3f}{floor:14.4f}{spent:8.2f}"
+                  f"   {found.facts['path']}")  # fmt: skip
         if seed == 0:
             plain = FieldDeconvolution(under, noise=noise, noise_source="known").estimate(y, DT)
             start = time.process_time()
