@@ -298,7 +298,7 @@ class ForwardModel(Model):
         return ForwardModel(self.structure.scaled(parameter, factor), self.sensors, loads, **self._settings)
 
     def with_loads(self, loads: Sequence[Any]) -> ForwardModel:
-        """The same structure and sensors under other loads; modes and factor are shared, so that moving a load is cheap.
+        """The same structure and sensors under other loads; modes and factor are shared, so that moving one is cheap.
 
         Raises
         ------

@@ -57,3 +57,22 @@ def resample_lines(H: NDArray, padded: int) -> NDArray[np.complex128]:
     new = np.zeros((padded, *h.shape[1:]))
     new[:half], new[-half:] = h[:half], h[-half:]
     return fft.rfft(new, axis=0)
+
+
+def minimum_phase(magnitude: NDArray) -> NDArray[np.complex128]:
+    """Response of the causal filter with this magnitude whose inverse is causal too, by folding the cepstrum.
+
+    Oppenheim & Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, section 13.
+
+    Parameters
+    ----------
+    magnitude : array, shape (lines, ...)
+        Positive, at 0 ... Nyquist of an even transform of length 2 (lines - 1).
+    """
+    from scipy import fft
+
+    padded = 2 * (len(magnitude) - 1)
+    cepstrum = fft.irfft(np.log(magnitude), padded, axis=0)
+    cepstrum[1 : padded // 2] *= 2
+    cepstrum[padded // 2 + 1 :] = 0
+    return np.exp(fft.rfft(cepstrum, axis=0))

@@ -137,7 +137,7 @@ def recommend(
 def _compared(problem: Problem, say: Callable[[float, str], None]) -> tuple[dict[int, float], dict[int, float]]:
     """Information criterion and share in use, of spikes (1) and of B-splines by spacing."""
     first = problem.beginning()
-    spacings = [1, *(k for k in dictionaries.KNOTS if k <= first.samples // 8)]
+    spacings = [k for k in dictionaries.KNOTS if k == 1 or k <= first.samples // 8]
     scores, shares = {}, {}
     for i, k in enumerate(spacings):
         say(0.3 + 0.5 * i / len(spacings), f"knots every {k} samples" if k > 1 else "spikes")

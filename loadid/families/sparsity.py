@@ -140,8 +140,12 @@ def pose(model: Model, data: Data, posing: Posing) -> Problem:
         No usable diagonal (LID-E506), missing samples beside a covariance, different steps.
     """
     if isinstance(model, MeasuredModel):
+        from .posing.coloured import coloured
         from .posing.lines import measured_response
 
+        if not np.any(data.missing):
+            white = coloured(model, data, posing)
+            return Problem(white.h, white.y, None, white.raw[:, data.rows], data.values, data.missing, white.noise)
         h, lines = measured_response(model, data, posing)
         late, level = 0, np.sqrt(np.mean(lines.power, axis=0) / len(data.values))
         noise = noises.Noise(level, lines.known, lines.source)
@@ -155,14 +159,14 @@ def pose(model: Model, data: Data, posing: Posing) -> Problem:
     missing: NDArray[np.bool_] = np.asarray(data.missing)[late:]
     if missing.any() and np.ndim(noise.level) == 2:
         missing = np.repeat(np.any(missing, axis=1)[:, None], missing.shape[1], axis=1)
-    white = whiten(raw, noise.level, 1)
+    rows = whiten(raw, noise.level, 1)
     y = whiten(np.where(missing, 0.0, values), noise.level, 1)
     weight = None
     if missing.any():
         weight = (~missing).astype(float)
         weight = weight if weight.shape == y.shape else np.repeat(weight[:, :1], y.shape[1], axis=1)
         y = y * weight
-    return Problem(white, y, weight, raw, values, missing, noise)
+    return Problem(rows, y, weight, raw, values, missing, noise)
 
 
 @dataclass(frozen=True)

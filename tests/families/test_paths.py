@@ -17,7 +17,10 @@ BEAM = beams.simply_supported(
 
 
 def model(at=(0.65, 1.25), kinds=(sensors.Accelerometer, sensors.Displacement, sensors.Velocity)):
-    observed = [kind(at=x, direction="Z", label=f"s{i}") for i, (kind, x) in enumerate(zip(kinds, (0.3, 0.9, 1.5)))]
+    observed = [
+        kind(at=x, direction="Z", label=f"s{i}")
+        for i, (kind, x) in enumerate(zip(kinds, (0.3, 0.9, 1.5), strict=False))
+    ]
     return ForwardModel(BEAM, observed, [loads.Point(at=x, direction="Z", label=f"p{x}") for x in at], modes=5)
 
 

@@ -14,6 +14,7 @@ from ...inverse.nonnegative.solver import NonNegativeRecord
 from ...inverse.whitening import whiten
 from ..data import Data
 from ..noise import Noise
+from .coloured import coloured
 from .lines import measured_response
 from .posed import Posed, Settings
 
@@ -34,10 +35,19 @@ def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data:
     if missing.any() and noise.level.ndim == 2:
         raise InputError("missing samples take a noise std per sensor, not a covariance", where="noise",
                          found=f"covariance {noise.level.shape}", expected=f"({len(data.rows)},)")  # fmt: skip
+    white = whiten(h[:, data.rows], noise.level, 1), whiten(values, noise.level, 1)
+    return _posed(h, *white, values, missing, noise, data, settings)
+
+
+def _posed(
+    h: NDArray, h_white: NDArray, y_white: NDArray, values: NDArray, missing: NDArray, noise: Noise, data: Data,
+    settings: Settings,
+) -> Posed:  # fmt: skip
+    """Problem of whitened impulse responses of the used sensors and whitened data."""
     settings.refuse_special("Toeplitz")
-    used, samples = h[:, data.rows], len(values)
+    used, samples, penalty = h[:, data.rows], len(values), settings.penalty
+    assert isinstance(penalty, str)
     weight = (~missing).astype(float) if missing.any() else None
-    penalty, h_white, y_white = settings.penalty, whiten(used, noise.level, 1), whiten(values, noise.level, 1)
     path = ConvolvedPath(h_white, y_white, penalty, weight)
     forward = Convolution(used, samples)
 
@@ -60,17 +70,23 @@ def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data:
 
 
 def convolved_measured(model: MeasuredModel, data: Data, settings: Settings) -> Posed:
-    """The same for a measured model, with one noise level for all lines of a sensor.
+    """The same for a measured model, its noise made white in time; with gaps, at its mean level.
 
     Raises
     ------
     InputError
         As `convolved`, and a record of another step.
     """
-    h, line_noise = measured_response(model, data, settings)
-    level = np.sqrt(np.mean(line_noise.power, axis=0) / len(data.values))
-    noise = Noise(level, line_noise.known, line_noise.source)
-    return convolved(h, data.values, data.missing, noise, data, settings)
+    if not isinstance(settings.penalty, str):
+        raise InputError("the Toeplitz path takes a named penalty", where="penalty", found="a matrix or None",
+                         expected="identity, first_difference or second_difference")  # fmt: skip
+    if data.missing.any():
+        h, line_noise = measured_response(model, data, settings)
+        level = np.sqrt(np.mean(line_noise.power, axis=0) / len(data.values))
+        noise = Noise(level, line_noise.known, line_noise.source)
+        return convolved(h, data.values, data.missing, noise, data, settings)
+    white = coloured(model, data, settings)
+    return _posed(white.raw, white.h, white.y, data.values, data.missing, white.noise, data, settings)
 
 
 def _layout(operator: Convolution) -> tuple[float, int, int]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
-KNOTS = (2, 4, 8, 16)  # spacings that are scanned, in samples
+KNOTS = (1, 2, 4, 8, 16)  # spacings that are scanned, in samples
 MOMENTS = 4  # vanishing moments of the wavelets
 COARSEST = 64  # scale in samples up to which wavelets are made
 
