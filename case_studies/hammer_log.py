@@ -25,7 +25,7 @@ from loadid.commands.identify import identify
 from loadid.inverse.constraints import NonNegative
 from structures import InputError
 
-HEAD = 2048  # samples of the response from which the other priors rebuild a hit
+HEAD = 6144  # samples of the response, 0.24 s, from which the other priors rebuild a hit
 FIVE = {"columns": ("time", "force", "acceleration"), "units": {"force": "N", "acceleration": "m/s^2"}}
 TWO = {"fs": 1024.0, "units": {"F": "arbitrary"}}  # the file's own unit of F is wrong, its step is rounded
 
@@ -153,11 +153,15 @@ def priors(five: list[Rebuilt], others: list[tuple[Rebuilt, Rebuilt | None]]) ->
         truth = plain.force.values[:, 0]
         tail = float(np.linalg.norm(truth[80:]) / np.linalg.norm(truth))
         lines.append(f"{plain.name:16s} {both(plain):>16s} {both(push):>16s} {both(few):>16s} {tail:10.1%}")
-    means = [np.mean([h.error() for h in hits if h is not None]) for hits in (five, *zip(*others, strict=True))]
-    lines.append(f"{'mean':16s} {means[0]:16.1%} {means[2]:16.1%} {means[1]:16.1%}")
-    names = ("Tikhonov", "a force that only pushes", "few B-splines")
-    best = min(zip((means[0], means[2], means[1]), names, strict=True))
-    lines.append(f"the prior that wins here: {best[1]}; what is left is mostly the tail that the hammer itself records")
+    columns = {
+        "Tikhonov": five,
+        "a force that only pushes": [push for _, push in others],
+        "few B-splines": [few for few, _ in others],
+    }
+    means = {name: float(np.mean([np.inf if h is None else h.error() for h in hits])) for name, hits in columns.items()}
+    lines.append(f"{'mean':16s}" + "".join(f" {'-' if np.isinf(m) else f'{m:.1%}':>16s}" for m in means.values()))
+    best = min(means, key=lambda name: means[name])
+    lines.append(f"the prior that wins here: {best}; what is left is mostly the tail that the hammer itself records")
     return "\n".join(lines)
 
 

@@ -23,7 +23,7 @@ def test_the_static_example(tmp_path, monkeypatch, capsys):
     clean = ForwardModel(wing, gauges, bases.hats(wing, [places])).static() @ lift
     monkeypatch.chdir(tmp_path)
     scope: dict = {"strains": clean + 1.5e-6 * np.random.default_rng(0).standard_normal(len(at))}
-    exec(compile(EXAMPLES[1], "README.md", "exec"), scope)
+    exec(compile(EXAMPLES[2], "README.md", "exec"), scope)
     found = scope["lift"]
     true = 900 * np.sqrt(1 - (np.arange(0.125, 6, 0.25) / 6) ** 2)
     moment = next(r.value for r in found.resultants if r.name == "M")
@@ -61,6 +61,14 @@ def test_the_python_example(tmp_path, monkeypatch, capsys):
     assert abs(peak.value - 200) < 3 * peak.std
     assert "forward model not verified" in capsys.readouterr().out
     assert Path("impact.html").stat().st_size > 10_000
+    exec(compile(EXAMPLES[1], "README.md", "exec"), scope)
+    for name in ("push", "hits"):
+        assert abs(scope[name].peaks[0].value - 200) < 0.15 * 200, name
+    assert scope["push"].load.min() >= 0
+    assert "prior" in capsys.readouterr().out
+    place = scope["place"]
+    print(place.summary())
+    assert "place" in capsys.readouterr().out
 
 
 def test_the_two_commands_stand_on_their_own_lines():

@@ -207,3 +207,20 @@ def test_scale_invariance_on_the_state_space_path():
         again = Deconvolution(scaled, path="statespace").estimate(factor * y, dt=DT)
         assert again.load == pytest.approx(base.load, abs=1e-8 * np.abs(base.load).max())
         assert again.choice.lam == pytest.approx(base.choice.lam, rel=1e-6)
+
+
+def test_an_unknown_start_of_states_that_no_sensor_sees():
+    """A mode with its node at the sensor, and one that dies within a sample, take nothing from the fit."""
+    state = model(at=(0.65,), kinds=(sensors.Displacement,)).state_space(DT, "foh")
+    n, g = len(state.A), np.zeros((N, 1))
+    g[100:140, 0] = np.hanning(40) * 5
+    A = np.block([[state.A, np.zeros((n, 2))], [np.zeros((2, n)), np.diag([0.9, 0.0])]])
+    wide = StateSpace(A, np.vstack([state.B, [[1.0], [1.0]]]), np.hstack([state.C, [[0.0, 0.0]]]), state.D, DT, "foh")
+    x0 = np.random.default_rng(3).standard_normal(n) * 1e-3
+    y = state.simulate(g, x0)
+    y = y + 1e-3 * y.std() * np.random.default_rng(0).standard_normal(y.shape)
+    plain, more = (
+        Deconvolution(s, initial="unknown", noise=1e-3 * y.std(), choice=0.01).estimate(y, dt=DT) for s in (state, wide)
+    )
+    assert more.load == pytest.approx(plain.load, abs=1e-7 * np.abs(plain.load).max())
+    assert more.residual == pytest.approx(plain.residual, abs=1e-7 * np.abs(y).max())

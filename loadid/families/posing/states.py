@@ -15,6 +15,7 @@ from ...inverse.nonnegative.solver import NonNegativeRecord
 from ...inverse.statespace.augmented import Augmented, augment
 from ...inverse.statespace.coarse import windows_of
 from ...inverse.statespace.measured import measured, moving
+from ...inverse.statespace.observed import observed_first
 from ...inverse.statespace.passes import forward
 from ...inverse.statespace.path import KEPT, StateSpacePath
 from ...inverse.statespace.riccati import feedback
@@ -61,16 +62,21 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     rows, values, missing = data.rows, data.values[late:], data.missing[late:]
     start = _start(system, settings)
     unknown = isinstance(start, str) and start == "unknown"
+    A, B, seen = system.A, system.B, 0
+    if unknown:
+        level = noise.level if np.ndim(noise.level) == 1 else np.sqrt(np.diag(noise.level))
+        A, B, back, seen = observed_first(A, B, C[rows] / level[:, None], len(values))
+        C = C @ back
     rest = np.zeros(len(system.A))
 
     def respond(load: NDArray, first: NDArray) -> NDArray:
         """Response (samples, sensors) of the used sensors to a load, from a state at the first sample."""
-        plain = measured(_systems(system, C[rows], D[..., rows, :], len(values), "identity"), np.zeros_like(values))
+        plain = measured(_systems(A, B, C[rows], D[..., rows, :], len(values), "identity"), np.zeros_like(values))
         return forward(plain, feedback(plain), np.ascontiguousarray(load, float), first)[2]
 
     known = respond(np.zeros((len(values), D.shape[-1])), start) if isinstance(start, np.ndarray) else 0.0
-    extra = {"leak": settings.leak, "from_zero": settings.from_zero, "unknown_start": unknown}
-    systems = _systems(system, C[rows], D[..., rows, :], len(values), settings.penalty, **extra)
+    extra = {"leak": settings.leak, "from_zero": settings.from_zero, "unknown_start": seen}
+    systems = _systems(A, B, C[rows], D[..., rows, :], len(values), settings.penalty, **extra)
     own = measured(systems, np.where(missing, np.nan, values - known), noise.level)
     path = StateSpacePath(own, quick=len(values) > KEPT)
     judged = (windows_of(path) or path) if len(values) > KEPT else path
@@ -85,7 +91,7 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     full = None
     if len(rows) < len(C):
         size = np.sqrt(np.mean(h**2, axis=(0, 2)))
-        everything = _systems(system, C, D, len(values), settings.penalty, **extra)
+        everything = _systems(A, B, C, D, len(values), settings.penalty, **extra)
         full = layout(measured(everything, np.zeros((len(values), len(C))), np.where(size > 0, size, 1.0)))
 
     def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
@@ -96,12 +102,12 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
 
 
 def _systems(
-    system: StateSpace, C: NDArray, D: NDArray, samples: int, penalty: str, **extra: Any
+    A: NDArray, B: NDArray, C: NDArray, D: NDArray, samples: int, penalty: str, **extra: Any
 ) -> Augmented | list[Augmented]:
     """One augmented system, or one for each sample where loads move."""
-    if system.moving:
-        return moving(system.A, system.B, C, D, samples, penalty, **extra)
-    return augment(system.A, system.B, C, D, penalty, **extra)
+    if B.ndim == 3 or D.ndim == 3:
+        return moving(A, B, C, D, samples, penalty, **extra)
+    return augment(A, B, C, D, penalty, **extra)
 
 
 def _advanced(system: StateSpace, late: int) -> tuple[NDArray, NDArray]:

@@ -66,7 +66,7 @@ class Augmented:
 
 def augment(
     A: NDArray, B: NDArray, C: NDArray, D: NDArray, penalty: str = "identity", *, leak: float | None = None,
-    from_zero: bool = False, unknown_start: bool = False,
+    from_zero: bool = False, unknown_start: bool | int = False,
 ) -> Augmented:  # fmt: skip
     """State space of a penalty over a model; C and D whitened.
 
@@ -80,8 +80,8 @@ def augment(
         The first difference becomes ``g_k - leak g_{k-1}``, 0 < leak < 1.
     from_zero : bool
         The load is zero before the record, and its first difference counts; else its start is free.
-    unknown_start : bool
-        The state of the model at the first sample is an unknown of the data.
+    unknown_start : bool or int
+        The state of the model at the first sample is an unknown of the data; a number: its first so many states.
     """
     degree, nx, p = order(penalty), len(A), B.shape[1]
     if leak is not None and (degree != 1 or not 0 < leak < 1):
@@ -95,7 +95,7 @@ def augment(
     Caug = np.hstack([C, np.zeros((len(C), degree * p))]) + D @ E
     # a leaky load has a proper prior: it comes from zero, whatever was asked
     loose = np.arange(nx, nx + degree * p) if not from_zero and leak is None else np.arange(0)
-    free = np.concatenate([np.arange(nx) if unknown_start else np.arange(0), loose]).astype(int)
+    free = np.concatenate([np.arange(nx if unknown_start is True else int(unknown_start)), loose]).astype(int)
     return Augmented(F, G, Caug, np.array(D, float), E, nx, free)
 
 

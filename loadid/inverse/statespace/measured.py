@@ -68,7 +68,7 @@ def measured(systems: Augmented | Sequence[Augmented], y: ArrayLike, noise: Nois
 
 def moving(
     A: NDArray, B: NDArray, C: NDArray, D: NDArray, samples: int, penalty: str = "identity", *,
-    leak: float | None = None, from_zero: bool = False, unknown_start: bool = False,
+    leak: float | None = None, from_zero: bool = False, unknown_start: bool | int = False,
 ) -> list[Augmented]:  # fmt: skip
     """One augmented system for each sample; B and D may be led by time, other parameters as in `augment`."""
     options = {"leak": leak, "from_zero": from_zero, "unknown_start": unknown_start}
