@@ -280,9 +280,7 @@ def resolution(path: RegularizationPath, lam: float, load: NDArray) -> tuple[flo
     return width(spread, int(sample)), float(1 - spread[sample])
 
 
-def hidden(
-    path: RegularizationPath, lam: float, load: NDArray, std: NDArray, *, axis: int = 0
-) -> NDArray[np.float64]:
+def hidden(path: RegularizationPath, lam: float, load: NDArray, std: NDArray, *, axis: int = 0) -> NDArray[np.float64]:
     """What regularisation is expected to hide, (R - I) g for the part of the estimate that stands out of its noise.
 
     The estimate itself has lost it already (low frequencies that accelerometers do not see come back as a slow

@@ -97,8 +97,8 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
         return NonNegativeRecord(own, signed)
 
-    name, seen = "state space, O(N)", layout(own)
-    return Posed(path, noise, compare, values, name, h[:, rows], seen, full, path.unknowns, judged, pushing)
+    name, visible = "state space, O(N)", layout(own)
+    return Posed(path, noise, compare, values, name, h[:, rows], visible, full, path.unknowns, judged, pushing)
 
 
 def _systems(
