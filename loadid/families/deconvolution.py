@@ -15,6 +15,7 @@ from structures.values import real
 
 from .. import flags as guards
 from ..estimate import Axis, LoadEstimate
+from ..flags import sparsity as told
 from ..inverse import diagnose, rules
 from ..inverse.choice import Choice, choose, given, residual_level
 from ..inverse.confirm import confirm
@@ -27,6 +28,7 @@ from .posing import UNUSABLE, Posed, Settings, diagonal, pose
 from .pushing import facts as pushing_facts
 from .pushing import flags as pushing_flags
 from .pushing import push, signs
+from .shapes import kurtosis
 
 PRIOR = {
     "identity": "a load of zero mean and constant variance, white in time",
@@ -70,6 +72,8 @@ class Deconvolution:
         explains the data, where no rule was asked for by name; the std stays that of the load without signs, a bound.
     hold : {"foh", "zoh"}, optional
         How a load moves between samples; default the model's own, which is first order where it has a choice.
+    load_class : {"impact", "service"}, optional
+        Hammer blows and shocks, or a load that acts all the time: says when the prior does not fit it (W510, W311).
     noise : float or array, optional
         Noise std of the sensors, (sensors,) or a covariance (sensors, sensors).
     noise_source : str, optional
@@ -98,6 +102,7 @@ class Deconvolution:
         leak: float | None = None,
         from_zero: bool = False,
         constraints: Sequence[Any] = (),
+        load_class: str | None = None,
         hold: str | None = None,
         noise: ArrayLike | None = None,
         noise_source: str | None = None,
@@ -115,6 +120,10 @@ class Deconvolution:
                     "without a penalty there is no lambda to choose", where="choice", found=choice, expected="None"
                 )
             choice = 0.0
+        if not isinstance(load_class, str | None) or load_class not in (None, *told.CLASSES):
+            raise InputError("unknown class of load", where="load_class", found=repr(load_class)[:80],
+                             expected=" or ".join(map(repr, told.CLASSES)))  # fmt: skip
+        self.load_class = load_class
         free = not isinstance(choice, str | None) and choice == 0
         self.settings = Settings(
             method, penalty, hold, noise, noise_source, guards.allowed(allow), path, initial, leak, from_zero, free,
@@ -162,10 +171,14 @@ class Deconvolution:
         response, residual = posed.compare(load, choice.lam, None if pushed is None else pushed.start)
         facts = self._facts(posed, choice, sigma, data.dt, load)
         facts |= {"missing": data.gaps} if data.gaps else {}
-        signed_flags: tuple[Flag, ...] = ()
+        own_flags: tuple[Flag, ...] = ()
         if pushed is not None:
             facts |= pushing_facts(pushed, posed.path.m, posed.noise.known)
-            signed_flags = pushing_flags(pushed, posed, choice, sigma)
+            own_flags = pushing_flags(pushed, posed, choice, sigma)
+        elif self.load_class is not None:
+            prior = _prior(self.settings.penalty)
+            found = told.declared_class(self.load_class, "tikhonov"), told.impulsive(kurtosis(load), prior)
+            own_flags = guards.collect(found)
         assert solution.posterior is not None
         std = solution.posterior.std
         bias = diagnose.hidden(posed.path, choice.lam, load, std)
@@ -183,7 +196,7 @@ class Deconvolution:
             residual=residual,
             sensors=[c.label for c in data.channels],
             sensor_units=[c.unit for c in data.channels],
-            flags=guards.collect([*signed_flags, *self._flags(posed, choice, data, facts, residual)]),
+            flags=guards.collect([*own_flags, *self._flags(posed, choice, data, facts, residual)]),
             allowed=self.settings.allow,
             certificate=self.model.certificate,
             posterior=solution.posterior,
@@ -270,7 +283,7 @@ class Deconvolution:
         self, posed: Posed, choice: Choice, data: Data, facts: dict[str, Any], residual: NDArray
     ) -> tuple[Flag, ...]:
         model, lost = self.model, [s.label for i, s in enumerate(self.model.sensors) if i not in data.rows]
-        told = histories.layout(model, data, posed.h, self.settings.penalty, self.settings.leak)
+        layout = histories.layout(model, data, posed.h, self.settings.penalty, self.settings.leak)
         after = (facts["kappa"], facts["rank"], facts["nullity"])
         penalty = self.settings.penalty if isinstance(self.settings.penalty, str) else "user matrix"
         return guards.collect(
@@ -282,8 +295,8 @@ class Deconvolution:
                 histories.determined(model, facts["m"], facts["n"], facts["rank"], posed.h),
                 None if posed.full is None else guards.lost_channels(posed.full, after, lost),
                 guards.mixed_kinds(data.channels, posed.noise.known),
-                *told,
-                None if "W505" in codes(told) else self._end(posed, residual),
+                *layout,
+                None if "W505" in codes(layout) else self._end(posed, residual),
                 self._beginning(posed, choice, data, facts["noise_level"]),
                 *guards.parameter(choice, lambda factor: _discrepancy(posed, factor)),
                 guards.inverse_crime(data.record.simulated_by, model.fingerprint),

@@ -15,6 +15,7 @@ from ..flags import sparsity as told
 from ..inverse.sparse import dictionaries
 from .data import gather
 from .deconvolution import Deconvolution
+from .shapes import kurtosis
 from .sparse import SparseDeconvolution
 from .sparsity import Problem, pose, posing
 
@@ -147,12 +148,6 @@ def _compared(problem: Problem, say: Callable[[float, str], None]) -> tuple[dict
             scores[k] = float(sweep.ebic[sweep.best])
             shares[k] = float(sweep.count[sweep.best]) / atoms.n
     return scores or {1: 0.0}, shares or {1: 1.0}
-
-
-def kurtosis(g: NDArray) -> float:
-    """Fourth moment over the square of the second about zero; 3 for a Gaussian history, large for impacts."""
-    power = float(np.mean(g**2))
-    return float(np.mean(g**4)) / power**2 if power > 0 else 0.0
 
 
 def pulse_width(g: NDArray) -> float:

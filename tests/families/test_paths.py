@@ -224,3 +224,23 @@ def test_an_unknown_start_of_states_that_no_sensor_sees():
     )
     assert more.load == pytest.approx(plain.load, abs=1e-7 * np.abs(plain.load).max())
     assert more.residual == pytest.approx(plain.residual, abs=1e-7 * np.abs(y).max())
+
+
+def test_the_declared_class_of_load():
+    own = model(at=(0.65,))
+    _, y, noise = case(own)
+
+    def found(**extra):
+        return {"W311", "W510"} & Deconvolution(own, noise=noise, **extra).estimate(y, dt=DT).codes
+
+    assert found() == set()
+    assert found(load_class="impact") == {"W510"}  # a pulse of 40 of 300 samples is no impulse yet
+    assert found(load_class="service") == set()
+    assert found(load_class="impact", constraints=[NonNegative()]) == set()
+    peaked = np.zeros((N, 1))
+    peaked[100:104] = 50.0
+    hit = own.predict(peaked, DT)
+    codes = Deconvolution(own, noise=1e-3 * hit.std(), load_class="service").estimate(hit, dt=DT).codes
+    assert "W311" in codes
+    with pytest.raises(InputError, match="class of load"):
+        Deconvolution(own, load_class="hammer")
