@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from structures.forward import ForwardModel
 
 LENGTH, WIDTH, HEIGHT = 1.0, 0.04, 0.01  # m, steel, simply supported
-DAMPING = 0.03
+DAMPING = 0.06
 SENSORS = {"A1": 0.19, "A2": 0.41, "A3": 0.76}  # m from the left end
 HIT_AT, PEAK, START, DURATION = 0.59, 1000.0, 0.05, 0.002  # m, N, s, s
-RATE, SAMPLES = 10000.0, 12000  # the first mode rings down to 0.5 % within the record
+RATE, SAMPLES = 10000.0, 6000  # the first mode rings down to 0.5 % within the record
 FINER = 8  # steps of the simulation per sample of the record
 NOISE = 0.015  # std over the rms of each channel
 

@@ -19,6 +19,7 @@ from .states import MOST, TAPS, at_rest_in_place, state_space_of, states
 __all__ = ["PATHS", "UNUSABLE", "Posed", "Settings", "diagonal", "pose"]
 
 SMALL = 1000 if AVAILABLE else DENSE  # unknowns up to which a factorisation, which tells more, is about as quick
+UNCOMPILED = 20_000  # unknowns up to which convolution is quicker than the state space without the extra ``fast``
 
 
 def pose(model: Model, data: Data, settings: Settings) -> Posed:
@@ -75,6 +76,8 @@ def _kind(model: Model, data: Data, settings: Settings) -> tuple[str, StateSpace
         return ("dense" if unknowns <= DENSE else "fft"), None
     if not settings.named or settings.free or (unknowns <= SMALL and not gaps and not settings.special):
         return "dense", None
+    if not AVAILABLE and not settings.special and unknowns <= UNCOMPILED:
+        return "toeplitz", None  # the same load, quicker than loops that are not compiled
     system = state_space_of(model, data.dt, settings.hold)
     if system is not None and (len(system.A) <= MOST or settings.special):
         return "statespace", system

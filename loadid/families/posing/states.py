@@ -17,7 +17,7 @@ from ...inverse.statespace.coarse import windows_of
 from ...inverse.statespace.measured import measured, moving
 from ...inverse.statespace.observed import observed_first
 from ...inverse.statespace.passes import forward
-from ...inverse.statespace.path import KEPT, StateSpacePath
+from ...inverse.statespace.path import StateSpacePath
 from ...inverse.statespace.riccati import feedback
 from ...inverse.statespace.scale import layout
 from ..data import Data
@@ -25,6 +25,7 @@ from ..noise import Noise
 from .posed import Posed, Settings
 
 MOST = 64  # states up to which small matrices are quick
+WHOLE = 4096  # samples beyond which lambda is sought on windows of the record first
 TAPS = 4096  # samples of the impulse response that guards look at
 
 
@@ -78,8 +79,8 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     extra = {"leak": settings.leak, "from_zero": settings.from_zero, "unknown_start": seen}
     systems = _systems(A, B, C[rows], D[..., rows, :], len(values), settings.penalty, **extra)
     own = measured(systems, np.where(missing, np.nan, values - known), noise.level)
-    path = StateSpacePath(own, quick=len(values) > KEPT)
-    judged = (windows_of(path) or path) if len(values) > KEPT else path
+    path = StateSpacePath(own, quick=len(values) > WHOLE)
+    judged = (windows_of(path) or path) if len(values) > WHOLE else path
 
     def compare(load: NDArray, lam: float, first: NDArray | None) -> tuple[NDArray, NDArray]:
         if unknown and first is None:
