@@ -47,7 +47,7 @@ class Choice:
     spread : float
         Decades between the smallest and the largest lambda of the rules that are compared.
     verdict : str
-        ``determined``, ``usable``, ``rules disagree`` or ``not determined``.
+        ``determined``, ``usable``, ``rules disagree`` or ``not determined``; ``not asked`` beside a lambda of the user.
     odds : str
         What the verdict is worth, as measured on test problems.
     sigma : float or None
@@ -169,7 +169,7 @@ def given(path: RegularizationPath, lam: float, *, sigma: float | None = None, s
     lam = _pick(path, lam, {}, sigma)[0]
     point = path.at(lam)
     return Choice(
-        lam=lam, scale=float(path.scale), rule="given", verdict="not determined",
+        lam=lam, scale=float(path.scale), rule="given", verdict="not asked",
         odds="lambda was given: no rule asked", sigma=sigma,
         sigma_source=source, edf=None if point.edf is None else float(point.edf),
     )  # fmt: skip

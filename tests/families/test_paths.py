@@ -51,6 +51,19 @@ def test_the_paths_agree(penalty, hold):
     assert {e.facts["path"] for e in found.values()} == {"state space, O(N)", "Toeplitz, preconditioned CG"}
 
 
+@pytest.mark.parametrize("penalty", ["identity", "first_difference"])
+def test_a_response_that_begins_a_sample_late(penalty):
+    """Modal displacement under a zero-order hold: the data are advanced on both paths."""
+    whole = model(at=(0.65,), kinds=(sensors.Displacement, sensors.Displacement)).state_space(DT, "zoh")
+    own = StateSpace(whole.A, whole.B, whole.C, np.zeros_like(whole.D), DT, "zoh")
+    _, y, noise = case(own, samples=160)
+    settings = {"hold": "zoh", "noise": noise, "choice": 0.01, "penalty": penalty}
+    dense, states = (Deconvolution(own, path=p, **settings).estimate(y, dt=DT) for p in ("dense", "statespace"))
+    assert states.load.shape == (159, 1)
+    assert states.load == pytest.approx(dense.load, abs=1e-8 * np.abs(dense.load).max())
+    assert states.residual == pytest.approx(dense.residual, abs=1e-8 * np.abs(y).max())
+
+
 def test_the_path_follows_length_and_model():
     own = model(at=(0.65,))
     _, y, _ = case(own, samples=1100)
@@ -177,6 +190,14 @@ class TestSigns:
     def test_other_constraints_are_refused(self):
         with pytest.raises(InputError, match="signs only"):
             Deconvolution(model(), constraints=[Bounds(upper=1.0)])
+
+
+def test_no_rule_is_called_undetermined_that_nobody_asked():
+    own = model(at=(0.65,))
+    _, y, noise = case(own)
+    e = Deconvolution(own, path="statespace", choice=0.01, noise=noise).estimate(y, dt=DT)
+    assert (e.choice.rule, e.choice.verdict) == ("given", "not asked")
+    assert "W407" not in e.codes
 
 
 def test_a_lambda_below_the_digits_is_refused():

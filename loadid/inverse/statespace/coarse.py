@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.errors import NotIdentifiable
+from structures.errors import InputError, NotIdentifiable
 
 from ..path import Solution
 from .covariance import spread
@@ -84,10 +84,11 @@ class WindowsPath(StateSpacePath):
 
         Raises
         ------
-        NotImplementedError
+        InputError
             Always: ask the path of the record.
         """
-        raise NotImplementedError("windows choose lambda; the record has the solution")
+        raise InputError("windows have no solution of the record", where="state-space path", found="windows of it",
+                         expected="the path of the whole record", hint="choose lambda here, solve there")  # fmt: skip
 
 
 def windows_of(path: StateSpacePath) -> WindowsPath | None:
