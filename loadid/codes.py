@@ -27,6 +27,7 @@ GUARDS = {
     "W208": "kind of FRF and its units",
     "W209": "truncated file",
     "W210": "channels with more gaps than samples",
+    "W211": "lines of an FRF that were not measured",
     "N303": "what regularisation did",
     "W304": "more detail than the data hold",
     "W305": "a gain of resolution promised by the wrong law",

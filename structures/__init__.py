@@ -11,6 +11,7 @@ _PUBLIC = {
     "Dof": "dofs",
     "Flag": "flags",
     "ForwardModel": "forward",
+    "FrfModel": "tabulated",
     "ImpulseModel": "arrays",
     "InputError": "errors",
     "MatrixModel": "arrays",

@@ -74,3 +74,39 @@ def factors(sensors: Sequence[Channel], frequencies: NDArray, kind: str) -> NDAr
     power = np.array([KINDS[kind] - ORDER[s.quantity] if s.quantity in ORDER else 0 for s in sensors])
     omega = 2j * np.pi * np.where(frequencies > 0, frequencies, 1.0)[:, None]
     return np.where(frequencies[:, None] > 0, omega**power, (power == 0).astype(complex))
+
+
+def conversion(
+    sensors: Sequence[Channel], frequencies: NDArray, kind: str
+) -> tuple[NDArray[np.complex128], NDArray[np.float64], list[Flag]]:
+    """What takes an FRF, and what takes its variance, to another kind; and a flag W211 where a line is lost by it.
+
+    Parameters
+    ----------
+    sensors : sequence of Channel
+    frequencies : array, shape (lines,)
+        Hz, ascending from 0 or above.
+    kind : str
+        As `check` passes it.
+
+    Returns
+    -------
+    factor : array, shape (lines, sensors), complex
+        ``(i omega)^k``; 0 at 0 Hz where k is not 0.
+    size : array, shape (lines, sensors)
+        ``omega^(2 k)`` for the variance. At 0 Hz that of the line beside it: the FRF is not known there.
+    flags : list of Flag
+        Not empty where an integration divides by 0 Hz: that line becomes 0 and tells nothing.
+    """
+    factor = factors(sensors, frequencies, kind)
+    size = np.abs(factor) ** 2
+    if len(frequencies) > 1:
+        size[0] = np.where(factor[0] == 0, size[1], size[0])
+    lost = [s.label for s in sensors if frequencies[0] == 0 and KINDS[kind] < ORDER.get(s.quantity, 0)]
+    flag = Flag(
+        "W211",
+        Evidence("first line, Hz", 0.0),
+        f"the line at 0 Hz is lost in the conversion to {kind} and set to 0 for {', '.join(lost[:8])}",
+        f"leave 0 Hz out, or measure the {kind} there",
+    )
+    return factor, size, [flag] if lost else []

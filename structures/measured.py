@@ -166,10 +166,8 @@ class MeasuredModel(Model):
         Where a sensor changes its kind the 0 Hz line tells nothing: it becomes 0, as uncertain as the line beside it.
         """
         kind = kinds.check(kind, "as_kind")
-        factor = kinds.factors(self.sensors, self.frequencies, kind)
+        factor, size, _ = kinds.conversion(self.sensors, self.frequencies, kind)
         sensors = [kinds.convert(s, kind) for s in self.sensors]
-        size = np.abs(factor) ** 2
-        size[0] = np.where(factor[0] == 0, size[1], size[0])
         known = self.certificate
         return self._like(
             H=self.H * factor[..., None],
