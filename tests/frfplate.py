@@ -7,7 +7,7 @@
 - `beam`: accelerance of a simply supported steel beam under one force, 797 lines with its antiresonances, 1 %.
 
 Beside them what is compared with: the pseudo-inverse, Tikhonov's lambda per line by L-curve and by generalised
-cross-validation (Hansen, SIAM 1998, ch. 7; Golub, Heath & Wahba, Technometrics 21 (1979) 215), written for these set-ups
+cross-validation (Hansen, SIAM 1998, ch. 7; Golub, Heath & Wahba, Technometrics 21 (1979) 215), written for these cases
 alone and apart from the package, and the best lambda of each line that the truth allows.
 """
 
@@ -18,6 +18,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+
+from structures import ForwardModel
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -166,7 +168,7 @@ def _relative(found: NDArray, known: NDArray) -> float:
 
 
 def oscillators() -> tuple[Array, Array, Array, Array]:
-    """Of every mode the step (modes, 2, 2), input (modes, 2) and output (modes, 2) of its acceleration; its feedthrough."""
+    """Step (modes, 2, 2), input and output (modes, 2) and feedthrough (modes,) of the acceleration of every mode."""
     from scipy.linalg import expm
 
     natural, _ = modes(TIMED_MODES)
@@ -234,9 +236,9 @@ LAYOUTS = ((13,), (8,), (8, 20), (8, 13, 20, 31))
 AMPLITUDE = 10.0
 
 
-def beam_model(*nodes: int):  # noqa: ANN201
+def beam_model(*nodes: int) -> ForwardModel:
     """Accelerometers at some nodes of a simply supported steel beam of 2 m, 12 modes, a force at node 13."""
-    from structures import ForwardModel, beams, damping, loads, sensors
+    from structures import beams, damping, loads, sensors
 
     structure = beams.simply_supported(
         length=2.0, section=beams.Section.rectangle(0.05, 0.01), material=beams.materials.steel, elements=40,
