@@ -8,6 +8,7 @@ from typing import Any
 _PUBLIC = {
     "Certificate": "model",
     "Channel": "channels",
+    "CrossSpectra": "welch",
     "Dof": "dofs",
     "Flag": "flags",
     "ForwardModel": "forward",
@@ -21,6 +22,7 @@ _PUBLIC = {
     "StateSpace": "statespace",
     "Structure": "structure",
     "Surface": "surfaces",
+    "cross_spectra": "welch",
 }
 _MODULES = (
     "bases",

@@ -43,7 +43,7 @@ class FrfModel(Model):
     certificate : Certificate, optional
     flags : sequence of Flag
     interpolate : bool
-        Whether lines between its own are interpolated (linearly, real and imaginary part), with a flag W211 that says so.
+        Whether lines between its own are interpolated, linearly in real and imaginary part; a flag W211 says so.
 
     Raises
     ------
