@@ -11,10 +11,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import kinds
+from . import causality, kinds
 from .channels import Channel
 from .errors import InputError
-from .flags import Evidence, Flag
+from .flags import Flag
 from .hits import Hit
 from .hits import digests as digests
 from .model import Certificate, Model
@@ -22,11 +22,7 @@ from .spectra import resample_lines
 
 ARRAYS = ("frequencies", "H", "variance", "noise_power", "coherence")
 PARTS = (*ARRAYS, "sensors", "loads", "hits", "samples")
-BEFORE_ZERO = 0.1  # share of the energy of an impulse response that may lie at negative times
 CHANNEL = ("label", "quantity", "unit", "noise", "highpass", "measure")
-
-
-MEDIAN_SQUARE = 0.4549  # median of the square of a standard normal variable
 
 
 class MeasuredModel(Model):
@@ -76,7 +72,7 @@ class MeasuredModel(Model):
         self.samples = samples or len(self.frequencies) - 1
         self.certificate = certificate
         _check(self)
-        self.flags = (*flags, *(f for f in [causality(self)] if f))
+        self.flags = (*flags, *causality.whole(self.frequencies, self.H, self.sensors, self.loads))
 
     # -- construction -----------------------------------------------------------------------------------------------
     @classmethod
@@ -318,40 +314,6 @@ class MeasuredModel(Model):
             f"MeasuredModel({len(self.sensors)} sensors, {len(self.loads)} loads, {len(self.frequencies)} lines "
             f"to {self.frequencies[-1]:.6g} Hz, from {source})"
         )
-
-
-def causality(model: MeasuredModel) -> Flag | None:
-    """W207: share of the impulse response's energy at negative times (0 for a causal response, 1 for a conjugate).
-
-    A response that rings longer than the inverse of the line spacing wraps round, but never by more than half. Noise
-    fills all times alike: its level, seen furthest from zero on both sides, is taken off.
-    """
-    h = np.fft.irfft(model.H, axis=0)
-    half, skip = len(h) // 2, max(4, len(h) // 200)  # an anti-alias filter rings a little before zero
-    floor = np.median(h[half - half // 4 : half + half // 4] ** 2, axis=0) / MEDIAN_SQUARE
-    before, after = (
-        np.maximum(np.sum(x[skip : half - skip] ** 2, axis=0) - (half - 2 * skip) * floor, 0.0) for x in (h[::-1], h)
-    )
-    tiny = np.finfo(float).tiny
-    each, share = before / np.maximum(before + after, tiny), before.sum() / max((before + after).sum(), tiny)
-    turned = [
-        f"{s.label} / {c.label}"
-        for s, row in zip(model.sensors, each, strict=True)
-        for c, x in zip(model.loads, row, strict=True)
-        if x > 0.9
-    ]
-    if share <= BEFORE_ZERO and not turned:
-        return None
-    worst = float(max(share, each.max()))
-    return Flag(
-        "W207",
-        Evidence("energy at negative times", worst, BEFORE_ZERO),
-        f"the FRF is not causal: {worst:.0%} of its impulse response lies before zero"
-        + (f" ({', '.join(turned[:8])})" if turned else ""),
-        "conjugate it, or correct the sign convention at import (e^{+i omega t})"
-        if turned
-        else "check the sign convention (e^{+i omega t}), and whether the lines are narrower than the peaks",
-    )
 
 
 def _check(m: MeasuredModel) -> None:

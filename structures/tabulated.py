@@ -9,7 +9,7 @@ from typing import Any, NoReturn, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import kinds
+from . import causality, kinds
 from .channels import Channel
 from .errors import InputError
 from .flags import Evidence, Flag
@@ -93,7 +93,7 @@ class FrfModel(Model):
         coherence: ArrayLike | None = None,
         interpolate: bool = False,
     ) -> Self:
-        """Model from an FRF of somebody else.
+        """Model from an FRF of somebody else, with a flag W207 where it answers before it is asked.
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class FrfModel(Model):
             c if isinstance(c, Channel) else Channel(label=str(c), quantity="force", unit="N")
             for c in (loads or [f"load {j + 1}" for j in range(H.shape[2])])
         ]
-        return cls(
+        model = cls(
             frequencies,
             H,
             sensors=rows,
@@ -128,6 +128,7 @@ class FrfModel(Model):
             flags=flags,
             interpolate=interpolate,
         )
+        return model.judged()
 
     @classmethod
     def of(cls, model: Model, frequencies: ArrayLike) -> Self:
@@ -149,6 +150,12 @@ class FrfModel(Model):
             certificate=model.certificate,
             flags=model.flags,
         )
+
+    def judged(self) -> Self:
+        """The same model with what its phases tell: W207 where it is turned, N207 where that cannot be told."""
+        found = causality.lines(self.frequencies, self.H, self.sensors, self.loads)
+        known = [f for f in self.flags if f.code not in ("LID-W207", "LID-N207")]
+        return self._like(flags=(*known, *found))
 
     def at(self, lines: ArrayLike) -> Self:
         """The model on some of its lines: a mask (lines,) of truth values, or frequencies in Hz, ascending.
@@ -314,7 +321,7 @@ def _table(name: str, values: ArrayLike, shape: tuple[int, ...], kind: type = fl
         raw = np.asarray(values)
         if kind is float and np.iscomplexobj(raw):
             raise TypeError("complex numbers")
-        found = np.array(raw, kind)
+        found: NDArray[Any] = np.array(raw, kind)
     except (TypeError, ValueError) as error:
         raise InputError("no numbers", where=where, found=str(error)[:200], expected="an array of numbers") from None
     if found.shape != shape or not found.size:

@@ -118,7 +118,7 @@ class CrossSpectra:
             A channel that is not there, or named twice.
         """
         index = self.index(channels)
-        return replace(self, matrix=self.matrix[:, index][:, :, index], channels=[self.channels[i] for i in index])
+        return replace(self, matrix=self.matrix[:, index][:, :, index], channels=tuple(self.channels[i] for i in index))
 
     def index(self, channels: Sequence[str | int | Channel]) -> list[int]:
         """Columns of some channels; errors as `restricted`."""
@@ -229,8 +229,8 @@ def cross_spectra(
     from .leakage import leakage
 
     return CrossSpectra(
-        frequencies=np.fft.rfftfreq(n, step),
-        matrix=matrix,
+        frequencies=np.fft.rfftfreq(n, step).astype(float),
+        matrix=matrix.astype(complex),
         channels=described,
         averages=effective_averages(w, hop, counts),
         window=window if isinstance(window, str) else str(window),
@@ -420,7 +420,7 @@ def _hermitian(S: NDArray, channels: Sequence[Channel]) -> NDArray[np.complex128
     """The matrix itself, exactly Hermitian and read-only, or a refusal that names the two channels."""
     auto = np.diagonal(S, axis1=1, axis2=2)
     if np.any(auto.real < 0):
-        k, i = np.unravel_index(int(np.argmin(auto.real)), auto.shape)
+        k, i = divmod(int(np.argmin(auto.real)), len(channels))
         raise InputError(
             "a negative autospectrum",
             where=f"CrossSpectra, {channels[i].label}",
@@ -431,7 +431,7 @@ def _hermitian(S: NDArray, channels: Sequence[Channel]) -> NDArray[np.complex128
     skew = np.abs(S - S.conj().transpose(0, 2, 1))
     fault = skew > SKEW * size
     if np.any(fault):
-        k, i, j = (int(x[0]) for x in np.nonzero(fault))
+        k, i, j = np.argwhere(fault)[0].tolist()
         raise InputError(
             "the cross spectra are not Hermitian",
             where=f"CrossSpectra, {channels[i].label} and {channels[j].label}",
@@ -441,7 +441,7 @@ def _hermitian(S: NDArray, channels: Sequence[Channel]) -> NDArray[np.complex128
         )
     above = np.abs(S) > (1 + ABOVE_ONE) * size
     if np.any(above):
-        k, i, j = (int(x[0]) for x in np.nonzero(above))
+        k, i, j = np.argwhere(above)[0].tolist()
         raise InputError(
             "a coherence above one",
             where=f"CrossSpectra, {channels[i].label} and {channels[j].label}",
