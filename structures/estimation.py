@@ -35,7 +35,7 @@ def from_hits(
 ) -> dict[str, Any]:
     """Arguments of a measured model; parameters and errors as for `MeasuredModel.from_hits`."""
     tests = _gather(records, dt, force, responses)
-    _check_quantities(tests[0].channels)
+    check_quantities(tests[0].channels)
     labels = [c.label for c in tests[0].channels[1:]]
     hits: list[Hit] = []
     for t in tests:
@@ -72,7 +72,7 @@ def _repeated(responses: NDArray, hits: Sequence[Hit]) -> str:
     return f"the same record as {same[0]}" if same else ""
 
 
-def _check_quantities(channels: Sequence[Channel]) -> None:
+def check_quantities(channels: Sequence[Channel]) -> None:
     """Refuse a force that is no force, and a response that is one."""
     force, *responses = channels
     if force.quantity not in FORCES:

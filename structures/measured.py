@@ -114,6 +114,47 @@ class MeasuredModel(Model):
         return cls(**from_hits(records, dt, force, responses, reject))
 
     @classmethod
+    def from_random(
+        cls,
+        records: Any,
+        *,
+        forces: str | int | Sequence[str | int],
+        responses: str | int | Sequence[str | int],
+        dt: float | None = None,
+        channels: Sequence[Channel | str] | None = None,
+        kind: str | None = None,
+        estimator: str = "H1",
+        window: str | tuple = "hann",
+        segment: int | None = None,
+        overlap: float = 0.5,
+        detrend: str | None = "constant",
+    ) -> Self:
+        """FRFs, coherence, variance and residual power from shaker records with broadband forces.
+
+        Parameters
+        ----------
+        records, forces, responses, dt, channels, kind, estimator, window, segment, overlap, detrend
+            As for `FrfModel.from_records`. A segment has an even length; the impulse response is as long as half of it.
+
+        Raises
+        ------
+        InputError
+            As for `FrfModel.from_records`; forces without energy on more than 1 % of the lines.
+        NotIdentifiable
+            Code LID-E212: forces that are one.
+
+        Notes
+        -----
+        Each record predicted from the others, or each half of one from the other, gives the certificate. A line
+        without excitation takes the FRF of the nearest one that has it.
+        """
+        from .runs import full
+
+        cut = {"dt": dt, "channels": channels, "window": window, "segment": segment, "overlap": overlap}
+        cut["detrend"] = detrend
+        return cls(**full(records, forces, responses, kind, estimator, cut))
+
+    @classmethod
     def from_frf(
         cls,
         frequencies: ArrayLike,

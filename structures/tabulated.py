@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,9 @@ from .errors import InputError
 from .flags import Evidence, Flag
 from .model import Certificate, Model
 from .statespace import digest, lines
+
+if TYPE_CHECKING:
+    from .welch import CrossSpectra
 
 ON_A_LINE = 1e-6  # of the spacing: how near a frequency must be to a line to be that line
 ADVICE = {
@@ -129,6 +132,79 @@ class FrfModel(Model):
             interpolate=interpolate,
         )
         return model.judged()
+
+    @classmethod
+    def from_records(
+        cls,
+        records: Any,
+        *,
+        forces: str | int | Sequence[str | int],
+        responses: str | int | Sequence[str | int],
+        dt: float | None = None,
+        channels: Sequence[Channel | str] | None = None,
+        kind: str | None = None,
+        estimator: str = "H1",
+        window: str | tuple = "hann",
+        segment: int | None = None,
+        overlap: float = 0.5,
+        detrend: str | None = "constant",
+        least_coherence: float = 0.0,
+        interpolate: bool = False,
+    ) -> Self:
+        """FRFs, their variance and multiple coherence from records with measured forces.
+
+        Parameters
+        ----------
+        records : array (samples, channels), a record, or a list of either
+        forces, responses : label or index, or several
+            Channels; several forces may act at once, correlated or not.
+        dt, channels, window, segment, overlap, detrend
+            As for `structures.cross_spectra`.
+        kind : {"accelerance", "mobility", "receptance"}, optional
+            What the responses are, where their channels do not say.
+        estimator : ``"H1"``, ``"H2"``, ``"Hv"`` or ``"Hs"``
+            As `structures.frfs.estimate` describes them.
+        least_coherence : float
+            Lines on which no sensor has this multiple coherence are left out, with a flag W211.
+        interpolate : bool
+            As for the class.
+
+        Raises
+        ------
+        InputError
+            As for `structures.cross_spectra`; a force that is no force, a response that is one.
+        NotIdentifiable
+            Code LID-E212: forces that are one.
+
+        Notes
+        -----
+        A line that no force excites is left out, as is 0 Hz where the mean was taken off. The variance knows the noise
+        that the segments show, and not the bias by leakage: W508 speaks of that.
+        """
+        from .runs import tabulated
+
+        cut = {"dt": dt, "channels": channels, "window": window, "segment": segment, "overlap": overlap}
+        cut["detrend"] = detrend
+        made = tabulated(records, forces, responses, kind, least_coherence, estimator, cut)
+        return cls(**made, interpolate=interpolate).judged()
+
+    @classmethod
+    def from_spectra(
+        cls,
+        spectra: CrossSpectra,
+        *,
+        forces: str | int | Sequence[str | int],
+        responses: str | int | Sequence[str | int],
+        kind: str | None = None,
+        estimator: str = "H1",
+        least_coherence: float = 0.0,
+        interpolate: bool = False,
+    ) -> Self:
+        """FRFs from cross spectra of forces and responses; parameters and errors as for `from_records`."""
+        from .runs import of_spectra
+
+        made = of_spectra(spectra, forces, responses, kind, least_coherence, estimator)
+        return cls(**made, interpolate=interpolate).judged()
 
     @classmethod
     def of(cls, model: Model, frequencies: ArrayLike) -> Self:
