@@ -1,8 +1,28 @@
-"""Structures from files: K, M and C in npz, Matrix Market and HDF5, with a plain DOF table; and back."""
+"""Structures from files: K, M and C in npz, Matrix Market and HDF5, with a plain DOF table; and back. FRFs too.
+
+The readers of logs stand on some of these modules: nothing of scipy is loaded before a matrix is read.
+"""
 
 from __future__ import annotations
 
-from .reading import load
-from .writing import save
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["load", "save"]
+if TYPE_CHECKING:
+    from .frfs import read_frfs
+    from .reading import load
+    from .writing import save
+
+__all__ = ["load", "read_frfs", "save"]
+
+_PLACES = {"load": "reading", "read_frfs": "frfs", "save": "writing"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_PLACES[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -211,6 +211,9 @@ def _get(file: Any, name: str) -> NDArray:
     if h5py.check_string_dtype(item.dtype) is not None:
         text = item.asstr(errors="replace")[()]
         return np.atleast_1d(np.array(text, dtype=str))
+    if item.dtype.names == ("real", "imag"):  # how MATLAB writes complex numbers
+        pair = item[()]
+        return np.asarray(pair["real"] + 1j * pair["imag"])
     if item.dtype.kind not in "biufcS":
         raise InputError(
             "values of a type that is not read",

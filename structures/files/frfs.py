@@ -1,0 +1,174 @@
+"""read_frfs: FRFs of a universal file or of a MAT file as a model, with DOF, unit and kind or not at all."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import kinds, units
+from ..channels import Channel
+from ..dofs import Dof
+from ..errors import InputError
+from ..storage import as_path
+from .frf_table import Asked, Found, Units, refuse
+from .mat import read_mat
+from .mat_frfs import of_mat
+from .uff import SUFFIXES, read_uff
+from .uff_frfs import of_uff
+from .uff_units import Said
+
+if TYPE_CHECKING:
+    from ..tabulated import FrfModel
+
+
+def read_frfs(
+    path: str | os.PathLike,
+    *,
+    kind: str | None = None,
+    responses: Sequence[Any] | None = None,
+    references: Sequence[Any] | None = None,
+    response_unit: Units = None,
+    reference_unit: Units = None,
+    frf: str | None = None,
+    frequencies: str | None = None,
+    axes: Sequence[str] | None = None,
+    frequency_unit: str = "Hz",
+) -> FrfModel:
+    """FRFs of a universal file (UFF, UNV: data sets 58 and 58b) or of a MAT file (-v6, -v7, -v7.3), in SI.
+
+    Parameters
+    ----------
+    path : path
+    kind : {"accelerance", "mobility", "receptance"}, optional
+        Needed where the file does not say what the responses are; must agree where it does.
+    responses, references : sequence of DOFs or names, optional
+        Which of them, in this order; of a universal file all if left out. A MAT file names none: they are needed, in
+        the order of the array.
+    response_unit, reference_unit : str or dict, optional
+        Units of the numbers where the file does not state them, for all or by label: ``"g"``, ``{"12+Z": "m/s^2"}``.
+    frf, frequencies : str, optional
+        Names of the arrays of a MAT file.
+    axes : sequence of str, optional
+        What the axes of that array are, such as ``("responses", "references", "lines")``; needed where the shape
+        leaves it open.
+    frequency_unit : str
+        Unit of the frequencies of a MAT file, ``Hz`` or ``rad/s``.
+
+    Returns
+    -------
+    FrfModel
+        Coherences (of one reference, or multiple ones) come with it where the file has one for every response.
+
+    Raises
+    ------
+    InputError
+        A file that is truncated or damaged; pairs of response and reference that are missing, doubled or on other
+        lines, by name; a unit, a DOF or (LID-W208) a kind that neither file nor caller states.
+    """
+    place = as_path(path)
+    suffix = place.suffix.lower()
+    asked = Asked(str(place), kind, _labels(responses, "responses"), _labels(references, "references"),
+                   response_unit, reference_unit)  # fmt: skip
+    if suffix in SUFFIXES:
+        return _model(of_uff(read_uff(place), asked), asked)
+    if suffix == ".mat":
+        return _model(of_mat(read_mat(place), asked, frf, frequencies, axes, frequency_unit), asked)
+    raise InputError(
+        "a file of a kind that holds no FRFs",
+        where=str(place),
+        found=place.suffix or "no suffix",
+        expected=", ".join([*SUFFIXES, ".mat"]),
+        hint="FrfModel.from_frf(frequencies, H, kind=...) takes arrays",
+    )
+
+
+def _model(found: Found, asked: Asked) -> FrfModel:
+    """The model, in SI, with described channels; what was decided while reading is logged."""
+    from ..tabulated import FrfModel
+
+    for note in found.notes:
+        logging.getLogger(__name__).info("%s: %s", asked.path, note)
+
+    rows = [
+        _settled(label, said, asked.response_unit, "response_unit", asked.path)
+        for label, said in zip(found.responses, found.response_units, strict=True)
+    ]
+    columns = [
+        _settled(label, said, asked.reference_unit, "reference_unit", asked.path)
+        for label, said in zip(found.references, found.reference_units, strict=True)
+    ]
+    H = found.H * np.array([u.factor for u in rows])[:, None] / np.array([u.factor for u in columns])
+    sensors = [Channel(label=n, quantity=u.quantity, unit=u.si) for n, u in zip(found.responses, rows, strict=True)]
+    loads = [Channel(label=n, quantity=u.quantity, unit=u.si) for n, u in zip(found.references, columns, strict=True)]
+    kind = _kind(sensors, asked)
+    if kind is None:  # motions of several kinds, turning ones or strains: each sensor says what it is
+        return FrfModel(found.frequencies, H, sensors=sensors, loads=loads, coherence=found.coherence)
+    return FrfModel.from_frf(found.frequencies, H, kind=kind, sensors=sensors, loads=loads, coherence=found.coherence)
+
+
+def _settled(label: str, said: Said, stated: Units, argument: str, path: str) -> units.Unit:
+    """The unit of one channel: what the caller states, else what the file says."""
+    text = stated.get(label) if isinstance(stated, Mapping) else stated
+    if text is None:
+        if said.unit is None:
+            raise InputError(
+                f"the unit of {label} is not known",
+                where=path,
+                found=said.why,
+                expected="a unit such as m/s^2, g, N",
+                hint=f'state it: {argument}="g", or {argument}={{"{label}": "g"}}',
+                code="LID-W208",
+            )
+        return said.unit
+    unit = units.parse(text, channel=label, where=path)
+    if said.quantity is not None and unit.quantity != said.quantity:
+        refuse(path, f"the unit of {label} contradicts the file", f"{unit.symbol} ({unit.quantity})", said.quantity)
+    return unit
+
+
+def _kind(sensors: Sequence[Channel], asked: Asked) -> str | None:
+    """Kind of the FRFs, from the quantities of the responses and what the caller states."""
+    found = {s.quantity for s in sensors}
+    motions = {quantity: kind for kind, quantity in kinds.QUANTITY.items()}
+    own = motions.get(next(iter(found))) if len(found) == 1 else None
+    if asked.kind is not None:
+        kinds.check(asked.kind, asked.path)
+        if own is not None and own != asked.kind:
+            raise InputError(
+                f"the responses are {next(iter(found))}, and kind={asked.kind!r} is stated",
+                where=asked.path,
+                found=own,
+                expected=asked.kind,
+                hint="leave kind out where the file says it, and convert with model.as_kind(...)",
+                code="LID-W208",
+            )
+    if "arbitrary" in found or asked.path.lower().endswith(".mat"):  # nothing else says it
+        return kinds.check(asked.kind, asked.path)
+    return own
+
+
+def _labels(given: Sequence[Any] | None, what: str) -> tuple[str, ...] | None:
+    """Labels of DOFs in their one form, and names as they are."""
+    if given is None:
+        return None
+    if isinstance(given, str) or not isinstance(given, Sequence) or not given:
+        raise InputError(
+            "no list of DOFs", where=f"read_frfs, {what}", found=repr(given)[:60], expected='["1+Z", "2+Z"]'
+        )
+    labels = tuple(_label(g) for g in given)
+    if len(set(labels)) < len(labels):
+        refuse(f"read_frfs, {what}", f"{what} are doubled", labels, "each once")
+    return labels
+
+
+def _label(given: Any) -> str:
+    try:
+        return str(Dof.parse(given))
+    except InputError:
+        if not isinstance(given, str) or not given.strip():
+            raise
+        return given.strip()
