@@ -63,6 +63,7 @@ def without_arrays(tree: dict[str, Any]) -> dict[str, Any]:
         lists = {k for k, v in tree["diagnosis"].items() if isinstance(v, list)}
         short["diagnosis"] = {k: v for k, v in tree["diagnosis"].items() if k not in lists}
     short.pop("geometry", None)
+    short.pop("spectrum", None)
     load = tree["load"]
     short["shape"] = [len(load), len(load[0])] if isinstance(load[0], list) else [len(load)]
     if (axis := tree["axis"]) is not None:
@@ -84,6 +85,7 @@ def to_tree(e: LoadEstimate) -> dict[str, Any]:
     tree["geometry"] = None if e.geometry is None else dict(e.geometry)
     tree["diagnosis"] = None if e.diagnosis is None else e.diagnosis.to_dict()
     tree["validation"] = None if e.validation is None else e.validation.to_dict()
+    tree["spectrum"] = None if e.spectrum is None else e.spectrum.to_dict()
     return tree
 
 
@@ -111,4 +113,8 @@ def from_tree(tree: dict[str, Any]) -> LoadEstimate:
         from loadid.validate import Validation
 
         tree["validation"] = Validation.from_dict(tree["validation"])
+    if tree.get("spectrum") is not None:
+        from loadid.spectrum import Spectrum
+
+        tree["spectrum"] = Spectrum.from_dict(tree["spectrum"])
     return LoadEstimate(**tree)

@@ -93,6 +93,8 @@ class LoadEstimate:
         What the data can tell: `loadid.inverse.diagnose.diagnose`.
     validation : Validation, optional
         What was validated, and at which level.
+    spectrum : Spectrum, optional
+        What every frequency line tells (`loadid.spectrum`).
     facts : mapping
         Numbers that are printed with every result: ``m, n, rank, nullity, kappa, edf, residual_to_noise,
         resolution`` and what else a family knows.
@@ -122,6 +124,7 @@ class LoadEstimate:
     geometry: Mapping[str, Any] | None = field(default=None, repr=False)
     diagnosis: Any = field(default=None, repr=False)
     validation: Any = None
+    spectrum: Any = field(default=None, repr=False)
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -164,11 +167,32 @@ class LoadEstimate:
         return None if self.response is None or self.residual is None else self.response - self.residual
 
     def band(self, level: float = 0.95) -> tuple[NDArray, NDArray]:
-        """Lower and upper end of the central band of probability `level`, each of the shape of `load`."""
+        """Lower and upper end of the central band of probability `level`, each of the shape of `load`.
+
+        Of complex amplitudes the band of their moduli: errors are circular, ``std = sqrt(E|error|^2)``.
+        """
         if isinstance(level, bool) or not isinstance(level, int | float | np.number) or not 0 < level < 1:
             raise InputError("no probability", where="level", found=repr(level), expected="between 0 and 1")
+        if self.load.dtype.kind == "c":
+            size, radius = np.abs(self.load), np.sqrt(-np.log1p(-level)) * self.std
+            return np.maximum(size - radius, 0.0), size + radius
         width = NormalDist().inv_cdf(0.5 + level / 2) * self.std
         return self.load - width, self.load + width
+
+    def trust(self, level: float | None = None) -> NDArray[np.bool_]:
+        """Frequency lines whose predicted relative error is at most `level`, shape (lines, loads).
+
+        Raises
+        ------
+        InputError
+            An estimate without frequency lines, or a level that is not positive.
+        """
+        if self.spectrum is None:
+            raise InputError("this estimate has no frequency lines", where="trust", found="no spectrum",
+                             expected="an estimate of FrequencyInversion",
+                             hint="its std says how far it goes")  # fmt: skip
+        trusted: NDArray[np.bool_] = self.spectrum.trust(level)
+        return trusted
 
     @property
     def peaks(self) -> tuple[Peak, ...]:

@@ -8,13 +8,14 @@ Rust & O'Leary, Inverse Problems 24 (2008) 034005 (NCP); MacKay, Neural Computat
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
 
-from .path import PathPoint, RegularizationPath
+from .path import PathPoint
 from .sweeping import (
     NULL_SPACE,
     Refusal,
@@ -41,18 +42,27 @@ LONGEST_NCP = 300_000  # data; beyond, one transform for each lambda costs more 
 
 
 # -- functions that are minimised ------------------------------------------------------------------------------------
-def gcv_function(path: RegularizationPath, p: PathPoint) -> NDArray:
+class Counted(Protocol):
+    """Anything with a number of data."""
+
+    @property
+    def m(self) -> int:
+        """Number of data."""
+        ...
+
+
+def gcv_function(path: Counted, p: PathPoint) -> NDArray:
     """G = m |r|^2 / (m - edf)^2."""
     left = need(p, "left", "gcv")
     return path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2
 
 
-def robust_gcv_function(path: RegularizationPath, p: PathPoint, gamma: float = 0.1) -> NDArray:
+def robust_gcv_function(path: Counted, p: PathPoint, gamma: float = 0.1) -> NDArray:
     """[gamma + (1 - gamma) tr A^2 / m] G, Lukas (2006)."""
     return (gamma + (1 - gamma) * need(p, "edf2", "robust_gcv") / path.m) * gcv_function(path, p)
 
 
-def modified_gcv_function(path: RegularizationPath, p: PathPoint, a: float = 1.4) -> NDArray:
+def modified_gcv_function(path: Counted, p: PathPoint, a: float = 1.4) -> NDArray:
     """G with a edf in place of edf, only where m > a edf."""
     left = path.m - a * need(p, "edf", "modified_gcv")
     return path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2
@@ -208,7 +218,7 @@ def sensitivity(sweep: Sweep, factors: tuple[float, ...] = (0.5, 1.0, 2.0)) -> t
 
 
 def curvature(
-    lam: NDArray, residual2: NDArray, penalty2: NDArray, bend: NDArray | None = None, scale: float = 1.0
+    lam: NDArray, residual2: NDArray, penalty2: NDArray, bend: NDArray | None = None, scale: NDArray | float = 1.0
 ) -> NDArray:
     """Signed curvature of the L-curve (ln |r|, ln |L g|), positive at a corner; same shape as `lam`.
 

@@ -1,0 +1,411 @@
+"""Loads on frequency lines, from spectra, cross spectra or records, with what every line can tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError, NotIdentifiable
+from structures.flags import Flag
+from structures.model import Model
+from structures.values import real
+
+from .. import flags as guards
+from ..estimate import Axis, LoadEstimate
+from ..flags import frequency as told
+from ..inverse.choice import Choice
+from ..inverse.posterior import SpectralPosterior
+from ..inverse.spectral.zeros import nearest_zeros
+from ..provenance import provenance
+from ..spectrum import LEVEL, Spectrum
+from .data import rows_of
+from .spectral.agreement import judged
+from .spectral.fitting import Fit, Rule, fit
+from .spectral.gathered import LineData, Settings, lines_of, response
+
+
+class FrequencyInversion:
+    """Loads line by line, ``Y = H(f) G``, each line with the variances that its neighbours show.
+
+    The default regularisation is the evidence of neighbouring lines: loads and noise are as large as around each line
+    (`loadid.inverse.spectral.pooled`), which is truncation-free, independent of units, and lets an inactive load
+    vanish. Rules (GCV, L-curve, discrepancy ...) choose a lambda for each line, for neighbours or for all lines;
+    truncated SVD goes by threshold, count or rule. Every line says what it can tell without any prior: an antiresonance
+    is flagged (W507), never filled in silently.
+
+    Parameters
+    ----------
+    model : Model
+        Anything that gives ``frf``; a variance of its FRFs (``frf_variance``) enters the weights and the band.
+    method : {"tikhonov", "tsvd"}
+    choice : str, float or None
+        Name of a rule, relative lambda (Tikhonov) or threshold (truncated SVD), 0 for least squares; None is the
+        evidence of the neighbouring lines (truncated SVD: GCV over them).
+    over : {"neighbours", "line", "band"}
+        Who decides on lambda: each line with its neighbours, each alone, or all together.
+    neighbours : int
+        Lines to either side that inform a line (Hann weights).
+    count : int, optional
+        Singular values that truncated SVD keeps.
+    size : array (loads,), optional
+        Expected relative size of the loads, for rules and given lambdas; by default each load counts by how much it
+        moves the sensors, so that forces and moments do not mix their units.
+    level : float
+        Predicted relative std above which a line is flagged.
+    signal : {"stationary", "transient"}, optional
+        What a time record is: averaged into cross spectra, or transformed once, zero-padded, into a load history.
+    band : (float, float), optional
+        Lines that are inverted (Hz).
+    window, segment, overlap
+        Of averaged records, as in `structures.welch.cross_spectra`.
+    noise : float or array, optional
+        Noise std of the sensors: of the amplitudes for spectra, of the samples for records, the root of the density
+        (unit/sqrt(Hz)) for cross spectra.
+    noise_source : str, optional
+        Where that level comes from.
+    sensors, validation : sequence of str or int, optional
+        Sensors to invert, default all; sensors that are kept out and predicted.
+    allow, coverage, progress
+        As in `Deconvolution`.
+
+    Raises
+    ------
+    InputError
+        Settings that do not fit.
+
+    Notes
+    -----
+    Thite & Thompson, J. Sound Vib. 264 (2003) 411, for inversion of FRF matrices and its errors.
+    """
+
+    name = "frequency inversion"
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        method: str = "tikhonov",
+        choice: str | float | None = None,
+        over: str = "neighbours",
+        neighbours: int = 40,
+        count: int | None = None,
+        size: ArrayLike | None = None,
+        level: float = LEVEL,
+        signal: str | None = None,
+        band: tuple[float, float] | None = None,
+        window: str = "hann",
+        segment: int | None = None,
+        overlap: float = 0.5,
+        noise: ArrayLike | None = None,
+        noise_source: str | None = None,
+        sensors: Sequence[str | int] | None = None,
+        validation: Sequence[str | int] = (),
+        allow: Sequence[str] = (),
+        coverage: Any = None,
+        progress: Callable[[float, str], None] | None = None,
+    ) -> None:
+        if not (real(level) or 0) > 0:
+            raise InputError("no level of trust", where="level", found=repr(level)[:80], expected="a number > 0")
+        self.model, self.level, self.coverage = model, float(level), coverage
+        self.rule = Rule(method, choice, over, neighbours, count, size)
+        self.settings = Settings(noise, noise_source, signal, band, window, segment, overlap)
+        self.held = rows_of(validation, model) if len(validation) else np.zeros(0, int)
+        chosen = rows_of(sensors, model)
+        self.rows = chosen if sensors is not None else np.setdiff1d(chosen, self.held)
+        if not len(self.rows) or set(self.rows) & set(self.held):
+            raise InputError("a sensor cannot train and validate", where="validation",
+                             found=[model.sensors[i].label for i in self.held], expected="other sensors for training",
+                             hint="leave sensors= out: all others train")  # fmt: skip
+        self.allow = guards.allowed(allow)
+        self._progress = progress or (lambda fraction, text: None)
+
+    def estimate(self, found: Any, dt: float | None = None) -> LoadEstimate:
+        """Rebuild the loads behind spectra, cross spectra or a record.
+
+        Parameters
+        ----------
+        found : Spectra, CrossSpectra, Record, list of Record, or array (samples, sensors)
+            Several records are averaged.
+        dt : float, optional
+            Step in s of a bare array.
+
+        Returns
+        -------
+        LoadEstimate
+            Complex amplitudes (lines, loads) with std ``sqrt(E|error|^2)``; of cross spectra the autospectra of the
+            loads (unit^2/Hz), their matrix in ``estimate.spectrum.cross``; of a transient the history (samples, loads).
+            ``estimate.spectrum`` holds what each line tells, ``estimate.trust(level)`` the lines to believe.
+
+        Raises
+        ------
+        InputError
+            Spectra or records that do not fit the model.
+        NotIdentifiable
+            With choice 0, where a line does not determine the loads (LID-E306).
+        """
+        self._progress(0.05, "making the lines")
+        everything = lines_of(found, dt, self.model, np.concatenate([self.rows, self.held]), self.settings)
+        line, kept_out = _split(everything, len(self.rows))
+        H = response(self.model, line)
+        variance = _variance(self.model, line)
+        self._progress(0.2, "solving the lines")
+        solved = fit(
+            H[:, line.rows], line.X, line.power, known=line.known, rule=self.rule, variance=variance,
+            averages=line.averages, progress=lambda s: self._progress(0.2 + 0.6 * s, "solving the lines"),
+        )  # fmt: skip
+        self._refuse_undetermined(solved)
+        self._progress(0.85, "asking other rules")
+        choice = judged(solved, self.rule, line.known, line.source)
+        spectrum = _spectrum(solved, line, self.level)
+        answer = _ANSWERS[line.kind](solved, line, H)
+        held = _held_out(answer, kept_out, H)
+        self._progress(1.0, "done")
+        facts = self._facts(solved, line, H, held, spectrum)
+        return LoadEstimate(
+            load=answer.load,
+            std=answer.std,
+            posterior=answer.posterior,
+            labels=[c.label for c in self.model.loads],
+            units=[answer.unit.format(c.unit) for c in self.model.loads],
+            axis=answer.axis,
+            choice=choice,
+            response=answer.response,
+            residual=answer.residual,
+            sensors=[c.label for c in line.channels],
+            sensor_units=[answer.unit.format(c.unit) for c in line.channels],
+            flags=self._flags(solved, line, spectrum, choice, answer, facts),
+            allowed=self.allow,
+            certificate=self.model.certificate,
+            spectrum=spectrum if answer.cross is None else _with_cross(spectrum, answer),
+            facts=facts,
+            provenance=provenance(
+                self.name,
+                settings=self._named_settings(line),
+                inputs=line.inputs,
+                model=getattr(self.model, "fingerprint", "unknown"),
+                prior=self._prior(),
+            ),
+        )
+
+    # -- saying -----------------------------------------------------------------------------------------------------
+    def _refuse_undetermined(self, solved: Fit) -> None:
+        lost = int(np.sum(np.any(solved.told.gain == 0, axis=1)))
+        if self.rule.free and lost and "LID-E306" not in self.allow:
+            raise NotIdentifiable(
+                f"without regularisation {lost} of {len(solved.lam)} lines do not determine the loads",
+                advice="add sensors, leave these lines out (band=), or leave choice= out",
+                code="LID-E306",
+            )
+
+    def _prior(self) -> str:
+        rule = self.rule
+        if rule.free:
+            return "none"
+        if rule.pooled:
+            return f"loads as large as on the {rule.neighbours} lines to either side (complex normal, by evidence)"
+        if rule.method == "tsvd":
+            return "truncated SVD of each line"
+        return "loads of equal expected size on a line (Tikhonov, L = I)"
+
+    def _named_settings(self, line: LineData) -> dict[str, Any]:
+        rule, s = self.rule, self.settings
+        return {
+            "method": rule.method, "choice": rule.choice, "over": rule.over, "neighbours": rule.neighbours,
+            "count": rule.count, "level": self.level, "kind": line.kind, "signal": s.signal,
+            "band": None if s.band is None else list(s.band), "window": s.window, "segment": s.segment,
+            "overlap": s.overlap, "noise_source": line.source,
+            "validation": [self.model.sensors[i].label for i in self.held],
+        }  # fmt: skip
+
+    def _facts(
+        self, solved: Fit, line: LineData, H: NDArray, held: dict[str, float], spectrum: Spectrum
+    ) -> dict[str, Any]:
+        lines, loads = solved.told.gain.shape
+        seen = np.isfinite(solved.told.condition)
+        rank = int(np.sum(solved.path.c > 0))
+        facts: dict[str, Any] = {
+            "path": _PATHS[line.kind],
+            "m": int(solved.path.m * lines),
+            "n": lines * loads,
+            "rank": rank,
+            "nullity": lines * loads - rank,
+            "kappa": float(np.median(solved.told.condition[seen])) if seen.any() else float("inf"),
+            "edf": float(np.sum(solved.edf)),
+            "residual_to_noise": float(np.sqrt(np.median(solved.noise))) if line.known else None,
+            "noise_level": float(np.sqrt(np.median(solved.noise))),
+            "noise_source": line.source,
+            "trusted_lines": float(np.mean(spectrum.trust().all(axis=1))),
+            "trust_level": self.level,
+            "frf_errors": "none stated" if solved.errors is None else
+            f"{float(np.sqrt(np.median(solved.errors / solved.total))):.2g} of the noise",
+        }  # fmt: skip
+        facts |= line.facts or {}
+        if held:
+            facts |= {"held_out": [f"{name} {error:.2%}" for name, error in held.items()]}
+        return facts
+
+    def _flags(
+        self, solved: Fit, line: LineData, spectrum: Spectrum, choice: Choice, answer: Any, facts: dict[str, Any]
+    ) -> tuple[Flag, ...]:
+        model, labels = self.model, tuple(c.label for c in self.model.loads)
+        allowed = "LID-E306" in self.allow and self.rule.free and np.any(solved.told.gain == 0)
+        size = np.sqrt(np.mean(np.abs(solved.path.beta) ** 2, axis=1) + solved.path.outside / solved.path.m)
+        strength = size / np.sqrt(solved.noise)
+        decay = getattr(model, "decay_rate", None)
+        return guards.collect(
+            [
+                guards.overridden("E306", "rank", facts["rank"], facts["n"]) if allowed else None,
+                *model.flags,
+                *line.flags,
+                guards.not_verified(model.certificate),
+                guards.null_space(facts["m"], facts["n"], facts["rank"]),
+                guards.mixed_kinds(line.channels, line.known),
+                *guards.parameter(choice, lambda factor: None),
+                told.contradicted(solved.excess, line.source) if line.known else None,
+                told.no_spare_data(line.known, solved.path.m - spectrum.load.shape[1]),
+                told.antiresonance(spectrum, labels),
+                told.inseparable(spectrum, strength, labels),
+                None if line.data is None else told.leaking(line.data.values, answer.residual),
+                None if line.facts is None else told.too_coarse(line.facts["bandwidth"], decay),
+                guards.inverse_crime(line.data.record.simulated_by, model.fingerprint) if line.data else None,
+                guards.no_coverage(self.coverage),
+            ]
+        )
+
+
+# -- answers of the three kinds of data -------------------------------------------------------------------------------
+_PATHS = {
+    "spectra": "frequency lines",
+    "cross spectra": "cross-spectral lines",
+    "transient": "lines of the zero-padded record",
+}
+
+
+class _Answer:
+    """What an estimate is made of."""
+
+    def __init__(
+        self, load: NDArray, std: NDArray, axis: Axis, unit: str, response: NDArray, residual: NDArray
+    ) -> None:
+        self.load, self.std, self.axis, self.unit = load, std, axis, unit
+        self.response, self.residual = response, residual
+        self.posterior: SpectralPosterior | None = None
+        self.cross: NDArray | None = None
+        self.amplitudes: NDArray = load
+
+
+def _of_spectra(solved: Fit, line: LineData, H: NDArray) -> _Answer:
+    load, X = solved.load[..., 0], line.X[..., 0]
+    rest = X - np.einsum("ksl,kl->ks", H[:, line.rows], load)
+    return _Answer(load, np.sqrt(solved.variance), Axis("frequency", "Hz", line.frequencies), "{}", X, rest)
+
+
+def _of_cross(solved: Fit, line: LineData, H: NDArray) -> _Answer:
+    """Mean of the loads' spectra given the data: that of the estimates, and what the data leave open of each."""
+    g = solved.load
+    S = g @ g.conj().swapaxes(1, 2) + solved.covariance
+    power = np.maximum(np.einsum("kjj->kj", S).real, 0.0)
+    lost = np.minimum(solved.frf_part, solved.variance)
+    chance = (power + solved.variance - lost) ** 2 / line.averages
+    std = np.sqrt(chance + 2 * power * lost + lost**2)
+    used = H[:, line.rows]
+    X2 = np.einsum("ksn,ksn->ks", line.X.conj(), line.X).real
+    made = np.einsum("ksi,kij,ksj->ks", used, S, used.conj()).real
+    unit = "({})^2/Hz"
+    answer = _Answer(power, std, Axis("frequency", "Hz", line.frequencies), unit, X2, X2 - made)
+    answer.cross, answer.amplitudes = S, np.sqrt(power)
+    return answer
+
+
+def _of_transient(solved: Fit, line: LineData, H: NDArray) -> _Answer:
+    assert line.data is not None
+    samples = len(line.data.values)
+    G = solved.load[..., 0]
+    history = np.fft.irfft(G, line.padded, axis=0)[:samples]
+    held = np.fft.rfft(history, line.padded, axis=0)
+    made = np.fft.irfft(np.einsum("ksl,kl->ks", H[:, line.rows], held), line.padded, axis=0)[:samples]
+    known = SpectralPosterior(solved.covariance, samples, line.padded)
+    axis = Axis("time", "s", np.asarray(np.arange(samples) * line.data.dt, float))
+    answer = _Answer(history, known.std, axis, "{}", line.data.values, line.data.values - made)
+    answer.posterior, answer.amplitudes = known, G
+    return answer
+
+
+_ANSWERS: dict[str, Callable[[Fit, LineData, NDArray], _Answer]] = {
+    "spectra": _of_spectra,
+    "cross spectra": _of_cross,
+    "transient": _of_transient,
+}
+
+
+# -- helpers ----------------------------------------------------------------------------------------------------------
+def _split(line: LineData, count: int) -> tuple[LineData, LineData | None]:
+    """The lines of the sensors that train, and of those that are kept out."""
+    if len(line.rows) == count:
+        return line, None
+
+    def part(pick: slice) -> LineData:
+        given = {"X": line.X[:, pick], "power": line.power[:, pick], "rows": line.rows[pick]}
+        data = line.data
+        if data is not None:
+            from dataclasses import replace
+
+            data = replace(data, values=data.values[:, pick], rows=data.rows[pick], channels=data.channels[pick],
+                           missing=data.missing[:, pick])  # fmt: skip
+        return LineData(**{**vars(line), **given, "channels": line.channels[pick], "data": data})
+
+    return part(slice(None, count)), part(slice(count, None))
+
+
+def _variance(model: Model, line: LineData) -> NDArray[np.float64] | None:
+    tell = getattr(model, "frf_variance", None)
+    found = None if tell is None else tell(line.frequencies)
+    return None if found is None or not np.any(found) else found[:, line.rows]
+
+
+def _spectrum(solved: Fit, line: LineData, level: float) -> Spectrum:
+    g = solved.load
+    mean = g[..., 0] if g.shape[2] == 1 else np.sqrt(np.einsum("kjn,kjn->kj", g.conj(), g).real + solved.variance)
+    naive = solved.told.naive
+    plain = naive[..., 0] if naive.shape[2] == 1 else np.sqrt(np.einsum("kjn,kjn->kj", naive.conj(), naive).real)
+    gain = solved.told.gain
+    deviation = np.sqrt(solved.noise)[:, None]
+    return Spectrum(
+        frequencies=line.frequencies,
+        load=mean,
+        std=np.sqrt(solved.variance),
+        naive=plain,
+        naive_std=np.where(gain > 0, deviation / np.where(gain > 0, gain, 1.0), np.inf),
+        expected=solved.expected,
+        gain=gain,
+        condition=solved.told.condition,
+        zeros=nearest_zeros(line.frequencies, gain),
+        lam=solved.lam,
+        noise=np.sqrt(solved.noise),
+        level=level,
+    )
+
+
+def _with_cross(spectrum: Spectrum, answer: _Answer) -> Spectrum:
+    from dataclasses import replace
+
+    return replace(spectrum, cross=answer.cross)
+
+
+def _held_out(answer: _Answer, line: LineData | None, H: NDArray) -> dict[str, float]:
+    """Relative error of the predicted response of each sensor that was kept out."""
+    if line is None:
+        return {}
+    used = H[:, line.rows]
+    if answer.cross is not None:
+        made = np.einsum("ksi,kij,ksj->ks", used, answer.cross, used.conj()).real
+        measured = np.einsum("ksn,ksn->ks", line.X.conj(), line.X).real
+        error = np.sum(np.abs(measured - made), axis=0) / np.sum(measured, axis=0)
+    else:
+        measured = line.X[..., 0]
+        made = np.einsum("ksl,kl->ks", used, answer.amplitudes)
+        error = np.linalg.norm(measured - made, axis=0) / np.maximum(np.linalg.norm(measured, axis=0), 1e-300)
+    return {c.label: float(e) for c, e in zip(line.channels, error, strict=True)}

@@ -1,0 +1,325 @@
+"""Loads of every line: whitened, regularised, with the errors of the FRF as part of the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.values import real, reals
+
+from ...inverse.spectral import ruled
+from ...inverse.spectral.compressed import Compressed, compress
+from ...inverse.spectral.pooled import Prior, prior, window
+from ...inverse.spectral.posterior import Factored, Identifiable, Posterior, factor, identifiable, posterior
+
+ROUNDS = 3  # of FRF errors, whose share of the noise depends on the loads
+LEAST = 0.01  # share of the shown noise that stays noise of the response
+POOL = 20  # lines to either side that a noise level of a rule rests on
+OVER = ("neighbours", "line", "band")
+METHODS = ("tikhonov", "tsvd")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How lines are regularised.
+
+    Parameters
+    ----------
+    method : ``"tikhonov"`` or ``"tsvd"``
+    choice : str, float or None
+        Rule, relative lambda or threshold; None is the evidence of the neighbouring lines (Tikhonov).
+    over : ``"neighbours"``, ``"line"`` or ``"band"``
+        Who decides: each line with its neighbours, alone, or all together.
+    neighbours : int
+        Lines to either side.
+    count : int, optional
+        Singular values kept on each line (truncated SVD).
+    size : array (loads,), optional
+        Expected relative size of the loads, which the penalty measures them by.
+    """
+
+    method: str = "tikhonov"
+    choice: str | float | None = None
+    over: str = "neighbours"
+    neighbours: int = 40
+    count: int | None = None
+    size: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        def need(good: bool, what: str, where: str, found: object, expected: str) -> None:
+            if not good:
+                raise InputError(what, where=where, found=repr(found)[:80], expected=expected)
+
+        need(self.method in METHODS, "unknown method", "method", self.method, " or ".join(METHODS))
+        need(self.over in OVER, "who decides lambda?", "over", self.over, ", ".join(OVER))
+        whole = isinstance(self.neighbours, int | np.integer) and not isinstance(self.neighbours, bool)
+        need(whole and self.neighbours >= 0, "no number of lines", "neighbours", self.neighbours, "an integer >= 0")
+        whole = isinstance(self.count, int | np.integer) and not isinstance(self.count, bool)
+        need(self.count is None or (whole and self.count >= 1), "no number of singular values", "count", self.count,
+             "an integer >= 1")  # fmt: skip
+        need(self.count is None or (self.method == "tsvd" and self.choice is None), "count is for truncation alone",
+             "count", self.count, "method='tsvd' without choice=")  # fmt: skip
+        if self.choice is not None and not isinstance(self.choice, str):
+            value = real(self.choice)
+            need(value is not None and np.isfinite(value) and value >= 0, "no relative lambda", "choice", self.choice,
+                 "a number >= 0, the name of a rule, or None")  # fmt: skip
+        if isinstance(self.choice, str):
+            known = (*ruled.FUNCTIONS, *ruled.CROSSINGS)
+            need(self.choice in known, "unknown rule", "choice", self.choice, ", ".join(known))
+
+    @property
+    def pooled(self) -> bool:
+        """Whether the variances of loads and noise around each line are the regularisation."""
+        return self.method == "tikhonov" and self.choice is None
+
+    @property
+    def free(self) -> bool:
+        """Least squares, without regularisation."""
+        return self.count is None and not isinstance(self.choice, str | None) and self.choice == 0
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Loads of every line with what is known of them; arrays are (lines, loads) unless said.
+
+    Parameters
+    ----------
+    load : array, shape (lines, loads, snapshots)
+    covariance : array, shape (lines, loads, loads)
+    told : Identifiable
+    expected : array
+        Size of the load around each line.
+    noise : array, shape (lines,)
+        Variance of the whitened noise.
+    total : array, shape (lines, sensors)
+        Variance of response noise and FRF errors that whitened the data.
+    errors : array, shape (lines, sensors), or None
+        The part of `total` that FRF errors make.
+    lam : array, shape (lines,)
+        Relative to the largest singular value of the weighted line.
+    edf : array, shape (lines,)
+    path : LinesPath
+        Of the weighted lines, for the other rules.
+    used : float
+        Lambda in use on the joined path of these lines, absolute.
+    excess : float
+        Noise over the stated level where that is contradicted, else 1 (variances).
+    frf_part : array
+        The part of `variance` that errors of the FRF make: no average reduces it.
+    """
+
+    load: NDArray[np.complex128]
+    covariance: NDArray[np.complex128]
+    told: Identifiable
+    expected: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    total: NDArray[np.float64]
+    errors: NDArray[np.float64] | None
+    lam: NDArray[np.float64]
+    edf: NDArray[np.float64]
+    path: ruled.LinesPath
+    used: float
+    excess: float
+    frf_part: NDArray[np.float64]
+
+    @property
+    def variance(self) -> NDArray[np.float64]:
+        """``E|error|^2`` of one realisation, (lines, loads)."""
+        return np.maximum(np.einsum("kjj->kj", self.covariance).real, 0.0)
+
+
+def fit(
+    H: NDArray,
+    X: NDArray,
+    power: NDArray,
+    *,
+    known: bool,
+    rule: Rule,
+    variance: NDArray | None = None,
+    averages: float = 1.0,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Fit:
+    """Solve all lines.
+
+    Parameters
+    ----------
+    H : array, shape (lines, sensors, loads)
+    X : array, shape (lines, sensors, snapshots)
+    power : array, shape (lines, sensors)
+        Variance of the noise, or a scale where it is not `known`.
+    variance : array like H, optional
+        ``E|error|^2`` of H. An error of the FRF times the load is noise of the response: ``Y = H g + n - E g``. Given
+        the loads, its variance is ``sum_j var H_ij |g_j|^2``, so that whitening and loads are settled in turn (errors
+        in variables with known variances; Fuller, Measurement Error Models, 1987, ch. 3).
+    averages : float
+        Behind the data.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, a rule that cannot run.
+    """
+    errors: NDArray | None = None
+    rounds = 1 if variance is None else ROUNDS
+    for k in range(rounds + (variance is not None)):
+        total = power if errors is None else power + errors
+        w = 1 / np.sqrt(total)
+        lines = compress(H * w[..., None], X * w[..., None])
+        left_over = None
+        if variance is not None:
+            lines, left_over = calibrated(lines, np.einsum("ksj,ks->kj", variance, w**2))
+        guess = prior(lines, neighbours=rule.neighbours, known=known, averages=averages)
+        f = factor(lines, guess.load)
+        first = posterior(f, guess.noise)
+        progress((k + 1) / (rounds + 2))
+        if variance is None or k == rounds:
+            break
+        second = first.load @ first.load.conj().swapaxes(1, 2) + first.covariance
+        size = np.maximum(np.einsum("kjj->kj", second).real, 0.0)
+        assert left_over is not None
+        errors = np.einsum("ksj,kj->ks", variance, size) * left_over(second)[:, None]
+        if not known:
+            power, known = _alone(power * guess.noise[:, None], errors), True
+    told = identifiable(f)
+    solved = _pooled(f, guess, first) if rule.pooled else _ruled(lines, f, guess, told, rule, known)
+    frf_part = np.zeros(told.gain.shape) if errors is None else _share(H * w[..., None], solved[0], errors * w**2)
+    answer, noise, lam, path, used = solved
+    return Fit(
+        load=answer.load, covariance=answer.covariance, told=told, expected=np.sqrt(guess.load), noise=noise,
+        total=total, errors=errors, lam=lam, edf=answer.edf, path=path, used=used, excess=guess.excess,
+        frf_part=frf_part,
+    )  # fmt: skip
+
+
+def calibrated(lines: Compressed, size: NDArray) -> tuple[Compressed, Callable[[NDArray], NDArray]]:
+    """The FRF that is expected given the measured one, and the share of its errors that stays.
+
+    Errors of an FRF make its small singular values too large, on average by the number of sensors times their variance,
+    and the loads in these directions too small: attenuation. The expected FRF, with the rows of a line drawn from what
+    the line shows less its errors, has ``(s^2 - 1)+ / s`` in place of each singular value s over those of the errors.
+    Regression calibration: Carroll, Ruppert, Stefanski & Crainiceanu, Measurement Error in Nonlinear Models, 2006,
+    ch. 4.
+
+    Parameters
+    ----------
+    lines : Compressed
+    size : array, shape (lines, loads)
+        Variance of each column of the whitened FRF, summed over the sensors.
+    """
+    root = np.sqrt(np.maximum(size, 1e-30 * np.max(size, axis=1, keepdims=True) + 1e-300))
+    U, s, Vh = np.linalg.svd(lines.scaled(1 / root).R, full_matrices=False)
+    kept = np.maximum(1 - 1 / np.maximum(s, 1e-150) ** 2, 0.0)
+    R = (U * (s * kept)[:, None, :]) @ (Vh * root[:, None, :])
+
+    def share(second: NDArray) -> NDArray[np.float64]:
+        T = Vh * root[:, None, :]
+        q = np.einsum("krj,kji,kri->kr", T, second, T.conj()).real
+        return np.sum(kept * q, axis=1) / np.maximum(np.sum(q, axis=1), 1e-300)
+
+    return Compressed(R, lines.b, lines.outside, lines.left), share
+
+
+Solved = tuple[Posterior, NDArray, NDArray, ruled.LinesPath, float]
+
+
+def _pooled(f: Factored, guess: Prior, answer: Posterior) -> Solved:
+    path = ruled.LinesPath(f)
+    lam = np.sqrt(guess.noise) / np.maximum(path.scale, 1e-300)
+    return answer, guess.noise, lam, path, float(np.sqrt(np.median(guess.noise)))
+
+
+def _ruled(lines: Compressed, f: Factored, guess: Prior, told: Identifiable, rule: Rule, known: bool) -> Solved:
+    """A named rule or a given lambda: one penalty |g / size|^2 for all loads of a line."""
+    size = _sizes(lines, rule.size)
+    plain = factor(lines, np.broadcast_to(size**2, lines.R.shape[::2]))
+    path = ruled.LinesPath(plain, rule.method == "tsvd")
+    lam = _lambda(path, rule, known)
+    absolute = lam * path.scale
+    used = float(np.median(absolute))
+    if rule.free:
+        noise = guess.noise
+        covariance = _least_squares(f, noise, told)
+        return Posterior(np.zeros(0), told.naive, covariance, np.sum(f.seen, axis=1)), noise, lam, path, used  # type: ignore[arg-type]
+    cut = absolute if rule.method == "tsvd" else None
+    answer = posterior(plain, absolute**2 if cut is None else guess.noise, cut)
+    noise = guess.noise if known else _noise(lines, answer, rule)
+    scale = noise / np.maximum(absolute**2, 1e-300) if cut is None else np.ones(len(noise))
+    covariance = answer.covariance * scale[:, None, None]
+    if cut is not None:  # what was left out is as large as the loads around the line
+        covariance = posterior(f, noise, _matching(f, answer)).covariance
+    return Posterior(answer.gain, answer.load, covariance, answer.edf), noise, lam, path, used
+
+
+def _lambda(path: ruled.LinesPath, rule: Rule, known: bool) -> NDArray[np.float64]:
+    lines = len(path.c)
+    if rule.count is not None:
+        k = min(rule.count, path.c.shape[1]) - 1
+        return path.c[:, k] / np.maximum(path.scale, 1e-300)
+    if rule.choice is None:  # truncation where the directions are noise
+        return ruled.choose("gcv", ruled.LineSweep.over(path, 1.0 if known else None, rule.neighbours))
+    if not isinstance(rule.choice, str):
+        if rule.over == "band":  # one absolute lambda
+            return float(rule.choice) * path.scale.max() / np.maximum(path.scale, 1e-300)
+        return np.full(lines, float(rule.choice))
+    sigma = 1.0 if known else None
+    if rule.over == "band":
+        joined = ruled.JoinedPath(path)
+        return ruled.together(rule.choice, joined, sigma) * joined.scale / np.maximum(path.scale, 1e-300)
+    near = rule.neighbours if rule.over == "neighbours" else 0
+    return ruled.choose(rule.choice, ruled.LineSweep.over(path, sigma, near))
+
+
+def _sizes(lines: Compressed, given: ArrayLike | None) -> NDArray[np.float64]:
+    """Relative size of the loads: as given, or what each needs to move the sensors as much as the others."""
+    loads = lines.shape[2]
+    if given is None:
+        strength = np.sqrt(np.mean(np.einsum("kij,kij->kj", lines.R.conj(), lines.R).real, axis=0))
+        return np.where(strength > 0, strength.max() / np.where(strength > 0, strength, 1.0), 1.0)
+    size = reals(given, what="the sizes are no real numbers", where="size")
+    if size.shape != (loads,) or not np.all(np.isfinite(size)) or np.any(size <= 0):
+        raise InputError("the sizes do not fit the loads", where="size", found=f"shape {size.shape}",
+                         expected=f"({loads},), positive")  # fmt: skip
+    return size
+
+
+def _noise(lines: Compressed, answer: Posterior, rule: Rule) -> NDArray[np.float64]:
+    """Variance of the whitened noise that the residual of neighbouring lines shows."""
+    rest = lines.b - lines.R @ answer.load
+    left = np.maximum(lines.shape[1] + lines.left - answer.edf, 0.0)
+    near, _ = window(len(lines.R), max(rule.neighbours, POOL))
+    energy = np.einsum("kin,kin->k", rest.conj(), rest).real + lines.outside
+    return np.maximum(near(energy) / np.maximum(near(left), 0.2), 1e-300)
+
+
+def _least_squares(f: Factored, noise: NDArray, told: Identifiable) -> NDArray[np.complex128]:
+    """Covariance of the least-squares loads; what a line does not see keeps its expected size."""
+    seen = f.seen
+    inverse = np.where(seen, 1 / np.where(seen, f.s, 1.0), 1.0)
+    weight = np.where(seen, noise[:, None] * inverse**2, 1.0)
+    return (f.V * weight[:, None, :]) @ f.V.conj().swapaxes(1, 2)
+
+
+def _matching(f: Factored, answer: Posterior) -> NDArray[np.float64]:
+    """Threshold over the loads of expected size that keeps as many directions as the answer has."""
+    kept = np.clip(np.round(answer.edf).astype(int), 0, f.s.shape[1])
+    walled = np.concatenate([np.full((len(kept), 1), np.inf), f.s], axis=1)
+    return walled[np.arange(len(kept)), kept]
+
+
+def _alone(shown: NDArray, errors: NDArray) -> NDArray[np.float64]:
+    """Noise of the response: what the data show, less what FRF errors explain of it."""
+    return np.maximum(shown - errors, LEAST * shown)
+
+
+def _share(H: NDArray, answer: Posterior, errors: NDArray) -> NDArray[np.float64]:
+    """Variance of the loads that FRF errors make, (lines, loads); errors are those of the whitened data."""
+    if answer.gain.ndim != 3:
+        gain = np.linalg.pinv(H)
+    else:
+        Q, _ = np.linalg.qr(H)
+        gain = answer.gain @ Q.conj().swapaxes(1, 2)
+    return np.einsum("kjs,ks->kj", np.abs(gain) ** 2, errors)

@@ -1,0 +1,147 @@
+"""How large loads and noise are around each line: the evidence of the neighbouring lines.
+
+Loads of neighbouring lines are as large as each other on average, though their phases tell nothing of each other: each
+load is drawn from a complex normal distribution whose variance changes slowly with frequency, and so is the noise. The
+variances with the largest evidence are the regularisation: they replace a lambda per line, which the few data of one
+line determine badly, and let an inactive load vanish. M. E. Tipping, J. Mach. Learn. Res. 1 (2001) 211, for variances
+by evidence; D. J. C. MacKay, Neural Computation 4 (1992) 415.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .compressed import Compressed
+
+SWEEPS = 8  # more of them fit the chance of a window, not its loads
+SETTLED = 0.02  # change of a standard deviation at which the sweeps end
+ENOUGH = 60  # data beyond the loads that a noise level rests on
+DOUBT = 2.5  # standard errors by which the noise must exceed the stated level before that is set aside
+TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Variances around each line.
+
+    Parameters
+    ----------
+    load : array, shape (lines, loads)
+        Of each load, one standard error above the most probable: a load that is not seen is not said to be zero.
+    noise : array, shape (lines,)
+        Of the whitened data, 1 where the stated level holds.
+    sweeps : int
+        How many it took.
+    excess : float
+        Median of the noise over the stated level on the lines that contradict it; 1 where none does.
+    """
+
+    load: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    sweeps: int
+    excess: float = 1.0
+
+
+def prior(
+    lines: Compressed, *, neighbours: int = 40, known: bool = False, averages: float = 1.0, noise: NDArray | None = None
+) -> Prior:
+    """Variances of loads and noise with the largest evidence in a window around each line.
+
+    Parameters
+    ----------
+    lines : Compressed
+    neighbours : int
+        Lines to either side that count, with Hann weights.
+    known : bool
+        The whitened noise has variance 1; it is set aside where the data contradict it.
+    averages : float
+        Independent averages behind the data.
+    noise : array (lines,), optional
+        Variance of the whitened noise that is used as it is.
+    """
+    near, count = window(len(lines.R), neighbours)
+    half = 0 if not lines.left else int(np.ceil(ENOUGH / (2 * lines.left * averages)))
+    beside, _ = window(len(lines.R), max(half, 1) if lines.left else neighbours)
+    energy = np.einsum("kij,kij->kj", lines.R.conj(), lines.R).real
+    matched = _square(lines.R.conj().swapaxes(1, 2) @ lines.b)
+    load = near(matched) / np.maximum(near(energy**2), TINY) / lines.shape[2] + TINY
+    fixed = noise is not None or known
+    v = noise if noise is not None else np.ones(len(lines.R)) if known else _start(lines, beside, load, energy)
+    excess = 1.0
+    if noise is None and known and lines.left:
+        v, excess = contradicted(lines, averages)
+    sweeps, information = 0, np.ones_like(load)
+    while sweeps < SWEEPS:
+        sweeps += 1
+        scaled = lines.scaled(np.sqrt(load))
+        a, inverse = _explained(scaled, v)
+        gained = near(_square(scaled.R.conj().swapaxes(1, 2) @ a))
+        information = np.maximum(near(_information(scaled.R, inverse)), TINY)
+        ratio = gained / information
+        load = np.maximum(load * ratio, TINY)
+        if not fixed:
+            trace = np.einsum("kii->k", inverse).real
+            v = v * beside(_energy(a) + lines.outside / v**2) / beside(trace + lines.left / v)
+        heavy = information > 0.1  # of loads that the data see
+        if not heavy.any() or np.max(np.abs(np.log(np.maximum(ratio[heavy], TINY)))) < 2 * SETTLED:
+            break
+    error = 1 / (np.sqrt(count * averages) * information)
+    return Prior(load * (1 + error), v, sweeps, excess)
+
+
+def window(lines: int, half: int) -> tuple[Callable[[NDArray], NDArray[np.float64]], float]:
+    """Hann-weighted mean over neighbouring lines, and to how many independent ones that amounts."""
+    from scipy.ndimage import convolve1d
+
+    half = max(min(half, (lines - 1) // 2), 0)
+    kernel = np.hanning(2 * half + 3)[1:-1]
+    kernel /= kernel.sum()
+    if half == 0:
+        return lambda x: np.asarray(x, float), 1.0
+    return lambda x: convolve1d(np.asarray(x, float), kernel, axis=0, mode="mirror"), float(1 / np.sum(kernel**2))
+
+
+def contradicted(lines: Compressed, averages: float = 1.0) -> tuple[NDArray[np.float64], float]:
+    """Variance of the whitened noise where the data show more than the stated 1, else 1; and how much in the middle."""
+    half = int(np.ceil(2 * ENOUGH / (2 * lines.left * averages)))
+    beside, count = window(len(lines.R), half)
+    shown = beside(lines.outside) / lines.left
+    limit = 1 + DOUBT / np.sqrt(count * lines.left * averages)
+    above = shown > limit
+    return np.where(above, shown, 1.0), float(np.median(shown[above])) if np.mean(above) > 0.05 else 1.0
+
+
+def _start(lines: Compressed, beside: Callable, load: NDArray, energy: NDArray) -> NDArray[np.float64]:
+    """First guess of the noise."""
+    data = _energy(lines.b) + lines.outside
+    if lines.left:
+        return np.maximum(beside(lines.outside) / lines.left, 1e-24 * np.max(data))
+    return np.maximum(1e-3 * beside(data) / lines.shape[1], 1e-24 * np.max(data))
+
+
+def _explained(scaled: Compressed, v: NDArray) -> tuple[NDArray, NDArray]:
+    """``M^-1 b`` and ``M^-1`` of the covariance M = A A^H + v I of the data: well conditioned by the noise in it."""
+    A = scaled.R
+    M = A @ A.conj().swapaxes(1, 2)
+    size = np.einsum("kii->k", M).real + v
+    rows = np.arange(M.shape[1])
+    M[:, rows, rows] += np.maximum(v, 1e-14 * size)[:, None]
+    inverse = np.linalg.inv(M / size[:, None, None]) / size[:, None, None]
+    return inverse @ scaled.b, inverse
+
+
+def _information(A: NDArray, inverse: NDArray) -> NDArray[np.float64]:
+    return np.einsum("kij,kij->kj", A.conj(), inverse @ A).real
+
+
+def _square(x: NDArray) -> NDArray[np.float64]:
+    """Sum of squares over the snapshots."""
+    return np.einsum("kjn,kjn->kj", x.conj(), x).real
+
+
+def _energy(x: NDArray) -> NDArray[np.float64]:
+    return np.einsum("kjn,kjn->k", x.conj(), x).real
