@@ -1,0 +1,190 @@
+"""Inversion of 2000 FRF lines beside what users would take. `python -m tests.benchmarks.frf [--quick] [--peer PYTHON]`.
+
+The plate of `tests.frfplate`: 20 responses, 5 forces of which two are close and one is silent, 30 dB of noise and an FRF
+that errs by 0.2 % in frequency and 10 % in damping, as accelerance, mobility and receptance. Relative load error of a
+line: median (med); of all lines (glob); what leaks into the silent force (leak). CPU seconds of one thread, medians of
+some runs. Nobody tells the noise level. forcefinder (GPL-3) runs in its own environment, whose interpreter ``--peer`` or
+the variable FORCEFINDER_PYTHON names; ``--quick`` leaves out its cross-validation.
+
+Ends with 1 if a figure misses its limit.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loadid import FrequencyInversion, Spectra
+from structures import FrfModel
+from tests import frfplate
+from tests.frfplate import KINDS, Lines
+
+OURS: dict[str, dict[str, Any]] = {
+    "loadid, default": {},
+    "loadid, GCV of neighbours": {"choice": "gcv"},
+    "loadid, GCV per line": {"choice": "gcv", "over": "line"},
+    "loadid, L-curve per line": {"choice": "l_curve", "over": "line"},
+    "loadid, TSVD by GCV": {"method": "tsvd"},
+}
+DEFAULT = "loadid, default"
+PEER_DEFAULT, PEER_VALIDATION = "forcefinder, L-curve (default)", "forcefinder, LOO cross-validation"
+LIMITS = {"accelerance": (0.145, 0.40), "mobility": (0.200, 0.26), "receptance": (0.75, 1.0)}  # med, glob
+FASTER = {PEER_DEFAULT: 3.0, PEER_VALIDATION: 60.0}
+PINVS, SCALES, SAME = 6.0, (1e-6, 1e-3, 1e3, 1e6), 1e-9
+
+
+@dataclass(frozen=True)
+class Row:
+    """Scores of one method for each kind of FRF, and its CPU seconds (median over the kinds; nan: not a method)."""
+
+    name: str
+    scores: dict[str, dict[str, float]]
+    seconds: float
+
+    def __str__(self) -> str:
+        cells = [f"{s['med']:6.3f}{s['glob']:7.3f}{s['leak']:6.2f}" for s in self.scores.values()]
+        return f"{self.name:34s}{self.seconds:8.3f}   " + "   ".join(cells)
+
+
+def cpu(action: Callable[[], object], repeat: int) -> float:
+    """Median of CPU seconds over some runs."""
+    taken = []
+    for _ in range(repeat):
+        start = time.process_time()
+        action()
+        taken.append(time.process_time() - start)
+    return float(np.median(taken))
+
+
+def made(kind: str, case: Lines) -> tuple[FrfModel, Spectra]:
+    """Model and data as the package takes them."""
+    return FrfModel.from_frf(case.frequencies, case.H, kind=kind), Spectra(case.frequencies, case.Y)
+
+
+def ours(kind: str, case: Lines, **settings: Any) -> NDArray[np.complex128]:
+    """The load by the public interface, which also gives std, flags, and the voices of all rules."""
+    model, spectra = made(kind, case)
+    return FrequencyInversion(model, **settings).estimate(spectra).load
+
+
+def plain(cases: dict[str, Lines], repeat: int) -> list[Row]:
+    """The best that the truth allows, and what a user writes with numpy."""
+    methods: dict[str, Callable[[Lines], NDArray]] = {
+        "best lambda of each line (truth)": frfplate.oracle,
+        "numpy pinv": lambda c: frfplate.pinv(c.H, c.Y),
+        "numpy Tikhonov, L-curve": lambda c: frfplate.l_curve(c.H, c.Y),
+        "numpy Tikhonov, GCV": lambda c: frfplate.gcv(c.H, c.Y),
+    }
+    rows = []
+    for name, run in methods.items():
+        scores = {kind: case.scores(run(case)) for kind, case in cases.items()}
+        timed = [] if run is frfplate.oracle else [cpu(lambda c=c: run(c), repeat) for c in cases.values()]
+        rows.append(Row(name, scores, float(np.median(timed)) if timed else float("nan")))
+    return rows
+
+
+def package(cases: dict[str, Lines], repeat: int) -> list[Row]:
+    """The package's methods; times of the whole estimate, with std, flags and other rules."""
+    rows = []
+    for name, settings in OURS.items():
+        scores, timed = {}, []
+        for kind, case in cases.items():
+            scores[kind] = case.scores(ours(kind, case, **settings))
+            model, spectra = made(kind, case)
+            timed.append(cpu(lambda m=model, s=spectra: FrequencyInversion(m, **settings).estimate(s), repeat))
+        rows.append(Row(name, scores, float(np.median(timed))))
+    return rows
+
+
+def peer_python(arguments: list[str]) -> Path | None:
+    """Interpreter of the environment where forcefinder is installed, if anybody named one."""
+    named = arguments[arguments.index("--peer") + 1] if "--peer" in arguments[:-1] else None
+    found = named or os.environ.get("FORCEFINDER_PYTHON")
+    return Path(found) if found else None
+
+
+def peer(cases: dict[str, Lines], python: Path, quick: bool) -> list[Row]:
+    """forcefinder's methods, run as a child on the same numbers."""
+    data: dict[str, Any] = {"names": np.array(list(cases)), "frequencies": cases["mobility"].frequencies}
+    data |= {f"{k}:{part}": getattr(c, part) for k, c in cases.items() for part in ("H", "Y")}
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder, "problems.npz"), Path(folder, "loads.npz")
+        np.savez(source, **data)
+        script = Path(__file__).with_name("frf_peer.py")
+        run = [str(python), str(script), str(source), str(target), *(["--quick"] if quick else [])]
+        subprocess.run(run, check=True, capture_output=True)
+        with np.load(target) as found:
+            loads = dict(found)
+    methods = dict.fromkeys(key.split(":")[1] for key in loads)
+    return [
+        Row(
+            f"forcefinder, {m}",
+            {k: c.scores(loads[f"{k}:{m}:load"]) for k, c in cases.items()},
+            float(np.median([loads[f"{k}:{m}:seconds"][0] for k in cases])),
+        )
+        for m in methods
+    ]
+
+
+def moved(cases: dict[str, Lines]) -> dict[str, float]:
+    """Largest relative change of the load when FRF and data are scaled, over kinds and scales, of each method."""
+    out = {}
+    for name, settings in OURS.items():
+        worst = 0.0
+        for kind, case in cases.items():
+            load = ours(kind, case, **settings)
+            for scale in SCALES:
+                other = ours(kind, case.scaled(scale), **settings)
+                worst = max(worst, float(np.linalg.norm(other - load) / np.linalg.norm(load)))
+        out[name] = worst
+    return out
+
+
+def judged(rows: dict[str, Row], change: dict[str, float]) -> list[tuple[str, float, str, float, bool]]:
+    """Every figure with its limit: name, figure, sign, limit, met."""
+    found, mine = [], rows[DEFAULT]
+    for kind, (med, glob) in LIMITS.items():
+        for score, limit in (("med", med), ("glob", glob)):
+            found.append((f"{kind}, {score}", mine.scores[kind][score], "<=", limit))
+    for name, limit in FASTER.items():
+        if name in rows:
+            found.append((f"{name} over ours, time", rows[name].seconds / mine.seconds, ">=", limit))
+    found.append(("ours with all rules over pinv, time", mine.seconds / rows["numpy pinv"].seconds, "<=", PINVS))
+    found.append(("change of the load with the units", max(change.values()), "<=", SAME))
+    return [(n, v, s, limit, v <= limit if s == "<=" else v >= limit) for n, v, s, limit in found]
+
+
+def main(arguments: list[str]) -> int:
+    """Print the tables."""
+    quick, repeat = "--quick" in arguments, 5
+    cases = {kind: frfplate.lines(kind) for kind in KINDS}
+    heads = "   ".join(f"{kind:>19s}" for kind in KINDS)
+    print(f"{'2000 lines, 20 responses, 5 forces':34s}{'CPU s':>8s}   {heads}")
+    print(" " * 45 + "   ".join(["   med   glob  leak"] * 3))
+    rows = plain(cases, repeat) + package(cases, repeat)
+    python = peer_python(arguments)
+    if python is not None:
+        rows += peer(cases, python, quick)
+    for row in rows:
+        print(row)
+    if python is None:
+        print("forcefinder: no environment was named (--peer PYTHON or FORCEFINDER_PYTHON): not run")
+    table = judged({row.name: row for row in rows}, moved(cases))
+    print()
+    for name, value, sign, limit, met in table:
+        print(f"{name:50s}{value:10.3g}  {sign} {limit:<8g}{'' if met else 'MISSED'}")
+    return 0 if all(row[-1] for row in table) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
