@@ -136,7 +136,7 @@ def beam(
         from which both follow.
     tension : float or callable
         Axial force (N), positive in tension, constant or a function of x; ``scaled("tension", factor)`` changes it.
-    damping : Rayleigh, Modal or float, optional
+    damping : Rayleigh, Modal, Structural or float, optional
         Damping; a number is the ratio of every mode.
     origin : float
         x of the left end (m). Points are given in the same coordinates; matrices do not depend on it.

@@ -45,7 +45,7 @@ def chain(
         Ends.
     direction : str
         Direction of the motion.
-    damping : Rayleigh, Modal or float, optional
+    damping : Rayleigh, Modal, Structural or float, optional
         Damping of the whole; a number is the ratio of every mode.
 
     Raises
@@ -98,7 +98,7 @@ def shear_building(
         Lateral stiffness of each storey (N/m), the lowest first.
     dashpots : float or sequence, length n, optional
         N s/m between floors.
-    damping : Rayleigh, Modal or float, optional
+    damping : Rayleigh, Modal, Structural or float, optional
         Damping of the whole; a number is the ratio of every mode.
 
     Raises
@@ -120,7 +120,7 @@ def oscillator(
         kg and N/m, positive.
     dashpot : float, optional
         N s/m.
-    damping : Rayleigh, Modal or float, optional
+    damping : Rayleigh, Modal, Structural or float, optional
         Instead of a dashpot; a number is the ratio.
 
     Raises

@@ -171,7 +171,7 @@ def plate(
     harmonics : int
         Highest order n of cos n theta and sin n theta. A force off the centre needs several: what they leave out of
         the deflection under it falls with 1 / n^2.
-    damping : Rayleigh, Modal or float, optional
+    damping : Rayleigh, Modal, Structural or float, optional
         Damping; a number is the ratio of every mode.
     centre : (x0, y0)
         Coordinates of the centre (m). Places are given in the same coordinates; matrices do not depend on it.

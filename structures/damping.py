@@ -1,4 +1,4 @@
-"""Damping: Rayleigh (a matrix) and modal ratios (never a matrix)."""
+"""Damping: Rayleigh (a matrix), modal ratios (never a matrix), structural (a complex stiffness)."""
 
 from __future__ import annotations
 
@@ -179,7 +179,64 @@ class Modal:
         return Modal(np.asarray(self.ratios, float) * factor)  # type: ignore[arg-type]
 
 
-Damping = Rayleigh | Modal
+@dataclass(frozen=True)
+class Structural:
+    """Structural (hysteretic) damping: the stiffness is ``K (1 + i eta)`` on every line above 0 Hz.
+
+    It has frequency responses only: no causal motion loses the same energy per cycle at every frequency. At resonance
+    it equals a modal ratio of ``eta / 2``.
+
+    Parameters
+    ----------
+    eta : float
+        Loss factor of the whole structure, 0 to 1: 0.02, not 2.
+
+    Raises
+    ------
+    InputError
+        If it is no number or not between 0 and 1.
+
+    Notes
+    -----
+    S. H. Crandall, "The role of damping in vibration theory", J. Sound Vib. 11 (1970) 3-18; R. R. Craig, A. J. Kurdila,
+    *Fundamentals of Structural Dynamics*, 2nd ed. (2006), section 3.7.
+    """
+
+    eta: float
+
+    def __post_init__(self) -> None:
+        eta = real(self.eta)
+        if eta is None or not 0 <= eta <= 1:
+            raise InputError(
+                "a loss factor is not possible",
+                where="structural damping",
+                found=shown(self.eta),
+                expected="0 <= eta <= 1",
+                hint="give it as a fraction: damping.Structural(0.02) for 2 %",
+            )
+        object.__setattr__(self, "eta", eta)
+
+    def ratio(self, omega: ArrayLike) -> NDArray[np.float64]:
+        """Equivalent modal ratio ``eta / 2`` at the frequencies `omega` (rad/s), same shape."""
+        return np.full(np.shape(omega), self.eta / 2)
+
+    def scaled(self, factor: float) -> Structural:
+        """Damping multiplied by `factor`.
+
+        Raises
+        ------
+        InputError
+            If the loss factor leaves its range.
+        """
+        return Structural(self.eta * factor)
+
+
+Damping = Rayleigh | Modal | Structural
+
+
+def loss_factor(damping: Damping | None) -> float:
+    """Structural loss factor; 0 of any other damping."""
+    return damping.eta if isinstance(damping, Structural) else 0.0
 
 
 def settled(damping: Any) -> Damping | None:
@@ -190,7 +247,7 @@ def settled(damping: Any) -> Damping | None:
     InputError
         If it is neither.
     """
-    if damping is None or isinstance(damping, Rayleigh | Modal):
+    if damping is None or isinstance(damping, Damping):
         return damping
     ratio = real(damping)
     if ratio is None:
@@ -198,7 +255,7 @@ def settled(damping: Any) -> Damping | None:
             "no damping",
             where="damping",
             found=shown(damping),
-            expected="damping.Modal, damping.Rayleigh, a ratio such as 0.02, or None",
+            expected="damping.Modal, damping.Rayleigh, damping.Structural, a ratio such as 0.02, or None",
             hint="damping.Modal(0.02) is 2 % of critical damping in every mode",
         )
     return Modal(ratio)

@@ -10,24 +10,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from . import krylov, placing
 from .bases.basis import Basis
-from .channels import Channel
-from .damping import Modal
+from .damping import loss_factor
+from .direct import direct
 from .discretise import check, discretise, markov
-from .errors import InputError, NotIdentifiable
+from .errors import InputError
 from .factor import Factor
-from .loads import Load, near_support, sparse_matrix
+from .krylov import Krylov, ReductionError
+from .loads import Load, near_support
 from .model import Model
 from .modes import DENSE, Modes, modal_damping, modes
-from .reduction import ReducedModel, highpass, on_resonance, static_residual, unbounded
-from .statespace import StateSpace, channels, count, digest, lines
+from .reduction import ReducedModel, highpass, static_residual
+from .statespace import StateSpace, count, digest, lines
 from .structure import Structure
 from .values import positive, shown
 
 DEFAULT_MODES = 60  # of a large structure
 BAND_FACTOR = 2.5  # modes up to this multiple of the band: with the residual, a per cent of error on the worst lines
 BLIND = 1e-9  # share of a rigid mode in a row or column that is rounding
-DENSE_DIRECT = 2000  # largest structure whose modal damping is written out as a matrix
+REDUCTIONS = ("modes", "krylov")
 
 
 class ForwardModel(Model):
@@ -36,7 +38,8 @@ class ForwardModel(Model):
     Static responses come from one factorisation of the stiffness; dynamic ones from its modes with the static residual
     of the modes left out. The residual counts in every row of `frf`; in the time domain it is a feedthrough of
     displacement and strain, while velocity and acceleration take the retained modes alone (a feedthrough has no finite
-    derivative).
+    derivative). With ``reduction="krylov"`` a rational Krylov basis takes the place of the modes: a few vectors that
+    hold the response of the whole `band` to the loads that the model has, to a stated error (`reduction_error`).
 
     Parameters
     ----------
@@ -48,12 +51,17 @@ class ForwardModel(Model):
     residual : bool
         Add the static residual of the modes left out.
     band : float, optional
-        Highest frequency of interest (Hz): modes are kept up to 2.5 times it.
+        Highest frequency of interest (Hz): modes are kept up to 2.5 times it, a Krylov basis is made for it.
+    reduction : ``"modes"`` or ``"krylov"``
+        Modes serve any number of loads and any damping, with per cents of error near antiresonances. Krylov: every
+        entry to a millionth up to `band`, for at most 40 loads (or sensors) that stay in place, and damping that is a
+        matrix or structural. Time responses of it hold for loads within the band.
 
     Raises
     ------
     InputError
-        If a sensor or a load is none, has no place on the structure, or shares its label.
+        If a sensor or a load is none, has no place on the structure, or shares its label; or if a Krylov reduction
+        lacks its band or does not serve the structure.
     NotIdentifiable
         From `static()` of a structure that is not supported: it names the free rigid-body motion.
     """
@@ -67,6 +75,7 @@ class ForwardModel(Model):
         modes: int | None = None,
         residual: bool = True,
         band: float | None = None,
+        reduction: str = "modes",
     ) -> None:
         if not isinstance(structure, Structure):
             raise InputError(
@@ -77,9 +86,9 @@ class ForwardModel(Model):
                 hint="build one with beams, plates, chains or Structure.from_matrices",
             )
         self.structure = structure
-        self.sensors = _placed(sensors, "row", "sensors")
+        self.sensors = placing.placed(sensors, "row", "sensors")
         self.basis = loads if isinstance(loads, Basis) else None
-        self.loads = _placed(loads, "column", "loads", "columns")
+        self.loads = placing.placed(loads, "column", "loads", "columns")
         size = structure.free.size
         if modes is not None and not (
             isinstance(modes, int | np.integer) and not isinstance(modes, bool) and 1 <= modes <= size
@@ -97,26 +106,28 @@ class ForwardModel(Model):
             "modes": None if modes is None else int(modes),
             "residual": bool(residual),
             "band": band,
+            "reduction": reduction,
         }
-        free = structure.free
-        self._S = _rows(structure, self.sensors)[:, free].tocsr()
+        self._S = placing.rows(structure, self.sensors)
         self._derivative = np.array([int(getattr(s, "derivative", 0)) for s in self.sensors])
         self._corner = np.array([s.highpass or 0.0 for s in self.sensors])
-        given = self.basis if self.basis is not None else self.loads
-        self._columns = _columns(structure, given, free)
-        _finite_parts(self)
+        self._columns = placing.columns(structure, self.loads if self.basis is None else self.basis)
+        self._check_reduction()
         found = near_support(structure, [p for p in self.loads if isinstance(p, Load)])
         self.flags = (*getattr(structure.field, "flags", ()), *(() if found is None else (found,)))
 
     def __repr__(self) -> str:
         n = self.structure.free.size
         s = self._settings
-        if s["modes"] is None and s["band"] and n > DENSE and "modes" not in self.__dict__:
+        if s["reduction"] == "krylov":
+            kept = f"Krylov basis to {s['band']:g} Hz"
+        elif s["modes"] is None and s["band"] and n > DENSE and "modes" not in self.__dict__:
             kept = f"modes up to {BAND_FACTOR:g} x {s['band']:g} Hz"
         else:
             k = len(self.modes.lam) if "modes" in self.__dict__ else self._wanted()
             kept = f"all {n} modes" if k == n else f"{k} of {n} modes"
-        rest = " + static residual" if s["residual"] and not kept.startswith("all") else ""
+        whole = s["reduction"] == "krylov" or kept.startswith("all")
+        rest = " + static residual" if s["residual"] and not whole else ""
         return f"ForwardModel({n} free DOFs, {len(self.sensors)} sensors, {len(self.loads)} loads, {kept}{rest})"
 
     # -- parts ----------------------------------------------------------------------------------------------------
@@ -138,7 +149,14 @@ class ForwardModel(Model):
 
     @cached_property
     def modes(self) -> Modes:
-        """The modes that the model retains."""
+        """The modes that the model retains.
+
+        Raises
+        ------
+        InputError
+            If it is reduced to a Krylov basis.
+        """
+        self._reduced_to("modes", "modes")
         n, k, band = self.structure.free.size, self._wanted(), self._settings["band"]
         found = modes(self.structure, k)
         while band is not None and self._settings["modes"] is None and k < n:
@@ -150,25 +168,42 @@ class ForwardModel(Model):
         return found
 
     @cached_property
+    def krylov(self) -> Krylov:
+        """The Krylov basis of the model.
+
+        Raises
+        ------
+        InputError
+            If it is reduced to modes, or its tolerance is not reached.
+        """
+        self._reduced_to("krylov", "Krylov basis")
+        return krylov.krylov(self.structure, self._S, self._columns, self._settings["band"])
+
+    @property
+    def _shapes(self) -> Modes:
+        """Modes, or the Ritz pairs in their place."""
+        return self.modes if self._settings["reduction"] == "modes" else self.krylov.shapes
+
+    @cached_property
     def reduced(self) -> ReducedModel:
         """The model in modal coordinates."""
-        shapes = self.modes
+        shapes = self._shapes
         S, B = self._S @ shapes.phi, self._project(shapes.phi)
         # A strain gauge sees no rigid motion, a self-balanced load drives none: zero, not rounding.
         r = shapes.rigid
         S[:, :r][np.abs(S[:, :r]) < BLIND * np.abs(S).max(axis=1, keepdims=True)] = 0.0
         B[..., :r, :][np.abs(B[..., :r, :]) < BLIND * np.abs(B).max(axis=-2, keepdims=True)] = 0.0
         residual = None
-        if self._settings["residual"] and len(shapes.lam) < self.structure.free.size:
+        left_out = len(shapes.lam) < self.structure.free.size
+        if left_out and self._settings["residual"] and self._settings["reduction"] == "modes":
             if not self.moving:
                 static = self._static_rows if shapes.shift == 0 else None
                 residual = static_residual(shapes, self._S, self._columns, S, B, static)
             else:
                 full = shapes.factor.solve(self._S.T.toarray()).T
                 residual = np.einsum("sn,tnp->tsp", full, self._columns) - (S / (shapes.lam - shapes.shift)) @ B
-        return ReducedModel(
-            shapes.lam, modal_damping(self.structure, shapes), S, B, residual, self._derivative, self._corner
-        )
+        damping, loss = modal_damping(self.structure, shapes), loss_factor(self.structure.damping)
+        return ReducedModel(shapes.lam, damping, S, B, residual, self._derivative, self._corner, loss)
 
     def _project(self, phi: NDArray) -> NDArray[np.float64]:
         if not self.moving:
@@ -204,14 +239,16 @@ class ForwardModel(Model):
         ----------
         frequencies : array (lines,)
         method : ``"modal"`` or ``"direct"``
-            Direct: one factorisation of ``K - omega^2 M + i omega C`` per line, exact and slow.
+            Modal: from the reduced model. Direct: one factorisation of ``K - omega^2 M + i omega C`` per line, exact
+            and slow. A structural loss factor counts in ``K (1 + i eta)`` above 0 Hz.
 
         Raises
         ------
         NotIdentifiable
             If a line lies on a natural frequency without damping, or at 0 Hz where the structure is free (LID-E116).
         InputError
-            If a load moves, a frequency is negative, or the structure has no mass or is unstable.
+            If a load moves, a frequency is negative or above the band of a Krylov basis, or the structure has no mass
+            or is unstable.
 
         Notes
         -----
@@ -221,9 +258,11 @@ class ForwardModel(Model):
         self._fixed("frf")
         f = lines(frequencies)
         if method == "modal":
+            self._within(f)
             return self.reduced.frf(f)
         if method == "direct":
-            return self._direct(f)
+            H = direct(self.structure, self._S, self._columns, f, lambda: self._shapes)
+            return H * self._reading(f)[:, :, None]
         raise InputError(
             "no such method",
             where="frf",
@@ -231,6 +270,36 @@ class ForwardModel(Model):
             expected="'modal' or 'direct'",
             hint="modal is the quick one",
         )
+
+    def reduction_error(self, frequencies: ArrayLike) -> ReductionError:
+        """Bound of the error that the Krylov reduction makes in `frf`, for every line and entry.
+
+        Parameters
+        ----------
+        frequencies : array (lines,)
+            Hz, within the band.
+
+        Returns
+        -------
+        ReductionError
+            Absolute and relative, entry by entry (antiresonances included) and line by line.
+
+        Raises
+        ------
+        InputError
+            If the model is reduced to modes, or a line lies above the band.
+
+        Notes
+        -----
+        Both residuals of the projection, that of the load and that of the sensor, times what resonates outside the
+        basis, and the rounding of the matrices; see `structures.galerkin`.
+        """
+        f = lines(frequencies)
+        basis = self.krylov
+        self._within(f)
+        H, bound = basis.projection.errors(2 * np.pi * f)
+        reading = np.abs(self._reading(f))[:, :, None]
+        return ReductionError(f, reading * bound, reading * np.abs(H))
 
     def impulse_response(self, dt: float, samples: int, hold: str = "foh") -> NDArray[np.float64]:
         """Response to one unit held over one sample (samples, sensors, loads): the Markov parameters of `state_space`.
@@ -240,10 +309,12 @@ class ForwardModel(Model):
         Raises
         ------
         InputError
-            If the step, the hold or the number of samples is none, a load moves, or the structure has no mass.
+            If the step, the hold or the number of samples is none, a load moves, the damping is structural, or the
+            structure has no mass.
         """
         check(dt, hold)
         self._fixed("impulse_response")
+        self.reduced.refuse_time("impulse_response")
         if self.reduced.proportional:
             return markov(self.reduced, float(dt), hold, count(samples))
         return self.state_space(dt, hold).impulse_response(dt, samples)
@@ -254,7 +325,8 @@ class ForwardModel(Model):
         Raises
         ------
         InputError
-            If the step or the hold is none, a load moves at another step, or the structure has no mass.
+            If the step or the hold is none, a load moves at another step, the damping is structural, or the structure
+            has no mass.
 
         Notes
         -----
@@ -272,6 +344,7 @@ class ForwardModel(Model):
                     expected=f"dt={own:g}",
                     hint="resample its path",
                 )
+        self.reduced.refuse_time("state_space")
         return StateSpace(*discretise(self.reduced, float(dt), hold), dt, hold, sensors=self.sensors, loads=self.loads)
 
     def predict(self, load: ArrayLike, dt: float, hold: str | None = None) -> NDArray[np.float64]:
@@ -300,6 +373,8 @@ class ForwardModel(Model):
     def with_loads(self, loads: Sequence[Any]) -> ForwardModel:
         """The same structure and sensors under other loads; modes and factor are shared, so that moving one is cheap.
 
+        A Krylov basis is that of its loads: it is made anew.
+
         Raises
         ------
         InputError
@@ -313,7 +388,9 @@ class ForwardModel(Model):
     @property
     def natural_frequencies(self) -> NDArray[np.float64] | None:
         """Natural frequencies (Hz) that the model retains, ascending, 0 for rigid-body modes; None without mass."""
-        return None if self.structure.M_free is None else self.modes.frequencies
+        if self.structure.M_free is None:
+            return None
+        return self.modes.frequencies if self._settings["reduction"] == "modes" else self.krylov.frequencies
 
     @property
     def decay_rate(self) -> float | None:
@@ -323,9 +400,10 @@ class ForwardModel(Model):
     @property
     def fingerprint(self) -> str:
         """Sha256 of the structure, the rows and columns with their channels, and the settings."""
-        s = self._settings
-        parts = (*_parts(self._S), self._derivative, *_parts(self._columns))
-        return digest("ForwardModel", self.structure.digest, *parts, self.sensors, self.loads, *s.values())
+        settings = list(self._settings.values())
+        settings = settings[: len(settings) - (settings[-1] == "modes")]  # modes are what models without a choice have
+        parts = (*placing.arrays(self._S), self._derivative, *placing.arrays(self._columns))
+        return digest("ForwardModel", self.structure.digest, *parts, self.sensors, self.loads, *settings)
 
     # -- inside ---------------------------------------------------------------------------------------------------
     def _fixed(self, method: str) -> None:
@@ -339,119 +417,52 @@ class ForwardModel(Model):
                 hint="state_space() carries B(t); predict() simulates",
             )
 
-    def _direct(self, f: NDArray) -> NDArray[np.complex128]:
-        K, M = self.structure.K_free, self.structure.M_free
-        if M is None:
+    def _check_reduction(self) -> None:
+        """Refuse a reduction that is none, or that cannot serve this model."""
+        s = self._settings
+        if s["reduction"] not in REDUCTIONS:
             raise InputError(
-                "the structure has no mass matrix",
-                where="frf",
-                found="M = None",
-                expected="a structure with M",
-                hint="give M, or ask for static() only",
+                "no such reduction",
+                where="reduction",
+                found=shown(s["reduction"]),
+                expected="'modes' or 'krylov'",
+                hint="leave it out: modes and their static residual",
             )
-        C = self._damping_matrix()
-        H = np.empty((len(f), len(self.sensors), len(self.loads)), dtype=complex)
-        for i, omega in enumerate(2 * np.pi * f):
-            D = K - omega**2 * M + 1j * omega * C
-            if C.nnz == 0 and on_resonance(omega, self.modes.lam):
-                raise unbounded(f[i], self.modes.lam)
-            try:
-                H[i] = Factor(D, check=False).transfer(self._S, self._columns)
-            except (InputError, NotIdentifiable) as error:
-                raise unbounded(f[i], self.modes.lam) from error
-            H[i] *= ((1j * omega) ** self._derivative)[:, None]
-        return H * highpass(f, self._corner)[:, :, None]
-
-    def _damping_matrix(self) -> Any:
-        """Damping on the free DOFs; that of modal ratios, ``M Phi diag(c) Phi^T M``, is full: small structures only."""
-        s = self.structure
-        if not isinstance(s.damping, Modal):
-            return sparse.csr_array(s.K_free.shape) if s.C_free is None else s.C_free
-        if s.free.size > DENSE_DIRECT:
+        if s["reduction"] == "modes":
+            return
+        if s["band"] is None or s["modes"] is not None:
             raise InputError(
-                "modal damping has no sparse matrix: no direct sweep of a large structure",
-                where="frf(method='direct')",
-                found=f"{s.free.size} free DOFs",
-                expected=f"at most {DENSE_DIRECT}",
-                hint="method='modal', or Rayleigh damping",
+                "a Krylov basis is made for a band, not for a number of modes",
+                where="reduction='krylov'",
+                found=f"band={s['band']}, modes={s['modes']}",
+                expected="band= in Hz, no modes=",
+                hint="pass the highest frequency of interest as band=",
             )
-        every = self.modes if len(self.modes.lam) == s.free.size else modes(s)
-        assert s.M_free is not None  # its modes exist
-        MPhi = s.M_free @ every.phi
-        return sparse.csr_array((MPhi * modal_damping(s, every)) @ MPhi.T)
+        self._fixed("Krylov reduction")
+        krylov.refuse(self.structure, len(self.sensors), len(self.loads))
 
+    def _reduced_to(self, reduction: str, what: str) -> None:
+        if self._settings["reduction"] != reduction:
+            raise InputError(
+                f"the model is reduced by {self._settings['reduction']}: it has no {what}",
+                where="ForwardModel",
+                found=f"reduction={self._settings['reduction']!r}",
+                expected=f"reduction={reduction!r}",
+                hint="build the model with it" + (", and with band=" if reduction == "krylov" else ""),
+            )
 
-def _placed(given: Sequence[Any], method: str, where: str, other: str = "") -> tuple[Channel, ...]:
-    if isinstance(given, Channel | str) or not hasattr(given, "__iter__"):
-        given = [given]
-    items = list(given)
-    wrong = [x for x in items if not (isinstance(x, Channel) and (hasattr(x, method) or (other and hasattr(x, other))))]
-    if wrong or not items:
-        raise InputError(
-            f"no {where[:-1]}" if items else f"no {where}",
-            where=where,
-            found=repr(wrong[0]) if wrong else "an empty list",
-            expected=f"objects of structures.{where}",
-            hint='[sensors.Accelerometer("12+Z")]' if where == "sensors" else '[loads.Point("12+Z")]',
-        )
-    return channels(items, len(items), "", where)
+    def _within(self, f: NDArray) -> None:
+        """Refuse lines above the band of a Krylov basis: nothing is known of its error there."""
+        band = self._settings["band"]
+        if self._settings["reduction"] == "krylov" and len(f) and f.max() > band * (1 + 1e-9):
+            raise InputError(
+                "a line lies above the band of the Krylov basis",
+                where="frequencies",
+                found=f"{f.max():.6g} Hz",
+                expected=f"at most {band:g} Hz",
+                hint="build the model with a higher band=",
+            )
 
-
-def _ask(items: Sequence[Any], *methods: str) -> list[Any]:
-    """The first of these methods that each item has."""
-    return [next(getattr(x, name) for name in methods if hasattr(x, name)) for x in items]
-
-
-def _rows(structure: Structure, sensors: Sequence[Any]) -> sparse.csr_array:
-    """Rows of the sensors over all DOFs, sparse (sensors, n), one dense row at a time."""
-    parts = [(np.flatnonzero(values), values) for values in (s.row(structure) for s in sensors)]
-    starts = np.cumsum([0, *(len(at) for at, _ in parts)])
-    entries = np.concatenate([values[at] for at, values in parts])
-    return sparse.csr_array((entries, np.concatenate([at for at, _ in parts]), starts), shape=(len(parts), structure.n))
-
-
-def _parts(matrix: Any) -> tuple[NDArray, ...]:
-    """Arrays that a matrix is made of, in one form for equal matrices."""
-    if not sparse.issparse(matrix):
-        return (matrix,)
-    coo = matrix.tocoo()
-    order = np.lexsort(coo.coords)
-    return tuple(np.asarray(part)[order] for part in (coo.data, *(c.astype(np.int64) for c in coo.coords)))
-
-
-def _columns(structure: Any, loads: Sequence[Any], free: NDArray) -> Any:
-    """Load columns: sparse (n_free, loads), or dense (samples, n_free, loads) where one moves."""
-    if isinstance(loads, Basis):
-        return loads.columns(structure)[free].tocsc()
-    fixed = [x for x in loads if isinstance(x, Load) and not hasattr(x, "columns")]
-    columns = sparse_matrix(structure, fixed)  # names every load on a supported DOF at once
-    if len(fixed) == len(loads):
-        return columns[free].tocsc()
-    parts = [column(structure)[..., free] for column in _ask(loads, "columns", "column")]
-    lengths = {len(part) for part in parts if part.ndim == 2}
-    if not lengths:
-        return sparse.csc_array(np.array(parts).T)
-    if len(lengths) > 1:
-        raise InputError(
-            "loads that move differ in length",
-            where="loads",
-            found=sorted(lengths),
-            expected="one length",
-            hint="give every path the samples of the record",
-        )
-    length = lengths.pop()
-    return np.stack([np.broadcast_to(part, (length, free.size)) for part in parts], axis=-1)
-
-
-def _finite_parts(model: ForwardModel) -> None:
-    """A row or a column that holds NaN or nothing at all: named at once, not found in a result."""
-    S, B = model._S, model._columns
-    values = B.data if sparse.issparse(B) else B
-    if not (np.all(np.isfinite(S.data)) and np.all(np.isfinite(values))):
-        raise InputError(
-            "a sensor row or a load column holds NaN or infinity",
-            where="ForwardModel",
-            found="NaN or infinity",
-            expected="finite numbers",
-            hint="check the places and the fibres of sensors and loads",
-        )
+    def _reading(self, f: NDArray) -> NDArray[np.complex128]:
+        """What every sensor makes of a displacement (lines, sensors): its derivative and its high-pass."""
+        return (2j * np.pi * f[:, None]) ** self._derivative * highpass(f, self._corner)

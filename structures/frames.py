@@ -61,7 +61,7 @@ def frame(
     shear : bool
         Timoshenko theory (shear and rotary inertia) instead of Euler-Bernoulli. Its frequencies converge with the
         second order of the element length only, those of Euler-Bernoulli with the fourth.
-    damping : Rayleigh, Modal or float, optional
+    damping : Rayleigh, Modal, Structural or float, optional
         Damping; a number is the ratio of every mode.
 
     Returns

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from .damping import Modal
+from .damping import Modal, Rayleigh
 from .errors import InputError, NotIdentifiable
 from .factor import Factor
 
@@ -68,14 +68,7 @@ def modes(structure: Any, count: int | None = None) -> Modes:
     -----
     Shift-invert Lanczos: R. B. Lehoucq, D. C. Sorensen, C. Yang, *ARPACK Users' Guide* (1998).
     """
-    if structure.M_free is None:
-        raise InputError(
-            "the structure has no mass matrix",
-            where="modes",
-            found="M = None",
-            expected="a structure with M",
-            hint="give M, or ask for static() only",
-        )
+    needs_mass(structure, "modes")
     n = structure.K_free.shape[0]
     if count is not None and not 1 <= int(count) <= n:
         raise InputError(
@@ -92,14 +85,31 @@ def modes(structure: Any, count: int | None = None) -> Modes:
     lam, phi = lam[:k].copy(), phi[:, :k]
     lam[: min(rigid, k)] = 0.0
     if np.any(lam < 0):
-        raise InputError(
-            "the structure is unstable: its stiffness has a negative eigenvalue",
-            where="modes",
-            found=f"omega^2 = {lam.min():.4g}",
-            expected="omega^2 >= 0",
-            hint="a compressive prestress beyond buckling, or a wrong sign in K",
-        )
+        raise unstable(f"omega^2 = {lam.min():.4g}")
     return Modes(lam, phi, min(rigid, k), shift, factor)
+
+
+def needs_mass(structure: Any, where: str) -> None:
+    """Refuse a structure without a mass matrix."""
+    if structure.M_free is None:
+        raise InputError(
+            "the structure has no mass matrix",
+            where=where,
+            found="M = None",
+            expected="a structure with M",
+            hint="give M, or ask for static() only",
+        )
+
+
+def unstable(found: str) -> InputError:
+    """The refusal of a stiffness that is not positive."""
+    return InputError(
+        "the structure is unstable: its stiffness has a negative eigenvalue",
+        where="modes",
+        found=found,
+        expected="omega^2 >= 0",
+        hint="a compressive prestress beyond buckling, or a wrong sign in K",
+    )
 
 
 def anchor(structure: Any) -> tuple[int, float, Factor]:
@@ -203,7 +213,7 @@ def _bad_mass(M: NDArray) -> InputError:
 def modal_damping(structure: Any, shapes: Modes) -> NDArray[np.float64]:
     """Modal damping ``c_k`` = 2 zeta omega (k,), or ``Phi^T C Phi`` (k, k) where that is not diagonal; 1/s."""
     damping, omega = structure.damping, np.sqrt(shapes.lam)
-    if isinstance(damping, Modal) or (damping is not None and structure.C is None):
+    if isinstance(damping, Modal) or (isinstance(damping, Rayleigh) and structure.C is None):
         # Ratios are counted from the first elastic mode: a rigid-body mode has none.
         return np.concatenate([damping.coefficient(part) for part in np.split(omega, [shapes.rigid])])
     if structure.C_free is None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .damping import Modal
+from .damping import Modal, loss_factor
 from .discretise import blocks, check
 from .errors import InputError
 from .factor import Factor
@@ -126,6 +126,7 @@ def motion(model: ForwardModel, load: ArrayLike, dt: float, hold: str = "foh") -
         raise InputError("the load does not fit the model", where="motion", found=f"shape {g.shape}, or not finite",
                          expected=f"finite, (samples, {len(model.loads)})", hint="one column per load")  # fmt: skip
     reduced, s = model.reduced, model.structure
+    reduced.refuse_time("motion")
     push = g @ reduced.B.T
     q, qd = _advance(reduced.lam, reduced.damping, push, float(dt), hold)
     acceleration = push - reduced.damping * qd - reduced.lam * q
@@ -181,7 +182,7 @@ class HarmonicMotion:
         s, omega = self.structure, 2 * np.pi * self.frequency
         assert s.M_free is not None  # it moves
         u, f = self.displacement[s.free], self.forces[s.free]
-        terms = [s.K_free @ u, -(omega**2) * (s.M_free @ u), f]
+        terms = [(1 + 1j * loss_factor(s.damping)) * (s.K_free @ u), -(omega**2) * (s.M_free @ u), f]
         if s.C_free is not None:
             terms.insert(0, 1j * omega * (s.C_free @ u))
         turns = np.array([3 < abs(s.dofs[i].direction) <= 6 for i in s.free])
@@ -211,6 +212,7 @@ def harmonic_motion(model: ForwardModel, load: ArrayLike, frequency: float) -> H
         raise InputError("the load does not fit the model", where="harmonic_motion", found=f"shape {g.shape}",
                          expected=f"finite, ({len(model.loads)},)")  # fmt: skip
     omega, forces = 2 * np.pi * f, model._columns @ g
-    dynamic = s.K_free - omega**2 * s.M_free + (0.0 if s.C_free is None else 1j * omega * s.C_free)
+    dynamic = (1 + 1j * loss_factor(s.damping)) * s.K_free - omega**2 * s.M_free
+    dynamic = dynamic if s.C_free is None else dynamic + 1j * omega * s.C_free
     u = Factor(dynamic, check=False).solve(forces)
     return HarmonicMotion(s, f, np.asarray(s.expand(u), complex), np.asarray(s.expand(forces), complex))

@@ -163,7 +163,7 @@ def plate(
         supported, C clamped, F free. A cantilever plate is "CFFF".
     prestress : (Nx, Ny)
         In-plane forces per length (N/m), positive in tension; ``scaled("prestress", factor)`` changes them.
-    damping : Rayleigh, Modal or float, optional
+    damping : Rayleigh, Modal, Structural or float, optional
         Damping; a number is the ratio of every mode.
     origin : (x0, y0)
         Coordinates of the first corner (m). Points are given in the same coordinates; matrices do not depend on it.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import NotIdentifiable
+from .errors import InputError, NotIdentifiable
 from .factor import MECHANISM
 from .modes import Modes
 
@@ -36,6 +36,8 @@ class ReducedModel:
         0 displacement and strain, 1 velocity, 2 acceleration.
     corner : array (sensors,)
         Corner of the first-order high-pass in Hz; 0 = none.
+    loss : float
+        Structural loss factor; where it is not 0 the model has frequency responses only.
     """
 
     lam: NDArray[np.float64]
@@ -45,6 +47,7 @@ class ReducedModel:
     residual: NDArray[np.float64] | None
     derivative: NDArray[np.int64]
     corner: NDArray[np.float64]
+    loss: float = 0.0
 
     @property
     def moving(self) -> bool:
@@ -58,16 +61,18 @@ class ReducedModel:
 
     @property
     def decay_rate(self) -> float:
-        """Slowest decay rate (1/s) that a sensor sees; 0 where something never decays."""
+        """Slowest decay rate (1/s) that a sensor sees; 0 where something never decays. Loss as at resonance."""
         rates = [2 * np.pi * fc for fc in self.corner if fc > 0]
         elastic = self.lam > 0
         if not self.proportional:
             k = len(self.lam)
-            A = np.block([[np.zeros((k, k)), np.eye(k)], [-np.diag(self.lam), -self.damping]])
+            damping = self.damping + np.diag(self.loss * np.sqrt(self.lam))
+            A = np.block([[np.zeros((k, k)), np.eye(k)], [-np.diag(self.lam), -damping]])
             s = np.linalg.eigvals(A)
             rates.append(float(np.min(-s.real)) if np.all(elastic) else 0.0)
             return max(min(rates), 0.0)
-        c, lam = self.damping[elastic], self.lam[elastic]
+        lam = self.lam[elastic]
+        c = self.damping[elastic] + self.loss * np.sqrt(lam)
         root = np.sqrt(np.maximum(c**2 / 4 - lam, 0.0))
         # overdamped: the slow root lam / (c/2 + root) without cancellation; undamped: exactly 0
         slow = root > 0
@@ -78,6 +83,23 @@ class ReducedModel:
                 if d < 2 or self.damping[k] > 0:
                     rates.append(0.0 if d == 0 else float(self.damping[k]))
         return float(min(rates, default=0.0))
+
+    def refuse_time(self, method: str) -> None:
+        """Refuse a time response under structural damping.
+
+        Raises
+        ------
+        InputError
+            It is not causal: the loss factor has no equation of motion.
+        """
+        if self.loss:
+            raise InputError(
+                f"structural damping has no {method}: a loss factor is not causal, it has frequency responses only",
+                where=method,
+                found=f"damping.Structural({self.loss:g})",
+                expected="Rayleigh or modal damping, or a matrix C",
+                hint=f"damping={self.loss / 2:g}, the modal ratio eta / 2, has the same peaks",
+            )
 
     def frf(self, frequencies: NDArray[np.float64]) -> NDArray[np.complex128]:
         """Frequency response (lines, sensors, loads), high-pass included; the residual counts in every row.
@@ -100,10 +122,11 @@ class ReducedModel:
         elastic = self.lam > 0
         rows = max(1, FLOATS // max(1, k * p))
         step = max(1, FLOATS // max(1, k))
+        flexible = 1 / self._stiffening(omega)
         for d in (int(x) for x in np.unique(self.derivative)):
             sensors = np.flatnonzero(self.derivative == d)
             for a in range(0, lines, step):
-                w = modal_weights(omega[a : a + step], self.lam, self.damping, elastic, d)
+                w = modal_weights(omega[a : a + step], self.lam, self.damping, elastic, d, self.loss)
                 unbounded = np.argwhere(np.isnan(w))
                 w[np.isnan(w)] = 0.0
                 for b in range(0, len(sensors), rows):
@@ -114,7 +137,8 @@ class ReducedModel:
                         part[i, outer[mode] != 0] = np.nan
                     part = part.reshape(len(w), len(s), p)
                     if self.residual is not None:
-                        part += ((1j * omega[a : a + step]) ** d)[:, None, None] * self.residual[s]
+                        rest = (1j * omega[a : a + step]) ** d * flexible[a : a + step]
+                        part += rest[:, None, None] * self.residual[s]
                     H[a : a + step, s] = part
         return H
 
@@ -124,14 +148,19 @@ class ReducedModel:
         step = max(1, FLOATS // k**2)
         for a in range(0, len(omega), step):
             w = omega[a : a + step, None, None]
-            D = np.diag(self.lam) - w**2 * np.eye(k) + 1j * w * self.damping
+            stiff = self._stiffening(w) * np.diag(self.lam)
+            D = stiff - w**2 * np.eye(k) + 1j * w * self.damping
             lost = np.array([self._unbounded(d, w0) for d, w0 in zip(D, omega[a : a + step], strict=True)])
             D[lost] = np.eye(k)
             H[a : a + step] = self.S @ np.linalg.solve(D, np.broadcast_to(self.B, (len(D), *self.B.shape)))
             H[a : a + step][lost] = np.nan
         if self.residual is not None:
-            H += self.residual
+            H += self.residual / self._stiffening(omega)[:, None, None]
         return H * (1j * omega[:, None, None]) ** self.derivative[:, None]
+
+    def _stiffening(self, omega: NDArray) -> NDArray[np.complex128]:
+        """What structural damping makes of a stiffness of one: ``1 + i loss``, and 1 at rest."""
+        return np.asarray(1 + 1j * self.loss * (omega > 0), complex)
 
     def _unbounded(self, D: NDArray, omega: float) -> bool:
         """Whether the dynamic stiffness is singular to rounding; only near an undamped frequency can it be."""
@@ -162,12 +191,12 @@ def unbounded(frequency: float, lam: NDArray) -> NotIdentifiable:
 
 
 def modal_weights(
-    omega: NDArray, lam: NDArray, c: NDArray, elastic: NDArray[np.bool_], derivative: int
+    omega: NDArray, lam: NDArray, c: NDArray, elastic: NDArray[np.bool_], derivative: int, loss: float = 0.0
 ) -> NDArray[np.complex128]:
     """Frequency response of every mode (lines, k) to a unit modal force, differentiated; its limit for rigid modes."""
     jw = 1j * omega[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        stiffness = lam + jw**2 + jw * c
+        stiffness = lam * (1 + 1j * loss * (omega[:, None] > 0)) + jw**2 + jw * c
         w = jw**derivative / np.where(np.abs(stiffness) <= ON_RESONANCE * lam, np.nan, stiffness)
         for k in np.flatnonzero(~elastic).tolist():
             # One factor j omega cancels, so that the acceleration of a free body is right down to 0 Hz.

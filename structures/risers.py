@@ -45,7 +45,7 @@ def riser(
         Submerged weight (N/m): the tension at x is ``top_tension - weight_per_length (length - x)``.
     elements : int
         Equal elements.
-    damping : Rayleigh, Modal or float, optional
+    damping : Rayleigh, Modal, Structural or float, optional
         Damping of the structure; `loss_factor` gives that of a hysteretic material at one frequency.
 
     Returns

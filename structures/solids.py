@@ -58,7 +58,7 @@ def block(
         for a free body; ``with_supports`` adds rollers and points.
     origin : (x0, y0, z0)
         Coordinates of the first corner (m). Points are given in the same coordinates; matrices do not depend on it.
-    damping : Rayleigh, Modal or float, optional
+    damping : Rayleigh, Modal, Structural or float, optional
         Damping; a number is the ratio of every mode.
     allow : iterable of str
         ``("E109",)`` builds plain bricks above nu = 0.49; a flag stays.

@@ -43,8 +43,8 @@ class Structure:
         Places of the nodes in ascending order of their numbers (m).
     supports : iterable of Dof, str or (node, direction)
         DOFs that are held; kept in the order of the table.
-    damping : Rayleigh, Modal, float or None
-        In addition to C (Rayleigh) or instead of it (Modal); a number is the Modal ratio of every mode.
+    damping : Rayleigh, Modal, Structural, float or None
+        In addition to C (Rayleigh, Structural) or instead of it (Modal); a number is the Modal ratio of every mode.
     field : Field, optional
         What lies between the nodes; builders give it.
     parameters : mapping of str to float

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from .. import units
-from ..damping import Damping, Modal, Rayleigh
+from ..damping import Damping, Modal, Rayleigh, Structural
 from ..dofs import TWIST, Dof
 from ..errors import InputError
 from ..storage import as_path
@@ -57,7 +57,7 @@ def load(
         DOFs that are held; else ``supports`` of the container.
     coordinates : array (nodes, dim), optional
         Places of the nodes in ascending order; else those of the DOF table, or ``coordinates`` of the container.
-    damping : Rayleigh, Modal or float, optional
+    damping : Rayleigh, Modal, Structural or float, optional
         As in `Structure`; else what `save` stored.
     names : dict, optional
         How the matrices are called in the container: ``{"K": "KAAX"}``.
@@ -289,11 +289,13 @@ def _supports(supports: Iterable[Any] | None, container: Container | None) -> li
 
 
 def _damping(container: Container) -> Damping | None:
-    rayleigh, modal = container.array("rayleigh"), container.array("modal")
+    rayleigh, modal, structural = (container.array(name) for name in ("rayleigh", "modal", "structural"))
     if rayleigh is not None and rayleigh.shape == (2,):
         return Rayleigh(float(rayleigh[0]), float(rayleigh[1]))
     if modal is not None:
         return Modal(float(modal) if modal.ndim == 0 else modal.tolist())
+    if structural is not None and structural.size == 1:
+        return Structural(float(structural.reshape(())))
     return None
 
 

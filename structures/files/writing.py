@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .. import storage
-from ..damping import Modal, Rayleigh
+from ..damping import Modal, Rayleigh, Structural
 from ..errors import InputError
 from ..structure import Structure
 from ..values import shown
@@ -78,4 +78,6 @@ def _arrays(structure: Structure, mark: str) -> dict[str, np.ndarray]:
         out["rayleigh"] = np.array([structure.damping.alpha, structure.damping.beta])
     elif isinstance(structure.damping, Modal):
         out["modal"] = np.asarray(structure.damping.ratios, float)
+    elif isinstance(structure.damping, Structural):
+        out["structural"] = np.array(structure.damping.eta)
     return out
