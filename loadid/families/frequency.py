@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -153,8 +154,9 @@ class FrequencyInversion:
         variance = _variance(self.model, line)
         self._progress(0.2, "solving the lines")
         solved = fit(
-            H[:, line.rows], line.X, line.power, known=line.known, rule=self.rule, variance=variance,
-            averages=line.averages, progress=lambda s: self._progress(0.2 + 0.6 * s, "solving the lines"),
+            H[:, line.rows], line.X, line.power, known=line.known, rule=_spread(self.rule, line), variance=variance,
+            averages=line.averages * line.fullness,
+            progress=lambda s: self._progress(0.2 + 0.6 * s, "solving the lines"),
         )  # fmt: skip
         self._refuse_undetermined(solved)
         self._progress(0.85, "asking other rules")
@@ -351,13 +353,16 @@ def _split(line: LineData, count: int) -> tuple[LineData, LineData | None]:
         given = {"X": line.X[:, pick], "power": line.power[:, pick], "rows": line.rows[pick]}
         data = line.data
         if data is not None:
-            from dataclasses import replace
-
             data = replace(data, values=data.values[:, pick], rows=data.rows[pick], channels=data.channels[pick],
                            missing=data.missing[:, pick])  # fmt: skip
         return LineData(**{**vars(line), **given, "channels": line.channels[pick], "data": data})
 
     return part(slice(None, count)), part(slice(count, None))
+
+
+def _spread(rule: Rule, line: LineData) -> Rule:
+    """Neighbours are counted in lines of the record: a padded transform has more, which repeat each other."""
+    return replace(rule, neighbours=round(rule.neighbours / line.fullness))
 
 
 def _variance(model: Model, line: LineData) -> NDArray[np.float64] | None:
@@ -390,8 +395,6 @@ def _spectrum(solved: Fit, line: LineData, level: float) -> Spectrum:
 
 
 def _with_cross(spectrum: Spectrum, answer: _Answer) -> Spectrum:
-    from dataclasses import replace
-
     return replace(spectrum, cross=answer.cross)
 
 

@@ -27,12 +27,14 @@ def antiresonance(spectrum: Spectrum, labels: tuple[str, ...]) -> Flag | None:
         f"{labels[j]}: " + ("all" if share[j] == 1 else f"{share[j]:.1%}, {in_words(spectrum.bands(j))}")
         for j in np.argsort(-share)[:4] if share[j]
     )  # fmt: skip
-    seen = spectrum.predicted[:, worst]
+    seen, power = spectrum.predicted[:, worst], spectrum.expected**2
+    held = float(np.max(np.sum(power * flagged, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)))
     return Flag(
         "W507",
         Evidence("largest predicted relative std", float(np.min([np.max(seen), 1e6])), spectrum.level),
         f"{count} of {lines} lines do not tell some load to {spectrum.level:.0%} ({where}): antiresonances, or no load "
-        "there; they are shaded and left out of the picture, and what stands in `load` there is mostly prior",
+        f"there. They hold up to {held:.0%} of the power of a load, are shaded in the picture, and what stands in `load` "
+        "there is mostly prior",
         "add sensors that move at these lines, lower the noise, or average longer; estimate.trust(level) is the mask",
     )
 
@@ -90,8 +92,8 @@ def inseparable(spectrum: Spectrum, strength: NDArray, labels: tuple[str, ...]) 
     return Flag(
         "W516",
         Evidence("condition of H on an excited line", float(min(spectrum.condition[k], 1e16)), float(strength[k])),
-        f"forces not separable on {where}: the condition of H exceeds signal over noise, so that {', '.join(labels[:4])} "
-        "can be exchanged",
+        f"forces not separable on {where}: the condition of H exceeds signal over noise, so that "
+        f"{', '.join(labels[:4])} can be exchanged",
         "report the resultant of the group, or add sensors that see the loads differently",
     )
 

@@ -74,6 +74,11 @@ class LineData:
     flags: tuple[Flag, ...] = ()
     facts: dict[str, Any] | None = None
 
+    @property
+    def fullness(self) -> float:
+        """Independent lines over all lines: below 1 where the transform was padded."""
+        return 1.0 if self.data is None else len(self.data.values) / self.padded
+
 
 @dataclass(frozen=True)
 class Settings:
