@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from .errors import InputError
 from .hits import Hit, digests, judge, unusable
 from .model import Certificate
 from .spectra import padded_length, smooth_lines
+from .windows import checked_decay, exponential, gate, taken_out
 
 FORCES = ("force", "moment", "pressure", "line_load", "arbitrary")
 SILENT = 0.01  # share of the lines on which a force may have no energy
@@ -31,7 +32,13 @@ class Impact:
 
 
 def from_hits(
-    records: Sequence[Any], dt: float | None, force: str | int, responses: Sequence[str | int], reject: bool
+    records: Sequence[Any],
+    dt: float | None,
+    force: str | int,
+    responses: Sequence[str | int],
+    reject: bool,
+    width: float | None = None,
+    decay: float = 0.0,
 ) -> dict[str, Any]:
     """Arguments of a measured model; parameters and errors as for `MeasuredModel.from_hits`."""
     tests = _gather(records, dt, force, responses)
@@ -57,13 +64,33 @@ def from_hits(
     for row, t in zip(stack, used, strict=True):
         row[: len(t.values)] = t.values
     first = tests[0]
+    if width is not None:
+        stack[..., 0] *= [gate(f, first.dt, width) for f in stack[..., 0]]
+    decay = checked_decay(decay, longest * first.dt, "from_hits")
+    peaks = np.argmax(np.abs(stack[..., 0]), axis=1)
+    w = np.stack([exponential(longest, first.dt, decay, int(k)) for k in peaks])
+    found = estimate(stack[..., 0] * w, stack[..., 1:] * w[..., None], first.dt, labels)
     return {
-        **estimate(stack[..., 0], stack[..., 1:], first.dt, labels),
+        **(_undamped(found, decay * first.dt, longest, float(np.mean(w**2))) if decay else found),
         "loads": first.channels[:1],
         "sensors": first.channels[1:],
         "hits": hits,
         "samples": longest,
     }
+
+
+def _undamped(found: dict[str, Any], decay: float, samples: int, power: float) -> dict[str, Any]:
+    """What was estimated under exponential windows of this mean square, without their damping; `decay` per sample.
+
+    Noise was recorded before it was windowed, at one level along the record: it has that level again.
+    """
+    found = {**found, "H": taken_out(found["H"], decay, samples)}
+    if "variance" in found:
+        found["variance"] = found["variance"] / power
+        found["noise_power"] = found["noise_power"] / power
+        known = found["certificate"]
+        found["certificate"] = replace(known, source=f"{known.source} (under an exponential window)")
+    return found
 
 
 def _repeated(responses: NDArray, hits: Sequence[Hit]) -> str:

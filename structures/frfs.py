@@ -58,7 +58,7 @@ class FrfEstimate:
 
 @dataclass(frozen=True, eq=False)
 class _Blocks:
-    """Cross spectra S_ff (lines, loads, loads), S_yf, S_yy (lines, sensors) of forces and responses, and their averages."""
+    """Cross spectra S_ff (lines, loads, loads), S_yf, and S_yy (lines, sensors) on the diagonal, of `averages`."""
 
     S_ff: NDArray
     S_yf: NDArray

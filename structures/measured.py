@@ -84,6 +84,8 @@ class MeasuredModel(Model):
         force: str | int,
         responses: Sequence[str | int],
         reject: bool = True,
+        gate: float | None = None,
+        decay: float = 0.0,
     ) -> Self:
         """FRF (H1), coherence, FRF variance and residual power from the records of an impact test.
 
@@ -98,11 +100,16 @@ class MeasuredModel(Model):
         reject : bool
             Leave out double hits, clipped forces and overloads. Records with NaN, without any force or with a dead
             response are left out in any case; `hits` says which and why.
+        gate : float, optional
+            Seconds on each side of the peak that are kept of the force; what lies outside is noise.
+        decay : float
+            Rate a (1/s) of an exponential window ``exp(-a t)`` on force and responses, from the peak of the force. The
+            damping a / omega that it adds is taken out again, and the variance grows by what that costs.
 
         Raises
         ------
         InputError
-            No usable hit, different steps or units, unknown channels.
+            No usable hit, different steps or units, unknown channels, a window that is none.
 
         Notes
         -----
@@ -111,7 +118,7 @@ class MeasuredModel(Model):
         """
         from .estimation import from_hits
 
-        return cls(**from_hits(records, dt, force, responses, reject))
+        return cls(**from_hits(records, dt, force, responses, reject, gate, decay))
 
     @classmethod
     def from_random(
@@ -197,7 +204,7 @@ class MeasuredModel(Model):
         ]
         return cls(f, H, sensors=rows, loads=columns, variance=spread, flags=flags)
 
-    def as_kind(self, kind: str) -> MeasuredModel:
+    def as_kind(self, kind: str) -> Self:
         """The same model with its motion sensors as accelerance, mobility or receptance.
 
         Where a sensor changes its kind the 0 Hz line tells nothing: it becomes 0, as uncertain as the line beside it.
@@ -214,7 +221,54 @@ class MeasuredModel(Model):
             certificate=known and replace(known, source=f"{known.source} (before it was converted to {kind})"),
         )
 
-    def perturbed(self, parameter: str, factor: float) -> MeasuredModel:
+    def without_window(self, decay: float, duration: float | None = None) -> Self:
+        """The model without the damping of an exponential window ``exp(-decay t)`` under which it was measured.
+
+        Parameters
+        ----------
+        decay : float
+            Rate in 1/s: that of a window that falls to the share s over T seconds is ``-ln(s) / T``.
+        duration : float, optional
+            Length T of the windowed records in s; half of the transform where not given. What comes later becomes 0.
+
+        Raises
+        ------
+        InputError
+            A decay below zero or too steep, a duration that the lines do not hold.
+
+        Notes
+        -----
+        Force and response, both windowed, give ``H(omega - i decay)``; its impulse response times ``exp(decay t)`` is
+        that of H. Where the window was on the response alone and began with the hit, the force being short, it is the
+        same. The variance grows by one over the mean square of the window: noise was recorded before it was windowed.
+        """
+        from .windows import checked_decay, exponential, taken_out
+
+        period = 2 * (len(self.frequencies) - 1)
+        samples = period // 2 if duration is None else round(duration / self.dt)
+        if not 1 <= samples <= period:
+            raise InputError(
+                "a record longer than the lines resolve",
+                where="without_window",
+                found=f"duration={duration!r} s",
+                expected=f"at most {period * self.dt:.6g} s",
+            )
+        decay = checked_decay(decay, samples * self.dt, "without_window")
+        H = taken_out(self.H, decay * self.dt, samples)
+        f = np.linspace(0.0, self.frequencies[-1], len(H))
+        changed = {name: getattr(self, name) for name in ("variance", "noise_power", "coherence")}
+        moved = {n: None if x is None else _interpolate(f, self.frequencies, x) for n, x in changed.items()}
+        if moved["variance"] is not None:
+            moved["variance"] = moved["variance"] / np.mean(exponential(samples, self.dt, decay) ** 2)
+        known = self.certificate
+        return self._like(
+            frequencies=f,
+            H=H,
+            **moved,
+            certificate=known and replace(known, source=f"{known.source} (before its window was taken out)"),
+        )
+
+    def perturbed(self, parameter: str, factor: float) -> Self:
         """The same model with its gain multiplied by `factor`; nothing else of a measured model has a name."""
         if parameter != "gain":
             raise InputError(
@@ -222,9 +276,9 @@ class MeasuredModel(Model):
             )
         return self._like(H=self.H * factor, variance=None if self.variance is None else self.variance * factor**2)
 
-    def _like(self, **changes: Any) -> MeasuredModel:
+    def _like(self, **changes: Any) -> Self:
         same = {name: getattr(self, name) for name in PARTS}
-        return MeasuredModel(**{**same, "flags": self._given_flags, **changes})
+        return type(self)(**{**same, "flags": self._given_flags, **changes})
 
     # -- the contract -----------------------------------------------------------------------------------------------
     @property
@@ -350,7 +404,7 @@ class MeasuredModel(Model):
 
     def __repr__(self) -> str:
         used = sum(h.used for h in self.hits)
-        source = f"{used} hit{'s' * (used != 1)}" if self.hits else "an imported FRF"
+        source = f"{used} record{'s' * (used != 1)}" if self.hits else "an imported FRF"
         return (
             f"MeasuredModel({len(self.sensors)} sensors, {len(self.loads)} loads, {len(self.frequencies)} lines "
             f"to {self.frequencies[-1]:.6g} Hz, from {source})"

@@ -63,7 +63,7 @@ class TestH1:
         m = model(hits(1))
         assert m.variance is m.noise_power is m.coherence is m.certificate is None
         assert m.frf_variance(m.frequencies) is m.noise_spectrum(m.frequencies) is None
-        assert "1 hit)" in repr(m)
+        assert "1 record)" in repr(m)
 
 
 @pytest.fixture(scope="module")
