@@ -120,14 +120,16 @@ def _map(figure: Figure, c: Contributions, shown: list[int], fraction: int) -> N
     bar = figure.colorbar(mesh, ax=upper, pad=0.01)
     bar.set_label(f"dB re 1 {unit(of)}", fontsize=8)
     bar.ax.tick_params(labelsize=8)
-    if c.measured is not None and c.kind != "histories":
-        measured = np.abs(c.measured[:, i])
-        lower.plot(x, _db(measured, c.kind), color=PALE, lw=3.5, label="measured", rasterized=len(x) > DENSE)
+    measured = c.measured[i] if c.measured else None
+    if measured is not None:
+        lower.plot(x, _measured_level(c, measured), color=PALE, lw=3.5, label="measured", rasterized=len(x) > DENSE)
     lower.plot(x, whole, color=INK, lw=1, label="all loads", rasterized=len(x) > DENSE)
     for rank, j in enumerate(_listed(c)[:3]):
         lower.plot(
             x, levels[:, j], color=COLOURS[rank], lw=0.8, label=text(c.loads[j].label), rasterized=len(x) > DENSE
         )
+    if c.trusted is not None:
+        _shade(lower, edges, ~c.trusted)
     lower.set_ylim(top - DYNAMIC, max(top, float(np.max(whole))) + 5)
     lower.set_ylabel(f"level [dB re 1 {unit(of)}]")
     lower.set_xlabel(name)
@@ -145,6 +147,21 @@ def _levels(c: Contributions, i: int, fraction: int) -> tuple[NDArray, NDArray, 
 
     alone, whole = (20 * np.log10(np.maximum(time_weighted(x[:, i], c.axis.step), FLOOR)) for x in (c.values, c.total))
     return alone, whole, c.axis.values, titled("time", "s") + ", fast time weighting", c.units[i]
+
+
+def _measured_level(c: Contributions, measured: NDArray) -> NDArray:
+    if c.kind != "histories":
+        return _db(np.abs(measured), c.kind)
+    from loadid.sources.levels import time_weighted
+
+    return 20 * np.log10(np.maximum(time_weighted(measured, c.axis.step), FLOOR))
+
+
+def _shade(ax: Axes, edges: NDArray, mask: NDArray) -> None:
+    """Grey behind the lines of a mask."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]))).reshape(-1, 2)
+    for k, (a, b) in enumerate(ends):
+        ax.axvspan(edges[a], edges[b], color=GREY, alpha=0.25, lw=0, label=None if k else "not trusted")
 
 
 def _listed(c: Contributions) -> list[int]:

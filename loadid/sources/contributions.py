@@ -16,9 +16,9 @@ from structures.spectra import multiplicity
 
 from ..estimate import Axis, LoadEstimate
 from . import synthesis
-from .bands import BandPower, Bands, band_power, bands_of, widths
+from .bands import Bands, band_power, bands_of, widths
 from .levels import FLOOR
-from .synthesis import DENSITIES, HISTORIES, SPECTRA, Paths
+from .synthesis import DENSITIES, HISTORIES, SPECTRA, Paths, trusted_lines
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,13 +74,17 @@ class Contributions:
     projected : array, shape (lines, sensors, loads)
         Part of each load in the power of the whole: ``Re(y_j conj(y))``, or ``Re(h_j (S_ff h^H)_j)``; of histories
         the product with the whole. Adds to the power of the whole.
-    std : array like values, or None
-        Standard deviation from that of the loads; None for histories.
-    total_std : array like total, or None
+    std : array, shape (points, sensors, loads), or None
+        Standard deviation from that of the loads, at the entries `points` of the axis.
+    total_std : array, shape (points, sensors), or None
     kind : ``"spectra"``, ``"densities"`` or ``"histories"``
     sensors, loads : tuple of Channel
-    measured : array like total, or None
-        What was measured there, where the estimate carries it.
+    points : array of int
+        All lines; some samples of a history.
+    measured : tuple of array or None
+        What was measured at each sensor, (lines,), where the estimate carries it.
+    trusted : array of bool, shape (lines,), or None
+        Lines that count in the shares: those on which every load is trusted; None is all.
     estimate : LoadEstimate
     """
 
@@ -93,7 +97,9 @@ class Contributions:
     kind: str
     sensors: tuple[Channel, ...]
     loads: tuple[Channel, ...]
-    measured: NDArray | None = None
+    points: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
+    measured: tuple[NDArray | None, ...] = ()
+    trusted: NDArray[np.bool_] | None = None
     estimate: LoadEstimate | None = field(default=None, repr=False)
 
     # -- numbers ------------------------------------------------------------------------------------------------------
@@ -119,12 +125,17 @@ class Contributions:
             No such fraction, or no line above 0 Hz.
         """
         p = _powers(self)
+        counted = np.ones(len(p.frequencies)) if self.trusted is None else self.trusted.astype(float)
         if fraction is None:
-            width = _widths(p.frequencies, p.density)
-            return _shares(None, p.known, *(np.tensordot(width, x, axes=1)[None] for x in p.parts))
+            width = _widths(p.frequencies, p.density) * counted
+            return _shares(None, np.ones(1), p.known, *(np.tensordot(width, x, axes=1)[None] for x in p.parts))
         bands = bands_of(p.frequencies, fraction)
-        found = [band_power(p.frequencies, x, bands, density=p.density) for x in p.parts]
-        return _shares(found[0], p.known, *(x.power for x in found))
+        over = [(x.T * counted).T for x in p.parts]
+        found = [band_power(p.frequencies, x, bands, density=p.density) for x in over]
+        coverage = found[0].coverage
+        if self.trusted is not None and len(p.frequencies) > 1:
+            coverage = band_power(p.frequencies, counted, bands, density=True).power / (bands.upper - bands.lower)
+        return _shares(bands, np.minimum(coverage, 1.0), p.known, *(x.power for x in found))
 
     def ranking(self, sensor: int | str | None = None) -> tuple[tuple[str, float], ...]:
         """Loads with their share in the power, largest first; without a sensor the mean over all of them.
@@ -177,7 +188,18 @@ class Contributions:
     def __str__(self) -> str:
         ranked = ", ".join(f"{name} {share:.0%}" for name, share in self.ranking() if share >= NOTHING)
         many = f"{len(self.sensors)} sensor{'s' * (len(self.sensors) != 1)}"
-        return f"share of the loads in the power of {many}: {ranked or 'none'}\n{self.table()}"
+        return f"share of the loads in the power of {many}: {ranked or 'none'}{self._doubt()}\n{self.table()}"
+
+    def _doubt(self) -> str:
+        """How many lines are not trusted, and whether they count."""
+        if self.trusted is not None:
+            return f" ({np.sum(~self.trusted)} of {len(self.trusted)} lines left out: not trusted)"
+        if self.estimate is None or self.estimate.spectrum is None or self.kind == HISTORIES:
+            return ""
+        doubtful = int(np.sum(~trusted_lines(self.estimate, None)))
+        return f" ({doubtful} of {len(self.total)} lines are not trusted and count; trust= leaves them out)" * bool(
+            doubtful
+        )
 
     def _line(self, name: str, unit: str, shares: Shares, band: int, i: int) -> str:
         row = shares.share[band, i]
@@ -220,7 +242,13 @@ class Contributions:
 
 
 def contributions(
-    model: Model, estimate: LoadEstimate, sensors: Any = None, *, covariance: ArrayLike | None = None
+    model: Model,
+    estimate: LoadEstimate,
+    sensors: Any = None,
+    *,
+    trust: float | None = None,
+    covariance: ArrayLike | None = None,
+    points: int = 0,
 ) -> Contributions:
     """Response of the sensors of a model to each load of an estimate alone.
 
@@ -232,8 +260,13 @@ def contributions(
         Complex loads or cross spectra over frequency, or load histories.
     sensors : sequence of str or int, optional
         Which ones; default all.
+    trust : float, optional
+        Only lines on which the predicted relative std of every load lies below this count in the shares:
+        ``estimate.trust(trust)``. An antiresonance that blew up would otherwise rank first.
     covariance : array, shape (lines, loads, loads), optional
         As in `synthesise`: for the std of the whole.
+    points : int
+        Samples of a history at which the std is found from the posterior.
 
     Raises
     ------
@@ -245,17 +278,23 @@ def contributions(
     chosen = tuple(model.sensors[i] for i in rows)
     same: dict[str, Any] = {
         "axis": estimate.axis, "kind": kind, "sensors": chosen, "loads": tuple(model.loads),
-        "measured": _measured(estimate, chosen), "estimate": estimate,
+        "measured": tuple(_measured(estimate, c.label) for c in chosen), "estimate": estimate,
+        "trusted": None if trust is None else trusted_lines(estimate, trust),
     }  # fmt: skip
     if kind == HISTORIES:
-        values = _histories(model, estimate, rows)
-        total = values.sum(axis=2)
-        projected = values * total[..., None]
-        return Contributions(values=values, total=total, projected=projected, std=None, total_std=None, **same)
+        return _over_time(model, estimate, rows, points, same)
     parts = synthesis.paths(model, estimate, rows, covariance)
     whole = synthesis.whole(estimate.axis, chosen, parts)
     values, projected, std = _amplitudes(parts, whole.values) if kind == SPECTRA else _densities(parts)
-    return Contributions(values=values, total=whole.values, projected=projected, std=std, total_std=whole.std, **same)
+    return Contributions(
+        values=values,
+        total=whole.values,
+        projected=projected,
+        std=std,
+        total_std=whole.std,
+        points=whole.points,
+        **same,
+    )
 
 
 # -- inside ------------------------------------------------------------------------------------------------------------
@@ -292,14 +331,23 @@ def _histories(model: Model, estimate: LoadEstimate, rows: list[int]) -> Real:
     return found
 
 
-def _measured(estimate: LoadEstimate, sensors: tuple[Channel, ...]) -> NDArray | None:
-    """Measured responses of these sensors, where the estimate carries them along its own axis."""
-    names = list(estimate.sensors)
-    labels = [c.label for c in sensors]
+def _over_time(
+    model: Model, estimate: LoadEstimate, rows: list[int], points: int, same: dict[str, Any]
+) -> Contributions:
+    values = _histories(model, estimate, rows)
+    total = values.sum(axis=2)
+    std, joint, at = synthesis.band_of_history(model, estimate, rows, points)
+    return Contributions(
+        values=values, total=total, projected=values * total[..., None], std=std, total_std=joint, points=at, **same
+    )
+
+
+def _measured(estimate: LoadEstimate, label: str) -> NDArray | None:
+    """Measured response of a sensor, where the estimate carries it along its own axis."""
     rows = 0 if estimate.axis is None else len(estimate.axis.values)
-    if estimate.response is None or len(estimate.response) != rows or not set(labels) <= set(names):
+    if estimate.response is None or len(estimate.response) != rows or label not in estimate.sensors:
         return None
-    return np.asarray(estimate.response)[:, [names.index(x) for x in labels]]
+    return np.asarray(estimate.response)[:, list(estimate.sensors).index(label)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,16 +392,18 @@ def _widths(f: Real, density: bool) -> Real:
     return np.where(f > 0, widths(f), 0.0)
 
 
-def _shares(found: BandPower | None, known: bool, alone: Real, joint: Real, whole: Real, noise: Real) -> Shares:
+def _shares(
+    bands: Bands | None, coverage: Real, known: bool, alone: Real, joint: Real, whole: Real, noise: Real
+) -> Shares:
     parts = alone.sum(axis=2)
     return Shares(
-        None if found is None else found.bands,
+        bands,
         _over(alone, parts[..., None]),
         _over(joint, whole[..., None]),
         _over(noise, parts[..., None]) if known else None,
         np.sqrt(whole),
         10 * np.log10(np.maximum(np.where(parts > 0, _over(whole, parts), 1.0), FLOOR)),
-        np.ones(1) if found is None else found.coverage,
+        coverage,
     )
 
 

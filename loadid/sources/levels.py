@@ -108,11 +108,10 @@ def running_rms(values: ArrayLike, dt: float, window: float) -> Array:
     """
     x, dt = _samples(values, "running_rms"), positive("the step", dt, where="running_rms", unit="s")
     half = int(positive("the window", window, where="running_rms", unit="s") / dt / 2)
-    total = np.concatenate([np.zeros((1, *x.shape[1:])), np.cumsum(x**2, axis=0)])
-    first = np.maximum(np.arange(len(x)) - half, 0)
-    last = np.minimum(np.arange(len(x)) + half + 1, len(x))
-    count = (last - first).reshape(-1, *[1] * (x.ndim - 1))
-    return np.sqrt(np.maximum(total[last] - total[first], 0) / count)
+    half = min(half, len(x) - 1)
+    at = np.arange(len(x))
+    count = np.minimum(at + half + 1, len(x)) - np.maximum(at - half, 0)
+    return np.sqrt(_moving_sum(x**2, half) / count.reshape(-1, *[1] * (x.ndim - 1)))
 
 
 def time_weighted(values: ArrayLike, dt: float, weighting: str | float = "fast") -> Array:
@@ -167,6 +166,24 @@ def running_level(measured: ArrayLike, synthesised: ArrayLike, dt: float, window
         m, s = (running_rms(x, dt, window) for x in (measured, synthesised))
     loud = m >= m.max(axis=0) * 10 ** (-RANGE / 20)
     return RunningLevel(np.asarray(np.arange(len(m)) * float(dt), float), m, s, decibels(s**2, m**2), loud, name)
+
+
+def _moving_sum(x: Array, half: int) -> Array:
+    """Sums over ``2 half + 1`` samples around each one, zeros beyond the ends.
+
+    From sums that begin anew in every block, so that nothing large is subtracted: a quiet stretch after a loud one
+    keeps its digits (M. van Herk, Pattern Recognition Letters 13 (1992) 517-521, for sums).
+    """
+    width = 2 * half + 1
+    blocks = -(-(len(x) + 2 * half) // width)
+    padded = np.zeros((blocks * width, *x.shape[1:]))
+    padded[half : half + len(x)] = x
+    shaped = padded.reshape(blocks, width, *x.shape[1:])
+    ahead = np.cumsum(shaped, axis=1).reshape(padded.shape)
+    back = np.cumsum(shaped[:, ::-1], axis=1)[:, ::-1].reshape(padded.shape)
+    at = np.arange(len(x))
+    whole = (at % width == 0).reshape(-1, *[1] * (x.ndim - 1))  # the window is one block: it would count twice
+    return np.asarray(np.where(whole, back[at], back[at] + ahead[at + width - 1]), float)
 
 
 def _samples(values: ArrayLike, where: str) -> Array:

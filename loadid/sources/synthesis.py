@@ -238,6 +238,48 @@ def unit_of(unit: str, kind: str) -> str:
     return f"({unit})^2/Hz" if any(x in unit for x in "/^* ") else f"{unit}^2/Hz"
 
 
+def trusted_lines(estimate: LoadEstimate, level: float | None) -> NDArray[np.bool_]:
+    """Lines on which every load is trusted at a level; None is the level of the estimate itself.
+
+    Raises
+    ------
+    InputError
+        An estimate without frequency lines, or no level.
+    """
+    return np.all(np.asarray(estimate.trust(level), bool), axis=-1)
+
+
+def band_of_history(
+    model: Model, estimate: LoadEstimate, rows: list[int], points: int, *, each: bool = True
+) -> tuple[Real | None, Real | None, NDArray[np.intp]]:
+    """Std of the response to each load alone, of that to all, (points, sensors, ...), and the samples it is known at.
+
+    `each` off leaves the loads alone out.
+
+    From the posterior, at least the response to the stated bias; None where there is no posterior or no point is asked.
+    """
+    columns, axis = order(model, estimate), estimate.over("time")
+    at = spread(len(estimate.load), points) if estimate.posterior is not None else np.empty(0, np.intp)
+    if not len(at):
+        return None, None, at
+    w = weights(model, axis.step, len(estimate.load), rows, at)
+    alone, joint = np.zeros((len(at), len(rows), w.shape[-1])), np.empty((len(at), len(rows)))
+    for i in range(len(rows)):
+        own = np.empty_like(w[:, i])
+        own[..., columns] = w[:, i]  # the posterior keeps the order of the estimate
+        joint[:, i] = estimate.posterior.variance(own)
+        for j, column in enumerate(columns if each else ()):
+            single = np.zeros_like(own)
+            single[..., column] = own[..., column]
+            alone[:, i, j] = estimate.posterior.variance(single)
+            if estimate.bias is not None:
+                hidden = np.einsum("pnj,nj->p", single, estimate.bias)
+                alone[:, i, j] = np.maximum(alone[:, i, j], hidden**2)
+        if estimate.bias is not None:
+            joint[:, i] = np.maximum(joint[:, i], np.einsum("pnj,nj->p", own, estimate.bias) ** 2)
+    return np.sqrt(np.maximum(alone, 0.0)) if each else None, np.sqrt(np.maximum(joint, 0.0)), at
+
+
 def weights(model: Model, dt: float, samples: int, rows: list[int], points: NDArray[np.intp]) -> NDArray[np.float64]:
     """What every sample of every load adds to some samples of a response, shape (points, sensors, samples, loads)."""
     h = model.impulse_response(dt, samples, model.default_hold)[:, rows]
@@ -260,16 +302,7 @@ def _history(
     columns = order(model, estimate)
     axis = estimate.over("time")
     values = model.predict(estimate.load[:, columns], axis.step)[:, rows]
-    at = spread(len(values), points) if estimate.posterior is not None else np.empty(0, np.intp)
-    if not len(at):
-        return Response(axis, values, chosen, HISTORIES)
-    w = weights(model, axis.step, len(values), rows, at)
-    own = np.empty_like(w)
-    own[..., columns] = w  # the posterior keeps the order of the estimate
-    std = np.stack([np.sqrt(np.maximum(estimate.posterior.variance(own[:, i]), 0.0)) for i in range(len(rows))], axis=1)
-    if estimate.bias is not None:
-        hidden = model.predict(estimate.bias[:, columns], axis.step)[:, rows]
-        std = np.maximum(std, np.abs(hidden[at]))
+    _, std, at = band_of_history(model, estimate, rows, points, each=False)
     return Response(axis, values, chosen, HISTORIES, std, at)
 
 

@@ -26,7 +26,7 @@ from ..validate.held_out import RECORD, held_out
 from ..validate.levels import Validation
 from . import comparison
 from .comparison import Comparison
-from .synthesis import DENSITIES, HISTORIES, SPECTRA, Response, kind_of, synthesise
+from .synthesis import DENSITIES, HISTORIES, SPECTRA, Response, kind_of, synthesise, trusted_lines
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,7 +43,8 @@ class Transfer:
     Parameters
     ----------
     comparison : Comparison
-        Measured and predicted responses; its std is that of their difference: loads, FRFs of the model, noise.
+        Measured and predicted responses; its std is that of their difference: loads, FRFs of the model, noise, and of
+        measured densities what their number of averages leaves open.
     level : float
         Probability of the band.
     flags : tuple of Flag
@@ -172,7 +173,7 @@ def validate_on(
         return _over_time(estimate, model, measured, noise, level, source)
     response = synthesise(model, estimate, covariance=covariance)
     values, lines, own = _over_frequency(measured, model, response)
-    keep = np.ones(len(lines), bool) if trust is None else _trusted(estimate, trust)[lines]
+    keep = np.ones(len(lines), bool) if trust is None else trusted_lines(estimate, trust)[lines]
     if not keep.any():
         raise InputError(
             "no line is left", where="validate_on", found=f"{len(lines)} lines, none trusted at {trust}",
@@ -183,6 +184,9 @@ def validate_on(
     std = None if response.std is None else response.std[lines]
     if known is not None and response.kind == SPECTRA:
         std = known * np.ones(values.shape) if std is None else np.hypot(std, known)
+    averages = getattr(measured, "averages", None)
+    if std is not None and response.kind == DENSITIES and averages is not None:
+        std = np.hypot(std, values / np.sqrt(averages))  # what so many averages leave open
     axis = Axis("frequency", "Hz", response.axis.values[lines])
     names, units = [c.label for c in model.sensors], [c.unit for c in model.sensors]
     made = comparison.checked(
@@ -316,16 +320,6 @@ def _noise(given: Any, model: Model, kind: str) -> Real | None:
             expected=f"one positive number, or {len(model.sensors)}", hint="in the units of the measured values",
         )  # fmt: skip
     return np.broadcast_to(array, (len(model.sensors),))
-
-
-def _trusted(estimate: LoadEstimate, level: float) -> NDArray[np.bool_]:
-    ask = getattr(estimate, "trust", None)
-    if ask is None:
-        raise InputError(
-            "this estimate does not say which lines can be trusted", where="trust", found="no trust()",
-            expected="an estimate of FrequencyInversion", hint="leave trust out",
-        )  # fmt: skip
-    return np.all(np.asarray(ask(level), bool), axis=-1)
 
 
 def _shared(estimate: LoadEstimate, names: Sequence[str], values: NDArray) -> tuple[Flag, ...]:
