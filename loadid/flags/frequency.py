@@ -33,7 +33,7 @@ def antiresonance(spectrum: Spectrum, labels: tuple[str, ...]) -> Flag | None:
         "W507",
         Evidence("largest predicted relative std", float(np.min([np.max(seen), 1e6])), spectrum.level),
         f"{count} of {lines} lines do not tell some load to {spectrum.level:.0%} ({where}): antiresonances, or no load "
-        f"there. They hold up to {held:.0%} of the power of a load, are shaded in the picture, and what stands in `load` "
+        f"there. They hold up to {held:.0%} of the power of a load and are shaded; what stands in `load` "
         "there is mostly prior",
         "add sensors that move at these lines, lower the noise, or average longer; estimate.trust(level) is the mask",
     )
