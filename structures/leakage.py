@@ -14,6 +14,7 @@ from .spectra import smooth_lines
 BURST = 30.0  # energy of the loudest over that of the middle segment; 9 segments of narrow-band noise stay below 10
 NARROW = 0.1  # share by which half the resolution lowers a peak; a peak as wide as the window loses a sixth
 SMEARED = 0.05  # share of the lines that a box window may lift
+DECAYED = 0.01  # of the peak of a segment, below which its last fiftieth has decayed
 LIFTED = 4.0  # over the spectrum with a Hann window, both smoothed over eleven lines
 
 
@@ -98,12 +99,15 @@ def narrow(
 def smeared(
     tables: Sequence[NDArray], dt: float, auto: NDArray, channels: Sequence[Channel], hop: int, detrend: str | None
 ) -> Flag | None:
-    """W508 where a box window lifts lines far above what a Hann window shows: strong lines leak."""
+    """W508 where a box window lifts lines far above what a Hann window shows: strong lines leak.
+
+    Transients that have decayed in their segments do not: there a Hann window shows less, and is the wrong one.
+    """
     n = 2 * (len(auto) - 1)
     hann = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)
     clean = smooth_lines(_autospectra(tables, dt, hann, hop, detrend), 5)
     share = np.mean(smooth_lines(auto, 5)[: len(clean)] > LIFTED * clean, axis=0)
-    bad = np.flatnonzero(share > SMEARED)
+    bad = np.flatnonzero((share > SMEARED) & ~_decayed(tables, n, hop))
     if not bad.size:
         return None
     return Flag(
@@ -112,6 +116,18 @@ def smeared(
         f"without a window, strong lines leak into the others: {_names(channels, bad)}",
         'window="hann", or segments of whole periods; a box suits transients that start and end at rest',
     )
+
+
+def _decayed(tables: Sequence[NDArray], n: int, hop: int) -> NDArray[np.bool_]:
+    """Channels (channels,) that are near rest at the end of every other segment or more."""
+    from .welch import segments
+
+    ratios = []
+    for table in tables:
+        for pieces in segments(table, n, hop, None):
+            peak = np.abs(pieces).max(axis=1)
+            ratios.append(np.abs(pieces[:, -max(1, n // 50) :]).max(axis=1) / np.where(peak > 0, peak, 1.0))
+    return np.median(np.concatenate(ratios), axis=0) < DECAYED
 
 
 def _energies(table: NDArray, n: int, hop: int) -> NDArray[np.float64]:

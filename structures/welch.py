@@ -317,8 +317,8 @@ def gather(
     InputError
         As `cross_spectra`.
     """
-    several = isinstance(values, list | tuple) and (
-        not values or np.ndim(values[0]) == 2 or hasattr(values[0], "values") or hasattr(values[0], "dt")
+    several = isinstance(values, list | tuple) and all(
+        hasattr(v, "values") or (hasattr(v, "shape") and np.ndim(v) > 0) for v in values
     )
     records = list(values) if several else [values]
     if not records:
