@@ -72,7 +72,7 @@ def read(
     Parameters
     ----------
     path : path
-        CSV and other text tables, NPY, NPZ, HDF5, LabVIEW LVM.
+        CSV and other text tables, NPY, NPZ, HDF5, MAT, universal files (UFF, UNV), LabVIEW LVM.
     record : str or int, optional
         Which record of a file that holds several: its name, or its index from 0.
     fs : float, optional

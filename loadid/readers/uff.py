@@ -64,7 +64,7 @@ def _table(run: list[Function], name: str, file: UffFile, source: Source) -> Tab
         source.refuse("too many channels", len(run), f"at most {COLUMNS}")
     source.allow(8 * len(run) * len(run[0].values), "the record")
     labels = [f.response or f.head.axes[1].label for f in run]
-    notes = [*file.notes, *dict.fromkeys(note for f in run for note in f.notes)]
+    notes = [*filter(None, [file.title]), *file.notes, *dict.fromkeys(note for f in run for note in f.notes)]
     said = [unit_of(f.head.axes[1], f.head.response[2], file.system) for f in run]
     named = [label or f"channel {k + 1}" for k, label in enumerate(labels)]
     notes += [f"{name}: {s.why}" for name, s in zip(named, said, strict=True) if s.why]

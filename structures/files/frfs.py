@@ -101,13 +101,23 @@ def _model(found: Found, asked: Asked) -> FrfModel:
         _settled(label, said, asked.reference_unit, "reference_unit", asked.path)
         for label, said in zip(found.references, found.reference_units, strict=True)
     ]
-    H = found.H * np.array([u.factor for u in rows])[:, None] / np.array([u.factor for u in columns])
     sensors = [Channel(label=n, quantity=u.quantity, unit=u.si) for n, u in zip(found.responses, rows, strict=True)]
     loads = [Channel(label=n, quantity=u.quantity, unit=u.si) for n, u in zip(found.references, columns, strict=True)]
-    kind = _kind(sensors, asked)
-    if kind is None:  # motions of several kinds, turning ones or strains: each sensor says what it is
-        return FrfModel(found.frequencies, H, sensors=sensors, loads=loads, coherence=found.coherence)
-    return FrfModel.from_frf(found.frequencies, H, kind=kind, sensors=sensors, loads=loads, coherence=found.coherence)
+    _check_kind(sensors, asked)
+    with np.errstate(over="ignore", invalid="ignore"):  # the model refuses what is not finite
+        H = found.H * (np.array([u.factor for u in rows])[:, None] / np.array([u.factor for u in columns]))
+    try:
+        model = FrfModel(found.frequencies, H, sensors=sensors, loads=loads, coherence=found.coherence)
+    except InputError as error:
+        raise InputError(
+            error.what,
+            where=f"{asked.path}: {error.where}",
+            found=error.found,
+            expected=error.expected,
+            hint=error.hint,
+            code=error.code,
+        ) from None
+    return model.judged()
 
 
 def _settled(label: str, said: Said, stated: Units, argument: str, path: str) -> units.Unit:
@@ -130,25 +140,26 @@ def _settled(label: str, said: Said, stated: Units, argument: str, path: str) ->
     return unit
 
 
-def _kind(sensors: Sequence[Channel], asked: Asked) -> str | None:
-    """Kind of the FRFs, from the quantities of the responses and what the caller states."""
+def _check_kind(sensors: Sequence[Channel], asked: Asked) -> None:
+    """Refuse a kind that is missing, or that contradicts the quantities of the responses.
+
+    Motions of several kinds, turning ones and strains may stand side by side: each sensor says what it is.
+    """
     found = {s.quantity for s in sensors}
-    motions = {quantity: kind for kind, quantity in kinds.QUANTITY.items()}
-    own = motions.get(next(iter(found))) if len(found) == 1 else None
-    if asked.kind is not None:
-        kinds.check(asked.kind, asked.path)
-        if own is not None and own != asked.kind:
-            raise InputError(
-                f"the responses are {next(iter(found))}, and kind={asked.kind!r} is stated",
-                where=asked.path,
-                found=own,
-                expected=asked.kind,
-                hint="leave kind out where the file says it, and convert with model.as_kind(...)",
-                code="LID-W208",
-            )
     if "arbitrary" in found or asked.path.lower().endswith(".mat"):  # nothing else says it
-        return kinds.check(asked.kind, asked.path)
-    return own
+        kinds.check(asked.kind, asked.path)
+    if asked.kind is None:
+        return
+    own = {kinds.QUANTITY[kinds.check(asked.kind, asked.path)]}
+    if found & set(kinds.ORDER) and found & set(kinds.ORDER) != own:
+        raise InputError(
+            f"the responses are {' and '.join(sorted(found))}, and kind={asked.kind!r} is stated",
+            where=asked.path,
+            found=", ".join(k for k, quantity in kinds.QUANTITY.items() if quantity in found),
+            expected=asked.kind,
+            hint="leave kind out where the file says it, and convert with model.as_kind(...)",
+            code="LID-W208",
+        )
 
 
 def _labels(given: Sequence[Any] | None, what: str) -> tuple[str, ...] | None:

@@ -213,7 +213,9 @@ def _get(file: Any, name: str) -> NDArray:
         return np.atleast_1d(np.array(text, dtype=str))
     if item.dtype.names == ("real", "imag"):  # how MATLAB writes complex numbers
         pair = item[()]
-        return np.asarray(pair["real"] + 1j * pair["imag"])
+        values = np.empty(np.shape(pair), np.result_type(pair["real"], np.complex64))
+        values.real, values.imag = pair["real"], pair["imag"]
+        return values
     if item.dtype.kind not in "biufcS":
         raise InputError(
             "values of a type that is not read",

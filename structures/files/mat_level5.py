@@ -157,7 +157,9 @@ class _Reader:
         beyond = real_tag.beyond
         if int(flags[0]) & 0x0800:
             imag_tag = self.tag(data, beyond)
-            part = part + 1j * self.part(data, imag_tag, count, kind, name, at)
+            both = np.empty(count, np.result_type(part, np.complex64))
+            both.real, both.imag = part, self.part(data, imag_tag, count, kind, name, at)
+            part = both
             beyond = imag_tag.beyond
         if beyond < whole.start + whole.size:
             _refuse(self.path, "a variable holds more than it declares", f"{name!r}", f"{count} numbers", at)

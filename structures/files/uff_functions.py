@@ -80,7 +80,7 @@ def function_of(block: Block, place: Place) -> Function:
     assert head is not None  # a block 58 has one
     table = _binary(block, head) if block.order else _text(block, head, place)
     at = 0 if head.even else 1
-    values = table[:, at] + 1j * table[:, at + 1] if head.complex else table[:, at]
+    values = table[:, at:].copy().view(complex)[:, 0] if head.complex else table[:, at]
     notes = list(block.notes)
     if not head.even:
         abscissa = table[:, 0]

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.structures.uff_made import binary58, text58
+
 N = 16
 F = np.round(np.hanning(N + 2)[1:-1] * 40, 4)
 A = np.round(np.sin(np.arange(N)) * 3, 4)
@@ -91,6 +93,22 @@ def hdf5(path: Path, compression=None) -> Path:
     return path
 
 
+def uff(write=text58) -> bytes:
+    """Two time responses of a universal file, with their units in the text of the axis."""
+    about = {"function": 1, "step": 0.001, "abscissa": ("time", "s"), "denominator": (0, "NONE")}
+    force = write(F, response=("NONE", 1, 3), ordinate=(13, "N"), **about)
+    return force + write(A, response=("NONE", 2, -1), ordinate=(12, "g"), **about)
+
+
+def mat(compressed=True, **arrays) -> bytes:
+    """A MAT file of level 5, written by scipy."""
+    from scipy.io import savemat
+
+    file = io.BytesIO()
+    savemat(file, arrays, do_compression=compressed)
+    return file.getvalue()
+
+
 def small_files(folder: Path) -> dict[str, Path]:
     """One valid small file per format, by its suffix."""
     (folder / "a.csv").write_text(csv())
@@ -98,4 +116,7 @@ def small_files(folder: Path) -> dict[str, Path]:
     (folder / "a.npy").write_bytes(npy(np.column_stack((T, F, A))))
     (folder / "a.npz").write_bytes(npz(x=np.column_stack((F, A)), fs=1000.0, channels=["F", "a"], units=["N", "g"]))
     hdf5(folder / "a.h5")
+    (folder / "a.uff").write_bytes(uff())
+    (folder / "a.ufb").write_bytes(uff(binary58))
+    (folder / "a.mat").write_bytes(mat(F=F, a=A, fs=1000.0))
     return {p.suffix[1:]: p for p in sorted(folder.glob("a.*"))}
