@@ -29,8 +29,16 @@ FACTS = {
     "residual_to_noise": "residual / noise",
     "resolution": "resolution width",
     "peak_bias": "share of a single-sample peak that is lost",
+    "trusted_lines": "share of the lines that tell every load",
+    "trust_level": "to a predicted error of",
+    "frf_errors": "share of the noise that errors of the FRF make",
+    "averages": "independent averages",
+    "bandwidth": "bandwidth of a line, Hz",
+    "window": "window",
+    "held_out": "prediction error of the sensors that were kept out",
     "noise_share": "share of the variance at the peak that is noise (the rest is prior)",
     "path": "solved by",
+    "window_bound": "bound on the error of solving in windows / std",
 }
 _SAID = {"resolution_unit", "noise_level", "noise_source", "guards_checked", "band"}
 _MANY = 8
@@ -117,10 +125,12 @@ def against(estimate: LoadEstimate, truth: Any, load: int = 0) -> dict[str, Any]
         ``error`` (relative, L2), ``peak_error`` (relative, signed), ``coverage_95`` (share of all samples inside the
         95 % band) and, where the load is one short pulse, ``window`` and ``coverage_95_peak`` of it; else None.
     """
-    found, known = estimate.load[:, load], np.asarray(truth, float)
+    amplitudes = estimate.load.dtype.kind == "c"
+    found, known = estimate.load[:, load], np.asarray(truth, complex if amplitudes else float)
     lower, upper = (edge[:, load] for edge in estimate.band())
-    inside = (known >= lower) & (known <= upper)
-    peak, real = (float(x[np.argmax(np.abs(x))]) for x in (found, known))
+    disc = np.abs(known - found) <= upper - np.abs(found)  # of complex amplitudes
+    inside = disc if amplitudes else (known >= lower) & (known <= upper)
+    peak, real = (float(np.abs(y) if amplitudes else y) for x in (found, known) for y in [x[np.argmax(np.abs(x))]])
     window, near = pulse_window(estimate, load), None
     if window is not None and estimate.axis is not None:
         axis = estimate.axis.values

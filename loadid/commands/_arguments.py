@@ -6,7 +6,7 @@ import math
 from argparse import ArgumentTypeError
 
 METHODS = ("tikhonov", "tsvd")
-PATHS = ("auto", "dense", "statespace", "toeplitz", "fft")
+PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
 SPARSE_RULES = ("ebic",)
 DICTIONARIES = ("dirac", "bspline", "wavelet")
 STARTS = ("rest", "unknown")

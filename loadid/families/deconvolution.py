@@ -16,10 +16,12 @@ from structures.values import real
 from .. import flags as guards
 from ..estimate import Axis, LoadEstimate
 from ..flags import sparsity as told
+from ..flags.pieces import windows_apart
 from ..inverse import diagnose, rules
 from ..inverse.choice import Choice, choose, given, residual_level
 from ..inverse.confirm import confirm
 from ..inverse.toeplitz import SpectralPath
+from ..inverse.windowed import WindowedPath
 from ..provenance import provenance
 from . import histories
 from .data import Data, gather, health
@@ -44,9 +46,10 @@ class Deconvolution:
 
     Minimises ``|R^(-1/2) (h * g - y)|^2 + lambda^2 |L g|^2`` over whole records (Jacquelin, Bennani & Hamelin, J. Sound
     Vib. 265 (2003) 81, for the problem; Hansen, SIAM 1998, for the method), exactly and at any length: short records by
-    SVD, longer ones by recursions over the state space of the model, or by convolution where it has none; the result
-    says which. Measured models go line by line over the zero-padded spectrum, which carries the errors of their FRFs
-    and is right where the response decays within the record (flag W505 says when it does not).
+    SVD, longer ones by recursions over the state space of the model, or by convolution where it has none, in windows
+    beyond 50 000 samples, with a bound on what that changes; the result says which. Measured models go line by line
+    over the zero-padded spectrum, which carries the errors of their FRFs and is right where the response decays within
+    the record (flag W505 says when it does not).
 
     Parameters
     ----------
@@ -58,7 +61,7 @@ class Deconvolution:
         (rows, samples * loads), or None for plain least squares, refused where the data do not determine the load.
     choice : str, float or None
         Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
-    path : {"auto", "dense", "statespace", "toeplitz", "fft"}
+    path : {"auto", "dense", "statespace", "toeplitz", "windows", "fft"}
         Solver; ``auto`` takes what fits the length, the model and the other settings (`loadid.families.posing.pose`).
     initial : ``"rest"``, ``"unknown"`` or array (states,)
         State of the model at the first sample: at rest, an unknown of the data, or known. State-space path only.
@@ -160,6 +163,9 @@ class Deconvolution:
         self._progress(0.5, "choosing lambda")
         choice = self._choose(posed)
         self._progress(0.9, "estimating the load")
+        windows = posed.path if isinstance(posed.path, WindowedPath) else None
+        if windows is not None:
+            windows.solve(choice.lam, lambda f, t: self._progress(0.9 + 0.09 * f, t))
         # a residual above the stated noise is model error: the band must not be narrower than what is seen
         sigma = noise_level(posed.path, choice, posed.noise)
         pushed = None
@@ -181,6 +187,9 @@ class Deconvolution:
             own_flags = guards.collect(found)
         assert solution.posterior is not None
         std = solution.posterior.std
+        if windows is not None:
+            facts["window_bound"] = windows.solve(choice.lam).bound / float(np.linalg.norm(std))
+            own_flags = guards.collect([*own_flags, windows_apart(facts["window_bound"])])
         bias = diagnose.hidden(posed.path, choice.lam, load, std)
         self._progress(1.0, "done")
         return LoadEstimate(

@@ -20,12 +20,13 @@ from structures.errors import InputError
 from .convolved.circulant import Circulant
 from .convolved.operator import Operator
 from .convolved.pcg import Sides, solve
+from .streamed import Stream
 
 SHORT = 4096  # samples of the first window that is tried
 FADED = 3e-4  # relative height of what the end of a window still does beyond the overlap: sweeps make up for it
 POWER = 12  # steps of the power method for the smallest curvature
 SAFE = 1.5
-TOLERANCE = 1e-11
+TOLERANCE, CORRECTED = 1e-11, 1e-5  # accuracy of the windows of the first sweep, and of corrections
 
 Progress = Callable[[float, str], None]
 
@@ -104,49 +105,94 @@ def solve_in_windows(
         Shapes that do not fit, NaN, no positive lambda, or an overlap of half a window and more.
     """
     h, y, w = _checked(h, y, weight, lam)
-    used = h if memory is None else h[: max(int(memory), 1)]
-    samples = y.shape[1]
-    width, over = _layout(used, samples, lam, penalty, window, overlap)
-    ahead, pieces = list(_ahead(samples, width, over)), list(_pieces(samples, width, over))
-    whole, near = _Stream(h, width), _Stream(used, width)
-    total = len(ahead) + len(pieces) * (max(sweeps, 1) - 1)
+    windows = Windows(h, y.shape[1], lam, penalty, w, window=window, overlap=overlap, memory=memory)
+    return windows.solve(y, tolerance=tolerance, sweeps=sweeps, progress=progress)
 
-    def told(done: int, text: str) -> None:
-        if progress is not None:
-            progress(min(done / total, 1.0), text)
 
-    load = np.zeros((h.shape[2], samples))
-    locals_ = _Locals(used, width, penalty, lam, w)
-    for k, (start, stop) in enumerate(ahead):
-        end = min(start + width, samples)
-        rest = y[:, start:end] - near.response(load, start, end, before=start)
-        x = locals_.follow(start, rest, load)
-        load[:, start:stop] = x[:, : stop - start]
-        told(k + 1, "windows")
-    least = locals_.curvature()
-    first = float(np.linalg.norm(_gradient(whole, np.zeros_like(load), y, w, lam, penalty)))
-    slope = _gradient(whole, load, y, w, lam, penalty)
-    changes: list[float] = []
-    for sweep in range(1, sweeps):
-        size, far = float(np.linalg.norm(load)), float(np.linalg.norm(slope)) / least
-        if far <= tolerance * size:
-            break
-        change = np.zeros_like(load)
-        for k, (start, keep) in enumerate(pieces):
-            x = locals_.solve(start, Sides(b=slope[None, :, start : start + width]))
-            change[:, keep] = x[0][:, keep.start - start : keep.stop - start]
-            told(len(ahead) + (sweep - 1) * len(pieces) + k + 1, "corrections")
-        after = _gradient(whole, load + change, y, w, lam, penalty)
-        if np.linalg.norm(after) >= np.linalg.norm(slope):  # the overlap is too short for this, or rounding is reached
-            break
-        load, slope = load + change, after
-        changes.append(float(np.linalg.norm(change)) / size if size else 0.0)
-    told(total, "done")
-    height = float(np.linalg.norm(slope))
-    return Windowed(
-        np.ascontiguousarray(load.T), height / least, height / first if first else 0.0, tuple(changes), width, over,
-        len(ahead),
-    )  # fmt: skip
+class Windows:
+    """Windows of a record that is solved at one lambda; arguments as in `solve_in_windows`, time on the last axis.
+
+    Parameters
+    ----------
+    h : array, shape (taps, sensors, loads)
+    samples : int
+    weight : array, shape (sensors, samples)
+    """
+
+    def __init__(
+        self, h: NDArray, samples: int, lam: float, penalty: str, weight: NDArray, *, window: int | None = None,
+        overlap: int | None = None, memory: int | None = None, accuracy: float = TOLERANCE,
+    ) -> None:  # fmt: skip
+        used = h if memory is None else h[: max(int(memory), 1)]
+        self.samples, self.lam, self.weight = samples, lam, weight
+        self.width, self.overlap = _layout(used, samples, lam, penalty, window, overlap)
+        self.all, self.near = Stream(h, self.width), Stream(used, self.width)
+        self.rules = Operator(np.zeros((1, 1, 1)), min(samples, 8), penalty)  # for its differences alone
+        self.locals = _Locals(used, self.width, penalty, lam, weight, accuracy)
+
+    def solve(
+        self, y: NDArray, *, tolerance: float = 1e-4, sweeps: int = 4, progress: Progress | None = None
+    ) -> Windowed:
+        """Load of data (sensors, samples), and the bound on its error."""
+        ahead, pieces = self._ahead(), list(_pieces(self.samples, self.width, self.overlap))
+        total = len(ahead) + len(pieces) * (max(sweeps, 1) - 1)
+
+        def told(done: int, text: str) -> None:
+            if progress is not None:
+                progress(min(done / total, 1.0), text)
+
+        load = self.first(y, progress=told)
+        least = self.locals.curvature()
+        first = float(np.linalg.norm(self.all.whole_adjoint(self.weight**2 * y)))
+        slope = self.slope(load, y)
+        changes: list[float] = []
+        for sweep in range(1, sweeps):
+            size, far = float(np.linalg.norm(load)), float(np.linalg.norm(slope)) / least
+            if far <= tolerance * size:
+                break
+            change = np.zeros_like(load)
+            for k, (start, keep) in enumerate(pieces):
+                x = self.locals.solve(start, Sides(b=slope[None, :, start : start + self.width]), CORRECTED)
+                change[:, keep] = x[0][:, keep.start - start : keep.stop - start]
+                told(len(ahead) + (sweep - 1) * len(pieces) + k + 1, "corrections")
+            after = self.slope(load + change, y)
+            if np.linalg.norm(after) >= np.linalg.norm(slope):  # the overlap is too short for this, or rounding
+                break
+            load, slope = load + change, after
+            changes.append(float(np.linalg.norm(change)) / size if size else 0.0)
+        told(total, "done")
+        height = float(np.linalg.norm(slope))
+        return Windowed(
+            np.ascontiguousarray(load.T), height / least, height / first if first else 0.0, tuple(changes), self.width,
+            self.overlap, len(ahead),
+        )  # fmt: skip
+
+    def first(
+        self, y: NDArray | None = None, c: NDArray | None = None, progress: Callable[[int, str], None] | None = None
+    ) -> NDArray[np.float64]:
+        """Load (loads, samples) by one sweep for data y (sensors, samples) and roughnesses c (loads, rows).
+
+        It minimises ``|y - H g|^2 + |c - lam L g|^2``, of which None is zero.
+        """
+        load = np.zeros((self.all.lines.shape[1], self.samples))
+        for k, (start, stop) in enumerate(self._ahead()):
+            end = min(start + self.width, self.samples)
+            rest = -self.near.response(load, start, end, before=start)
+            if y is not None:
+                rest += y[:, start:end]
+            own = None if c is None else c[:, max(start - self.rules.order, 0) : end - self.rules.order]
+            load[:, start:stop] = self.locals.follow(start, rest, load, own)[:, : stop - start]
+            if progress is not None:
+                progress(k + 1, "windows")
+        return load
+
+    def slope(self, load: NDArray, y: NDArray) -> NDArray[np.float64]:
+        """Half the negative gradient of the whole record's objective, (loads, samples)."""
+        out = self.all.whole_adjoint(self.weight**2 * (y - self.all.whole(load)))
+        return out - self.lam**2 * self.rules.rough_adjoint(self.rules.rough(load))
+
+    def _ahead(self) -> list[tuple[int, int]]:
+        return list(_ahead(self.samples, self.width, self.overlap))
 
 
 class _Tied(Operator):
@@ -174,26 +220,34 @@ class _Tied(Operator):
 class _Locals:
     """The windows' own problems; one preconditioner for all of them where no data are missing."""
 
-    def __init__(self, h: NDArray, width: int, penalty: str, lam: float, weight: NDArray) -> None:
+    def __init__(
+        self, h: NDArray, width: int, penalty: str, lam: float, weight: NDArray, accuracy: float = TOLERANCE
+    ) -> None:
         self.h, self.width, self.penalty, self.lam, self.weight = h, width, penalty, lam, weight
+        self.accuracy = accuracy
         self.operator = Operator(h, width, penalty)
         self.circulant = Circulant(self.operator, lam)
         self.kept: dict[tuple[int, bool], tuple[Operator, Circulant]] = {}
 
-    def solve(self, start: int, sides: Sides) -> NDArray[np.float64]:
+    def solve(self, start: int, sides: Sides, accuracy: float | None = None) -> NDArray[np.float64]:
+        accuracy = self.accuracy if accuracy is None else accuracy
         weight = self.weight[:, start : start + self.width]
         if np.all(weight == 1.0):
-            return solve(self.operator, self.circulant, sides, TOLERANCE).x
+            return solve(self.operator, self.circulant, sides, accuracy).x
         operator = Operator(self.h, self.width, self.penalty, weight.T)
-        return solve(operator, Circulant(operator, self.lam), sides, TOLERANCE).x
+        return solve(operator, Circulant(operator, self.lam), sides, accuracy).x
 
-    def follow(self, start: int, rest: NDArray, load: NDArray) -> NDArray[np.float64]:
-        """Load of the window at `start`, (loads, samples), given all load before it; `rest` is what that leaves."""
+    def follow(self, start: int, rest: NDArray, load: NDArray, rough: NDArray | None = None) -> NDArray[np.float64]:
+        """Load of the window at `start`, (loads, samples), given all load before it.
+
+        `rest` is what that leaves of the data, `rough` (loads, rows) what ``lam L g`` is drawn to, if not to zero.
+        """
         width = rest.shape[1]
         weight = self.weight[:, start : start + width]
         side = (rest * weight)[None]
+        c = None if rough is None else rough[None]
         if start == 0 and width == self.width:
-            return self.solve(0, Sides(y=side))[0]
+            return self.solve(0, Sides(y=side, c=c))[0]
         key = (width, start > 0)
         if not np.all(weight == 1.0) or key not in self.kept:
             kind = _Tied if start else Operator
@@ -204,8 +258,9 @@ class _Locals:
         else:
             found = self.kept[key]
         operator, circulant = found
-        c = -self.lam * operator.from_before(load[:, :start]) if isinstance(operator, _Tied) else None
-        return solve(operator, circulant, Sides(y=side, c=c), TOLERANCE).x[0]
+        if isinstance(operator, _Tied):
+            c = (0.0 if c is None else c) - self.lam * operator.from_before(load[:, :start])
+        return solve(operator, circulant, Sides(y=side, c=c), self.accuracy).x[0]
 
     def curvature(self) -> float:
         """Smallest curvature of the objective: lambda^2 with the identity, else by the power method on a window."""
@@ -217,48 +272,6 @@ class _Locals:
             v = solve(self.operator, self.circulant, Sides(b=v / np.linalg.norm(v)), 1e-6).x
             size = float(np.linalg.norm(v))
         return 1.0 / (SAFE * size)
-
-
-class _Stream:
-    """Products with a convolution a block at a time."""
-
-    def __init__(self, h: NDArray, block: int) -> None:
-        from scipy import fft
-
-        self.taps, self.h = len(h), np.moveaxis(h, 0, -1)
-        self.length = int(fft.next_fast_len(self.taps + block, real=True))
-        self.lines = fft.rfft(self.h, self.length)
-
-    def response(self, g: NDArray, start: int, stop: int, before: int | None = None) -> NDArray[np.float64]:
-        """Responses (sensors, stop - start) to a load (loads, samples), or to what of it comes before a sample."""
-        from scipy import fft
-
-        first = max(start - self.taps + 1, 0)
-        G = fft.rfft(g[:, first : stop if before is None else before], self.length)
-        full = fft.irfft(np.einsum("slk,lk->sk", self.lines, G), self.length)
-        return full[:, start - first : stop - first]
-
-    def adjoint(self, r: NDArray, start: int, stop: int) -> NDArray[np.float64]:
-        """Loads (loads, stop - start) of H^T r."""
-        from scipy import fft
-
-        R = fft.rfft(r[:, start : stop + self.taps - 1], self.length)
-        return fft.irfft(np.einsum("slk,sk->lk", self.lines.conj(), R), self.length)[:, : stop - start]
-
-
-def _gradient(
-    stream: _Stream, load: NDArray, y: NDArray, weight: NDArray, lam: float, penalty: str
-) -> NDArray[np.float64]:
-    """Half the negative gradient of the whole record's objective, (loads, samples)."""
-    N, block = y.shape[1], max(stream.length - stream.taps, 1)
-    rest, out = np.empty_like(y), np.empty_like(load)
-    for a in range(0, N, block):
-        b = min(a + block, N)
-        rest[:, a:b] = weight[:, a:b] ** 2 * (y[:, a:b] - stream.response(load, a, b))
-    for a in range(0, N, block):
-        out[:, a : min(a + block, N)] = stream.adjoint(rest, a, min(a + block, N))
-    rules = Operator(np.zeros((1, 1, 1)), min(N, 8), penalty)  # for its differences alone
-    return out - lam**2 * rules.rough_adjoint(rules.rough(load))
 
 
 def _ahead(samples: int, width: int, overlap: int) -> Iterator[tuple[int, int]]:

@@ -26,7 +26,8 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
     """Problem of a record, on the path that was asked for or that fits.
 
     ``auto``: dense up to some thousand unknowns, where penalties are matrices, and without regularisation; beyond, and
-    for missing samples or an initial state, the state-space path of a model with a few dozen states, else convolution.
+    for missing samples or an initial state, the state-space path of a model with a few dozen states, else convolution,
+    of a long record in windows.
     Measured models go by lines, which carry the errors of their FRFs; the truncated SVD by dense matrix or by lines.
 
     Raises
@@ -37,8 +38,8 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
     if isinstance(model, MeasuredModel):
         if settings.path in ("dense", "statespace"):
             raise InputError("a measured model has no such path", where="path", found=repr(settings.path),
-                             expected="'auto', 'fft' or 'toeplitz'")  # fmt: skip
-        if settings.path == "toeplitz" or data.missing.any() or settings.signed is not False:
+                             expected="'auto', 'fft', 'toeplitz' or 'windows'")  # fmt: skip
+        if settings.path in ("toeplitz", "windows") or data.missing.any() or settings.signed is not False:
             return convolved_measured(model, data, settings)
         settings.refuse_special("line by line")
         return measured_lines(model, data, settings)
@@ -55,7 +56,7 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
     h, values = h[late:], data.values[late:]
     if kind == "dense":
         return dense(h, values, noise, data, settings)
-    if kind == "toeplitz":
+    if kind in ("toeplitz", "windows"):
         return convolved(h, values, data.missing[late:], noise, data, settings)
     return lines(h, values, noise, data, settings)
 

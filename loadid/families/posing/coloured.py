@@ -16,10 +16,12 @@ from structures.measured import MeasuredModel
 from structures.spectra import minimum_phase, smooth_lines
 
 from ...inverse.convolved.path import ConvolvedPath
+from ...inverse.streamed import heard
+from ...inverse.windowed import WindowedPath
 from ..data import Data
 from ..noise import Noise
 from .lines import measured_response
-from .posed import Settings
+from .posed import WHOLE, Settings
 
 PILOT = 1e-2  # relative lambda of the first estimate
 NEIGHBOURS = 20  # lines to either side over which the power of the load is averaged
@@ -53,7 +55,7 @@ def coloured(model: MeasuredModel, data: Data, settings: Settings) -> Coloured:
     variance = model.frf_variance(np.linspace(0, 0.5 / model.dt, len(power)))
     if variance is not None:
         # the errors of the FRFs are in proportion to the load, of which a first estimate knows the power
-        load = ConvolvedPath(h, y).solution(PILOT, None).load
+        load = (WindowedPath if len(y) > WHOLE else ConvolvedPath)(heard(h), y).solution(PILOT, None).load
         size = smooth_lines(np.abs(np.fft.rfft(load, 2 * (len(power) - 1), axis=0)) ** 2, NEIGHBOURS)
         power = power + np.einsum("ksl,kl->ks", variance[:, data.rows], size) / len(data.values)
         h, y = _whitened(raw[:, data.rows], data.values, power)

@@ -11,13 +11,16 @@ from structures.measured import MeasuredModel
 from ...inverse.convolution import Convolution
 from ...inverse.convolved.path import ConvolvedPath
 from ...inverse.nonnegative.solver import NonNegativeRecord
+from ...inverse.streamed import Stream, heard
 from ...inverse.whitening import whiten
+from ...inverse.windowed import WindowedPath, beginning_of
 from ..data import Data
 from ..noise import Noise
 from .coloured import coloured
 from .lines import measured_response
-from .posed import Posed, Settings
+from .posed import WHOLE, Posed, Settings
 
+FEW = 4096  # samples of a record whose lines tell as much as those of a longer one, once the response has ended
 LAYOUT = 1e-12  # share of the largest line below which a line says nothing
 
 
@@ -48,25 +51,29 @@ def _posed(
     used, samples, penalty = h[:, data.rows], len(values), settings.penalty
     assert isinstance(penalty, str)
     weight = (~missing).astype(float) if missing.any() else None
-    path = ConvolvedPath(h_white, y_white, penalty, weight)
-    forward = Convolution(used, samples)
+    pieces = settings.path == "windows" or (settings.path == "auto" and samples > WHOLE and weight is None)
+    h_white = heard(h_white)
+    path = (WindowedPath if pieces else ConvolvedPath)(h_white, y_white, penalty, weight)
+    judged = (beginning_of(path) or path) if pieces else path
+    forward = Stream(heard(used))
 
     def compare(load: NDArray, lam: float, start: NDArray | None) -> tuple[NDArray, NDArray]:
-        predicted = forward.apply(load)
+        predicted = forward.whole(load.T).T
         shown = np.where(missing, predicted, values)
         return shown, shown - predicted
 
     full = None
     if len(data.rows) < h.shape[1]:
         size = np.sqrt(np.mean(h**2, axis=(0, 2)))
-        full = _layout(Convolution(h / np.where(size > 0, size, 1.0)[:, None], samples))
-    layout = _layout(Convolution(h_white, samples))
+        full = _layout(h / np.where(size > 0, size, 1.0)[:, None], samples)
 
     def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
         return NonNegativeRecord.convolved(h_white, y_white, penalty, weight=weight, signed=signed)
 
     n = path.unknowns
-    return Posed(path, noise, compare, values, "Toeplitz, preconditioned CG", used, layout, full, n, path, pushing)
+    name = "Toeplitz, in windows" if pieces else "Toeplitz, preconditioned CG"
+    visible = _layout(h_white, samples)
+    return Posed(path, noise, compare, values, name, used, visible, full, n, judged, pushing)
 
 
 def convolved_measured(model: MeasuredModel, data: Data, settings: Settings) -> Posed:
@@ -89,10 +96,11 @@ def convolved_measured(model: MeasuredModel, data: Data, settings: Settings) -> 
     return _posed(white.raw, white.h, white.y, data.values, data.missing, white.noise, data, settings)
 
 
-def _layout(operator: Convolution) -> tuple[float, int, int]:
-    """Condition number, rank and nullity by the lines of the padded transform."""
-    values = np.linalg.svd(operator.lines, compute_uv=False)
+def _layout(h: NDArray, samples: int) -> tuple[float, int, int]:
+    """Condition number, rank and nullity by the lines of a padded transform of impulse responses."""
+    h = heard(h)
+    values = np.linalg.svd(Convolution(h, min(samples, max(len(h), FEW))).lines, compute_uv=False)
     seen = values > LAYOUT * values.max()
-    unknowns = operator.samples * operator.loads
-    rank = round(unknowns * float(np.sum(seen)) / (len(values) * operator.loads))
+    unknowns = samples * h.shape[2]
+    rank = round(unknowns * float(np.sum(seen)) / values.size)
     return float(values.max() / values[seen].min()), rank, max(unknowns - rank, 0)

@@ -19,7 +19,8 @@ from ...inverse.path import RegularizationPath
 from ...inverse.penalties import order
 from .. import noise as noises
 
-PATHS = ("auto", "dense", "statespace", "toeplitz", "fft")
+PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
+WHOLE = 50_000  # samples up to which a record is convolved in one piece: `python -m tests.benchmarks.windows`
 UNUSABLE = 1e-12  # |h(0)| over max |h| below which the diagonal is zero
 
 

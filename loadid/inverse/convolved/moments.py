@@ -61,10 +61,9 @@ def chain(
     return loads, responses, roughs
 
 
-def moments(operator: Operator, circulant: Circulant, y: NDArray, solves: int, tolerance: float) -> Moments:
-    """Moments of data y (k, sensors, samples) at the lambda of the preconditioner."""
-    loads, responses, roughs = chain(operator, circulant, y, solves, tolerance)
-    rests = [y]
+def moments(y: NDArray, loads: list[NDArray], responses: list[NDArray], roughs: list[NDArray]) -> Moments:
+    """Moments of data y (k, sensors, samples) from a `chain` of two solves or more."""
+    solves, rests = len(loads), [y]
     for response in responses:
         rests.append(rests[-1] - response)
     rest, drop = [], [_dot(y, responses[0])]

@@ -5,6 +5,8 @@ Time last keeps each transform contiguous. Everything here is linear algebra: no
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,8 +34,6 @@ class Operator:
     """
 
     def __init__(self, h: NDArray, samples: int, penalty: str = "identity", weight: NDArray | None = None) -> None:
-        from scipy import fft
-
         self.samples, (self.sensors, self.loads) = int(samples), h.shape[1:]
         self.penalty, self.order = penalty, penalties.order(penalty)
         if self.samples <= self.order:
@@ -41,8 +41,12 @@ class Operator:
                              expected=f"more than {self.order} for {penalty}")  # fmt: skip
         self.h = np.ascontiguousarray(np.moveaxis(h[: self.samples], 0, -1), float)  # (sensors, loads, taps)
         self.padded = padded_length(self.samples)
-        self.lines = fft.rfft(self.h, self.padded)
         self.weight = None if weight is None else np.ascontiguousarray(weight.T, float)
+
+    @cached_property
+    def lines(self) -> NDArray[np.complex128]:
+        """Transform of the impulse responses, (sensors, loads, lines); made when first asked for."""
+        return self.transform(self.h)
 
     @property
     def rows(self) -> int:

@@ -147,14 +147,14 @@ class ConvolvedPath:
         self._check(lam)
         if pilot not in self._errors:
             load = self._solved(pilot).x
-            response = self.operator.apply(load)
+            response = self._response(load)
             self._errors = {pilot: Table(lambda at: self._bias2(at, load, response), self.lowest)}
         noise = self._noise2(lam) if sigma > 0 else 0.0
         return self._errors[pilot].at(lam)[0] + sigma**2 * noise
 
     def residual(self, lam: float) -> NDArray[np.float64]:
         """Whitened residual (samples, sensors), 0 where data are missing."""
-        return np.ascontiguousarray(self._solved(lam).r[0].T)
+        return self._beside(self._solved(lam).r)
 
     def residuals(self, lams: NDArray) -> list[NDArray[np.float64]]:
         """Residuals for the tests of whiteness: exact for one lambda, from cubics between nodes for many."""
@@ -192,6 +192,10 @@ class ConvolvedPath:
         return (1 - ahead) * r + ahead * s + width * x * (1 - x) * ((1 - x) * dr - x * ds)
 
     # -- inside -------------------------------------------------------------------------------------------------------
+    def _response(self, load: NDArray) -> NDArray[np.float64]:
+        """H g of loads (k, loads, samples)."""
+        return self.operator.apply(load)
+
     def _circulant(self, lam: float) -> Circulant:
         return Circulant(self.operator, lam * float(self.scale))
 
@@ -203,7 +207,16 @@ class ConvolvedPath:
         return self._kept[1]
 
     def _moments(self, lam: float) -> Moments:
-        return moments(self.operator, self._circulant(lam), self.y, 3, self._tolerance(lam))
+        return moments(self.y, *self._chain(lam, self.y))
+
+    def _chain(self, lam: float, y: NDArray) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
+        """Three solves, each of what the one before leaves of the penalty."""
+        return chain(self.operator, self._circulant(lam), y, 3, self._tolerance(lam))
+
+    @staticmethod
+    def _beside(x: NDArray) -> NDArray[np.float64]:
+        """Responses (1, sensors, samples) as (samples, sensors)."""
+        return np.ascontiguousarray(x[0].T)
 
     def _tolerance(self, lam: float) -> float:
         return SCALARS if lam >= WEAK * self.lowest else TIGHT
@@ -212,15 +225,15 @@ class ConvolvedPath:
         """Objective, residual, roughness and its bend (both times lambda^2); change of the load: logarithms, slopes."""
         found = self._moments(lam)
         if self.y.size <= KEPT:
-            self._residuals[lam] = found.residual[0].T, found.residual_slope[0].T
-        p, d = found.rest[:, 0], found.drop[:, 0]
+            self._residuals[lam] = self._beside(found.residual), self._beside(found.residual_slope)
+        p, d = found.rest.sum(axis=1), found.drop.sum(axis=1)
         falls = slopes(d)
         objective, residual2 = np.append(p[0], falls[1][:4]), np.append(p[1], 2 * falls[2][:4])
         groups = logs(np.array([objective, residual2, falls[1][:5]])), logs(np.array([falls[2][:4]]))
         if self.operator.order == 0:  # f / c^2 = (1 - f) / lambda^2
             return *groups, logs(np.array([falls[3][:3]]))
         assert found.change_slope is not None
-        return *groups, logs(np.array([[found.change2[0], found.change_slope[0]]]))
+        return *groups, logs(np.array([[np.sum(found.change2), np.sum(found.change_slope)]]))
 
     def _between(self, lam: NDArray) -> dict[str, NDArray]:
         """Every scalar at relative lambdas (k,)."""
@@ -250,16 +263,17 @@ class ConvolvedPath:
         """Exact scalars at one lambda, without those that need its neighbours."""
         relative = float(lam.reshape(-1)[0])
         found, (part, rest, _) = self._moments(relative), self._trace(relative)
+        remains, falls, change2 = found.rest.sum(axis=1), found.drop.sum(axis=1), float(np.sum(found.change2))
         x2 = (relative * float(self.scale)) ** 2
 
         def shaped(x: float) -> NDArray[np.float64]:
             return np.full(lam.shape, x)
 
         return PathPoint(
-            shaped(found.rest[1, 0]), shaped(found.drop[1, 0] / x2),
+            shaped(remains[1]), shaped(falls[1] / x2),
             edf=shaped(self.null + part), left=shaped(self.m - self.unknowns + rest),
-            sensitivity=shaped(2 * np.sqrt(found.change2[0])), objective=shaped(found.rest[0, 0]),
-            bend=shaped(-4 * found.drop[2, 0] / x2),
+            sensitivity=shaped(2 * np.sqrt(change2)), objective=shaped(remains[0]),
+            bend=shaped(-4 * falls[2] / x2),
         )  # fmt: skip
 
     @cached_property
@@ -292,7 +306,7 @@ class ConvolvedPath:
 
     def _bias2(self, lam: float, load: NDArray, response: NDArray) -> tuple[NDArray, ...]:
         """Squared distance of a load from what would be made of its response: logarithm with two slopes."""
-        one, two, three = chain(self.operator, self._circulant(lam), response, 3, self._tolerance(lam))[0]
+        one, two, three = self._chain(lam, response)[0]
         lost = load - one
         value, first = float(np.sum(lost**2)), 2 * float(np.sum(lost * two))
         second = 2 * float(np.sum(two**2)) + 2 * float(np.sum(lost * (two - 2 * three)))
