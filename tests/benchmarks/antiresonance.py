@@ -120,7 +120,7 @@ def main(seeds: int = 50) -> int:
         found = row(d)
         med, most, count, worst, caught, wrong = found
         print(f"{', '.join(map(str, nodes)):22s}{med:7.3f}{most:7.2f}{count:9d}{worst:15.3f}{caught:5d}/{wrong:<3d}"
-              f" {str(known[2:4]):>14s}{known[4]:4d}/{known[5]:<3d}{d.shown.max():9.2f}")  # fmt: skip
+              f" {known[2:4]!s:>14s}{known[4]:4d}/{known[5]:<3d}{d.shown.max():9.2f}")  # fmt: skip
     print(f"\n{seeds} draws               caught  max unflagged  needless   predicted / scatter: median (5 to 95 %)")
     for nodes in LAYOUTS:
         c = counted(nodes, seeds)
