@@ -339,7 +339,7 @@ class LoadEstimate:
         kind : str
             ``"load"``, ``"field"`` (over its places), ``"spacetime"`` (along a line over time), ``"response"``,
             ``"path"`` (how lambda was chosen), ``"lcurve"``, ``"gcv"``, ``"picard"``, ``"filter_factors"``,
-            ``"resolution"`` or ``"columns"``.
+            ``"resolution"``, ``"columns"``, or of frequency lines ``"lines"`` (what each can tell).
         truth : array, optional
             Known load of the shape of `load` (or (samples,) for one load), drawn beside it.
         ax : matplotlib Axes, optional

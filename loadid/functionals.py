@@ -61,6 +61,10 @@ def functional(
     limit: float | None,
 ) -> Functional:
     """See `LoadEstimate.functional`."""
+    if estimate.load.dtype.kind == "c":
+        raise InputError("complex amplitudes have no weighted sum with a std", where="functional",
+                         found="a load over frequency", expected="a load over time",
+                         hint="signal='transient' gives the history of a record")  # fmt: skip
     if isinstance(w, str):
         weights, name, unit = _named(estimate, w, load, loads, window)
     else:

@@ -76,6 +76,7 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:
     sections = [
         ("Result", _result(estimate) + _known(estimate, truth) + _picture(estimate, truth) + _notes(estimate)),
         ("Flags", _flags(estimate)),
+        ("What every line can tell", _lines(estimate)),
         ("How lambda was chosen", _choice(estimate)),
         ("What the data can tell", _diagnosis(estimate)),
         ("What the data cannot tell", _limits(estimate)),
@@ -146,7 +147,7 @@ def _known(e: LoadEstimate, truth: ArrayLike | None) -> str:
         return ""
     import numpy as np
 
-    known = np.asarray(truth, float)
+    known = np.asarray(truth, complex if e.load.dtype.kind == "c" else float)
     known = known.reshape(e.load.shape) if known.size == e.load.size else known
     if known.shape != e.load.shape:
         return ""  # the picture refuses it in words
@@ -156,6 +157,25 @@ def _known(e: LoadEstimate, truth: ArrayLike | None) -> str:
         if np.any(known[:, j])
     ]
     return "".join(f"<p>{escape(line)}</p>" for line in lines)
+
+
+def _lines(e: LoadEstimate) -> str:
+    """Bands that are not trusted, of an estimate over frequency lines."""
+    if e.spectrum is None:
+        return ""
+    from loadid.plots import lines_figure
+    from loadid.spectrum import in_words
+
+    s = e.spectrum
+    trusted = s.trust()
+    rows = [
+        (label, f"{trusted[:, j].mean():.1%}", in_words(s.bands(j), 8) or "none")
+        for j, label in enumerate(e.labels[:_SHOWN])
+    ]
+    head = ("load", f"lines predicted to {s.level:.0%} or better", "bands that are not trusted")
+    words = "predicted relative error, gain and condition of every line"
+    draw = partial(lines_figure, e)
+    return _table(rows, head) + _image(lambda narrow=False: draw(), words, 6 * trusted.size, phone=False)
 
 
 def _notes(e: LoadEstimate) -> str:

@@ -17,6 +17,7 @@ from .fields import field
 from .loads import draw_load, load_figure
 from .responses import response_figure
 from .spacetime import spacetime, zones
+from .spectra import lines_figure, spectrum_figure
 from .style import (
     BLUE,
     GREEN,
@@ -45,8 +46,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BLUE", "GREEN", "GREY", "INK", "NARROW", "ORANGE", "PALE", "PANELS", "PURPLE", "SKY", "columns", "draw_load",
-    "field", "filter_factors", "gcv", "lcurve", "load_figure", "mark", "modes", "path_figure", "picard",
-    "picture_format", "plot", "rendered", "resolution", "response_figure", "save", "spacetime", "text", "unit", "zones",
+    "field", "filter_factors", "gcv", "lcurve", "lines_figure", "load_figure", "mark", "modes", "path_figure", "picard",
+    "picture_format", "plot", "rendered", "resolution", "response_figure", "save", "spacetime", "spectrum_figure",
+    "text", "unit", "zones",
 ]  # fmt: skip
 
 # a known load can stand beside
@@ -60,6 +62,7 @@ _OTHERS: dict[str, Callable[..., Figure]] = {
     "filter_factors": filter_factors,
     "resolution": resolution,
     "columns": columns,
+    "lines": lines_figure,
 }
 
 

@@ -13,6 +13,7 @@ from loadid.summary import pulse_window
 from structures.errors import InputError
 
 from .fields import field, has_field
+from .spectra import draw_spectrum, has_lines, spectrum_figure
 from .style import (
     BLUE,
     DENSE,
@@ -51,6 +52,8 @@ def load_figure(
     A narrow figure is for a phone: its panels stand below each other, the one around the peak first.
     """
     figure = figure or new_figure()
+    if has_lines(estimate):
+        return spectrum_figure(estimate, truth=truth, level=level, figure=figure, narrow=narrow)
     known = known_load(estimate, truth)
     if estimate.axis is None and has_field(estimate):
         return field(estimate, truth=truth, level=level, figure=figure, narrow=narrow)
@@ -75,6 +78,10 @@ def draw_load(
     """Draw one load over its axis, or over a part of it, into `ax`."""
     if estimate.axis is None:
         raise InputError("a static load has no axis", where="draw_load", hint="use load_figure")
+    if has_lines(estimate):
+        draw_spectrum(ax, estimate, load, truth=truth, level=level)
+        ax.set_xlabel("frequency [Hz]")
+        return
     scale, name = readable(estimate, window)
     x = estimate.axis.values * scale
     lower, upper = estimate.band(level)

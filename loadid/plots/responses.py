@@ -18,6 +18,7 @@ from .style import (
     PALE,
     PANELS,
     axis_label,
+    few_labels,
     legend_above,
     mark,
     new_figure,
@@ -51,12 +52,16 @@ def response_figure(estimate: LoadEstimate, *, figure: Figure | None = None, nar
         figure.set_size_inches(10, 1.1 + 2.0 * len(shown))
         grid = figure.subplots(len(shown), 2, squeeze=False, sharex=True, width_ratios=[3, 2])
     x = estimate.axis.values * readable(estimate)[0]
-    dense = len(x) > DENSE
+    dense, lines = len(x) > DENSE, estimate.axis.name == "frequency"
     for (left, right), j in zip(grid, shown, strict=True):
-        measured, residual = estimate.response[:, j], estimate.residual[:, j]
+        measured, residual, predicted = (x[:, j] for x in (estimate.response, estimate.residual, estimate.predicted))
+        if lines:  # of amplitudes the moduli, decades apart
+            measured, residual, predicted = (np.abs(x) for x in (measured, residual, predicted))
+            left.set_yscale("log")
+            right.set_yscale("log")
         # broad and pale under thin and dark: where they agree, both are still seen
         left.plot(x, measured, color=PALE, lw=4.0, label="measured", rasterized=dense)
-        left.plot(x, estimate.predicted[:, j], color=ORANGE, lw=0.8, label="predicted", rasterized=dense)
+        left.plot(x, predicted, color=ORANGE, lw=0.8, label="predicted", rasterized=dense)
         right.plot(x, residual, color=GREEN, lw=0.7, rasterized=dense)
         norm = float(np.linalg.norm(measured))
         share = f"{np.linalg.norm(residual) / norm:.2%} of the signal" if norm > 0 else "the signal is zero"
@@ -64,6 +69,8 @@ def response_figure(estimate: LoadEstimate, *, figure: Figure | None = None, nar
         right.set_title(f"residual, {share}", loc="left", fontsize=9)
         left.set_ylabel(f"[{unit(estimate.sensor_units[j])}]")
         for ax in (left, right):
+            if lines:
+                few_labels(ax.yaxis)
             ax.margins(x=0.01)
             tidy(ax)
     legend_above(grid[0][0])

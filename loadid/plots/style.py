@@ -72,7 +72,7 @@ def known_load(estimate: LoadEstimate, truth: ArrayLike | None) -> NDArray | Non
     """A known load in the shape of the estimate."""
     if truth is None:
         return None
-    array = known_numbers(truth)
+    array = known_amplitudes(truth) if estimate.load.dtype.kind == "c" else known_numbers(truth)
     array = array[:, None] if array.ndim == 1 and estimate.load.ndim == 2 else array
     if array.shape != estimate.load.shape:
         raise InputError("the known load does not fit", where="truth", found=array.shape, expected=estimate.load.shape)
@@ -84,6 +84,17 @@ def known_numbers(truth: ArrayLike) -> NDArray[np.float64]:
     array = reals(truth, where="truth", what="the known load is no real numbers")
     if not np.all(np.isfinite(array)):
         raise InputError("NaN or infinity in the known load", where="truth", expected="finite numbers")
+    return array
+
+
+def known_amplitudes(truth: ArrayLike) -> NDArray[np.complex128]:
+    """Known complex amplitudes as finite numbers."""
+    try:
+        array = np.asarray(truth, complex)
+    except (TypeError, ValueError):
+        array = np.array([np.nan])
+    if not np.all(np.isfinite(array)):
+        raise InputError("no finite numbers in the known load", where="truth", expected="complex amplitudes")
     return array
 
 
