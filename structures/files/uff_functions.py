@@ -144,7 +144,8 @@ def _binary(block: Block, head: Head) -> NDArray[np.float64]:
     fields = [] if head.even else [("x", f"{block.order}f{block.abscissa}")]
     fields += [("re", real)] + ([("im", real)] if head.complex else [])
     table = np.frombuffer(block.body, np.dtype(fields), head.count)
-    return np.column_stack([table[name].astype(float) for name, _ in fields])
+    with np.errstate(invalid="ignore"):  # damage may look like a signalling NaN
+        return np.column_stack([table[name].astype(float) for name, _ in fields])
 
 
 def _label(entity: tuple[str, int, int]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NoReturn
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 
+CHUNK = 2**22  # bytes of text that are turned into numbers at once
 _D_EXPONENT = bytes.maketrans(b"dD", b"eE")
 _NUMERALS = b"0123456789+-.eE \t\r\nnNaAiIfFtTyY"  # of numbers and of the words nan and infinity
 _GLUED = re.compile(rb"([eE][+-]?\d{2,3})(?=[+-])")  # 1.00000E+000-2.0: exponents of three digits leave no blank
@@ -161,16 +163,28 @@ def numbers(body: bytes, place: Place, at: int) -> NDArray[np.float64]:
     InputError
         Names the line and the word that is no number.
     """
+    borders = _borders(body)
+    if len(borders) > 2:  # a list of words takes several times the memory of its text
+        return np.concatenate([numbers(body[i:j], place, at + i) for i, j in pairwise(borders)])
     text = body.translate(_D_EXPONENT)
-    words = _GLUED.sub(rb"\1 ", text).split()
-    try:
-        if text.translate(None, _NUMERALS):
-            raise ValueError  # float reads 1_000 too
-        return np.fromiter(map(float, words), float, len(words))
-    except ValueError:
-        wrong = next(word for word in words if not _number(word))
-        near = at + max(0, text.find(wrong))
-        return place.refuse("no number", near, repr(text_of(wrong)[:40]), "numbers in E format")
+    words = text.split()
+    if not text.translate(None, _NUMERALS):  # float reads 1_000 too
+        for _ in range(2):
+            try:
+                return np.fromiter(map(float, words), float, len(words))
+            except ValueError:
+                words = _GLUED.sub(rb"\1 ", text).split()
+    wrong = next(word for word in words if not _number(word))
+    near = at + max(0, text.find(wrong))
+    return place.refuse("no number", near, repr(text_of(wrong)[:40]), "numbers in E format")
+
+
+def _borders(body: bytes) -> list[int]:
+    """Where a long text is cut, at ends of lines; a short one has its beginning and its end only."""
+    borders = [0]
+    while len(body) - borders[-1] > 2 * CHUNK and (end := body.find(b"\n", borders[-1] + CHUNK) + 1):
+        borders.append(end)
+    return [*borders, len(body)]
 
 
 def _number(word: bytes) -> bool:

@@ -204,6 +204,24 @@ def test_a_rounded_step(text, step):
     assert abs(step - float(text)) <= 10.0 ** (np.floor(np.log10(step)) - 5)
 
 
+def test_as_many_abscissae_as_values():
+    """pyuff's issue 75: steps of 0.1 from 25 gave one too many."""
+    assert len(only(text58(np.ones(101), start=25.0, step=0.1)).abscissa) == 101
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_doubles_under_the_header_of_singles_are_refused(tmp_path):
+    """What pyuff writes with force_double=False: half of the bytes would pass for other numbers."""
+    pyuff = pytest.importorskip("pyuff")
+    path = tmp_path / "p.uff"
+    about = {"rsp_node": 3, "rsp_dir": 2, "ref_node": 8, "ref_dir": 1, "abscissa_spec_data_type": 18}
+    about |= {"orddenom_spec_data_type": 13, "abscissa_spacing": 1, "ord_data_type": 2, "n_bytes": 0}
+    dataset = {"type": 58, "binary": 1, "func_type": 4, "data": REAL, "x": np.arange(7.0), **about}
+    pyuff.UFF(str(path))._write_set(dataset, "add", force_double=False)
+    with pytest.raises(InputError, match="do not end where they should; found: 28 bytes declared"):
+        read_uff(path)
+
+
 def test_skipped_sets_are_counted():
     data = block(82, "1 2 3") + block(2411, "1", "2") + block(2411, "3") + block(999, "?") + units() + text58(REAL)
     found = parse_uff(data, "x.uff")
@@ -307,6 +325,15 @@ def test_a_missing_file(tmp_path):
 def test_numbers_by_python_and_no_underscores():
     with pytest.raises(InputError, match=r"line 14: no number.*'1_0'"):
         parse_uff(text58(np.zeros(7)).replace(b"0.000000000000E+00", b"1_0", 1), "x.uff")
+
+
+def test_a_long_text_is_turned_into_numbers_in_parts(monkeypatch):
+    data = text58(np.arange(5000.0))
+    whole = only(data).values
+    monkeypatch.setattr("structures.files.uff_records.CHUNK", 999)
+    np.testing.assert_array_equal(only(data).values, whole)
+    with pytest.raises(InputError, match=r"line 1014: no number.*'4.0x"):
+        only(data.replace(b"4.000000000000E+03", b"4.0x0000000000E+03"))
 
 
 def test_frfs_come_in_the_order_of_the_file():
