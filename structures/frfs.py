@@ -19,7 +19,7 @@ SINGULAR = 1e-8  # smallest eigenvalue of the forces' coherence matrix, below wh
 TOGETHER = 100.0  # times by which correlated forces may raise a variance: 0.99 of one force follows from the others
 MANY = 0.05  # share of the lines on which they may
 LOST = 0.5  # share of the lines on which forces may be one before the whole test is refused
-SILENT = np.finfo(float).eps ** 2  # of its largest power, below which a force does not excite a line
+SILENT = 1e-24  # of its largest power, below which a force is what rounding leaves of it on a line
 
 
 @dataclass(frozen=True, eq=False)
