@@ -189,7 +189,7 @@ def fit(
     frf_part = np.zeros(told.gain.shape) if errors is None else _share(H * w[..., None], solved[0], errors * w**2)
     answer, noise, lam, path, used = solved
     return Fit(
-        load=answer.load, covariance=answer.covariance, told=told, expected=np.sqrt(guess.load), noise=noise,
+        load=answer.load, covariance=answer.covariance, told=told, expected=np.sqrt(guess.probable), noise=noise,
         total=total, errors=errors, lam=lam, edf=answer.edf, path=path, used=used, excess=guess.excess,
         frf_part=frf_part,
     )  # fmt: skip

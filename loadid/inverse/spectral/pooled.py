@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .compressed import Compressed
 
-SWEEPS = 8  # more of them fit the chance of a window, not its loads
+SWEEPS = 4  # more of them fit the chance of a window, not its loads
 SETTLED = 0.02  # change of a standard deviation at which the sweeps end
 ENOUGH = 60  # data beyond the loads that a noise level rests on
 DOUBT = 2.5  # standard errors by which the noise must exceed the stated level before that is set aside
@@ -32,6 +32,8 @@ class Prior:
     ----------
     load : array, shape (lines, loads)
         Of each load, one standard error above the most probable: a load that is not seen is not said to be zero.
+    probable : array, shape (lines, loads)
+        The most probable.
     noise : array, shape (lines,)
         Of the whitened data, 1 where the stated level holds.
     sweeps : int
@@ -41,6 +43,7 @@ class Prior:
     """
 
     load: NDArray[np.float64]
+    probable: NDArray[np.float64]
     noise: NDArray[np.float64]
     sweeps: int
     excess: float = 1.0
@@ -78,19 +81,18 @@ def prior(
     while sweeps < SWEEPS:
         sweeps += 1
         scaled = lines.scaled(np.sqrt(load))
-        a, inverse = _explained(scaled, v)
-        gained = near(_square(scaled.R.conj().swapaxes(1, 2) @ a))
-        information = np.maximum(near(_information(scaled.R, inverse)), TINY)
-        ratio = gained / information
+        a, gained, told = _explained(scaled, v)
+        information = np.maximum(near(told), TINY)
+        ratio = near(gained) / information
         load = np.maximum(load * ratio, TINY)
         if not fixed:
-            trace = np.einsum("kii->k", inverse).real
+            trace = (lines.shape[1] - np.sum(told, axis=1)) / v  # of M^-1
             v = v * beside(_energy(a) + lines.outside / v**2) / beside(trace + lines.left / v)
         heavy = information > 0.1  # of loads that the data see
         if not heavy.any() or np.max(np.abs(np.log(np.maximum(ratio[heavy], TINY)))) < 2 * SETTLED:
             break
     error = 1 / (np.sqrt(count * averages) * information)
-    return Prior(load * (1 + error), v, sweeps, excess)
+    return Prior(load * (1 + error), load, v, sweeps, excess)
 
 
 def window(lines: int, half: int) -> tuple[Callable[[NDArray], NDArray[np.float64]], float]:
@@ -123,19 +125,20 @@ def _start(lines: Compressed, beside: Callable, load: NDArray, energy: NDArray) 
     return np.maximum(1e-3 * beside(data) / lines.shape[1], 1e-24 * np.max(data))
 
 
-def _explained(scaled: Compressed, v: NDArray) -> tuple[NDArray, NDArray]:
-    """``M^-1 b`` and ``M^-1`` of the covariance M = A A^H + v I of the data: well conditioned by the noise in it."""
+def _explained(scaled: Compressed, v: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """``M^-1 b``, ``|A^H M^-1 b|^2`` and the diagonal of ``A^H M^-1 A``; M = A A^H + v I is the covariance of the data.
+
+    The noise in M keeps it well conditioned.
+    """
     A = scaled.R
-    M = A @ A.conj().swapaxes(1, 2)
+    adjoint = A.conj().swapaxes(1, 2)
+    M = A @ adjoint
     size = np.einsum("kii->k", M).real + v
     rows = np.arange(M.shape[1])
     M[:, rows, rows] += np.maximum(v, 1e-14 * size)[:, None]
-    inverse = np.linalg.inv(M / size[:, None, None]) / size[:, None, None]
-    return inverse @ scaled.b, inverse
-
-
-def _information(A: NDArray, inverse: NDArray) -> NDArray[np.float64]:
-    return np.einsum("kij,kij->kj", A.conj(), inverse @ A).real
+    solved = np.linalg.solve(M, np.concatenate([scaled.b, A], axis=2))
+    a, B = solved[..., : scaled.b.shape[2]], solved[..., scaled.b.shape[2] :]
+    return a, _square(adjoint @ a), np.einsum("kij,kij->kj", A.conj(), B).real
 
 
 def _square(x: NDArray) -> NDArray[np.float64]:
