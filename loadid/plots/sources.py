@@ -129,7 +129,7 @@ def _map(figure: Figure, c: Contributions, shown: list[int], fraction: int) -> N
             x, levels[:, j], color=COLOURS[rank], lw=0.8, label=text(c.loads[j].label), rasterized=len(x) > DENSE
         )
     if c.trusted is not None:
-        _shade(lower, edges, ~c.trusted)
+        _shade(lower, edges, ~c.trusted[:, i])
     lower.set_ylim(top - DYNAMIC, max(top, float(np.max(whole))) + 5)
     lower.set_ylabel(f"level [dB re 1 {unit(of)}]")
     lower.set_xlabel(name)

@@ -335,7 +335,7 @@ def compare_estimate(estimate: LoadEstimate) -> Comparison:
     kind = kind_of(estimate)
     if kind == DENSITIES and estimate.response.dtype.kind == "c":
         kind = SPECTRA  # a family that keeps amplitudes of its data
-    units = tuple(estimate.sensor_units)
+    units = [u.removeprefix("(").removesuffix(")^2/Hz") if kind == DENSITIES else u for u in estimate.sensor_units]
     return checked(
         estimate.axis, np.asarray(estimate.response), np.asarray(predicted), kind, estimate.sensors, units, estimate
     )

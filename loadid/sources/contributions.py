@@ -16,14 +16,15 @@ from structures.spectra import multiplicity
 
 from ..estimate import Axis, LoadEstimate
 from . import synthesis
-from .bands import Bands, band_power, bands_of, widths
+from .bands import BandPower, Bands, band_power, bands_of, widths
 from .levels import FLOOR
-from .synthesis import DENSITIES, HISTORIES, SPECTRA, Paths, trusted_lines
+from .synthesis import DENSITIES, HISTORIES, SPECTRA, Paths
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Real = NDArray[np.float64]
+DOUBT = 0.5  # std of the contributions over the contributions, from which on a line is called uncertain
 NOTHING = 1e-3  # share below which a load is not listed in words
 AGAINST = -1.0  # dB between the whole and the sum of its parts from which on loads are said to cancel
 
@@ -46,8 +47,8 @@ class Shares:
         Of the whole response, in the unit of each sensor; of complex amplitudes the root of their summed squares.
     interference : array, shape (bands, sensors)
         Mean square of the whole over the sum of the parts, dB: 0 for loads that do not correlate, -inf never.
-    coverage : array, shape (bands,)
-        Share of each band that the lines cover.
+    coverage : array, shape (bands, sensors)
+        Share of each band that lines cover which count; 0 for a single line.
     """
 
     bands: Bands | None
@@ -83,8 +84,8 @@ class Contributions:
         All lines; some samples of a history.
     measured : tuple of array or None
         What was measured at each sensor, (lines,), where the estimate carries it.
-    trusted : array of bool, shape (lines,), or None
-        Lines that count in the shares: those on which every load is trusted; None is all.
+    trusted : array of bool, shape (lines, sensors), or None
+        Lines that count in the shares of a sensor; None is all.
     estimate : LoadEstimate
     """
 
@@ -125,17 +126,15 @@ class Contributions:
             No such fraction, or no line above 0 Hz.
         """
         p = _powers(self)
-        counted = np.ones(len(p.frequencies)) if self.trusted is None else self.trusted.astype(float)
+        counted = np.ones(p.whole.shape) if self.trusted is None else self.trusted.astype(float)
+        parts = [x * (counted if x.ndim == 2 else counted[..., None]) for x in p.parts]
         if fraction is None:
-            width = _widths(p.frequencies, p.density) * counted
-            return _shares(None, np.ones(1), p.known, *(np.tensordot(width, x, axes=1)[None] for x in p.parts))
+            width = _widths(p.frequencies, p.density)
+            return _shares(None, None, p.known, *(np.tensordot(width, x, axes=1)[None] for x in parts))
         bands = bands_of(p.frequencies, fraction)
-        over = [(x.T * counted).T for x in p.parts]
-        found = [band_power(p.frequencies, x, bands, density=p.density) for x in over]
-        coverage = found[0].coverage
-        if self.trusted is not None and len(p.frequencies) > 1:
-            coverage = band_power(p.frequencies, counted, bands, density=True).power / (bands.upper - bands.lower)
-        return _shares(bands, np.minimum(coverage, 1.0), p.known, *(x.power for x in found))
+        found = [band_power(p.frequencies, x, bands, density=p.density) for x in parts]
+        strips = band_power(p.frequencies, counted, bands, density=True) if len(counted) > 1 else None
+        return _shares(bands, strips, p.known, *(x.power for x in found))
 
     def ranking(self, sensor: int | str | None = None) -> tuple[tuple[str, float], ...]:
         """Loads with their share in the power, largest first; without a sensor the mean over all of them.
@@ -193,13 +192,13 @@ class Contributions:
     def _doubt(self) -> str:
         """How many lines are not trusted, and whether they count."""
         if self.trusted is not None:
-            return f" ({np.sum(~self.trusted)} of {len(self.trusted)} lines left out: not trusted)"
-        if self.estimate is None or self.estimate.spectrum is None or self.kind == HISTORIES:
+            left = int(np.sum(~np.any(self.trusted, axis=1)))
+            return f" ({left} of {len(self.trusted)} lines left out: not trusted)"
+        if self.std is None or self.kind == HISTORIES:
             return ""
-        doubtful = int(np.sum(~trusted_lines(self.estimate, None)))
-        return f" ({doubtful} of {len(self.total)} lines are not trusted and count; trust= leaves them out)" * bool(
-            doubtful
-        )
+        size, std = np.linalg.norm(self.values, axis=2), np.linalg.norm(self.std, axis=2)
+        doubtful = int(np.sum(np.all(std > DOUBT * size, axis=1)))
+        return f" ({doubtful} of {len(size)} lines are uncertain by more than {DOUBT:.0%} and count)" * bool(doubtful)
 
     def _line(self, name: str, unit: str, shares: Shares, band: int, i: int) -> str:
         row = shares.share[band, i]
@@ -209,7 +208,7 @@ class Contributions:
             if row[j] >= NOTHING:
                 doubt = noise is not None and row[j] < 2 * noise[j]
                 parts.append(f"{self.loads[j].label} {row[j]:.1%}" + (" (within its own std)" if doubt else ""))
-        text = f"{name}: {', '.join(parts) or 'no load moves it'}; rms of all {shares.rms[band, i]:.4g} {unit}"
+        text = f"{name}: {', '.join(parts) or 'nothing'}; rms of all {shares.rms[band, i]:.4g} {unit}"
         if shares.interference[band, i] < AGAINST:
             text += f", {-shares.interference[band, i]:.1f} dB below the sum of the parts: the loads cancel"
         return text
@@ -261,8 +260,8 @@ def contributions(
     sensors : sequence of str or int, optional
         Which ones; default all.
     trust : float, optional
-        Only lines on which the predicted relative std of every load lies below this count in the shares:
-        ``estimate.trust(trust)``. An antiresonance that blew up would otherwise rank first.
+        Only lines on which the std of the contributions lies below this share of them (root sums over the loads)
+        count in the shares of a sensor. An antiresonance that blew up would otherwise rank first.
     covariance : array, shape (lines, loads, loads), optional
         As in `synthesise`: for the std of the whole.
     points : int
@@ -275,11 +274,15 @@ def contributions(
     """
     kind, rows = synthesis.kind_of(estimate), synthesis.rows_of(model, sensors)
     assert estimate.axis is not None
+    if kind == HISTORIES and trust is not None:
+        raise InputError(
+            "lines are trusted, not samples", where="contributions", found="a load history with trust=",
+            expected="loads over frequency", hint="leave trust out",
+        )  # fmt: skip
     chosen = tuple(model.sensors[i] for i in rows)
     same: dict[str, Any] = {
         "axis": estimate.axis, "kind": kind, "sensors": chosen, "loads": tuple(model.loads),
         "measured": tuple(_measured(estimate, c.label) for c in chosen), "estimate": estimate,
-        "trusted": None if trust is None else trusted_lines(estimate, trust),
     }  # fmt: skip
     if kind == HISTORIES:
         return _over_time(model, estimate, rows, points, same)
@@ -291,6 +294,7 @@ def contributions(
         total=whole.values,
         projected=projected,
         std=std,
+        trusted=None if trust is None else synthesis.reliable(values, std, trust),
         total_std=whole.std,
         points=whole.points,
         **same,
@@ -393,9 +397,12 @@ def _widths(f: Real, density: bool) -> Real:
 
 
 def _shares(
-    bands: Bands | None, coverage: Real, known: bool, alone: Real, joint: Real, whole: Real, noise: Real
+    bands: Bands | None, strips: BandPower | None, known: bool, alone: Real, joint: Real, whole: Real, noise: Real
 ) -> Shares:
     parts = alone.sum(axis=2)
+    coverage = np.ones(whole.shape)
+    if bands is not None:
+        coverage = np.zeros(whole.shape) if strips is None else (strips.power.T / (bands.upper - bands.lower)).T
     return Shares(
         bands,
         _over(alone, parts[..., None]),
@@ -403,7 +410,7 @@ def _shares(
         _over(noise, parts[..., None]) if known else None,
         np.sqrt(whole),
         10 * np.log10(np.maximum(np.where(parts > 0, _over(whole, parts), 1.0), FLOOR)),
-        coverage,
+        np.minimum(coverage, 1.0),
     )
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.channels import ARBITRARY, Channel
 from structures.errors import InputError
 from structures.model import Model
+from structures.values import positive
 
 from ..estimate import Axis, LoadEstimate
 
@@ -238,15 +239,23 @@ def unit_of(unit: str, kind: str) -> str:
     return f"({unit})^2/Hz" if any(x in unit for x in "/^* ") else f"{unit}^2/Hz"
 
 
-def trusted_lines(estimate: LoadEstimate, level: float | None) -> NDArray[np.bool_]:
-    """Lines on which every load is trusted at a level; None is the level of the estimate itself.
+def reliable(values: NDArray, std: NDArray, share: float) -> NDArray[np.bool_]:
+    """Lines (lines, ...) on which the std of some numbers stays below a share of them, both as root sums over the last
+    axis.
 
     Raises
     ------
     InputError
-        An estimate without frequency lines, or no level.
-    """
-    return np.all(np.asarray(estimate.trust(level), bool), axis=-1)
+        No positive share, or no line left.
+    """  # fmt: skip
+    share = positive("the share", share, where="trust")
+    found = np.linalg.norm(std, axis=-1) <= share * np.linalg.norm(values, axis=-1)
+    if not np.any(found):
+        raise InputError(
+            "no line is left", where="trust", found=f"a std above {share:.0%} on all {len(found)} lines",
+            expected="a line whose std is known to be smaller", hint="raise trust, or leave it out",
+        )  # fmt: skip
+    return np.asarray(found, bool)
 
 
 def band_of_history(

@@ -26,7 +26,7 @@ from ..validate.held_out import RECORD, held_out
 from ..validate.levels import Validation
 from . import comparison
 from .comparison import Comparison
-from .synthesis import DENSITIES, HISTORIES, SPECTRA, Response, kind_of, synthesise, trusted_lines
+from .synthesis import DENSITIES, HISTORIES, SPECTRA, Response, kind_of, reliable, synthesise
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,8 +50,8 @@ class Transfer:
     flags : tuple of Flag
         W704 where a channel or a record took part in the identification after all.
     left_out : int
-        Lines of the estimate at which nothing was measured, or whose loads are not trusted.
-    noise : array, shape (sensors,), or None
+        Lines of the estimate at which nothing was measured, or whose prediction is not trusted.
+    noise : array, shape (sensors,) or (lines, sensors), or None
         Noise std of the measurement, where it is stated.
     source : str
         What it was validated on.
@@ -83,8 +83,8 @@ class Transfer:
         c = self.comparison
         ratio = None
         if self.noise is not None and c.kind != DENSITIES:
-            rms = np.sqrt(np.mean(np.abs(c.synthesised - c.measured) ** 2, axis=0))
-            ratio = tuple((rms / self.noise).tolist())
+            off = np.abs(c.synthesised - c.measured) / self.noise
+            ratio = tuple(np.sqrt(np.mean(off**2, axis=0)).tolist())
         check = SensorCheck(c.sensors, c.error, ratio, self.source)
         return Validation((check,), self.flags, datetime.now(UTC).isoformat(timespec="seconds"))
 
@@ -143,10 +143,10 @@ def validate_on(
         Object with ``frequencies`` and ``values`` (lines, sensors) or ``matrix`` (lines, sensors, sensors), and
         ``channels``; a Record over time; or a bare array in the order of ``model.sensors``, on the axis of the
         estimate (densities: (lines, sensors)).
-    noise : float or array (sensors,), optional
+    noise : float or array (sensors,) or (lines, sensors), optional
         Noise std of the measured values; default what the measurement or the channels of the model state.
     trust : float, optional
-        Only lines on which the predicted relative std of every load lies below this: ``estimate.trust(trust)``.
+        Only lines on which the std of the prediction lies below this share of it, over all sensors together.
     covariance : array, optional
         As in `synthesise`.
     level : float
@@ -173,14 +173,10 @@ def validate_on(
         return _over_time(estimate, model, measured, noise, level, source)
     response = synthesise(model, estimate, covariance=covariance)
     values, lines, own = _over_frequency(measured, model, response)
-    keep = np.ones(len(lines), bool) if trust is None else trusted_lines(estimate, trust)[lines]
-    if not keep.any():
-        raise InputError(
-            "no line is left", where="validate_on", found=f"{len(lines)} lines, none trusted at {trust}",
-            expected="lines on which every load is trusted", hint="raise trust, or leave it out",
-        )  # fmt: skip
+    keep = np.ones(len(lines), bool) if trust is None else _reliable(response, trust)[lines]
+    known = _noise(noise if noise is not None else own, model, response.kind, len(lines))
+    known = known[keep] if known is not None and known.ndim == 2 else known
     values, lines = values[keep], lines[keep]
-    known = _noise(noise if noise is not None else own, model, response.kind)
     std = None if response.std is None else response.std[lines]
     if known is not None and response.kind == SPECTRA:
         std = known * np.ones(values.shape) if std is None else np.hypot(std, known)
@@ -201,7 +197,7 @@ def _over_time(
 ) -> Transfer:
     found = held_out(estimate, model, record)
     response = synthesise(model, estimate, points=POINTS)
-    known = _noise(noise, model, HISTORIES)
+    known = _noise(noise, model, HISTORIES, 0)
     points = response.points[response.points < len(found.measured)]
     std = None if response.std is None else response.std[: len(points)]
     if known is not None and std is not None:
@@ -241,7 +237,7 @@ def _over_frequency(measured: Any, model: Model, response: Response) -> tuple[ND
     own = getattr(measured, "noise", None)
     if own is not None:
         own = np.asarray(own, float)
-        own = own[..., columns] if own.ndim and own.shape[-1] > 1 else own
+        own = own[rows][:, columns] if own.ndim == 2 else own[columns] if own.size > 1 else own
     return values, lines, own
 
 
@@ -306,20 +302,29 @@ def _table(values: Any, shape: tuple[int, int], density: bool) -> NDArray:
     return table.astype(float if density else complex)
 
 
-def _noise(given: Any, model: Model, kind: str) -> Real | None:
-    """Noise std per sensor (or per line and sensor); of densities none: it is part of them."""
+def _noise(given: Any, model: Model, kind: str, lines: int) -> Real | None:
+    """Noise std per sensor, or per line and sensor; of densities none: it is part of them."""
     if kind == DENSITIES:
         return None
     if given is None:  # the noise of a channel is that of its samples, and no spectrum's
         stated = model.noise if kind == HISTORIES else None
         return None if stated is None else stated if stated.ndim == 1 else np.sqrt(np.diagonal(stated))
-    array, fits = np.asarray(given, float), (1, len(model.sensors))
-    if array.ndim > 1 or array.size not in fits or not np.all(np.isfinite(array)) or np.any(array <= 0):
+    array, count = np.asarray(given, float), len(model.sensors)
+    fits = array.shape in ((), (1,), (count,), (lines, count))
+    if not fits or not np.all(np.isfinite(array)) or np.any(array <= 0):
         raise InputError(
             "no noise std per sensor", where="noise", found=f"shape {array.shape}",
-            expected=f"one positive number, or {len(model.sensors)}", hint="in the units of the measured values",
+            expected=f"one positive number, or {count}", hint="in the units of the measured values",
         )  # fmt: skip
-    return np.broadcast_to(array, (len(model.sensors),))
+    return array if array.ndim == 2 else np.broadcast_to(array, (count,))
+
+
+def _reliable(response: Response, trust: float) -> NDArray[np.bool_]:
+    """Lines whose prediction is trusted; every sensor counts by its own rms."""
+    assert response.std is not None
+    size = np.sqrt(np.mean(np.abs(response.values) ** 2, axis=0))
+    scale = np.where(size > 0, size, 1.0)
+    return reliable(response.values / scale, response.std / scale, trust)
 
 
 def _shared(estimate: LoadEstimate, names: Sequence[str], values: NDArray) -> tuple[Flag, ...]:

@@ -52,18 +52,16 @@ def spectra(lines, count, seed=0):
     return (rng.standard_normal((lines, count)) + 1j * rng.standard_normal((lines, count))) / np.sqrt(2)
 
 
-def estimated(load, std=0.0, f=LINES, *, labels=None, covariance=None, cross=None, trust=None, **changes):
-    """Estimate over frequency; `trust` is what it answers to every level."""
+def estimated(load, std=0.0, f=LINES, *, labels=None, covariance=None, cross=None, **changes):
+    """Estimate over frequency."""
     spectrum = SimpleNamespace(cross=cross, covariance=covariance)
-    if trust is not None:
-        spectrum.trust = lambda level: trust
     settings = {
         "load": load,
         "std": np.broadcast_to(std, np.shape(load)),
         "labels": labels or [f"f{j}" for j in range(load.shape[1])],
         "units": ["N" if cross is None else "N^2/Hz"] * load.shape[1],
         "axis": Axis("frequency", "Hz", f),
-        "spectrum": spectrum if (cross is not None or covariance is not None or trust is not None) else None,
+        "spectrum": spectrum if (cross is not None or covariance is not None) else None,
     }
     return LoadEstimate(**(settings | changes))
 

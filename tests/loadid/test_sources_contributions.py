@@ -158,22 +158,27 @@ def test_a_load_within_its_own_std_is_said_to_be():
 
 
 def test_lines_that_are_not_trusted_do_not_count_where_that_is_asked():
-    trust = np.ones((len(LINES), 2), bool)
-    trust[40:50, 1] = False
+    std = np.full(F.shape, 0.01)
+    std[40:50, 1] = 1e5
     wild = F.copy()
     wild[40:50, 1] *= 1e4  # an antiresonance that blew up
-    e = estimated(wild, trust=trust)
-    blind, careful = contributions(MODEL, e), contributions(MODEL, e, trust=0.1)
+    e = estimated(wild, std)
+    blind, careful = contributions(MODEL, e), contributions(MODEL, e, trust=0.3)
     assert blind.ranking()[0][0] == "f1"
     assert careful.ranking()[0][0] == "f0"
-    assert "10 of 192 lines are not trusted and count" in str(blind)
+    assert "10 of 192 lines are uncertain by more than 50% and count" in str(blind)
     assert "10 of 192 lines left out" in str(careful)
     keep = np.delete(np.arange(len(LINES)), np.arange(40, 50))
-    expected = np.sum(np.abs(careful.total[keep]) ** 2, axis=0)
+    assert careful.trusted[keep].mean() > 0.99
+    expected = np.sum(np.abs(careful.total) ** 2 * careful.trusted, axis=0)
     np.testing.assert_allclose(careful.shares().rms[0] ** 2, expected, rtol=1e-9)
     np.testing.assert_allclose(np.sum(careful.shares(3).rms ** 2, axis=0), expected, rtol=1e-9)
     k = careful.shares(3).bands.names.index("25")
-    assert careful.shares(3).coverage[k] < 0.6 < blind.shares(3).coverage[k]
+    assert careful.shares(3).coverage[k].max() < 0.6 < blind.shares(3).coverage[k].min()
+    with pytest.raises(InputError, match="no line is left"):
+        contributions(MODEL, e, trust=1e-6)
+    with pytest.raises(InputError, match="trusted, not samples"):
+        contributions(BODY, history(), trust=0.1)
 
 
 # -- over time --------------------------------------------------------------------------------------------------------
