@@ -9,6 +9,7 @@ from typing import Any
 
 from . import Command, emit
 from ._logs import add_log_options, read_records, settings
+from ._universal import content as universal
 
 
 def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = True, **reading: Any) -> dict[str, Any]:
@@ -28,7 +29,8 @@ def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = T
     -------
     dict
         ``kind`` is ``"log"`` (with ``records``, or with ``tables`` and ``to_read_it`` where something must be stated
-        first), ``"load estimate"`` (with ``summary``) or ``"measured model"`` (with ``sensors``, ``hits``, ...).
+        first), ``"load estimate"`` (with ``summary``), ``"measured model"`` (with ``sensors``, ``hits``, ...) or
+        ``"universal file"`` (with the ``content`` of one that holds no record).
 
     Raises
     ------
@@ -38,6 +40,8 @@ def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = T
     from structures import storage
 
     kind = storage.kind_of(path)
+    if kind is None and (held := universal(path)):
+        return {"kind": "universal file", "file": str(path), "content": held}
     if kind is None:
         return {"kind": "log", "file": str(path), **_log(path, records, reading)}
     if kind == "load estimate":

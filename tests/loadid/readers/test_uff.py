@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from loadid.cli import main
 from loadid.readers import outline, read, read_all
 from structures.errors import InputError
 from tests.structures.uff_made import binary58, block, text58, units
@@ -105,6 +106,17 @@ def test_milliseconds_and_a_rounded_step(place):
 def test_what_is_no_record(place, data, what):
     with pytest.raises(InputError, match=what):
         read(place(data))
+
+
+def test_info_names_what_is_no_record(place, capsys):
+    frf = text58(F + 1j * A, response=("", 1, 3), reference=("", 7, -2), ordinate=(12, "g"), start=20, step=2.5)
+    assert main(["info", str(place(block(151, "Beam", "test") + frf, "x.unv"))]) == 0
+    text = capsys.readouterr().out
+    for word in ("Beam, test", "1 x FRF", "1+Z [g]", "7-Y [N]", "16 values, 20 to 57.5 Hz", "read_frfs"):
+        assert word in text
+    assert main(["info", str(place(uff()))]) == 0
+    assert "16 samples" in capsys.readouterr().out
+    assert main(["info", str(place(frf[:-10], "y.unv"))]) == 3
 
 
 def test_a_file_cut_in_its_second_channel_is_refused(place):
