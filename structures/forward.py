@@ -54,8 +54,9 @@ class ForwardModel(Model):
         Highest frequency of interest (Hz): modes are kept up to 2.5 times it, a Krylov basis is made for it.
     reduction : ``"modes"`` or ``"krylov"``
         Modes serve any number of loads and any damping, with per cents of error near antiresonances. Krylov: every
-        entry to a millionth up to `band`, for at most 40 loads (or sensors) that stay in place, and damping that is a
-        matrix or structural. Time responses of it hold for loads within the band.
+        entry to a millionth up to `band` (or to the rounding of a very fine mesh), for at most 40 loads or sensors,
+        whichever are fewer, that stay in place, and for damping that is a matrix or structural. Time responses hold
+        for loads within the band.
 
     Raises
     ------
@@ -121,6 +122,8 @@ class ForwardModel(Model):
         s = self._settings
         if s["reduction"] == "krylov":
             kept = f"Krylov basis to {s['band']:g} Hz"
+            if "krylov" in self.__dict__:
+                kept += f", {self.krylov.projection.theta.size} vectors, error {self.krylov.estimate:.1e}"
         elif s["modes"] is None and s["band"] and n > DENSE and "modes" not in self.__dict__:
             kept = f"modes up to {BAND_FACTOR:g} x {s['band']:g} Hz"
         else:
@@ -297,9 +300,9 @@ class ForwardModel(Model):
         f = lines(frequencies)
         basis = self.krylov
         self._within(f)
-        H, bound = basis.projection.errors(2 * np.pi * f)
-        reading = np.abs(self._reading(f))[:, :, None]
-        return ReductionError(f, reading * bound, reading * np.abs(H))
+        H, *parts = basis.projection.errors(2 * np.pi * f)
+        truncation, rounding, size = (np.abs(self._reading(f))[:, :, None] * x for x in (*parts, np.abs(H)))
+        return ReductionError(f, truncation, rounding, size)
 
     def impulse_response(self, dt: float, samples: int, hold: str = "foh") -> NDArray[np.float64]:
         """Response to one unit held over one sample (samples, sensors, loads): the Markov parameters of `state_space`.

@@ -18,6 +18,8 @@ from .reduction import FLOATS
 APART = 1e-2  # relative distance of a group of natural frequencies (squared) from the next
 EPS = float(np.finfo(float).eps)
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class Pencil:
@@ -68,7 +70,7 @@ class Pencil:
         K, M = structure.K_free, structure.M_free
         return cls(K - shift * M if shift else K, M, C, alpha, beta, loss, shift, rigid, factor)
 
-    def coefficients(self, omega: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    def coefficients(self, omega: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """The factors ``a`` and ``c`` on each line (rad/s)."""
         a = 1 + 1j * (omega * self.beta + self.loss * (omega > 0))
         return a, omega**2 - 1j * omega * self.alpha - a * self.shift
@@ -93,7 +95,8 @@ class Projection:
 
     With the residuals of both sides, ``r_j = b_j - D V y_j`` of every load and ``rho_i`` of every sensor, the error of
     an entry is exactly ``rho_i^T D^-1 r_j``. Both residuals are orthogonal to ``V``; their norms in ``K_s^-1`` come
-    from small matrices, and ``D^-1`` amplifies them by what resonates outside ``V``.
+    from small matrices, and ``D^-1`` amplifies them by what resonates outside ``V``. Beside this truncation stands the
+    rounding of a stiffness whose largest and smallest energies differ by decades, taken as random.
 
     Parameters
     ----------
@@ -121,41 +124,44 @@ class Projection:
     """
 
     pencil: Pencil
-    V: NDArray[np.float64]
-    theta: NDArray[np.float64]
-    C: NDArray[np.float64] | None
-    S: NDArray[np.float64]
-    B: NDArray[np.float64]
-    rest_M: NDArray[np.float64]
-    rest_C: NDArray[np.float64] | None
-    rest_S: NDArray[np.float64]
-    rest_B: NDArray[np.float64]
-    rounding: NDArray[np.float64]
+    V: Array
+    theta: Array
+    C: Array | None
+    S: Array
+    B: Array
+    rest_M: Array
+    rest_C: Array | None
+    rest_S: Array
+    rest_B: Array
+    rounding: Array
 
     @property
-    def lam(self) -> NDArray[np.float64]:
+    def lam(self) -> Array:
         """Squared circular frequencies of the Ritz pairs (r,), ascending; exactly 0 for rigid-body modes."""
         lam = 1 / self.theta + self.pencil.shift
         lam[: self.pencil.rigid] = 0.0
         return lam
 
     @property
-    def phi(self) -> NDArray[np.float64]:
+    def phi(self) -> Array:
         """Ritz vectors (n, r), ``phi^T M phi = 1``."""
         return self.V / np.sqrt(self.theta)
 
-    def errors(self, omega: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        """Displacement response (lines, sensors, loads) and the bound of its error, on lines (rad/s)."""
+    def errors(self, omega: Array) -> tuple[NDArray[np.complex128], Array, Array]:
+        """Displacement response, the bound of its truncation, and its rounding, on lines (rad/s).
+
+        Each of shape (lines, sensors, loads).
+        """
         shape = (len(omega), len(self.S), self.B.shape[1])
-        H, bound = np.empty(shape, complex), np.empty(shape)
+        H, truncation, rounding = np.empty(shape, complex), np.empty(shape), np.empty(shape)
         r = len(self.theta)
         step = max(1, FLOATS // (r * (shape[1] + shape[2] + (0 if self.C is None else r))))
         for start in range(0, len(omega), step):
             part = slice(start, start + step)
-            H[part], bound[part] = self._errors(omega[part])
-        return H, bound
+            H[part], truncation[part], rounding[part] = self._errors(omega[part])
+        return H, truncation, rounding
 
-    def _errors(self, omega: NDArray) -> tuple[NDArray, NDArray]:
+    def _errors(self, omega: NDArray) -> tuple[NDArray, Array, Array]:
         y, w = self._coordinates(omega)
         H = self.S @ y
         size = np.abs(self.pencil.coefficients(omega)[1])[:, None]
@@ -164,10 +170,10 @@ class Projection:
         if self.rest_C is not None:
             primal += omega[:, None] * np.linalg.norm(self.rest_C @ y, axis=1)
             dual += omega[:, None] * np.linalg.norm(self.rest_C @ w, axis=1)
-        bound = self._amplification(omega)[:, None, None] * dual[:, :, None] * primal[:, None, :]
-        scale = np.sqrt(self.rounding)[:, None]
-        bound += np.swapaxes(np.abs(w) * scale, 1, 2) @ (np.abs(y) * scale)
-        return H, bound
+        truncation = self._amplification(omega)[:, None, None] * dual[:, :, None] * primal[:, None, :]
+        root = np.sqrt(self.rounding)[:, None]
+        rounding = np.linalg.norm(root * w, axis=1)[:, :, None] * np.linalg.norm(root * y, axis=1)[:, None, :]
+        return H, truncation, rounding
 
     def _coordinates(self, omega: NDArray) -> tuple[NDArray, NDArray]:
         """Response of ``V`` to the loads (lines, r, loads) and, transposed, to the sensors (lines, r, sensors)."""
@@ -182,7 +188,7 @@ class Projection:
         x = np.linalg.solve(D, np.broadcast_to(both, (len(D), *both.shape)))
         return x[:, :, : self.B.shape[1]], x[:, :, self.B.shape[1] :]
 
-    def _amplification(self, omega: NDArray) -> NDArray[np.float64]:
+    def _amplification(self, omega: NDArray) -> Array:
         """Largest growth of a residual in ``D^-1`` (lines,): the nearest resonance that ``V`` does not hold yet.
 
         A natural frequency lies within ``distance`` of every Ritz value. A pair that has converged takes no part: both
@@ -219,15 +225,15 @@ class Images:
         ``K_s^-1`` of both.
     """
 
-    W: NDArray[np.float64]
-    KW: NDArray[np.float64]
-    MW: NDArray[np.float64]
-    ZM: NDArray[np.float64]
-    ZC: NDArray[np.float64] | None
-    S: NDArray[np.float64]
-    B: NDArray[np.float64]
-    ZS: NDArray[np.float64]
-    ZB: NDArray[np.float64]
+    W: Array
+    KW: Array
+    MW: Array
+    ZM: Array
+    ZC: Array | None
+    S: Array
+    B: Array
+    ZS: Array
+    ZB: Array
 
 
 def project(pencil: Pencil, images: Images) -> Projection:
@@ -267,11 +273,11 @@ def project(pencil: Pencil, images: Images) -> Projection:
         rest_C=None if images.ZC is None else _root(pencil, rest(images.ZC @ q)),
         rest_S=norms(rest(images.ZS)),
         rest_B=norms(rest(images.ZB)),
-        rounding=EPS * np.einsum("ij,ij->j", size, abs(pencil.K_s) @ size),
+        rounding=EPS * (np.einsum("ij,ij->j", size, abs(pencil.K_s) @ size) + theta[0] / theta),
     )
 
 
-def _root(pencil: Pencil, Z: NDArray) -> NDArray[np.float64]:
+def _root(pencil: Pencil, Z: NDArray) -> Array:
     """A small factor (q, r) whose products have the energy norm of those of `Z` (n, r)."""
     gram = Z.T @ (pencil.K_s @ Z)
     energy, u = linalg.eigh(0.5 * (gram + gram.T))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from .errors import InputError
+from .errors import InputError, NotIdentifiable
 from .factor import Factor
 from .galerkin import Images, Pencil, Projection, feasible, project
 from .modes import Modes
@@ -42,7 +42,7 @@ class Krylov:
     depth : int
         Blocks per shift.
     estimate : float
-        Largest relative error of an entry on the lines that were looked at.
+        Largest relative error of an entry on the lines that were looked at, rounding included.
     """
 
     projection: Projection
@@ -71,15 +71,21 @@ class ReductionError:
     ----------
     frequencies : array (lines,)
         Hz.
-    bound : array (lines, sensors, loads)
-        Absolute, in units of the response.
+    truncation, rounding : array (lines, sensors, loads)
+        Bound of what the basis leaves out, and expected rounding; in units of the response.
     size : array (lines, sensors, loads)
         Magnitude of the response.
     """
 
     frequencies: NDArray[np.float64]
-    bound: NDArray[np.float64]
+    truncation: NDArray[np.float64]
+    rounding: NDArray[np.float64]
     size: NDArray[np.float64]
+
+    @property
+    def bound(self) -> NDArray[np.float64]:
+        """Both together (lines, sensors, loads)."""
+        return self.truncation + self.rounding
 
     @property
     def entrywise(self) -> NDArray[np.float64]:
@@ -109,7 +115,7 @@ def krylov(structure: Any, S: Any, B: Any, band: float, tolerance: float = TOLER
     band : float
         Highest frequency (Hz).
     tolerance : float
-        Largest relative error of an entry, as bounded on random lines of the band.
+        Largest relative truncation of an entry, as bounded on random lines of the band; rounding may be above it.
 
     Returns
     -------
@@ -131,11 +137,11 @@ def krylov(structure: Any, S: Any, B: Any, band: float, tolerance: float = TOLER
     """
     refuse(structure, S.shape[0], B.shape[1])
     pencil = Pencil.of(structure)
-    columns, rows = np.asarray(B.toarray(), float), np.asarray(S.toarray(), float).T
-    sources = columns if columns.shape[1] <= rows.shape[1] else rows
-    factors = [pencil.factor, *(_shifted(pencil, (2 * np.pi * OFF * place * band) ** 2) for place in PLACES)]
-    images = _start(pencil, rows, columns)
-    blocks, depth, omega = [sources] * len(factors), 0, 2 * np.pi * _probes(band)
+    images = _start(pencil, np.asarray(S.toarray(), float).T, np.asarray(B.toarray(), float))
+    loaded = images.B.shape[1] <= images.S.shape[1]
+    factors = [None, *(_shifted(pencil, (2 * np.pi * OFF * place * band) ** 2) for place in PLACES)]
+    blocks = [images.ZB if loaded else images.ZS, *[images.B if loaded else images.S] * len(PLACES)]
+    depth, omega = 0, 2 * np.pi * _probes(band)
     while True:
         before, depth = images.W.shape[1], depth + 1
         for j, factor in enumerate(factors):
@@ -144,10 +150,11 @@ def krylov(structure: Any, S: Any, B: Any, band: float, tolerance: float = TOLER
         if depth < FIRST and size > before:
             continue
         found = project(pencil, images)
-        estimate = worst(*found.errors(omega))
-        log.debug("krylov: depth %d, %d vectors, error %.1e", depth, size, estimate)
-        if estimate <= tolerance or size == before:
-            return Krylov(found, band, depth, estimate)
+        H, truncation, rounding = found.errors(omega)
+        estimate, floor = worst(H, truncation), worst(H, rounding)
+        log.debug("krylov: depth %d, %d vectors, truncation %.1e, rounding %.1e", depth, size, estimate, floor)
+        if estimate <= max(tolerance, floor) or size == before:  # below its rounding nothing is gained
+            return Krylov(found, band, depth, worst(H, truncation + rounding))
         if size > LARGEST:
             raise InputError(
                 "the Krylov reduction does not reach its tolerance",
@@ -189,7 +196,7 @@ def _shifted(pencil: Pencil, sigma: float) -> Factor:
     for _ in range(5):
         try:
             factor = Factor(pencil.K_s + (pencil.shift - sigma) * pencil.M, check=False)
-        except InputError:  # a zero pivot
+        except (InputError, NotIdentifiable):  # a zero pivot
             sigma *= 1.001
             continue
         return factor
@@ -224,14 +231,20 @@ def _start(pencil: Pencil, rows: NDArray, columns: NDArray) -> Images:
     return _extended(pencil, images, X)
 
 
-def _deeper(pencil: Pencil, factor: Factor, images: Images, block: NDArray) -> tuple[Images, NDArray]:
-    """The basis with one more block of a shift, and the right-hand sides of the next."""
+def _deeper(pencil: Pencil, factor: Factor | None, images: Images, block: NDArray) -> tuple[Images, NDArray]:
+    """The basis with one more block of a shift, and the right-hand sides of the next.
+
+    Those of the lowest shift (no factor) are solved for already: the error needs them.
+    """
     if block.shape[1] == 0:
         return images, block
-    X = orthonormal(factor.raw(np.ascontiguousarray(block)), pencil.M, images.W, images.MW)
-    grown = _extended(pencil, images, X)
-    new = grown.MW[:, images.W.shape[1] :]
-    return grown, new if pencil.C is None else np.hstack([new, pencil.C @ X])
+    block = block if factor is None else factor.raw(np.ascontiguousarray(block))
+    X = orthonormal(block, pencil.M, images.W, images.MW)
+    grown, new = _extended(pencil, images, X), slice(images.W.shape[1], None)
+    following = [grown.MW[:, new] if factor is not None else grown.ZM[:, new]]
+    if pencil.C is not None and grown.ZC is not None:
+        following.append(pencil.C @ X if factor is not None else grown.ZC[:, new])
+    return grown, np.hstack(following)
 
 
 def _extended(pencil: Pencil, images: Images, X: NDArray) -> Images:
