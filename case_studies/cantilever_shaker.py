@@ -32,7 +32,7 @@ from structures.flags import Flag
 
 RATE, POUND, GRAVITY = 3200.0, 4.4482216, 9.80665
 SEGMENT = 320  # samples, 0.1 s: whole periods of every line that the shaker makes
-FRAME, HOP = 1280, 320  # samples of the frames of a test (0.4 s, Hann), and from one to the next
+FRAME, HOP = 1280, 640  # samples of the frames of a test (0.4 s, Hann), and from one to the next
 DRIVEN = 0.01  # of the drive's strongest line, above which a line is driven
 COHERENT = 0.99
 REPEATED = 0.05  # relative std of an FRF that was measured at one level of force: a statement, no measurement
@@ -287,21 +287,24 @@ def _amplitudes(ax, number: int, found: Identified) -> None:  # type: ignore[no-
     off = ~found.trusted.all(axis=1)
     if off.any():
         span = found.time[off]
-        ax.axvspan(span[0], span[-1], color="0.92", zorder=0, label="a line not trusted")
+        silent = ", ".join(f"{f:.0f} Hz" for f, t in zip(found.lines, found.trusted.T, strict=True) if not t.all())
+        ax.axvspan(span[0], span[-1], color="0.92", zorder=0, label=f"{silent} not trusted")
     ax.set(xlabel="time in s", ylabel="force on the line in N", title=f"test {number}", ylim=(0, None))
     ax.legend(fontsize=8, ncols=2)
 
 
 def _histories(ax, found: Identified) -> None:  # type: ignore[no-untyped-def]
     loud = np.abs(np.diff(np.abs(found.measured).sum(axis=1)))
-    middle = found.time[int(np.argmax(loud))]
+    jump = int(np.argmax(loud))
+    middle = 0.5 * (found.time[jump] + found.time[jump + 1])
     t = np.arange(len(found.test))[found.inside] / RATE
     near = np.abs(t - middle) < 0.1
     ax.plot(t[near], found.test["force"][found.inside][near], color="0.75", lw=0.8, label="load cell, raw")
     ax.plot(t[near], found.history(found.measured)[near], "k--", lw=1, label="load cell, driven lines")
     ax.plot(t[near], found.history(found.force)[near], "C3", lw=1, label="identified")
-    ax.set(xlabel="time in s", ylabel="force in N", title="where the level changes")
-    ax.legend(fontsize=8, loc="upper left")
+    top = 1.6 * float(np.abs(found.history(found.measured)[near]).max())
+    ax.set(xlabel="time in s", ylabel="force in N", title="where the level changes", ylim=(-0.8 * top, top))
+    ax.legend(fontsize=8, loc="upper center", ncols=3)
 
 
 def main() -> None:
