@@ -31,12 +31,12 @@ def load(source: Source, options: Options) -> list[Table]:
     import h5py
 
     with h5py.File(source.place or source.path, "r") as file:
-        walk = _Walk(source, options)
+        walk = Walk(source, options)
         walk.group(file, "", {}, 0)
     return walk.tables
 
 
-class _Walk:
+class Walk:
     """One pass over a file, from the root, one name at a time."""
 
     def __init__(self, source: Source, options: Options) -> None:

@@ -34,12 +34,12 @@ def load_hdf5(source: Source, options: Options) -> list[Table]:
     """Records of a file that MATLAB wrote with -v7.3: the variables at its root, with their axes turned back."""
     import h5py
 
-    from .hdf5 import _Walk
+    from .hdf5 import Walk
 
     arrays: dict[str, NDArray[Any]] = {}
     others: dict[str, str] = {}
     with h5py.File(source.place or source.path, "r") as file:
-        walk = _Walk(source, options)
+        walk = Walk(source, options)
         for name in file:
             if not isinstance(file.get(name, getlink=True), h5py.HardLink):
                 source.refuse("a link leaves the file", name, "a file that holds its own data")

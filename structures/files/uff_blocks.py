@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NoReturn
 
 from .uff_records import Head, Place, parse_head, text_of, whole
@@ -37,6 +37,8 @@ class Block:
         Bytes of each stored abscissa of binary values.
     notes : tuple of str
         Where the file contradicts itself, and how it was read.
+    line : int
+        Line of the file, from 1, at which the body begins; binary values have line feeds of their own.
     """
 
     number: int
@@ -46,6 +48,7 @@ class Block:
     order: str = ""
     abscissa: int = 0
     notes: tuple[str, ...] = ()
+    line: int = 0
 
 
 def split(place: Place) -> list[Block]:
@@ -56,14 +59,16 @@ def split(place: Place) -> list[Block]:
     InputError
         Something between the data sets, or a data set that has no end: the file is truncated or damaged.
     """
-    blocks = []
-    at = _skip_blank(place.data, 0)
+    blocks: list[Block] = []
+    at, counted, line_number = _skip_blank(place.data, 0), 0, 1
     while at < len(place.data):
         line, after = _line(place, at)
         if not MARK.fullmatch(line.rstrip(b"\n")):
             place.refuse("no data set begins here", at, repr(text_of(line)[:40]), "a line '    -1'")
         block, at = _block(place, after)
-        blocks.append(block)
+        line_number += place.data.count(b"\n", counted, block.at)
+        counted = block.at
+        blocks.append(replace(block, line=line_number))
         at = _skip_blank(place.data, at)
     if blocks and _BEGUN.search(place.data):
         _truncated(place, len(place.data), 0, "truncated: the file ends within the mark of a next data set")

@@ -94,7 +94,7 @@ def function_of(block: Block, place: Place) -> Function:
         if step != head.step:
             notes.append(f"the step {head.step_text} is read as {step!r}: the header rounds it")
         abscissa = head.start + step * np.arange(head.count, dtype=float)
-    return Function(head, abscissa, step, values, place.data.count(b"\n", 0, block.at) + 1, tuple(notes))
+    return Function(head, abscissa, step, values, block.line, tuple(notes))
 
 
 def unrounded(step: float, text: str) -> float:

@@ -111,7 +111,7 @@ def test_version_73_has_the_same_axes(tmp_path):
 def test_version_73_cut(tmp_path):
     path = mat73(tmp_path / "x.mat", H=ARRAYS["H"])
     data = path.read_bytes()
-    for k in (0, 100, 127, 128, 300, 511, 512, 540, 600, len(data) // 2, len(data) - 1):
+    for k in [*range(0, len(data), 43), len(data) - 1]:  # all of them are refused; a stride saves time
         path.write_bytes(data[:k])
         with pytest.raises(InputError):
             read_mat(path)
