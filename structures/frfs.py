@@ -263,8 +263,8 @@ def _h2(b: _Blocks, S_yy: NDArray, coherence: NDArray) -> tuple[NDArray, NDArray
         return H, None
     values, V = np.linalg.eigh(C)
     root = (d[:, :, None] * V / np.sqrt(values)[:, None, :]).conj().transpose(0, 2, 1)  # root^H root = S_yy^-1
-    G = (S_fy @ root.conj().transpose(0, 2, 1)) @ root
-    left = b.S_ff - G @ b.S_yf  # what the responses leave of the forces
+    explained = S_fy @ root.conj().transpose(0, 2, 1)
+    left = b.S_ff - explained @ explained.conj().transpose(0, 2, 1)  # what the responses leave of the forces
     out = np.einsum("kia,kab,kib->ki", H, left, H.conj()).real
     return H, np.maximum(out, 0.0)[:, :, None] * np.sum(np.abs(root @ H) ** 2, axis=1)[:, None, :] / b.freedom
 

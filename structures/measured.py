@@ -396,9 +396,9 @@ class MeasuredModel(Model):
         return cls(
             sensors=[Channel(**c) for c in tree.pop("sensors")],
             loads=[Channel(**c) for c in tree.pop("loads")],
-            hits=[Hit(**_tuples(h)) for h in tree.pop("hits")],
+            hits=[Hit(**tuples(h)) for h in tree.pop("hits")],
             flags=[Flag.from_dict(f) for f in tree.pop("flags")],
-            certificate=None if known is None else Certificate(**_tuples(known)),
+            certificate=None if known is None else Certificate(**tuples(known)),
             **tree,
         )
 
@@ -464,5 +464,6 @@ def _cube(H: NDArray) -> NDArray:
     return H.reshape(H.shape + (1,) * (3 - H.ndim))
 
 
-def _tuples(tree: dict[str, Any]) -> dict[str, Any]:
+def tuples(tree: dict[str, Any]) -> dict[str, Any]:
+    """What a file gives back as lists, as the tuples that it was."""
     return {k: tuple(v) if isinstance(v, list) else v for k, v in tree.items()}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 import numpy as np
@@ -13,12 +14,14 @@ from . import causality, kinds
 from .channels import Channel
 from .errors import InputError
 from .flags import Evidence, Flag
+from .measured import CHANNEL, tuples
 from .model import Certificate, Model
 from .statespace import digest, lines
 
 if TYPE_CHECKING:
     from .welch import CrossSpectra
 
+FILE = "table of FRFs"
 ON_A_LINE = 1e-6  # of the spacing: how near a frequency must be to a line to be that line
 ADVICE = {
     "static": "MatrixModel takes a measured static matrix; ForwardModel computes one",
@@ -319,6 +322,41 @@ class FrfModel(Model):
     def fingerprint(self) -> str:
         """Sha256 of lines, FRF, its variance and the channels."""
         return digest("FrfModel", self.frequencies, self.H, self.variance, self.sensors, self.loads)
+
+    # -- files ------------------------------------------------------------------------------------------------------
+    def save(self, path: str | os.PathLike) -> None:
+        """Write the model to HDF5, whole or not at all, with checksums."""
+        from . import storage
+
+        tree: dict[str, Any] = {
+            **{name: getattr(self, name) for name in ("frequencies", "H", "variance", "coherence", "interpolate")},
+            "sensors": [{k: getattr(c, k) for k in CHANNEL} for c in self.sensors],
+            "loads": [{k: getattr(c, k) for k in CHANNEL} for c in self.loads],
+            "flags": [f.to_dict() for f in self.flags],
+            "certificate": None if self.certificate is None else asdict(self.certificate),
+        }
+        storage.write(path, tree, FILE)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike) -> Self:
+        """Read a model that `save` wrote.
+
+        Raises
+        ------
+        InputError
+            A damaged file, or one of another kind.
+        """
+        from . import storage
+
+        tree = storage.read(path, FILE)
+        known = tree.pop("certificate")
+        return cls(
+            sensors=[Channel(**c) for c in tree.pop("sensors")],
+            loads=[Channel(**c) for c in tree.pop("loads")],
+            flags=[Flag.from_dict(f) for f in tree.pop("flags")],
+            certificate=None if known is None else Certificate(**tuples(known)),
+            **tree,
+        )
 
     def __repr__(self) -> str:
         f = self.frequencies

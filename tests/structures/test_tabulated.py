@@ -128,6 +128,26 @@ class TestContract:
         assert table(H=H[:, :1], variance=None).frf(F).shape == (5, 1, 2)
 
 
+class TestFiles:
+    def test_bit_identical(self, tmp_path):
+        chain = chains.chain(masses=[1.0], springs=[1e4], dashpots=3.0)
+        model = ForwardModel(chain, [sensors.Accelerometer("1+X")], [loads.Point("1+X")])
+        model.verify(np.ones(40), model.predict(np.ones(40), 1e-3), 1e-3)
+        for m in (table(interpolate=True, coherence=np.full((5, 3), 0.5)), FrfModel.of(model, F)):
+            m.save(tmp_path / "m.h5")
+            read = FrfModel.load(tmp_path / "m.h5")
+            for name in ("flags", "certificate", "fingerprint", "interpolate"):
+                assert getattr(read, name) == getattr(m, name)
+            assert [(c.label, c.unit) for c in read.sensors] == [(c.label, c.unit) for c in m.sensors]
+            np.testing.assert_array_equal(read.H, m.H)
+            assert (read.coherence is None) == (m.coherence is None)
+
+    def test_another_kind_of_file(self, tmp_path):
+        MeasuredModel.from_frf(np.arange(9.0), np.ones(9), kind="mobility").save(tmp_path / "m.h5")
+        with pytest.raises(InputError, match="table of FRFs"):
+            FrfModel.load(tmp_path / "m.h5")
+
+
 class TestBadInput:
     @pytest.mark.parametrize(
         ("change", "words"),
