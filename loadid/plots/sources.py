@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from loadid.sources.comparison import Comparison
-    from loadid.sources.contributions import Contributions
+    from loadid.sources.contributions import Contributions, Shares
 
 YELLOW, BROWN = "#E69F00", "#7f5539"
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, YELLOW, SKY, BROWN)
@@ -80,10 +80,14 @@ def _stacked(figure: Figure, c: Contributions, shown: list[int], fraction: int) 
     for ax, i in zip(grid, shown, strict=True):
         base = np.zeros(len(x))
         for rank, j in enumerate(order):
-            ax.bar(
-                x, 100 * shares.share[:, i, j], 0.92, bottom=100 * base, color=COLOURS[rank], lw=0,
-                label=text(c.loads[j].label),
-            )  # fmt: skip
+            share = 100 * shares.share[:, i, j]
+            ax.bar(x, share, 0.92, bottom=100 * base, color=COLOURS[rank], lw=0, label=text(c.loads[j].label))
+            doubtful = _doubtful(shares, i, j)
+            if doubtful.any():
+                ax.bar(
+                    x[doubtful], share[doubtful], 0.92, bottom=100 * base[doubtful], color="none", edgecolor="white",
+                    hatch="////", lw=0,
+                )  # fmt: skip
             base += shares.share[:, i, j]
         if np.any(base < 0.999):
             rest = np.where(shares.rms[:, i] > 0, 1 - base, 0)
@@ -93,13 +97,21 @@ def _stacked(figure: Figure, c: Contributions, shown: list[int], fraction: int) 
         level.set_ylabel(f"rms [dB re 1 {unit(c.sensors[i].unit)}]", fontsize=8)
         level.tick_params(labelsize=8)
         level.spines["top"].set_visible(False)
-        ax.set_title(f"{text(c.sensors[i].label)} (line: level of the band)", loc="left", fontsize=9)
+        ax.set_title(f"{text(c.sensors[i].label)}; line: level, hatched: within its own std", loc="left", fontsize=9)
         ax.set(ylim=(0, 100), ylabel="share [%]")
         tidy(ax)
     first.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=6, fontsize=8, frameon=False, borderaxespad=0.1)
     _band_axis(grid[-1], shares.bands.names, shares.bands.title)
-    if len(shown) < len(c.sensors):
+    if 1 < len(shown) < len(c.sensors):
         figure.supylabel(f"{len(shown)} largest of {len(c.sensors)} sensors", fontsize=9)
+
+
+def _doubtful(shares: Shares, sensor: int, load: int) -> NDArray[np.bool_]:
+    """Bands in which the share of a load is not twice what its std alone would make."""
+    share = shares.share[:, sensor, load]
+    if shares.uncertain is None:
+        return np.zeros(len(share), bool)
+    return (share > 0.01) & (share < 2 * shares.uncertain[:, sensor, load])
 
 
 def _map(figure: Figure, c: Contributions, shown: list[int], fraction: int) -> None:
@@ -134,7 +146,7 @@ def _map(figure: Figure, c: Contributions, shown: list[int], fraction: int) -> N
     lower.set_ylabel(f"level [dB re 1 {unit(of)}]")
     lower.set_xlabel(name)
     lower.margins(x=0)
-    lower.legend(fontsize=8, frameon=False, ncols=5, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1)
+    lower.legend(fontsize=8, frameon=False, ncols=6, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1)
     tidy(lower)
 
 

@@ -93,7 +93,10 @@ class Transfer:
         lines = [self.comparison.table(fraction)]
         if self.inside is not None:
             held = ", ".join(f"{n} {x:.0%}" for n, x in zip(self.comparison.sensors, self.inside, strict=True))
-            lines.append(f"the {self.level:.0%} band of the prediction holds the measured response: {held}")
+            bare = (
+                "" if self.noise is not None or self.comparison.kind == DENSITIES else ", without noise of the sensors"
+            )
+            lines.append(f"the {self.level:.0%} band of the prediction{bare} holds the measured response: {held}")
         if self.left_out:
             lines.append(f"{self.left_out} lines of the estimate left out")
         return "\n".join([*lines, *(str(f) for f in self.flags)])
