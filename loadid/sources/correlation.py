@@ -79,8 +79,7 @@ def faac(responses: ArrayLike, others: ArrayLike) -> Array:
 
     Notes
     -----
-    D. J. Nefske, S. H. Sung, "Correlation of a coarse-mesh finite element model using structural system
-    identification and a frequency response assurance criterion", Proc. 14th Int. Modal Analysis Conf., 1996, 597-602.
+    The scale factor of `csf` taken over the lines of one pair, as `frac` is the criterion of `csac` taken so.
     """
     a, b = _pair(responses, others, "faac")
     return _amplitude(a, b, "faac")
@@ -166,7 +165,7 @@ def lac(responses: ArrayLike, others: ArrayLike) -> Array:
 
     Notes
     -----
-    The amplitude criterion of Zang, Grafe and Imregun (`csac`) for one entry, as pyFBS prints it.
+    The scale factor of `csf` for one entry.
     """
     a, b = _pair(responses, others, "lac")
     small, large = np.minimum(np.abs(a), np.abs(b)), np.maximum(np.abs(a), np.abs(b))

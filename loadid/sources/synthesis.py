@@ -240,14 +240,13 @@ def unit_of(unit: str, kind: str) -> str:
 
 
 def reliable(values: NDArray, std: NDArray, share: float) -> NDArray[np.bool_]:
-    """Lines (lines, ...) on which the std of some numbers stays below a share of them, both as root sums over the last
-    axis.
+    """Lines (lines, ...) on which the std of some numbers, a root sum over their last axis, is below a share of theirs.
 
     Raises
     ------
     InputError
         No positive share, or no line left.
-    """  # fmt: skip
+    """
     share = positive("the share", share, where="trust")
     found = np.linalg.norm(std, axis=-1) <= share * np.linalg.norm(values, axis=-1)
     if not np.any(found):
