@@ -230,6 +230,44 @@ class FrfModel(Model):
             flags=model.flags,
         )
 
+    @classmethod
+    def joined(cls, models: Sequence[FrfModel]) -> Self:
+        """One model of all loads of several: the same sensors on the same lines, each time driven elsewhere.
+
+        The variance is known where that of every model is; a coherence belongs to one test, and is left out.
+
+        Raises
+        ------
+        InputError
+            No model, other sensors or lines, a load that two of them have.
+        """
+        models = list(models)
+        if not models:
+            raise InputError("no models", where="joined", found="an empty list", expected="at least one FrfModel")
+        first = models[0]
+        rows = [[(s.label, s.quantity, s.unit) for s in m.sensors] for m in models]
+        for other, own in zip(models, rows, strict=True):
+            same = np.array_equal(other.frequencies, first.frequencies)
+            if not same or own != rows[0]:
+                what = "sensors" if same else "lines"
+                raise InputError(
+                    f"models of different {what}",
+                    where="joined",
+                    found=f"{other!r} beside {first!r}",
+                    expected="the same sensors, in the same order, on the same lines",
+                    hint="model.at(lines) takes those that all of them have",
+                )
+        spreads = [m.variance for m in models]
+        return cls(
+            first.frequencies,
+            np.concatenate([m.H for m in models], axis=2),
+            sensors=first.sensors,
+            loads=[c for m in models for c in m.loads],
+            variance=None if any(v is None for v in spreads) else np.concatenate(spreads, axis=2),  # type: ignore[arg-type]
+            flags=tuple(dict.fromkeys(f for m in models for f in m.flags)),
+            interpolate=all(m.interpolate for m in models),
+        )
+
     def judged(self) -> Self:
         """The same model with what its phases tell: W207 where it is turned, N207 where that cannot be told."""
         found = causality.lines(self.frequencies, self.H, self.sensors, self.loads)

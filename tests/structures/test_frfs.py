@@ -130,6 +130,12 @@ class TestBias:
         density = np.where(np.isin(LINES, LINES[[0, -1]]), 1.0, 2.0)[:, None] * DT * self.NY**2
         assert found.residual / density == pytest.approx(np.ones((len(LINES), 3)), rel=0.15)
 
+    def test_residual_of_few_averages(self):
+        """Two of six averages are spent on the fit of two forces; what is left has the level of the noise."""
+        found = [estimate(spectra(6, response_noise=self.NY, seed=k), [0, 1], [2, 3, 4]).residual for k in range(100)]
+        assert np.mean(found, axis=(0, 2))[1:-1] / (2 * DT * self.NY**2) == pytest.approx(np.ones(63), rel=0.25)
+        assert np.mean(np.array(found)[:, 1:-1]) / (2 * DT * self.NY**2) == pytest.approx(1, abs=0.03)
+
 
 class TestVariance:
     """Predicted over empirical variance, over 200 simulated tests, in the median of lines and entries."""

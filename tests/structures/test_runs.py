@@ -126,6 +126,7 @@ class TestWholeGrid:
         assert model.dt == pytest.approx(DT)
         assert np.linalg.norm(h - truth) < 0.05 * np.linalg.norm(truth)
         assert model.flags == ()
+        assert np.all(model.H[0] == 0)  # the mean was taken off, and no acceleration is constant
 
     def test_errors(self, model):
         ratio = np.abs(model.H - exact(model.frequencies)) ** 2 / model.variance

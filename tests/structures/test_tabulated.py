@@ -97,6 +97,24 @@ class TestContract:
         with pytest.raises(InputError, match="StaticInversion"):
             FrfModel.of(MeasuredModel.from_frf(np.arange(9.0), np.ones(9), kind="mobility"), [1.0]).static()
 
+    def test_joined(self):
+        """Two hammer points, one model: the same as measured at once."""
+        a, b = (table(H=H[..., [j]], variance=np.abs(H[..., [j]]) ** 2, loads=[name]) for j, name in enumerate("ab"))
+        both = FrfModel.joined([a, b])
+        np.testing.assert_array_equal(both.H, H)
+        np.testing.assert_array_equal(both.variance, np.abs(H) ** 2)
+        assert [c.label for c in both.loads] == ["a", "b"]
+        assert both.flags == a.flags
+        assert FrfModel.joined([a, table(H=H[..., [1]], variance=None, loads=["b"])]).variance is None
+        for wrong, words in (
+            ([], "no models"),
+            ([a, a], "labels of loads"),
+            ([a, b.at(F > 30)], "different lines"),
+            ([a, table(H=H[..., [1]], variance=None, loads=["b"], sensors="xyz")], "different sensors"),
+        ):
+            with pytest.raises(InputError, match=words):
+                FrfModel.joined(wrong)
+
     def test_gain(self):
         louder = table().perturbed("gain", 1.1)
         np.testing.assert_allclose(louder.H, 1.1 * H, rtol=1e-12)
