@@ -23,6 +23,7 @@ _PUBLIC = {
     "Spectra": "loadid.spectra",
     "SparseDeconvolution": "loadid.families.sparse",
     "StaticInversion": "loadid.families.static",
+    "compare_domains": "loadid.families.domains",
     "load": "loadid.estimate",
     "read": "loadid.readers",
     "read_all": "loadid.readers",

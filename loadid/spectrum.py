@@ -26,6 +26,8 @@ class Spectrum:
         Complex amplitudes that were estimated; of cross-spectral data the root of the autospectra.
     std : array
         ``sqrt(E|error|^2)`` of these, prior included.
+    covariance : array, shape (lines, loads, loads)
+        ``E[e e^H]`` of the errors of a line.
     naive : array
         Least-squares amplitudes, without a prior: what blows up at an antiresonance.
     naive_std : array
@@ -51,6 +53,7 @@ class Spectrum:
     frequencies: NDArray[np.float64]
     load: NDArray[np.complex128]
     std: NDArray[np.float64]
+    covariance: NDArray[np.complex128]
     naive: NDArray[np.complex128]
     naive_std: NDArray[np.float64]
     expected: NDArray[np.float64]

@@ -45,6 +45,7 @@ _MODULES = (
     "storage",
     "surfaces",
     "units",
+    "virtual",
 )
 
 __all__ = sorted([*_PUBLIC, *_MODULES])

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .channels import Channel
 from .errors import InputError
 from .model import Model
 from .statespace import StateSpace, channels, digest
@@ -25,7 +26,7 @@ class MappedModel(Model):
     model : Model
         What it gives, this one gives too.
     T : array (loads, unknowns)
-    labels : sequence of str, optional
+    labels : sequence of str or Channel, optional
         Names of the unknowns; those of the loads where T is square, else ``u0, u1, ...``.
 
     Raises
@@ -34,7 +35,7 @@ class MappedModel(Model):
         If T does not fit, or holds NaN.
     """
 
-    def __init__(self, model: Model, T: ArrayLike, labels: Sequence[str] | None = None) -> None:
+    def __init__(self, model: Model, T: ArrayLike, labels: Sequence[str | Channel] | None = None) -> None:
         self.model, self.T = model, reals(T, where="MappedModel", what="the combinations are no matrix of real numbers")
         loads = len(model.loads)
         if self.T.ndim != 2 or self.T.shape[0] != loads or 0 in self.T.shape or not np.all(np.isfinite(self.T)):
@@ -57,6 +58,12 @@ class MappedModel(Model):
     def frf(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
         """As that of the model, (lines, sensors, unknowns)."""
         return self.model.frf(frequencies) @ self.T
+
+    def frf_variance(self, frequencies: ArrayLike) -> NDArray[np.float64] | None:
+        """As that of the model, errors of its FRFs taken as independent; None where it states none."""
+        tell: Any = getattr(self.model, "frf_variance", None)
+        found = None if tell is None else tell(frequencies)
+        return None if found is None else found @ self.T**2
 
     def impulse_response(self, dt: float, samples: int, hold: str | None = None) -> NDArray[np.float64]:
         """As that of the model, (samples, sensors, unknowns)."""
@@ -97,7 +104,7 @@ class MappedStates(MappedModel):
         return StateSpace(s.A, s.B @ self.T, s.C, s.D @ self.T, dt, s.hold, sensors=self.sensors, loads=self.loads)
 
 
-def mapped(model: Model, T: ArrayLike, labels: Sequence[str] | None = None) -> MappedModel:
+def mapped(model: Model, T: ArrayLike, labels: Sequence[str | Channel] | None = None) -> MappedModel:
     """A model under the combinations T of its loads, with a state space where the model has one.
 
     Raises

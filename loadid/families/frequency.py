@@ -64,7 +64,7 @@ class FrequencyInversion:
         Of averaged records, as in `structures.welch.cross_spectra`.
     noise : float or array, optional
         Noise std of the sensors: of the amplitudes for spectra, of the samples for records, the root of the density
-        (unit/sqrt(Hz)) for cross spectra.
+        (unit/sqrt(Hz)) for cross spectra. In the order of the model, or of `sensors` and then `validation`.
     noise_source : str, optional
         Where that level comes from.
     sensors, validation : sequence of str or int, optional
@@ -112,7 +112,6 @@ class FrequencyInversion:
             raise InputError("no level of trust", where="level", found=repr(level)[:80], expected="a number > 0")
         self.model, self.level, self.coverage = model, float(level), coverage
         self.rule = Rule(method, choice, over, neighbours, count, size)
-        self.settings = Settings(noise, noise_source, signal, band, window, segment, overlap)
         self.held = rows_of(validation, model) if len(validation) else np.zeros(0, int)
         chosen = rows_of(sensors, model)
         self.rows = chosen if sensors is not None else np.setdiff1d(chosen, self.held)
@@ -120,6 +119,8 @@ class FrequencyInversion:
             raise InputError("a sensor cannot train and validate", where="validation",
                              found=[model.sensors[i].label for i in self.held], expected="other sensors for training",
                              hint="leave sensors= out: all others train")  # fmt: skip
+        noise = noise if sensors is not None else _in_order(noise, np.concatenate([self.rows, self.held]))
+        self.settings = Settings(noise, noise_source, signal, band, window, segment, overlap)
         self.allow = guards.allowed(allow)
         self._progress = progress or (lambda fraction, text: None)
 
@@ -344,6 +345,11 @@ _ANSWERS: dict[str, Callable[[Fit, LineData, NDArray], _Answer]] = {
 
 
 # -- helpers ----------------------------------------------------------------------------------------------------------
+def _in_order(noise: ArrayLike | None, rows: NDArray) -> ArrayLike | None:
+    """Noise of all sensors of the model in the order in which they are used."""
+    return np.asarray(noise)[rows] if noise is not None and np.shape(noise) == rows.shape else noise
+
+
 def _split(line: LineData, count: int) -> tuple[LineData, LineData | None]:
     """The lines of the sensors that train, and of those that are kept out."""
     if len(line.rows) == count:
@@ -382,6 +388,7 @@ def _spectrum(solved: Fit, line: LineData, level: float) -> Spectrum:
         frequencies=line.frequencies,
         load=mean,
         std=np.sqrt(solved.variance),
+        covariance=solved.covariance,
         naive=plain,
         naive_std=np.where(gain > 0, deviation / np.where(gain > 0, gain, 1.0), np.inf),
         expected=solved.expected,

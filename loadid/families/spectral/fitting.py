@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
+from structures.errors import InputError, NotIdentifiable
 from structures.values import real, reals
 
 from ...inverse.spectral import ruled
@@ -18,6 +18,7 @@ from ...inverse.spectral.posterior import Factored, Identifiable, Posterior, fac
 
 ROUNDS = 3  # of FRF errors, whose share of the noise depends on the loads
 LEAST = 0.01  # share of the shown noise that stays noise of the response
+SMALLEST = 1e-100  # relative lambda whose square is still a number
 POOL = 20  # lines to either side that a noise level of a rule rests on
 OVER = ("neighbours", "line", "band")
 METHODS = ("tikhonov", "tsvd")
@@ -67,6 +68,8 @@ class Rule:
             value = real(self.choice)
             need(value is not None and np.isfinite(value) and value >= 0, "no relative lambda", "choice", self.choice,
                  "a number >= 0, the name of a rule, or None")  # fmt: skip
+        need(self.size is None or not self.pooled, "the evidence of the lines finds the sizes itself", "size",
+             self.size, "no size, or a rule (choice=)")  # fmt: skip
         if isinstance(self.choice, str):
             known = (*ruled.FUNCTIONS, *ruled.CROSSINGS)
             need(self.choice in known, "unknown rule", "choice", self.choice, ", ".join(known))
@@ -172,6 +175,7 @@ def fit(
         left_over = None
         if variance is not None:
             lines, left_over = calibrated(lines, np.einsum("ksj,ks->kj", variance, w**2))
+            _refuse_lost(lines)
         guess = prior(lines, neighbours=rule.neighbours, known=known, averages=averages)
         f = factor(lines, guess.load)
         first = posterior(f, guess.noise)
@@ -185,7 +189,7 @@ def fit(
         if not known:
             power, known = _alone(power * guess.noise[:, None], errors), True
     told = identifiable(f)
-    solved = _pooled(f, guess, first) if rule.pooled else _ruled(lines, f, guess, told, rule, known)
+    solved = _pooled(f, guess, first) if rule.pooled else _ruled(lines, f, guess, rule, known)
     frf_part = np.zeros(told.gain.shape) if errors is None else _share(H * w[..., None], solved[0], errors * w**2)
     answer, noise, lam, path, used = solved
     return Fit(
@@ -223,6 +227,15 @@ def calibrated(lines: Compressed, size: NDArray) -> tuple[Compressed, Callable[[
     return Compressed(R, lines.b, lines.outside, lines.left), share
 
 
+def _refuse_lost(lines: Compressed) -> None:
+    if not np.any(lines.R):
+        raise NotIdentifiable(
+            "the errors of the FRF are larger than the FRF: no line tells any load",
+            advice="average longer, check the units of variance=, or leave it out where it is not believed",
+            code="LID-E306",
+        )
+
+
 Solved = tuple[Posterior, NDArray, NDArray, ruled.LinesPath, float]
 
 
@@ -232,18 +245,16 @@ def _pooled(f: Factored, guess: Prior, answer: Posterior) -> Solved:
     return answer, guess.noise, lam, path, float(np.sqrt(np.median(guess.noise)))
 
 
-def _ruled(lines: Compressed, f: Factored, guess: Prior, told: Identifiable, rule: Rule, known: bool) -> Solved:
+def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: Rule, known: bool) -> Solved:
     """A named rule or a given lambda: one penalty |g / size|^2 for all loads of a line."""
     size = _sizes(lines, rule.size)
     plain = factor(lines, np.broadcast_to(size**2, lines.R.shape[::2]))
     path = ruled.LinesPath(plain, rule.method == "tsvd")
     lam = _lambda(path, rule, known)
-    absolute = lam * path.scale
+    absolute = _absolute(lam, np.asarray(path.scale))
     used = float(np.median(absolute))
     if rule.free:
-        noise = guess.noise
-        covariance = _least_squares(f, noise, told)
-        return Posterior(np.zeros(0), told.naive, covariance, np.sum(f.seen, axis=1)), noise, lam, path, used  # type: ignore[arg-type]
+        return posterior(f, guess.noise, np.zeros(len(lam))), guess.noise, lam, path, used
     cut = absolute if rule.method == "tsvd" else None
     answer = posterior(plain, absolute**2 if cut is None else guess.noise, cut)
     noise = guess.noise if known else _noise(lines, answer, rule)
@@ -273,6 +284,13 @@ def _lambda(path: ruled.LinesPath, rule: Rule, known: bool) -> NDArray[np.float6
     return ruled.choose(rule.choice, ruled.LineSweep.over(path, sigma, near))
 
 
+def _absolute(lam: NDArray, scale: NDArray) -> NDArray[np.float64]:
+    """Lambda of every line in the units of its singular values; one that no load reaches takes that of the others."""
+    reached = scale > 0
+    absolute = np.maximum(lam, SMALLEST) * scale
+    return np.where(reached, absolute, np.median(absolute[reached]))
+
+
 def _sizes(lines: Compressed, given: ArrayLike | None) -> NDArray[np.float64]:
     """Relative size of the loads: as given, or what each needs to move the sensors as much as the others."""
     loads = lines.shape[2]
@@ -295,14 +313,6 @@ def _noise(lines: Compressed, answer: Posterior, rule: Rule) -> NDArray[np.float
     return np.maximum(near(energy) / np.maximum(near(left), 0.2), 1e-300)
 
 
-def _least_squares(f: Factored, noise: NDArray, told: Identifiable) -> NDArray[np.complex128]:
-    """Covariance of the least-squares loads; what a line does not see keeps its expected size."""
-    seen = f.seen
-    inverse = np.where(seen, 1 / np.where(seen, f.s, 1.0), 1.0)
-    weight = np.where(seen, noise[:, None] * inverse**2, 1.0)
-    return (f.V * weight[:, None, :]) @ f.V.conj().swapaxes(1, 2)
-
-
 def _matching(f: Factored, answer: Posterior) -> NDArray[np.float64]:
     """Threshold over the loads of expected size that keeps as many directions as the answer has."""
     kept = np.clip(np.round(answer.edf).astype(int), 0, f.s.shape[1])
@@ -317,9 +327,6 @@ def _alone(shown: NDArray, errors: NDArray) -> NDArray[np.float64]:
 
 def _share(H: NDArray, answer: Posterior, errors: NDArray) -> NDArray[np.float64]:
     """Variance of the loads that FRF errors make, (lines, loads); errors are those of the whitened data."""
-    if answer.gain.ndim != 3:
-        gain = np.linalg.pinv(H)
-    else:
-        Q, _ = np.linalg.qr(H)
-        gain = answer.gain @ Q.conj().swapaxes(1, 2)
+    Q, _ = np.linalg.qr(H)
+    gain = answer.gain @ Q.conj().swapaxes(1, 2)
     return np.einsum("kjs,ks->kj", np.abs(gain) ** 2, errors)
