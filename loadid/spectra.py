@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.channels import Channel
 from structures.errors import InputError
+from structures.values import reals
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +61,7 @@ class Spectra:
 
 
 def _lines(frequencies: ArrayLike) -> NDArray[np.float64]:
-    f = np.array(frequencies, float, ndmin=1)
+    f = np.atleast_1d(reals(frequencies, what="these are no frequency lines", where="Spectra, frequencies"))
     if f.ndim != 1 or not len(f) or not np.all(np.isfinite(f)) or f[0] < 0 or np.any(np.diff(f) <= 0):
         raise InputError("these are no frequency lines", where="Spectra, frequencies", found=f"shape {f.shape}",
                          expected="finite Hz, ascending, each line once, none negative",
@@ -89,9 +90,10 @@ def _values(values: ArrayLike, lines: int) -> NDArray[np.complex128]:
 
 
 def _noise(noise: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    level = np.array(noise, float)
+    level = reals(noise, what="the noise is no real number", where="Spectra, noise")
     if level.shape not in ((), shape[1:], shape) or not np.all(np.isfinite(level)) or np.any(level <= 0):
-        raise InputError("the noise does not fit the spectra", where="Spectra, noise", found=f"shape {level.shape}",
+        found = f"shape {level.shape}" if level.ndim else f"{float(level):g}"
+        raise InputError("the noise does not fit the spectra", where="Spectra, noise", found=found,
                          expected=f"positive: one number, {shape[1:]} or {shape}")  # fmt: skip
     level.flags.writeable = False
     return level

@@ -119,8 +119,8 @@ def _of_spectra(found: Spectra, model: Model, rows: NDArray, s: Settings) -> Lin
     columns = _columns([model.sensors[i].label for i in rows], found.labels, found.values.shape[1], len(model.sensors),
                        rows, found.name)  # fmt: skip
     X = found.values[keep][:, columns]
-    noise = found.noise if s.noise is None else _levels(s.noise, len(rows))
-    power, known = _power(noise, X, keep, columns, [model.sensors[i] for i in rows])
+    noise = _stated(found.noise, keep, columns) if s.noise is None else _levels(s.noise, len(rows))
+    power, known = _power(noise, X, [model.sensors[i] for i in rows])
     source = (found.noise_source if s.noise is None else s.noise_source) or ("a guess of the user" if known else
                                                                             "not known")  # fmt: skip
     return LineData(
@@ -138,7 +138,7 @@ def _of_cross(found: CrossSpectra, model: Model, rows: NDArray, s: Settings, nam
     noise = None if s.noise is None else _levels(s.noise, len(rows))
     X = _snapshots(S)
     own = np.sqrt(np.einsum("kss->ks", S).real)
-    power, known = _power(noise, own, keep, columns, [model.sensors[i] for i in rows])
+    power, known = _power(noise, own, [model.sensors[i] for i in rows])
     source = (s.noise_source or "a guess of the user") if known else "not known"
     facts = {"averages": found.averages, "bandwidth": found.bandwidth, "window": found.window}
     return LineData(
@@ -148,6 +148,8 @@ def _of_cross(found: CrossSpectra, model: Model, rows: NDArray, s: Settings, nam
 
 
 def _of_record(found: Any, dt: float | None, model: Model, rows: NDArray, s: Settings) -> LineData:
+    if isinstance(found, np.ndarray) and found.ndim == 2 and found.shape[1] == len(model.sensors) == len(rows):
+        found = found[:, rows]  # columns without names are the sensors of the model in its order
     data = gather(found, dt, model, [int(i) for i in rows])
     if s.signal not in SIGNALS:
         raise InputError("is the record a transient, or does it go on all the time?", where="signal",
@@ -217,11 +219,20 @@ def response(model: Model, line: LineData) -> NDArray[np.complex128]:
 def _inside(f: NDArray, band: tuple[float, float] | None) -> tuple[NDArray[np.float64], NDArray[np.int_]]:
     if band is None:
         return f, np.arange(len(f))
+    band = _band(band)
     keep = np.flatnonzero((f >= band[0]) & (f <= band[1]))
     if not len(keep):
         raise InputError("no line in the band", where="band", found=f"lines {f[0]:.6g} to {f[-1]:.6g} Hz",
                          expected=f"lines in {band[0]:g} to {band[1]:g} Hz")  # fmt: skip
     return f[keep], keep
+
+
+def _band(band: Any) -> tuple[float, float]:
+    ends = reals(band, what="the band is no pair of numbers", where="band")
+    if ends.shape != (2,) or not ends[0] <= ends[1]:
+        raise InputError("the band is no pair of numbers", where="band", found=repr(band)[:80],
+                         expected="(lowest, highest) in Hz")  # fmt: skip
+    return float(ends[0]), float(ends[1])
 
 
 def _known_lines(model: Model, f: NDArray, keep: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int_]]:
@@ -247,7 +258,7 @@ def _columns(wanted: list[str], labels: tuple[str, ...], count: int, sensors: in
         return np.array([labels.index(w) for w in wanted])
     plain = not labels or all(label.startswith("channel ") for label in labels)
     if plain and count in (len(rows), sensors):
-        return np.arange(len(rows)) if count == len(rows) else np.asarray(rows)
+        return np.asarray(rows) if count == sensors else np.arange(len(rows))
     found = list(labels) if labels and not plain else f"{count} columns without names"
     raise InputError("the spectra have no channel for a sensor of the model", where=name, found=found,
                      expected=[w for w in wanted if w not in labels][:8],
@@ -268,21 +279,25 @@ def _snapshots(S: NDArray) -> NDArray[np.complex128]:
 def _levels(noise: ArrayLike, count: int) -> NDArray[np.float64]:
     level = reals(noise, what="the noise is no real number", where="noise")
     if level.shape not in ((), (count,)) or not np.all(np.isfinite(level)) or np.any(level <= 0):
-        raise InputError("the noise does not fit the sensors", where="noise", found=f"shape {level.shape}",
+        found = f"shape {level.shape}" if level.ndim else f"{float(level):g}"
+        raise InputError("the noise does not fit the sensors", where="noise", found=found,
                          expected=f"positive: a number or ({count},)",
                          hint="a level for each line goes into Spectra(noise=)")  # fmt: skip
     return level
 
 
-def _power(
-    noise: Any, X: NDArray, keep: NDArray, columns: NDArray, sensors: list[Channel]
-) -> tuple[NDArray[np.float64], bool]:
+def _stated(noise: Any, keep: NDArray, columns: NDArray) -> NDArray[np.float64] | None:
+    """Levels that the spectra carry, for the lines and columns that are used."""
+    if noise is None or np.ndim(noise) == 0:
+        return None if noise is None else np.asarray(noise, float)
+    level = np.asarray(noise, float)[..., columns]
+    return level[keep] if level.ndim == 2 else level
+
+
+def _power(noise: NDArray | None, X: NDArray, sensors: list[Channel]) -> tuple[NDArray[np.float64], bool]:
     """Variance of the noise, or a scale: channels of one unit are taken as equally noisy."""
     if noise is not None:
-        level = np.asarray(noise, float)
-        level = level[keep] if level.ndim == 2 else level
-        level = level[..., columns] if level.ndim == 2 or (level.ndim == 1 and len(level) > len(columns)) else level
-        return np.broadcast_to(level**2, X.shape).copy(), True
+        return np.broadcast_to(noise**2, X.shape).copy(), True
     units = [c.unit for c in sensors]
     size = np.mean(np.abs(X) ** 2, axis=0)
     scale = np.array([np.mean([v for v, u in zip(size, units, strict=True) if u == unit]) for unit in units])

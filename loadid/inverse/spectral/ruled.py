@@ -166,6 +166,8 @@ def _quasi(sweep: LineSweep) -> NDArray[np.float64]:
 
 
 def _corner(sweep: LineSweep) -> NDArray[np.float64]:
+    if not sweep.path.smooth:
+        raise rules.Refusal("l_curve needs a path that is smooth in lambda")
     p = sweep.point
     value = -rules.curvature(sweep.lam, p.residual2, p.penalty2, p.bend, np.asarray(sweep.path.scale)[:, None])
     value[:, :2] = value[:, -2:] = np.inf
