@@ -192,7 +192,9 @@ class Projection:
         """Largest growth of a residual in ``D^-1`` (lines,): the nearest resonance that ``V`` does not hold yet.
 
         A natural frequency lies within ``distance`` of every Ritz value. A pair that has converged takes no part: both
-        residuals are orthogonal to ``V``, and hold of its mode only what the Ritz vector misses.
+        residuals are orthogonal to ``V``, and hold of its mode only what the Ritz vector misses. What no vector shows
+        is taken to begin at the last Ritz value: a mode hides from a Krylov basis only where no load meets it, and is
+        then no part of a residual.
         """
         a, c = (x[:, None] for x in self.pencil.coefficients(omega))
         distance = np.linalg.norm(self.rest_M, axis=0)
@@ -203,6 +205,7 @@ class Projection:
         along = np.clip((D / size * np.conj(c / size)).real, -distance, distance)
         nearest = np.abs(D - c * along)
         missed = np.minimum(1.0, (distance / self.theta / APART) ** 2)
+        missed[-1] = 1.0
         with np.errstate(divide="ignore"):
             grown = np.where(missed > 0, missed / nearest, 0.0)
         return np.maximum(grown.max(axis=1), 1 / np.abs(a[:, 0]))

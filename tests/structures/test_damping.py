@@ -114,10 +114,10 @@ def test_an_oscillator_with_a_loss_factor_in_closed_form(method, reduction):
 
 @pytest.mark.parametrize(
     ("settings", "method", "tolerance"),
-    [({}, "modal", 1e-4), ({}, "direct", 1e-4), (REDUCTIONS["krylov"], "modal", 1e-4), ({"modes": 8}, "modal", 1e-3)],
+    [({}, "modal", 1e-4), ({}, "direct", 1e-4), (REDUCTIONS["krylov"], "modal", 1e-4), ({"modes": 2}, "modal", 1e-4)],
 )
 def test_a_cantilever_with_a_complex_modulus_in_closed_form(settings, method, tolerance):
-    """The receptance of the tip with EI (1 + i eta) for EI; eight modes need their residual to be damped too."""
+    """The receptance of the tip with EI (1 + i eta) for EI; two modes need a damped residual."""
     L, EI, mass = BEAM["length"], BEAM["EI"] * (1 + 1j * ETA), BEAM["mass_per_length"]
     model = ForwardModel(
         beams.cantilever(damping=Structural(ETA), **BEAM),
@@ -125,7 +125,7 @@ def test_a_cantilever_with_a_complex_modulus_in_closed_form(settings, method, to
         [loads.Point("40+Z")],
         **settings,
     )
-    f = np.array([1.0, 4.0, 30.0, 78.0, 120.0, 250.0])
+    f = np.array([1.0, 4.0, 30.0, 78.0, 120.0, 250.0]) if settings.get("modes") != 2 else np.array([1.0, 4.0, 9.0])
     b = L * (mass * (2 * np.pi * f) ** 2 / EI) ** 0.25
     exact = L**3 / EI * (np.cosh(b) * np.sin(b) - np.sinh(b) * np.cos(b)) / (b**3 * (1 + np.cos(b) * np.cosh(b)))
     H = model.frf(f, method=method)[:, 0, 0]
