@@ -89,7 +89,7 @@ def lines(frequencies: NDArray, H: NDArray, sensors: Sequence[Channel], loads: S
         flag = Flag(
             "W207",
             Evidence("energy at negative times", float(share[turned].max()), TURNED),
-            f"the FRF is not causal: {int(turned.sum())} of the {int(told.sum())} entries that tell it ring before zero "
+            f"the FRF is not causal: {int(turned.sum())} of the {int(told.sum())} entries that tell ring before zero "
             f"({', '.join(_pairs(turned, sensors, loads)[:8])})",
             "conjugate it, or correct the sign convention at import (e^{+i omega t})",
         )

@@ -115,7 +115,7 @@ class TestDrivePoints:
 
     def test_conjugated_is_said_once(self):
         (flag,) = table(LINES, frf(LINES).conj(), "accelerance", self.NAMES, ("2+X", "4+X")).flags
-        assert "8 of the 8 entries that tell it ring before zero" in flag.message
+        assert "8 of the 8 entries that tell ring before zero" in flag.message
 
     def test_which_pairs_are_drive_points(self):
         m = FrfModel.from_frf(
