@@ -87,7 +87,7 @@ def short_time(values: Array, lines: Array, samples: int = FRAME, hop: int = HOP
     cut = np.lib.stride_tricks.sliding_window_view(values, samples)[starts]
     kernel = 2 / window.sum() * window[:, None] * np.exp(-2j * np.pi * np.outer(np.arange(samples) / RATE, lines))
     turned = np.exp(-2j * np.pi * np.outer(starts / RATE, lines))
-    return (starts + 0.5 * samples) / RATE, cut @ kernel * turned
+    return np.asarray((starts + 0.5 * samples) / RATE, float), np.asarray(cut @ kernel * turned, complex)
 
 
 def settled(calibration: Record, lines: Array) -> float:

@@ -114,7 +114,8 @@ def rms(values: NDArray) -> float:
 
 def kind_factor(kind: str, omega: Array) -> Complex:
     """What turns receptance into another kind at circular frequencies."""
-    return (1j * omega) ** {"receptance": 0, "mobility": 1, "accelerance": 2}[kind]
+    order = {"receptance": 0, "mobility": 1, "accelerance": 2}[kind]
+    return np.asarray((1j * omega) ** order, complex)
 
 
 def lines(kind: str = "accelerance", seed: int = 0, count: int = 2000) -> Lines:

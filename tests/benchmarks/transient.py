@@ -88,10 +88,10 @@ def package(case: Transient, full: bool) -> list[Row]:
     model, told = impulses(case), {"noise": case.sigma, "noise_source": "known"}
 
     def lines(**settings: object) -> Callable[[], LoadEstimate]:
-        return lambda: FrequencyInversion(model, signal="transient", **settings).estimate(case.y, DT)  # type: ignore[arg-type]
+        return lambda: FrequencyInversion(model, signal="transient", **settings).estimate(case.y, DT)
 
     def timed(**settings: object) -> Callable[[], LoadEstimate]:
-        return lambda: Deconvolution(model, path="fft", **settings).estimate(case.y, DT)  # type: ignore[arg-type]
+        return lambda: Deconvolution(model, path="fft", **settings).estimate(case.y, DT)
 
     runs = {
         LINES: lines(),
