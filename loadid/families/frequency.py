@@ -307,11 +307,14 @@ def _of_spectra(solved: Fit, line: LineData, H: NDArray) -> _Answer:
 
 
 def _of_cross(solved: Fit, line: LineData, H: NDArray) -> _Answer:
-    """Mean of the loads' spectra given the data: that of the estimates, and what the data leave open of each."""
+    """Mean of the loads' spectra given the data: that of the estimates, and what the data leave open of each.
+
+    Averages reduce the chance of loads and noise, not what errors of the FRF and the prior leave open.
+    """
     g = solved.load
     S = g @ g.conj().swapaxes(1, 2) + solved.covariance
     power = np.maximum(np.einsum("kjj->kj", S).real, 0.0)
-    lost = np.minimum(solved.frf_part, solved.variance)
+    lost = np.minimum(solved.frf_part + solved.prior_part, solved.variance)
     chance = (power + solved.variance - lost) ** 2 / line.averages
     std = np.sqrt(chance + 2 * power * lost + lost**2)
     used = H[:, line.rows]

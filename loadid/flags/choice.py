@@ -171,11 +171,13 @@ def noise_source(choice: Choice, discrepancy: Callable[[float], float | None]) -
         return None
     if any(source in choice.sigma_source for source in KNOWN_SOURCES):
         return None
-    values = ", ".join("none" if d is None else f"{d:.3g}" for d in map(discrepancy, (0.5, 1.0, 2.0)))
+    found = [discrepancy(factor) for factor in (0.5, 1.0, 2.0)]
+    values = ", ".join("none" if d is None else f"{d:.3g}" for d in found)
+    meaning = "" if found == [None] * 3 else f"; relative lambda at half, once and twice of it: {values}"
     return Flag(
         "W406",
         Evidence("source of the noise level", choice.sigma_source, "unloaded record, repeatability or covariance"),
-        f"the noise level comes from {choice.sigma_source!r}; relative lambda at half, once and twice of it: {values}",
+        f"the noise level comes from {choice.sigma_source!r}{meaning}",
         "record the unloaded sensors for a minute, or name the source with noise_source=",
     )
 

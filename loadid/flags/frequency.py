@@ -42,10 +42,11 @@ def antiresonance(spectrum: Spectrum, labels: tuple[str, ...]) -> Flag | None:
 def leaking(values: NDArray, residual: NDArray) -> Flag | None:
     """W508: a transient that has not decayed at its end, or has begun before its first sample."""
     peak = np.abs(values).max(axis=0)
-    noise = np.sqrt(np.mean(residual**2, axis=0))
-    few = max(len(values) // 100, 4)
-    ends = np.maximum(*(np.sqrt(np.mean(part**2, axis=0)) for part in (values[:2], values[-few:])))
-    share = np.where(ends > 3 * noise, ends / np.maximum(peak, np.finfo(float).tiny), 0.0)
+    few = max(len(values) // 100, 10)
+    noise = _calm(residual, few)
+    first, last = (np.sqrt(np.mean(part**2, axis=0)) for part in (values[:2], values[-few:]))
+    clear = np.maximum(np.where(first > 5 * noise, first, 0.0), np.where(last > 3 * noise, last, 0.0))
+    share = clear / np.maximum(peak, np.finfo(float).tiny)
     if share.max() <= ENDS:
         return None
     return Flag(
@@ -55,6 +56,13 @@ def leaking(values: NDArray, residual: NDArray) -> Flag | None:
         "of the record, which the padded transform takes for a jump",
         "take Deconvolution, which is exact on finite records; or record until the structure rests",
     )
+
+
+def _calm(residual: NDArray, few: int) -> NDArray[np.float64]:
+    """Noise of each channel where the residual is calm: what leaks stands in a part of it and must not pass as noise."""
+    few = min(few, len(residual))
+    parts = residual[: len(residual) // few * few].reshape(-1, few, residual.shape[1])
+    return np.sqrt(np.quantile(np.mean(parts**2, axis=1), 0.25, axis=0))
 
 
 def too_coarse(bandwidth: float, decay_rate: float | None) -> Flag | None:

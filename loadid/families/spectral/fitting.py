@@ -113,6 +113,8 @@ class Fit:
         Noise over the stated level where that is contradicted, else 1 (variances).
     frf_part : array
         The part of `variance` that errors of the FRF make: no average reduces it.
+    prior_part : array
+        The part of `variance` that is the expected size of what the line does not tell: nor does an average reduce that.
     """
 
     load: NDArray[np.complex128]
@@ -128,6 +130,7 @@ class Fit:
     used: float
     excess: float
     frf_part: NDArray[np.float64]
+    prior_part: NDArray[np.float64]
 
     @property
     def variance(self) -> NDArray[np.float64]:
@@ -195,7 +198,7 @@ def fit(
     return Fit(
         load=answer.load, covariance=answer.covariance, told=told, expected=np.sqrt(guess.probable), noise=noise,
         total=total, errors=errors, lam=lam, edf=answer.edf, path=path, used=used, excess=guess.excess,
-        frf_part=frf_part,
+        frf_part=frf_part, prior_part=_beyond(answer, noise),
     )  # fmt: skip
 
 
@@ -323,6 +326,14 @@ def _matching(f: Factored, answer: Posterior) -> NDArray[np.float64]:
 def _alone(shown: NDArray, errors: NDArray) -> NDArray[np.float64]:
     """Noise of the response: what the data show, less what FRF errors explain of it."""
     return np.maximum(shown - errors, LEAST * shown)
+
+
+def _beyond(answer: Posterior, noise: NDArray) -> NDArray[np.float64]:
+    """Variance of the loads that noise does not make, (lines, loads)."""
+    if answer.gain.ndim != 3:  # least squares have no prior
+        return np.zeros(answer.variance.shape)
+    made = noise[:, None] * np.sum(np.abs(answer.gain) ** 2, axis=2)
+    return np.maximum(answer.variance - made, 0.0)
 
 
 def _share(H: NDArray, answer: Posterior, errors: NDArray) -> NDArray[np.float64]:
