@@ -9,6 +9,8 @@ METHODS = ("tikhonov", "tsvd")
 PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
 SPARSE_RULES = ("ebic",)
 DICTIONARIES = ("dirac", "bspline", "wavelet")
+SIGNALS = ("stationary", "transient")
+OVER = ("neighbours", "line", "band")
 STARTS = ("rest", "unknown")
 NONE = "none"
 
@@ -80,6 +82,36 @@ def leak(text: str) -> float:
     if not 0 < value < 1:
         raise ArgumentTypeError(f"{text!r} is no leak: a number between 0 and 1")
     return value
+
+
+def positive(text: str) -> float:
+    """A finite number > 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise ArgumentTypeError(f"{text!r} is no number > 0")
+    return value
+
+
+def band(text: str) -> tuple[float, float]:
+    """``"20:1000"`` as a band in Hz."""
+    low, _, high = text.partition(":")
+    try:
+        ends = float(low), float(high)
+    except ValueError:
+        ends = math.nan, math.nan
+    if not (math.isfinite(ends[0]) and math.isfinite(ends[1]) and 0 <= ends[0] < ends[1]):
+        raise ArgumentTypeError(f"{text!r} is no band LOW:HIGH in Hz")
+    return ends
+
+
+def count(text: str) -> int:
+    """A whole number > 0."""
+    if not (text.strip().isascii() and text.strip().isdecimal() and int(text) > 0):
+        raise ArgumentTypeError(f"{text!r} is no whole number > 0")
+    return int(text)
 
 
 def seed(text: str) -> int:

@@ -14,6 +14,7 @@ from . import _arguments as arguments
 if TYPE_CHECKING:
     from loadid.record import Record
     from structures.measured import MeasuredModel
+    from structures.tabulated import FrfModel
 
 
 def add_log_options(parser: ArgumentParser, *, several: bool = False) -> None:
@@ -101,17 +102,24 @@ def read_records(path: str | Path, chosen: list[str] | None, settings: dict[str,
     return list(read_all(path, **settings))
 
 
-def load_model(path: str | Path) -> MeasuredModel:
-    """Model of a file.
+def load_model(path: str | Path) -> MeasuredModel | FrfModel:
+    """Model of a file: one that was saved here, or the FRFs of a universal file that states what they are.
 
     Raises
     ------
     InputError
         If the file is missing, damaged, or no model.
     """
+    from structures.files.uff import SUFFIXES
     from structures.measured import MeasuredModel
+    from structures.storage import kind_of
+    from structures.tabulated import FILE, FrfModel
 
-    return MeasuredModel.load(path)
+    if Path(path).suffix.lower() in SUFFIXES:
+        from structures.files import read_frfs
+
+        return read_frfs(path)
+    return FrfModel.load(path) if Path(path).is_file() and kind_of(path) == FILE else MeasuredModel.load(path)
 
 
 def resolved(record: Record, channels: Sequence[str | int], *, where: str) -> list[str]:

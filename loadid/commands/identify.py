@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 FAMILIES = {
     "deconvolution": ("loadid.families.deconvolution", "Deconvolution"),
+    "frequency": ("loadid.families.frequency", "FrequencyInversion"),
     "sparse": ("loadid.families.sparse", "SparseDeconvolution"),
 }
 
@@ -42,7 +43,7 @@ def identify(
     Parameters
     ----------
     family : str
-        ``"deconvolution"`` or ``"sparse"``.
+        ``"deconvolution"``, ``"frequency"`` or ``"sparse"``.
     responses : sequence of str, optional
         Channels of the log in the order of the sensors of the model; default those of the same names.
     record : str, optional
@@ -251,6 +252,23 @@ def _configure(parser: ArgumentParser) -> None:
         choices=arguments.DICTIONARIES,
         help="waveforms of the sparse family: spikes (default), splines for longer pulses, wavelets",
     )
+    parser.add_argument(
+        "--signal",
+        choices=arguments.SIGNALS,
+        help="frequency family: averaged into spectra of the loads, or transformed once into their history",
+    )
+    parser.add_argument(
+        "--over", choices=arguments.OVER, help="frequency family: who decides on lambda; default neighbours"
+    )
+    parser.add_argument(
+        "--level", type=arguments.positive, metavar="SHARE", help="frequency family: predicted error to flag, as 0.1"
+    )
+    parser.add_argument(
+        "--band", type=arguments.band, metavar="LOW:HIGH", help="frequency family: lines that are inverted, Hz"
+    )
+    parser.add_argument(
+        "--segment", type=arguments.count, metavar="SAMPLES", help="frequency family: length of the averaged segments"
+    )
     parser.add_argument("--nonnegative", action="store_true", help="loads that push and never pull")
     parser.add_argument(
         "--allow", type=names, metavar="CODE,...", help="refusals to override (E306, ...); printed on every picture"
@@ -280,8 +298,12 @@ def _run(args: Namespace) -> int:
         estimate = identify(
             log, model, family=args.family, responses=args.response, method=args.method, penalty=args.penalty,
             choice=args.choice, path=args.path, initial=args.initial, leak=args.leak, dictionary=args.dictionary,
-            nonnegative=args.nonnegative or None, allow=allow, progress=bar,
+            nonnegative=args.nonnegative or None, signal=args.signal, over=args.over, level=args.level,
+            band=args.band, segment=args.segment, allow=allow, progress=bar,
         )  # fmt: skip
+    if truth is not None and (estimate.axis is None or estimate.axis.name != "time"):
+        raise InputError("a history cannot be compared with spectra", where="--truth", found="--signal stationary",
+                         expected="a load over time", hint="leave --truth out")  # fmt: skip
     error = None if truth is None else relative_error(estimate, truth)
     written = write_all(estimate, args.output, report=args.report, plot=args.plot, truth=truth)
     lines = [estimate.summary(), *([show_error(error)] if error else []), f"written: {', '.join(written)}"]

@@ -51,6 +51,8 @@ def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = T
         return {"kind": kind, "file": str(path), "summary": estimate.summary(), **estimate.to_dict(arrays=arrays)}
     if kind == "measured model":
         return {"kind": kind, "file": str(path), **_model(path)}
+    if kind == "table of FRFs":
+        return {"kind": kind, "file": str(path), "content": _table(path)}
     return {"kind": kind, "file": str(path), "content": _outline(storage.read(path, kind))}
 
 
@@ -68,10 +70,11 @@ def _log(path: str | Path, records: list[str] | None, reading: dict[str, Any]) -
 
 def _model(path: str | Path) -> dict[str, Any]:
     """What a measured model was made from and what it covers."""
-    from ._logs import load_model
+    from structures.measured import MeasuredModel
+
     from .calibrate import describe as describe_hits
 
-    model = load_model(path)
+    model = MeasuredModel.load(path)
     return {
         **describe_hits(model),
         "sensors": [{"label": c.label, "unit": c.unit, "quantity": c.quantity} for c in model.sensors],
@@ -83,6 +86,22 @@ def _model(path: str | Path) -> dict[str, Any]:
         "certificate": None if model.certificate is None else str(model.certificate),
         "flags": [f.to_dict() for f in model.flags],
         "fingerprint": model.fingerprint,
+    }
+
+
+def _table(path: str | Path) -> dict[str, Any]:
+    """What a table of FRFs covers."""
+    from structures.tabulated import FrfModel
+
+    model = FrfModel.load(path)
+    return {
+        "sensors": ", ".join(f"{c.label} [{c.unit}]" for c in model.sensors),
+        "loads": ", ".join(f"{c.label} [{c.unit}]" for c in model.loads),
+        "lines": f"{len(model.frequencies)}, {model.frequencies[0]:.6g} to {model.frequencies[-1]:.6g} Hz",
+        "errors": "none stated" if model.variance is None else "variance of every FRF",
+        "verification": str(model.certificate or "forward model not verified"),
+        "flags": "; ".join(f"{f.code}: {f.message}" for f in model.flags) or "none",
+        "fingerprint": model.fingerprint[:16],
     }
 
 

@@ -273,7 +273,8 @@ class FrequencyInversion:
                 told.inseparable(spectrum, strength, labels),
                 None if line.data is None else told.leaking(line.data.values, answer.residual),
                 None if line.facts is None else told.too_coarse(line.facts["bandwidth"], decay),
-                guards.inverse_crime(line.data.record.simulated_by, model.fingerprint) if line.data else None,
+                guards.inverse_crime(line.simulated_by, model.fingerprint) if line.simulated_by else None,
+                guards.used_for_training("the record", line.fingerprints & getattr(model, "training", frozenset())),
                 guards.no_coverage(self.coverage),
             ]
         )

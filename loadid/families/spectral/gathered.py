@@ -57,6 +57,10 @@ class LineData:
     flags : tuple of Flag
     facts : dict
         How the spectra were made.
+    fingerprints : frozenset of str
+        Digests of the channels of the records, which a model made from them knows.
+    simulated_by : str
+        Fingerprint of the model that made the records; "" where they were measured.
     """
 
     frequencies: NDArray[np.float64]
@@ -73,6 +77,8 @@ class LineData:
     padded: int = 0
     flags: tuple[Flag, ...] = ()
     facts: dict[str, Any] | None = None
+    fingerprints: frozenset[str] = frozenset()
+    simulated_by: str = ""
 
     @property
     def fullness(self) -> float:
@@ -183,7 +189,8 @@ def _averaged(data: list[Data], model: Model, s: Settings) -> LineData:
     line = _of_cross(positive, model, first.rows, Settings(noise=level, noise_source=noise.source, band=s.band))
     inputs = {d.record.source or d.record.name or f"record {i + 1}": d.record.sha256 for i, d in enumerate(data)}
     flags = tuple(flag for d in data for flag in health(d))
-    return LineData(**{**vars(line), "inputs": inputs, "flags": (*line.flags, *flags), "channels": first.channels})
+    changes = {"inputs": inputs, "flags": (*line.flags, *flags), "channels": first.channels, **_origin(data)}
+    return LineData(**{**vars(line), **changes})
 
 
 def _of_transient(data: Data, model: Model, s: Settings) -> LineData:
@@ -201,8 +208,16 @@ def _of_transient(data: Data, model: Model, s: Settings) -> LineData:
     record = data.record
     return LineData(
         f, X[..., None], power, known, source, 1.0, "transient", data.rows, data.channels,
-        {record.source or record.name or "record": record.sha256}, data, padded, health(data),
+        {record.source or record.name or "record": record.sha256}, data, padded, health(data), **_origin([data]),
     )  # fmt: skip
+
+
+def _origin(data: list[Data]) -> dict[str, Any]:
+    """Where records come from."""
+    return {
+        "fingerprints": frozenset().union(*(d.fingerprints for d in data)),
+        "simulated_by": data[0].record.simulated_by,
+    }
 
 
 def response(model: Model, line: LineData) -> NDArray[np.complex128]:
