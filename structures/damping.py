@@ -234,6 +234,24 @@ class Structural:
 Damping = Rayleigh | Modal | Structural
 
 
+def causal(damping: Damping | None, method: str) -> None:
+    """Refuse a time response under structural damping.
+
+    Raises
+    ------
+    InputError
+        It is not causal: the loss factor has no equation of motion.
+    """
+    if isinstance(damping, Structural):
+        raise InputError(
+            f"structural damping has no {method}: a loss factor is not causal, it has frequency responses only",
+            where=method,
+            found=f"damping.Structural({damping.eta:g})",
+            expected="Rayleigh or modal damping, or a matrix C",
+            hint=f"damping={damping.eta / 2:g}, the modal ratio eta / 2, has the same peaks",
+        )
+
+
 def loss_factor(damping: Damping | None) -> float:
     """Structural loss factor; 0 of any other damping."""
     return damping.eta if isinstance(damping, Structural) else 0.0

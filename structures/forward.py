@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from . import krylov, placing
+from . import krylov, placing, reducing
 from .bases.basis import Basis
-from .damping import loss_factor
+from .damping import causal
 from .direct import direct
 from .discretise import check, discretise, markov
 from .errors import InputError
@@ -20,16 +20,11 @@ from .factor import Factor
 from .krylov import Krylov, ReductionError
 from .loads import Load, near_support
 from .model import Model
-from .modes import DENSE, Modes, modal_damping, modes
-from .reduction import ReducedModel, highpass, static_residual
+from .modes import Modes
+from .reduction import ReducedModel, highpass
 from .statespace import StateSpace, count, digest, lines
 from .structure import Structure
-from .values import positive, shown
-
-DEFAULT_MODES = 60  # of a large structure
-BAND_FACTOR = 2.5  # modes up to this multiple of the band: with the residual, a per cent of error on the worst lines
-BLIND = 1e-9  # share of a rigid mode in a row or column that is rounding
-REDUCTIONS = ("modes", "krylov")
+from .values import shown
 
 
 class ForwardModel(Model):
@@ -90,48 +85,21 @@ class ForwardModel(Model):
         self.sensors = placing.placed(sensors, "row", "sensors")
         self.basis = loads if isinstance(loads, Basis) else None
         self.loads = placing.placed(loads, "column", "loads", "columns")
-        size = structure.free.size
-        if modes is not None and not (
-            isinstance(modes, int | np.integer) and not isinstance(modes, bool) and 1 <= modes <= size
-        ):
-            raise InputError(
-                "no such number of modes",
-                where="modes",
-                found=repr(modes),
-                expected=f"1..{size}",
-                hint="leave modes out: band= in Hz chooses them",
-            )
-        if band is not None:
-            band = positive("band", band, where="ForwardModel", unit="Hz")
-        self._settings: dict[str, Any] = {
-            "modes": None if modes is None else int(modes),
-            "residual": bool(residual),
-            "band": band,
-            "reduction": reduction,
-        }
+        self._settings = reducing.settled(structure, modes, residual, band, reduction)
         self._S = placing.rows(structure, self.sensors)
         self._derivative = np.array([int(getattr(s, "derivative", 0)) for s in self.sensors])
         self._corner = np.array([s.highpass or 0.0 for s in self.sensors])
         self._columns = placing.columns(structure, self.loads if self.basis is None else self.basis)
-        self._check_reduction()
+        if reduction == "krylov":
+            self._fixed("Krylov reduction")
+            krylov.refuse(structure, len(self.sensors), len(self.loads))
         found = near_support(structure, [p for p in self.loads if isinstance(p, Load)])
         self.flags = (*getattr(structure.field, "flags", ()), *(() if found is None else (found,)))
 
     def __repr__(self) -> str:
-        n = self.structure.free.size
-        s = self._settings
-        if s["reduction"] == "krylov":
-            kept = f"Krylov basis to {s['band']:g} Hz"
-            if "krylov" in self.__dict__:
-                kept += f", {self.krylov.projection.theta.size} vectors, error {self.krylov.estimate:.1e}"
-        elif s["modes"] is None and s["band"] and n > DENSE and "modes" not in self.__dict__:
-            kept = f"modes up to {BAND_FACTOR:g} x {s['band']:g} Hz"
-        else:
-            k = len(self.modes.lam) if "modes" in self.__dict__ else self._wanted()
-            kept = f"all {n} modes" if k == n else f"{k} of {n} modes"
-        whole = s["reduction"] == "krylov" or kept.startswith("all")
-        rest = " + static residual" if s["residual"] and not whole else ""
-        return f"ForwardModel({n} free DOFs, {len(self.sensors)} sensors, {len(self.loads)} loads, {kept}{rest})"
+        n, known = self.structure.free.size, self.__dict__
+        kept = reducing.described(self._settings, n, known.get("modes"), known.get("krylov"))
+        return f"ForwardModel({n} free DOFs, {len(self.sensors)} sensors, {len(self.loads)} loads, {kept})"
 
     # -- parts ----------------------------------------------------------------------------------------------------
     @property
@@ -144,12 +112,6 @@ class ForwardModel(Model):
         """Factor of the stiffness; ``factor.solves`` counts its right-hand sides."""
         return Factor.of(self.structure)
 
-    def _wanted(self) -> int:
-        n = self.structure.free.size
-        if self._settings["modes"] is not None:
-            return self._settings["modes"]
-        return n if n <= DENSE else min(DEFAULT_MODES, n)
-
     @cached_property
     def modes(self) -> Modes:
         """The modes that the model retains.
@@ -159,16 +121,8 @@ class ForwardModel(Model):
         InputError
             If it is reduced to a Krylov basis.
         """
-        self._reduced_to("modes", "modes")
-        n, k, band = self.structure.free.size, self._wanted(), self._settings["band"]
-        found = modes(self.structure, k)
-        while band is not None and self._settings["modes"] is None and k < n:
-            if found.frequencies[-1] >= BAND_FACTOR * band:
-                k = int(np.searchsorted(found.frequencies, BAND_FACTOR * band)) + 1
-                return Modes(found.lam[:k], found.phi[:, :k], min(found.rigid, k), found.shift, found.factor)
-            k = min(2 * k, n)
-            found = modes(self.structure, k)
-        return found
+        reducing.needs(self._settings, "modes", "modes")
+        return reducing.retained(self.structure, self._settings)
 
     @cached_property
     def krylov(self) -> Krylov:
@@ -179,7 +133,7 @@ class ForwardModel(Model):
         InputError
             If it is reduced to modes, or its tolerance is not reached.
         """
-        self._reduced_to("krylov", "Krylov basis")
+        reducing.needs(self._settings, "krylov", "Krylov basis")
         return krylov.krylov(self.structure, self._S, self._columns, self._settings["band"])
 
     @property
@@ -190,28 +144,15 @@ class ForwardModel(Model):
     @cached_property
     def reduced(self) -> ReducedModel:
         """The model in modal coordinates."""
-        shapes = self._shapes
-        S, B = self._S @ shapes.phi, self._project(shapes.phi)
-        # A strain gauge sees no rigid motion, a self-balanced load drives none: zero, not rounding.
-        r = shapes.rigid
-        S[:, :r][np.abs(S[:, :r]) < BLIND * np.abs(S).max(axis=1, keepdims=True)] = 0.0
-        B[..., :r, :][np.abs(B[..., :r, :]) < BLIND * np.abs(B).max(axis=-2, keepdims=True)] = 0.0
-        residual = None
-        left_out = len(shapes.lam) < self.structure.free.size
-        if left_out and self._settings["residual"] and self._settings["reduction"] == "modes":
-            if not self.moving:
-                static = self._static_rows if shapes.shift == 0 else None
-                residual = static_residual(shapes, self._S, self._columns, S, B, static)
-            else:
-                full = shapes.factor.solve(self._S.T.toarray()).T
-                residual = np.einsum("sn,tnp->tsp", full, self._columns) - (S / (shapes.lam - shapes.shift)) @ B
-        damping, loss = modal_damping(self.structure, shapes), loss_factor(self.structure.damping)
-        return ReducedModel(shapes.lam, damping, S, B, residual, self._derivative, self._corner, loss)
-
-    def _project(self, phi: NDArray) -> NDArray[np.float64]:
-        if not self.moving:
-            return np.asarray(self._columns.T @ phi).T
-        return np.einsum("nk,tnp->tkp", phi, self._columns, optimize=True)
+        left_out = self._settings["residual"] and self._settings["reduction"] == "modes"
+        return reducing.reduced(
+            self.structure,
+            self._shapes,
+            self._S,
+            self._columns,
+            (self._derivative, self._corner),
+            (lambda: self._static_rows) if left_out else None,
+        )
 
     @cached_property
     def _static_rows(self) -> NDArray[np.float64]:
@@ -261,7 +202,7 @@ class ForwardModel(Model):
         self._fixed("frf")
         f = lines(frequencies)
         if method == "modal":
-            self._within(f)
+            reducing.within(self._settings, f)
             return self.reduced.frf(f)
         if method == "direct":
             H = direct(self.structure, self._S, self._columns, f, lambda: self._shapes)
@@ -299,7 +240,7 @@ class ForwardModel(Model):
         """
         f = lines(frequencies)
         basis = self.krylov
-        self._within(f)
+        reducing.within(self._settings, f)
         H, *parts = basis.projection.errors(2 * np.pi * f)
         truncation, rounding, size = (np.abs(self._reading(f))[:, :, None] * x for x in (*parts, np.abs(H)))
         return ReductionError(f, truncation, rounding, size)
@@ -317,7 +258,7 @@ class ForwardModel(Model):
         """
         check(dt, hold)
         self._fixed("impulse_response")
-        self.reduced.refuse_time("impulse_response")
+        causal(self.structure.damping, "impulse_response")
         if self.reduced.proportional:
             return markov(self.reduced, float(dt), hold, count(samples))
         return self.state_space(dt, hold).impulse_response(dt, samples)
@@ -347,7 +288,7 @@ class ForwardModel(Model):
                     expected=f"dt={own:g}",
                     hint="resample its path",
                 )
-        self.reduced.refuse_time("state_space")
+        causal(self.structure.damping, "state_space")
         return StateSpace(*discretise(self.reduced, float(dt), hold), dt, hold, sensors=self.sensors, loads=self.loads)
 
     def predict(self, load: ArrayLike, dt: float, hold: str | None = None) -> NDArray[np.float64]:
@@ -418,52 +359,6 @@ class ForwardModel(Model):
                 found=f"moving loads {names}",
                 expected="loads that stay in place",
                 hint="state_space() carries B(t); predict() simulates",
-            )
-
-    def _check_reduction(self) -> None:
-        """Refuse a reduction that is none, or that cannot serve this model."""
-        s = self._settings
-        if s["reduction"] not in REDUCTIONS:
-            raise InputError(
-                "no such reduction",
-                where="reduction",
-                found=shown(s["reduction"]),
-                expected="'modes' or 'krylov'",
-                hint="leave it out: modes and their static residual",
-            )
-        if s["reduction"] == "modes":
-            return
-        if s["band"] is None or s["modes"] is not None:
-            raise InputError(
-                "a Krylov basis is made for a band, not for a number of modes",
-                where="reduction='krylov'",
-                found=f"band={s['band']}, modes={s['modes']}",
-                expected="band= in Hz, no modes=",
-                hint="pass the highest frequency of interest as band=",
-            )
-        self._fixed("Krylov reduction")
-        krylov.refuse(self.structure, len(self.sensors), len(self.loads))
-
-    def _reduced_to(self, reduction: str, what: str) -> None:
-        if self._settings["reduction"] != reduction:
-            raise InputError(
-                f"the model is reduced by {self._settings['reduction']}: it has no {what}",
-                where="ForwardModel",
-                found=f"reduction={self._settings['reduction']!r}",
-                expected=f"reduction={reduction!r}",
-                hint="build the model with it" + (", and with band=" if reduction == "krylov" else ""),
-            )
-
-    def _within(self, f: NDArray) -> None:
-        """Refuse lines above the band of a Krylov basis: nothing is known of its error there."""
-        band = self._settings["band"]
-        if self._settings["reduction"] == "krylov" and len(f) and f.max() > band * (1 + 1e-9):
-            raise InputError(
-                "a line lies above the band of the Krylov basis",
-                where="frequencies",
-                found=f"{f.max():.6g} Hz",
-                expected=f"at most {band:g} Hz",
-                hint="build the model with a higher band=",
             )
 
     def _reading(self, f: NDArray) -> NDArray[np.complex128]:

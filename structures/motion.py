@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .damping import Modal, loss_factor
+from .damping import Modal, causal, loss_factor
 from .discretise import blocks, check
 from .errors import InputError
 from .factor import Factor
@@ -114,6 +114,7 @@ def motion(model: ForwardModel, load: ArrayLike, dt: float, hold: str = "foh") -
     """
     check(dt, hold)
     g = reals(load, where="motion", what="the load is no array of numbers")
+    causal(model.structure.damping, "motion")
     if model.moving or not model.reduced.proportional:
         raise InputError(
             "the motion is computed mode by mode",
@@ -126,7 +127,6 @@ def motion(model: ForwardModel, load: ArrayLike, dt: float, hold: str = "foh") -
         raise InputError("the load does not fit the model", where="motion", found=f"shape {g.shape}, or not finite",
                          expected=f"finite, (samples, {len(model.loads)})", hint="one column per load")  # fmt: skip
     reduced, s = model.reduced, model.structure
-    reduced.refuse_time("motion")
     push = g @ reduced.B.T
     q, qd = _advance(reduced.lam, reduced.damping, push, float(dt), hold)
     acceleration = push - reduced.damping * qd - reduced.lam * q

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError, NotIdentifiable
+from .errors import NotIdentifiable
 from .factor import MECHANISM
 from .modes import Modes
 
@@ -83,23 +83,6 @@ class ReducedModel:
                 if d < 2 or self.damping[k] > 0:
                     rates.append(0.0 if d == 0 else float(self.damping[k]))
         return float(min(rates, default=0.0))
-
-    def refuse_time(self, method: str) -> None:
-        """Refuse a time response under structural damping.
-
-        Raises
-        ------
-        InputError
-            It is not causal: the loss factor has no equation of motion.
-        """
-        if self.loss:
-            raise InputError(
-                f"structural damping has no {method}: a loss factor is not causal, it has frequency responses only",
-                where=method,
-                found=f"damping.Structural({self.loss:g})",
-                expected="Rayleigh or modal damping, or a matrix C",
-                hint=f"damping={self.loss / 2:g}, the modal ratio eta / 2, has the same peaks",
-            )
 
     def frf(self, frequencies: NDArray[np.float64]) -> NDArray[np.complex128]:
         """Frequency response (lines, sensors, loads), high-pass included; the residual counts in every row.
