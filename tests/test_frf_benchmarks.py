@@ -7,7 +7,7 @@ from loadid import FrequencyInversion, Spectra
 from structures import FrfModel
 
 from . import frfplate
-from .benchmarks import antiresonance, transient
+from .benchmarks import antiresonance, frf_coverage, transient
 
 PUBLISHED = {  # med, glob: pseudo-inverse, Tikhonov by L-curve, by GCV, best lambda of each line
     "accelerance": ((0.142, 1.84), (0.141, 0.598), (0.139, 0.382), (0.124, 0.230)),
@@ -100,3 +100,13 @@ class TestAntiresonances:
             assert np.min(np.abs(zeros - frequency)) <= 0.01
         assert {16.50, 75.50} <= set(flagged)
         assert {1.0, 1.25, 1.5} <= set(flagged)  # accelerance vanishes towards 0 Hz
+
+
+class TestCoverage:
+    """Of the band, where every entry of the FRF errs by 3 % of the rms of its line."""
+
+    def test_variance_of_the_frf_stated(self):
+        assert 0.93 <= frf_coverage.covered("accelerance", 0.03, 0)[0] <= 0.97
+
+    def test_noise_alone_understates_the_band(self):
+        assert frf_coverage.covered("accelerance", 0.10, 0, told=False)[0] < 0.85
