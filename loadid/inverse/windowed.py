@@ -12,9 +12,9 @@ from structures.errors import InputError
 from .convolved.path import ConvolvedPath
 from .convolved.pcg import Reached
 from .streamed import Stream, heard
-from .windows import Progress, Windowed, Windows
+from .windows import TOLERANCE, Progress, Windowed, Windows
 
-CLOSE = 5e-4  # bound over the norm of the load at which sweeps end
+CLOSE, SWEEPS = 5e-4, 6  # bound over the norm of the load at which sweeps end; most sweeps
 PLAIN = 1e-7  # accuracy of the windows where only sums are asked for
 FIRST, LIVELY = 8192, 0.25  # samples of the beginning; its power over that of the record, at least
 
@@ -23,8 +23,8 @@ class WindowedPath(ConvolvedPath):
     """As `ConvolvedPath`, with every solution of the record made of windows (`windows`): memory of a few records.
 
     Loads come with a bound on what they differ by from the solution in one piece (`solve`). The scalars of `at` come
-    from one sweep of windows, good to about 1e-4. Traces and variances are those of `ConvolvedPath`: they need windows
-    only, unless data are missing.
+    from one sweep of windows, which leaves the load off by some 1e-4, more where influences last long. Traces and
+    variances are those of `ConvolvedPath`: they need windows only, unless data are missing.
 
     Raises
     ------
@@ -50,7 +50,10 @@ class WindowedPath(ConvolvedPath):
         """Windows at a relative lambda; the last ones are kept."""
         self._check(np.asarray(lam))
         if self._last is None or self._last[0] != float(lam):
-            self._last = float(lam), self._windows(lam).solve(self.y[0], tolerance=CLOSE, progress=progress)
+            self._last = (
+                float(lam),
+                self._windows(lam).solve(self.y[0], tolerance=CLOSE, sweeps=SWEEPS, progress=progress),
+            )
         return self._last[1]
 
     def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
@@ -60,12 +63,12 @@ class WindowedPath(ConvolvedPath):
         return self._windows(lam).solve(self._response(g)[0]).load
 
     # -- inside -------------------------------------------------------------------------------------------------------
-    def _windows(self, lam: float, accuracy: float | None = None) -> Windows:
+    def _windows(self, lam: float, accuracy: float = TOLERANCE) -> Windows:
         weight = self.operator.weight
         ones = np.broadcast_to(1.0, self.y.shape[1:]) if weight is None else weight
-        own = {} if accuracy is None else {"accuracy": accuracy}
         h = np.moveaxis(self.operator.h[..., : self._stream.taps], -1, 0)
-        return Windows(h, self.samples, float(lam) * float(self.scale), self.operator.penalty, ones, **own)
+        absolute = float(lam) * float(self.scale)
+        return Windows(h, self.samples, absolute, self.operator.penalty, ones, accuracy=accuracy)
 
     def _response(self, load: NDArray) -> NDArray[np.float64]:
         out = np.stack([self._stream.whole(g) for g in load])
@@ -80,7 +83,9 @@ class WindowedPath(ConvolvedPath):
 
     def _chain(self, lam: float, y: NDArray) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
         windows, absolute = self._windows(lam, PLAIN), float(lam) * float(self.scale)
-        loads, responses, roughs = [], [], []
+        loads: list[NDArray] = []
+        responses: list[NDArray] = []
+        roughs: list[NDArray] = []
         for _ in range(3):
             side = {"c": roughs[-1][0]} if roughs else {"y": y[0]}
             loads.append(windows.first(**side)[None])

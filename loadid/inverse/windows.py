@@ -24,6 +24,7 @@ from .streamed import Stream
 
 SHORT = 4096  # samples of the first window that is tried
 FADED = 3e-4  # relative height of what the end of a window still does beyond the overlap: sweeps make up for it
+LARGEST = 12  # the overlap is at most this part of the record: where influences last longer, more sweeps are needed
 POWER = 12  # steps of the power method for the smallest curvature
 SAFE = 1.5
 TOLERANCE, CORRECTED = 1e-11, 1e-5  # accuracy of the windows of the first sweep, and of corrections
@@ -89,7 +90,7 @@ def solve_in_windows(
         0 where a datum is missing.
     window, overlap : int, optional
         Samples in a window and given up at its end. Default: the overlap over which the influence of a window's end
-        falls to 3e-4, and six times that.
+        falls to 3e-4, at most a twelfth of the record, and six times that.
     memory : int, optional
         Taps that the windows use of `h`; the gradient and the bound use all, and further sweeps make up for it.
     tolerance : float
@@ -308,7 +309,7 @@ def _layout(
 
 def _faded(h: NDArray, samples: int, lam: float, penalty: str) -> int:
     """Distance from the end of a window at which its last data and load no longer matter."""
-    width = min(SHORT, samples)
+    width, most = min(SHORT, samples), max(samples // LARGEST, 1)
     while True:
         operator = Operator(h, width, penalty)
         y = np.zeros((operator.sensors, operator.sensors, width))
@@ -316,8 +317,8 @@ def _faded(h: NDArray, samples: int, lam: float, penalty: str) -> int:
         x = np.abs(solve(operator, Circulant(operator, lam), Sides(y=y), 1e-8).x)
         level = np.maximum.accumulate(np.max(x / x.max(axis=(1, 2), keepdims=True), axis=(0, 1)))  # from the far end
         reach = width - int(np.searchsorted(level, FADED))
-        if 4 * reach <= width or width == samples:
-            return min(reach, max((samples - 1) // 2, 0))
+        if 4 * reach <= width or width == samples or reach > most:
+            return min(reach, most)
         width = min(2 * width, samples)
 
 

@@ -96,6 +96,7 @@ class ConvolvedPath:
         self._residuals: dict[float, tuple[NDArray, NDArray]] = {}
         self._errors: dict[float, Table] = {}
         self._kept: tuple[float, Reached] | None = None
+        self._told: tuple[float, tuple[NDArray, NDArray, float], tuple[float, float, float]] | None = None
 
     # -- the contract -------------------------------------------------------------------------------------------------
     @property
@@ -262,8 +263,11 @@ class ConvolvedPath:
     def _alone(self, lam: NDArray) -> PathPoint:
         """Exact scalars at one lambda, without those that need its neighbours."""
         relative = float(lam.reshape(-1)[0])
-        found, (part, rest, _) = self._moments(relative), self._trace(relative)
-        remains, falls, change2 = found.rest.sum(axis=1), found.drop.sum(axis=1), float(np.sum(found.change2))
+        if self._told is None or self._told[0] != relative:
+            found = self._moments(relative)
+            sums = found.rest.sum(axis=1), found.drop.sum(axis=1), float(np.sum(found.change2))
+            self._told = relative, sums, self._trace(relative)
+        _, (remains, falls, change2), (part, rest, _) = self._told
         x2 = (relative * float(self.scale)) ** 2
 
         def shaped(x: float) -> NDArray[np.float64]:
