@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -232,6 +233,8 @@ class ForwardModel(Model):
         ------
         InputError
             If the model is reduced to modes, or a line lies above the band.
+        NotIdentifiable
+            If the displacement is unbounded on a line, as in `frf`.
 
         Notes
         -----
@@ -241,6 +244,7 @@ class ForwardModel(Model):
         f = lines(frequencies)
         basis = self.krylov
         reducing.within(self._settings, f)
+        replace(self.reduced, derivative=np.zeros_like(self._derivative)).frf(f)  # a line without bound is named
         H, *parts = basis.projection.errors(2 * np.pi * f)
         truncation, rounding, size = (np.abs(self._reading(f))[:, :, None] * x for x in (*parts, np.abs(H)))
         return ReductionError(f, truncation, rounding, size)

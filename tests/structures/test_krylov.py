@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from structures import ForwardModel, InputError, Structure, beams, chains, loads, plates, sensors
+from structures import ForwardModel, InputError, NotIdentifiable, Structure, beams, chains, loads, plates, sensors
 from structures import krylov as reduction
 from structures.damping import Modal, Rayleigh, Structural
 from structures.galerkin import Images, Pencil, project
@@ -336,6 +336,19 @@ def test_what_a_krylov_basis_does_not_serve_is_refused_at_once(change, words):
     beam = beams.cantilever(damping=settings.pop("damping"), **BEAM)
     with pytest.raises(InputError, match=words):
         ForwardModel(beam, settings.pop("sensors"), settings.pop("loads"), **settings)
+
+
+def test_lines_without_a_bound_are_named():
+    undamped, _ = reduced("undamped")
+    at = undamped.natural_frequencies[1]
+    for ask in (undamped.frf, undamped.reduction_error):
+        with pytest.raises(NotIdentifiable, match="natural frequency of mode 2"):
+            ask([1.0, at])
+    with pytest.raises(NotIdentifiable, match="rigid-body motion"):
+        reduced("free")[0].reduction_error([0.0, 1.0])
+    stated = undamped.reduction_error([0.0, at * (1 + 1e-6)])
+    assert np.all(np.isfinite(stated.bound))
+    assert np.all(stated.bound[0, 2] == 0)  # an accelerometer at rest: nothing, and no error
 
 
 def test_bad_questions_are_refused():
