@@ -179,7 +179,7 @@ class FrequencyInversion:
             residual=answer.residual,
             sensors=[c.label for c in line.channels],
             sensor_units=[answer.unit.format(c.unit) for c in line.channels],
-            flags=self._flags(solved, line, spectrum, choice, answer, facts),
+            flags=self._flags(solved, line, H[:, line.rows], spectrum, choice, answer, facts),
             allowed=self.allow,
             certificate=self.model.certificate,
             spectrum=spectrum if answer.cross is None else _with_cross(spectrum, answer),
@@ -251,8 +251,9 @@ class FrequencyInversion:
         return facts
 
     def _flags(
-        self, solved: Fit, line: LineData, spectrum: Spectrum, choice: Choice, answer: Any, facts: dict[str, Any]
-    ) -> tuple[Flag, ...]:
+        self, solved: Fit, line: LineData, H: NDArray, spectrum: Spectrum, choice: Choice, answer: Any,
+        facts: dict[str, Any],
+    ) -> tuple[Flag, ...]:  # fmt: skip
         model, labels = self.model, tuple(c.label for c in self.model.loads)
         allowed = "LID-E306" in self.allow and self.rule.free and np.any(solved.told.gain == 0)
         size = np.sqrt(np.mean(np.abs(solved.path.beta) ** 2, axis=1) + solved.path.outside / solved.path.m)
@@ -270,7 +271,7 @@ class FrequencyInversion:
                 told.contradicted(solved.excess, line.source) if line.known else None,
                 told.no_spare_data(line.known, solved.path.m - spectrum.load.shape[1]),
                 told.antiresonance(spectrum, labels),
-                told.inseparable(spectrum, strength, labels),
+                told.inseparable(spectrum, H / np.sqrt(solved.total)[..., None], strength, labels),
                 None if line.data is None else told.leaking(line.data.values, answer.residual),
                 None if line.facts is None else told.too_coarse(line.facts["bandwidth"], decay),
                 guards.inverse_crime(line.simulated_by, model.fingerprint) if line.simulated_by else None,

@@ -11,6 +11,7 @@ from ..spectrum import Spectrum, in_words
 
 ENDS = 0.01  # share of the peak that may be left at the ends of a transient
 TONES = 30.0  # power of a line over the median around it from which it is a harmonic, not a random load
+STRONG = 3.0  # signal over noise of a line that is excited
 FEW = 16  # lines that were picked because they are excited
 SHARP = 1.0  # bandwidth of the window over that of the sharpest resonance
 
@@ -59,7 +60,7 @@ def leaking(values: NDArray, residual: NDArray) -> Flag | None:
 
 
 def _calm(residual: NDArray, few: int) -> NDArray[np.float64]:
-    """Noise of each channel where the residual is calm: what leaks stands in a part of it and must not pass as noise."""
+    """Noise of each channel where the residual is calm: what leaks stands in a part of it and is no noise."""
     few = min(few, len(residual))
     parts = residual[: len(residual) // few * few].reshape(-1, few, residual.shape[1])
     return np.sqrt(np.quantile(np.mean(parts**2, axis=1), 0.25, axis=0))
@@ -81,29 +82,43 @@ def too_coarse(bandwidth: float, decay_rate: float | None) -> Flag | None:
     )
 
 
-def inseparable(spectrum: Spectrum, strength: NDArray, labels: tuple[str, ...]) -> Flag | None:
+def inseparable(spectrum: Spectrum, H: NDArray, strength: NDArray, labels: tuple[str, ...]) -> Flag | None:
     """W516: strong harmonic loads at several points that the excited lines do not tell apart.
 
     Parameters
     ----------
+    H : array, shape (lines, sensors, loads)
+        Whitened FRF.
     strength : array, shape (lines,)
         Signal over noise of each line (amplitudes).
     """
     if spectrum.load.shape[1] < 2:
         return None
-    excited = harmonics(spectrum.load)
-    bad = excited & (spectrum.condition > strength)
+    excited = harmonics(spectrum.load) & (strength > STRONG)
+    condition = np.zeros(len(strength))
+    condition[excited] = likeness(H[excited])
+    bad = condition > strength
     if not bad.any():
         return None
-    k = int(np.argmax(np.where(bad, spectrum.condition / np.maximum(strength, 1e-300), 0.0)))
+    k = int(np.argmax(np.where(bad, condition / np.maximum(strength, 1e-300), 0.0)))
     where = f"{int(bad.sum())} of {int(excited.sum())} excited lines (worst {spectrum.frequencies[k]:.5g} Hz)"
     return Flag(
         "W516",
-        Evidence("condition of H on an excited line", float(min(spectrum.condition[k], 1e16)), float(strength[k])),
+        Evidence("condition of H on an excited line", float(min(condition[k], 1e16)), float(strength[k])),
         f"forces not separable on {where}: the condition of H exceeds signal over noise, so that "
         f"{', '.join(labels[:4])} can be exchanged",
         "report the resultant of the group, or add sensors that see the loads differently",
     )
+
+
+def likeness(H: NDArray) -> NDArray[np.float64]:
+    """Condition of lines (lines, sensors, loads) whose columns have unit length: how alike the loads look."""
+    if H.shape[1] < H.shape[2]:
+        return np.full(len(H), np.inf)
+    size = np.linalg.norm(H, axis=1, keepdims=True)
+    s = np.linalg.svd(H / np.where(size > 0, size, 1.0), compute_uv=False)
+    with np.errstate(divide="ignore"):
+        return s[:, 0] / s[:, -1]
 
 
 def harmonics(load: NDArray) -> NDArray[np.bool_]:
@@ -113,7 +128,7 @@ def harmonics(load: NDArray) -> NDArray[np.bool_]:
         return power > 0
     from scipy.ndimage import median_filter
 
-    around = median_filter(power, size=min(len(power) // 2 * 2 - 1, 41), mode="nearest")
+    around = median_filter(power, size=min(len(power) // 2 * 2 - 1, 41), mode="reflect")
     return power > TONES * np.maximum(around, np.finfo(float).tiny)
 
 

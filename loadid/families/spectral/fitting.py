@@ -114,7 +114,7 @@ class Fit:
     frf_part : array
         The part of `variance` that errors of the FRF make: no average reduces it.
     prior_part : array
-        The part of `variance` that is the expected size of what the line does not tell: nor does an average reduce that.
+        The part of `variance` that is the expected size of what the line does not tell: no average reduces it either.
     """
 
     load: NDArray[np.complex128]

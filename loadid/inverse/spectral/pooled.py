@@ -21,6 +21,7 @@ SWEEPS = 4  # more of them fit the chance of a window, not its loads
 SETTLED = 0.02  # change of a standard deviation at which the sweeps end
 ENOUGH = 60  # data beyond the loads that a noise level rests on
 DOUBT = 2.5  # standard errors by which the noise must exceed the stated level before that is set aside
+RARE = 1e-3  # chance of calling a stated noise level too low that is right
 TINY = 1e-300
 
 
@@ -54,6 +55,9 @@ def prior(
 ) -> Prior:
     """Variances of loads and noise with the largest evidence in a window around each line.
 
+    What no load explains shows the noise by itself; only where no sensor is left over does the evidence settle it,
+    since it can take a line that stands alone, a harmonic, for noise.
+
     Parameters
     ----------
     lines : Compressed
@@ -72,7 +76,7 @@ def prior(
     energy = np.einsum("kij,kij->kj", lines.R.conj(), lines.R).real
     matched = _square(lines.R.conj().swapaxes(1, 2) @ lines.b)
     load = near(matched) / np.maximum(near(energy**2), TINY) / lines.shape[2] + TINY
-    fixed = noise is not None or known
+    fixed = noise is not None or known or lines.left > 0
     v = noise if noise is not None else np.ones(len(lines.R)) if known else _start(lines, beside, load, energy)
     excess = 1.0
     if noise is None and known and lines.left:
@@ -87,7 +91,7 @@ def prior(
         load = np.maximum(load * ratio, TINY)
         if not fixed:
             trace = (lines.shape[1] - np.sum(told, axis=1)) / v  # of M^-1
-            v = v * beside(_energy(a) + lines.outside / v**2) / beside(trace + lines.left / v)
+            v = v * beside(_energy(a)) / beside(trace)
         heavy = information > 0.1  # of loads that the data see
         if not heavy.any() or np.max(np.abs(np.log(np.maximum(ratio[heavy], TINY)))) < 2 * SETTLED:
             break
@@ -114,7 +118,15 @@ def contradicted(lines: Compressed, averages: float = 1.0) -> tuple[NDArray[np.f
     shown = beside(lines.outside) / lines.left
     limit = 1 + DOUBT / np.sqrt(count * lines.left * averages)
     above = shown > limit
-    return np.where(above, shown, 1.0), float(np.median(shown[above])) if np.mean(above) > 0.05 else 1.0
+    clear = np.max(shown) > _by_chance(count * lines.left * averages, len(shown) / count)
+    return np.where(above, shown, 1.0), float(np.median(shown[above])) if clear and np.mean(above) > 0.05 else 1.0
+
+
+def _by_chance(data: float, windows: float) -> float:
+    """Largest mean square of complex noise of variance 1 over that many data, in one of some windows, but for RARE."""
+    from scipy.special import gammainccinv
+
+    return float(gammainccinv(data, RARE / max(windows, 1.0)) / data)
 
 
 def _start(lines: Compressed, beside: Callable, load: NDArray, energy: NDArray) -> NDArray[np.float64]:
