@@ -56,7 +56,8 @@ def prior(
     """Variances of loads and noise with the largest evidence in a window around each line.
 
     What no load explains shows the noise by itself; only where no sensor is left over does the evidence settle it,
-    since it can take a line that stands alone, a harmonic, for noise.
+    since it can take a line that stands alone, a harmonic, for noise. Where a line is out of proportion to its
+    neighbours, its loads keep their proportion and get the common size that the line itself shows.
 
     Parameters
     ----------
@@ -96,7 +97,26 @@ def prior(
         if not heavy.any() or np.max(np.abs(np.log(np.maximum(ratio[heavy], TINY)))) < 2 * SETTLED:
             break
     error = 1 / (np.sqrt(count * averages) * information)
+    load *= _raised(lines, load, v, np.einsum("kin,kin->k", scaled.b.conj(), a).real, averages)[:, None]
     return Prior(load * (1 + error), load, v, sweeps, excess)
+
+
+def _raised(lines: Compressed, load: NDArray, v: NDArray, misfit: NDArray, averages: float) -> NDArray[np.float64]:
+    """How much larger the loads of each line are than around it, (lines,): 1 but where the line cannot be chance.
+
+    Parameters
+    ----------
+    misfit : array, shape (lines,)
+        ``b^H M^-1 b``, of mean `rank` where the line is like its neighbours.
+    """
+    factor = np.ones(len(load))
+    alone = np.flatnonzero(misfit > lines.shape[1] * _by_chance(lines.shape[1] * averages, len(load)))
+    for _ in range(SWEEPS if len(alone) else 0):
+        line = Compressed(lines.R[alone], lines.b[alone], lines.outside[alone], lines.left)
+        scaled = line.scaled(np.sqrt(load[alone] * factor[alone, None]))
+        _, gained, told = _explained(scaled, v[alone])
+        factor[alone] *= np.sum(gained, axis=1) / np.maximum(np.sum(told, axis=1), TINY)
+    return np.maximum(factor, 1.0)
 
 
 def window(lines: int, half: int) -> tuple[Callable[[NDArray], NDArray[np.float64]], float]:
