@@ -23,7 +23,7 @@ def test_the_static_example(tmp_path, monkeypatch, capsys):
     clean = ForwardModel(wing, gauges, bases.hats(wing, [places])).static() @ lift
     monkeypatch.chdir(tmp_path)
     scope: dict = {"strains": clean + 1.5e-6 * np.random.default_rng(0).standard_normal(len(at))}
-    exec(compile(EXAMPLES[2], "README.md", "exec"), scope)
+    exec(compile(EXAMPLES[3], "README.md", "exec"), scope)
     found = scope["lift"]
     true = 900 * np.sqrt(1 - (np.arange(0.125, 6, 0.25) / 6) ** 2)
     moment = next(r.value for r in found.resultants if r.name == "M")
@@ -69,6 +69,46 @@ def test_the_python_example(tmp_path, monkeypatch, capsys):
     assert scope["push"].load.min() >= 0
     assert "SparseDeconvolution: the load looks impulsive" in capsys.readouterr().out
     assert "place" in scope["place"].summary()
+
+
+def test_the_frequency_example(tmp_path, monkeypatch, capsys):
+    """Universal files of a beam under a random force: its power comes back, the kept-out sensor is predicted."""
+    from scipy.signal import butter, lfilter
+
+    from structures import ForwardModel, beams, damping, loads, sensors
+    from tests.structures.uff_made import frfs, text58, units
+
+    beam = beams.simply_supported(
+        length=2.0, section=beams.Section.rectangle(0.05, 0.01), material=beams.materials.steel, elements=40,
+        damping=damping.Modal(0.03),
+    )  # fmt: skip
+    nodes, dt, fine = (5, 12, 14, 31), 1 / 1024, 8
+    seen = [sensors.Accelerometer(f"{n}+Z") for n in nodes]
+    model = ForwardModel(beam, seen, [loads.Point("13+Z")], modes=6, residual=False)
+    rng = np.random.default_rng(0)
+    filtered = butter(2, [8 * 2 * dt / fine, 250 * 2 * dt / fine], "band")
+    force = 20 * lfilter(*filtered, rng.standard_normal(20_000 * fine))
+    y = model.predict(force[:, None], dt / fine)[::fine]
+    y += 0.01 * y.std() * rng.standard_normal(y.shape)
+    monkeypatch.chdir(tmp_path)
+    f = np.arange(1, 512) * 0.5
+    H = model.frf(f)
+    Path("frfs.uff").write_bytes(units() + frfs(H, [(n, 3) for n in nodes], [(13, 3)], start=0.5, step=0.5))
+    step = {"function": 1, "abscissa": ("time", "s"), "step": dt, "denominator": (0, "NONE")}
+    logs = [text58(y[:, i], response=("NONE", n, 3), reference=("NONE", 0, 0), **step) for i, n in enumerate(nodes)]
+    Path("operating.uff").write_bytes(units() + b"".join(logs))
+    scope: dict = {"read": __import__("loadid").read}
+    exec(compile(EXAMPLES[2], "README.md", "exec"), scope)
+    found = scope["sources"]
+    inside = (found.axis.values > 20) & (found.axis.values < 200)
+    from structures import cross_spectra
+
+    known = cross_spectra(force[::fine, None], dt, segment=2048)
+    truth = np.interp(found.axis.values, known.frequencies, known.autospectra[:, 0])
+    assert abs(found.load[inside].sum() / truth[inside].sum() - 1) < 0.05
+    assert found.facts["held_out"][0].startswith("14+Z")
+    assert "not tell" in capsys.readouterr().out
+    assert Path("sources.png").stat().st_size > 10_000
 
 
 def test_the_two_commands_stand_on_their_own_lines():

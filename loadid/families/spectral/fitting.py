@@ -176,7 +176,7 @@ def fit(
         w = 1 / np.sqrt(total)
         lines = compress(H * w[..., None], X * w[..., None])
         left_over = None
-        if variance is not None:
+        if variance is not None and not rule.free:
             lines, left_over = calibrated(lines, np.einsum("ksj,ks->kj", variance, w**2))
             _refuse_lost(lines)
         guess = prior(lines, neighbours=rule.neighbours, known=known, averages=averages)
@@ -187,8 +187,9 @@ def fit(
             break
         second = first.load @ first.load.conj().swapaxes(1, 2) + first.covariance
         size = np.maximum(np.einsum("kjj->kj", second).real, 0.0)
-        assert left_over is not None
-        errors = np.einsum("ksj,kj->ks", variance, size) * left_over(second)[:, None]
+        errors = np.einsum("ksj,kj->ks", variance, size)
+        if left_over is not None:
+            errors = errors * left_over(second)[:, None]
         if not known:
             power, known = _alone(power * guess.noise[:, None], errors), True
     told = identifiable(f)
