@@ -80,7 +80,7 @@ def _std(base: Any, T: Array) -> Array:
     if isinstance(base, SpectralPosterior):
         lines = np.einsum("iu,kuv,jv->kij", T, base.lines, T, optimize=True)
         return SpectralPosterior(lines, base.samples, base.padded).std
-    if base.kind == "statespace":
+    if base.kind.startswith("statespace"):
         return _over_states(base, T)
     return _asked(base, T)
 

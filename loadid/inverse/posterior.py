@@ -198,6 +198,7 @@ ELSEWHERE = {  # kind -> module and class that reads it
     "convolved": (".convolved.posterior", "ConvolvedPosterior"),
     "mapped": (".mapped", "MappedPosterior"),
     "statespace": (".statespace.posterior", "StateSpacePosterior"),
+    "statespace, sized": (".statespace.sized", "SizedPosterior"),
     "support": (".sparse.posterior", "SupportPosterior"),
 }
 

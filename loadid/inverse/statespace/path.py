@@ -174,7 +174,7 @@ class StateSpacePath:
     def residual(self, lam: float) -> NDArray[np.float64]:
         """Whitened residual (samples, sensors), 0 where data are missing."""
         self._check(np.array([lam]))
-        return self.record.y - self._solved(lam)[1].response
+        return self.record.y - self._heard(self._solved(lam)[1])
 
     def residuals(self, lams: NDArray) -> list[NDArray[np.float64]]:
         """Residuals for the tests of whiteness: exact for one lambda, of the nearest node for many."""
@@ -188,15 +188,15 @@ class StateSpacePath:
         self._check(np.array([lam]))
         held, solved = self._solved(lam)
         if lam <= SMALL or self.record.samples <= KEPT or len(held.K) > MEMORY:
-            solved = refined(self.record, held, solved)
+            solved = refined(self._system(lam), held, solved)
             self._kept[float(lam)] = held, solved
         if sigma is None:
             return Solution(solved.load, None)
-        return Solution(solved.load, StateSpacePosterior(self.record, held.lam, sigma, held))
+        return Solution(solved.load, self._posterior(held, sigma))
 
     def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
-        return solve(self.record, self._solved(lam)[0], self.response(load)).load
+        return self._again(lam, self._solved(lam)[0], self.response(load)).load
 
     def start(self, lam: float) -> NDArray[np.float64]:
         """State of the augmented system at the first sample."""
@@ -211,9 +211,24 @@ class StateSpacePath:
     def gradient(self, lam: float) -> float:
         """Norm of half the gradient of the objective at the solution over that of H^T y: a certificate."""
         held, solved = self._solved(lam)
-        return gradient(self.record, held.lam, solved)
+        return gradient(self._system(lam), held.lam, solved)
 
     # -- inside -------------------------------------------------------------------------------------------------------
+    def _system(self, lam: float) -> Record:
+        """What is solved at a relative lambda."""
+        return self.record
+
+    def _heard(self, solved: Solved) -> NDArray[np.float64]:
+        """Whitened response (samples, sensors) of a solve."""
+        return solved.response
+
+    def _again(self, lam: float, held: Gains, y: NDArray) -> Solved:
+        """Solve for other data (samples, sensors)."""
+        return solve(self.record, held, y)
+
+    def _posterior(self, held: Gains, sigma: float) -> StateSpacePosterior:
+        return StateSpacePosterior(self.record, held.lam, sigma, held)
+
     def scalars(self, lam: float) -> Scalars:
         """Everything at one relative lambda."""
         held, solved = self._solved(lam)
@@ -240,7 +255,7 @@ class StateSpacePath:
         if self._pilot is None or self._pilot[0] != pilot:
             self._pilot = pilot, self._solved(pilot)[1]
         first = self._pilot[1]
-        return float(np.sum((solve(self.record, self._gains(at), first.response).load - first.load) ** 2))
+        return float(np.sum((self._again(at, self._gains(at), self._heard(first)).load - first.load) ** 2))
 
     def _new_table(self, compute: Callable[[float], NDArray]) -> Table:
         return Table(compute, step=WIDE, around=1, degree=5) if self.quick else Table(compute)
@@ -264,16 +279,16 @@ class StateSpacePath:
         )
 
     def _gains(self, lam: float) -> Gains:
-        return self._kept[lam][0] if lam in self._kept else gains(self.record, lam * float(self.scale))
+        return self._kept[lam][0] if lam in self._kept else gains(self._system(lam), lam * float(self.scale))
 
     def _solved(self, lam: float) -> tuple[Gains, Solved]:
         """Gains and solution at a relative lambda: of a short record all that were asked for, of a long one one."""
         lam = float(lam)
         if lam not in self._kept:
-            held = gains(self.record, lam * float(self.scale))
+            held = gains(self._system(lam), lam * float(self.scale))
             if self.record.samples > KEPT:
                 self._kept.clear()
-            self._kept[lam] = held, solve(self.record, held)
+            self._kept[lam] = held, self._again(lam, held, self.record.y)
         return self._kept[lam]
 
     @staticmethod

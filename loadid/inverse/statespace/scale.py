@@ -31,7 +31,7 @@ def largest(record: Record) -> float:
     """
     if record.samples <= LONG or np.ptp(record.F, axis=0).any() or np.ptp(record.G, axis=0).any():
         return _largest(record)
-    half, whole = _largest(_full(record, LONG // 2)), _largest(_full(record, LONG))
+    half, whole = _largest(beginning(record, LONG // 2)), _largest(beginning(record, LONG))
     if half <= 0:
         return whole
     return float(whole * (record.samples / LONG) ** max(np.log2(whole / half), 0.0))
@@ -78,14 +78,19 @@ def layout(record: Record) -> tuple[float, int, int]:
 
 def lines(record: Record) -> NDArray[np.float64]:
     """Singular values of the steady system from ``L g`` to the data, (lines, min(m, p)), up to Nyquist."""
+    return np.asarray(np.linalg.svd(transfer(record)[0], compute_uv=False), float)
+
+
+def transfer(record: Record) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Steady transfer of ``L g`` to the data (lines, m, p) and to the loads (lines, p, p), up to Nyquist."""
     z = np.exp(1j * np.pi * np.arange(1, LINES + 1) / LINES)
     kind = fullest(record)
     F, G, C, D = record.F[kind], record.G[kind], record.C[kind], record.D[kind]
-    H = C @ np.linalg.solve(z[:, None, None] * np.eye(record.n) - F, np.broadcast_to(G, (LINES, *G.shape))) + D
-    return np.linalg.svd(H, compute_uv=False)
+    states = np.linalg.solve(z[:, None, None] * np.eye(record.n) - F, np.broadcast_to(G, (LINES, *G.shape)))
+    return np.asarray(C @ states + D, complex), np.asarray(record.E @ states + np.eye(record.p), complex)
 
 
-def _full(record: Record, samples: int) -> Record:
+def beginning(record: Record, samples: int) -> Record:
     """So many samples with the most complete of the sets of sensors."""
     return replace(record, kind=np.full(samples, fullest(record), np.int32), y=record.y[:samples])
 
