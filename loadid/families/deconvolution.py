@@ -70,6 +70,9 @@ class Deconvolution:
         not see a constant. State-space path only.
     from_zero : bool
         The load is zero before the record, and a difference penalty counts its first step. State-space path only.
+    size : float or array (loads,), optional
+        The penalty becomes ``|L g|^2 + |size g|^2``: differences from sample to sample and the load itself are held
+        small together, a load that is correlated over 1 / size samples and returns to zero. Dense and state-space path.
     constraints : sequence of NonNegative
         Loads that only push (`loadid.inverse.constraints.NonNegative`). Lambda is then the largest at which such a load
         explains the data, where no rule was asked for by name; the std stays that of the load without signs, a bound.
@@ -104,6 +107,7 @@ class Deconvolution:
         initial: str | ArrayLike = "rest",
         leak: float | None = None,
         from_zero: bool = False,
+        size: ArrayLike | None = None,
         constraints: Sequence[Any] = (),
         load_class: str | None = None,
         hold: str | None = None,
@@ -130,7 +134,7 @@ class Deconvolution:
         free = not isinstance(choice, str | None) and choice == 0
         self.settings = Settings(
             method, penalty, hold, noise, noise_source, guards.allowed(allow), path, initial, leak, from_zero, free,
-            signs(constraints),
+            signs(constraints), size,
         )  # fmt: skip
         self.model, self.choice, self.sensors, self.coverage = model, choice, sensors, coverage
         self._progress = progress or (lambda fraction, text: None)
@@ -182,7 +186,7 @@ class Deconvolution:
             facts |= pushing_facts(pushed, posed.path.m, posed.noise.known)
             own_flags = pushing_flags(pushed, posed, choice, sigma)
         elif self.load_class is not None:
-            prior = _prior(self.settings.penalty)
+            prior = _prior(self.settings)
             found = told.declared_class(self.load_class, "tikhonov"), told.impulsive(kurtosis(load), prior)
             own_flags = guards.collect(found)
         assert solution.posterior is not None
@@ -215,7 +219,7 @@ class Deconvolution:
                 settings=self._settings(posed),
                 inputs={data.record.source or data.record.name or "record": data.record.sha256},
                 model=self.model.fingerprint,
-                prior=_prior(self.settings.penalty) + ("" if pushed is None else "; it only pushes"),
+                prior=_prior(self.settings) + ("" if pushed is None else "; it only pushes"),
             ),
         )
 
@@ -292,7 +296,8 @@ class Deconvolution:
         self, posed: Posed, choice: Choice, data: Data, facts: dict[str, Any], residual: NDArray
     ) -> tuple[Flag, ...]:
         model, lost = self.model, [s.label for i, s in enumerate(self.model.sensors) if i not in data.rows]
-        layout = histories.layout(model, data, posed.h, self.settings.penalty, self.settings.leak)
+        bound = self.settings.leak is not None or self.settings.size is not None
+        layout = histories.layout(model, data, posed.h, self.settings.penalty, bound)
         after = (facts["kappa"], facts["rank"], facts["nullity"])
         penalty = self.settings.penalty if isinstance(self.settings.penalty, str) else "user matrix"
         return guards.collect(
@@ -320,6 +325,7 @@ class Deconvolution:
         return {
             "method": s.method,
             "penalty": s.penalty if isinstance(s.penalty, str | None) else "matrix",
+            "size": None if s.size is None else np.asarray(s.size, float).tolist(),
             "choice": self.choice,
             "hold": s.hold,
             "path": posed.name,
@@ -328,11 +334,11 @@ class Deconvolution:
         }
 
 
-def _prior(penalty: str | ArrayLike | None) -> str:
+def _prior(settings: Settings) -> str:
     """The prior in words."""
-    if isinstance(penalty, str):
-        return PRIOR[penalty]
-    return "none" if penalty is None else "a penalty of the user"
+    if isinstance(settings.penalty, str):
+        return PRIOR[settings.penalty] + ("" if settings.size is None else ", its size held small beside its changes")
+    return "none" if settings.penalty is None else "a penalty of the user"
 
 
 def _discrepancy(posed: Posed, factor: float) -> float | None:

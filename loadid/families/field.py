@@ -13,6 +13,7 @@ from structures.errors import InputError
 from structures.mapped import mapped
 from structures.model import Model
 from structures.motion import Motion, motion
+from structures.values import positive
 
 from .. import flags as guards
 from ..estimate import LoadEstimate
@@ -49,6 +50,10 @@ class FieldDeconvolution:
         apart (LID-E514).
     length : float, optional
         Length of the spatial prior (m).
+    ratio : float, optional
+        The two penalties are added, not multiplied: ``lambda^2 (|(L_t x S) g|^2 + ratio^2 |W g|^2)``, S the root of the
+        size of a field. Under first differences a smooth field is correlated over some ``1 / ratio`` samples, under
+        second ones over the root of that.
     shapes : array (loads, unknowns), optional
         Instead of a prior: the load is a combination of these columns (mode shapes at the places of the basis, say).
     time : str
@@ -70,6 +75,7 @@ class FieldDeconvolution:
         *,
         space: str | ArrayLike | None = None,
         length: float | None = None,
+        ratio: float | None = None,
         shapes: ArrayLike | None = None,
         time: str = "identity",
         choice: str | float | None = None,
@@ -83,14 +89,20 @@ class FieldDeconvolution:
         if space is not None and shapes is not None:
             raise InputError("shapes are a spatial prior of their own", where="space", found="space and shapes",
                              expected="one of the two")  # fmt: skip
-        self.model, self.space, self.length, self.time = model, space, length, time
+        if ratio is not None:
+            if space is None:
+                raise InputError("a ratio stands between a penalty in time and one in space", where="ratio",
+                                 found="no spatial prior", expected="space='gradient' or another with it")  # fmt: skip
+            ratio = positive("ratio", ratio, where="ratio", unit="1")
+        self.model, self.space, self.length, self.time, self.ratio = model, space, length, time, ratio
         self.shapes = None if shapes is None else mapped(model, shapes)
         self.basis = getattr(model, "basis", None)
         self.sensors, self.allow = sensors, guards.allowed(allow)
         spatial.root(space, length, len(model.loads), self.basis, 1)  # refuses before any data
-        if "penalty" in settings:
-            raise InputError("a field has two penalties", where="penalty", found=repr(settings["penalty"])[:60],
-                             expected="time= and space=")  # fmt: skip
+        for name, instead in (("penalty", "time= and space="), ("size", "ratio=")):
+            if name in settings:
+                raise InputError("a field has two penalties", where=name, found=repr(settings[name])[:60],
+                                 expected=instead)  # fmt: skip
         self._settings = {"penalty": time, "choice": choice, "sensors": sensors, "allow": allow, **settings}
         Deconvolution(model, **self._settings)  # refuses the others
 
@@ -117,9 +129,9 @@ class FieldDeconvolution:
         """
         data = gather(record, dt, self.model, self.sensors, allow_missing=True)
         told = self._told_apart(data)
-        T = self._combinations(told)
+        T, size = self._combinations(told)
         model = self.model if T is None else self.shapes or mapped(self.model, T)
-        found = Deconvolution(model, **self._settings).estimate(record, dt)
+        found = Deconvolution(model, size=size, **self._settings).estimate(record, dt)
         return self._over_places(found, T, told, data)
 
     def motion(self, estimate: LoadEstimate) -> Motion:
@@ -137,16 +149,18 @@ class FieldDeconvolution:
     def _hold(self) -> str:
         return str(self._settings.get("hold") or self.model.default_hold)
 
-    def _combinations(self, told: int) -> Array | None:
-        """Matrix T (loads, unknowns) that makes loads of what is solved for; None where it is the identity."""
+    def _combinations(self, told: int) -> tuple[Array | None, Array | None]:
+        """Matrix T (loads, unknowns) that makes loads of what is solved for (None: the identity), and its sizes."""
         if self.shapes is not None:
-            return self.shapes.T
+            return self.shapes.T, None
+        if self.ratio is not None and self.space is not None:
+            return spatial.additive(self.space, self.length, self.ratio, len(self.model.loads), self.basis, told)
         W = spatial.root(self.space, self.length, len(self.model.loads), self.basis, told)
         if W is None:
-            return None
+            return None, None
         from scipy.linalg import solve_triangular
 
-        return np.asarray(solve_triangular(W, np.eye(len(W))), float)
+        return np.asarray(solve_triangular(W, np.eye(len(W))), float), None
 
     def _told_apart(self, data: Data) -> int:
         """Combinations of the unknowns of one sample that the sensors tell apart, at the best frequency.
@@ -175,7 +189,8 @@ class FieldDeconvolution:
             extra.append(guards.overridden("E514", "combinations told apart", told, len(loads)))
         history = {
             **found.provenance, "family": self.name, "model": self.model.fingerprint,
-            "prior": f"in time {found.provenance['prior']}; in space {spatial.words(self.space, length)}",
+            "prior": f"in time {found.provenance['prior']}; in space {spatial.words(self.space, length)}"
+            + ("" if self.ratio is None else f"; the two added, in space {self.ratio:.3g} of that in time"),
         }  # fmt: skip
         told_of: dict[str, Any] = {
             "labels": loads, "units": [c.unit for c in self.model.loads], "geometry": places, "facts": facts,

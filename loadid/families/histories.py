@@ -22,7 +22,7 @@ HEAD = 400  # samples of the impulse response that hold the free motions
 
 
 def layout(
-    model: Model, data: Data, h: NDArray, penalty: str | ArrayLike | None, leak: float | None = None
+    model: Model, data: Data, h: NDArray, penalty: str | ArrayLike | None, bound: bool = False
 ) -> tuple[Flag, ...]:
     """Guards that need no answer: AC coupling, gaps, drift, memory, aliasing.
 
@@ -32,8 +32,8 @@ def layout(
         Impulse responses.
     penalty : str, array or None
         As the family takes it.
-    leak : float, optional
-        Of the difference: it then holds constants too.
+    bound : bool
+        The penalty holds constants too: a leaky difference, or a weight of the size.
     """
     rows = [model.sensors[i] for i in data.rows]
     lost = np.mean(data.missing, axis=0)
@@ -41,7 +41,7 @@ def layout(
         [
             guards.high_pass(rows, data.duration, data.channels),
             guards.gaps(lost.tolist(), [c.label for c in data.channels]),
-            _drift(model, data, h, penalty) if leak is None else None,
+            None if bound else _drift(model, data, h, penalty),
             guards.memory(model.decay_rate, data.duration, h, model.natural_frequencies),
             guards.aliased(model.natural_frequencies, data.dt),
         ]

@@ -57,10 +57,33 @@ def root(space: str | ArrayLike | None, length: float | None, loads: int, basis:
     else:
         L, degree = _own(space, loads), 1
     assert L is not None  # neither prior is the identity
-    size = _size(basis, loads) if isinstance(space, str) else np.eye(loads)
-    level = np.sqrt(loads) / np.linalg.norm(size)  # the size of a field counts as that of its coefficients, on average
+    size, level = _measure(space, loads, basis)
     upper = np.linalg.qr(level * np.vstack([size, scale**degree * L]), mode="r")
     return np.asarray(upper * np.sign(np.diag(upper))[:, None], float)
+
+
+def additive(
+    space: str | ArrayLike, length: float | None, ratio: float, loads: int, basis: Any, rank: int
+) -> tuple[Array, Array]:
+    """Coordinates in which ``|(L_t x S) g|^2 + ratio^2 |W g|^2`` falls apart, S the size of the field and W its `root`.
+
+    Returns
+    -------
+    T : array (loads, loads)
+        Loads ``g = T u``.
+    size : array (loads,)
+        The penalty is the sum over u of ``|L_t u_j|^2 + size_j^2 |u_j|^2``: S T has orthonormal columns, and W T
+        orthogonal ones of length size / ratio.
+    """
+    from scipy.linalg import solve_triangular
+
+    W = root(space, length, loads, basis, rank)
+    assert W is not None  # there is a spatial prior
+    size, level = _measure(space, loads, basis)
+    S = level * np.asarray(np.linalg.qr(size, mode="r"), float)
+    back = np.asarray(solve_triangular(S, np.eye(loads)), float)
+    _, lengths, axes = np.linalg.svd(W @ back)
+    return back @ axes.T, ratio * lengths
 
 
 def words(space: str | ArrayLike | None, length: float | None) -> str:
@@ -87,6 +110,12 @@ def _own(space: ArrayLike, loads: int) -> Array:
         raise InputError("the spatial prior does not fit the loads", where="space", found=f"shape {L.shape}",
                          expected=f"finite, (rows, {loads})")  # fmt: skip
     return L
+
+
+def _measure(space: str | ArrayLike, loads: int, basis: Any) -> tuple[Array, float]:
+    """Root of the size of a field, and the factor with which it counts as that of its coefficients, on average."""
+    size = _size(basis, loads) if isinstance(space, str) else np.eye(loads)
+    return size, float(np.sqrt(loads) / np.linalg.norm(size))
 
 
 def _size(basis: Any, loads: int) -> Array:

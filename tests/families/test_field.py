@@ -334,3 +334,69 @@ def test_power_of_a_sine():
         mean_power(q[:, None], v[:, None], 1e-3, 5.0)
     with pytest.raises(InputError, match="do not fit each other"):
         mean_power(q[:, None], v, 1e-3, 0.1)
+
+
+class TestAddedPenalties:
+    """The penalties in time and space added: against the dense problem that stacks them as they are written."""
+
+    RATIO = 0.2
+
+    def dense(self, time, lam, seen=slice(None)):
+        """Load and std of ``|y - H g|^2 + lam^2 (|(L_t x S) g|^2 + ratio^2 |W g|^2)``."""
+        S = np.linalg.cholesky(np.asarray(HATS.mass.toarray(), float)).T
+        S = S * np.sqrt(len(S)) / np.linalg.norm(S)
+        W = spatial.root("gradient", LENGTH, len(HATS), HATS, 6)
+        A = (toeplitz(MODEL.impulse_response(DT, N)).reshape(-1, N * 6) / np.tile(NOISE, N)[:, None])[seen]
+        steps = np.eye(N) if time == "identity" else np.diff(np.eye(N), n=2 if "second" in time else 1, axis=0)
+        stack = np.vstack([A, lam * np.kron(steps, S), lam * self.RATIO * np.kron(np.eye(N), W)])
+        y = (RECORD / NOISE).ravel()[seen]
+        load = np.linalg.lstsq(stack, np.concatenate([y, np.zeros(len(stack) - len(y))]), rcond=None)[0]
+        half = np.linalg.qr(stack, mode="r")
+        return load.reshape(N, 6), np.linalg.norm(np.linalg.solve(half, np.eye(len(half))), axis=1).reshape(N, 6)
+
+    def family(self, **settings):
+        asked = {"space": "gradient", "length": LENGTH, "ratio": self.RATIO, "choice": 0.02, "noise": NOISE}
+        return FieldDeconvolution(MODEL, **{**asked, **settings})
+
+    @pytest.mark.parametrize("path", ["dense", "statespace"])
+    @pytest.mark.parametrize("time", ["identity", "first_difference", "second_difference"])
+    def test_the_load_is_that_of_the_dense_problem(self, time, path):
+        found = self.family(time=time, path=path).estimate(RECORD, DT)
+        load, std = self.dense(time, found.choice.lam * found.choice.scale)
+        assert found.load == pytest.approx(load, abs=1e-7 * np.abs(load).max())
+        assert found.posterior.std == pytest.approx(found.facts["noise_level"] * std, rel=1e-6)
+        w = RNG.standard_normal(found.load.shape)
+        back = from_arrays(found.posterior.to_arrays())
+        assert back.variance(w) == pytest.approx(found.posterior.variance(w), rel=1e-9)
+        assert "the two added" in found.provenance["prior"]
+
+    def test_missing_samples(self):
+        seen = np.random.default_rng(5).random(RECORD.shape) > 0.1
+        found = self.family(time="first_difference").estimate(np.where(seen, RECORD, np.nan), DT)
+        load, std = self.dense("first_difference", found.choice.lam * found.choice.scale, seen.ravel())
+        assert found.load == pytest.approx(load, abs=1e-7 * np.abs(load).max())
+        assert found.posterior.std == pytest.approx(found.facts["noise_level"] * std, rel=1e-6)
+
+    def test_one_lambda_is_chosen_for_both(self):
+        """By the rules, and the same from either path; the units of the record do not matter."""
+        first, second = (self.family(time="first_difference", choice=None, path=p).estimate(RECORD, DT)
+                         for p in ("dense", "statespace"))  # fmt: skip
+        assert second.choice.lam == pytest.approx(first.choice.lam, rel=1e-2)
+        assert np.linalg.norm(first.load - TRUTH) < 0.8 * np.linalg.norm(TRUTH)
+        h = MODEL.impulse_response(DT, N)
+        small = FieldDeconvolution(ImpulseModel(1e-6 * h, DT, kind="held"), space=np.diff(np.eye(6), axis=0), ratio=0.2,
+                                   time="first_difference", noise=1e-6 * NOISE)  # fmt: skip
+        own = FieldDeconvolution(ImpulseModel(h, DT, kind="held"), space=np.diff(np.eye(6), axis=0), ratio=0.2,
+                                 time="first_difference", noise=NOISE)  # fmt: skip
+        load = own.estimate(RECORD, DT).load
+        assert small.estimate(1e-6 * RECORD, DT).load == pytest.approx(load, abs=1e-9 * np.abs(load).max())
+
+    def test_what_does_not_fit_is_refused(self):
+        with pytest.raises(InputError, match="ratio stands between"):
+            FieldDeconvolution(MODEL, ratio=0.1)
+        with pytest.raises(InputError, match="ratio must be positive"):
+            FieldDeconvolution(MODEL, space="gradient", ratio=0.0)
+        with pytest.raises(InputError, match="two penalties"):
+            FieldDeconvolution(MODEL, space="gradient", size=0.1)
+        with pytest.raises(InputError, match="does not know this setting"):
+            self.family(path="toeplitz").estimate(RECORD, DT)

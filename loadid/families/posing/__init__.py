@@ -77,11 +77,11 @@ def _kind(model: Model, data: Data, settings: Settings) -> tuple[str, StateSpace
         return ("dense" if unknowns <= DENSE else "fft"), None
     if not settings.named or settings.free or (unknowns <= SMALL and not gaps and not settings.special):
         return "dense", None
-    if not AVAILABLE and not settings.special and unknowns <= UNCOMPILED:
+    if not AVAILABLE and not settings.special and settings.size is None and unknowns <= UNCOMPILED:
         return "toeplitz", None  # the same load, quicker than loops that are not compiled
     system = state_space_of(model, data.dt, settings.hold)
-    if system is not None and (len(system.A) <= MOST or settings.special):
+    if system is not None and (len(system.A) <= MOST or settings.special or settings.size is not None):
         return "statespace", system
-    if settings.special:
+    if settings.special or (settings.size is not None and (gaps or unknowns > DENSE)):
         settings.refuse_special("convolution")
     return ("dense" if unknowns <= DENSE and not gaps else "toeplitz"), None

@@ -47,6 +47,8 @@ def dense(h: NDArray, values: NDArray, noise: Noise, data: Data, settings: Setti
     used = h[:, data.rows]
     T = toeplitz(used)
     L = None if settings.penalty is None else penalties.matrix(settings.penalty, samples, loads)
+    if (sizes := settings.sizes(loads)) is not None:
+        L = np.vstack([np.eye(n) if L is None else L, np.kron(np.eye(samples), np.diag(sizes))])
     path = SVDPath(LinearProblem.whitened(T, values, noise.level, L, (samples, loads)), truncated=settings.truncated)
     full = None
     if len(data.rows) < h.shape[1]:

@@ -46,6 +46,7 @@ class Settings:
     from_zero: bool = False
     free: bool = False
     signed: ArrayLike | bool | None = False
+    size: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         _one_of("method", self.method, ("tikhonov", "tsvd"))
@@ -56,10 +57,25 @@ class Settings:
             order(self.penalty)
         if self.leak is not None:
             object.__setattr__(self, "leak", number("leak", self.leak, where="leak"))
+        if self.size is not None:
+            self._check_size()
         if isinstance(self.initial, str):
             _one_of("initial", self.initial, ("rest", "unknown"))
         else:
             object.__setattr__(self, "initial", reals(self.initial, what="no initial state", where="initial"))
+
+    def _check_size(self) -> None:
+        object.__setattr__(self, "size", reals(self.size, what="no weights of the size", where="size"))
+        size = np.asarray(self.size, float)
+        if size.ndim > 1 or not np.all(np.isfinite(size)) or np.any(size <= 0):
+            raise InputError("no weights of the size of the loads", where="size",
+                             found=f"shape {size.shape}, or not > 0", expected="positive, one or one for each load")  # fmt: skip
+        if not isinstance(self.penalty, str) or self.truncated or self.signed is not False:
+            raise InputError(
+                "a weight of the size stands beside a named penalty", where="size",
+                found=self.method if self.truncated else "signs" if self.signed is not False else "a matrix or None",
+                expected="penalty='first_difference' or another name, Tikhonov, no constraints",
+            )  # fmt: skip
 
     @property
     def truncated(self) -> bool:
@@ -81,16 +97,33 @@ class Settings:
         """Asks for what only the state-space path gives."""
         return not self.resting or self.leak is not None or self.from_zero
 
+    def sizes(self, loads: int) -> NDArray[np.float64] | None:
+        """Weight of the size of each load beside its differences.
+
+        Raises
+        ------
+        InputError
+            Another number of weights than loads.
+        """
+        if self.size is None:
+            return None
+        size = np.asarray(self.size, float)
+        if size.ndim and size.shape != (loads,):
+            raise InputError("the weights of the size do not fit the loads", where="size", found=f"shape {size.shape}",
+                             expected=f"a number, or ({loads},)")  # fmt: skip
+        return np.array(np.broadcast_to(size, loads), float)
+
     def refuse_special(self, path: str) -> None:
-        """Refuse a start or a leak on a path that does not know them.
+        """Refuse a start, a leak or a size on a path that does not know them.
 
         Raises
         ------
         InputError
             If one was asked for.
         """
-        if self.special:
+        if self.special or (self.size is not None and path != "dense"):
             name = "initial" if not self.resting else "leak" if self.leak is not None else "from_zero"
+            name = name if self.special else "size"
             raise InputError(
                 f"the {path} path does not know this setting", where=name, found=repr(getattr(self, name))[:60],
                 expected="a model with state_space() and path='auto' or 'statespace'",

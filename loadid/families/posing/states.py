@@ -20,6 +20,7 @@ from ...inverse.statespace.passes import forward
 from ...inverse.statespace.path import StateSpacePath
 from ...inverse.statespace.riccati import feedback
 from ...inverse.statespace.scale import layout
+from ...inverse.statespace.sized import SizedPath
 from ..data import Data
 from ..noise import Noise
 from .posed import Posed, Settings
@@ -79,8 +80,12 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     extra = {"leak": settings.leak, "from_zero": settings.from_zero, "unknown_start": seen}
     systems = _systems(A, B, C[rows], D[..., rows, :], len(values), settings.penalty, **extra)
     own = measured(systems, np.where(missing, np.nan, values - known), noise.level)
-    path = StateSpacePath(own, quick=len(values) > WHOLE)
-    judged = (windows_of(path) or path) if len(values) > WHOLE else path
+    long, sizes = len(values) > WHOLE, settings.sizes(own.p)
+    if sizes is not None and unknown:
+        raise InputError("with a weight of the size the start of the structure is known", where="initial",
+                         found="'unknown'", expected="'rest' or a state", hint="leave out size=")  # fmt: skip
+    path = StateSpacePath(own, quick=long) if sizes is None else SizedPath(own, sizes, quick=long)
+    judged = (windows_of(path) or path) if long and sizes is None else path
 
     def compare(load: NDArray, lam: float, first: NDArray | None) -> tuple[NDArray, NDArray]:
         if unknown and first is None:

@@ -61,7 +61,7 @@ def test_everything_equals_the_dense_problem(penalty: str, missing: object) -> N
 
 
 def test_an_error_is_predicted_as_by_the_dense_problem() -> None:
-    own, path, dense = problem("first")
+    _, path, dense = problem("first")
     scale, lams = float(path.scale), np.array([3e-3, 3e-2])
     pilot = dense.at(0.03 * scale)
     exact = []
