@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .compressed import Compressed
 
-SWEEPS = 4  # more of them fit the chance of a window, not its loads
+SWEEPS = 4  # they settle in about 20, which changes the loads by less than their chance
 SETTLED = 0.02  # change of a standard deviation at which the sweeps end
 ENOUGH = 60  # data beyond the loads that a noise level rests on
 DOUBT = 2.5  # standard errors by which the noise must exceed the stated level before that is set aside
@@ -88,8 +88,8 @@ def prior(
         scaled = lines.scaled(np.sqrt(load))
         a, gained, told = _explained(scaled, v)
         information = np.maximum(near(told), TINY)
-        ratio = near(gained) / information
-        load = np.maximum(load * ratio, TINY)
+        better = np.maximum(near(load * gained) / information, TINY)
+        ratio, load = better / load, better
         if not fixed:
             trace = (lines.shape[1] - np.sum(told, axis=1)) / v  # of M^-1
             v = v * beside(_energy(a)) / beside(trace)
