@@ -1,9 +1,9 @@
 """Structures under loads that are tracked: the benchmarks' matrices, records and truths, and filters to judge by.
 
 Everything here is built from M, K, C and textbook formulas with dense covariances, apart from `loadid`: slow and clear.
-Sources of the set-ups: BM1 the eight-storey chain of Sedehi et al. (2019); BM2 the ten-storey shear building of Nayek et
-al. (2019); BM3 the beam of the public MATLAB toolbox ssm_tools; D2 the beam under a slow or a short load; D2b the public
-four-storey example of an augmented Kalman filter.
+Sources of the set-ups: BM1 the eight-storey chain of Sedehi et al. (2019); BM2 the ten-storey shear building of Nayek
+et al. (2019); BM3 the beam of the public MATLAB toolbox ssm_tools; D2 the beam under a slow or a short load; D2b the
+public four-storey example of an augmented Kalman filter.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def disturbed(clean: Array, rng: np.random.Generator, share: float) -> tuple[Arr
     return clean + sd * rng.standard_normal(clean.shape), sd
 
 
-# -- priors of one load: F, root of Q, read-out, start variance ----------------------------------------------------------
+# -- priors of one load: F, root of Q, read-out, start variance --------------------------------------------------------
 Prior = tuple[Array, Array, Array, Array]
 
 
@@ -200,7 +200,7 @@ def root(Q: Array) -> Array:
     return V * np.sqrt(np.maximum(w, 0))
 
 
-# -- the benchmarks -----------------------------------------------------------------------------------------------------
+# -- the benchmarks ----------------------------------------------------------------------------------------------------
 def bm1(seed: int = 0, samples: int = 20_001) -> Tracked:
     """Chain of eight under white noise of 5 N at its first mass; accelerometers at 1 and 4."""
     n, dt = 8, 1e-3
@@ -362,7 +362,7 @@ def d2b(Qv: float = 0.0, seed: int = 42, samples: int = 5001) -> Tracked:
     return Tracked(setup, y, load, sd, np.full(2 * n, 1e-12), np.diag(np.repeat([0.0, Qv], n)))
 
 
-# -- filters to judge by ------------------------------------------------------------------------------------------------
+# -- filters to judge by -----------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False, repr=False)
 class Track:
     """Filtered loads (samples, p) with their sd, and what each innovation said."""
@@ -474,10 +474,10 @@ def triangular(L: Array) -> Array:
     return R * np.where(np.diag(R) < 0, -1, 1)
 
 
-# -- how good a track is ------------------------------------------------------------------------------------------------
+# -- how good a track is -----------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Score:
-    """Error over the load's norm, share of the truth inside the band, mean squared normalised error, NIS per channel."""
+    """Error over the load's norm, share of the truth in the band, mean squared normalised error, NIS per channel."""
 
     error: float
     cover: float
