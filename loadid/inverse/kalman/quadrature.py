@@ -1,0 +1,68 @@
+"""From white noise in continuous time to the transition and the noise of a step, without a subtraction.
+
+``P - F P F^T`` loses every digit of the noise of a short step (all of a Matern-5/2 load at a thousandth of its length),
+and so does Van Loan's exponential. A quadrature adds only: its root is a triangular factor of weighted impulse
+responses, with the relative accuracy of each of its columns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
+
+NODES = 8  # exact to degree 15: 2e-15 of the noise at the step below
+STEP = 0.5  # largest norm of F times the step that one rule covers; longer steps are doubled up to
+TERMS = 24  # of the exponential series at that norm: the rest is below 1e-30
+
+
+def root(rows: NDArray) -> NDArray[np.float64]:
+    """Lower triangular L (n, n) with ``L L^T = rows^T rows``, from rows (r, n) of any number."""
+    count, n = rows.shape
+    padded = rows if count >= n else np.vstack([rows, np.zeros((n - count, n))])
+    return np.asarray(np.linalg.qr(padded, mode="r")).T
+
+
+def step(F: NDArray, b: NDArray, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Transition and noise of ``dx = F x dt + b dW`` over a step.
+
+    Parameters
+    ----------
+    F : array, shape (n, n)
+        1/s.
+    b : array, shape (n, q)
+        Root of the density of the white noise.
+    dt : float
+        Step in s.
+
+    Returns
+    -------
+    E : array, shape (n, n)
+        ``exp(F dt)``.
+    L : array, shape (n, n)
+        Lower triangular, ``L L^T`` the integral of ``exp(F s) b b^T exp(F s)^T`` over the step.
+
+    Notes
+    -----
+    Gauss-Legendre nodes over a part of the step that is short against F, then ``L(2h) = root [E(h) L(h), L(h)]`` and
+    ``E(2h) = E(h)^2`` as often as it takes. The series acts on `b` directly, so that entries of a high power of the
+    step are as right as those of a low one.
+    """
+    size = float(np.abs(F).sum(axis=1).max(initial=0.0)) * dt
+    doublings = max(0, int(np.ceil(np.log2(size / STEP)))) if size > 0 else 0
+    h = dt / 2**doublings
+    places, weights = leggauss(NODES)
+    rows = [np.sqrt(0.5 * h * w) * _propagated(F, b, 0.5 * h * (1 + s)).T for s, w in zip(places, weights, strict=True)]
+    E, L = _propagated(F, np.eye(len(F)), h), root(np.vstack(rows))
+    for _ in range(doublings):
+        L = root(np.vstack([(E @ L).T, L.T]))
+        E = E @ E
+    return E, L
+
+
+def _propagated(F: NDArray, b: NDArray, s: float) -> NDArray[np.float64]:
+    """``exp(F s) b`` by its series, for a small ``F s``."""
+    terms = [np.asarray(b, float)]
+    for k in range(1, TERMS):
+        terms.append(F @ terms[-1] * (s / k))
+    return np.sum(terms[::-1], axis=0)  # the small ones first
