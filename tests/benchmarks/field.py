@@ -23,6 +23,13 @@ from structures import ForwardModel, bases, plates, sensors
 from structures.beams import materials
 
 DT, NOISE, SEEDS = 1 / 500, 0.05, 2
+SMOOTH = {"space": "gradient", "time": "first_difference"}
+PRIORS = {
+    "none": {},
+    "space": {"space": "gradient"},
+    "space x steps in time": SMOOTH,
+    "space 0.3 + steps in time": {**SMOOTH, "ratio": 0.3},
+}
 STEPS = tuple(np.arange(-6, 7) / 8)  # decades from the chosen lambda at which the oracle is sought
 
 
@@ -120,18 +127,17 @@ def main(samples: int) -> None:
     basis = bases.hats(plate(), (3, 3))
     under = model(basis)
     print(f"plate, 16 gauges, 4 x 4 hats, {samples} samples, {NOISE:.0%} noise: relative error of q(x, y, t)")
-    print("  seed  space      error   oracle   ratio   basis floor   CPU s   path")
+    print("  seed  prior                       error   oracle   ratio   basis floor   CPU s   path")
     for seed in range(SEEDS):
         places, q, y, noise = record(samples, seed)
         B = basis.evaluate(np.eye(len(basis)), places)[..., 0]
         floor = error(basis, np.linalg.lstsq(B.T, q.T, rcond=None)[0].T, q, places)
-        for space in (None, "gradient"):
+        for name, settings in PRIORS.items():
             start = time.process_time()
-            family = FieldDeconvolution(under, space=space, noise=noise, noise_source="known")
-            found = family.estimate(y, DT)
+            found = FieldDeconvolution(under, noise=noise, noise_source="known", **settings).estimate(y, DT)
             spent = time.process_time() - start
-            ours, best = errors(y, noise, q, places, space=space)
-            print(f"  {seed:4d}  {space or 'none':9s}{ours:7.4f}{best:9.4f}{ours / best:8.3f}{floor:14.4f}{spent:8.2f}"
+            ours, best = errors(y, noise, q, places, **settings)
+            print(f"  {seed:4d}  {name:26s}{ours:7.4f}{best:9.4f}{ours / best:8.3f}{floor:14.4f}{spent:8.2f}"
                   f"   {found.facts['path']}")  # fmt: skip
         if seed == 0:
             plain = FieldDeconvolution(under, noise=noise, noise_source="known").estimate(y, DT)

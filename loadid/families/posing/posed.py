@@ -68,8 +68,8 @@ class Settings:
         object.__setattr__(self, "size", reals(self.size, what="no weights of the size", where="size"))
         size = np.asarray(self.size, float)
         if size.ndim > 1 or not np.all(np.isfinite(size)) or np.any(size <= 0):
-            raise InputError("no weights of the size of the loads", where="size",
-                             found=f"shape {size.shape}, or not > 0", expected="positive, one or one for each load")  # fmt: skip
+            raise InputError("no weights of the size of the loads", where="size", expected="positive, for each load",
+                             found=f"shape {size.shape}, or not > 0")  # fmt: skip
         if not isinstance(self.penalty, str) or self.truncated or self.signed is not False:
             raise InputError(
                 "a weight of the size stands beside a named penalty", where="size",
