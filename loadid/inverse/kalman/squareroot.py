@@ -1,0 +1,313 @@
+"""Kalman filter whose covariance is carried as a root: one QR factorisation a sample, exact with channels missing.
+
+    [ LR   H L-  ]           [ Se^1/2       0 ]
+    [ 0    L-    ]  =  [     [ P- H^T Se^-T/2   L ]  ]  Q        update
+    [ F L   LQ   ]  =  [ L-  0 ] Q                               prediction
+
+Both in one array where a sample follows a sample. The covariance cannot lose its sign, as those of the short and of
+the Joseph form do when sensors are quiet. Kailath, Sayed & Hassibi, Linear Estimation, Prentice Hall 2000, ch. 12;
+Grewal & Andrews, Kalman Filtering, 4th ed., 2015, ch. 7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+
+from .model import FilterModel
+from .present import Present, present
+from .roots import below, forward, lower, reflected
+
+MASKS = 512  # sets of channels whose arrays are kept
+LOG2PI = float(np.log(2 * np.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Mean x (n,) and root L (n, r) of its covariance; `y` the sample (m,), kept where noises are correlated."""
+
+    x: NDArray[np.float64]
+    L: NDArray[np.float64]
+    y: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """What a sample said beyond its prediction.
+
+    Parameters
+    ----------
+    e : array, shape (m,)
+        NaN where a channel is missing.
+    root : array, shape (present, present)
+        Lower triangular root of its covariance; signs on the diagonal are free.
+    gain : array, shape (n, present)
+        ``P- H^T Se^-T/2``: the mean moved by gain times the whitened innovation.
+    present : array of bool, shape (m,)
+    nis : float
+        Normalised square; chi-square with as many degrees of freedom as channels are present.
+    loglik : float
+        Logarithm of the predictive density of the sample.
+    """
+
+    e: NDArray[np.float64]
+    root: NDArray[np.float64]
+    gain: NDArray[np.float64]
+    present: NDArray[np.bool_]
+    nis: float
+    loglik: float
+
+    @property
+    def std(self) -> NDArray[np.float64]:
+        """Predicted std of e (m,), NaN where missing."""
+        out = np.full(len(self.present), np.nan)
+        out[self.present] = np.linalg.norm(self.root, axis=1)
+        return out
+
+    @property
+    def normalised(self) -> NDArray[np.float64]:
+        """e in units of its own std, channel by channel (m,)."""
+        return self.e / self.std
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """The constant part of the array of a sample that follows a sample."""
+
+    before: Present
+    now: Present
+    ahead: NDArray[np.float64]  # [H F; F], times L
+    noise: NDArray[np.float64]  # [H LQ, LR; LQ, 0]
+
+
+class SquareRoot:
+    """The recursion sample by sample.
+
+    Parameters
+    ----------
+    model : FilterModel
+
+    Raises
+    ------
+    InputError
+        Noises whose correlation is impossible.
+    """
+
+    def __init__(self, model: FilterModel) -> None:
+        self.model = model
+        self._present: dict[bytes, Present] = {}
+        self._stacks: dict[bytes, Stack] = {}
+        self.whole = self.seen(np.ones(model.m, bool))
+
+    def start(self) -> State:
+        """Mean and covariance before the first sample: update without predicting."""
+        return State(self.model.x0, self.model.L0)
+
+    def predict(self, state: State) -> State:
+        """One sample later."""
+        part = self.whole if self.model.S is None else self.seen(_there(state.y, self.model.m))
+        return State(part.moved(state.x, state.y), lower(part.F @ state.L, part.LQ))
+
+    def update(self, state: State, y: ArrayLike) -> tuple[State, Innovation]:
+        """With the sample y (m,) of the same time; channels that are NaN are left out, exactly.
+
+        Raises
+        ------
+        InputError
+            A sample of another width, or infinite.
+        """
+        y = self.sample(y)
+        part = self.seen(np.isfinite(y))
+        return self._updated(_joined(part, state.L), part, state.x, y)
+
+    def advance(self, state: State, y: ArrayLike) -> tuple[State, Innovation]:
+        """Prediction and update in one factorisation."""
+        y = self.sample(y)
+        stack = self.stack(None if self.model.S is None else _there(state.y, self.model.m), np.isfinite(y))
+        x = stack.before.moved(state.x, state.y)
+        return self._updated(_filled(stack, state.L), stack.now, x, y)
+
+    # -- pieces that the steady gains stand on -----------------------------------------------------------------------
+    def seen(self, mask: NDArray[np.bool_]) -> Present:
+        """The model for one set of channels."""
+        key = mask.tobytes()
+        found = self._present.get(key)
+        if found is None:
+            if len(self._present) >= MASKS:
+                self._present.clear()
+            found = self._present[key] = present(self.model, mask)
+        return found
+
+    def stack(self, before: NDArray[np.bool_] | None, now: NDArray[np.bool_]) -> Stack:
+        """Arrays of a sample with the channels `now` after one with those of `before`."""
+        key = now.tobytes() if before is None else before.tobytes() + now.tobytes()
+        found = self._stacks.get(key)
+        if found is None:
+            if len(self._stacks) >= MASKS:
+                self._stacks.clear()
+            found = self._stacks[key] = _stack(self.whole if before is None else self.seen(before), self.seen(now))
+        return found
+
+    def covariance(self, stack: Stack, L: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        """Root of Se, gain ``P- H^T Se^-T/2`` and root of the filtered covariance, from that of the sample before."""
+        return _parted(_filled(stack, L), len(stack.now.H))
+
+    def update_root(self, part: Present, L: NDArray) -> NDArray[np.float64]:
+        """Root of the filtered covariance from that of the predicted one."""
+        return _parted(_joined(part, L), len(part.H))[2]
+
+    def sample(self, y: ArrayLike) -> NDArray[np.float64]:
+        """A sample as float64 (m,).
+
+        Raises
+        ------
+        InputError
+            Another width, or an infinite number; NaN is a missing channel.
+        """
+        y = np.asarray(y, float)
+        if y.shape != (self.model.m,):
+            raise InputError("a sample of the wrong width", where="sample", found=f"shape {y.shape}",
+                             expected=f"({self.model.m},)")  # fmt: skip
+        if np.isinf(y).any():
+            raise InputError("an infinite number in a sample", where=f"channel {int(np.flatnonzero(np.isinf(y))[0])}",
+                             expected="finite numbers, NaN where a channel is missing")  # fmt: skip
+        return y
+
+    def _updated(self, wide: NDArray, part: Present, x: NDArray, y: NDArray) -> tuple[State, Innovation]:
+        m = len(part.H)
+        root, gain, L = _parted(wide, m)
+        rest = y[part.mask] - part.H @ x
+        if m and not np.all(np.diag(root)):
+            raise InputError("a channel without noise repeats what is known exactly", where="FilterModel.LR",
+                             found="a singular covariance of the innovation", expected="noise on it")  # fmt: skip
+        white = forward(root, rest)
+        nis = float(white @ white)
+        loglik = -0.5 * (nis + m * LOG2PI) - float(np.sum(np.log(np.abs(np.diag(root)))))
+        e = np.full(len(y), np.nan)
+        e[part.mask] = rest
+        kept = y if self.model.S is not None else None
+        return State(x + gain @ white, L, kept), Innovation(e, root, gain, part.mask, nis, loglik)
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """A record after the filter.
+
+    Parameters
+    ----------
+    model : FilterModel
+    Y : array, shape (samples, m)
+    load, std : array, shape (samples, p)
+    nis, loglik : array, shape (samples,)
+    normalised : array, shape (samples, m)
+        Innovation of each channel over its own std; NaN where missing.
+    last : State
+        After the last sample.
+    kept : Kept, optional
+        States and roots of every sample, for the smoothers.
+    """
+
+    model: FilterModel
+    Y: NDArray[np.float64]
+    load: NDArray[np.float64]
+    std: NDArray[np.float64]
+    nis: NDArray[np.float64]
+    loglik: NDArray[np.float64]
+    normalised: NDArray[np.float64]
+    last: State
+    kept: Kept | None = None
+
+    @cached_property
+    def count(self) -> NDArray[np.int_]:
+        """Channels present in each sample (samples,)."""
+        return np.sum(np.isfinite(self.Y), axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """States of every sample: x (samples, n), L (samples, n, n); innovations with their roots and gains, as a list."""
+
+    x: NDArray[np.float64]
+    L: NDArray[np.float64]
+    innovations: list[Innovation]
+
+
+def filter(
+    model: FilterModel, Y: ArrayLike, *, keep: bool = False, progress: Callable[[float, str], None] | None = None
+) -> Filtered:
+    """Filter a record Y (samples, m), NaN where a channel is missing; the first sample updates `model.x0`, `L0`.
+
+    Parameters
+    ----------
+    model : FilterModel
+    Y : array, shape (samples, m)
+    keep : bool
+        Keep the states and roots of all samples, for the smoothers: 8 n^2 bytes a sample.
+    progress : callable, optional
+        Called with the share of the samples that are done.
+
+    Raises
+    ------
+    InputError
+        A record of the wrong shape, or infinite numbers.
+    """
+    Y = np.asarray(Y, float)
+    if Y.ndim != 2 or Y.shape[1] != model.m or not len(Y):
+        raise InputError("the record does not fit the model", where="record", found=f"shape {Y.shape}",
+                         expected=f"(samples, {model.m}), at least one sample")  # fmt: skip
+    core, N = SquareRoot(model), len(Y)
+    load, std, normalised = np.empty((N, model.p)), np.empty((N, model.p)), np.empty(Y.shape)
+    nis, loglik = np.empty(N), np.empty(N)
+    kept = Kept(np.empty((N, model.n)), np.zeros((N, model.n, model.n)), []) if keep else None
+    state = core.start()
+    for k in range(N):
+        state, said = core.advance(state, Y[k]) if k else core.update(state, Y[k])
+        load[k], std[k] = model.Cp @ state.x, np.linalg.norm(model.Cp @ state.L, axis=1)
+        nis[k], loglik[k], normalised[k] = said.nis, said.loglik, said.normalised
+        if kept is not None:
+            kept.x[k], kept.L[k, :, : state.L.shape[1]] = state.x, state.L
+            kept.innovations.append(said)
+        if progress is not None and k % 256 == 0:
+            progress(k / N, "filtering")
+    return Filtered(model, Y, load, std, nis, loglik, normalised, state, kept)
+
+
+def _there(y: NDArray | None, m: int) -> NDArray[np.bool_]:
+    return np.zeros(m, bool) if y is None else np.isfinite(y)
+
+
+def _joined(part: Present, L: NDArray) -> NDArray[np.float64]:
+    """The array of an update, to be overwritten."""
+    m = len(part.H)
+    wide = np.zeros((m + len(L), m + L.shape[1]))
+    wide[:m, :m], wide[:m, m:], wide[m:, m:] = part.LR, part.H @ L, L
+    return wide
+
+
+def _stack(before: Present, now: Present) -> Stack:
+    m, n, q = len(now.H), len(before.F), before.LQ.shape[1]
+    noise = np.zeros((m + n, q + m))
+    noise[:m, :q], noise[m:, :q], noise[:m, q:] = now.H @ before.LQ, before.LQ, now.LR
+    return Stack(before, now, np.vstack([now.H @ before.F, before.F]), noise)
+
+
+def _filled(stack: Stack, L: NDArray) -> NDArray[np.float64]:
+    """The array of a sample, to be overwritten."""
+    r = L.shape[1]
+    wide = np.empty((len(stack.ahead), r + stack.noise.shape[1]))
+    wide[:, :r] = stack.ahead @ L
+    wide[:, r:] = stack.noise
+    return wide
+
+
+def _parted(wide: NDArray, m: int) -> tuple[NDArray, NDArray, NDArray]:
+    """Root of Se (m, m), gain (n, m), root (n, at most n) out of an array, which is overwritten."""
+    made = reflected(wide)
+    corner = made[m:, m:]
+    return made[:m, :m] * below(m, m), np.ascontiguousarray(made[m:, :m]), corner * below(*corner.shape)

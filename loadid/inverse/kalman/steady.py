@@ -1,0 +1,160 @@
+"""The gain that a filter settles on, with every check that makes it one to be believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError, NotIdentifiable
+
+from .doubling import DOUBLINGS, Riccati, fixed_point
+from .model import FilterModel
+from .present import Present
+from .roots import backward, forward
+from .squareroot import SquareRoot
+
+POLISH = 6  # samples of QR after the doubling: the gains are theirs
+RESIDUAL = 1e-6  # of the Riccati equation, relative to the variances
+RADIUS = 1e-6  # by which the closed loop must stay inside the unit circle
+ADVICE = (
+    "add a displacement or strain channel that sees the load statically, give the load a prior that returns to zero "
+    "(OU, Matern), or accept a drift and its growing std"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Steady:
+    """Gain of a filter that has settled: ``x_k = A x_{k-1} + K y_k (+ A_T y_{k-1})`` with ``A = (I - K H) F``.
+
+    Parameters
+    ----------
+    model : FilterModel
+    part : Present
+        F and Q without the correlation of the noises; all channels.
+    K : array, shape (n, m)
+    A : array, shape (n, n)
+    L : array, shape (n, n)
+        Root of the filtered covariance.
+    Se_root : array, shape (m, m)
+        Lower triangular root of the covariance of the innovation.
+    std : array, shape (p,)
+        Of the loads.
+    radius, time_constant : float
+        Largest eigenvalue of A, and the time in which its error falls by e, in units of `dt`.
+    iterations : int
+        Doublings.
+    residual : float
+        Of the Riccati equation, relative to the variances.
+    """
+
+    model: FilterModel
+    part: Present
+    K: NDArray[np.float64]
+    A: NDArray[np.float64]
+    L: NDArray[np.float64]
+    Se_root: NDArray[np.float64]
+    std: NDArray[np.float64]
+    radius: float
+    time_constant: float
+    iterations: int
+    residual: float
+
+    @property
+    def gain(self) -> NDArray[np.float64]:
+        """``[(I - K H) F, K]``, shape (n, n + m): a sample without correlated noise is one product."""
+        return np.hstack([self.A, self.K])
+
+    @property
+    def innovation_std(self) -> NDArray[np.float64]:
+        """Std of the innovation of each channel (m,)."""
+        return np.linalg.norm(self.Se_root, axis=1)
+
+    def rows(self) -> NDArray[np.float64]:
+        """Loads, innovations and next prediction from ``[x-; y]``, shape (p + m + n, n + m): see `loops.Loop`."""
+        n, m, F, H, Cp = self.model.n, self.model.m, self.part.F, self.part.H, self.model.Cp
+        update = np.hstack([np.eye(n) - self.K @ H, self.K])
+        ahead = F @ update
+        if self.part.T is not None:
+            ahead[:, n:] += self.part.T
+        return np.vstack([Cp @ update, np.hstack([-H, np.eye(m)]), ahead])
+
+
+def steady(model: FilterModel, dt: float = 1.0) -> Steady:
+    """Steady gain of a model with all its channels.
+
+    Doubling of the Riccati map in root form, then a few samples of the square-root filter, from which the gains come.
+
+    Parameters
+    ----------
+    model : FilterModel
+    dt : float
+        Step in s, for the time constant.
+
+    Raises
+    ------
+    NotIdentifiable
+        The covariance grows on, misses its equation, or the error of the loop does not die (E501).
+    InputError
+        A channel without noise.
+    """
+    core = SquareRoot(model)
+    part = core.whole
+    L, count, settled = fixed_point(sample_map(part))
+    if not settled:
+        raise NotIdentifiable(
+            f"the variance of the filter grows on: it has not settled after 2^{min(count, DOUBLINGS)} samples",
+            advice=ADVICE, code="LID-E501",
+        )  # fmt: skip
+    every = np.ones(model.m, bool)
+    stack = core.stack(None if model.S is None else every, every)
+    before = core.update_root(part, L)
+    for _ in range(POLISH):
+        Se, gain, now = core.covariance(stack, before)
+        residual, before = _distance(now, before), now
+    if residual > RESIDUAL:
+        raise NotIdentifiable(
+            f"the Riccati equation of the steady filter is not solved: relative residual {residual:.1g}",
+            advice="scale the model (loads by their prior std, channels by their noise), or " + ADVICE, code="LID-E501",
+        )  # fmt: skip
+    return finished(model, part, Se, gain, before, dt, count, residual)
+
+
+def finished(
+    model: FilterModel, part: Present, Se: NDArray, gain: NDArray, L: NDArray, dt: float, count: int, residual: float
+) -> Steady:
+    """Steady filter from the roots of its covariances; refused where the error of the loop does not die."""
+    K = backward(Se, gain.T).T  # Se_root^-T on the right of P H^T Se^-T/2
+    A = part.F - K @ (part.H @ part.F)
+    radius = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
+    if not radius < 1 - RADIUS:
+        raise NotIdentifiable(
+            f"the error of the steady filter does not die: its largest eigenvalue is {radius:.9f}",
+            advice=ADVICE, code="LID-E501",
+        )  # fmt: skip
+    constant = float(-dt / np.log(radius)) if radius > 0 else 0.0
+    std = np.linalg.norm(model.Cp @ L, axis=1)
+    return Steady(model, part, K, A, L, Se, std, radius, constant, count, residual)
+
+
+def sample_map(part: Present) -> Riccati:
+    """Predicted covariance of a sample to that of the next.
+
+    Raises
+    ------
+    InputError
+        A channel without noise.
+    """
+    if not np.all(np.diag(part.LR)):
+        raise InputError("a steady gain needs noise on every channel", where="FilterModel.LR",
+                         found="a singular root", expected="a positive definite covariance of the noise")  # fmt: skip
+    return Riccati(part.F, part.LQ, forward(part.LR, part.H).T)
+
+
+def _distance(now: NDArray, before: NDArray) -> float:
+    """Largest change of a covariance in units of its variances."""
+    std = np.linalg.norm(now, axis=1)
+    std[std == 0] = 1.0
+    a, b = now / std[:, None], before / std[:, None]
+    return float(np.max(np.abs(a @ a.T - b @ b.T), initial=0.0))
