@@ -383,7 +383,7 @@ class Periodic:
         if 2 * int(self.orders[-1]) * dt >= self.period:
             raise InputError("harmonics above the Nyquist frequency cannot be told from those below", where="Periodic",
                              found=f"order {self.orders[-1]} of {1 / self.period:.4g} Hz",
-                             expected=f"below {0.5 / dt:.4g} Hz", hint="name fewer harmonics=, or sample faster")  # fmt: skip
+                             expected=f"below {0.5 / dt:.4g} Hz", hint="name fewer harmonics=")  # fmt: skip
         decay = math.inf if self.decay is None else self.decay
         turns = self._turns(np.exp(2j * np.pi * self.orders * dt / self.period - dt / decay))
         kicks = math.sqrt(-math.expm1(-2 * dt / decay)) * np.eye(len(turns), len(turns) if self.decay else 0)

@@ -1,0 +1,94 @@
+"""A structure at a step with the priors of its loads: from sample to sample, or jointly in continuous time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.continuous import continuous
+from structures.errors import InputError
+from structures.mapped import MappedModel
+from structures.model import Model
+from structures.statespace import StateSpace
+from structures.values import positive, shown
+
+from .priors import Prior, diagonal
+from .quadrature import step
+
+HOLDS = ("foh", "zoh", "joint")
+
+Parts = tuple[NDArray, NDArray, NDArray, NDArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Matrices:
+    """Matrices of a structure at a step: discrete, or under the joint hold continuous."""
+
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    D: NDArray[np.float64]
+    dt: float
+    hold: str
+
+    @classmethod
+    def of(cls, model: Any, dt: float, hold: str | None) -> Matrices:
+        """Those of a model; refused by name where it has none that stay."""
+        if not isinstance(model, Model):
+            raise InputError("no forward model", where="augment", found=shown(model),
+                             expected="a model with a state space")  # fmt: skip
+        hold = model.default_hold if hold is None else hold
+        if hold not in HOLDS:
+            raise InputError("no such hold", where="hold", found=shown(hold), expected=", ".join(map(repr, HOLDS)),
+                             hint="'foh' fits a sampled smooth load, 'joint' one with a Matern prior")  # fmt: skip
+        if hold == "joint":
+            return cls(*_continuous(model), positive("the step", dt, where="dt", unit="s"), hold)
+        known = model.state_space(dt, hold)
+        if known.moving:
+            raise InputError("a load that moves has no filter of constant matrices", where="augment", found="B(t)",
+                             expected="loads that stay in place",
+                             hint="put a basis of fixed loads along its way")  # fmt: skip
+        return cls(known.A, known.B, known.C, known.D, known.dt, hold)
+
+    def held(self, priors: Sequence[Prior]) -> Parts:
+        """F and LQ (of x and z), reading of the loads and their start."""
+        known = [prior.discrete(self.dt) for prior in priors]
+        Fz, LQz, H, L0 = (diagonal([getattr(k, name) for k in known]) for name in ("F", "LQ", "H", "L0"))
+        F = np.block([[self.A, self.B @ H], [np.zeros((len(Fz), len(self.A))), Fz]])
+        return F, np.vstack([np.zeros((len(self.A), LQz.shape[1])), LQz]), H, L0
+
+    def jointly(self, priors: Sequence[Prior]) -> Parts:
+        """The same from one system in continuous time."""
+        known = [prior.continuous() for prior in priors]
+        for prior in priors:
+            prior.discrete(self.dt)  # what the step cannot carry is refused by the prior
+        Fz, b, H, L0 = (diagonal([getattr(k, name) for k in known]) for name in ("F", "b", "H", "L0"))
+        rates = np.block([[self.A, self.B @ H], [np.zeros((len(Fz), len(self.A))), Fz]])
+        pushes = np.vstack([np.zeros((len(self.A), b.shape[1])), b])
+        return *step(rates, pushes, self.dt), H, L0
+
+
+def _continuous(model: Any) -> Parts:
+    """Matrices in continuous time of a model that has modes."""
+    if isinstance(model, MappedModel):
+        A, B, C, D = _continuous(model.model)
+        return A, B @ model.T, C, D @ model.T
+    if type(model).state_space is Model.state_space:
+        model.state_space(1.0)  # refuses by name
+    if isinstance(model, StateSpace) or not hasattr(model, "reduced"):
+        raise InputError(f"{type(model).__name__} exists from sample to sample only: it has no joint hold",
+                         where="hold", found="'joint'", expected=f"hold={model.default_hold!r}",
+                         hint="'joint' needs a model with modes, as ForwardModel has them")  # fmt: skip
+    return continuous(model.reduced)
+
+
+def held_over(A: NDArray, B: NDArray, dt: float) -> NDArray[np.float64]:
+    """State that a load of one, held over a step, leaves behind."""
+    from scipy.linalg import expm
+
+    n, p = B.shape
+    return np.asarray(expm(dt * np.block([[A, B], [np.zeros((p, n + p))]]))[:n, n:])
