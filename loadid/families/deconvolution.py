@@ -30,7 +30,7 @@ from .posing import UNUSABLE, Posed, Settings, diagonal, pose
 from .pushing import facts as pushing_facts
 from .pushing import flags as pushing_flags
 from .pushing import push, signs
-from .shapes import kurtosis
+from .shapes import half_width, kurtosis
 
 PRIOR = {
     "identity": "a load of zero mean and constant variance, white in time",
@@ -80,6 +80,7 @@ class Deconvolution:
         How a load moves between samples; default the model's own, which is first order where it has a choice.
     load_class : {"impact", "service"}, optional
         Hammer blows and shocks, or a load that acts all the time: says when the prior does not fit it (W510, W311).
+        Impacts that the prior smears are said in any case.
     noise : float or array, optional
         Noise std of the sensors, (sensors,) or a covariance (sensors, sensors).
     noise_source : str, optional
@@ -185,10 +186,8 @@ class Deconvolution:
         if pushed is not None:
             facts |= pushing_facts(pushed, posed.path.m, posed.noise.known)
             own_flags = pushing_flags(pushed, posed, choice, sigma)
-        elif self.load_class is not None:
-            prior = _prior(self.settings)
-            found = told.declared_class(self.load_class, "tikhonov"), told.impulsive(kurtosis(load), prior)
-            own_flags = guards.collect(found)
+        else:
+            own_flags = self._impacts(load, facts, data.dt)
         assert solution.posterior is not None
         std = solution.posterior.std
         if windows is not None:
@@ -248,6 +247,14 @@ class Deconvolution:
     def _free(self) -> bool:
         """Without regularisation."""
         return self.settings.penalty is None or (isinstance(self.choice, int | float) and self.choice == 0)
+
+    def _impacts(self, load: NDArray, facts: dict[str, Any], dt: float) -> tuple[Flag, ...]:
+        """W510 and W311: whether the load is one of impacts that this prior smears."""
+        prior, g = _prior(self.settings), load[:, int(np.argmax(np.max(np.abs(load), axis=0)))]
+        peaked = None if self.load_class is None else told.impulsive(kurtosis(load), prior)
+        width = facts["resolution"] / dt
+        peaked = peaked or told.smeared(kurtosis(g), half_width(g), width, facts["peak_bias"], prior)
+        return guards.collect([told.declared_class(self.load_class, "tikhonov"), peaked])
 
     def _overridden(self, posed: Posed) -> list[Flag]:
         """Refusals that `allow` took away."""

@@ -15,13 +15,10 @@ from ..flags import sparsity as told
 from ..inverse.sparse import dictionaries
 from .data import gather
 from .deconvolution import Deconvolution
-from .shapes import kurtosis
+from .shapes import half_width, kurtosis
 from .sparse import SparseDeconvolution
 from .sparsity import Problem, pose, posing
 
-IMPULSIVE = (
-    8.0  # kurtosis of the Tikhonov load above which impacts are looked for; a fifth of the time in pulses has 7.5
-)
 HALF_SINE = 1.5  # width of a half-sine pulse over its width at half height
 PER_PULSE = 4  # knots per pulse width: the best spacing is a third to a fifth of it
 
@@ -96,10 +93,10 @@ def recommend(
     peaked = [kurtosis(g) for g in smooth.load.T]
     worst = int(np.argmax(peaked))
     width = pulse_width(smooth.load[:, worst])
-    if peaked[worst] < IMPULSIVE:
+    if peaked[worst] < told.IMPULSIVE:
         return Recommendation(
             "tikhonov", "Deconvolution", f"the load acts all the time (kurtosis {peaked[worst]:.3g}, impacts have more "
-            f"than {IMPULSIVE:g})", True, peaked[worst], width, None, {},
+            f"than {told.IMPULSIVE:g})", True, peaked[worst], width, None, {},
         )  # fmt: skip
     data = gather(record, dt, model, sensors, allow_missing=True)
     scores, shares = _compared(pose(model, data, posing(hold, noise, noise_source, ())), say)
@@ -152,13 +149,7 @@ def _compared(problem: Problem, say: Callable[[float, str], None]) -> tuple[dict
 
 def pulse_width(g: NDArray) -> float:
     """Width in samples of the largest pulse of a history, as that of a half-sine of the same width at half height."""
-    size = np.abs(g)
-    k = int(np.argmax(size))
-    low = size < 0.5 * size[k]
-    before, after = np.flatnonzero(low[:k]), np.flatnonzero(low[k:])
-    left = k - (before[-1] if len(before) else -1)
-    right = after[0] if len(after) else len(g) - k
-    return HALF_SINE * float(left + right - 1)
+    return HALF_SINE * half_width(g)
 
 
 def knots_for(width: float) -> int:

@@ -7,14 +7,15 @@ from unittest import mock
 
 import numpy as np
 
-from loadid import SparseDeconvolution
+from loadid import Deconvolution, SparseDeconvolution
 from loadid.flags import sparsity
 from loadid.inverse.sparse import workingset
-from structures import ImpulseModel
+from structures import ForwardModel, ImpulseModel, loads, sensors
 from structures.flags import Flag
 from tests import halfsine
 
 from .cases import Case, refused
+from .test_expected import beam
 
 DT = 1 / halfsine.RATE
 N = 600
@@ -71,6 +72,19 @@ def unsolved(rounds: int) -> tuple[Flag, ...]:
         return refused(lambda: SparseDeconvolution(model(), noise=std, choice=0.001).estimate(y, DT))
 
 
+def smooth(kind: str) -> tuple[Flag, ...]:
+    """Two hits of one sample under Tikhonov: displacements smear them, accelerations show them as they are."""
+    structure = beam(8).structure
+    seen = [getattr(sensors, kind)(f"{node}+Z") for node in (8, 26)]
+    own = ForwardModel(structure, seen, [loads.Point("13+Z", label="p")], modes=10)
+    g = np.zeros(200)
+    g[[40, 110]] = 300, 400
+    y = own.predict(g, 1 / 2000)
+    level = 0.01 * float(np.sqrt(np.mean(y**2)))
+    y = y + level * np.random.default_rng(0).standard_normal(y.shape)
+    return Deconvolution(own, noise=level, noise_source="known").estimate(y, 1 / 2000).flags
+
+
 def found(flag: Flag | None) -> tuple[Flag, ...]:
     return () if flag is None else (flag,)
 
@@ -92,6 +106,7 @@ CASES = [
         "kurtosis 25",
         "smooth prior",
     ),
+    Case("W311", lambda: smooth("Displacement"), lambda: smooth("Accelerometer"), r"3 and 3\.\d+ samples", "smeared"),
     Case("W304", lambda: flags(1, 0.2), lambda: flags(11, dictionary="bspline"), r"± \d+% only", "heights"),
     Case(
         "W510",
