@@ -54,3 +54,8 @@ def fixed_point(step: Riccati, doublings: int = DOUBLINGS) -> tuple[NDArray[np.f
         if np.all(np.sum(added**2, axis=1) <= SETTLED * total):
             return step.L, k, True
     return step.L, doublings, False
+
+
+def joined(first: Riccati, second: Riccati) -> Riccati:
+    """`second` after `first`."""
+    return composed(first, second)[0]

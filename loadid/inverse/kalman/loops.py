@@ -33,22 +33,24 @@ class Loop:
         Largest innovation that is taken; infinite by default.
     """
 
-    __slots__ = ("_M", "_load", "_next", "_out", "_s", "_single", "_v", "_w", "_x", "_y", "e", "m", "n", "p")
+    __slots__ = ("_M", "_all", "_load", "_next", "_out", "_s", "_single", "_v", "_w", "_x", "_y", "e", "m", "n", "p")
 
     def __init__(self, rows: NDArray, p: int, m: int, x: ArrayLike, limit: NDArray | None = None) -> None:
         n = rows.shape[1] - m
         self.p, self.m, self.n = p, m, n
         self._single = AVAILABLE and rows.size <= LARGE
-        self._M = np.ascontiguousarray(rows.T if self._single else rows, float)
-        self._v, self._out, self._s = np.zeros(n + m), np.zeros(p + m + n), np.zeros(m)
-        self._w = np.zeros(m) if limit is None else 1.0 / np.asarray(limit, float)
+        weights = np.zeros(m) if limit is None else 1.0 / np.asarray(limit, float)
+        # one array, as each one that is handed to a compiled function costs a tenth of a microsecond
+        matrix = rows.T if self._single else rows
+        self._all = np.concatenate([weights, np.zeros(n + m), np.zeros(len(rows)), matrix.ravel()])
+        self._w, self._v, self._out, flat = np.split(self._all, np.cumsum([m, n + m, len(rows)]))
+        self._M, self._s = flat.reshape(matrix.shape), np.zeros(m)
         self._x, self._y = self._v[:n], self._v[n:]
         self._load, self.e, self._next = self._out[:p], self._out[p : p + m], self._out[p + m :]
         self._x[:] = x
-        if AVAILABLE:  # compiled now, not within the first sample
-            y = np.full((1, m), np.nan)
-            self.block(y, np.empty((1, p)), np.empty((1, m)))
-            self.step(y[0])
+        if self._single:  # compiled now, not within the first sample
+            _block(self._all, n, m, p, np.full((1, m), np.nan), np.empty((1, p)), np.empty((1, m)))
+            _step(self._all, n, m, p)
 
     @property
     def x(self) -> NDArray[np.float64]:
@@ -71,16 +73,16 @@ class Loop:
             raise _width(y, self.m)
         self._y[:] = y
         if self._single:
-            return self._load.copy() if _step(self._M, self._v, self._out, self._w) else None
+            return self._load.copy() if _step(self._all, self.n, self.m, self.p) else None
         return self._load.copy() if self._numpy_step() else None
 
-    def block(self, Y: NDArray, load: NDArray, e: NDArray) -> int:
+    def block(self, Y: ArrayLike, load: NDArray, e: NDArray) -> int:
         """Fill loads (samples, p) and innovations (samples, m) of Y (samples, m) up to the first that is not taken.
 
         Parameters
         ----------
-        Y : array of float64, shape (samples, m)
-        load, e : array of float64, shapes (samples, p), (samples, m)
+        Y : array, shape (samples, m)
+        load, e : array of float64, C-contiguous, shapes (samples, p), (samples, m)
 
         Returns
         -------
@@ -92,10 +94,11 @@ class Loop:
         InputError
             Samples of another width.
         """
+        Y = np.require(Y, float, ["C", "W"])  # one type: another would be compiled anew
         if Y.ndim != 2 or Y.shape[1] != self.m:
             raise _width(Y, self.m)
         if self._single:
-            return int(_block(self._M, self._v, self._out, self._w, Y, load, e))
+            return int(_block(self._all, self.n, self.m, self.p, Y, load, e))
         y, found, innovation = self._y, self._load, self.e
         for k in range(len(Y)):
             y[:] = Y[k]
@@ -120,40 +123,43 @@ def _width(y: ArrayLike, m: int) -> InputError:
 
 
 @compiled
-def _step(M: NDArray, v: NDArray, out: NDArray, w: NDArray) -> bool:
-    """Overwrite out = M^T v; the prediction of v too where every innovation, times w, is within one."""
-    columns, rows, m = M.shape[0], M.shape[1], w.shape[0]
-    n = columns - m
-    first = rows - n - m
+def _step(a: NDArray, n: int, m: int, p: int) -> bool:
+    """Overwrite out = M^T v; the prediction in v too where every innovation, times w, is within one.
+
+    `a` holds w (m), v (n + m), out (p + m + n) and M (n + m, p + m + n) one after the other.
+    """
+    columns, rows = n + m, p + m + n
+    v, out = a[m : m + columns], a[m + columns : m + columns + rows]
+    M = a[m + columns + rows :].reshape(columns, rows)
     for i in range(rows):
         out[i] = 0.0
     j = 0
-    while j + 4 <= columns:  # four columns at a time: the sums stay in registers
-        a, b, c, d = v[j], v[j + 1], v[j + 2], v[j + 3]
+    while j + 4 <= columns:  # four columns at a time: the sums are loaded and stored a quarter as often
+        q, r, s, t = v[j], v[j + 1], v[j + 2], v[j + 3]
         for i in range(rows):
-            out[i] += (a * M[j, i] + b * M[j + 1, i]) + (c * M[j + 2, i] + d * M[j + 3, i])
+            out[i] += (q * M[j, i] + r * M[j + 1, i]) + (s * M[j + 2, i] + t * M[j + 3, i])
         j += 4
     while j < columns:
-        a = v[j]
+        q = v[j]
         for i in range(rows):
-            out[i] += a * M[j, i]
+            out[i] += q * M[j, i]
         j += 1
     for i in range(m):
-        if not abs(out[first + i] * w[i]) <= 1.0:  # NaN is never smaller
+        if not abs(out[p + i] * a[i]) <= 1.0:  # NaN is never smaller
             return False
     for i in range(n):
-        v[i] = out[rows - n + i]
+        v[i] = out[p + m + i]
     return True
 
 
 @compiled
-def _block(M: NDArray, v: NDArray, out: NDArray, w: NDArray, Y: NDArray, load: NDArray, e: NDArray) -> int:
+def _block(a: NDArray, n: int, m: int, p: int, Y: NDArray, load: NDArray, e: NDArray) -> int:
     """Samples taken before the first that is not."""
-    m, n, p = Y.shape[1], M.shape[0] - Y.shape[1], load.shape[1]
+    y, out = a[m + n : m + n + m], a[m + n + m : m + n + m + p + m]
     for k in range(Y.shape[0]):
         for i in range(m):
-            v[n + i] = Y[k, i]
-        taken = _step(M, v, out, w)
+            y[i] = Y[k, i]
+        taken = _step(a, n, m, p)
         for i in range(m):
             e[k, i] = out[p + i]
         if not taken:

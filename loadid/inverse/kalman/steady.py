@@ -32,7 +32,7 @@ class Steady:
     ----------
     model : FilterModel
     part : Present
-        F and Q without the correlation of the noises; all channels.
+        F and Q without the correlation of the noises, and the channels that are there: all, but for `periodic`.
     K : array, shape (n, m)
     A : array, shape (n, n)
     L : array, shape (n, n)
@@ -73,7 +73,7 @@ class Steady:
 
     def rows(self) -> NDArray[np.float64]:
         """Loads, innovations and next prediction from ``[x-; y]``, shape (p + m + n, n + m): see `loops.Loop`."""
-        n, m, F, H, Cp = self.model.n, self.model.m, self.part.F, self.part.H, self.model.Cp
+        n, m, F, H, Cp = self.model.n, len(self.part.H), self.part.F, self.part.H, self.model.Cp
         update = np.hstack([np.eye(n) - self.K @ H, self.K])
         ahead = F @ update
         if self.part.T is not None:
@@ -112,7 +112,7 @@ def steady(model: FilterModel, dt: float = 1.0) -> Steady:
     before = core.update_root(part, L)
     for _ in range(POLISH):
         Se, gain, now = core.covariance(stack, before)
-        residual, before = _distance(now, before), now
+        residual, before = distance(now, before), now
     if residual > RESIDUAL:
         raise NotIdentifiable(
             f"the Riccati equation of the steady filter is not solved: relative residual {residual:.1g}",
@@ -152,7 +152,7 @@ def sample_map(part: Present) -> Riccati:
     return Riccati(part.F, part.LQ, forward(part.LR, part.H).T)
 
 
-def _distance(now: NDArray, before: NDArray) -> float:
+def distance(now: NDArray, before: NDArray) -> float:
     """Largest change of a covariance in units of its variances."""
     std = np.linalg.norm(now, axis=1)
     std[std == 0] = 1.0

@@ -1,0 +1,176 @@
+"""Loads some samples late: a short filter over innovations while the gain is steady, covariances while it is not.
+
+With all samples up to k, and W_0 = Cp P F^T, W_j = W_{j-1} (I - K H)^T F^T,
+
+    p_{k-L|k} = Cp x_{k-L} + sum_{j=1..L} W_{j-1} H^T Se^-1 e_{k-L+j},
+
+and the variance falls by the variance of each term. Anderson & Moore, Optimal Filtering, 1979, ch. 7, for fixed lags;
+no covariance of the state is inverted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+
+from .roots import backward, forward
+from .squareroot import Innovation, SquareRoot, State
+from .steady import Steady
+
+
+@dataclass(frozen=True, eq=False)
+class FixedLag:
+    """What later innovations add to a load, for every lag up to the last.
+
+    Parameters
+    ----------
+    taps : array, shape (lag, p, m)
+        Of the innovations 1, 2, ... samples later; they do not depend on the lag. Zero where a phase has no channel.
+    std : array, shape (lag + 1, p)
+        Of the loads at each lag.
+    cross : array, shape (lag + 1, p, n)
+        Covariance of the load that many samples ago with the state now, both as estimated now.
+    """
+
+    taps: NDArray[np.float64]
+    std: NDArray[np.float64]
+    cross: NDArray[np.float64]
+
+    @property
+    def lag(self) -> int:
+        """Samples."""
+        return len(self.taps)
+
+    def apply(self, load: ArrayLike, e: ArrayLike) -> tuple[NDArray, NDArray]:
+        """Loads and stds (samples, p) of a steady stretch with all that is known at its end, at most `lag` later.
+
+        Parameters
+        ----------
+        load : array, shape (samples, p)
+            Filtered.
+        e : array, shape (samples, m)
+            Innovations.
+        """
+        load, e = np.array(load, float), np.asarray(e, float)
+        N = len(load)
+        for j in range(1, min(self.lag, N - 1) + 1):
+            load[: N - j] += e[j:] @ self.taps[j - 1].T
+        return load, self.std[np.minimum(np.arange(N)[::-1], self.lag)]
+
+
+def fixed_lag(steady: Steady, lag: int) -> FixedLag:
+    """Fixed-lag smoother of a steady filter.
+
+    Raises
+    ------
+    InputError
+        A lag that is no count.
+    """
+    return phased([steady], 0, lag)
+
+
+def phased(phases: Sequence[Steady], start: int, lag: int) -> FixedLag:
+    """As `fixed_lag`, of the samples of one phase of a periodic filter."""
+    if lag != int(lag) or lag < 0:
+        raise InputError("a lag counts samples", where="lag", found=lag, expected="0, 1, 2, ...")
+    now, model = phases[start], phases[start].model
+    root = model.Cp @ now.L
+    W, variance = root @ now.L.T, np.sum(root**2, axis=1)
+    taps, std, cross = np.zeros((lag, model.p, model.m)), [np.sqrt(variance)], [W]
+    for j in range(1, lag + 1):
+        later = phases[(start + j) % len(phases)]
+        W = W @ now.part.F.T
+        said = W @ forward(later.Se_root, later.part.H).T
+        taps[j - 1][:, later.part.mask] = backward(later.Se_root, said.T).T
+        variance = np.maximum(variance - np.sum(said**2, axis=1), 0.0)
+        W, now = W - (W @ later.part.H.T) @ later.K.T, later
+        std.append(np.sqrt(variance))
+        cross.append(W)
+    return FixedLag(taps, np.array(std), np.array(cross))
+
+
+class LagLine:
+    """The filter over innovations, sample by sample: a line of the last loads and innovations.
+
+    Parameters
+    ----------
+    fixed : FixedLag
+        With a lag of at least one.
+    """
+
+    def __init__(self, fixed: FixedLag) -> None:
+        lag, p, m = fixed.taps.shape
+        self._taps = np.ascontiguousarray(fixed.taps.transpose(1, 0, 2).reshape(p, lag * m))
+        self._load, self._e, self._flat = np.zeros((lag, p)), np.zeros((2 * lag, m)), lag * m
+        self.lag, self.std, self.count = lag, fixed.std[-1], 0
+
+    def push(self, load: NDArray, e: NDArray) -> NDArray[np.float64] | None:
+        """The load (p,) `lag` samples ago; None until so many have come. Load and innovation are those of now."""
+        i, lag = self.count % self.lag, self.lag
+        self._e[i] = self._e[i + lag] = e
+        late = None
+        if self.count >= lag:
+            late = self._load[i] + self._taps @ self._e[i + 1 : i + 1 + lag].reshape(self._flat)
+        self._load[i] = load
+        self.count += 1
+        return late
+
+
+@dataclass(frozen=True, eq=False)
+class Delayed:
+    """Loads of the last samples with all that is known now, for any gains and gaps.
+
+    Parameters
+    ----------
+    load, variance : array, shape (lag + 1, p)
+        Of now, one sample ago, ...
+    cross : array, shape (lag + 1, p, n)
+        Covariance with the state now.
+    lag : int
+        Samples that are kept at most.
+    """
+
+    load: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    cross: NDArray[np.float64]
+    lag: int
+
+    @property
+    def std(self) -> NDArray[np.float64]:
+        """Of each load (lag + 1, p)."""
+        return np.sqrt(self.variance)
+
+    def advance(self, core: SquareRoot, before: State, state: State, said: Innovation) -> Delayed:
+        """One sample later: states of the filter before and after it, and what it said."""
+        then = core.whole if core.model.S is None or before.y is None else core.seen(np.isfinite(before.y))
+        cross = self.cross @ then.F.T
+        H = forward(said.root, core.seen(said.present).H)
+        news = cross @ H.T
+        load = self.load + news @ forward(said.root, said.e[said.present])
+        variance = np.maximum(self.variance - np.sum(news**2, axis=2), 0.0)
+        cross = cross - news @ said.gain.T
+        now = delayed(core, state, self.lag)
+        old = slice(0, self.lag)
+        return Delayed(
+            np.concatenate([now.load, load[old]]), np.concatenate([now.variance, variance[old]]),
+            np.concatenate([now.cross, cross[old]]), self.lag,
+        )  # fmt: skip
+
+
+def delayed(core: SquareRoot, state: State, lag: int) -> Delayed:
+    """Start of the covariance form: nothing but the state of now."""
+    root = core.model.Cp @ state.L
+    load = (core.model.Cp @ state.x)[None]
+    return Delayed(load, np.sum(root**2, axis=1)[None], (root @ state.L.T)[None], lag)
+
+
+def resumed(fixed: FixedLag, load: ArrayLike, e: ArrayLike) -> Delayed:
+    """The covariance form after a steady stretch, from its last loads (lag + 1, p) and innovations (lag + 1, m)."""
+    late, std = fixed.apply(load, e)
+    count = min(len(late), fixed.lag + 1)
+    return Delayed(late[::-1][:count], std[::-1][:count] ** 2, fixed.cross[:count], fixed.lag)

@@ -1,0 +1,152 @@
+"""Channels of several rates: a mask that repeats has gains that repeat, one for each phase.
+
+The maps of the phases are joined to that of a period (`doubling.composed`), doubled until it settles, and the roots
+are walked through one period by QR.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError, NotIdentifiable
+
+from .doubling import fixed_point, joined
+from .loops import Loop
+from .model import FilterModel
+from .roots import backward
+from .squareroot import SquareRoot
+from .steady import ADVICE, RADIUS, RESIDUAL, Steady, distance, sample_map
+
+
+@dataclass(frozen=True, eq=False)
+class Periodic:
+    """Steady filters of the phases of a period.
+
+    Parameters
+    ----------
+    phases : tuple of Steady
+        Gains (n, channels of the phase), roots and stds; `Steady.A` leads from the phase before.
+    radius, time_constant : float
+        Of the closed loop, per sample, and in units of `dt`.
+    residual : float
+        Largest relative change of a covariance from one period to the next.
+    """
+
+    phases: tuple[Steady, ...]
+    radius: float
+    time_constant: float
+    residual: float
+
+    @property
+    def std(self) -> NDArray[np.float64]:
+        """Of the loads in each phase (phases, p)."""
+        return np.array([phase.std for phase in self.phases])
+
+
+def periodic(model: FilterModel, masks: ArrayLike, dt: float = 1.0) -> Periodic:
+    """Steady filters of channels that come and go with a period.
+
+    Parameters
+    ----------
+    model : FilterModel
+    masks : array of bool, shape (phases, m)
+        Channels present in each phase.
+    dt : float
+        Step in s, for the time constant.
+
+    Raises
+    ------
+    NotIdentifiable
+        As `steady` (E501).
+    InputError
+        Masks that do not fit.
+    """
+    masks = np.asarray(masks)
+    if masks.dtype != bool or masks.ndim != 2 or masks.shape[1] != model.m or not len(masks):
+        raise InputError("masks that do not fit the channels", where="masks", found=f"{masks.dtype} {masks.shape}",
+                         expected=f"bool, (phases, {model.m})")  # fmt: skip
+    core, T = SquareRoot(model), len(masks)
+    parts = [core.seen(mask) for mask in masks]
+    L, count, settled = fixed_point(reduce(joined, map(sample_map, parts)))
+    if not settled:
+        raise NotIdentifiable("the variance of the periodic filter grows on", advice=ADVICE, code="LID-E501")
+    L, found, first = core.update_root(parts[0], L), [], None
+    for t in range(1, 2 * T + 1):  # phases 1 .. T - 1 and 0, then once more to see that they repeat
+        stack = core.stack(None if model.S is None else masks[(t - 1) % T], masks[t % T])
+        Se, gain, L = core.covariance(stack, L)
+        found.append((Se, gain, L))
+    residual = max(distance(found[t + T][2], found[t][2]) for t in range(T))
+    if residual > RESIDUAL:
+        raise NotIdentifiable(f"the gains do not repeat: relative change {residual:.1g} from one period to the next",
+                              advice=ADVICE, code="LID-E501")  # fmt: skip
+    loops, gains = [], []
+    for t in range(T):
+        Se, gain, first = found[T + (t - 1) % T]
+        K = backward(Se, gain.T).T
+        ahead = parts[t - 1].F
+        loops.append(ahead - K @ (parts[t].H @ ahead))
+        gains.append((Se, K, first))
+    radius = _radius(loops)
+    if not radius < 1 - RADIUS:
+        raise NotIdentifiable(f"the error of the periodic filter does not die: {radius:.9f} a sample",
+                              advice=ADVICE, code="LID-E501")  # fmt: skip
+    constant = float(-dt / np.log(radius)) if radius > 0 else 0.0
+    phases = tuple(
+        Steady(model, parts[t], K, loops[t], root, Se, np.linalg.norm(model.Cp @ root, axis=1),
+               radius, constant, count, residual)
+        for t, (Se, K, root) in enumerate(gains)
+    )  # fmt: skip
+    return Periodic(phases, radius, constant, residual)
+
+
+class PeriodicLoop:
+    """The recursion of a periodic filter, one loop for each phase.
+
+    Parameters
+    ----------
+    filters : Periodic
+    x : array, shape (n,)
+        Prediction of the first sample.
+    phase : int
+        Of the first sample.
+    sigmas : float
+        Innovations, in units of their std, beyond which a sample is not taken.
+    """
+
+    def __init__(self, filters: Periodic, x: ArrayLike, phase: int = 0, sigmas: float = np.inf) -> None:
+        self._x, self.phase = np.array(x, float), phase
+        self._masks = [f.part.mask for f in filters.phases]
+        self._loops = [
+            Loop(f.rows(), f.model.p, len(f.part.H), x, sigmas * f.innovation_std) for f in filters.phases
+        ]  # fmt: skip
+        self.std = filters.std
+
+    @property
+    def x(self) -> NDArray[np.float64]:
+        """Prediction of the next sample (n,)."""
+        return self._x.copy()
+
+    def step(self, y: NDArray) -> NDArray[np.float64] | None:
+        """Loads (p,) of the sample y (m,), or None where it was not taken: another mask than its phase has too.
+
+        The std is that of the phase before the step, ``std[phase]``.
+        """
+        mask, loop = self._masks[self.phase], self._loops[self.phase]
+        if not np.array_equal(np.isfinite(y), mask):
+            return None
+        loop.x = self._x
+        load = loop.step(y[mask])
+        if load is not None:
+            self._x, self.phase = loop.x, (self.phase + 1) % len(self._loops)
+        return load
+
+
+def _radius(loops: list[NDArray]) -> float:
+    """Radius of the closed loop over a period, a sample's share."""
+    whole = reduce(lambda before, A: A @ before, loops)
+    largest = float(np.max(np.abs(np.linalg.eigvals(whole)), initial=0.0))
+    return largest ** (1 / len(loops))
