@@ -171,6 +171,7 @@ class FrequencyInversion:
             load=answer.load,
             std=answer.std,
             posterior=answer.posterior,
+            bias=answer.bias,
             labels=[c.label for c in self.model.loads],
             units=[answer.unit.format(c.unit) for c in self.model.loads],
             axis=answer.axis,
@@ -298,6 +299,7 @@ class _Answer:
         self.load, self.std, self.axis, self.unit = load, std, axis, unit
         self.response, self.residual = response, residual
         self.posterior: SpectralPosterior | None = None
+        self.bias: NDArray | None = None
         self.cross: NDArray | None = None
         self.amplitudes: NDArray = load
 
@@ -337,7 +339,11 @@ def _of_transient(solved: Fit, line: LineData, H: NDArray) -> _Answer:
     made = np.fft.irfft(np.einsum("ksl,kl->ks", H[:, line.rows], held), line.padded, axis=0)[:samples]
     known = SpectralPosterior(solved.covariance, samples, line.padded)
     axis = Axis("time", "s", np.asarray(np.arange(samples) * line.data.dt, float))
-    answer = _Answer(history, known.std, axis, "{}", line.data.values, line.data.values - made)
+    # the posterior spreads what is hidden evenly over the record; where loads are, at least this is missing
+    bias = np.fft.irfft(solved.hidden[..., 0], line.padded, axis=0)[:samples]
+    std = np.maximum(known.std, np.abs(bias))
+    answer = _Answer(history, std, axis, "{}", line.data.values, line.data.values - made)
+    answer.bias = bias
     answer.posterior, answer.amplitudes = known, G
     return answer
 
