@@ -372,6 +372,7 @@ class Track:
     nis: Array  # squared norm of the whitened innovation
     loglik: Array
     count: Array  # channels present
+    e: Array  # innovations over their sd, NaN where a channel is missing
     x: Array  # last filtered state
     P: Array
 
@@ -387,6 +388,7 @@ def reference(model: FilterModel, y: Array, settle: float = 0.0) -> Track:
     x, one = model.x0.copy(), np.eye(model.n)
     load, std = np.empty((len(y), model.p)), np.empty((len(y), model.p))
     nis, loglik, count = np.zeros(len(y)), np.zeros(len(y)), np.zeros(len(y), int)
+    normal = np.full(y.shape, np.nan)
     cached: tuple[Array, ...] | None = None
     for k, sample in enumerate(y):
         ok = np.isfinite(sample)
@@ -412,11 +414,12 @@ def reference(model: FilterModel, y: Array, settle: float = 0.0) -> Track:
         x = x + gain @ e
         whitened = np.linalg.solve(c, e)
         nis[k], count[k] = whitened @ whitened, len(yk)
+        normal[k, ok] = e / np.linalg.norm(c, axis=1)
         loglik[k] = -0.5 * (nis[k] + 2 * np.log(np.diag(c)).sum() + len(yk) * np.log(2 * np.pi))
         load[k], std[k] = model.Cp @ x, sd
         last, x = x, F @ x + T @ yk
         P = P_next
-    return Track(load, std, nis, loglik, count, last, Pf)
+    return Track(load, std, nis, loglik, count, normal, last, Pf)
 
 
 def unbiased(case: Tracked, use_S: bool = True) -> Track:
@@ -444,7 +447,7 @@ def unbiased(case: Tracked, use_S: bool = True) -> Track:
         load[k], std[k] = Mgain @ e, np.sqrt(np.diag(D))
         x = A @ x + K @ e
     none = np.zeros(len(load))
-    return Track(load, std, none, none, none.astype(int), x, P)
+    return Track(load, std, none, none, none.astype(int), case.y * np.nan, x, P)
 
 
 def dual(case: Tracked, q: float, start: float = 1.0) -> Track:
@@ -465,7 +468,7 @@ def dual(case: Tracked, q: float, start: float = 1.0) -> Track:
         x, P = A @ x + B @ p, A @ P @ A.T + case.Qx
         P = (P + P.T) / 2
     none = np.zeros(len(load))
-    return Track(load, std, none, none, none.astype(int), x, P)
+    return Track(load, std, none, none, none.astype(int), case.y * np.nan, x, P)
 
 
 def triangular(L: Array) -> Array:

@@ -1,0 +1,183 @@
+"""Guards of online tracking: what the sensors cannot show, what the filter was told, what innovations say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import NotIdentifiable
+from structures.flags import Evidence, Flag
+
+from ..inverse.kalman.cure import Cure
+from ..inverse.kalman.model import FilterModel
+from ..inverse.kalman.observe import UNSEEN, Observability
+
+Array = NDArray[np.float64]
+
+CALM, RESTLESS = 0.8, 1.25  # mean NIS per channel that a filter with the right variances has
+BIASED = 4.0  # standard errors (19 degrees) by which a mean innovation may leave zero: 1 false alarm in 1200 channels
+PIECES = 20  # of a record, whose means tell the standard error of the whole where innovations are correlated
+HIDING = 1.0  # noise sds that the state noise of one mode may be worth at a sensor
+SHARE = 0.2  # of a record that the filter may take to settle
+LONG = 40  # samples below which a mean of innovations is not judged
+
+
+def drifting(observed: Observability, cures: Sequence[Cure] = ()) -> Flag | None:
+    """E501: something that never dies out is seen by no sensor, a load as a rule: its mean drifts, its std grows."""
+    unseen = observed.drifting or observed.unseen
+    if not unseen:
+        return None
+    names = " and ".join(s.name for s in unseen)
+    static = observed.static_rank
+    told = "" if static is None else f"; the sensors show the constant part of {static} of {len(observed.loads)} loads"
+    few = observed.sensors < len(observed.loads)
+    if few:
+        told += f", and are fewer ({observed.sensors})"
+    if observed.drifting:
+        what = f"no sensor sees a constant force ({names}): the mean will drift and the std will grow"
+    else:
+        what = f"no sensor sees the motion of {names}: its state drifts"
+    return Flag(
+        "E501",
+        Evidence("smallest singular value of [F - lam I; H]", unseen[0].sigma, UNSEEN),
+        f"{what} (singular value {unseen[0].sigma:.1g}){told}",
+        f"add {_cure(cures)}; or take a prior that returns to zero (OU, Matern); or accept a drift with its growing "
+        "std (allow_drift=True)",
+    )
+
+
+def _cure(cures: Sequence[Cure]) -> str:
+    if not cures:
+        return "one displacement or strain channel that sees the load at 0 Hz for each load that none sees"
+    return " and ".join(str(cure) for cure in cures)
+
+
+def refused(flag: Flag | None, allow_drift: bool) -> Flag | None:
+    """The drift as a refusal, or as a flag that stays where the user allows it.
+
+    Raises
+    ------
+    NotIdentifiable
+        E501, unless allowed.
+    """
+    if flag is not None and not allow_drift:
+        raise NotIdentifiable(f"{flag.message} [{flag.evidence}]", advice=flag.advice, code=flag.code)
+    return flag
+
+
+def supposed(observed: Observability, cures: Sequence[Cure] = ()) -> Flag | None:
+    """W519: the filter holds, but the constant part of a load comes from its prior alone."""
+    if observed.static is None or observed.drifting or observed.static_rank == len(observed.loads):
+        return None
+    return Flag(
+        "W519",
+        Evidence("loads whose constant part the sensors show", float(observed.static_rank or 0), len(observed.loads)),
+        f"no sensor sees the constant part of the loads ({observed.static_rank} of {len(observed.loads)} seen): what "
+        "the track says of it, and its std there, is the prior",
+        f"add {_cure(cures)}, or read the track above the slowest frequency of its prior only",
+    )
+
+
+def slow(time_constant: float, duration: float) -> Flag | None:
+    """W520: the filter takes a good part of the record to settle; durations in s."""
+    if time_constant <= SHARE * duration:
+        return None
+    return Flag(
+        "W520",
+        Evidence("time constant of the filter, s", float(time_constant), SHARE * duration),
+        f"the filter forgets its start with a time constant of {time_constant:.3g} s, in a record of {duration:.3g} s",
+        "record longer, state the start, or add a sensor that sees the load at 0 Hz",
+    )
+
+
+def untuned(nis: float, *, tuned: bool) -> Flag | None:
+    """W502: the variance of the load was not tuned, or does not fit: mean NIS per channel, and whether a sweep ran."""
+    if tuned and CALM <= nis <= RESTLESS:
+        return None
+    why = "" if tuned else ", and no likelihood or sweep chose the prior"
+    return Flag(
+        "W502",
+        Evidence("mean NIS per channel", float(nis), f"{CALM:g} to {RESTLESS:g}, tuned"),
+        f"NIS per channel is {nis:.3g}{why}: the track and its band cannot be trusted",
+        "tune the prior by likelihood, or sweep its scale and report the plateau",
+    )
+
+
+def unbalanced(model: FilterModel, state_noise: Array | float, states: Sequence[str] = ()) -> Flag | None:
+    """W503: one number for the noise of all states, which in some mode is worth more than the noise of a sensor.
+
+    Parameters
+    ----------
+    model : FilterModel
+    state_noise : float or array (nx,)
+        Std that a sample adds to each state of the structure.
+    states : sequence of str, optional
+        Their names.
+    """
+    from scipy.linalg import solve_triangular
+
+    sd = np.broadcast_to(np.asarray(state_noise, float), (model.nx,))
+    if model.nx < 2 or np.ptp(sd) > 1e-12 * sd.max():
+        return None  # balanced by hand
+    worth = np.abs(solve_triangular(model.LR, model.H[:, : model.nx], lower=True)) * sd
+    state = int(np.argmax(worth.max(axis=0)))
+    largest = float(worth.max())
+    if largest <= HIDING:
+        return None
+    name = states[state] if state < len(states) else f"state {state}"
+    return Flag(
+        "W503",
+        Evidence("state noise over sensor noise", largest, HIDING),
+        f"the same state noise for all states is worth {largest:.3g} times the noise of sensor "
+        f"{int(np.argmax(worth[:, state]))} in {name}: NIS will look safe and hide a bias",
+        "give the state noise mode by mode, or declare the model error in physical units",
+    )
+
+
+def overconfident(nis: float, innovations: Array, sensors: Sequence[str]) -> Flag | None:
+    """W504: innovations larger than the filter says, or a channel whose innovations have a mean.
+
+    Parameters
+    ----------
+    nis : float
+        Mean NIS per channel.
+    innovations : array (samples, m)
+        Over their std; NaN where a channel was missing.
+    sensors : sequence of str
+    """
+    z = biases(innovations)
+    order = np.argsort(-np.abs(z))
+    wrong = [i for i in order if abs(z[i]) > BIASED]
+    if nis <= RESTLESS and not wrong:
+        return None
+    if wrong:
+        listed = ", ".join(f"{sensors[i]} ({z[i]:+.3g})" for i in wrong)
+        found = Evidence("standard errors of the mean innovation", float(z[wrong[0]]), BIASED)
+        what = f"innovations are biased on channel {listed}, in standard errors of their mean"
+    else:
+        found = Evidence("mean NIS per channel", float(nis), RESTLESS)
+        what = f"the filter is overconfident: NIS per channel is {nis:.3g}"
+    return Flag(
+        "W504", found, what,
+        "check the model and the sensors for a bias (that of a sensor beside the load shows in the others, as the load "
+        "takes it up); add a bias state, or declare the model's error",
+    )  # fmt: skip
+
+
+def biases(innovations: Array) -> Array:
+    """Mean of each channel's innovations in its standard errors (m,), from means of pieces; 0 where there are too few.
+
+    Innovations of a filter whose prior is rough are correlated: the spread of pieces tells the error of the mean, where
+    the spread of samples does not.
+    """
+    out = np.zeros(innovations.shape[1])
+    for i, channel in enumerate(innovations.T):
+        there = channel[np.isfinite(channel)]
+        if len(there) < LONG:
+            continue
+        means = np.array([piece.mean() for piece in np.array_split(there, PIECES)])
+        error = max(means.std(ddof=1), np.finfo(float).tiny) / np.sqrt(PIECES)
+        out[i] = there.mean() / error
+    return out

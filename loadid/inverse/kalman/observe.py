@@ -1,0 +1,316 @@
+"""What the sensors allow, from the matrices alone: which modes and loads they see, how strongly, and how late."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError
+from structures.statespace import StateSpace
+
+from .model import FilterModel
+from .zeros import delay, invariant_zeros
+
+Array = NDArray[np.float64]
+
+UNSEEN = 1e-9  # PBH singular value of the scaled pair that is rounding; seen pairs have 1e-5 and more
+LASTING = 1e-7  # distance from the unit circle within which a state never dies out: rounding splits double ones
+ROUNDING = 1e-10  # static gain over the largest dynamic gain of a sensor that is rounding
+CIRCLE = 1e-6  # how far inside the unit circle a zero must lie for a load without a prior
+AT_ONCE = 1.0  # noise sds by which one load sd must move the sensors within a sample
+ALIKE = 1e-7  # distance of eigenvalues that are one: those of free bodies come in blocks
+LINES = 48  # frequencies from which sizes are taken
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One eigenvalue of the system, and whether the sensors see what belongs to it.
+
+    Parameters
+    ----------
+    name : str
+        ``"mode 2 (3.54 Hz)"``, ``"load p0"``, or both where they coincide.
+    eigenvalue : complex
+    sigma : float
+        Smallest singular value of ``[F - lam I; H]`` on the scaled pair: zero is unseen.
+    lost : int
+        Directions that are unseen.
+    load : float
+        Share of the loads in the least seen direction: how much of it is a load.
+    """
+
+    name: str
+    eigenvalue: complex
+    sigma: float
+    lost: int
+    load: float
+
+    @property
+    def lasting(self) -> bool:
+        """It never dies out by itself."""
+        return abs(self.eigenvalue) >= 1 - LASTING
+
+
+@dataclass(frozen=True, eq=False)
+class Observability:
+    """Everything that the matrices say of sensors and loads, before any sample.
+
+    Parameters
+    ----------
+    seen : tuple of Seen
+        Popov-Belevitch-Hautus test of each eigenvalue, the least seen first.
+    gain : array, shape (m, p), or None
+        Static gain in noise sds per load sd, rounding set to zero; None where the structure moves freely.
+    static : array, shape (p,), or None
+        Its singular values: by how many noise sds one sd of a load moves the sensors for ever.
+    at_once : array, shape (p,)
+        The same of the feedthrough: within one sample.
+    delay : int or None
+        Samples after which every load has reached the sensors, by rank.
+    zeros : array, complex, or None
+        Invariant zeros; None where every z is one.
+    sensors : int
+    loads : tuple of str
+    """
+
+    seen: tuple[Seen, ...]
+    gain: Array | None
+    static: Array | None
+    at_once: Array
+    delay: int | None
+    zeros: NDArray[np.complex128] | None
+    sensors: int
+    loads: tuple[str, ...]
+
+    @property
+    def unseen(self) -> tuple[Seen, ...]:
+        """What no sensor sees and what never dies out: with any of it there is no steady gain."""
+        return tuple(s for s in self.seen if s.lost and s.lasting)
+
+    @property
+    def detectable(self) -> bool:
+        """Every lasting state is seen."""
+        return not self.unseen
+
+    @property
+    def drifting(self) -> tuple[Seen, ...]:
+        """The unseen that is, in part, a load."""
+        return tuple(s for s in self.unseen if s.load > ALIKE)
+
+    @property
+    def static_rank(self) -> int | None:
+        """Loads whose constant part the sensors tell apart; None where the structure moves freely."""
+        return None if self.static is None else _rank(self.static)
+
+    @property
+    def immediate(self) -> int:
+        """Loads that move the sensors by a noise sd within one sample."""
+        return int(np.sum(self.at_once >= AT_ONCE))
+
+    @property
+    def outside(self) -> NDArray[np.complex128] | None:
+        """Zeros on or outside the unit circle: loads without a prior are not followed there."""
+        return None if self.zeros is None else self.zeros[np.abs(self.zeros) >= 1 - CIRCLE]
+
+    @property
+    def invertible(self) -> bool:
+        """A filter without a prior of the loads converges."""
+        return self.outside is not None and not len(self.outside) and self.immediate == len(self.loads)
+
+    def lacking(self) -> Array:
+        """Directions of the loads that leave no static trace (p, r), orthonormal, in load sds."""
+        if self.gain is None:
+            return np.zeros((len(self.loads), 0))
+        V = np.linalg.svd(self.gain)[2]
+        return V[_rank(self.static) :].T
+
+    def rows(self) -> tuple[tuple[str, str, str, bool], ...]:
+        """The table: check, number, threshold, passed."""
+        p, least = len(self.loads), self.seen[0]
+        out = [
+            ("sensors", f"{self.sensors}", f"at least {p}", self.sensors >= p),
+            ("least seen (PBH)", f"{least.sigma:.1e}, {least.name}", f"{UNSEEN:.0e}", not least.lost),
+        ]
+        if self.static is not None:
+            rank = self.static_rank
+            text = f"{rank} of {p}; {_few(self.static)} noise sds per load sd"
+            out.append(("static rank", text, f"{p}", rank == p))
+        text = f"{self.immediate} of {p}; {_few(self.at_once)} noise sds per load sd"
+        out.append(("within one sample", text, f"{p} by {AT_ONCE:g}", self.immediate == p))
+        out.append(("delay by rank", "never" if self.delay is None else f"{self.delay}", "0", self.delay == 0))
+        count = "every z" if self.outside is None else f"{len(self.outside)}"
+        out.append(("zeros on or outside the circle", count, "0", count == "0"))
+        return tuple(out)
+
+
+def observability(
+    model: FilterModel, space: StateSpace, scale: Array | Sequence[float], *, loads: Sequence[str] | None = None
+) -> Observability:
+    """Every check of sensors and loads that needs the matrices alone.
+
+    Parameters
+    ----------
+    model : FilterModel
+        The system that will be filtered.
+    space : StateSpace
+        Its structure: from the loads to the sensors.
+    scale : array, shape (p,)
+        Size of interest of each load (its sd; for a random walk what it reaches in a second or so).
+    loads : sequence of str, optional
+        Their names; those of the state space by default.
+
+    Raises
+    ------
+    InputError
+        If the three do not fit each other.
+
+    Notes
+    -----
+    Test of M. L. J. Hautus, "Controllability and observability conditions of linear autonomous systems", Indagationes
+    Mathematicae 31 (1969) 443-448, on the pair with channels in noise sds, loads in their scale and the structure's
+    states in the size that the loads give them.
+    """
+    from scipy.linalg import solve_triangular
+
+    sigma = _checked(model, space, scale)
+    C, D = (solve_triangular(model.LR, M, lower=True) for M in (space.C, space.D))
+    B, D = space.B * sigma, D * sigma
+    states, gains = _responses(space.A, B, C, D)
+    gain = _static(space.A, B, C, D, gains)
+    static = None if gain is None else _padded(gain, len(sigma))
+    size = float(max(np.linalg.norm(B) * 1e-12, np.sqrt(np.mean(np.abs(states) ** 2)))) or 1.0
+    names = tuple(loads) if loads is not None else tuple(channel.label for channel in space.loads)
+    return Observability(
+        seen=_seen(model, sigma, size, names, space.dt),
+        gain=gain,
+        static=static,
+        at_once=_padded(D, len(sigma)),
+        delay=delay(space.A, B, C, D),
+        zeros=invariant_zeros(space.A, B, C, D),
+        sensors=model.m,
+        loads=names,
+    )
+
+
+def _checked(model: FilterModel, space: StateSpace, scale: Array | Sequence[float]) -> Array:
+    """Scale of the loads as an array, where everything fits."""
+    sigma = np.asarray(scale, float)
+    shapes = space.C.shape[0] == model.m and space.B.ndim == 2 and space.D.ndim == 2 and len(space.A) == model.nx
+    if not shapes or sigma.shape != (model.p,) or space.B.shape[-1] != model.p:
+        raise InputError(
+            "the structure does not fit the filter's model", where="observability",
+            found=f"{space!r}, a scale of shape {sigma.shape}",
+            expected=f"{model.nx} states, {model.m} sensors, {model.p} loads that stay in place, one size for each",
+        )  # fmt: skip
+    if not np.all(np.isfinite(sigma) & (sigma > 0)):
+        raise InputError("sizes of loads are positive", where="scale", found=f"{sigma}", expected="finite, > 0")
+    return sigma
+
+
+# -- sizes -------------------------------------------------------------------------------------------------------------
+def _responses(A: Array, B: Array, C: Array, D: Array) -> tuple[NDArray, NDArray]:
+    """States (lines, n, p) and sensors (lines, m, p) under harmonic loads, from slow ones to Nyquist."""
+    from scipy.linalg import schur, solve_triangular
+
+    T, Q = schur(A, output="complex")
+    turned = Q.conj().T @ B
+    z = np.exp(1j * np.pi * np.geomspace(1e-3, 1.0, LINES)) * (1 + 1e-6)  # off the circle: undamped poles lie on it
+    states = np.array([Q @ solve_triangular(w * np.eye(len(A)) - T, turned) for w in z])
+    return states, C @ states + D
+
+
+def _static(A: Array, B: Array, C: Array, D: Array, gains: NDArray) -> Array | None:
+    """Static gain (m, p) with rounding set to zero; None where a free motion never settles."""
+    rest = np.eye(len(A)) - A
+    if len(A) and np.linalg.cond(rest) > 1e13:
+        return None
+    gain = C @ np.linalg.solve(rest, B) + D if len(A) else D
+    largest = np.abs(gains).max(axis=(0, 2))[:, None]
+    return np.where(np.abs(gain) > ROUNDING * largest, gain, 0.0)
+
+
+def _padded(M: Array, p: int) -> Array:
+    """Singular values, as many as there are loads."""
+    s = np.linalg.svd(M, compute_uv=False)
+    return np.concatenate([s, np.zeros(max(0, p - len(s)))])[:p]
+
+
+def _rank(s: Array | None) -> int:
+    return 0 if s is None or not s[0] > 0 else int(np.sum(s > 1e-9 * s[0]))
+
+
+def _few(s: Array) -> str:
+    return ", ".join(f"{x:.3g}" for x in s[:4]) + (", ..." if len(s) > 4 else "")
+
+
+# -- the test of each eigenvalue ---------------------------------------------------------------------------------------
+def _seen(model: FilterModel, sigma: Array, size: float, names: tuple[str, ...], dt: float) -> tuple[Seen, ...]:
+    """Popov-Belevitch-Hautus test on the scaled pair."""
+    F, H, Cp = _scaled_pair(model, sigma, size)
+    out = []
+    for lam, name in _eigenvalues(model, Cp, H, names, dt):
+        s, V = np.linalg.svd(np.vstack([F - lam * np.eye(len(F)), H]))[1:]
+        load = float(np.linalg.norm(Cp @ V[-1].conj()))
+        out.append(Seen(name, lam, float(s[-1]), int(np.sum(s < UNSEEN)), load))
+    return tuple(sorted(out, key=lambda seen: seen.sigma))
+
+
+def _scaled_pair(model: FilterModel, sigma: Array, size: float) -> tuple[Array, Array, Array]:
+    """F, H and Cp with states of order one and channels in noise sds, the strongest of order one."""
+    from scipy.linalg import matrix_balance, solve_triangular
+    from scipy.sparse.csgraph import connected_components
+
+    nx, n = model.nx, model.n
+    H = solve_triangular(model.LR, model.H, lower=True)
+    d = np.ones(n)
+    if nx:
+        d[:nx] = matrix_balance(model.F[:nx, :nx], permute=False, separate=True)[1][0]
+        d[:nx] *= size / np.sqrt(np.mean(d[:nx] ** 2))
+    Cz = model.Cp[:, nx:]
+    links = (np.abs(model.F[nx:, nx:]) + np.abs(Cz.T) @ np.abs(Cz)) != 0
+    parts = connected_components(links, directed=False)[1] if n > nx else np.zeros(0, int)
+    for part in np.unique(parts):
+        own = np.flatnonzero(parts == part)
+        read = np.abs(Cz[:, own]).max(axis=1, initial=0.0)
+        j = int(np.argmax(read / sigma)) if len(sigma) else 0
+        loud = np.abs(H[:, nx + own]).max(initial=0.0)
+        # A state that no load reads is the bias of a sensor: its size is that of the noise.
+        d[nx + own] = sigma[j] / read[j] if len(read) and read[j] > 0 else 1 / (loud or 1.0)
+    H = H * d
+    F = model.F * d / d[:, None]
+    return F, H / (np.linalg.norm(H, 2) or 1.0), model.Cp * d / sigma[:, None]
+
+
+def _eigenvalues(
+    model: FilterModel, Cp: Array, H: Array, names: tuple[str, ...], dt: float
+) -> list[tuple[complex, str]]:
+    """Eigenvalues of the upper half plane with their names, each once."""
+    nx = model.nx
+    found: list[tuple[complex, list[str]]] = []
+
+    def put(lam: complex, name: str) -> None:
+        for other, known in found:
+            if abs(other - lam) < ALIKE:
+                known.extend([name] * (name not in known))
+                return
+        found.append((lam, [name]))
+
+    w, V = np.linalg.eig(model.F[nx:, nx:])
+    for lam, v in zip(w, V.T, strict=True):
+        put(complex(lam), _owner(Cp[:, nx:] @ v, H[:, nx:] @ v, names))
+    modes = np.linalg.eigvals(model.F[:nx, :nx])
+    modes = modes[modes.imag >= 0]
+    hertz = np.abs(np.log(np.where(modes == 0, 1e-300, modes))) / (2 * np.pi * dt)
+    for k, i in enumerate(np.argsort(hertz), 1):
+        put(complex(modes[i]), f"mode {k} ({hertz[i]:.3g} Hz)")
+    return [(lam, " and ".join(known)) for lam, known in found if lam.imag >= 0]
+
+
+def _owner(load: NDArray, sensor: NDArray, names: tuple[str, ...]) -> str:
+    """Whose prior an eigenvector belongs to: a load's, or the bias of a sensor."""
+    if np.abs(load).max(initial=0.0) > 0:
+        return f"load {names[int(np.argmax(np.abs(load)))]}"
+    return f"bias of sensor {int(np.argmax(np.abs(sensor)))}"

@@ -1,0 +1,108 @@
+"""Guards of online tracking, on the benchmarks' matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loadid.flags.tracking import biases, drifting, overconfident, refused, slow, supposed, unbalanced, untuned
+from loadid.inverse.kalman.cure import cures
+from loadid.inverse.kalman.observe import observability
+from structures import ForwardModel, chains, loads, sensors
+from structures.flags import Flag
+from tests.tracked import Prior, bm2, building, d2, filter_model, judged, matern32, reference, walk
+
+from .cases import Case
+from .cases import refused as as_flag
+
+STOREYS = chains.shear_building(masses=[1.0] * 10, stiffnesses=[2500.0] * 10, damping=0.01)
+
+
+def observed(disp: tuple[int, ...], prior: Prior | None = None):
+    case = bm2("mix", disp=disp, samples=20)
+    prior = walk(100.0) if prior is None else prior
+    return observability(filter_model(case, prior), case.setup.space(), [100.0])
+
+
+def drift(disp: tuple[int, ...], allow: bool, prior: Prior | None = None) -> tuple[Flag, ...]:
+    flag = drifting(observed(disp, prior))
+    if not allow:
+        return as_flag(lambda: refused(flag, allow))
+    return tuple(f for f in (refused(flag, allow),) if f)
+
+
+def cured() -> tuple[Flag, ...]:
+    """The drift of accelerometers on a model that offers places."""
+    accelerometers = [sensors.Accelerometer(f"{k}+X") for k in (3, 6, 10)]
+    model = ForwardModel(STOREYS, accelerometers, [loads.Point("10+X")])
+    found = observed(())
+    flag = drifting(found, cures(model, found.lacking(), np.array([100.0])))
+    return (flag,) if flag else ()
+
+
+def noise_of_states(Qx: float) -> tuple[Flag, ...]:
+    case = d2(Qx=Qx)
+    return one(unbalanced(filter_model(case, walk(0.1)), np.sqrt(Qx), [f"mode {k}" for k in range(1, 9)]))
+
+
+def one(flag: Flag | None) -> tuple[Flag, ...]:
+    return (flag,) if flag else ()
+
+
+def innovations(bias: float) -> tuple[Flag, ...]:
+    z = np.random.default_rng(0).standard_normal((3000, 3))
+    z[:, 1] += bias
+    z[::7, 2] = np.nan
+    return one(overconfident(1.0, z, ["a", "b", "c"]))
+
+
+CALM = np.random.default_rng(1).standard_normal((2000, 2))
+CASES = [
+    Case("E501", lambda: drift((), False), lambda: drift((10,), False), r"constant force.*0 of 1.*displacement"),
+    Case("E501", lambda: drift((), True), lambda: drift((1,), True), r"singular value [0-9.e-]+.*allow_drift", "kept"),
+    Case("E501", cured, lambda: drift((), True, matern32(100.0, 0.08, 0.01)), r"sensor at 10\+X.*0\.4 m", "cure"),
+    Case("W502", lambda: one(untuned(3.31, tuned=True)), lambda: one(untuned(1.06, tuned=True)), "3.31"),
+    Case("W502", lambda: one(untuned(1.0, tuned=False)), lambda: one(untuned(1.0, tuned=True)), "sweep", "no sweep"),
+    Case("W503", lambda: noise_of_states(1e-14), lambda: noise_of_states(1e-18), r"8\.18 times.*mode 8.*hide a bias"),
+    Case("W504", lambda: innovations(0.2), lambda: innovations(0.0), r"channel b"),
+    Case("W504", lambda: one(overconfident(1.42, CALM, ["a", "b"])),
+         lambda: one(overconfident(1.0, CALM, ["a", "b"])), "1.42", "NIS"),
+    Case("W519", lambda: one(supposed(observed((), matern32(100.0, 0.08, 0.01)))),
+         lambda: one(supposed(observed((10,), matern32(100.0, 0.08, 0.01)))), "0 of 1.*prior"),
+    Case("W520", lambda: one(slow(20.0, 60.0)), lambda: one(slow(2.0, 60.0)), "20 s.*60 s"),
+]  # fmt: skip
+
+
+def test_innovations_of_a_rough_prior_raise_no_false_alarm():
+    """Correlated as they are, by the random walk's prior, their mean is judged by pieces."""
+    worst = []
+    for seed in range(4):
+        case = bm2("matern", seed, samples=3000)
+        model = filter_model(case, walk(404.0))
+        track = reference(model, case.y, settle=1e-9)
+        assert 0.9 < judged(track, case).nis < 1.1
+        worst.append(np.abs(biases(track.e[200:])).max())
+    assert max(worst) < 4
+    assert np.median(worst) < 3
+
+
+def test_a_biased_accelerometer_is_flagged():
+    """Away from the load by its own channel, beside it by the others: the load takes the bias up."""
+    for sensor, shown in ((0, "a3"), (2, "d10")):
+        case = bm2("mix", samples=3000)
+        bias = 0.05 * case.y[:, sensor].std() * (np.arange(4) == sensor)
+        track = reference(filter_model(case, walk(82.0)), case.y + bias, settle=1e-9)
+        flag = overconfident(1.0, track.e[200:], ["a3", "a6", "a10", "d10"])
+        assert flag is not None
+        assert f"on channel {shown} " in flag.message
+
+
+def test_the_cure_cures():
+    """The sensor that is named makes the load seen; one further from the load shows less of it."""
+    found = observed(())
+    model = ForwardModel(STOREYS, [sensors.Accelerometer("3+X")], [loads.Point("10+X")])
+    (cure,) = cures(model, found.lacking(), np.array([100.0]))
+    node = int(cure.dof.split("+")[0])
+    assert drifting(observed((node,))) is None
+    static = building(disp=range(1, 11), acc=()).space().static()[:, 0] * 100
+    assert abs(cure.moves - static.max()) < 1e-9
+    assert node == 1 + int(np.argmax(static))
