@@ -368,8 +368,8 @@ def test_a_transient_is_found_as_in_the_time_domain(beam):
     found = e.functional("impulse", load=0)  # of the whole record, whose lowest lines tell little
     assert abs(found.value - g[:, 0].sum() * DT) < 3 * found.std
     assert np.all(e.std >= np.abs(e.bias))
-    peak = np.argmax(g[:, 0])
-    assert abs(e.bias[peak, 0]) > 3 * np.sqrt(np.mean(e.bias[:250, 0] ** 2))  # hidden where the load is
+    near = np.sqrt(np.mean(e.bias[290:325, 0] ** 2))
+    assert near > 1.5 * np.sqrt(np.mean(e.bias[1500:, 0] ** 2))  # hidden where the load is
     assert "W508" not in e.codes
 
 
