@@ -31,7 +31,7 @@ from .levels import covariance_root, noise_root, offsets, spread_root
 from .matrices import Matrices, held_over
 from .model import FilterModel
 from .priors import Prior, White, diagonal
-from .quadrature import root
+from .roots import lower
 
 FREE = 1e6  # times what a sample resolves: a white load so wide that its prior says nothing, 1e-12 of its variance
 BLIND = 1e-12  # share of the largest whitened feedthrough below which a load is not seen at once
@@ -113,7 +113,7 @@ def augment(
     LQx = spread_root(state_noise, nx, "state_noise")
     if ambient is not None:
         pushes, heard = _disturbances(structure, ambient)
-        LQx, LR, S = np.hstack([LQx, pushes]), root(np.hstack([LR, heard]).T), pushes @ heard.T
+        LQx, LR, S = np.hstack([LQx, pushes]), lower(LR, heard), pushes @ heard.T
     kinds = _finite(_priors(priors, p), np.linalg.solve(LR, structure.D))
     F, LQ, Hz, Lz = (structure.jointly if structure.hold == "joint" else structure.held)(kinds)
     drift = offsets(bias, bias_start, np.linalg.norm(LR, axis=1), dt)

@@ -41,7 +41,7 @@ from structures.values import positive, shown
 
 from .quadrature import step
 
-WIDE = 1e5  # seconds^(1/2) of a walk before the first sample: nothing is known of where it starts
+WIDE = 1e4  # seconds^(1/2) of a walk before the first sample: three years; wider costs digits of what follows
 MISSING = 1e-6  # share of the variance that may lie beyond the harmonics that are kept
 HARMONICS = 64  # most that a periodic prior takes of itself
 

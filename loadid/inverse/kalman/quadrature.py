@@ -11,16 +11,11 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
+from .roots import lower
+
 NODES = 8  # exact to degree 15: 2e-15 of the noise at the step below
 STEP = 0.5  # largest norm of F times the step that one rule covers; longer steps are doubled up to
 TERMS = 24  # of the exponential series at that norm: the rest is below 1e-30
-
-
-def root(rows: NDArray) -> NDArray[np.float64]:
-    """Lower triangular L (n, n) with ``L L^T = rows^T rows``, from rows (r, n) of any number."""
-    count, n = rows.shape
-    padded = rows if count >= n else np.vstack([rows, np.zeros((n - count, n))])
-    return np.asarray(np.linalg.qr(padded, mode="r")).T
 
 
 def step(F: NDArray, b: NDArray, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -40,11 +35,12 @@ def step(F: NDArray, b: NDArray, dt: float) -> tuple[NDArray[np.float64], NDArra
     E : array, shape (n, n)
         ``exp(F dt)``.
     L : array, shape (n, n)
-        Lower triangular, ``L L^T`` the integral of ``exp(F s) b b^T exp(F s)^T`` over the step.
+        Lower triangular, ``L L^T`` the integral of ``exp(F s) b b^T exp(F s)^T`` over the step; (n, k) where the
+        noise has k < n directions.
 
     Notes
     -----
-    Gauss-Legendre nodes over a part of the step that is short against F, then ``L(2h) = root [E(h) L(h), L(h)]`` and
+    Gauss-Legendre nodes over a part of the step that is short against F, then ``L(2h) = lower [E(h) L(h), L(h)]`` and
     ``E(2h) = E(h)^2`` as often as it takes. The series acts on `b` directly, so that entries of a high power of the
     step are as right as those of a low one.
     """
@@ -52,10 +48,11 @@ def step(F: NDArray, b: NDArray, dt: float) -> tuple[NDArray[np.float64], NDArra
     doublings = max(0, int(np.ceil(np.log2(size / STEP)))) if size > 0 else 0
     h = dt / 2**doublings
     places, weights = leggauss(NODES)
-    rows = [np.sqrt(0.5 * h * w) * _propagated(F, b, 0.5 * h * (1 + s)).T for s, w in zip(places, weights, strict=True)]
-    E, L = _propagated(F, np.eye(len(F)), h), root(np.vstack(rows))
+    weighed = zip(places, weights, strict=True)
+    pushes = [np.sqrt(0.5 * h * w) * _propagated(F, b, 0.5 * h * (1 + s)) for s, w in weighed]
+    E, L = _propagated(F, np.eye(len(F)), h), lower(*pushes)
     for _ in range(doublings):
-        L = root(np.vstack([(E @ L).T, L.T]))
+        L = lower(E @ L, L)
         E = E @ E
     return E, L
 
