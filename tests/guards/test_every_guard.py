@@ -12,14 +12,23 @@ import pytest
 from loadid.codes import GUARDS
 from loadid.commands.check import NAMES
 
-from . import test_frfs, test_histories, test_locations, test_spacetime, test_sparse, test_statics, test_tracking
+from . import (
+    test_frequency,
+    test_frfs,
+    test_histories,
+    test_locations,
+    test_spacetime,
+    test_sparse,
+    test_statics,
+    test_tracking,
+)
 from .cases import of
 from .test_histories import folder
 
 __all__ = ["folder"]  # where the files of some cases go
 
 CASES = [*test_histories.CASES, *test_statics.CASES, *test_locations.CASES, *test_sparse.CASES, *test_spacetime.CASES]
-CASES += [*test_frfs.CASES, *test_tracking.CASES]
+CASES += [*test_frfs.CASES, *test_frequency.CASES, *test_tracking.CASES]
 CODE_RULES = {"E103", "E301", "E302", "E408"}
 ELSEWHERE = {"E116"}  # tested with the structure
 
