@@ -16,6 +16,7 @@ _PUBLIC = {
     "HarmonicInversion": "loadid.families.harmonic",
     "InputError": "structures.errors",
     "LoadEstimate": "loadid.estimate",
+    "LoadTracker": "loadid.families.kalman",
     "LocationResult": "loadid.location",
     "LocationSearch": "loadid.families.location",
     "NotIdentifiable": "structures.errors",

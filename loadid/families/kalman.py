@@ -1,0 +1,324 @@
+"""Online loads: joint estimation of the state of a structure and of what acts on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError, NotIdentifiable
+from structures.flags import Flag
+from structures.model import Model
+from structures.statespace import StateSpace
+from structures.values import real
+
+from .. import flags as guards
+from ..flags import tracking as told
+from ..inverse.kalman.observe import Observability, observability
+from ..inverse.kalman.steady import Steady, steady
+from . import noise as noises
+from .data import Data, gather, health
+from .tracking.certificate import Certificate, certify
+from .tracking.engine import GATE, Engine
+from .tracking.named import Named, named
+from .tracking.posed import Posing, restricted
+from .tracking.tracker import Fitted, Tracker
+from .tracking.tuning import innovations, tune
+
+PARAMETERS = ("stiffness", "mass", "damping")
+UNKNOWN = 0.01  # of the rms of a channel: its noise, to begin with, where nobody states it
+LONGEST = 60_000  # samples that a fit is tuned on
+
+
+class LoadTracker:
+    """Loads of a structure in service, with a std that can be believed, sample by sample.
+
+    The load is a Gaussian process that a few states carry; structure and load are one linear system, filtered in
+    square-root form: with a random walk the augmented Kalman filter of Lourens et al. (Mech. Syst. Signal Process. 27
+    (2012) 446), with Matern priors the latent-force model of Nayek et al. (ibid. 128 (2019) 497), with an infinitely
+    wide white load that of Gillijns and De Moor (Automatica 43 (2007) 934).
+
+    Parameters
+    ----------
+    model : Model
+        With a state space.
+    prior : str, prior, or one of them per load
+        ``"matern32"`` (default), ``"matern52"``, ``"ou"``, ``"random_walk"``, ``"white"``: their numbers are found by
+        likelihood. A prior of `loadid.inverse.kalman.priors` is taken as it is.
+    noise : float or array (sensors,), optional
+        Noise std of the sensors. Where nobody states it, it is found with the prior.
+    noise_source : str, optional
+    hold : {"joint", "foh", "zoh"}, optional
+        How the load runs between samples; that of the model by default.
+    scales : sequence of str
+        Parameters of the model that are tuned too (``"stiffness"``, ``"mass"``, ``"damping"``).
+    model_error : mapping of str to float, optional
+        Relative std of parameters of the model: the variance between the models is added to the band.
+    state_noise : float
+        Std that a sample adds to each state of the structure.
+    allow_drift : bool
+        Run although no sensor sees a constant load; the std then grows as it should (flag E501 stays).
+    gate : float or None
+        Std of an innovation beyond which a single channel is kept out; None believes every number.
+    sensors : sequence of str or int, optional
+    allow, coverage, progress
+        As in `Deconvolution`.
+
+    Raises
+    ------
+    InputError
+        Settings that do not fit.
+    """
+
+    name = "load tracking"
+
+    def __init__(
+        self,
+        model: Model,
+        *,
+        prior: Any = "matern32",
+        noise: ArrayLike | None = None,
+        noise_source: str | None = None,
+        hold: str | None = None,
+        scales: Sequence[str] = (),
+        model_error: Mapping[str, float] | None = None,
+        state_noise: float = 0.0,
+        allow_drift: bool = False,
+        gate: float | None = GATE,
+        sensors: Sequence[str | int] | None = None,
+        allow: Sequence[str] = (),
+        coverage: Any = None,
+        progress: Callable[[float, str], None] | None = None,
+    ) -> None:
+        given = list(prior) if isinstance(prior, list | tuple) else [prior] * len(model.loads)
+        if len(given) != len(model.loads):
+            raise InputError("one prior for each load", where="prior", found=f"{len(given)} priors",
+                             expected=f"{len(model.loads)}, for {', '.join(c.label for c in model.loads)}")  # fmt: skip
+        self.given = tuple(named(g) for g in given)
+        errors = dict(model_error or {})
+        for name, std in errors.items():
+            if name not in PARAMETERS or not 0 < (real(std) or 0.0) < 0.5:
+                raise InputError("no declared error of the model", where="model_error", found=f"{name!r}: {std!r}",
+                                 expected=f"a relative std between 0 and 0.5 of {', '.join(PARAMETERS)}")  # fmt: skip
+        unknown = [s for s in scales if s not in PARAMETERS]
+        if unknown or isinstance(scales, str):
+            raise InputError("no parameter of the model", where="scales", found=scales,
+                             expected=f"some of {', '.join(PARAMETERS)}")  # fmt: skip
+        if gate is not None and not (real(gate) or 0) > 0:
+            raise InputError("no gate", where="gate", found=repr(gate), expected="a number of stds > 0, or None")
+        self.model, self.noise, self.noise_source, self.hold = model, noise, noise_source, hold
+        self.scales, self.errors, self.state_noise = tuple(scales), errors, float(state_noise)
+        self.allow_drift, self.gate, self.sensors = bool(allow_drift), gate, sensors
+        self.allow, self.coverage = guards.allowed(allow), coverage
+        self._progress = progress or (lambda fraction, text: None)
+
+    def fit(self, record: Any, dt: float | None = None) -> Tracker:
+        """Settle noise, prior and gain on a record, and test what they are worth.
+
+        Parameters
+        ----------
+        record : Record or array (samples, sensors)
+        dt : float, optional
+            Step in s of a bare array.
+
+        Returns
+        -------
+        Tracker
+            Before its first sample.
+
+        Raises
+        ------
+        InputError
+            A record that does not fit the model.
+        NotIdentifiable
+            No sensor sees a constant part of a load, and its prior does not return to zero (LID-E501): unless
+            `allow_drift`.
+        """
+        data = gather(record, dt, self.model, self.sensors, allow_missing=True)
+        noise = noises.resolve(self.noise, self.noise_source, self.model, data)
+        if np.ndim(noise.level) != 1:
+            raise InputError("a tracker takes a noise std per sensor", where="noise", found="a matrix",
+                             expected="a number or (sensors,)")  # fmt: skip
+        level = noise.level if noise.known else UNKNOWN * data.rms
+        posing = Posing(
+            self.model, data.dt, data.rows, level, self.given, self.hold, self.scales, self.state_noise
+        )  # fmt: skip
+        self._progress(0.02, "checking what the sensors can tell")
+        size = self._size(posing, data)
+        seen = self._observed(posing, size, data)
+        x, scale, numbers = self._tuned(posing, data, size, noise.known)
+        model = posing.build(x, scale)
+        settled = self._settled(model, data.dt)
+        bank = tuple((w, m, self._settled(m, data.dt)) for w, m in posing.bank(x, self.errors, scale))
+        self._progress(0.9, "testing the innovations")
+        certificate, e = self._certified(model, settled, data)
+        fitted = Fitted(
+            model=model,
+            settled=settled,
+            bank=bank,
+            dt=data.dt,
+            sensors=tuple(self.model.sensors[i] for i in data.rows),
+            loads=tuple(self.model.loads),
+            words="; ".join(p.words for p in posing.priors(x, scale)),
+            numbers=numbers,
+            noise_source=noise.source if noise.known else "likelihood of the innovations",
+            certificate=certificate,
+            flags=self._flags(data, seen, settled, certificate, e),
+            fingerprint=getattr(self.model, "fingerprint", "unknown"),
+            settings=self._settings(),
+            inputs={data.record.source or data.record.name or "record": data.record.sha256},
+        )
+        self._progress(1.0, "done")
+        return Tracker(fitted, self.gate)
+
+    def estimate(self, record: Any, dt: float | None = None) -> Any:
+        """Fit to a record and track it from its first sample; see `Tracker.track`."""
+        return self.fit(record, dt).track(record, dt)
+
+    # -- inside -----------------------------------------------------------------------------------------------------
+    def _size(self, posing: Posing, data: Data) -> float:
+        """Size of a load that makes the sensors move as they do: white, from rest."""
+        h = self.model.impulse_response(data.dt, min(len(data.values), 4096), self.model.default_hold)[:, data.rows]
+        gain = np.sqrt(np.sum(h**2, axis=(0, 2)))
+        told = gain > 0
+        if not told.any():
+            raise NotIdentifiable("no sensor sees any load", advice="add a sensor that moves", code="LID-W201")
+        return float(np.median(data.rms[told] / gain[told]))
+
+    def _observed(self, posing: Posing, size: float, data: Data) -> Observability:
+        priors = [g.make(*np.exp(g.starts(size, data.dt, len(data.values))[0])) if isinstance(g, Named) else g
+                  for g in self.given]  # fmt: skip
+        model = posing.filter(self.model, priors)
+        space = self.model.state_space(data.dt, self.model.default_hold)
+        rows = data.rows
+        part = StateSpace(space.A, space.B, space.C[rows], space.D[rows], space.dt, space.hold,
+                          sensors=[self.model.sensors[i] for i in rows], loads=self.model.loads)  # fmt: skip
+        loads = [c.label for c in self.model.loads]
+        found = observability(model, part, np.full(len(loads), size), loads=loads)
+        told.refused(told.drifting(found), self.allow_drift or "LID-E501" in self.allow)
+        return found
+
+    def _tuned(self, posing: Posing, data: Data, size: float, known: bool) -> tuple[NDArray, float, dict[str, float]]:
+        shared = posing.shared
+        if shared is None and not self.scales and known:
+            return np.zeros(0), 1.0, {}
+        Y = _complete(data)
+        own = [g.starts(size, data.dt, len(data.values)) for g in self.given if isinstance(g, Named)]
+        starts = [np.concatenate(parts) for parts in zip(*own, strict=False)] or [np.zeros(0)]
+        starts = [np.r_[s, np.zeros(len(self.scales))] for s in starts]
+        found = tune(
+            posing.build, starts, Y, free_scale=not known,
+            progress=lambda s: self._progress(0.1 + 0.75 * s, "tuning by likelihood"),
+        )  # fmt: skip
+        numbers = dict(zip(posing.names, np.exp(found.parameters).tolist(), strict=True))
+        if not known:
+            numbers["noise scale"] = float(np.sqrt(found.scale))
+        numbers["log-likelihood"] = found.loglik
+        return found.parameters, found.scale, numbers
+
+    def _settled(self, model: Any, dt: float) -> Steady | None:
+        try:
+            return steady(model, dt)
+        except NotIdentifiable:
+            if self.allow_drift or "LID-E501" in self.allow:
+                return None
+            raise
+
+    def _certified(self, model: Any, settled: Steady | None, data: Data) -> tuple[Certificate, NDArray]:
+        Y = np.where(data.missing, np.nan, data.values)[:LONGEST]
+        engine = Engine(model, settled, None)
+        load, std, e = np.empty((len(Y), model.p)), np.empty((len(Y), model.p)), np.full(Y.shape, np.nan)
+        engine.block(Y, load, std, e)
+        first = min(max(len(Y) // 20, 10), len(Y) - 1)
+        labels = [c.label for c in data.channels]
+        constant = np.inf if settled is None else settled.time_constant
+        nis = _nis(settled, e[first:])
+        return certify(e[first:], nis, _left_out(model, data, first), labels, constant), e[first:]
+
+    def _flags(
+        self, data: Data, seen: Observability, settled: Steady | None, certificate: Certificate, e: NDArray
+    ) -> tuple[Flag, ...]:
+        tuned = any(isinstance(g, Named) for g in self.given)
+        return guards.collect(
+            [
+                *self.model.flags,
+                *health(data),
+                guards.not_verified(self.model.certificate),
+                told.drifting(seen),
+                told.supposed(seen),
+                None if settled is None else told.slow(settled.time_constant, data.duration),
+                told.untuned(certificate.nis, tuned=tuned),
+                told.overconfident(certificate.nis, e, certificate.sensors),
+                guards.inverse_crime(data.record.simulated_by, getattr(self.model, "fingerprint", "")),
+                guards.no_coverage(self.coverage),
+            ]
+        )
+
+    def _settings(self) -> dict[str, Any]:
+        return {
+            "prior": [g.name if isinstance(g, Named) else g.words for g in self.given], "hold": self.hold,
+            "scales": list(self.scales), "model_error": dict(self.errors), "state_noise": self.state_noise,
+            "allow_drift": self.allow_drift, "gate": self.gate,
+        }  # fmt: skip
+
+
+def _complete(data: Data) -> NDArray[np.float64]:
+    """The longest stretch of a record without gaps, at most `LONGEST` samples."""
+    good = np.concatenate([[False], ~data.missing.any(axis=1), [False]])
+    edges = np.flatnonzero(np.diff(good)).reshape(-1, 2)
+    if not len(edges):
+        raise InputError("no sample of the record is complete", where="fit", found="every sample lacks a channel",
+                         expected="a stretch with all channels", hint="fit with fewer sensors (sensors=)")  # fmt: skip
+    start, stop = edges[np.argmax(np.ptp(edges, axis=1))]
+    stop = min(stop, start + LONGEST)
+    if stop - start < 50:
+        raise InputError("the record is too short to tune on", where="fit", found=f"{stop - start} complete samples",
+                         expected="at least 50", hint="record longer, or state prior and noise")  # fmt: skip
+    return np.ascontiguousarray(data.values[start:stop])
+
+
+def _nis(settled: Steady | None, e: NDArray) -> NDArray[np.float64]:
+    """Normalised squares of the samples; of complete ones by the covariance of the innovation."""
+    own = np.nansum(e**2, axis=1)
+    if settled is None:
+        return own
+    from ..inverse.kalman.roots import forward
+
+    whole = np.isfinite(e).all(axis=1)
+    white = forward(settled.Se_root, (e[whole] * settled.innovation_std).T)
+    own[whole] = np.sum(white**2, axis=0)
+    return own
+
+
+def _left_out(model: Any, data: Data, first: int) -> list[float | None]:
+    """Share of each channel inside the 95 % band that the others predict; None where they cannot."""
+    Y = data.values[:LONGEST]
+    found: list[float | None] = []
+    for i in range(model.m):
+        rest = np.delete(np.arange(model.m), i)
+        if not len(rest) or data.missing.any():
+            found.append(None)
+            continue
+        try:
+            other = steady(restricted(model, rest))
+        except (NotIdentifiable, InputError):
+            found.append(None)
+            continue
+        x = _states(other, Y[:, rest])
+        row = model.H[i]
+        spread = float(np.sqrt(np.sum((row @ other.L) ** 2) + np.sum(model.LR[i] ** 2)))
+        found.append(float(np.mean(np.abs(Y[first:, i] - x[first:] @ row) < 1.96 * spread)))
+    return found
+
+
+def _states(filtered: Steady, Y: NDArray) -> NDArray[np.float64]:
+    """Filtered states (samples, n) of a complete record."""
+    e = innovations(filtered, Y)
+    x, out = filtered.model.x0, np.empty((len(Y), filtered.model.n))
+    F = filtered.part.F
+    for k in range(len(Y)):
+        x = (F @ x if k else x) + filtered.K @ e[k]
+        out[k] = x
+    return out

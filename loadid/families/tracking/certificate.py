@@ -1,0 +1,128 @@
+"""What a track is worth: innovations against their own prediction, and each sensor against the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+LAGS = 20
+LEVEL = 0.05
+WIDE = 1.96
+INSIDE = (0.90, 0.99)  # of the 95 % band of a sensor that the others predict
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Tests of the innovations of a record.
+
+    Parameters
+    ----------
+    samples : int
+    nis : float
+        Mean normalised square of the innovations per channel; 1 where noise and prior are right.
+    nis_bounds : (float, float)
+        Where chance leaves it in 95 of 100 cases.
+    whiteness : float
+        Largest autocorrelation over channels and lags of the normalised innovations.
+    whiteness_bound : float
+    rms, mean : tuple of float
+        Of the normalised innovation of each channel.
+    left_out : tuple of float or None
+        Share of each channel inside the 95 % band that the other channels predict; None where they cannot.
+    sensors : tuple of str
+    time_constant : float
+        In which the filter forgets an error, s.
+    """
+
+    samples: int
+    nis: float
+    nis_bounds: tuple[float, float]
+    whiteness: float
+    whiteness_bound: float
+    rms: tuple[float, ...]
+    mean: tuple[float, ...]
+    left_out: tuple[float | None, ...]
+    sensors: tuple[str, ...]
+    time_constant: float
+
+    @property
+    def failing(self) -> tuple[str, ...]:
+        """Tests that are not passed, in words."""
+        found = []
+        low, high = self.nis_bounds
+        if not low <= self.nis <= high:
+            found.append(f"NIS per channel {self.nis:.3f} (chance: {low:.3f} to {high:.3f})")
+        if self.whiteness > self.whiteness_bound:
+            found.append(f"innovations correlated: {self.whiteness:.3f} (chance: {self.whiteness_bound:.3f})")
+        for name, share in zip(self.sensors, self.left_out, strict=True):
+            if share is not None and not INSIDE[0] <= share <= INSIDE[1]:
+                found.append(f"{name} from the others: {share:.0%} inside the 95 % band")
+        return tuple(found)
+
+    @property
+    def verdict(self) -> str:
+        """``"calibrated"`` only where every test passes."""
+        return "calibrated" if not self.failing else "not calibrated"
+
+    def __str__(self) -> str:
+        low, high = self.nis_bounds
+        lines = [
+            f"{self.verdict}, {self.samples} samples",
+            f"NIS per channel {self.nis:.3f} (chance {low:.3f} to {high:.3f})",
+            f"largest correlation of the innovations {self.whiteness:.3f} (chance {self.whiteness_bound:.3f})",
+            f"the filter forgets within {self.time_constant:.3g} s",
+        ]
+        for name, r, m, share in zip(self.sensors, self.rms, self.mean, self.left_out, strict=True):
+            alone = "not predictable from the others" if share is None else f"{share:.0%} inside from the others"
+            lines.append(f"  {name}: innovation rms {r:.3f}, mean {m:+.3f}; {alone}")
+        return "\n".join(lines)
+
+
+def certify(
+    normalised: NDArray,
+    nis: NDArray,
+    left_out: Sequence[float | None],
+    sensors: Sequence[str],
+    time_constant: float,
+) -> Certificate:
+    """Certificate of normalised innovations (samples, channels), NaN where missing, and their NIS (samples,)."""
+    from scipy.stats import norm
+
+    present = np.isfinite(normalised)
+    count = int(present.sum())
+    samples, m = normalised.shape
+    mean = float(np.sum(nis)) / max(count, 1)
+    half = WIDE * np.sqrt(2 / max(count, 1))
+    bound = float(norm.ppf(1 - LEVEL / 2 / (LAGS * m)) / np.sqrt(max(samples, 1)))
+    return Certificate(
+        samples=samples,
+        nis=mean,
+        nis_bounds=(1 - half, 1 + half),
+        whiteness=max((_correlation(normalised[:, i]) for i in range(m)), default=0.0),
+        whiteness_bound=bound,
+        rms=tuple(float(np.sqrt(np.nanmean(x**2))) if np.isfinite(x).any() else float("nan") for x in normalised.T),
+        mean=tuple(float(np.nanmean(x)) if np.isfinite(x).any() else float("nan") for x in normalised.T),
+        left_out=tuple(left_out),
+        sensors=tuple(sensors),
+        time_constant=float(time_constant),
+    )
+
+
+def _correlation(x: NDArray) -> float:
+    """Largest autocorrelation over the lags, of the samples that are there."""
+    x = np.where(np.isfinite(x), x - np.nanmean(x) if np.isfinite(x).any() else 0.0, 0.0)
+    power = float(x @ x)
+    if power == 0 or len(x) <= LAGS:
+        return 0.0
+    return float(max(abs(float(x[lag:] @ x[:-lag])) / power for lag in range(1, LAGS + 1)))
+
+
+def to_dict(c: Certificate) -> dict[str, Any]:
+    """Plain tree for files."""
+    from dataclasses import asdict
+
+    return asdict(c)

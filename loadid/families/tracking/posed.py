@@ -1,0 +1,147 @@
+"""From a model of a structure and the numbers of its priors to the filters that run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError
+from structures.model import Model
+
+from ...inverse.kalman.augment import augment
+from ...inverse.kalman.model import FilterModel
+from ...inverse.kalman.roots import lower
+from .named import Named
+
+SPREAD = float(np.sqrt(3.0))  # of the nodes of the rule of Gauss and Hermite with three points
+WEIGHT = 1 / 6  # of each outer node
+
+
+@dataclass(frozen=True, eq=False)
+class Posing:
+    """What stays the same while numbers are tried.
+
+    Parameters
+    ----------
+    model : Model
+    dt : float
+    rows : array of int
+        Sensors of the model that are used.
+    noise : array (sensors,)
+        Std of the used sensors, or a scale of each.
+    given : tuple
+        One prior, or `Named`, for each load.
+    hold : str or None
+    scales : tuple of str
+        Parameters of the model that are tuned (`Model.perturbed`).
+    state_noise : float
+    """
+
+    model: Model
+    dt: float
+    rows: NDArray[np.int_]
+    noise: NDArray[np.float64]
+    given: tuple[Any, ...]
+    hold: str | None = None
+    scales: tuple[str, ...] = ()
+    state_noise: float = 0.0
+    models: dict[tuple[float, ...], Model] = field(default_factory=dict, repr=False)
+
+    @property
+    def shared(self) -> Named | None:
+        """The prior whose numbers all loads share in the search; None where every prior is given."""
+        found = [g for g in self.given if isinstance(g, Named)]
+        return found[0] if found else None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the search moves."""
+        own = [(j, g) for j, g in enumerate(self.given) if isinstance(g, Named)]
+        return (*(f"{name} of load {j + 1}" for j, g in own for name in g.parameters), *self.scales)
+
+    def build(self, x: NDArray, scale: float = 1.0) -> FilterModel:
+        """Filter of logarithms of the numbers; `scale` multiplies process and measurement noise."""
+        priors, at = [], 0
+        for prior in self.given:
+            if isinstance(prior, Named):
+                values = np.exp(np.clip(x[at : at + len(prior.parameters)], -80, 80))
+                at += len(prior.parameters)
+                priors.append(prior.make(*values))
+            else:
+                priors.append(prior)
+        model = self._scaled(tuple(np.exp(x[at:]).tolist()))
+        return self.filter(model, priors, scale)
+
+    def priors(self, x: NDArray, scale: float = 1.0) -> tuple[Any, ...]:
+        """The priors of these numbers."""
+        found, at = [], 0
+        for prior in self.given:
+            if isinstance(prior, Named):
+                found.append(prior.make(*np.exp(x[at : at + len(prior.parameters)])).scaled(np.sqrt(scale)))
+                at += len(prior.parameters)
+            else:
+                found.append(prior)
+        return tuple(found)
+
+    def filter(self, model: Model, priors: Sequence[Any], scale: float = 1.0) -> FilterModel:
+        """Filter of a model under priors, the used sensors only."""
+        noise = np.ones(len(model.sensors))
+        noise[self.rows] = self.noise
+        made = augment(model, self.dt, list(priors), noise=noise, hold=self.hold, state_noise=self.state_noise)
+        return rescaled(restricted(made, self.rows), scale)
+
+    def _scaled(self, factors: tuple[float, ...]) -> Model:
+        if not self.scales:
+            return self.model
+        key = tuple(round(f, 12) for f in factors)
+        if key not in self.models:
+            if len(self.models) > 64:
+                self.models.clear()
+            self.models[key] = perturbed(self.model, dict(zip(self.scales, factors, strict=True)))
+        return self.models[key]
+
+    def bank(self, x: NDArray, errors: Mapping[str, float], scale: float = 1.0) -> list[tuple[float, FilterModel]]:
+        """Filters of models that are wrong by what is declared, with their weights in the variance between models.
+
+        Gauss-Hermite with three points for each parameter: one at the nominal value, two at 1 +- sqrt(3) std.
+        """
+        own = len(x) - len(self.scales)
+        base = self._scaled(tuple(np.exp(x[own:]).tolist()))
+        priors = self.priors(x[:own], 1.0)
+        found = []
+        for (name, std), sign in product(errors.items(), (-1, 1)):
+            factor = 1 + sign * SPREAD * std
+            if factor <= 0:
+                raise InputError("the declared error of the model is too large", where=f"model_error[{name!r}]",
+                                 found=std, expected=f"below {1 / SPREAD:.2f}")  # fmt: skip
+            found.append((WEIGHT, self.filter(perturbed(base, {name: factor}), priors, scale)))
+        return found
+
+
+def perturbed(model: Model, factors: Mapping[str, float]) -> Model:
+    """A model with some of its parameters multiplied."""
+    for name, factor in factors.items():
+        model = model.perturbed(name, factor)
+    return model
+
+
+def restricted(model: FilterModel, rows: NDArray) -> FilterModel:
+    """The filter of some of its sensors."""
+    if len(rows) == model.m and np.array_equal(rows, np.arange(model.m)):
+        return model
+    S = None if model.S is None else model.S[:, rows]
+    return replace(model, H=model.H[rows], LR=lower(model.LR[rows]), S=S)
+
+
+def rescaled(model: FilterModel, scale: float) -> FilterModel:
+    """The same gains with all noises multiplied by a variance."""
+    if scale == 1.0:
+        return model
+    root = np.sqrt(scale)
+    S = None if model.S is None else scale * model.S
+    return replace(model, LQ=root * model.LQ, LR=root * model.LR, L0=root * model.L0, S=S)

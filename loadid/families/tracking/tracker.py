@@ -1,0 +1,268 @@
+"""A fitted tracker: one answer a sample, blocks, smoothing, its certificate, its file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.channels import Channel
+from structures.errors import InputError
+from structures.flags import Flag
+
+from ... import flags as guards
+from ...estimate import Axis, LoadEstimate
+from ...inverse.kalman.model import FilterModel
+from ...inverse.kalman.steady import Steady
+from ...provenance import provenance
+from ...record import Record
+from .certificate import Certificate
+from .engine import Engine
+
+PATH = "square-root filter, settled gain"
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What a fit has settled; everything that a tracker needs to run.
+
+    Parameters
+    ----------
+    model : FilterModel
+    settled : Steady or None
+    bank : tuple of (weight, FilterModel, Steady or None)
+        Models that are wrong by what was declared.
+    dt : float
+    sensors, loads : tuple of Channel
+    words : str
+        The priors of the loads.
+    numbers : mapping
+        What was tuned.
+    noise_source : str
+    certificate : Certificate or None
+    flags : tuple of Flag
+    fingerprint : str
+        Of the model of the structure.
+    settings : mapping
+    inputs : mapping
+        Digest of the record of the fit.
+    """
+
+    model: FilterModel
+    settled: Steady | None
+    bank: tuple[tuple[float, FilterModel, Steady | None], ...]
+    dt: float
+    sensors: tuple[Channel, ...]
+    loads: tuple[Channel, ...]
+    words: str
+    numbers: Mapping[str, float]
+    noise_source: str
+    certificate: Certificate | None
+    flags: tuple[Flag, ...]
+    fingerprint: str
+    settings: Mapping[str, Any]
+    inputs: Mapping[str, str]
+
+
+class Tracker:
+    """Loads of a running structure, sample by sample.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    gate : float or None
+        Std of an innovation beyond which a single channel is kept out, or a step of the load is taken up.
+
+    Notes
+    -----
+    A tracker has a state: `step` and `track` go on from the last sample. `smooth` and `reset` do not.
+    """
+
+    def __init__(self, fitted: Fitted, gate: float | None = None) -> None:
+        self.fitted, self.gate = fitted, gate
+        self._p = fitted.model.p
+        self.reset()
+
+    def __repr__(self) -> str:
+        f = self.fitted
+        return (
+            f"Tracker({len(f.sensors)} sensors, {self._p} loads, {f.model.n} states, dt {f.dt:g} s, {f.words}, "
+            f"{self.phase})"
+        )
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """Tests of the record that it was fitted to."""
+        return self.fitted.certificate
+
+    @property
+    def flags(self) -> tuple[Flag, ...]:
+        """What the guards found at the fit."""
+        return self.fitted.flags
+
+    @property
+    def phase(self) -> str:
+        """``"warm-up"``, ``"steady"`` or ``"transient"``."""
+        return self._engine.phase
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Samples taken; channel samples missing and kept out by the gate; steps of the load taken up."""
+        return {name: self._engine.counts[name] for name in ("samples", "missing", "gated", "steps")}
+
+    def reset(self) -> None:
+        """Back before the first sample."""
+        f = self.fitted
+        self._engine = Engine(f.model, f.settled, self.gate)
+        self._bank = [(weight, Engine(model, settled, None)) for weight, model, settled in f.bank]
+
+    # -- samples ----------------------------------------------------------------------------------------------------
+    def step(self, sample: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Loads and their std (loads,) after one sample (sensors,); NaN marks a channel that is missing.
+
+        Raises
+        ------
+        InputError
+            A sample of another width, or infinite.
+        """
+        load, std = self._engine.step(sample)  # type: ignore[arg-type]
+        if not self._bank:
+            return load, std
+        between = np.zeros(self._p)
+        for weight, engine in self._bank:
+            between += weight * (engine.step(sample)[0] - load) ** 2  # type: ignore[arg-type]
+        return load, np.sqrt(std**2 + between)
+
+    def track(
+        self, block: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None
+    ) -> LoadEstimate:
+        """Loads of a block, going on from the last sample.
+
+        Parameters
+        ----------
+        block : Record or array (samples, sensors)
+            NaN marks what is missing.
+        dt : float, optional
+            Step in s of a bare array; that of the fit if left out.
+        progress : callable, optional
+
+        Raises
+        ------
+        InputError
+            Channels or a step that are not those of the fit.
+        """
+        Y, inputs = self._values(block, dt)
+        first = self._engine.counts["samples"]
+        load, std, e = self.run(Y, progress)
+        predicted = e * self._spread()
+        return self._estimate(load, std, Y, predicted, inputs, first)
+
+    def run(self, Y: NDArray, progress: Callable[[float, str], None] | None = None) -> tuple[NDArray, NDArray, NDArray]:
+        """Loads and std (samples, loads), normalised innovations (samples, sensors) of bare numbers."""
+        load, std, e = np.empty((len(Y), self._p)), np.empty((len(Y), self._p)), np.full(Y.shape, np.nan)
+        told = progress or (lambda share, text: None)
+        size = 65_536
+        for k in range(0, len(Y), size):
+            part = slice(k, k + size)
+            self._engine.block(Y[part], load[part], std[part], e[part])
+            if self._bank:
+                between = np.zeros(load[part].shape)
+                other, unused = np.empty(load[part].shape), np.empty(load[part].shape)
+                for weight, engine in self._bank:
+                    engine.block(Y[part], other, unused)
+                    between += weight * (other - load[part]) ** 2
+                std[part] = np.sqrt(std[part] ** 2 + between)
+            told(min((k + size) / len(Y), 1.0), "tracking")
+        return load, std, e
+
+    def smooth(
+        self, record: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None
+    ) -> LoadEstimate:
+        """Loads of a whole record with all its data, from rest; the state of the tracker stays as it is.
+
+        Raises
+        ------
+        InputError
+            As `track`; a record too long to keep its states.
+        """
+        from ...inverse.kalman.smoothing import smooth
+        from ...inverse.kalman.squareroot import filter as filtered
+
+        Y, inputs = self._values(record, dt)
+        told = progress or (lambda share, text: None)
+        kept = filtered(self.fitted.model, Y, keep=True, progress=lambda f, t: told(0.5 * f, t))
+        found = smooth(kept, progress=lambda f, t: told(0.5 + 0.5 * f, t))
+        rest = Y - found.x @ self.fitted.model.H.T
+        return self._estimate(found.load, found.std, Y, rest, inputs, 0, "square-root filter and smoother")
+
+    # -- inside -----------------------------------------------------------------------------------------------------
+    def _spread(self) -> NDArray[np.float64]:
+        settled = self.fitted.settled
+        if settled is not None:
+            return settled.innovation_std
+        return np.linalg.norm(self.fitted.model.LR, axis=1)
+
+    def _values(self, block: Any, dt: float | None) -> tuple[NDArray[np.float64], dict[str, str]]:
+        f = self.fitted
+        labels = [c.label for c in f.sensors]
+        if isinstance(block, Record):
+            picked = block.select(labels)
+            step, values = picked.dt, picked.values
+            inputs = {block.source or block.name or "record": block.sha256}
+            wrong = [
+                f"{c.label} in {c.unit}, not {s.unit}"
+                for c, s in zip(picked.channels, f.sensors, strict=True)
+                if "arbitrary" not in (c.unit, s.unit) and c.unit != s.unit
+            ]
+            if wrong:
+                raise InputError("a channel is in another unit than its sensor", where="track", found="; ".join(wrong),
+                                 expected="the units of the fit", hint="state the units of the record")  # fmt: skip
+        else:
+            values, step, inputs = np.asarray(block, float), f.dt if dt is None else dt, {}
+        if abs(step / f.dt - 1) > 1e-6:
+            raise InputError("the samples have another step than those of the fit", where="track",
+                             found=f"dt = {step:.9g} s", expected=f"dt = {f.dt:.9g} s",
+                             hint="resample, or fit a tracker for this step")  # fmt: skip
+        if values.ndim != 2 or values.shape[1] != len(labels) or not len(values):
+            raise InputError("the block does not fit the sensors", where="track", found=f"shape {values.shape}",
+                             expected=f"(samples, {len(labels)}): {', '.join(labels[:8])}")  # fmt: skip
+        if np.isinf(values).any():
+            raise InputError("an infinite number in the block", where="track",
+                             found=labels[int(np.argmax(np.isinf(values).any(axis=0)))],
+                             expected="finite numbers, NaN where a sample is missing")  # fmt: skip
+        return np.ascontiguousarray(values, float), inputs
+
+    def _estimate(
+        self, load: NDArray, std: NDArray, Y: NDArray, rest: NDArray, inputs: dict[str, str], first: int,
+        path: str = PATH,
+    ) -> LoadEstimate:  # fmt: skip
+        f = self.fitted
+        there = np.isfinite(Y)
+        facts: dict[str, Any] = {
+            "path": path, "m": int(there.sum()), "n": int(load.size), "noise_source": f.noise_source,
+            "time_constant": None if f.settled is None else f.settled.time_constant,
+            **{f"tuned_{name}": value for name, value in f.numbers.items()},
+            **{f"count_{name}": value for name, value in self.counts.items()},
+        }  # fmt: skip
+        if not there.all():
+            facts["missing"] = f"{int((~there).sum())} of {there.size} channel samples"
+        return LoadEstimate(
+            load=load,
+            std=std,
+            labels=[c.label for c in f.loads],
+            units=[c.unit for c in f.loads],
+            axis=Axis("time", "s", np.asarray((first + np.arange(len(load))) * f.dt, float)),
+            response=np.where(there, Y, 0.0),
+            residual=np.where(there & np.isfinite(rest), rest, 0.0),
+            sensors=[c.label for c in f.sensors],
+            sensor_units=[c.unit for c in f.sensors],
+            flags=guards.collect(f.flags),
+            facts=facts,
+            provenance=provenance(
+                "load tracking", settings=dict(f.settings), inputs={**f.inputs, **inputs}, model=f.fingerprint,
+                prior=f.words,
+            ),
+        )  # fmt: skip
