@@ -196,11 +196,15 @@ class LoadEstimate:
 
     @property
     def peaks(self) -> tuple[Peak, ...]:
-        """Largest magnitude of every load."""
+        """Largest magnitude of every load; over frequency on a line that is trusted, where one is."""
         load, std = self.load.reshape(-1, len(self.labels)), self.std.reshape(-1, len(self.labels))
+        size = np.abs(load)
+        if self.spectrum is not None and self.axis is not None and self.axis.name == "frequency":
+            trusted = self.trust()
+            size = np.where(trusted | ~trusted.any(axis=0), size, -1.0)
         found = []
         for j, (label, unit) in enumerate(zip(self.labels, self.units, strict=True)):
-            i = int(np.argmax(np.abs(load[:, j])))
+            i = int(np.argmax(size[:, j]))
             value = load[i, j].item() if self.load.dtype.kind != "c" else abs(load[i, j].item())
             at = None if self.axis is None else float(self.axis.values[i])
             found.append(Peak(label, value, float(std[i, j]), unit, at, i))
