@@ -111,7 +111,7 @@ def _apart(z: complex) -> float:
 
 
 def _smallest(A: Array, B: Array, C: Array, D: Array, z: complex) -> float:
-    """Smallest singular value of the system matrix at z, states taken smaller by the modulus of z outside the circle."""
+    """Smallest singular value of the system matrix at z, states divided by the modulus of z outside the circle."""
     size = max(1.0, abs(z))
     P = np.block([[(A - z * np.eye(len(A))) / size, B], [C / size, D]])
     return float(np.linalg.svd(P, compute_uv=False)[-1])
