@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
 from structures.flags import Flag
+from structures.forward import ForwardModel
 from structures.model import Model
 from structures.statespace import StateSpace
 from structures.values import real
@@ -17,6 +18,7 @@ from structures.values import real
 from .. import flags as guards
 from ..flags import tracking as told
 from ..inverse.kalman.observe import Observability, observability
+from ..inverse.kalman.priors import OU, Matern32, Matern52
 from ..inverse.kalman.steady import Steady, steady
 from . import noise as noises
 from .data import Data, gather, health
@@ -28,6 +30,7 @@ from .tracking.tracker import Fitted, Tracker
 from .tracking.tuning import innovations, tune
 
 PARAMETERS = ("stiffness", "mass", "damping")
+JOINT = ("ou", "matern32", "matern52")
 UNKNOWN = 0.01  # of the rms of a channel: its noise, to begin with, where nobody states it
 LONGEST = 60_000  # samples that a fit is tuned on
 
@@ -51,7 +54,8 @@ class LoadTracker:
         Noise std of the sensors. Where nobody states it, it is found with the prior.
     noise_source : str, optional
     hold : {"joint", "foh", "zoh"}, optional
-        How the load runs between samples; that of the model by default.
+        How the load runs between samples. By default as its prior says (joint), where that has a length and the model
+        has modes; else that of the model.
     scales : sequence of str
         Parameters of the model that are tuned too (``"stiffness"``, ``"mass"``, ``"damping"``).
     model_error : mapping of str to float, optional
@@ -143,7 +147,7 @@ class LoadTracker:
                              expected="a number or (sensors,)")  # fmt: skip
         level = noise.level if noise.known else UNKNOWN * data.rms
         posing = Posing(
-            self.model, data.dt, data.rows, level, self.given, self.hold, self.scales, self.state_noise
+            self.model, data.dt, data.rows, level, self.given, self._hold(), self.scales, self.state_noise
         )  # fmt: skip
         self._progress(0.02, "checking what the sensors can tell")
         size = self._size(posing, data)
@@ -178,6 +182,12 @@ class LoadTracker:
         return self.fit(record, dt).track(record, dt)
 
     # -- inside -----------------------------------------------------------------------------------------------------
+    def _hold(self) -> str | None:
+        if self.hold is not None or not isinstance(self.model, ForwardModel):
+            return self.hold
+        smooth = all(getattr(g, "name", "") in JOINT or isinstance(g, OU | Matern32 | Matern52) for g in self.given)
+        return "joint" if smooth else None
+
     def _size(self, posing: Posing, data: Data) -> float:
         """Size of a load that makes the sensors move as they do: white, from rest."""
         h = self.model.impulse_response(data.dt, min(len(data.values), 4096), self.model.default_hold)[:, data.rows]

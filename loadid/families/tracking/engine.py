@@ -180,13 +180,10 @@ class Engine:
     # -- the state for files ----------------------------------------------------------------------------------------
     def to_tree(self) -> dict[str, Any]:
         """Everything that changes, as plain arrays and numbers."""
-        state = self.state
         return {
             "phase": self.phase,
-            "x": None if state is None else state.x,
-            "L": None if state is None else state.L,
-            "y": None if state is None else state.y,
-            "rival": None if self.rival is None else {"x": self.rival.x, "L": self.rival.L, "y": self.rival.y},
+            "state": _arrays(self.state),
+            "rival": _arrays(self.rival),
             "ahead": None if self.loop is None else self.loop.x,
             "out_for": self.out_for,
             "counts": dict(self.counts),
@@ -195,15 +192,22 @@ class Engine:
     def restore(self, tree: dict[str, Any]) -> None:
         """Go on from what `to_tree` gave."""
         self.phase = str(tree["phase"])
-        arrays = {k: None if tree[k] is None else np.asarray(tree[k], float) for k in ("x", "L", "y", "ahead")}
-        self.state = None if arrays["x"] is None else State(arrays["x"], arrays["L"], arrays["y"])  # type: ignore[arg-type]
-        other = tree["rival"]
-        self.rival = (
-            None
-            if other is None
-            else State(*(None if other[k] is None else np.asarray(other[k], float) for k in ("x", "L", "y")))
-        )  # type: ignore[arg-type]
-        if self.loop is not None and arrays["ahead"] is not None:
-            self.loop.x = arrays["ahead"]
+        self.state = _state(tree["state"])
+        self.rival = _state(tree["rival"])
+        if self.loop is not None and tree["ahead"] is not None:
+            self.loop.x = np.asarray(tree["ahead"], float)
         self.out_for = np.asarray(tree["out_for"], int)
         self.counts = Counter({str(k): int(v) for k, v in tree["counts"].items()})
+
+
+def _arrays(state: State | None) -> dict[str, Any] | None:
+    return None if state is None else {"x": state.x, "L": state.L, "y": state.y}
+
+
+def _state(tree: dict[str, Any] | None) -> State | None:
+    if tree is None:
+        return None
+    y = tree["y"]
+    return State(
+        np.asarray(tree["x"], float), np.asarray(tree["L"], float), None if y is None else np.asarray(y, float)
+    )
