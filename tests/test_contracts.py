@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 
+from loadid import FrequencyInversion, Spectra
 from loadid.inverse import rules
 from loadid.inverse.choice import choose
 from loadid.inverse.path import PathPoint, RegularizationPath, Solution
 from loadid.inverse.problem import LinearProblem, whiten
+from loadid.inverse.spectral.compressed import compress
+from loadid.inverse.spectral.posterior import factor
+from loadid.inverse.spectral.ruled import JoinedPath, LinesPath
 from loadid.inverse.stacked import StackedPath
 from loadid.inverse.svd import SVDPath
-from structures import ForwardModel, InputError, beams, damping, loads, sensors
+from structures import ForwardModel, FrfModel, InputError, beams, damping, loads, sensors
 
 BEAM = beams.simply_supported(
     length=2.0,
@@ -71,6 +75,41 @@ def test_stacked_lines_with_one_lambda_each():
         augmented = np.vstack([H[k], x * np.eye(2)])
         expected = np.linalg.lstsq(augmented, np.concatenate([Y[k], np.zeros(2)]), rcond=None)[0]
         assert load[k] == pytest.approx(expected, rel=1e-8)
+
+
+def test_lines_of_a_model_and_of_its_table_are_one():
+    """Frequency inversion asks a model for `frf` alone: a table of the same lines gives the same loads and flags."""
+    model = beam([0.3, 0.8, 1.4, 1.7], at=(0.65, 1.25))
+    f = np.linspace(5, 200, 60)
+    H = model.frf(f)
+    noise = np.random.default_rng(0).standard_normal((2, 60, 4))
+    Y = H @ np.array([10.0, 4.0j]) + 1e-3 * (noise[0] + 1j * noise[1])
+    spectra = Spectra(f, Y, noise=1e-3 * np.sqrt(2))
+    first, second = (FrequencyInversion(m).estimate(spectra) for m in (model, FrfModel.of(model, f)))
+    assert np.array_equal(first.load, second.load)
+    assert first.codes == second.codes
+    trusted = first.trust().all(axis=1)
+    assert trusted.any()
+    assert np.linalg.norm(first.load[trusted] - [10, 4j]) < 0.1 * np.linalg.norm(first.load[trusted])
+
+
+def test_joined_lines_serve_every_rule_that_asks_for_no_residual():
+    """All lines as one path: their GCV is that of the problem with the lines on the diagonal of one matrix."""
+    f = np.linspace(5, 200, 6)
+    H = beam([0.3, 0.8, 1.4], at=(0.65, 1.25)).frf(f)
+    Y = np.random.default_rng(0).standard_normal((2, 6, 3))
+    Y = Y[0] + 1j * Y[1]
+    joined = JoinedPath(LinesPath(factor(compress(H, Y), np.ones((6, 2)))))
+    whole = np.zeros((18, 12), complex)
+    for k in range(6):
+        whole[3 * k : 3 * k + 3, 2 * k : 2 * k + 2] = H[k]
+    real = np.block([[whole.real, -whole.imag], [whole.imag, whole.real]])
+    dense = SVDPath(LinearProblem.whitened(real, np.concatenate([Y.ravel().real, Y.ravel().imag])))
+    lam = np.geomspace(1e-3, 1, 9)
+    assert joined.scale == pytest.approx(dense.scale)
+    assert rules.gcv_function(joined, joined.at(lam)) == pytest.approx(
+        2 * rules.gcv_function(dense, dense.at(lam)), rel=1e-8
+    )
 
 
 def test_one_proximal_step_of_l1():
