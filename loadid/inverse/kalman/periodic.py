@@ -12,14 +12,14 @@ from functools import reduce
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, NotIdentifiable
+from structures.errors import InputError
 
 from .doubling import fixed_point, joined
 from .loops import Loop
 from .model import FilterModel
 from .roots import backward
 from .squareroot import SquareRoot
-from .steady import ADVICE, RADIUS, RESIDUAL, Steady, distance, sample_map
+from .steady import RADIUS, RESIDUAL, Steady, distance, refused, sample_map
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,33 +73,21 @@ def periodic(model: FilterModel, masks: ArrayLike, dt: float = 1.0) -> Periodic:
     parts = [core.seen(mask) for mask in masks]
     L, count, settled = fixed_point(reduce(joined, map(sample_map, parts)))
     if not settled:
-        raise NotIdentifiable("the variance of the periodic filter grows on", advice=ADVICE, code="LID-E501")
-    L, found, first = core.update_root(parts[0], L), [], None
-    for t in range(1, 2 * T + 1):  # phases 1 .. T - 1 and 0, then once more to see that they repeat
-        stack = core.stack(None if model.S is None else masks[(t - 1) % T], masks[t % T])
-        Se, gain, L = core.covariance(stack, L)
-        found.append((Se, gain, L))
-    residual = max(distance(found[t + T][2], found[t][2]) for t in range(T))
+        raise refused("the variance of the periodic filter grows on")
+    steps, residual = _walked(core, masks, core.update_root(parts[0], L))
     if residual > RESIDUAL:
-        raise NotIdentifiable(f"the gains do not repeat: relative change {residual:.1g} from one period to the next",
-                              advice=ADVICE, code="LID-E501")  # fmt: skip
-    loops, gains = [], []
-    for t in range(T):
-        Se, gain, first = found[T + (t - 1) % T]
-        K = backward(Se, gain.T).T
-        ahead = parts[t - 1].F
-        loops.append(ahead - K @ (parts[t].H @ ahead))
-        gains.append((Se, K, first))
+        raise refused(f"the gains do not repeat: relative change {residual:.1g} from one period to the next")
+    gains = [backward(Se, gain.T).T for Se, gain, _ in steps]
+    ahead = [parts[t - 1].F for t in range(T)]
+    loops = [F - K @ (part.H @ F) for F, K, part in zip(ahead, gains, parts, strict=True)]
     radius = _radius(loops)
     if not radius < 1 - RADIUS:
-        raise NotIdentifiable(f"the error of the periodic filter does not die: {radius:.9f} a sample",
-                              advice=ADVICE, code="LID-E501")  # fmt: skip
+        raise refused(f"the error of the periodic filter does not die: {radius:.9f} a sample")
     constant = float(-dt / np.log(radius)) if radius > 0 else 0.0
     phases = tuple(
-        Steady(model, parts[t], K, loops[t], root, Se, np.linalg.norm(model.Cp @ root, axis=1),
-               radius, constant, count, residual)
-        for t, (Se, K, root) in enumerate(gains)
-    )  # fmt: skip
+        Steady(model, part, K, A, root, Se, np.linalg.norm(model.Cp @ root, axis=1), radius, constant, count, residual)
+        for part, K, A, (Se, _, root) in zip(parts, gains, loops, steps, strict=True)
+    )
     return Periodic(phases, radius, constant, residual)
 
 
@@ -143,6 +131,20 @@ class PeriodicLoop:
         if load is not None:
             self._x, self.phase = loop.x, (self.phase + 1) % len(self._loops)
         return load
+
+
+Step = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+
+def _walked(core: SquareRoot, masks: NDArray, L: NDArray) -> tuple[list[Step], float]:
+    """Roots and gains of every phase from the root of the first; the largest change in the period after."""
+    T, steps = len(masks), []
+    for t in range(1, 2 * T + 1):
+        stack = core.stack(None if core.model.S is None else masks[(t - 1) % T], masks[t % T])
+        steps.append(core.covariance(stack, L))
+        L = steps[-1][2]
+    residual = max(distance(steps[t + T][2], steps[t][2]) for t in range(T))
+    return [steps[2 * T - 1], *steps[T : 2 * T - 1]], residual
 
 
 def _radius(loops: list[NDArray]) -> float:

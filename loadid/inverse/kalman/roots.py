@@ -34,7 +34,7 @@ def reflected(wide: NDArray) -> NDArray[np.float64]:
         Overwritten.
     """
     made = lapack()[0](wide.T, lwork=32 * max(len(wide), 1), overwrite_a=1)[0].T
-    return made[:, : min(made.shape)]  # type: ignore[no-any-return]
+    return made[:, : min(made.shape)]
 
 
 def lower(*parts: NDArray) -> NDArray[np.float64]:

@@ -72,7 +72,7 @@ class Innovation:
 
     @property
     def normalised(self) -> NDArray[np.float64]:
-        """e in units of its own std, channel by channel (m,)."""
+        """Innovation in units of its own std, channel by channel (m,)."""
         return self.e / self.std
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError, NotIdentifiable
 
-from .doubling import DOUBLINGS, Riccati, fixed_point
+from .doubling import Riccati, fixed_point
 from .model import FilterModel
 from .present import Present
 from .roots import backward, forward
@@ -103,10 +103,7 @@ def steady(model: FilterModel, dt: float = 1.0) -> Steady:
     part = core.whole
     L, count, settled = fixed_point(sample_map(part))
     if not settled:
-        raise NotIdentifiable(
-            f"the variance of the filter grows on: it has not settled after 2^{min(count, DOUBLINGS)} samples",
-            advice=ADVICE, code="LID-E501",
-        )  # fmt: skip
+        raise refused(f"the variance of the filter grows on: it has not settled after 2^{count} samples")
     every = np.ones(model.m, bool)
     stack = core.stack(None if model.S is None else every, every)
     before = core.update_root(part, L)
@@ -114,10 +111,7 @@ def steady(model: FilterModel, dt: float = 1.0) -> Steady:
         Se, gain, now = core.covariance(stack, before)
         residual, before = distance(now, before), now
     if residual > RESIDUAL:
-        raise NotIdentifiable(
-            f"the Riccati equation of the steady filter is not solved: relative residual {residual:.1g}",
-            advice="scale the model (loads by their prior std, channels by their noise), or " + ADVICE, code="LID-E501",
-        )  # fmt: skip
+        raise refused(f"the Riccati equation of the steady filter is not solved: relative residual {residual:.1g}")
     return finished(model, part, Se, gain, before, dt, count, residual)
 
 
@@ -129,10 +123,7 @@ def finished(
     A = part.F - K @ (part.H @ part.F)
     radius = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
     if not radius < 1 - RADIUS:
-        raise NotIdentifiable(
-            f"the error of the steady filter does not die: its largest eigenvalue is {radius:.9f}",
-            advice=ADVICE, code="LID-E501",
-        )  # fmt: skip
+        raise refused(f"the error of the steady filter does not die: its largest eigenvalue is {radius:.9f}")
     constant = float(-dt / np.log(radius)) if radius > 0 else 0.0
     std = np.linalg.norm(model.Cp @ L, axis=1)
     return Steady(model, part, K, A, L, Se, std, radius, constant, count, residual)
@@ -150,6 +141,11 @@ def sample_map(part: Present) -> Riccati:
         raise InputError("a steady gain needs noise on every channel", where="FilterModel.LR",
                          found="a singular root", expected="a positive definite covariance of the noise")  # fmt: skip
     return Riccati(part.F, part.LQ, forward(part.LR, part.H).T)
+
+
+def refused(what: str) -> NotIdentifiable:
+    """No gain to be believed: what the filter does instead."""
+    return NotIdentifiable(what, advice=ADVICE, code="LID-E501")
 
 
 def distance(now: NDArray, before: NDArray) -> float:

@@ -1,0 +1,94 @@
+"""Smoothers: against conditioning of everything at once, each other, and the batch Tikhonov of the same prior."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from loadid.inverse.kalman import squareroot
+from loadid.inverse.kalman.smoothing import bryson_frazier, rts, smooth
+from loadid.inverse.statespace.augmented import augment
+from loadid.inverse.statespace.path import StateSpacePath
+from loadid.inverse.statespace.record import record
+from structures.errors import InputError
+
+from .gaussian import building, conditioned, drawn, small
+
+R_SD = np.array([0.3, 0.3, 0.5, 1e-3])
+
+
+@pytest.mark.parametrize("correlated", [False, True])
+@pytest.mark.parametrize("way", [rts, bryson_frazier])
+def test_smoother_is_the_conditional_gaussian(way: object, correlated: bool) -> None:
+    for seed in range(3):
+        model = small(seed, correlated=correlated)
+        Y, _ = drawn(model, 8, seed)
+        Y[0, 1] = Y[2, :2] = Y[3] = Y[7, 2] = np.nan
+        found = way(squareroot.filter(model, Y, keep=True))
+        for k in range(8):
+            mean, P = conditioned(model, Y, 8, k)
+            assert np.allclose(found.x[k], mean, rtol=0, atol=1e-9)
+            assert np.allclose(found.std[k] ** 2, np.diag(model.Cp @ P @ model.Cp.T), rtol=1e-8, atol=1e-9)
+
+
+def test_both_ways_agree_on_a_building_with_gaps() -> None:
+    for model in (building().walk(400.0, R_SD), building().matern(100.0, 0.08, 0.01, R_SD)):
+        Y, P = drawn(model, 300)
+        Y[100:120, 3] = Y[150:153] = np.nan
+        filtered = squareroot.filter(model, Y, keep=True)
+        one, other = rts(filtered), bryson_frazier(filtered)
+        assert np.max(np.abs(one.load - other.load)) < 1e-9 * np.std(P)
+        assert np.max(np.abs(one.std / other.std - 1)) < 1e-9
+        assert np.all(one.std <= filtered.std * (1 + 1e-9))
+        assert np.mean((one.load - P) ** 2) < np.mean((filtered.load - P) ** 2)
+
+
+def test_states_known_exactly_are_smoothed_all_the_same() -> None:
+    """At rest for certain, no model noise: the predicted covariance is singular, and a hair of noise the judge."""
+    model = building().walk(400.0, R_SD, states=0.0, start=0.0)
+    Y, P = drawn(model, 200)
+    filtered = squareroot.filter(model, Y, keep=True)
+    with pytest.raises(np.linalg.LinAlgError):
+        rts(filtered)
+    found = smooth(filtered)
+    near = building().walk(400.0, R_SD, states=1e-18, start=1e-18)
+    other = smooth(squareroot.filter(near, Y, keep=True))
+    assert np.max(np.abs(found.load - other.load)) < 1e-5 * np.std(P)
+    assert np.allclose(found.std, other.std, rtol=1e-4)
+
+
+@pytest.mark.parametrize("gaps", [False, True])
+def test_random_walk_is_tikhonov_with_first_difference(gaps: bool) -> None:
+    house, q = building(storeys=4, acc=(1, 3), disp=(3,)), 400.0
+    R = np.array([0.3, 0.5, 1e-3])
+    model = house.walk(q, R, states=0.0, start=0.0, load=q)  # the first difference counts from zero too
+    Y, _ = drawn(house.walk(q, R), 250)
+    if gaps:
+        Y[60:80, 2] = Y[100:103] = np.nan
+    filtered = squareroot.filter(model, Y, keep=True)
+    system = augment(house.A, house.B, house.G / R[:, None], house.J / R[:, None], "first_difference", from_zero=True)
+    missing = np.isnan(Y)
+    path = StateSpacePath(record(system, np.where(missing, 0.0, Y / R), missing if gaps else None))
+    batch = path.solution(1 / np.sqrt(q) / float(path.scale), 1.0)
+    found = smooth(filtered)
+    assert np.max(np.abs(found.load - batch.load)) < 1e-9 * np.max(np.abs(batch.load))
+    assert np.allclose(found.std, batch.posterior.std.reshape(found.std.shape), rtol=1e-7)
+
+
+def test_a_free_start_is_a_wide_one() -> None:
+    house, R = building(storeys=4, acc=(1, 3), disp=(3,)), np.array([0.3, 0.5, 1e-3])
+    Y, _ = drawn(house.walk(400.0, R), 200)
+    system = augment(house.A, house.B, house.G / R[:, None], house.J / R[:, None], "first_difference")
+    path = StateSpacePath(record(system, Y / R))
+    batch = path.solution(1 / 20.0 / float(path.scale), None).load
+    wide = smooth(squareroot.filter(house.walk(400.0, R, states=0.0, start=0.0, load=1e14), Y, keep=True))
+    assert np.max(np.abs(wide.load - batch)) < 1e-7 * np.max(np.abs(batch))
+
+
+def test_states_must_have_been_kept() -> None:
+    model = small()
+    with pytest.raises(InputError, match="not kept"):
+        smooth(squareroot.filter(model, np.zeros((5, 3))))
+    said: list[float] = []
+    smooth(squareroot.filter(model, np.zeros((5, 3)), keep=True), progress=lambda share, text: said.append(share))
+    assert said[-1] == 1.0
