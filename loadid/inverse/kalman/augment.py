@@ -63,7 +63,7 @@ def augment(
     noise: ArrayLike,
     hold: str | None = None,
     state_noise: ArrayLike = 0.0,
-    start: ArrayLike = 0.0,
+    start: ArrayLike | str = 0.0,
     ambient: Ambient | None = None,
     bias: ArrayLike = 0.0,
     bias_start: ArrayLike | None = None,
@@ -85,8 +85,9 @@ def augment(
         of the model by default.
     state_noise : float or array (nx,)
         Std that a sample adds to every state of the structure, in the units of the states.
-    start : float, array (nx,) or root (nx, any)
-        Std of the states before the first sample; at rest by default.
+    start : float, array (nx,), root (nx, any) or "static"
+        Std of the states before the first sample; at rest by default. Static: the structure carries its first load
+        in equilibrium, as one that has been loaded for long.
     ambient : Ambient, optional
         Other loads, unknown and white. Under the joint hold each is held over its sample.
     bias : float or array (sensors,)
@@ -117,6 +118,7 @@ def augment(
     kinds = _finite(_priors(priors, p), np.linalg.solve(LR, structure.D))
     F, LQ, Hz, Lz = (structure.jointly if structure.hold == "joint" else structure.held)(kinds)
     drift = offsets(bias, bias_start, np.linalg.norm(LR, axis=1), dt)
+    states, carried = _start(start, structure, Hz @ Lz)
     c, n = drift.rows.shape[1], len(F) + drift.rows.shape[1]
     return FilterModel(
         F=diagonal([F, np.eye(c)]),
@@ -125,10 +127,20 @@ def augment(
         LR=LR,
         Cp=np.hstack([np.zeros((p, nx)), Hz, np.zeros((p, c))]),
         x0=np.zeros(n),
-        L0=diagonal([spread_root(start, nx, "start"), Lz, drift.L0]),
+        L0=diagonal([np.block([[states, carried], [np.zeros((len(Lz), states.shape[1])), Lz]]), drift.L0]),
         nx=nx,
         S=None if S is None else np.vstack([S, np.zeros((n - nx, m))]),
     )
+
+
+def _start(start: Any, structure: Matrices, loads: NDArray) -> tuple[NDArray, NDArray]:
+    """Roots of the first states: their own (nx, any), and what a root of the first loads (loads, any) makes of them."""
+    nx = len(structure.A)
+    if not isinstance(start, str):
+        return spread_root(start, nx, "start"), np.zeros((nx, loads.shape[1]))
+    if start != "static":
+        raise InputError("no such start", where="start", found=shown(start), expected="stds, a root, or 'static'")
+    return np.zeros((nx, 0)), structure.static() @ loads
 
 
 def _disturbances(own: Matrices, ambient: Ambient) -> tuple[NDArray, NDArray]:

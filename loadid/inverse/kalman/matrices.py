@@ -20,6 +20,7 @@ from .priors import Prior, diagonal
 from .quadrature import step
 
 HOLDS = ("foh", "zoh", "joint")
+SINGULAR = 1e13  # condition above which a structure has no static state
 
 Parts = tuple[NDArray, NDArray, NDArray, NDArray]
 
@@ -53,6 +54,15 @@ class Matrices:
                              expected="loads that stay in place",
                              hint="put a basis of fixed loads along its way")  # fmt: skip
         return cls(known.A, known.B, known.C, known.D, known.dt, hold)
+
+    def static(self) -> NDArray[np.float64]:
+        """States in equilibrium with constant loads of one (nx, loads)."""
+        rest = -self.A if self.hold == "joint" else np.eye(len(self.A)) - self.A
+        if len(rest) and np.linalg.cond(rest) > SINGULAR:
+            raise InputError("the structure never settles under a constant load", where="start='static'",
+                             found=f"a motion that nothing resists (condition {np.linalg.cond(rest):.1g})",
+                             expected="a supported structure", hint="start it with stds of its states")  # fmt: skip
+        return np.asarray(np.linalg.solve(rest, self.B), float)
 
     def held(self, priors: Sequence[Prior]) -> Parts:
         """F and LQ (of x and z), reading of the loads and their start."""

@@ -28,6 +28,7 @@ from structures.mapped import MappedModel, mapped
 from structures.statespace import StateSpace
 
 from ... import tracked
+from ...benchmarks import holds
 
 DT = 0.01
 DRAWN = np.random.default_rng(7)
@@ -103,6 +104,17 @@ def test_a_constant_load_gives_the_static_response() -> None:
         np.testing.assert_allclose(model.H @ np.concatenate([x, z]), source.static() @ p, rtol=1e-9)
 
 
+@pytest.mark.parametrize("hold", ["foh", "zoh", "joint"])
+def test_a_static_start_carries_the_first_load(hold: str) -> None:
+    """Its covariance is that of loads that have been constant: sensors read the static response, and it stays."""
+    source = beam("da")
+    model = augment(source, 1e-3, RandomWalk(1.0, start=3.0), noise=np.ones(2), hold=hold, start="static")
+    np.testing.assert_allclose(model.H @ model.L0, 3.0 * source.static(), rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(model.F @ model.L0, model.L0, atol=1e-12 * np.abs(model.L0).max())
+    free = augment(source, 1e-3, RandomWalk(1.0, start=3.0), noise=np.ones(2), hold=hold)
+    assert not (free.L0[: free.nx]).any()
+
+
 def test_priors_stand_side_by_side() -> None:
     kinds = [Matern52(2.0, 0.1), Sum((OU(3.0, 0.2), RandomWalk(1.0)))]
     source = beam("da")
@@ -160,10 +172,15 @@ def test_continuous_matrices_are_the_model(damping: Any) -> None:
         np.testing.assert_allclose(linalg.expm(A * 1e-3), source.state_space(1e-3).A, atol=1e-12)
 
 
+def free_body() -> ForwardModel:
+    structure = Structure.from_matrices(
+        [[50.0, -50.0], [-50.0, 50.0]], np.diag([1.0, 2.0]), dofs=["1+X", "2+X"], damping=Modal(0.05)
+    )
+    return ForwardModel(structure, [sensors.Displacement("2+X"), sensors.Accelerometer("1+X")], [loads.Point("1+X")])
+
+
 def test_a_free_body_in_continuous_time() -> None:
-    structure = Structure.from_matrices([[50.0, -50.0], [-50.0, 50.0]], np.diag([1.0, 2.0]), dofs=["1+X", "2+X"],
-                                        damping=Modal(0.05))  # fmt: skip
-    source = ForwardModel(structure, [sensors.Displacement("2+X"), sensors.Accelerometer("1+X")], [loads.Point("1+X")])
+    source = free_body()
     A, *_ = continuous(source.reduced)
     np.testing.assert_allclose(linalg.expm(A * 0.01), source.state_space(0.01).A, atol=1e-13)
 
@@ -216,6 +233,17 @@ def test_joint_hold_is_the_limit_of_fine_steps() -> None:
         step = np.linalg.matrix_power(model.F, per)
         lags.append([model.H @ np.linalg.matrix_power(step, k) @ P @ model.H.T for k in (0, 1, 7)])
     np.testing.assert_allclose(lags[0], lags[1], rtol=1e-3, atol=1e-3 * np.abs(lags[1][0]).min())
+
+
+def test_the_band_holds_for_a_load_that_runs_continuously() -> None:
+    """Truth at a twentieth of the step: right with the joint hold, nearly with the first order, not with stairs."""
+    cases = [holds.record("matern", DT, seed, "foh") for seed in range(2)]
+    held, linear, joint = (np.mean([holds.judged(case, hold) for case in cases], axis=0) for hold in holds.HOLDS)
+    assert joint[0] < linear[0] < 0.04 < 0.1 < held[0]
+    assert held[1] < 0.5 < 0.9 < linear[1] < joint[1]
+    assert 0.925 < joint[1] < 0.975
+    assert abs(joint[2] - 1) < 0.05
+    assert held[2] > 5
 
 
 # -- disturbances -----------------------------------------------------------------------------------------------------
@@ -431,6 +459,8 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "noise asymmetric": (lambda: augment(beam("da"), DT, OU(1, 1), noise=[[1, 0.5], [0, 1]]), "no covariance"),
     "noise indefinite": (lambda: augment(beam("da"), DT, OU(1, 1), noise=[[1, 2], [2, 1]]), "positive definite"),
     "state noise": (lambda: augment(beam("d"), DT, OU(1, 1), noise=ONE, state_noise=[1, 2]), "state_noise"),
+    "start": (lambda: augment(beam("d"), DT, OU(1, 1), noise=ONE, start="warm"), "no such start"),
+    "start of a free body": (lambda: augment(free_body(), DT, OU(1, 1), noise=np.ones(2), start="static"), "settles"),
     "ambient": (lambda: augment(beam("d"), DT, OU(1, 1), noise=ONE, ambient=beam("d")), "ambient"),  # type: ignore[arg-type]
     "ambient elsewhere": (
         lambda: augment(beam("d"), DT, OU(1, 1), noise=ONE, ambient=Ambient(beam("d", damping=Modal(0.03)), 1.0)),
