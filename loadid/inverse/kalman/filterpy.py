@@ -188,7 +188,7 @@ def _root(C: Array, name: str) -> Array:
 
 def _cholesky(R: Array) -> Array:
     try:
-        return np.linalg.cholesky(R)
+        return np.asarray(np.linalg.cholesky(R), float)
     except np.linalg.LinAlgError:
         raise InputError("no covariance of sensors", where="R", found="a singular or indefinite matrix",
                          expected="positive definite", hint="every channel has some noise") from None  # fmt: skip
