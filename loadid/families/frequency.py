@@ -27,6 +27,8 @@ from .spectral.agreement import judged
 from .spectral.fitting import Fit, Rule, fit
 from .spectral.gathered import LineData, Settings, lines_of, response
 
+CLEAR = 5.0  # standard deviations by which a load stands out of a transient
+
 
 class FrequencyInversion:
     """Loads line by line, ``Y = H(f) G``, each line with the variances that its neighbours show.
@@ -339,10 +341,10 @@ def _of_transient(solved: Fit, line: LineData, H: NDArray) -> _Answer:
     made = np.fft.irfft(np.einsum("ksl,kl->ks", H[:, line.rows], held), line.padded, axis=0)[:samples]
     known = SpectralPosterior(solved.covariance, samples, line.padded)
     axis = Axis("time", "s", np.asarray(np.arange(samples) * line.data.dt, float))
-    # the posterior spreads what is hidden evenly over the record; where loads are, at least this is missing
-    bias = np.fft.irfft(solved.hidden[..., 0], line.padded, axis=0)[:samples]
-    std = np.maximum(known.std, np.abs(bias))
-    answer = _Answer(history, std, axis, "{}", line.data.values, line.data.values - made)
+    bias = _hidden(solved, history, known.std, line.padded)
+    answer = _Answer(
+        history, np.maximum(known.std, np.abs(bias)), axis, "{}", line.data.values, line.data.values - made
+    )
     answer.bias = bias
     answer.posterior, answer.amplitudes = known, G
     return answer
@@ -356,6 +358,22 @@ _ANSWERS: dict[str, Callable[[Fit, LineData, NDArray], _Answer]] = {
 
 
 # -- helpers ----------------------------------------------------------------------------------------------------------
+def _hidden(solved: Fit, history: NDArray, std: NDArray, padded: int) -> NDArray[np.float64]:
+    """What is expected to be missing from a transient, (samples, loads).
+
+    The posterior takes lines for independent and spreads what they do not tell evenly over the record. Of a pulse all
+    lines agree in phase: the same is missing at the pulse. So regularisation is asked what it takes from the load that
+    stands out.
+    """
+    from scipy.ndimage import uniform_filter1d
+
+    size = np.sqrt(uniform_filter1d(history**2, 5, axis=0))
+    clear = np.where(size > CLEAR * std, history, 0.0)
+    spectrum = np.fft.rfft(clear, padded, axis=0)
+    missing = np.einsum("kij,kj->ki", solved.blind, spectrum)
+    return np.asarray(np.fft.irfft(missing, padded, axis=0)[: len(history)], float)
+
+
 def _in_order(noise: ArrayLike | None, rows: NDArray) -> ArrayLike | None:
     """Noise of all sensors of the model in the order in which they are used."""
     return np.asarray(noise)[rows] if noise is not None and np.shape(noise) == rows.shape else noise

@@ -115,8 +115,8 @@ class Fit:
         The part of `variance` that errors of the FRF make: no average reduces it.
     prior_part : array
         The part of `variance` that is the expected size of what the line does not tell: no average reduces it either.
-    hidden : array like `load`
-        What regularisation would take away from loads like these.
+    blind : array, shape (lines, loads, loads)
+        What regularisation takes away from a load: one less the resolution.
     """
 
     load: NDArray[np.complex128]
@@ -133,7 +133,7 @@ class Fit:
     excess: float
     frf_part: NDArray[np.float64]
     prior_part: NDArray[np.float64]
-    hidden: NDArray[np.complex128]
+    blind: NDArray[np.complex128]
 
     @property
     def variance(self) -> NDArray[np.float64]:
@@ -203,7 +203,7 @@ def fit(
         load=answer.load, covariance=answer.covariance, told=told, expected=np.sqrt(guess.probable), noise=noise,
         total=total, errors=errors, lam=lam, edf=answer.edf, path=path, used=used, excess=guess.excess,
         frf_part=frf_part, prior_part=_beyond(answer, noise),
-        hidden=answer.load - answer.gain @ (lines.R @ answer.load),
+        blind=np.eye(lines.shape[2]) - answer.gain @ lines.R,
     )  # fmt: skip
 
 
