@@ -111,14 +111,13 @@ class FieldDeconvolution:
 
         Parameters
         ----------
-        record : Record, or array of shape (samples, sensors)
-        dt : float, optional
-            Step in s of a bare array.
+        record, dt
+            As for `Deconvolution.estimate`.
 
         Returns
         -------
         LoadEstimate
-            Coefficients of the basis over time (samples, loads), with its geometry; see `Deconvolution.estimate`.
+            Coefficients of the basis over time (samples, loads), with its geometry.
 
         Raises
         ------

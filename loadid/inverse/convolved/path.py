@@ -11,7 +11,7 @@ from structures.errors import InputError
 
 from ..path import PathPoint, Solution
 from . import probes
-from .between import Table, Traces, logs
+from .between import STEP, Table, Traces, logs
 from .circulant import Circulant
 from .displacement import SWEPT, columns, profile
 from .moments import Moments, chain, moments, slopes
@@ -24,6 +24,7 @@ SCALARS, TIGHT = 1e-8, 1e-11  # tolerance of solves whose answers are only sums;
 WEAK = 100.0  # times the smallest lambda
 TRACES = 1e-9
 KEPT = 200_000  # data up to which the residuals of all nodes are kept
+TRIED, TRY_TO = 1 << 15, 0.1  # samples on which a lambda is tried, and the largest one that is
 LOWEST = 1e-5  # lambda times the largest penalty over the norm of H: below, too many digits are lost
 
 
@@ -111,8 +112,25 @@ class ConvolvedPath:
 
     @cached_property
     def range(self) -> tuple[float, float]:
-        """Relative lambda from below the smallest singular value of the lines, as far as digits allow, up to 1."""
-        return float(max(self.lowest, min(1e-3 * self.seen, 0.1))), 1.0
+        """Relative lambda from below the smallest singular value of the lines, as far as digits allow, up to 1.
+
+        Where the beginning of the record shows that the iteration does not settle there (measured responses that end in
+        noise), from the first half decade at which it does.
+        """
+        low = float(max(self.lowest, min(1e-3 * self.seen, 0.1)))
+        tried = low
+        while tried < TRY_TO and not self._settles(tried):
+            tried *= 10**STEP
+        return low if tried == low else tried * 10**STEP, 1.0  # the node below the first lambda is one that settles
+
+    def _settles(self, lam: float) -> bool:
+        """Whether what the scalars of a node ask for is solved, on the beginning of the record."""
+        part = self.operator if self.samples <= TRIED else self.operator.cut(TRIED)
+        try:
+            chain(part, Circulant(part, lam * float(self.scale)), self.y[..., : part.samples], 3, self._tolerance(lam))
+        except InputError:
+            return False
+        return True
 
     @cached_property
     def lowest(self) -> float:
