@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -75,14 +76,16 @@ class Tracker:
     fitted : Fitted
     gate : float or None
         Std of an innovation beyond which a single channel is kept out, or a step of the load is taken up.
+    lag : int
+        Samples by which the answers come late.
 
     Notes
     -----
     A tracker has a state: `step` and `track` go on from the last sample. `smooth` and `reset` do not.
     """
 
-    def __init__(self, fitted: Fitted, gate: float | None = None) -> None:
-        self.fitted, self.gate = fitted, gate
+    def __init__(self, fitted: Fitted, gate: float | None = None, lag: int = 0) -> None:
+        self.fitted, self.gate, self.lag = fitted, gate, lag
         self._p = fitted.model.p
         self.reset()
 
@@ -116,12 +119,14 @@ class Tracker:
     def reset(self) -> None:
         """Back before the first sample."""
         f = self.fitted
-        self._engine = Engine(f.model, f.settled, self.gate)
+        self._engine = Engine(f.model, f.settled, self.gate, self.lag)
         self._bank = [(weight, Engine(model, settled, None)) for weight, model, settled in f.bank]
 
     # -- samples ----------------------------------------------------------------------------------------------------
     def step(self, sample: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Loads and their std (loads,) after one sample (sensors,); NaN marks a channel that is missing.
+
+        With a lag they are those of so many samples ago: before the first one, what the prior says.
 
         Raises
         ------
@@ -197,6 +202,38 @@ class Tracker:
         found = smooth(kept, progress=lambda f, t: told(0.5 + 0.5 * f, t))
         rest = Y - found.x @ self.fitted.model.H.T
         return self._estimate(found.load, found.std, Y, rest, inputs, 0, "square-root filter and smoother")
+
+    # -- files ------------------------------------------------------------------------------------------------------
+    def save(self, path: str | os.PathLike) -> None:
+        """Write fit and state to a file, whole or not at all.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        from .checkpoint import save
+
+        save(self, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike, model: Any = None) -> Tracker:
+        """Tracker of a file, which goes on from the sample after which it was saved, bit for bit.
+
+        Parameters
+        ----------
+        path : path
+        model : Model or str, optional
+            Model of the structure, or its fingerprint: a tracker of another one is refused.
+
+        Raises
+        ------
+        InputError
+            A file that is missing, damaged, cut short, of another kind, format version or model.
+        """
+        from .checkpoint import load
+
+        return load(path, model)
 
     # -- inside -----------------------------------------------------------------------------------------------------
     def _spread(self) -> NDArray[np.float64]:
