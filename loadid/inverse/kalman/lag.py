@@ -95,7 +95,7 @@ def phased(phases: Sequence[Steady], start: int, lag: int) -> FixedLag:
 
 
 class LagLine:
-    """The filter over innovations, sample by sample: a line of the last loads and innovations.
+    """The filter over innovations, sample by sample or in blocks: a line of the last loads and innovations.
 
     Parameters
     ----------
@@ -105,20 +105,49 @@ class LagLine:
 
     def __init__(self, fixed: FixedLag) -> None:
         lag, p, m = fixed.taps.shape
-        self._taps = np.ascontiguousarray(fixed.taps.transpose(1, 0, 2).reshape(p, lag * m))
-        self._load, self._e, self._flat = np.zeros((lag, p)), np.zeros((2 * lag, m)), lag * m
+        if not lag:
+            raise InputError("a line needs a lag", where="lag", found=0, expected="1, 2, ...")
+        self._fixed, self._taps = fixed, np.ascontiguousarray(fixed.taps.transpose(1, 0, 2).reshape(p, lag * m))
+        self._load, self._e, self._m = np.zeros((lag, p)), np.zeros(2 * lag * m), m
         self.lag, self.std, self.count = lag, fixed.std[-1], 0
 
     def push(self, load: NDArray, e: NDArray) -> NDArray[np.float64] | None:
         """The load (p,) `lag` samples ago; None until so many have come. Load and innovation are those of now."""
-        i, lag = self.count % self.lag, self.lag
-        self._e[i] = self._e[i + lag] = e
+        lag, m = self.lag, self._m
+        i = self.count % lag
+        now, twin, kept = i * m, (i + lag) * m, self._e  # each innovation twice: the last ones lie side by side
+        kept[now : now + m] = e
+        kept[twin : twin + m] = e
         late = None
         if self.count >= lag:
-            late = self._load[i] + self._taps @ self._e[i + 1 : i + 1 + lag].reshape(self._flat)
+            late = self._taps.dot(kept[now + m : twin + m])
+            late += self._load[i]
         self._load[i] = load
         self.count += 1
         return late
+
+    def block(self, load: NDArray, e: NDArray) -> NDArray[np.float64]:
+        """As `push` for samples (samples, p), (samples, m): the loads that have become due (due, p)."""
+        old, told = self.last()
+        loads, es = np.concatenate([old, load]), np.concatenate([told, e])
+        due = max(len(loads) - self.lag, 0)
+        late = loads[:due].copy()
+        for j in range(1, self.lag + 1):
+            late += es[j : j + due] @ self._fixed.taps[j - 1].T
+        for k in range(max(len(loads) - self.lag, len(old)), len(loads)):
+            self._put(self.count + k - len(old), loads[k], es[k])
+        self.count += len(load)
+        return late
+
+    def last(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The last loads and innovations, at most `lag`, oldest first: what a checkpoint and `resumed` need."""
+        order = np.arange(max(self.count - self.lag, 0), self.count) % self.lag
+        return self._load[order], self._e.reshape(2 * self.lag, self._m)[order]
+
+    def _put(self, at: int, load: NDArray, e: NDArray) -> None:
+        i = at % self.lag
+        self._load[i] = load
+        self._e.reshape(2, self.lag, self._m)[:, i] = e
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +199,10 @@ def delayed(core: SquareRoot, state: State, lag: int) -> Delayed:
 
 
 def resumed(fixed: FixedLag, load: ArrayLike, e: ArrayLike) -> Delayed:
-    """The covariance form after a steady stretch, from its last loads (lag + 1, p) and innovations (lag + 1, m)."""
+    """The covariance form after a steady stretch, from its last loads (count, p) and innovations (count, m).
+
+    As many delays as loads are given, at most `lag` + 1.
+    """
     late, std = fixed.apply(load, e)
     count = min(len(late), fixed.lag + 1)
     return Delayed(late[::-1][:count], std[::-1][:count] ** 2, fixed.cross[:count], fixed.lag)

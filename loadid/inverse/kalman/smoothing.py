@@ -21,7 +21,7 @@ from structures.errors import InputError
 
 from .present import Present
 from .roots import backward, forward, lower
-from .squareroot import Filtered, Kept, SquareRoot
+from .squareroot import Filtered, Innovation, Kept, SquareRoot
 
 Progress = Callable[[float, str], None] | None
 SINGULAR = 1e-11  # of a state's predicted std: the part that is new to those before it
@@ -82,7 +82,8 @@ def rts(filtered: Filtered, *, progress: Progress = None) -> Smoothed:
             G = backward(A, B.T).T
             x = kept.x[k] + G @ (x - part.moved(kept.x[k], filtered.Y[k]))
             L = lower(D, G @ L)
-        _store(out, k, Cp, x, L)
+        out.x[k] = x
+        out.load[k], out.std[k] = _read(Cp, x, L)
         _tell(progress, 1 - k / len(kept.x))
     return out
 
@@ -100,18 +101,27 @@ def bryson_frazier(filtered: Filtered, *, progress: Progress = None) -> Smoothed
     told, root = np.zeros(model.n), np.zeros((model.n, 0))  # lambda; Lambda = root root^T
     for k in range(len(kept.x) - 1, -1, -1):
         L = kept.L[k]
-        U, s, _ = np.linalg.svd(L.T @ root, full_matrices=True)
-        left = np.ones(len(U))
-        left[: len(s)] = np.sqrt(np.maximum((1 - s) * (1 + s), 0.0))
-        _store(out, k, model.Cp, kept.x[k] - L @ (L.T @ told), L @ (U * left))
+        out.x[k] = kept.x[k] - L @ (L.T @ told)
+        out.load[k], out.std[k] = _read(model.Cp, out.x[k], left_over(L, root))
         if k:
-            said, part, F = kept.innovations[k], parts(k), parts(k - 1).F
-            H = forward(said.root, part.H)  # whitened by the innovation's own covariance
-            white = forward(said.root, said.e[said.present])
-            told = F.T @ (told - H.T @ (said.gain.T @ told) - H.T @ white)
-            root = lower(F.T @ H.T, F.T @ (root - H.T @ (said.gain.T @ root)))
+            told, root = back(told, root, kept.innovations[k], parts(k).H, parts(k - 1).F)
         _tell(progress, 1 - k / len(kept.x))
     return out
+
+
+def left_over(L: NDArray, root: NDArray) -> NDArray[np.float64]:
+    """Root of ``P - P Lambda P`` with ``P = L L^T``, ``Lambda = root root^T``."""
+    U, s, _ = np.linalg.svd(L.T @ root, full_matrices=True)
+    left = np.ones(len(U))
+    left[: len(s)] = np.sqrt(np.maximum((1 - s) * (1 + s), 0.0))
+    return L @ (U * left)
+
+
+def back(told: NDArray, root: NDArray, said: Innovation, H: NDArray, F: NDArray) -> tuple[NDArray, NDArray]:
+    """What a sample and all later ones tell the one before it: H of its channels, F that led to it."""
+    white_H, white = forward(said.root, H), forward(said.root, said.e[said.present])
+    told = F.T @ (told - white_H.T @ (said.gain.T @ told) - white_H.T @ white)
+    return told, lower(F.T @ white_H.T, F.T @ (root - white_H.T @ (said.gain.T @ root)))
 
 
 def _kept(filtered: Filtered) -> Kept:
@@ -132,8 +142,8 @@ def _empty(filtered: Filtered) -> Smoothed:
     return Smoothed(np.empty((N, p)), np.empty((N, p)), np.empty((N, filtered.model.n)))
 
 
-def _store(out: Smoothed, k: int, Cp: NDArray, x: NDArray, L: NDArray) -> None:
-    out.load[k], out.std[k], out.x[k] = Cp @ x, np.linalg.norm(Cp @ L, axis=1), x
+def _read(Cp: NDArray, x: NDArray, L: NDArray) -> tuple[NDArray, NDArray]:
+    return Cp @ x, np.linalg.norm(Cp @ L, axis=1)
 
 
 def _tell(progress: Progress, share: float) -> None:

@@ -257,10 +257,7 @@ def filter(
     InputError
         A record of the wrong shape, or infinite numbers.
     """
-    Y = np.asarray(Y, float)
-    if Y.ndim != 2 or Y.shape[1] != model.m or not len(Y):
-        raise InputError("the record does not fit the model", where="record", found=f"shape {Y.shape}",
-                         expected=f"(samples, {model.m}), at least one sample")  # fmt: skip
+    Y = checked(model, Y)
     core, N = SquareRoot(model), len(Y)
     load, std, normalised = np.empty((N, model.p)), np.empty((N, model.p)), np.empty(Y.shape)
     nis, loglik = np.empty(N), np.empty(N)
@@ -276,6 +273,26 @@ def filter(
         if progress is not None and k % 256 == 0:
             progress(k / N, "filtering")
     return Filtered(model, Y, load, std, nis, loglik, normalised, state, kept)
+
+
+def checked(model: FilterModel, Y: ArrayLike) -> NDArray[np.float64]:
+    """A record as float64 (samples, m).
+
+    Raises
+    ------
+    InputError
+        Another shape, or infinite numbers.
+    """
+    Y = np.asarray(Y, float)
+    if Y.ndim != 2 or Y.shape[1] != model.m or not len(Y):
+        raise InputError("the record does not fit the model", where="record", found=f"shape {Y.shape}",
+                         expected=f"(samples, {model.m}), at least one sample")  # fmt: skip
+    infinite = np.argwhere(np.isinf(Y))
+    if len(infinite):
+        sample, channel = infinite[0]
+        raise InputError("an infinite number in a record", where=f"channel {channel}, sample {sample}",
+                         expected="finite numbers, NaN where a channel is missing")  # fmt: skip
+    return Y
 
 
 def _there(y: NDArray | None, m: int) -> NDArray[np.bool_]:

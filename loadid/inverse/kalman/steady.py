@@ -13,7 +13,7 @@ from .doubling import Riccati, fixed_point
 from .model import FilterModel
 from .present import Present
 from .roots import backward, forward
-from .squareroot import SquareRoot
+from .squareroot import LOG2PI, SquareRoot
 
 POLISH = 6  # samples of QR after the doubling: the gains are theirs
 RESIDUAL = 1e-6  # of the Riccati equation, relative to the variances
@@ -70,6 +70,18 @@ class Steady:
     def innovation_std(self) -> NDArray[np.float64]:
         """Std of the innovation of each channel (m,)."""
         return np.linalg.norm(self.Se_root, axis=1)
+
+    def judged(self, e: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Normalised square and log density of each innovation (samples, m)."""
+        nis = np.sum(forward(self.Se_root, e.T) ** 2, axis=0)
+        spread = 2 * float(np.sum(np.log(np.abs(np.diag(self.Se_root)))))
+        return nis, -0.5 * (nis + e.shape[1] * LOG2PI + spread)
+
+    def distance(self, L: NDArray) -> float:
+        """Largest relative deviation of the variances of a filtered covariance L L^T from the steady ones."""
+        settled = np.sum(self.L**2, axis=1)
+        at = settled > 0
+        return float(np.max(np.abs(np.sum(L[at] ** 2, axis=1) / settled[at] - 1), initial=0.0))
 
     def rows(self) -> NDArray[np.float64]:
         """Loads, innovations and next prediction from ``[x-; y]``, shape (p + m + n, n + m): see `loops.Loop`."""

@@ -79,6 +79,12 @@ def test_line_and_covariances_say_the_same_and_resume_each_other() -> None:
     pushed = [line.push(load[k], e[k]) for k in range(300)]
     assert all(value is None for value in pushed[:lag])
     assert np.max(np.abs(np.array(pushed[lag:]) - late[:-lag])) < 1e-12 * np.max(np.abs(late))
+    chunks = LagLine(fixed)
+    parts = np.split(np.arange(300), [3, 20, 21, 150, 180])
+    in_blocks = np.concatenate([chunks.block(load[part], e[part]) for part in parts])
+    assert np.max(np.abs(in_blocks - late[:-lag])) < 1e-12 * np.max(np.abs(late))
+    assert np.array_equal(chunks.last()[0], load[-lag:])
+    assert np.array_equal(chunks.last()[1], line.last()[1])
     # the covariance form from the first sample, and resumed from the steady one
     core = SquareRoot(model)
     state, _ = core.update(core.start(), Y[0])
@@ -145,3 +151,5 @@ def test_a_lag_counts() -> None:
     for wrong in (-1, 1.5):
         with pytest.raises(InputError, match="counts samples"):
             fixed_lag(steady(small()), wrong)
+    with pytest.raises(InputError, match="needs a lag"):
+        LagLine(fixed_lag(steady(small()), 0))

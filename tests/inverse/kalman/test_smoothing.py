@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from loadid.inverse.kalman import squareroot
+from loadid.inverse.kalman.model import FilterModel
+from loadid.inverse.kalman.records import filter_settling, smooth_settling
 from loadid.inverse.kalman.smoothing import bryson_frazier, rts, smooth
+from loadid.inverse.kalman.steady import steady
 from loadid.inverse.statespace.augmented import augment
 from loadid.inverse.statespace.path import StateSpacePath
 from loadid.inverse.statespace.record import record
@@ -83,6 +86,25 @@ def test_a_free_start_is_a_wide_one() -> None:
     batch = path.solution(1 / 20.0 / float(path.scale), None).load
     wide = smooth(squareroot.filter(house.walk(400.0, R, states=0.0, start=0.0, load=1e14), Y, keep=True))
     assert np.max(np.abs(wide.load - batch)) < 1e-7 * np.max(np.abs(batch))
+
+
+@pytest.mark.parametrize("model", [building().matern(100.0, 0.08, 0.01, R_SD), small(1, correlated=True)])
+def test_a_settling_record_has_the_same_numbers(model: FilterModel) -> None:
+    Y, P = drawn(model, 1600)
+    Y[900:903, 1] = Y[1000] = Y[1599, 2] = np.nan
+    full = squareroot.filter(model, Y, keep=True)
+    fast = filter_settling(steady(model), Y)
+    assert sum(section.count for section in fast.sections if section.e is not None) > 500
+    found, scale = fast.filtered, np.std(P)
+    for name in ("std", "nis", "loglik", "normalised"):
+        assert np.allclose(getattr(found, name), getattr(full, name), rtol=1e-7, atol=1e-7, equal_nan=True), name
+    assert np.max(np.abs(found.load - full.load)) < 1e-9 * scale
+    assert np.allclose(found.last.x, full.last.x, rtol=0, atol=1e-9 * np.max(np.abs(full.last.x)))
+    slow, late = rts(full), smooth_settling(fast)
+    assert np.max(np.abs(late.load - slow.load)) < 1e-9 * scale
+    assert np.allclose(late.std, slow.std, rtol=1e-8)
+    sd = np.linalg.norm(model.LR, axis=1)
+    assert np.allclose(late.residual / sd, (Y - slow.x @ model.H.T) / sd, rtol=0, atol=1e-7, equal_nan=True)
 
 
 def test_states_must_have_been_kept() -> None:

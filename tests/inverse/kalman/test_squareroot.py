@@ -191,6 +191,8 @@ def test_what_is_wrong_is_named() -> None:
         core.update(core.start(), [0.0, np.inf, 0.0])
     with pytest.raises(InputError, match="does not fit the model"):
         squareroot.filter(model, np.zeros((5, 2)))
+    with pytest.raises(InputError, match="channel 2, sample 3: an infinite number"):
+        squareroot.filter(model, np.where(np.arange(15).reshape(5, 3) == 11, np.inf, 0.0))
     with pytest.raises(InputError, match="no pair of noises"):
         SquareRoot(dataclasses.replace(small(correlated=True), LQ=1e-3 * model.LQ))
     with pytest.raises(InputError, match="without noise"):
