@@ -9,6 +9,9 @@ from loadid.inverse import windowed
 from loadid.inverse.choice import choose
 from loadid.inverse.confirm import confirm
 from loadid.inverse.convolved.path import ConvolvedPath
+from loadid.inverse.problem import LinearProblem
+from loadid.inverse.svd import SVDPath
+from loadid.inverse.toeplitz import toeplitz
 from loadid.inverse.windowed import WindowedPath, beginning_of
 from structures.errors import InputError
 
@@ -84,3 +87,18 @@ def test_a_quiet_beginning_does_not_stand_for_the_record():
     assert beginning_of(WindowedPath(h, y)).samples == 2 * FIRST
     h, y, _ = record(quiet=2 * FIRST + 1000)
     assert beginning_of(WindowedPath(h, y)) is None
+
+
+def test_the_sweep_begins_where_the_iteration_settles():
+    """A response with a tail of noise, as measured ones have: the scalars are those of a dense SVD."""
+    n, rng = 600, np.random.default_rng(0)
+    t = np.arange(n)
+    h = np.diff(np.exp(-0.002 * t) * np.sin(0.3 * (t + 1)), prepend=0.0) + 0.015 * rng.standard_normal(n)
+    y = np.convolve(h, np.hanning(20))[:n]
+    sigma = 0.01 * y.std()
+    h, y = (h / sigma)[:, None, None], (y / sigma + rng.standard_normal(n))[:, None]
+    path, dense = ConvolvedPath(h, y), SVDPath(LinearProblem.whitened(toeplitz(h), y, noise=[1.0]))
+    assert 1e-4 <= path.range[0] < 0.05  # below, the iteration does not settle
+    lams = np.geomspace(*path.range, 7)
+    assert path.at(lams).residual2 == pytest.approx(dense.at(lams).residual2, rel=1e-4)
+    assert path.at(lams).edf == pytest.approx(dense.at(lams).edf, rel=1e-3)
