@@ -1,7 +1,7 @@
 """Whole records through a filter that settles: roots where gains change, one product a sample where they do not.
 
-Needs no memory for states where the gain is steady. The numbers are those of `squareroot.filter` and `smoothing.bryson_frazier` to the distance from the steady covariance
-at which the gains are taken for steady (`NEAR`).
+The numbers are those of `squareroot.filter` and `smoothing.bryson_frazier` to the distance from the steady covariance
+at which the gains are taken for steady (`NEAR`), and steady stretches need no memory for states.
 """
 
 from __future__ import annotations
@@ -155,11 +155,10 @@ def _back_mean(steady: Steady, e: NDArray, told: NDArray, change: NDArray, rest:
     """
     part = steady.part
     R, over = part.LR @ part.LR.T, steady.model.Cp @ steady.L @ steady.L.T
-    weighed = backward(steady.Se_root, forward(steady.Se_root, np.eye(len(R))))
+    news, direct = (backward(steady.Se_root, forward(steady.Se_root, X)).T for X in (part.H @ part.F, R))
     system = blocks.Filter(
-        steady.A.T, -(part.H @ part.F).T @ weighed, np.vstack([over, R @ steady.K.T]),
-        np.vstack([np.zeros((len(over), len(R))), R @ weighed]),
-    )  # fmt: skip
+        steady.A.T, -news, np.vstack([over, R @ steady.K.T]), np.vstack([np.zeros((len(over), len(R))), direct])
+    )
     return blocks.run(system, told, [e], [change, rest], backwards=True)
 
 
