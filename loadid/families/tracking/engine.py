@@ -6,7 +6,10 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.values import reals
 
 from ...inverse.kalman.loops import Loop
 from ...inverse.kalman.model import FilterModel
@@ -15,8 +18,9 @@ from ...inverse.kalman.steady import Steady
 
 ARRIVED = 1e-3  # of the variances, from which the settled gain takes over
 GATE = 6.0  # std of an innovation beyond which a sample is looked at
-PATIENCE = 20  # samples that one channel is kept out at a stretch: then it is believed again
+PATIENCE = 20  # samples: of good behaviour at most, until a channel is believed again; of a lost state, that it is held
 AGREE = 0.9  # share of what is beyond the gate that a step of the loads explains
+DECISIVE = 2.0  # logarithm of the odds between a step of the load and one wrong channel
 
 
 class Engine:
@@ -30,41 +34,70 @@ class Engine:
     gate : float or None
         Std of an innovation from which a channel is kept out, or a step of the load is taken up. None: every finite
         number is believed.
+    width : array (m,), optional
+        Factor on the std of each channel's innovation for the gate: what they are when all is well, where the model is
+        not exact. One by default.
 
     Attributes
     ----------
     phase : {"warm-up", "steady", "transient"}
     counts : Counter
         ``samples, missing, gated, steps``.
+
+    Notes
+    -----
+    A channel that is beyond the gate alone is kept out for as long as it is, and as many samples longer as it was (at
+    most `PATIENCE`): a sensor that is stuck passes the right value now and then. Where half of the channels are, the
+    state may be wrong and not they: after `PATIENCE` samples they are believed again. What a step of the loads explains
+    is taken up at once; where one channel alone says so, a rival filter runs without it until the others have decided.
     """
 
-    def __init__(self, model: FilterModel, settled: Steady | None, gate: float | None = GATE) -> None:
+    def __init__(
+        self, model: FilterModel, settled: Steady | None, gate: float | None = GATE, width: NDArray | None = None
+    ) -> None:
         self.model, self.settled, self.gate = model, settled, gate
         self.core = SquareRoot(model)
         self.state: State | None = None  # filtered; None before the first sample
         self.phase = "warm-up"
         self.counts: Counter[str] = Counter()
-        self.out_for = np.zeros(model.m, int)
+        self.width = np.ones(model.m) if width is None else np.asarray(width, float)
+        self.wrong = np.zeros(model.m, int)  # samples beyond the gate, of a channel that is kept out
+        self.good = np.zeros(model.m, int)  # samples within it since
         self.rival: State | None = None  # without the channel that may be wrong
+        self.suspect, self.doubt, self.age = 0, 0.0, 0  # that channel, odds against it, samples of the rival
         self.said: Innovation | None = None
         self.loop: Loop | None = None
         if settled is not None:
-            limit = None if gate is None else gate * settled.innovation_std
+            limit = None if gate is None else gate * self.width * settled.innovation_std
             self.loop = Loop(settled.rows(), model.p, model.m, model.x0, limit)
             self._variance = np.sum(settled.L**2, axis=1)
+            self._std = settled.std.copy()
+            self._std.setflags(write=False)  # one array for all samples
             self._ahead = self.core.predict(State(model.x0, settled.L, np.zeros(model.m))).L
 
     # -- samples ----------------------------------------------------------------------------------------------------
-    def step(self, y: NDArray) -> tuple[NDArray, NDArray]:
-        """Loads and their std (p,) of one sample (m,), NaN where a channel is missing."""
-        self.counts["samples"] += 1
+    def step(self, y: ArrayLike) -> tuple[NDArray, NDArray]:
+        """Loads and their std (p,) of one sample (m,), NaN where a channel is missing.
+
+        Raises
+        ------
+        InputError
+            No sample of this width, or infinite: it is not counted.
+        """
         if self.phase == "steady":
             assert self.loop is not None
-            assert self.settled is not None
-            load = self.loop.step(y)
+            try:
+                load = self.loop.step(y)
+            except TypeError:  # no numbers, or none that have a length: said below
+                load = None
+            except ValueError as error:
+                if isinstance(error, InputError):
+                    raise
+                load = None
             if load is not None:
-                return load, self.settled.std
-        return self._slow(self.core.sample(y))
+                self.counts["samples"] += 1
+                return load, self._std
+        return self._slow(self._sample(y))
 
     def block(self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray | None = None) -> None:
         """Fill loads and std (samples, p) of a block (samples, m); normalised innovations into `e` where given."""
@@ -76,45 +109,124 @@ class Engine:
                 assert self.loop is not None
                 assert self.settled is not None
                 taken = self.loop.block(Y[k:], load[k:], raw[k:])
-                std[k : k + taken] = self.settled.std
+                std[k : k + taken] = self._std
                 if e is not None:
                     e[k : k + taken] = raw[k : k + taken] / self.settled.innovation_std
                 self.counts["samples"] += taken
                 k += taken
                 if k == len(Y):
                     return
-            load[k], std[k] = self.step(Y[k]) if self.phase != "steady" else self._first_slow(Y[k])
+            load[k], std[k] = self._slow(self._sample(Y[k]))
             if e is not None:
                 e[k] = np.nan if self.said is None else self.said.normalised
             k += 1
 
-    def _first_slow(self, y: NDArray) -> tuple[NDArray, NDArray]:
-        self.counts["samples"] += 1
-        return self._slow(self.core.sample(y))
+    def _sample(self, y: ArrayLike) -> NDArray[np.float64]:
+        return self.core.sample(reals(y, where="sample", what="a sample that is no row of real numbers"))
 
     def _slow(self, y: NDArray) -> tuple[NDArray, NDArray]:
+        self.counts["samples"] += 1
         self.counts["missing"] += int(np.sum(~np.isfinite(y)))
-        before, rival = self._predicted(), self.rival
-        self.rival = None
-        y, before = self._judged(y, before)
-        self.state, self.said = self.core.update(before, y)
-        if rival is not None:
-            self._decide(rival, y)
+        before = self._predicted()
+        if self.rival is None:
+            y, before, doubted = self._judged(y, before)
+            self.state, self.said = self.core.update(before, y)
+            if doubted is not None:
+                self._doubt(*doubted)
+        else:
+            y = self._weighed(y, before, self.core.predict(self.rival))
         self._settle(y)
+        assert self.state is not None
         Cp = self.model.Cp
         load, std = Cp @ self.state.x, np.linalg.norm(Cp @ self.state.L, axis=1)
         if self.rival is not None:  # half the distance between the two: either is within two std
             std = np.sqrt(std**2 + ((load - Cp @ self.rival.x) / 2) ** 2)
         return load, std
 
-    def _decide(self, rival: State, y: NDArray) -> None:
-        """Whether the sample before was a step of the load or one wrong channel, by the likelihood of this one."""
-        state, said = self.core.advance(rival, y)
+    # -- gates ------------------------------------------------------------------------------------------------------
+    def _beyond(self, y: NDArray, before: State) -> tuple[NDArray, NDArray, NDArray]:
+        """Innovations, their std, and which of them are beyond the gate."""
+        assert self.gate is not None
+        H = self.model.H
+        e = y - H @ before.x
+        spread = self.width * np.sqrt(np.sum((H @ before.L) ** 2, axis=1) + np.sum(self.model.LR**2, axis=1))
+        return e, spread, np.isfinite(e) & (np.abs(e) > self.gate * spread)
+
+    def _judged(self, y: NDArray, before: State) -> tuple[NDArray, State, tuple[State, NDArray] | None]:
+        """Channels beyond the gate are kept out, unless a step of the loads explains them; then it is taken up.
+
+        Returns
+        -------
+        y : array (m,)
+            NaN where a channel is kept out.
+        before : State
+            Prediction, wider where a step is taken up.
+        doubted : (State, array) or None
+            Prediction and sample of the rival, where one channel alone speaks of the step.
+        """
+        if self.gate is None or (self.phase == "warm-up" and self.state is None):
+            return y, before, None
+        e, spread, beyond = self._beyond(y, before)
+        barred = self.wrong > 0
+        if not beyond.any() and not barred.any():
+            return y, before, None
+        fresh = beyond & ~barred
+        jump = self._jump(np.where(barred, np.nan, e), spread) if fresh.any() else None
+        y = np.where(self._held(y, beyond if jump is None else beyond & barred), np.nan, y)
+        if jump is None:
+            return y, before, None
+        self.counts["steps"] += 1
+        alone = fresh.sum() == 1 and np.isfinite(y).sum() > 1
+        doubted = (before, np.where(fresh, np.nan, y)) if alone else None
+        return y, self._widened(before, jump), doubted
+
+    def _doubt(self, before: State, y: NDArray) -> None:
+        """A rival from the same sample without the channel that may be wrong."""
         assert self.said is not None
-        if said.loglik > self.said.loglik:
-            self.state, self.said, self.rival = state, said, None
+        self.suspect, self.doubt, self.age = int(np.argmax(self.said.present & np.isnan(y))), 0.0, 0
+        self.rival = self.core.update(before, y)[0]
+
+    def _held(self, y: NDArray, beyond: NDArray) -> NDArray[np.bool_]:
+        """Which channels are kept out of this sample, and for how long they have been wrong and good since."""
+        there = np.isfinite(y)
+        self.wrong[beyond] += 1
+        self.good = np.where(beyond, 0, self.good + (there & (self.wrong > 0)))
+        back = (self.wrong > 0) & (self.good >= np.minimum(self.wrong, PATIENCE))
+        self.wrong[back], self.good[back] = 0, 0
+        held = there & (self.wrong > 0)
+        if 2 * held.sum() >= there.sum() and self.wrong.max() > PATIENCE:  # not they: the state
+            return np.zeros_like(held)
+        self.counts["gated"] += int(held.sum())
+        return held
+
+    def _weighed(self, y: NDArray, before: State, ahead: State) -> NDArray[np.float64]:
+        """A sample to the filter that has taken a step up, and to its rival (`ahead`: its prediction) that doubts it."""
+        e, spread, out = self._beyond(y, before)
+        out_of_rival = self._beyond(y, ahead)[2]
+        wrong = bool(out_of_rival[self.suspect])
+        out_of_rival[self.suspect] = False
+        held = self._held(y, out & out_of_rival)
+        y = np.where(held, np.nan, y)
+        jump = self._jump(np.where(held, np.nan, e), spread) if (out & ~held).any() else None
+        before = before if jump is None else self._widened(before, jump)
+        self.state, self.said = self.core.update(before, y)
+        other, own = y, self.said.loglik
+        if wrong:  # the others are to judge
+            other = y.copy()
+            other[self.suspect] = np.nan
+            own = self.core.update(before, other)[1].loglik
+        self.rival, said = self.core.update(ahead, other)
+        self.doubt += said.loglik - own
+        self.age += 1
+        if self.doubt > DECISIVE:
             self.counts["steps"] -= 1
-            self.counts["gated"] += 1
+            self.counts["gated"] += self.age + wrong
+            self.wrong[self.suspect] = self.age + 1 if wrong else 0
+            self.state, self.said, self.rival = self.rival, said, None
+            return other
+        if self.doubt < -DECISIVE or self.age >= PATIENCE:
+            self.rival = None
+        return y
 
     def _predicted(self) -> State:
         """Mean and covariance of the sample that comes, before it."""
@@ -135,29 +247,6 @@ class Engine:
         if np.all(np.abs(now - self._variance) <= ARRIVED * self._variance):
             self.loop.x = self.core.predict(self.state).x
             self.phase = "steady"
-
-    def _judged(self, y: NDArray, before: State) -> tuple[NDArray, State]:
-        """Channels beyond the gate are kept out, unless a step of the loads explains them; then it is taken up."""
-        if self.gate is None or (self.state is None and self.phase == "warm-up" and self.counts["samples"] <= 1):
-            return y, before
-        H = self.model.H
-        e = y - H @ before.x
-        spread = np.sqrt(np.sum((H @ before.L) ** 2, axis=1) + np.sum(self.model.LR**2, axis=1))
-        beyond = np.isfinite(e) & (np.abs(e) > self.gate * spread)
-        self.out_for[~beyond] = 0
-        if not beyond.any():
-            return y, before
-        jump = self._jump(e, spread)
-        if jump is not None:
-            self.counts["steps"] += 1
-            self.out_for[:] = 0
-            if beyond.sum() == 1 and self.model.m > 1:  # the channel may be wrong: the next sample decides
-                self.rival = self.core.update(before, np.where(beyond, np.nan, y))[0]
-            return y, self._widened(before, jump)
-        self.out_for[beyond] += 1
-        held = beyond & (self.out_for <= PATIENCE)
-        self.counts["gated"] += int(held.sum())
-        return np.where(held, np.nan, y), before
 
     def _jump(self, e: NDArray, spread: NDArray) -> NDArray[np.float64] | None:
         """Step of the loads, in units of their prior, that explains the innovations; None where none does."""
@@ -185,7 +274,11 @@ class Engine:
             "state": _arrays(self.state),
             "rival": _arrays(self.rival),
             "ahead": None if self.loop is None else self.loop.x,
-            "out_for": self.out_for,
+            "wrong": self.wrong,
+            "good": self.good,
+            "suspect": self.suspect,
+            "doubt": self.doubt,
+            "age": self.age,
             "counts": dict(self.counts),
         }
 
@@ -196,7 +289,8 @@ class Engine:
         self.rival = _state(tree["rival"])
         if self.loop is not None and tree["ahead"] is not None:
             self.loop.x = np.asarray(tree["ahead"], float)
-        self.out_for = np.asarray(tree["out_for"], int)
+        self.wrong, self.good = np.array(tree["wrong"], int), np.array(tree["good"], int)
+        self.suspect, self.doubt, self.age = int(tree["suspect"]), float(tree["doubt"]), int(tree["age"])
         self.counts = Counter({str(k): int(v) for k, v in tree["counts"].items()})
 
 
