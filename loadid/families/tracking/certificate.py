@@ -101,7 +101,7 @@ def certify(
     return Certificate(
         samples=samples,
         nis=mean,
-        nis_bounds=(1 - half, 1 + half),
+        nis_bounds=(float(1 - half), float(1 + half)),
         whiteness=max((_correlation(normalised[:, i]) for i in range(m)), default=0.0),
         whiteness_bound=bound,
         rms=tuple(float(np.sqrt(np.nanmean(x**2))) if np.isfinite(x).any() else float("nan") for x in normalised.T),

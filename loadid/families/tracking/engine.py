@@ -200,7 +200,7 @@ class Engine:
         return held
 
     def _weighed(self, y: NDArray, before: State, ahead: State) -> NDArray[np.float64]:
-        """A sample to the filter that has taken a step up, and to its rival (`ahead`: its prediction) that doubts it."""
+        """A sample to the filter that took a step up, and to its rival (`ahead`: its prediction) that doubts it."""
         e, spread, out = self._beyond(y, before)
         out_of_rival = self._beyond(y, ahead)[2]
         wrong = bool(out_of_rival[self.suspect])

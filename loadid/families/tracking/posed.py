@@ -40,6 +40,9 @@ class Posing:
     scales : tuple of str
         Parameters of the model that are tuned (`Model.perturbed`).
     state_noise : float
+    free_noise : bool
+        `noise` is a scale of each, and one factor on all of them is tuned beside priors that are given: these stay as
+        they are. (Where all priors are tuned, a common factor on them and the noise has its optimum in closed form.)
     """
 
     model: Model
@@ -50,6 +53,7 @@ class Posing:
     hold: str | None = None
     scales: tuple[str, ...] = ()
     state_noise: float = 0.0
+    free_noise: bool = False
     models: dict[tuple[float, ...], Model] = field(default_factory=dict, repr=False)
 
     @property
@@ -62,7 +66,8 @@ class Posing:
     def names(self) -> tuple[str, ...]:
         """What the search moves."""
         own = [(j, g) for j, g in enumerate(self.given) if isinstance(g, Named)]
-        return (*(f"{name} of load {j + 1}" for j, g in own for name in g.parameters), *self.scales)
+        noise = ("noise scale",) if self.free_noise else ()
+        return (*(f"{name} of load {j + 1}" for j, g in own for name in g.parameters), *self.scales, *noise)
 
     def build(self, x: NDArray, scale: float = 1.0) -> FilterModel:
         """Filter of logarithms of the numbers; `scale` multiplies process and measurement noise."""
@@ -74,8 +79,7 @@ class Posing:
                 priors.append(prior.make(*values))
             else:
                 priors.append(prior)
-        model = self._scaled(tuple(np.exp(x[at:]).tolist()))
-        return self.filter(model, priors, scale)
+        return self.filter(self._scaled(x), priors, scale, self._factor(x))
 
     def priors(self, x: NDArray, scale: float = 1.0) -> tuple[Any, ...]:
         """The priors of these numbers."""
@@ -88,16 +92,21 @@ class Posing:
                 found.append(prior)
         return tuple(found)
 
-    def filter(self, model: Model, priors: Sequence[Any], scale: float = 1.0) -> FilterModel:
-        """Filter of a model under priors, the used sensors only."""
+    def filter(self, model: Model, priors: Sequence[Any], scale: float = 1.0, factor: float = 1.0) -> FilterModel:
+        """Filter of a model under priors, the used sensors only; `factor` on the noise std of the sensors."""
         noise = np.ones(len(model.sensors))
-        noise[self.rows] = self.noise
+        noise[self.rows] = factor * self.noise
         made = augment(model, self.dt, list(priors), noise=noise, hold=self.hold, state_noise=self.state_noise)
         return rescaled(restricted(made, self.rows), scale)
 
-    def _scaled(self, factors: tuple[float, ...]) -> Model:
+    def _factor(self, x: NDArray) -> float:
+        return float(np.exp(np.clip(x[-1], -80, 80))) if self.free_noise and len(x) else 1.0
+
+    def _scaled(self, x: NDArray) -> Model:
         if not self.scales:
             return self.model
+        stop = len(x) - self.free_noise
+        factors = np.exp(x[stop - len(self.scales) : stop]).tolist()
         key = tuple(round(f, 12) for f in factors)
         if key not in self.models:
             if len(self.models) > 64:
@@ -110,16 +119,14 @@ class Posing:
 
         Gauss-Hermite with three points for each parameter: one at the nominal value, two at 1 +- sqrt(3) std.
         """
-        own = len(x) - len(self.scales)
-        base = self._scaled(tuple(np.exp(x[own:]).tolist()))
-        priors = self.priors(x[:own], 1.0)
+        base, priors, noise = self._scaled(x), self.priors(x), self._factor(x)
         found = []
         for (name, std), sign in product(errors.items(), (-1, 1)):
             factor = 1 + sign * SPREAD * std
             if factor <= 0:
                 raise InputError("the declared error of the model is too large", where=f"model_error[{name!r}]",
                                  found=std, expected=f"below {1 / SPREAD:.2f}")  # fmt: skip
-            found.append((WEIGHT, self.filter(perturbed(base, {name: factor}), priors, scale)))
+            found.append((WEIGHT, self.filter(perturbed(base, {name: factor}), priors, scale, noise)))
         return found
 
 
