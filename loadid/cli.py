@@ -21,7 +21,7 @@ from .commands._spoken import spoken
 
 GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
-_OWN = ("demo", "info", "check", "calibrate", "identify")
+_OWN = ("demo", "info", "check", "calibrate", "identify", "track")
 
 
 class _Parser(argparse.ArgumentParser):

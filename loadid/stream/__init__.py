@@ -1,0 +1,6 @@
+"""Loads of a running structure from a stream of samples: a growing file, standard input, a socket."""
+
+from .follow import Followed, follow
+from .sources import open_source
+
+__all__ = ["Followed", "follow", "open_source"]

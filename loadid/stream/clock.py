@@ -1,0 +1,140 @@
+"""From time stamps to samples at the step of the tracker: gaps, duplicates, late samples, jitter and jumps.
+
+A grid follows the stamps slowly, so that neither jitter nor a clock that runs a little fast adds up. A sample belongs
+to the nearest point of the grid; points that nothing belongs to are samples without data, which the filter takes
+exactly.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FOLLOW = 0.05  # share of its distance to a stamp that the grid moves
+JITTER = 0.1  # steps off the grid that are counted
+LONGEST = 2000  # samples that a gap is filled with: the filter has forgotten by then, and a jump is no longer a gap
+REGULAR = 20  # late samples in a row, a step apart from each other, that show a clock that was put back
+
+
+class Clock:
+    """Places rows in time.
+
+    Parameters
+    ----------
+    dt : float
+        Step of the tracker in s.
+
+    Attributes
+    ----------
+    counts : Counter
+        ``filled`` (samples without data put in), ``gaps``, ``duplicated``, ``late``, ``again`` (sent again after a new
+        start), ``jitter``, ``jumps``.
+    """
+
+    def __init__(self, dt: float) -> None:
+        self.dt = dt
+        self.grid: float | None = None  # time of the last sample
+        self.samples = 0
+        self.again = False  # the source was opened anew and may repeat itself
+        self.held: list[tuple[float, NDArray[np.float64]]] = []  # late ones that may be a clock put back
+        self.counts: Counter[str] = Counter()
+
+    def place(self, stamps: NDArray | None, values: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Times (samples,) and values (samples, sensors) of rows, NaN where there are no data."""
+        if stamps is None:
+            times = np.asarray((self.samples + np.arange(len(values))) * self.dt, float)
+            self.samples += len(values)
+            return times, values
+        empty = len(values)
+        self._times: list[float] = []
+        self._rows: list[int] = []  # of the values; -1 without data, -2 and on those that were held
+        self._late: list[NDArray[np.float64]] = []
+        for k, t in enumerate(stamps.tolist()):
+            self._one(t, k, values)
+        if not self._rows:
+            return np.empty(0), values[:0]
+        pool = np.vstack([values, np.full((1, values.shape[1]), np.nan), *self._late])
+        rows = np.array(self._rows)
+        rows = np.where(rows < 0, empty - 1 - rows, rows)
+        self.samples += len(rows)
+        return np.array(self._times), np.ascontiguousarray(pool[rows])
+
+    def to_tree(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "grid": self.grid,
+            "samples": self.samples,
+            "held": [[t, row.tolist()] for t, row in self.held],
+            "counts": dict(self.counts),
+        }
+
+    def restore(self, tree: dict[str, Any]) -> None:
+        """Go on from what `to_tree` gave."""
+        self.grid, self.samples = tree["grid"], int(tree["samples"])
+        self.held = [(t, np.array(row, float)) for t, row in tree["held"]]
+        self.counts = Counter(tree["counts"])
+
+    # -- one row ----------------------------------------------------------------------------------------------------
+    def _one(self, t: float, k: int, values: NDArray) -> None:
+        if self.grid is None:
+            self.grid = t
+            self._put(t, k)
+            return
+        off = (t - self.grid) / self.dt - 1
+        if off < -0.5:
+            self._behind(t, off, values[k])
+            return
+        self.again = False
+        self.held.clear()
+        jumped = off > LONGEST + 0.5
+        skipped = LONGEST if jumped else int(np.floor(off + 0.5))
+        self._fill(skipped)
+        self.counts["jumps"] += jumped
+        self.counts["gaps"] += skipped > 0 and not jumped
+        self._moved(t, jumped)
+        self._put(t, k)
+
+    def _behind(self, t: float, off: float, row: NDArray) -> None:
+        """A sample whose place is taken: sent twice, late, or of a clock that was put back."""
+        if self.again:
+            self.counts["again"] += 1
+            return
+        if off > -1.5:
+            self.counts["duplicated"] += 1
+            return
+        self.counts["late"] += 1
+        if self.held and abs((t - self.held[-1][0]) / self.dt - 1) > 0.5:
+            self.held.clear()
+        self.held.append((t, row.copy()))
+        if len(self.held) < REGULAR:
+            return
+        self.counts["late"] -= len(self.held)
+        self.counts["jumps"] += 1
+        for i, (stamp, late) in enumerate(self.held):
+            self._moved(stamp, i == 0)
+            self._late.append(late)
+            self._put(stamp, -1 - len(self._late))
+        self.held.clear()
+
+    def _moved(self, t: float, jumped: bool) -> None:
+        """The grid one step on, and a little towards the stamp."""
+        assert self.grid is not None
+        self.grid += self.dt
+        if jumped:
+            self.grid = t
+        self.counts["jitter"] += abs(t - self.grid) > JITTER * self.dt
+        self.grid += FOLLOW * (t - self.grid)
+
+    def _fill(self, count: int) -> None:
+        assert self.grid is not None
+        for _ in range(count):
+            self.grid += self.dt
+            self._put(self.grid, -1)
+        self.counts["filled"] += count
+
+    def _put(self, t: float, row: int) -> None:
+        self._times.append(t)
+        self._rows.append(row)

@@ -1,0 +1,204 @@
+"""A tracker on a stream: reads, tracks, writes, and can be killed at any moment.
+
+A checkpoint holds the filter, the place in the source and the length of the output, and is written after all of that
+output is on the disk. What was written later is cut off at the next start and made again, bit for bit.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from loadid.families.tracking import checkpoint
+from loadid.families.tracking.tracker import Tracker
+
+from .clock import Clock
+from .framing import Layout, Lines
+from .output import Output
+from .sources import Source, open_source
+
+EVERY = 5000  # samples from one checkpoint to the next
+SECONDS = 5.0  # and the longest time, where something has come
+LOOK = 0.1  # s that a source is waited for before the clock is looked at
+ROWS = 256  # rows placed in time at once: each may stand for a gap
+Watch = Callable[[NDArray, NDArray, NDArray], None]
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What came of a stream.
+
+    Parameters
+    ----------
+    samples : int
+        Tracked in this run, those without data among them.
+    seconds : float
+    resumed : bool
+    ended : str
+    counts : dict of str to int
+        Of the whole stream, earlier runs among them; only what is not zero.
+    phase : str
+        Of the tracker.
+    """
+
+    samples: int
+    seconds: float
+    resumed: bool
+    ended: str
+    counts: dict[str, int]
+    phase: str
+
+
+def follow(
+    tracker: Tracker,
+    source: str,
+    out: str,
+    *,
+    state: str | os.PathLike | None = None,
+    stream: dict[str, Any] | None = None,
+    every: int = EVERY,
+    idle: float | None = None,
+    stop: threading.Event | None = None,
+    watch: Watch | None = None,
+) -> Followed:
+    """Track a stream until it ends.
+
+    Parameters
+    ----------
+    tracker : Tracker
+    source : str
+        A file that grows, ``-``, or ``tcp://HOST:PORT``.
+    out : str
+        A file, or ``-``: a line a sample with time, loads and stds.
+    state : path, optional
+        File of the checkpoints; none are written where it is left out.
+    stream : dict, optional
+        Where an earlier run stood (`loadid.families.tracking.checkpoint.read`).
+    every : int
+        Samples between checkpoints.
+    idle : float, optional
+        Seconds without data after which a file counts as ended; never by default.
+    stop : threading.Event, optional
+        Ends the run from outside.
+    watch : callable, optional
+        Called with times, loads and stds of every piece.
+
+    Raises
+    ------
+    InputError
+        A source or an output that cannot be used, a header without a sensor of the tracker.
+    """
+    run = _Run(tracker, source, out, state, stream)
+    try:
+        return run.go(every, idle, stop or threading.Event(), watch or (lambda times, load, std: None))
+    finally:
+        run.close()
+
+
+class _Run:
+    def __init__(
+        self, tracker: Tracker, source: str, out: str, state: str | os.PathLike | None, stream: dict[str, Any] | None
+    ) -> None:
+        self.tracker, self.state, self.resumed, self.name = tracker, state, stream is not None, source
+        f = tracker.fitted
+        before = stream or {}
+        layout = before.get("layout")
+        self.lines = Lines(f.sensors, None if layout is None else Layout.from_tree(layout))
+        self.clock = Clock(f.dt)
+        same = before.get("source") == _identity(source)
+        if stream is not None:
+            self.lines.counts.update(stream["lines"])
+            self.lines.skipping = bool(stream["skipping"]) and same
+            self.clock.restore(stream["clock"])
+        if not same:
+            self.lines.another()
+        self.source: Source = open_source(source, before.get("place") if same else None, self.lines.another)
+        self.source.counts.update(before.get("waits") or {})
+        self.clock.again = stream is not None and not (same and self.source.seekable)
+        if self.clock.again:
+            self.lines.another()
+        head = [
+            "time [s]",
+            *(f"{c.label} [{c.unit}]" for c in f.loads),
+            *(f"std of {c.label} [{c.unit}]" for c in f.loads),
+        ]
+        try:
+            self.output = Output(out, ",".join(head), before.get("output"))
+        except BaseException:
+            self.source.close()
+            raise
+
+    def go(self, every: int, idle: float | None, stop: threading.Event, watch: Watch) -> Followed:
+        begun = told = last = time.monotonic()
+        samples = fresh = 0
+        ended = "stopped"
+        while not stop.is_set():
+            data = self.source.read(LOOK if idle is None else min(LOOK, idle))
+            now = time.monotonic()
+            if data is None:
+                ended = "the source has ended"
+                break
+            if data:
+                count = self._taken(data, watch)
+                samples, fresh, last = samples + count, fresh + count, now
+            elif idle is not None and now - last >= idle:
+                ended = f"nothing has come for {idle:g} s"
+                break
+            if fresh >= every or (fresh and now - told >= SECONDS):
+                self.save()
+                fresh, told = 0, now
+        self.save()
+        return Followed(samples, time.monotonic() - begun, self.resumed, ended, self.counts, self.tracker.phase)
+
+    def close(self) -> None:
+        self.source.close()
+        self.output.close()
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Everything that was counted."""
+        found = {**self.lines.counts, **self.clock.counts, **self.source.counts, **self.tracker.counts}
+        return {k: int(v) for k, v in found.items() if v}
+
+    def save(self) -> None:
+        """A checkpoint, after the output is on the disk."""
+        self.output.sync()
+        if self.state is None:
+            return
+        layout = self.lines.layout or self.lines.before
+        stream = {
+            "source": _identity(self.name),
+            "place": self.source.place(len(self.lines.rest)),
+            "layout": None if layout is None else layout.to_tree(),
+            "skipping": self.lines.skipping,
+            "lines": dict(self.lines.counts),
+            "clock": self.clock.to_tree(),
+            "waits": dict(self.source.counts),
+            "output": self.output.place(),
+        }
+        checkpoint.save(self.tracker, self.state, stream)
+
+    def _taken(self, data: bytes, watch: Watch) -> int:
+        stamps, values = self.lines.push(data)
+        count = 0
+        for k in range(0, len(values), ROWS):
+            part = slice(k, k + ROWS)
+            times, Y = self.clock.place(None if stamps is None else stamps[part], values[part])
+            if not len(Y):
+                continue
+            load, std, _ = self.tracker.run(Y)
+            self.output.write(times, load, std)
+            watch(times, load, std)
+            count += len(Y)
+        return count
+
+
+def _identity(source: str) -> str:
+    """Name of a source that does not depend on the folder of the process."""
+    return source if source == "-" or source.startswith("tcp://") else os.path.abspath(source)

@@ -1,0 +1,243 @@
+"""Where samples come from: a growing file, standard input, a TCP socket. All of them give bytes as they come."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import queue
+import socket
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Protocol
+
+from structures.errors import InputError
+
+PIECE = 1 << 16  # bytes read at once
+QUEUED = 64  # pieces that may wait between source and filter
+WAITING = 0.02  # s between two looks at a file that has not grown
+HEAD = 4096  # bytes by which a file is known again
+PATIENCE = 10.0  # s for a connection to be made
+log = logging.getLogger(__name__)
+
+
+class Source(Protocol):
+    """Bytes as they come.
+
+    Attributes
+    ----------
+    counts : Counter
+        ``waited`` (times that the source had to wait for the filter), ``rotated`` files.
+    seekable : bool
+        Whether it can go on from where it stood; else what comes again is told by its time stamps.
+    """
+
+    counts: Counter[str]
+    seekable: bool
+
+    def read(self, timeout: float) -> bytes | None:
+        """What has come, ``b""`` where nothing has within `timeout` s, None after the end."""
+
+    def place(self, unread: int) -> dict[str, Any] | None:
+        """Where it stands, less the bytes that were not used; None where that means nothing."""
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+def open_source(where: str, place: dict[str, Any] | None = None, fresh: Callable[[], None] | None = None) -> Source:
+    """A file, ``-`` for standard input, or ``tcp://HOST:PORT``.
+
+    Parameters
+    ----------
+    where : str
+    place : dict, optional
+        Where a file stood (`Source.place`).
+    fresh : callable, optional
+        Called where another file begins under the same name.
+
+    Raises
+    ------
+    InputError
+        A file that is not there, a socket that nobody serves.
+    """
+    if where == "-":
+        pipe = sys.stdin.buffer.fileno()
+        return Pumped(lambda: os.read(pipe, PIECE), lambda: None)
+    if where.startswith("tcp://"):
+        return connected(where)
+    return GrowingFile(Path(where), place, fresh)
+
+
+class GrowingFile:
+    """A file that is read while it is written, rotated or emptied.
+
+    A name that leads to another file, or to a shorter one, means a new file: the old one is read to its end first.
+    """
+
+    seekable = True
+
+    def __init__(self, path: Path, place: dict[str, Any] | None = None, fresh: Callable[[], None] | None = None):
+        self.path, self.counts = path, Counter()  # type: ignore[var-annotated]
+        self._fresh = fresh or (lambda: None)
+        try:
+            self._file = path.open("rb", buffering=0)
+        except OSError as error:
+            raise InputError("the stream cannot be read", where=str(path), found=error.strerror or str(error),
+                             hint="check the path") from None  # fmt: skip
+        self._at = 0
+        if place is not None:
+            at = int(place["at"])
+            if self._head(at) == place["head"]:
+                self._at = at
+                self._file.seek(at)
+            else:
+                self.counts["rotated"] += 1
+                self._fresh()
+                log.warning("%s is another file than the one that was read before: it is read from its begin", path)
+
+    def read(self, timeout: float) -> bytes | None:
+        """As `Source.read`; a file never ends."""
+        end = time.monotonic() + timeout
+        while True:
+            data = self._file.read(PIECE)
+            if data:
+                self._at += len(data)
+                return data
+            if self._turned():
+                continue
+            if time.monotonic() >= end:
+                return b""
+            time.sleep(min(WAITING, max(end - time.monotonic(), 0.0)))
+
+    def place(self, unread: int) -> dict[str, Any] | None:
+        """Offset, and what stands at the begin."""
+        at = self._at - unread
+        return {"at": at, "head": self._head(at)}
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _head(self, at: int) -> str:
+        """Digest of the begin of the file, as far as it was read."""
+        here = self._file.tell()
+        self._file.seek(0)
+        data = self._file.read(min(at, HEAD))
+        self._file.seek(here)
+        return f"{len(data)}:{hashlib.sha256(data).hexdigest()}"
+
+    def _turned(self) -> bool:
+        """Whether another file began, and is open now."""
+        try:
+            there, here = self.path.stat(), os.fstat(self._file.fileno())
+        except FileNotFoundError:  # between two files
+            return False
+        if (there.st_ino, there.st_dev) != (here.st_ino, here.st_dev):
+            if here.st_size > self._at:
+                return True  # it grew before it was put aside
+            self._file.close()
+            self._file = self.path.open("rb", buffering=0)
+        elif here.st_size < self._at:
+            self._file.seek(0)
+        else:
+            return False
+        self._at = 0
+        self.counts["rotated"] += 1
+        self._fresh()
+        return True
+
+
+class Pumped:
+    """A pipe or socket that a thread reads into a bounded queue.
+
+    Where the queue is full the thread waits, and so does the sender; that is counted and said once.
+    """
+
+    seekable = False
+
+    def __init__(self, receive: Callable[[], bytes], close: Callable[[], None], size: int = QUEUED) -> None:
+        self.counts: Counter[str] = Counter()
+        self._receive, self._close = receive, close
+        self._queue: queue.Queue[bytes | None] = queue.Queue(size)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._pump, name="stream", daemon=True)
+        self._thread.start()
+
+    def read(self, timeout: float) -> bytes | None:
+        """As `Source.read`."""
+        try:
+            data = self._queue.get(timeout=timeout) if timeout > 0 else self._queue.get_nowait()
+        except queue.Empty:
+            return b""
+        if data is None:
+            self._queue.put(None)  # for the next call
+        return data
+
+    def place(self, unread: int) -> dict[str, Any] | None:
+        """Nowhere: a pipe cannot be read again."""
+        return None
+
+    def close(self) -> None:
+        """Stop reading."""
+        self._stop.set()
+        self._close()
+
+    def _pump(self) -> None:
+        while not self._stop.is_set():
+            try:
+                data = self._receive()
+            except OSError as error:
+                if not self._stop.is_set():
+                    log.warning("the stream broke off: %s", error)
+                data = b""
+            self._put(data or None)
+            if not data:
+                return
+
+    def _put(self, data: bytes | None) -> None:
+        try:
+            self._queue.put_nowait(data)
+            return
+        except queue.Full:
+            pass
+        self.counts["waited"] += 1
+        if self.counts["waited"] == 1:
+            log.warning("samples come faster than they are tracked: the source is made to wait")
+        while not self._stop.is_set():
+            try:
+                self._queue.put(data, timeout=0.1)
+                return
+            except queue.Full:
+                continue
+
+
+def connected(where: str) -> Pumped:
+    """A connection to ``tcp://HOST:PORT``.
+
+    Raises
+    ------
+    InputError
+        No such address, nobody there.
+    """
+    host, _, port = where.removeprefix("tcp://").rpartition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise InputError("no address of a socket", where=where, expected="tcp://HOST:PORT, with a port below 65536")
+    try:
+        made = socket.create_connection((host.strip("[]"), int(port)), timeout=PATIENCE)
+    except OSError as error:
+        raise InputError("nobody answers at the socket", where=where, found=error.strerror or str(error),
+                         hint="start the sender first, and check host and port") from None  # fmt: skip
+    made.settimeout(None)
+
+    def close() -> None:
+        with suppress(OSError):
+            made.shutdown(socket.SHUT_RDWR)
+        made.close()
+
+    return Pumped(lambda: made.recv(PIECE), close)
