@@ -13,10 +13,11 @@ from structures.flags import Flag
 from structures.forward import ForwardModel
 from structures.model import Model
 from structures.statespace import StateSpace
-from structures.values import real
+from structures.values import number, real
 
 from .. import flags as guards
 from ..flags import tracking as told
+from ..inverse.kalman.lag import fixed_lag
 from ..inverse.kalman.observe import Observability, observability
 from ..inverse.kalman.priors import OU, Matern32, Matern52
 from ..inverse.kalman.steady import Steady, steady
@@ -30,6 +31,7 @@ from .tracking.tracker import Fitted, Tracker
 from .tracking.tuning import innovations, tune
 
 PARAMETERS = ("stiffness", "mass", "damping")
+MOST, FAR, NEARLY = 1000, 50, 1.05  # of a lag; where it is judged, and how near to that is near enough
 JOINT = ("ou", "matern32", "matern52")
 UNKNOWN = 0.01  # of the rms of a channel: its noise, to begin with, where nobody states it
 LONGEST = 60_000  # samples that a fit is tuned on
@@ -62,6 +64,9 @@ class LoadTracker:
         Relative std of parameters of the model: the variance between the models is added to the band.
     state_noise : float
         Std that a sample adds to each state of the structure.
+    lag : int or "auto"
+        Samples by which the answers come late, with what was measured meanwhile. ``"auto"``: as few as bring the std
+        within 5 % of that at 50.
     allow_drift : bool
         Run although no sensor sees a constant load; the std then grows as it should (flag E501 stays).
     gate : float or None
@@ -89,6 +94,7 @@ class LoadTracker:
         scales: Sequence[str] = (),
         model_error: Mapping[str, float] | None = None,
         state_noise: float = 0.0,
+        lag: int | str = 0,
         allow_drift: bool = False,
         gate: float | None = GATE,
         sensors: Sequence[str | int] | None = None,
@@ -96,24 +102,38 @@ class LoadTracker:
         coverage: Any = None,
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
+        if not hasattr(model, "loads") or not hasattr(model, "state_space"):
+            raise InputError("no model of a structure", where="model", found=type(model).__name__,
+                             expected="a model with a state space, such as ForwardModel or StateSpace")  # fmt: skip
         given = list(prior) if isinstance(prior, list | tuple) else [prior] * len(model.loads)
         if len(given) != len(model.loads):
             raise InputError("one prior for each load", where="prior", found=f"{len(given)} priors",
                              expected=f"{len(model.loads)}, for {', '.join(c.label for c in model.loads)}")  # fmt: skip
         self.given = tuple(named(g) for g in given)
+        if model_error is not None and not isinstance(model_error, Mapping):
+            raise InputError("no declared error of the model", where="model_error", found=repr(model_error)[:80],
+                             expected="a mapping, such as {'stiffness': 0.02}")  # fmt: skip
         errors = dict(model_error or {})
         for name, std in errors.items():
             if name not in PARAMETERS or not 0 < (real(std) or 0.0) < 0.5:
                 raise InputError("no declared error of the model", where="model_error", found=f"{name!r}: {std!r}",
                                  expected=f"a relative std between 0 and 0.5 of {', '.join(PARAMETERS)}")  # fmt: skip
-        unknown = [s for s in scales if s not in PARAMETERS]
-        if unknown or isinstance(scales, str):
-            raise InputError("no parameter of the model", where="scales", found=scales,
-                             expected=f"some of {', '.join(PARAMETERS)}")  # fmt: skip
+        listed = isinstance(scales, list | tuple)
+        if not listed or any(s not in PARAMETERS for s in scales) or len(set(scales)) != len(scales):
+            raise InputError("no parameter of the model", where="scales", found=repr(scales)[:80],
+                             expected=f"a list of some of {', '.join(PARAMETERS)}, each once")  # fmt: skip
+        counted = isinstance(lag, int | np.integer) and not isinstance(lag, bool) and 0 <= lag <= MOST
+        if not counted and lag != "auto":
+            raise InputError("no lag", where="lag", found=repr(lag), expected=f"0 to {MOST} samples, or 'auto'")
+        if lag and errors:
+            raise InputError("late answers know nothing of errors of the model", where="lag", found="model_error given",
+                             expected="lag=0", hint="tune the model instead (scales=)")  # fmt: skip
+        self.lag = lag
         if gate is not None and not (real(gate) or 0) > 0:
             raise InputError("no gate", where="gate", found=repr(gate), expected="a number of stds > 0, or None")
         self.model, self.noise, self.noise_source, self.hold = model, noise, noise_source, hold
-        self.scales, self.errors, self.state_noise = tuple(scales), errors, float(state_noise)
+        self.scales, self.errors = tuple(scales), errors
+        self.state_noise = number("state_noise", state_noise, where="LoadTracker")
         self.allow_drift, self.gate, self.sensors = bool(allow_drift), gate, sensors
         self.allow, self.coverage = guards.allowed(allow), coverage
         self._progress = progress or (lambda fraction, text: None)
@@ -146,8 +166,12 @@ class LoadTracker:
             raise InputError("a tracker takes a noise std per sensor", where="noise", found="a matrix",
                              expected="a number or (sensors,)")  # fmt: skip
         level = noise.level if noise.known else UNKNOWN * data.rms
+        for name in (*self.scales, *self.errors):
+            self.model.perturbed(name, 1.0)  # refused now, not after the search
+        held = self.state_noise > 0 or any(not isinstance(g, Named) for g in self.given)
         posing = Posing(
-            self.model, data.dt, data.rows, level, self.given, self._hold(), self.scales, self.state_noise
+            self.model, data.dt, data.rows, level, self.given, self._hold(), self.scales, self.state_noise,
+            free_noise=held and not noise.known,
         )  # fmt: skip
         self._progress(0.02, "checking what the sensors can tell")
         size = self._size(posing, data)
@@ -175,7 +199,7 @@ class LoadTracker:
             inputs={data.record.source or data.record.name or "record": data.record.sha256},
         )
         self._progress(1.0, "done")
-        return Tracker(fitted, self.gate)
+        return Tracker(fitted, self.gate, self._lag(settled))
 
     def estimate(self, record: Any, dt: float | None = None) -> Any:
         """Fit to a record and track it from its first sample; see `Tracker.track`."""
@@ -187,6 +211,14 @@ class LoadTracker:
             return self.hold
         smooth = all(getattr(g, "name", "") in JOINT or isinstance(g, OU | Matern32 | Matern52) for g in self.given)
         return "joint" if smooth else None
+
+    def _lag(self, settled: Steady | None) -> int:
+        if self.lag != "auto":
+            return int(self.lag)
+        if settled is None:
+            return 0
+        std = fixed_lag(settled, FAR).std
+        return int(np.argmax(np.all(std <= NEARLY * std[-1], axis=1)))
 
     def _size(self, posing: Posing, data: Data) -> float:
         """Size of a load that makes the sensors move as they do: white, from rest."""
@@ -217,13 +249,14 @@ class LoadTracker:
         Y = _complete(data)
         own = [g.starts(size, data.dt, len(data.values)) for g in self.given if isinstance(g, Named)]
         starts = [np.concatenate(parts) for parts in zip(*own, strict=False)] or [np.zeros(0)]
-        starts = [np.r_[s, np.zeros(len(self.scales))] for s in starts]
+        factors = np.log([0.3, 1.0, 3.0, 10.0])[:, None] if posing.free_noise else np.zeros((1, 0))
+        starts = [np.r_[s, np.zeros(len(self.scales)), factor] for s in starts for factor in factors]
         found = tune(
-            posing.build, starts, Y, free_scale=not known,
+            posing.build, starts, Y, free_scale=not (known or posing.free_noise),
             progress=lambda s: self._progress(0.1 + 0.75 * s, "tuning by likelihood"),
         )  # fmt: skip
         numbers = dict(zip(posing.names, np.exp(found.parameters).tolist(), strict=True))
-        if not known:
+        if not (known or posing.free_noise):
             numbers["noise scale"] = float(np.sqrt(found.scale))
         numbers["log-likelihood"] = found.loglik
         return found.parameters, found.scale, numbers

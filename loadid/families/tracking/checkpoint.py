@@ -43,6 +43,7 @@ def save(tracker: Tracker, path: str | os.PathLike, stream: dict[str, Any] | Non
         "fit": digest,
         "fitted": fitted,
         "gate": tracker.gate,
+        "lag": tracker.lag,
         "running": pack(running(tracker)),
         "stream": pack(stream),
     }
@@ -83,7 +84,7 @@ def read(path: str | os.PathLike, model: Any = None) -> tuple[Tracker, dict[str,
         raise InputError("a tracker of another model", where=str(path), found=f"model {tree['model'][:12]}",
                          expected=f"model {wanted[:12]}", hint="fit a tracker to this model")  # fmt: skip
     try:
-        tracker = Tracker(unpack(tree["fitted"]), tree["gate"])
+        tracker = Tracker(unpack(tree["fitted"]), tree["gate"], int(tree["lag"]))
         restore(tracker, unpack(tree["running"]))
         return tracker, unpack(tree["stream"])
     except InputError:
@@ -110,6 +111,7 @@ def running(tracker: Tracker) -> dict[str, Any]:
     return {
         "engine": tracker._engine.to_tree(),
         "bank": [engine.to_tree() for _, engine in tracker._bank],
+        "late": None if tracker._late is None else tracker._late.to_tree(),
     }
 
 
@@ -118,6 +120,8 @@ def restore(tracker: Tracker, tree: dict[str, Any]) -> None:
     tracker._engine.restore(tree["engine"])
     for (_, engine), own in zip(tracker._bank, tree["bank"], strict=True):
         engine.restore(own)
+    if tracker._late is not None:
+        tracker._late.restore(tree["late"])
 
 
 @lru_cache(maxsize=4)

@@ -16,13 +16,16 @@ from structures.flags import Flag
 
 from ... import flags as guards
 from ...estimate import Axis, LoadEstimate
+from ...inverse.kalman.lag import fixed_lag
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.steady import Steady
 from ...provenance import provenance
 from ...record import Record
 from .certificate import Certificate
 from .engine import Engine
+from .late import Late
 
+CALM = 0.01  # of the std of the loads, within which the gain counts as settled
 PATH = "square-root filter, settled gain"
 
 
@@ -119,7 +122,9 @@ class Tracker:
     def reset(self) -> None:
         """Back before the first sample."""
         f = self.fitted
-        self._engine = Engine(f.model, f.settled, self.gate, self.lag)
+        self._engine = Engine(f.model, f.settled, self.gate)
+        prior = f.model.Cp @ f.model.x0, np.linalg.norm(f.model.Cp @ f.model.L0, axis=1)
+        self._late = None if not self.lag or f.settled is None else Late(fixed_lag(f.settled, self.lag), *prior)
         self._bank = [(weight, Engine(model, settled, None)) for weight, model, settled in f.bank]
 
     # -- samples ----------------------------------------------------------------------------------------------------
@@ -133,18 +138,26 @@ class Tracker:
         InputError
             A sample of another width, or infinite.
         """
-        load, std = self._engine.step(sample)  # type: ignore[arg-type]
+        steady = self._engine.phase == "steady"
+        load, std = self._engine.step(sample)
+        if self._late is not None:
+            assert self._engine.loop is not None
+            said = self._engine.said
+            quick = steady and self._engine.phase == "steady"
+            e = self._engine.loop.e if quick or said is None else said.normalised * self._spread()
+            late, spread = self._late.block(load[None], std[None], self._news(std[None], e[None]))
+            return late[0], spread[0]
         if not self._bank:
             return load, std
         between = np.zeros(self._p)
         for weight, engine in self._bank:
-            between += weight * (engine.step(sample)[0] - load) ** 2  # type: ignore[arg-type]
+            between += weight * (engine.step(sample)[0] - load) ** 2
         return load, np.sqrt(std**2 + between)
 
     def track(
         self, block: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None
     ) -> LoadEstimate:
-        """Loads of a block, going on from the last sample.
+        """Loads of a block, going on from the last sample; with a lag those of so many samples ago.
 
         Parameters
         ----------
@@ -157,13 +170,19 @@ class Tracker:
         Raises
         ------
         InputError
-            Channels or a step that are not those of the fit.
+            Channels or a step that are not those of the fit, a first block that is shorter than the lag.
         """
         Y, inputs = self._values(block, dt)
         first = self._engine.counts["samples"]
+        skip = max(self.lag - first, 0)
+        if skip >= len(Y):
+            raise InputError("the block ends before the first late answer", where="track", found=f"{len(Y)} samples",
+                             expected=f"more than the lag of {self.lag}", hint="hand over more at once")  # fmt: skip
         load, std, e = self.run(Y, progress)
-        predicted = e * self._spread()
-        return self._estimate(load, std, Y, predicted, inputs, first)
+        if self.lag:
+            return self._estimate(load[skip:], std[skip:], None, None, inputs, first - self.lag + skip,
+                                  f"{PATH}, {self.lag} samples late")  # fmt: skip
+        return self._estimate(load, std, Y, e * self._spread(), inputs, first)
 
     def run(self, Y: NDArray, progress: Callable[[float, str], None] | None = None) -> tuple[NDArray, NDArray, NDArray]:
         """Loads and std (samples, loads), normalised innovations (samples, sensors) of bare numbers."""
@@ -180,8 +199,18 @@ class Tracker:
                     engine.block(Y[part], other, unused)
                     between += weight * (other - load[part]) ** 2
                 std[part] = np.sqrt(std[part] ** 2 + between)
+            if self._late is not None:
+                news = self._news(std[part], e[part] * self._spread())
+                load[part], std[part] = self._late.block(load[part], std[part], news)
             told(min((k + size) / len(Y), 1.0), "tracking")
         return load, std, e
+
+    def _news(self, std: NDArray, e: NDArray) -> NDArray[np.float64]:
+        """Innovations of the samples at the settled gain, or near it; NaN of the others."""
+        assert self.fitted.settled is not None
+        settled = self.fitted.settled.std
+        calm = np.all(np.abs(std - settled) <= CALM * settled, axis=1)
+        return np.where(calm[:, None], e, np.nan)
 
     def smooth(
         self, record: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None
@@ -273,11 +302,11 @@ class Tracker:
         return np.ascontiguousarray(values, float), inputs
 
     def _estimate(
-        self, load: NDArray, std: NDArray, Y: NDArray, rest: NDArray, inputs: dict[str, str], first: int,
-        path: str = PATH,
+        self, load: NDArray, std: NDArray, Y: NDArray | None, rest: NDArray | None, inputs: dict[str, str],
+        first: int, path: str = PATH,
     ) -> LoadEstimate:  # fmt: skip
         f = self.fitted
-        there = np.isfinite(Y)
+        there = np.ones((len(load), len(f.sensors)), bool) if Y is None else np.isfinite(Y)
         facts: dict[str, Any] = {
             "path": path, "m": int(there.sum()), "n": int(load.size), "noise_source": f.noise_source,
             "time_constant": None if f.settled is None else f.settled.time_constant,
@@ -292,8 +321,8 @@ class Tracker:
             labels=[c.label for c in f.loads],
             units=[c.unit for c in f.loads],
             axis=Axis("time", "s", np.asarray((first + np.arange(len(load))) * f.dt, float)),
-            response=np.where(there, Y, 0.0),
-            residual=np.where(there & np.isfinite(rest), rest, 0.0),
+            response=None if Y is None else np.where(there, Y, 0.0),
+            residual=None if rest is None else np.where(there & np.isfinite(rest), rest, 0.0),
             sensors=[c.label for c in f.sensors],
             sensor_units=[c.unit for c in f.sensors],
             flags=guards.collect(f.flags),

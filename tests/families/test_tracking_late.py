@@ -1,0 +1,77 @@
+"""Late answers of a tracker against the smoother of what was known by then."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from loadid import InputError, LoadTracker
+from loadid.inverse.kalman.smoothing import smooth
+from loadid.inverse.kalman.squareroot import filter as filtered
+from tests import tracked
+
+
+@pytest.fixture(scope="module")
+def case() -> tracked.Tracked:
+    return tracked.bm2("matern", 0, acc=(3, 6), disp=(8,), samples=2000)
+
+
+def tracker(case: tracked.Tracked, **settings: object):
+    from loadid.inverse.kalman.priors import Matern32
+
+    known = {"prior": Matern32(100.0, 0.08), "noise": case.noise, "noise_source": "data sheet"}
+    return LoadTracker(case.setup.space(), **{**known, **settings}).fit(case.y, case.dt)
+
+
+def test_a_late_answer_is_the_smoothed_one(case: tracked.Tracked) -> None:
+    lag = 10
+    late = tracker(case, lag=lag).track(case.y)
+    known = tracker(case, lag=lag).fitted.model
+    for k in (400, 1200):
+        whole = smooth(filtered(known, case.y[: k + lag + 1], keep=True))
+        assert late.load[k] == pytest.approx(whole.load[k], abs=1e-3 * whole.std[k].item())
+        assert late.std[k] == pytest.approx(whole.std[k], rel=1e-3)
+    assert len(late.load) == len(case.y) - lag
+    assert late.axis is not None
+    assert late.axis.values[0] == 0
+
+
+def test_around_a_gap_the_band_stays_honest(case: tracked.Tracked) -> None:
+    y = case.y.copy()
+    y[900:940, 2] = np.nan
+    y[1400] = np.nan
+    late = tracker(case, lag=10).track(y)
+    truth = case.load[: len(late.load)]
+    z = (late.load - truth) / late.std
+    assert np.isfinite(z).all()
+    assert np.mean(np.abs(z[200:]) < 1.96) > 0.9
+    plain = tracker(case).track(y)
+    assert np.linalg.norm((late.load - truth)[200:]) < 0.5 * np.linalg.norm((plain.load[: len(truth)] - truth)[200:])
+
+
+def test_samples_and_blocks_answer_alike_also_from_a_file(case: tracked.Tracked, tmp_path) -> None:
+    y = case.y[:900].copy()
+    y[500:520, 1] = np.nan
+    one, two = tracker(case, lag=7), tracker(case, lag=7)
+    load, std, _ = one.run(y)
+    answers = [two.step(sample) for sample in y[:510]]
+    two.save(tmp_path / "t.h5")
+    two = type(two).load(tmp_path / "t.h5")
+    answers += [two.step(sample) for sample in y[510:]]
+    assert np.allclose([a[0] for a in answers], load, atol=1e-9 * np.abs(load).max())
+    assert np.allclose([a[1] for a in answers], std, rtol=1e-9)
+
+
+def test_auto_takes_as_few_as_needed(case: tracked.Tracked) -> None:
+    found = tracker(case, lag="auto").lag
+    assert 10 <= found <= 40
+
+
+def test_lags_that_cannot_be(case: tracked.Tracked) -> None:
+    for lag in (-1, 2.5, "late", 10_000, True):
+        with pytest.raises(InputError, match="lag"):
+            LoadTracker(case.setup.space(), lag=lag)
+    with pytest.raises(InputError, match="errors of the model"):
+        LoadTracker(case.setup.space(), lag=5, model_error={"stiffness": 0.01})
+    with pytest.raises(InputError, match="first late answer"):
+        tracker(case, lag=10).track(case.y[:8])
