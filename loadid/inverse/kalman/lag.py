@@ -46,6 +46,10 @@ class FixedLag:
         """Samples."""
         return len(self.taps)
 
+    def enough(self, share: float = 0.05) -> int:
+        """The smallest lag at which every std is within a share of that at the longest."""
+        return int(np.argmax(np.all(self.std <= (1 + share) * self.std[-1], axis=1)))
+
     def apply(self, load: ArrayLike, e: ArrayLike) -> tuple[NDArray, NDArray]:
         """Loads and stds (samples, p) of a steady stretch with all that is known at its end, at most `lag` later.
 

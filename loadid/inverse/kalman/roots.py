@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+NARROW, WIDE, LARGE = 4, 16, 100  # columns that `dtpqrt` reflects together, and the size from which it is the more
+
 
 @lru_cache(maxsize=1)
-def lapack() -> tuple[Any, Any]:
-    """``dgeqrf`` and ``dtrtrs``, found once: numpy's own QR copies, and costs more than the work at these sizes."""
-    from scipy.linalg.lapack import dgeqrf, dtrtrs
+def lapack() -> tuple[Any, Any, Any]:
+    """``dgeqrf``, ``dtrtrs``, ``dtpqrt``, found once: numpy's QR copies and costs more than the work at these sizes."""
+    from scipy.linalg.lapack import dgeqrf, dtpqrt, dtrtrs
 
-    return dgeqrf, dtrtrs
+    return dgeqrf, dtrtrs, dtpqrt
 
 
 @lru_cache(maxsize=64)
@@ -44,6 +46,29 @@ def lower(*parts: NDArray) -> NDArray[np.float64]:
         return np.zeros((len(wide), 0))
     made = reflected(np.ascontiguousarray(wide, float))
     return made * below(*made.shape)
+
+
+def square(L: NDArray) -> NDArray[np.float64]:
+    """The same root with columns of zeros up to a square."""
+    out = np.zeros((len(L), len(L)))
+    out[:, : L.shape[1]] = L
+    return out
+
+
+def joined(L: NDArray, wide: NDArray) -> NDArray[np.float64]:
+    """Lower triangular root of ``L L^T + wide wide^T`` for a lower triangular L (n, n), which is half of the work.
+
+    Parameters
+    ----------
+    L : array, shape (n, n), C-contiguous
+    wide : array, shape (n, k), C-contiguous
+        Overwritten.
+    """
+    if not wide.size:
+        return L
+    block = min(NARROW if len(L) < LARGE else WIDE, len(L))
+    made: NDArray[np.float64] = lapack()[2](0, block, L.copy().T, wide.T, overwrite_a=1, overwrite_b=1)[0].T
+    return made
 
 
 def forward(L: NDArray, b: NDArray) -> NDArray[np.float64]:

@@ -22,7 +22,7 @@ from structures.errors import InputError
 
 from .model import FilterModel
 from .present import Present, present
-from .roots import below, forward, lower, reflected
+from .roots import forward, joined, lower, square
 
 MASKS = 512  # sets of channels whose arrays are kept
 LOG2PI = float(np.log(2 * np.pi))
@@ -83,7 +83,7 @@ class Stack:
     before: Present
     now: Present
     ahead: NDArray[np.float64]  # [H F; F], times L
-    noise: NDArray[np.float64]  # [H LQ, LR; LQ, 0]
+    noise: NDArray[np.float64]  # triangular root of [H LQ, LR; LQ, 0]
 
 
 class SquareRoot:
@@ -124,14 +124,14 @@ class SquareRoot:
         """
         y = self.sample(y)
         part = self.seen(np.isfinite(y))
-        return self._updated(_joined(part, state.L), part, state.x, y)
+        return self._updated(_update_array(part, state.L), part, state.x, y)
 
     def advance(self, state: State, y: ArrayLike) -> tuple[State, Innovation]:
         """Prediction and update in one factorisation."""
         y = self.sample(y)
         stack = self.stack(None if self.model.S is None else _there(state.y, self.model.m), np.isfinite(y))
         x = stack.before.moved(state.x, state.y)
-        return self._updated(_filled(stack, state.L), stack.now, x, y)
+        return self._updated(joined(stack.noise, stack.ahead @ state.L), stack.now, x, y)
 
     # -- pieces that the steady gains stand on -----------------------------------------------------------------------
     def seen(self, mask: NDArray[np.bool_]) -> Present:
@@ -156,11 +156,11 @@ class SquareRoot:
 
     def covariance(self, stack: Stack, L: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Root of Se, gain ``P- H^T Se^-T/2`` and root of the filtered covariance, from that of the sample before."""
-        return _parted(_filled(stack, L), len(stack.now.H))
+        return _parted(joined(stack.noise, stack.ahead @ L), len(stack.now.H))
 
     def update_root(self, part: Present, L: NDArray) -> NDArray[np.float64]:
         """Root of the filtered covariance from that of the predicted one."""
-        return _parted(_joined(part, L), len(part.H))[2]
+        return _parted(_update_array(part, L), len(part.H))[2]
 
     def sample(self, y: ArrayLike) -> NDArray[np.float64]:
         """A sample as float64 (m,).
@@ -179,9 +179,9 @@ class SquareRoot:
                              expected="finite numbers, NaN where a channel is missing")  # fmt: skip
         return y
 
-    def _updated(self, wide: NDArray, part: Present, x: NDArray, y: NDArray) -> tuple[State, Innovation]:
+    def _updated(self, made: NDArray, part: Present, x: NDArray, y: NDArray) -> tuple[State, Innovation]:
         m = len(part.H)
-        root, gain, L = _parted(wide, m)
+        root, gain, L = _parted(made, m)
         rest = y[part.mask] - part.H @ x
         if m and not np.all(np.diag(root)):
             raise InputError("a channel without noise repeats what is known exactly", where="FilterModel.LR",
@@ -299,32 +299,21 @@ def _there(y: NDArray | None, m: int) -> NDArray[np.bool_]:
     return np.zeros(m, bool) if y is None else np.isfinite(y)
 
 
-def _joined(part: Present, L: NDArray) -> NDArray[np.float64]:
-    """The array of an update, to be overwritten."""
+def _update_array(part: Present, L: NDArray) -> NDArray[np.float64]:
+    """The array of an update, made triangular."""
     m = len(part.H)
     wide = np.zeros((m + len(L), m + L.shape[1]))
     wide[:m, :m], wide[:m, m:], wide[m:, m:] = part.LR, part.H @ L, L
-    return wide
+    return lower(wide)
 
 
 def _stack(before: Present, now: Present) -> Stack:
     m, n, q = len(now.H), len(before.F), before.LQ.shape[1]
     noise = np.zeros((m + n, q + m))
     noise[:m, :q], noise[m:, :q], noise[:m, q:] = now.H @ before.LQ, before.LQ, now.LR
-    return Stack(before, now, np.vstack([now.H @ before.F, before.F]), noise)
+    return Stack(before, now, np.vstack([now.H @ before.F, before.F]), square(lower(noise)))
 
 
-def _filled(stack: Stack, L: NDArray) -> NDArray[np.float64]:
-    """The array of a sample, to be overwritten."""
-    r = L.shape[1]
-    wide = np.empty((len(stack.ahead), r + stack.noise.shape[1]))
-    wide[:, :r] = stack.ahead @ L
-    wide[:, r:] = stack.noise
-    return wide
-
-
-def _parted(wide: NDArray, m: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Root of Se (m, m), gain (n, m), root (n, at most n) out of an array, which is overwritten."""
-    made = reflected(wide)
-    corner = made[m:, m:]
-    return made[:m, :m] * below(m, m), np.ascontiguousarray(made[m:, :m]), corner * below(*corner.shape)
+def _parted(made: NDArray, m: int) -> tuple[NDArray, NDArray, NDArray]:
+    """Root of Se (m, m), gain (n, m), root (n, at most n) out of a triangular array."""
+    return made[:m, :m], np.ascontiguousarray(made[m:, :m]), np.ascontiguousarray(made[m:, m:])

@@ -57,6 +57,8 @@ def test_band_is_honest_at_every_lag() -> None:
     model = settled(away())
     fixed = fixed_lag(steady(model), 20)
     assert fixed.std[0] > 8 * fixed.std[10]
+    enough = fixed.enough()
+    assert fixed.std[enough] <= 1.05 * fixed.std[20] < fixed.std[enough - 1]
     inside = {lag: [] for lag in (0, 1, 3, 5, 10, 20)}
     for seed in range(6):
         Y, P = drawn(model, 1500, seed)

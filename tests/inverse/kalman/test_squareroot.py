@@ -9,6 +9,7 @@ import pytest
 
 from loadid.inverse.kalman import squareroot
 from loadid.inverse.kalman.model import FilterModel
+from loadid.inverse.kalman.roots import joined, lower, square
 from loadid.inverse.kalman.squareroot import SquareRoot
 from structures.errors import InputError
 
@@ -180,6 +181,18 @@ def test_single_precision_is_raised() -> None:
     assert np.array_equal(squareroot.filter(model, Y).load, squareroot.filter(model, Y.astype(float)).load)
     raised = FilterModel(**{**vars(model), "F": model.F.astype(np.float32)})
     assert raised.F.dtype == np.float64
+
+
+@pytest.mark.parametrize("n", [1, 3, 60, 130])
+def test_roots_are_roots(n: int) -> None:
+    rng = np.random.default_rng(n)
+    wide, more = rng.standard_normal((n, n + 2)), rng.standard_normal((n, max(n - 1, 1)))
+    L = square(lower(wide[:, : max(n // 2, 1)], wide[:, max(n // 2, 1) :]))
+    assert np.allclose(L @ L.T, wide @ wide.T, rtol=0, atol=1e-12 * n)
+    both = joined(L, more.copy())
+    assert np.allclose(both @ both.T, wide @ wide.T + more @ more.T, rtol=0, atol=1e-12 * n)
+    assert not np.triu(both, 1).any()
+    assert np.allclose(L @ L.T, wide @ wide.T, rtol=0, atol=1e-12 * n)  # not overwritten
 
 
 def test_what_is_wrong_is_named() -> None:
