@@ -75,3 +75,22 @@ def test_lags_that_cannot_be(case: tracked.Tracked) -> None:
         LoadTracker(case.setup.space(), lag=5, model_error={"stiffness": 0.01})
     with pytest.raises(InputError, match="first late answer"):
         tracker(case, lag=10).track(case.y[:8])
+
+
+def test_filterpy_runs_the_same_filter(case: tracked.Tracked) -> None:
+    y = case.y[:600].copy()
+    y[200:230, 1] = np.nan
+    found = tracker(case, gate=None)
+    ours, theirs = found.track(y), found.on_filterpy(y)
+    size = np.abs(ours.load).max()
+    # the settled gain takes over where the variances are within a thousandth
+    assert np.allclose(ours.load, theirs.load, atol=1e-3 * size)
+    assert np.allclose(ours.std, theirs.std, rtol=2e-3)
+    assert found.to_filterpy().dim_x == found.fitted.model.n
+
+
+def test_the_settled_filter_as_a_c_file(case: tracked.Tracked, tmp_path) -> None:
+    path = tracker(case).to_c(tmp_path / "roof.c", "roof")
+    source = path.read_text()
+    assert "roof_step" in source
+    assert "p0" in source

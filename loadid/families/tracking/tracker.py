@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -231,6 +232,55 @@ class Tracker:
         found = smooth(kept, progress=lambda f, t: told(0.5 + 0.5 * f, t))
         rest = Y - found.x @ self.fitted.model.H.T
         return self._estimate(found.load, found.std, Y, rest, inputs, 0, "square-root filter and smoother")
+
+    # -- others -----------------------------------------------------------------------------------------------------
+    def to_filterpy(self) -> Any:
+        """The configured filter as ``filterpy.kalman.KalmanFilter``, before its first update.
+
+        See `loadid.inverse.kalman.filterpy.to_filterpy` for missing channels and correlated noises.
+        """
+        from ...inverse.kalman.filterpy import to_filterpy
+
+        return to_filterpy(self.fitted.model)
+
+    def to_c(self, path: str | os.PathLike, name: str = "tracker") -> Path:
+        """Write the settled filter as one C99 file without dependencies, for a microcontroller.
+
+        Parameters
+        ----------
+        path : path
+        name : str
+            Prefix of its functions: ``NAME_reset``, ``NAME_step``, ``NAME_std``.
+
+        Raises
+        ------
+        InputError
+            A tracker without a settled gain, no C identifier, a folder that is not there.
+        """
+        from ...inverse.kalman.ccode import write_c
+
+        f = self.fitted
+        if f.settled is None:
+            raise InputError("a filter that never settles has no constant gain", where="to_c", found="allow_drift",
+                             expected="a settled gain", hint="add a sensor that sees a constant load")  # fmt: skip
+        labels = {"sensors": [c.label for c in f.sensors], "loads": [c.label for c in f.loads]}
+        return write_c(Path(path), f.settled, name=name, dt=f.dt, **labels)
+
+    def on_filterpy(
+        self, record: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None
+    ) -> LoadEstimate:
+        """The same filter run by filterpy over a whole record, from rest: slower, and written by others.
+
+        Raises
+        ------
+        InputError
+            As `track`.
+        """
+        from ...inverse.kalman.filterpy import FilterpyEngine
+
+        Y, inputs = self._values(record, dt)
+        found = FilterpyEngine(self.fitted.model).track(Y, progress)
+        return self._estimate(found.load, found.std, Y, None, inputs, 0, "filterpy, full covariance")
 
     # -- files ------------------------------------------------------------------------------------------------------
     def save(self, path: str | os.PathLike) -> None:
