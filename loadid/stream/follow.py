@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from loadid.families.tracking import checkpoint
@@ -111,6 +112,7 @@ class _Run:
         layout = before.get("layout")
         self.lines = Lines(f.sensors, None if layout is None else Layout.from_tree(layout))
         self.clock = Clock(f.dt)
+        self.waiting = np.array(before.get("waiting", []), float)  # times of samples that are answered later
         same = before.get("source") == _identity(source)
         if stream is not None:
             self.lines.counts.update(stream["lines"])
@@ -179,6 +181,7 @@ class _Run:
             "skipping": self.lines.skipping,
             "lines": dict(self.lines.counts),
             "clock": self.clock.to_tree(),
+            "waiting": self.waiting,
             "waits": dict(self.source.counts),
             "output": self.output.place(),
         }
@@ -193,10 +196,21 @@ class _Run:
             if not len(Y):
                 continue
             load, std, _ = self.tracker.run(Y)
-            self.output.write(times, load, std)
-            watch(times, load, std)
+            answers = self._answered(times, load, std)
+            self.output.write(*answers)
+            if len(answers[0]):
+                watch(*answers)
             count += len(Y)
         return count
+
+    def _answered(self, times: NDArray, load: NDArray, std: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        """Answers with their own times: a tracker with a lag speaks of samples that lie back, at first of none."""
+        lag = self.tracker.lag
+        every = np.concatenate([self.waiting, times])
+        answered = max(len(every) - lag, 0)
+        self.waiting = every[answered:]
+        first = len(times) - answered
+        return every[:answered], load[first:], std[first:]
 
 
 def _identity(source: str) -> str:
