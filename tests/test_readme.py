@@ -23,7 +23,7 @@ def test_the_static_example(tmp_path, monkeypatch, capsys):
     clean = ForwardModel(wing, gauges, bases.hats(wing, [places])).static() @ lift
     monkeypatch.chdir(tmp_path)
     scope: dict = {"strains": clean + 1.5e-6 * np.random.default_rng(0).standard_normal(len(at))}
-    exec(compile(EXAMPLES[3], "README.md", "exec"), scope)
+    exec(compile(EXAMPLES[4], "README.md", "exec"), scope)
     found = scope["lift"]
     true = 900 * np.sqrt(1 - (np.arange(0.125, 6, 0.25) / 6) ** 2)
     moment = next(r.value for r in found.resultants if r.name == "M")
@@ -109,6 +109,35 @@ def test_the_frequency_example(tmp_path, monkeypatch, capsys):
     assert found.facts["held_out"][0].startswith("14+Z")
     assert "not tell" in capsys.readouterr().out
     assert Path("sources.png").stat().st_size > 10_000
+
+
+def test_the_tracking_example(tmp_path, monkeypatch, capsys):
+    """A gusty load on a mast, simulated finer, is followed within its band from a saved commissioning record on."""
+    from loadid.inverse.kalman.priors import Matern32
+    from structures import ForwardModel, beams, damping, loads, sensors
+
+    mast = beams.cantilever(length=12.0, EI=4e6, mass_per_length=60.0, damping=damping.Modal(0.02))
+    seen = [sensors.Accelerometer("20+Z"), sensors.Accelerometer("11+Z"), sensors.StrainGauge(at=0.5, fibre=0.1)]
+    model = ForwardModel(mast, seen, [loads.Point("20+Z")], modes=6)
+    dt, fine, samples = 0.005, 8, 5000
+    rng = np.random.default_rng(0)
+    step = Matern32(500.0, 0.3).discrete(dt / fine)
+    z, force = np.zeros(2), np.empty((samples * fine, 1))
+    for k, w in enumerate(rng.standard_normal((len(force), 2))):
+        force[k] = step.H @ z
+        z = step.F @ z + step.LQ @ w
+    y = model.predict(force, dt / fine)[::fine]
+    y += 0.01 * y.std(axis=0) * rng.standard_normal(y.shape)
+    monkeypatch.chdir(tmp_path)
+    head = f"time [s],20+Z [m/s^2],11+Z [m/s^2],{seen[2].label} [m/m]"
+    for name, part in (("commissioning.csv", slice(0, 3000)), ("today.csv", slice(3000, None))):
+        table = np.column_stack([np.arange(len(y[part])) * dt, y[part]])
+        np.savetxt(name, table, delimiter=",", header=head, comments="", fmt="%.10g")
+    scope: dict = {}
+    exec(compile(EXAMPLES[3], "README.md", "exec"), scope)
+    assert abs(scope["load"].item() - force[-fine].item()) < 4 * scope["std"].item()
+    assert "NIS per channel" in capsys.readouterr().out
+    assert Path("mast.h5").stat().st_size > 1000
 
 
 def test_the_two_commands_stand_on_their_own_lines():
