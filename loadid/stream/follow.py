@@ -6,11 +6,13 @@ output is on the disk. What was written later is cut off at the next start and m
 
 from __future__ import annotations
 
+import glob
 import os
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -107,6 +109,8 @@ class _Run:
         self, tracker: Tracker, source: str, out: str, state: str | os.PathLike | None, stream: dict[str, Any] | None
     ) -> None:
         self.tracker, self.state, self.resumed, self.name = tracker, state, stream is not None, source
+        if state is not None:
+            _swept(Path(state))
         f = tracker.fitted
         before = stream or {}
         layout = before.get("layout")
@@ -211,6 +215,12 @@ class _Run:
         self.waiting = every[answered:]
         first = len(times) - answered
         return every[:answered], load[first:], std[first:]
+
+
+def _swept(state: Path) -> None:
+    """Remove what a run that was killed while it wrote a checkpoint has left beside it."""
+    for left in state.parent.glob(f".{glob.escape(state.name)}.*.tmp"):
+        left.unlink(missing_ok=True)
 
 
 def _identity(source: str) -> str:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-from functools import lru_cache
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from structures import storage
 from structures.errors import InputError
@@ -18,6 +18,7 @@ from .tracker import Fitted, Tracker
 
 KIND = "tracker"
 FORMAT = 1
+_PACKED: WeakKeyDictionary[Fitted, tuple[dict[str, Any], str]] = WeakKeyDictionary()
 
 
 def save(tracker: Tracker, path: str | os.PathLike, stream: dict[str, Any] | None = None) -> None:
@@ -86,6 +87,7 @@ def read(path: str | os.PathLike, model: Any = None) -> tuple[Tracker, dict[str,
     try:
         tracker = Tracker(unpack(tree["fitted"]), tree["gate"], int(tree["lag"]))
         restore(tracker, unpack(tree["running"]))
+        _PACKED[tracker.fitted] = tree["fitted"], tree["fit"]  # to be written again as it was
         return tracker, unpack(tree["stream"])
     except InputError:
         raise
@@ -124,10 +126,11 @@ def restore(tracker: Tracker, tree: dict[str, Any]) -> None:
         tracker._late.restore(tree["late"])
 
 
-@lru_cache(maxsize=4)
 def _packed(fitted: Fitted) -> tuple[dict[str, Any], str]:
     """A fit, which never changes, as it is written again and again, and its digest."""
-    tree = pack(fitted)
-    digest = hashlib.sha256(tree["text"].encode())
-    digest.update(tree["numbers"].tobytes())
-    return tree, digest.hexdigest()
+    if fitted not in _PACKED:
+        tree = pack(fitted)
+        digest = hashlib.sha256(tree["text"].encode())
+        digest.update(tree["numbers"].tobytes())
+        _PACKED[fitted] = tree, digest.hexdigest()
+    return _PACKED[fitted]

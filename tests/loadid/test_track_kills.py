@@ -1,0 +1,34 @@
+"""A tracked stream that is killed at random moments continues bit for bit: no sample is lost, none comes twice."""
+
+import pytest
+
+from loadid.families.tracking import checkpoint
+from loadid.stream import follow
+from tests.killed import Nursery, fitted, tortured, troubled
+
+
+@pytest.fixture(scope="module")
+def nursery():
+    found = Nursery()
+    yield found
+    found.close()
+
+
+def test_killed_and_undisturbed_runs_write_the_same_bytes(nursery, tmp_path):
+    tracker, Y = fitted()
+    tracker.save(tmp_path / "model.h5")
+    data = troubled(tracker, Y)
+    resumed, cut = tortured(nursery, tmp_path, data, 5)
+    assert resumed >= 3, cut  # the kills met checkpoints
+    (tmp_path / "whole.csv").write_bytes(data)
+    straight = checkpoint.load(tmp_path / "model.h5")
+    done = follow(straight, str(tmp_path / "whole.csv"), str(tmp_path / "straight.csv"), idle=0)
+    assert {"filled", "duplicated", "late", "wide", "unreadable", "missing"} <= set(done.counts)
+    assert (tmp_path / "out.csv").read_bytes() == (tmp_path / "straight.csv").read_bytes()
+    killed, stream = checkpoint.read(tmp_path / "state.h5")
+    own, other = checkpoint.pack(checkpoint.running(killed)), checkpoint.pack(checkpoint.running(straight))
+    assert own["text"] == other["text"]
+    assert own["numbers"].tobytes() == other["numbers"].tobytes()
+    counted = {**stream["lines"], **stream["clock"]["counts"]}
+    assert {k: v for k, v in counted.items() if v} == {k: v for k, v in done.counts.items() if k in counted}
+    assert not list(tmp_path.glob(".state.h5.*"))  # what the killed runs left is swept
