@@ -8,6 +8,8 @@ caller decides. Sample by sample and block are the same recursion.
 
 from __future__ import annotations
 
+from math import isfinite
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -110,9 +112,13 @@ class Loop:
         return len(Y)
 
     def _numpy_step(self) -> bool:
+        if not isfinite(sum(self._y.tolist())):  # the quickest test of so few; numpy would warn of inf
+            with np.errstate(invalid="ignore"):
+                np.dot(self._M, self._v, out=self._out)
+            return False
         np.dot(self._M, self._v, out=self._out)
         np.multiply(self.e, self._w, out=self._s)
-        if not self._s.dot(self._s) <= 1.0 and not (np.abs(self._s) <= 1.0).all():  # NaN is never smaller
+        if self._s.dot(self._s) > 1.0 and np.max(np.abs(self._s)) > 1.0:
             return False
         self._x[:] = self._next
         return True
