@@ -64,6 +64,13 @@ class LoadTracker:
         Relative std of parameters of the model: the variance between the models is added to the band.
     state_noise : float
         Std that a sample adds to each state of the structure.
+    ambient : Ambient, optional
+        Other loads, unknown and white, that disturb structure and sensors alike: the noises are then correlated
+        (`loadid.inverse.kalman.augment.Ambient`).
+    bias : float or array (sensors of the model,)
+        Std that a second adds to the offset of a sensor; 0: it does not drift.
+    start : float, array or ``"static"``
+        Std of the states before the first sample: at rest by default, or carrying the first load in equilibrium.
     lag : int or "auto"
         Samples by which the answers come late, with what was measured meanwhile. ``"auto"``: as few as bring the std
         within 5 % of that at 50.
@@ -94,6 +101,9 @@ class LoadTracker:
         scales: Sequence[str] = (),
         model_error: Mapping[str, float] | None = None,
         state_noise: float = 0.0,
+        ambient: Any = None,
+        bias: ArrayLike = 0.0,
+        start: ArrayLike | str = 0.0,
         lag: int | str = 0,
         allow_drift: bool = False,
         gate: float | None = GATE,
@@ -134,6 +144,7 @@ class LoadTracker:
         self.model, self.noise, self.noise_source, self.hold = model, noise, noise_source, hold
         self.scales, self.errors = tuple(scales), errors
         self.state_noise = number("state_noise", state_noise, where="LoadTracker")
+        self.around = {"ambient": ambient, "bias": bias, "start": start}
         self.allow_drift, self.gate, self.sensors = bool(allow_drift), gate, sensors
         self.allow, self.coverage = guards.allowed(allow), coverage
         self._progress = progress or (lambda fraction, text: None)
@@ -171,7 +182,7 @@ class LoadTracker:
         held = self.state_noise > 0 or any(not isinstance(g, Named) for g in self.given)
         posing = Posing(
             self.model, data.dt, data.rows, level, self.given, self._hold(), self.scales, self.state_noise,
-            free_noise=held and not noise.known,
+            free_noise=held and not noise.known, around=self.around,
         )  # fmt: skip
         self._progress(0.02, "checking what the sensors can tell")
         size = self._size(posing, data)
@@ -360,8 +371,10 @@ def _states(filtered: Steady, Y: NDArray) -> NDArray[np.float64]:
     """Filtered states (samples, n) of a complete record."""
     e = innovations(filtered, Y)
     x, out = filtered.model.x0, np.empty((len(Y), filtered.model.n))
-    F = filtered.part.F
+    F, T = filtered.part.F, filtered.part.T  # correlated noises: a sample tells of what moved the state after it
     for k in range(len(Y)):
-        x = (F @ x if k else x) + filtered.K @ e[k]
+        if k:
+            x = F @ x if T is None else F @ x + T @ Y[k - 1]
+        x = x + filtered.K @ e[k]
         out[k] = x
     return out

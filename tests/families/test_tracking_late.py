@@ -94,3 +94,25 @@ def test_the_settled_filter_as_a_c_file(case: tracked.Tracked, tmp_path) -> None
     source = path.read_text()
     assert "roof_step" in source
     assert "p0" in source
+
+
+def test_ambient_loads_that_disturb_both_noises_leave_an_honest_band() -> None:
+    """A beam of 8 modes whose error exceeds its load: the predicted std is the empirical one."""
+    from loadid.inverse.kalman.augment import Ambient
+    from loadid.inverse.kalman.priors import OU
+    from structures import StateSpace
+
+    case = tracked.bm3(0, 30_000)
+    setup, j = case.setup, np.arange(1, 9)
+    x = (np.array([25, 45, 80])[:, None] - 1) * 30.0 / 100
+    around = (np.sqrt(2 / (50.0 * 30.0)) * np.sin(j * np.pi * x / 30.0)).T
+    _, first, second = setup.held(around, case.dt)
+    A, _, G, _ = setup.matrices()
+    ambient = Ambient(StateSpace(A, first + second, G, setup.through(around), case.dt, "zoh"), 1.0)
+    known = {"prior": OU(10.0, 1 / (2 * np.pi * 0.05)), "noise": 1e-4, "noise_source": "set", "state_noise": 1e-8}
+    found = LoadTracker(setup.space(), ambient=ambient, gate=None, **known).fit(case.y, case.dt)
+    answer = found.track(case.y)
+    rest = (answer.load - case.load)[2000:]
+    assert np.std(rest) / answer.std[-1] == pytest.approx(1.0, abs=0.03)
+    assert found.certificate is not None
+    assert found.certificate.nis == pytest.approx(1.0, abs=0.02)

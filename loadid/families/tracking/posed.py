@@ -40,6 +40,8 @@ class Posing:
     scales : tuple of str
         Parameters of the model that are tuned (`Model.perturbed`).
     state_noise : float
+    around : mapping
+        What else `augment` takes: ``ambient``, ``bias``, ``start``.
     free_noise : bool
         `noise` is a scale of each, and one factor on all of them is tuned beside priors that are given: these stay as
         they are. (Where all priors are tuned, a common factor on them and the noise has its optimum in closed form.)
@@ -53,6 +55,7 @@ class Posing:
     hold: str | None = None
     scales: tuple[str, ...] = ()
     state_noise: float = 0.0
+    around: Mapping[str, Any] = field(default_factory=dict)
     free_noise: bool = False
     models: dict[tuple[float, ...], Model] = field(default_factory=dict, repr=False)
 
@@ -96,7 +99,9 @@ class Posing:
         """Filter of a model under priors, the used sensors only; `factor` on the noise std of the sensors."""
         noise = np.ones(len(model.sensors))
         noise[self.rows] = factor * self.noise
-        made = augment(model, self.dt, list(priors), noise=noise, hold=self.hold, state_noise=self.state_noise)
+        made = augment(
+            model, self.dt, list(priors), noise=noise, hold=self.hold, state_noise=self.state_noise, **self.around
+        )
         return rescaled(restricted(made, self.rows), scale)
 
     def _factor(self, x: NDArray) -> float:
