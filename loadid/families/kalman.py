@@ -28,7 +28,7 @@ from .tracking.engine import GATE, Engine
 from .tracking.named import Named, named
 from .tracking.posed import Posing, restricted
 from .tracking.tracker import Fitted, Tracker
-from .tracking.tuning import innovations, tune
+from .tracking.tuning import tune
 
 PARAMETERS = ("stiffness", "mass", "damping")
 MOST, FAR, NEARLY = 1000, 50, 1.05  # of a lag; where it is judged, and how near to that is near enough
@@ -369,12 +369,11 @@ def _left_out(model: Any, data: Data, first: int) -> list[float | None]:
 
 def _states(filtered: Steady, Y: NDArray) -> NDArray[np.float64]:
     """Filtered states (samples, n) of a complete record."""
-    e = innovations(filtered, Y)
     x, out = filtered.model.x0, np.empty((len(Y), filtered.model.n))
-    F, T = filtered.part.F, filtered.part.T  # correlated noises: a sample tells of what moved the state after it
+    F, H, T = filtered.part.F, filtered.part.H, filtered.part.T
     for k in range(len(Y)):
-        if k:
+        if k:  # where noises are correlated a sample tells of what moved the state after it
             x = F @ x if T is None else F @ x + T @ Y[k - 1]
-        x = x + filtered.K @ e[k]
+        x = x + filtered.K @ (Y[k] - H @ x)
         out[k] = x
     return out
