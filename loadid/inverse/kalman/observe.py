@@ -12,7 +12,7 @@ from structures.errors import InputError
 from structures.statespace import StateSpace
 
 from .model import FilterModel
-from .zeros import delay, invariant_zeros
+from .zeros import delay, invariant_zeros, smallest
 
 Array = NDArray[np.float64]
 
@@ -129,10 +129,10 @@ class Observability:
 
     def rows(self) -> tuple[tuple[str, str, str, bool], ...]:
         """The table: check, number, threshold, passed."""
-        p, least = len(self.loads), self.seen[0]
+        p, least = len(self.loads), (self.unseen or self.seen)[0]
         out = [
             ("sensors", f"{self.sensors}", f"at least {p}", self.sensors >= p),
-            ("least seen (PBH)", f"{least.sigma:.1e}, {least.name}", f"{UNSEEN:.0e}", not least.lost),
+            ("least seen (PBH)", f"{least.sigma:.1e}, {least.name}", f"{UNSEEN:.0e}", self.detectable),
         ]
         if self.static is not None:
             rank = self.static_rank
@@ -252,9 +252,10 @@ def _seen(model: FilterModel, sigma: Array, size: float, names: tuple[str, ...],
     F, H, Cp = _scaled_pair(model, sigma, size)
     out = []
     for lam, name in _eigenvalues(model, Cp, H, names, dt):
-        s, V = np.linalg.svd(np.vstack([F - lam * np.eye(len(F)), H]))[1:]
-        load = float(np.linalg.norm(Cp @ V[-1].conj()))
-        out.append(Seen(name, lam, float(s[-1]), int(np.sum(s < UNSEEN)), load))
+        pencil = np.vstack([F - lam * np.eye(len(F)), H])
+        sigma_least, v = smallest(pencil)
+        lost = int(np.sum(np.linalg.svd(pencil, compute_uv=False) < UNSEEN)) if sigma_least < 10 * UNSEEN else 0
+        out.append(Seen(name, lam, sigma_least, lost, float(np.linalg.norm(Cp @ v))))
     return tuple(sorted(out, key=lambda seen: seen.sigma))
 
 

@@ -13,6 +13,8 @@ BLIND = 1e-12  # the same at a point drawn at random: below it, every point is a
 FAR = 1e4  # modulus beyond which a candidate is one at infinity, smeared by rounding
 SAME = 1e-5  # distance of two candidates that are one: rounding splits a double zero by the root of 1e-16 and more
 OUTER, ALIKE = 1.2, 5e-3  # outside this modulus sensors share zeros of sampling nearly, not quite: relative distance
+SHARED = 1e-3  # distance within which two mixtures may have the same zero
+ITERATIONS, SETTLED = 100, 1e-4  # of the inverse iteration: at most, and until a step changes as little
 RANK = 1e-9  # singular value over the largest that is rounding
 
 
@@ -46,16 +48,24 @@ def invariant_zeros(A: Array, B: Array, C: Array, D: Array) -> Complex | None:
     rng = np.random.default_rng(0)
     if m < p or _smallest(A, B, C, D, np.exp(2j * np.pi * rng.uniform(0.1, 0.4))) < BLIND:
         return None
-    found: list[complex] = []
     ends = np.zeros((n + p, n + p))
     ends[:n, :n] = np.eye(n)
-    for _ in range(1 if m == p else 2):
-        mix = np.eye(m) if m == p else np.linalg.qr(rng.standard_normal((m, p)))[0].T
+
+    def squared(mix: Array) -> Complex:
         alpha, beta = eigvals(np.block([[A, B], [mix @ C, mix @ D]]), ends, homogeneous_eigvals=True)
         finite = np.abs(beta) * FAR > np.abs(alpha)
-        for z in np.sort_complex(alpha[finite] / beta[finite]):
-            if all(abs(z - w) > _apart(w) for w in found) and _smallest(A, B, C, D, z) < ZERO:
-                found.append(complex(z))
+        return np.asarray(np.sort_complex(alpha[finite] / beta[finite]))
+
+    if m == p:
+        candidates = squared(np.eye(m))
+    else:
+        one, two = (squared(np.linalg.qr(rng.standard_normal((m, p)))[0].T) for _ in range(2))
+        near = np.abs(one[:, None] - two) < SHARED * np.maximum(1, np.abs(one))[:, None]
+        candidates = one[near.any(axis=1)]
+    found: list[complex] = []
+    for z in candidates:
+        if all(abs(z - w) > _apart(w) for w in found) and _smallest(A, B, C, D, z) < ZERO:
+            found.append(complex(z))
     zeros = np.array(found, complex)
     return zeros[np.argsort(np.abs(zeros), kind="stable")]
 
@@ -114,4 +124,25 @@ def _smallest(A: Array, B: Array, C: Array, D: Array, z: complex) -> float:
     """Smallest singular value of the system matrix at z, states divided by the modulus of z outside the circle."""
     size = max(1.0, abs(z))
     P = np.block([[(A - z * np.eye(len(A))) / size, B], [C / size, D]])
-    return float(np.linalg.svd(P, compute_uv=False)[-1])
+    return smallest(P)[0]
+
+
+def smallest(M: NDArray) -> tuple[float, NDArray]:
+    """Smallest singular value of a tall matrix and its right vector: one QR, then inverse iteration."""
+    from scipy.linalg import qr, solve_triangular
+
+    n = M.shape[1]
+    R = qr(M, mode="r", check_finite=False)[0][:n]
+    d = np.abs(np.diag(R))
+    if d.min() <= 1e-14 * d.max():  # what is singular to rounding is no factor to iterate with
+        s, V = np.linalg.svd(R)[1:]
+        return float(s[-1]), V[-1].conj()
+    v = np.random.default_rng(1).standard_normal(n) / np.sqrt(n)
+    sigma = 0.0
+    for _ in range(ITERATIONS):
+        u = solve_triangular(R, solve_triangular(R, v, trans="C", check_finite=False), check_finite=False)
+        size = float(np.linalg.norm(u))
+        v, before, sigma = u / size, sigma, 1 / np.sqrt(size)
+        if abs(sigma - before) < SETTLED * sigma:
+            break
+    return sigma, v
