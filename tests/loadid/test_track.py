@@ -1,0 +1,181 @@
+"""`loadid track` from end to end: files, pipes, sockets, states, pictures, and what it refuses."""
+
+import io
+import json
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+from importlib.metadata import EntryPoint, EntryPoints
+
+import numpy as np
+import pytest
+
+from loadid import cli
+from loadid.families.tracking.tracker import Tracker
+from structures import storage
+from tests.killed import fitted, text
+
+
+@pytest.fixture(autouse=True)
+def installed(monkeypatch):
+    """Entry points as an installed package has them."""
+    group = EntryPoints([EntryPoint("track", "loadid.commands.track:command", cli.GROUP)])
+    monkeypatch.setattr(cli, "entry_points", lambda group=None, found=group: found)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Tracker, record, lines, and the file of the tracker."""
+    tracker, Y = fitted(600)
+    path = tmp_path_factory.mktemp("track") / "model.h5"
+    tracker.save(path)
+    return tracker, Y, text(tracker, Y), path
+
+
+@pytest.fixture
+def run(capfd):
+    def call(*argv):
+        code = cli.main(["track", *(str(a) for a in argv)])
+        out = capfd.readouterr()
+        return code, out.out, out.err
+
+    return call
+
+
+def table(path):
+    return np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+
+
+def expected(made, samples=None):
+    tracker, Y = Tracker.load(made[3]), made[1][:samples]
+    load, std, _ = tracker.run(Y)
+    return np.column_stack([np.round(np.arange(len(Y)) * tracker.fitted.dt, 6), load, std])
+
+
+def test_a_log_in_two_runs_is_the_log_in_one(made, run, tmp_path):
+    log, out, state = (tmp_path / name for name in ("log.csv", "out.csv", "state.h5"))
+    log.write_bytes(b"".join(made[2][:301]))
+    argv = ["--model", made[3], "--state", state, "--in", log, "--out", out, "--idle", "0"]
+    code, said, _ = run(*argv)
+    assert code == 0
+    assert "300 samples" in said
+    assert out.read_text().startswith("time [s],p0 [N],std of p0 [N]\n")
+    log.write_bytes(b"".join(made[2]))
+    code, said, _ = run(*argv, "--plot", tmp_path / "load.png", "--json")
+    data = json.loads(said)
+    assert code == 0
+    assert data["samples"] == 300
+    assert data["resumed"]
+    assert data["counts"]["samples"] == data["counts"]["lines"] == 600
+    assert np.array_equal(table(out), expected(made))
+    assert (tmp_path / "load.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_pipe_gives_its_table_on_standard_output(made, run, monkeypatch):
+    reading, writing = os.pipe()
+    os.write(writing, b"".join(text(made[0], made[1][:200], stamps=False, header=False)))
+    os.close(writing)
+    with os.fdopen(reading, "rb") as pipe:
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(pipe))
+        code, said, err = run("--model", made[3], "--in", "-", "--out", "-")
+    assert code == 0
+    assert "200 samples" in err
+    assert np.array_equal(table(io.StringIO(said)), expected(made, 200))
+
+
+def test_a_sender_that_starts_again_loses_and_doubles_nothing(made, run, tmp_path):
+    out, state = tmp_path / "out.csv", tmp_path / "state.h5"
+    for upto in (250, 601):
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            where = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+
+            def serve(server=server, upto=upto):
+                connection, _ = server.accept()
+                with connection:
+                    connection.sendall(b"".join(made[2][:upto]))  # from the begin, each time
+
+            thread = threading.Thread(target=serve)
+            thread.start()
+            assert run("--model", made[3], "--state", state, "--in", where, "--out", out)[0] == 0
+            thread.join()
+    assert np.array_equal(table(out), expected(made))
+
+
+def test_a_tracker_with_a_lag_answers_with_the_times_of_its_answers(run, tmp_path):
+    tracker, Y = fitted(400, lag=5)
+    tracker.save(tmp_path / "late.h5")
+    log, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    lines = text(tracker, Y)
+    for upto in (3, 120, 401):  # the first run ends before the first answer
+        log.write_bytes(b"".join(lines[:upto]))
+        assert run("--model", tmp_path / "late.h5", "--state", tmp_path / "s.h5", "--in", log, "--out", out,
+                   "--idle", "0")[0] == 0  # fmt: skip
+    late = Tracker.load(tmp_path / "late.h5")
+    load, std, _ = late.run(Y)
+    found = table(out)
+    assert np.allclose(found[:, 0], np.arange(395) * tracker.fitted.dt, atol=1e-9)
+    assert np.array_equal(found[:, 1:], np.column_stack([load, std])[5:])
+
+
+def test_a_signal_ends_a_run_after_its_checkpoint(made, run, tmp_path):
+    log, out, state = (tmp_path / name for name in ("log.csv", "out.csv", "state.h5"))
+    log.write_bytes(b"".join(made[2][:101]))
+
+    def interrupt():
+        until = time.monotonic() + 20
+        while time.monotonic() < until and not (out.exists() and out.read_bytes().count(b"\n") == 101):
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    code, said, _ = run("--model", made[3], "--state", state, "--in", log, "--out", out)
+    thread.join()
+    assert code == 0
+    assert "stopped" in said
+    assert Tracker.load(state).counts["samples"] == 100
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_the_terminal_shows_the_load(made, run, tmp_path, monkeypatch):
+    screen = io.StringIO()
+    screen.isatty = lambda: True
+    monkeypatch.setattr(sys, "stderr", screen)
+    (tmp_path / "log").write_bytes(b"".join(made[2]))
+    assert run("--model", made[3], "--in", tmp_path / "log", "--out", tmp_path / "o", "--idle", "0", "--plot")[0] == 0
+    assert "p0 [N]  now" in screen.getvalue()
+    assert "█" in screen.getvalue()
+
+
+def test_what_cannot_be_tracked_is_refused_before_anything_is_written(made, run, tmp_path):
+    log, out, model = tmp_path / "log", tmp_path / "out", made[3]
+    log.write_bytes(b"".join(made[2]))
+    assert run("--in", log, "--out", out)[0] == cli.USAGE
+    assert run("--model", model, "--in", log, "--out", out, "--idle", "-1")[0] == cli.USAGE
+    other = fitted(500)[0]
+    other.save(tmp_path / "other.h5")
+    assert run("--model", tmp_path / "other.h5", "--state", tmp_path / "s.h5", "--in", log, "--out", tmp_path / "o",
+               "--idle", "0")[0] == 0  # fmt: skip
+    storage.write(tmp_path / "kind.h5", {}, "load estimate")
+    (tmp_path / "torn.h5").write_bytes(model.read_bytes()[:-1])
+    (tmp_path / "names").write_bytes(b"time,a,b\n1,2,3\n")
+    cases = {
+        "no such file": ["--state", tmp_path / "none.h5", "--in", log],
+        "another tracker": ["--model", model, "--state", tmp_path / "s.h5", "--in", log],
+        "no tracker": ["--model", tmp_path / "kind.h5", "--in", log],
+        "damaged": ["--model", tmp_path / "torn.h5", "--in", log],
+        "cannot be read": ["--model", model, "--in", tmp_path / "nothing"],
+        "nobody answers": ["--model", model, "--in", "tcp://127.0.0.1:1"],
+        "the command reads": ["--model", model, "--in", out],
+    }
+    for words, argv in cases.items():
+        code, _, err = run(*argv, "--out", out)
+        assert code == cli.BAD_INPUT, words
+        assert words in err
+        assert not out.exists()
+    code, _, err = run("--model", model, "--in", tmp_path / "names", "--out", out)
+    assert code == cli.BAD_INPUT
+    assert "channel a0" in err
