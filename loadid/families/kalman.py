@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from . import noise as noises
 from .data import Data, gather, health
 from .tracking.certificate import Certificate, certify
 from .tracking.engine import GATE, Engine
-from .tracking.named import Named, named
+from .tracking.named import Named, leaky, named
 from .tracking.posed import Posing, restricted
 from .tracking.tracker import Fitted, Tracker
 from .tracking.tuning import tune
@@ -187,7 +188,9 @@ class LoadTracker:
         self._progress(0.02, "checking what the sensors can tell")
         size = self._size(posing, data)
         seen = self._observed(posing, size, data)
-        x, scale, numbers = self._tuned(posing, data, size, noise.known)
+        # a walk that nobody sees has no steady filter: its rate is found with one that forgets slowly
+        searched = posing if not seen.drifting else replace(posing, given=tuple(leaky(g, data.dt) for g in self.given))
+        x, scale, numbers = self._tuned(searched, data, size, noise.known)
         model = posing.build(x, scale)
         settled = self._settled(model, data.dt)
         bank = tuple((w, m, self._settled(m, data.dt)) for w, m in posing.bank(x, self.errors, scale))

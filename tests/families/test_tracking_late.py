@@ -116,3 +116,14 @@ def test_ambient_loads_that_disturb_both_noises_leave_an_honest_band() -> None:
     assert np.std(rest) / answer.std[-1] == pytest.approx(1.0, abs=0.03)
     assert found.certificate is not None
     assert found.certificate.nis == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_drift_that_is_accepted_is_tuned_and_grows() -> None:
+    seen = tracked.bm2("mix", 0, disp=(), samples=3000)
+    known = {"prior": "random_walk", "noise": seen.noise, "noise_source": "data sheet"}
+    found = LoadTracker(seen.setup.space(), allow_drift=True, **known).fit(seen.y, seen.dt)
+    answer = found.track(seen.y)
+    assert "LID-E501" in {f.code for f in found.flags}
+    assert answer.std[-1] > 1.2 * answer.std[300]
+    z = (answer.load - seen.load) / answer.std
+    assert np.mean(np.abs(z[200:]) < 1.96) > 0.9

@@ -15,6 +15,7 @@ from ...inverse.kalman import priors
 
 LONGEST = 0.1  # of the record: a correlation length beyond is not seen in it
 SHORTEST = 2.0  # samples
+FORGETS = 1e4  # samples in which a stand-in for a walk forgets
 
 
 @dataclass(frozen=True)
@@ -73,3 +74,15 @@ def named(given: Any) -> Named | Any:
         raise InputError("no prior of a load", where="prior", found=type(given).__name__,
                          expected=f"{', '.join(NAMES)}, or a prior such as Matern32(100, 0.1)")  # fmt: skip
     return given
+
+
+def leaky(given: Any, dt: float) -> Any:
+    """A walk that forgets in `FORGETS` samples, for the walk; other priors as they are."""
+    length = FORGETS * dt
+
+    def process(rate: float) -> priors.OU:
+        return priors.OU(rate * float(np.sqrt(length / 2)), length)
+
+    if isinstance(given, Named) and given.name == "random_walk":
+        return Named(given.name, given.parameters, process)
+    return process(given.rate) if isinstance(given, priors.RandomWalk) else given
