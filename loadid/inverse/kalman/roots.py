@@ -13,7 +13,11 @@ NARROW, WIDE, LARGE = 4, 16, 100  # columns that `dtpqrt` reflects together, and
 
 @lru_cache(maxsize=1)
 def lapack() -> tuple[Any, Any, Any]:
-    """``dgeqrf``, ``dtrtrs``, ``dtpqrt``, found once: numpy's QR copies and costs more than the work at these sizes."""
+    """``dgeqrf``, ``dtrtrs``, ``dtpqrt``, found once: numpy's QR copies and costs more than the work at these sizes.
+
+    All are called by position, as names cost a microsecond: (a, lwork, overwrite), (a, b, lower, trans),
+    (l, block, a, b, overwrite a, overwrite b).
+    """
     from scipy.linalg.lapack import dgeqrf, dtpqrt, dtrtrs
 
     return dgeqrf, dtrtrs, dtpqrt
@@ -35,7 +39,7 @@ def reflected(wide: NDArray) -> NDArray[np.float64]:
     wide : array, shape (n, k), C-contiguous
         Overwritten.
     """
-    made = lapack()[0](wide.T, lwork=32 * max(len(wide), 1), overwrite_a=1)[0].T
+    made = lapack()[0](wide.T, 32 * max(len(wide), 1), 1)[0].T
     return made[:, : min(made.shape)]
 
 
@@ -67,15 +71,15 @@ def joined(L: NDArray, wide: NDArray) -> NDArray[np.float64]:
     if not wide.size:
         return L
     block = min(NARROW if len(L) < LARGE else WIDE, len(L))
-    made: NDArray[np.float64] = lapack()[2](0, block, L.copy().T, wide.T, overwrite_a=1, overwrite_b=1)[0].T
+    made: NDArray[np.float64] = lapack()[2](0, block, L.copy().T, wide.T, 1, 1)[0].T
     return made
 
 
 def forward(L: NDArray, b: NDArray) -> NDArray[np.float64]:
     """``L^-1 b`` for a lower triangular L (k, k) and b (k,) or (k, columns)."""
-    return lapack()[1](L, b, lower=1)[0] if len(L) else np.array(b, float)
+    return lapack()[1](L, b, 1)[0] if len(L) else np.array(b, float)
 
 
 def backward(L: NDArray, b: NDArray) -> NDArray[np.float64]:
     """``L^-T b`` for a lower triangular L (k, k) and b (k,) or (k, columns)."""
-    return lapack()[1](L, b, lower=1, trans=1)[0] if len(L) else np.array(b, float)
+    return lapack()[1](L, b, 1, 1)[0] if len(L) else np.array(b, float)
