@@ -1,4 +1,4 @@
-"""How good tracked loads are. `python -m tests.benchmarks.tracking [SEEDS] [PART ...]`; ends with 1 where a limit is missed.
+"""How good tracked loads are. `python -m tests.benchmarks.tracking [SEEDS] [PART ...]`; 1 where a limit is missed.
 
 Parts: ``held`` (BM2, three loads, SEEDS = 10 draws: error, coverage, NEES with everything tuned by likelihood),
 ``continuous`` (the same with a truth that runs between the samples), ``wrong`` (a stiffness that is off, with the error
@@ -116,7 +116,7 @@ def continuous(say: Verdict, seeds: int, fine: int = 20) -> None:
 
 def wrong(say: Verdict, seeds: int) -> None:
     """The filter's stiffness is off; Matern load."""
-    write(f"BM2, Matern load, wrong stiffness, {seeds} seeds, both signs: error, coverage (smallest, median, largest)\n")
+    write(f"BM2, Matern load, wrong stiffness, {seeds} seeds, both signs: error, coverage as above\n")
     for share in (0.005, 0.02, 0.05):
         ways: dict[str, dict[str, Any]] = {
             "nothing done": {},
@@ -235,7 +235,8 @@ def chain(say: Verdict, seeds: int) -> None:
         found = score(known.load, known.std, case.load)
         dual = tracked.judged(tracked.dual(case, 1e4), case)
         miss = say(f"BM1 {seed}", away <= 1e-3, found.error < 0.07, found.cover >= 0.95, dual.cover < 0.1)
-        write(f"seed {seed}: wide random walk, from Gillijns-De Moor {away:.1e} of the load; white prior {found.error:.4f} ")
+        write(f"seed {seed}: wide random walk, from Gillijns-De Moor {away:.1e} of the load; ")
+        write(f"white prior {found.error:.4f} ")
         write(f"({found.cover:.3f}); two filters in series {dual.error:.3f} ({dual.cover:.3f}){miss}\n")
     write("\n")
 
