@@ -83,7 +83,9 @@ def test_a_pipe_gives_its_table_on_standard_output(made, run, monkeypatch):
         code, said, err = run("--model", made[3], "--in", "-", "--out", "-")
     assert code == 0
     assert "200 samples" in err
-    assert np.array_equal(table(io.StringIO(said)), expected(made, 200))
+    found, right = table(io.StringIO(said)), expected(made, 200)
+    assert np.array_equal(found[:, 1:], right[:, 1:])
+    assert np.allclose(found[:, 0], right[:, 0], rtol=1e-14)
 
 
 def test_a_sender_that_starts_again_loses_and_doubles_nothing(made, run, tmp_path):

@@ -1,0 +1,228 @@
+"""A tracker that runs for a day, and one that is killed again and again. `python -m tests.benchmarks.stream`.
+
+    --samples 3600000    through the block path, memory after the first sixtieth (a minute of an hour) and at the end
+    --day                86.4 million: a day at 1 kHz
+    --kills 200          `loadid track` killed at random moments; its output beside that of an undisturbed run
+    --only soak|text|kills|restart
+
+The structure has 18 modes (36 states), the load two more as an Ornstein-Uhlenbeck process with Matern 3/2 beside it
+makes three: 39 states, 8 sensors. CPU seconds of one thread. filterpy runs the same model, predict and update for each
+sample.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loadid.families.tracking import checkpoint
+from loadid.families.tracking.tracker import Fitted, Tracker
+from loadid.inverse.compiled import AVAILABLE
+from loadid.inverse.kalman.augment import augment
+from loadid.inverse.kalman.priors import OU, Matern32, Sum
+from loadid.inverse.kalman.steady import steady
+from loadid.stream import follow
+from tests.killed import Nursery, fitted, tortured, troubled
+from tests.tracked import Setup, selector, tridiagonal
+
+LIMITS = {
+    "memory, MB": 5.0,
+    "a day, s": 300.0,
+    "restart in a warm process, s": 1.0,
+    "different bytes": 0.0,
+}
+LEAST = {"filterpy over ours": 12.0}
+BLOCK = 65_536
+
+
+def tracker(modes: int = 18, sensors: int = 8) -> tuple[Tracker, NDArray[np.float64]]:
+    """A chain under one load, and a stretch of its record that is played over and over."""
+    K, M = 4e4 * tridiagonal(modes), np.eye(modes)
+    rows = np.linspace(1, modes, sensors - 1).round().astype(int).tolist()
+    setup = Setup(M, 0.002 * K, K, selector([modes], modes).T, selector(rows, modes), selector([modes], modes), 1e-3)
+    rng = np.random.default_rng(0)
+    load = np.cumsum(rng.standard_normal((20_000, 1)), axis=0)
+    load -= np.linspace(0, 1, len(load))[:, None] * load[-1]
+    clean = setup.respond(load)
+    noise = 0.01 * clean.std(axis=0)
+    space = setup.space("foh")
+    prior = Sum((Matern32(50.0, 0.5), OU(20.0, 0.05)))
+    model = augment(space, setup.dt, [prior], noise=noise)
+    fit = Fitted(
+        model=model, settled=steady(model, setup.dt), bank=(), dt=setup.dt, sensors=tuple(space.sensors),
+        loads=tuple(space.loads), words=prior.words, numbers={}, noise_source="given", certificate=None, flags=(),
+        fingerprint="chain", settings={}, inputs={},
+    )  # fmt: skip
+    return Tracker(fit), clean + noise * rng.standard_normal(clean.shape)
+
+
+def soak(samples: int) -> dict[str, float]:
+    """Samples through the block path; lost channels and whole lost samples among them."""
+    t, Y = tracker()
+    rng, first, done = np.random.default_rng(1), samples // 60, 0
+    block = np.resize(Y, (BLOCK, Y.shape[1]))
+    start, base, peak = time.process_time(), 0.0, 0.0
+    while done < samples:
+        size = min(BLOCK, samples - done)
+        part = block[:size].copy()
+        hit = int(rng.integers(0, max(size - 50, 1)))
+        part[hit : hit + 10, int(rng.integers(Y.shape[1]))] = np.nan
+        part[hit + 20 : hit + 22] = np.nan
+        t.run(part)
+        done += size
+        if done >= first:
+            gc.collect()
+            base = base or resident()
+            peak = max(peak, resident())
+    seconds = time.process_time() - start
+    growth = (peak - base) / 1e6
+    print(f"block path, {t.fitted.model.n} states, {t.fitted.model.m} sensors, {done:,} samples: {seconds:.1f} s CPU, "
+          f"{1e6 * seconds / done:.2f} us/sample; memory {base / 1e6:.0f} MB after {first:,} samples, "
+          f"growth {growth:.2f} MB; {t.counts}")  # fmt: skip
+    return {"memory, MB": growth, "a day, s": seconds * 86.4e6 / done, "us/sample": 1e6 * seconds / done}
+
+
+def rival(own: float) -> dict[str, float]:
+    """filterpy on the same model."""
+    try:
+        from filterpy.kalman import KalmanFilter
+    except ImportError:
+        print("filterpy is not installed: no comparison")
+        return {}
+    t, Y = tracker()
+    m = t.fitted.model
+    k = KalmanFilter(dim_x=m.n, dim_z=m.m)
+    k.x, k.P, k.F, k.H = np.array(m.x0)[:, None], m.L0 @ m.L0.T, np.array(m.F), np.array(m.H)
+    k.Q, k.R = m.LQ @ m.LQ.T, m.LR @ m.LR.T
+    times = []
+    for part in np.split(Y[:3000], 3):
+        start = time.process_time()
+        for y in part:
+            k.predict()
+            k.update(y[:, None])
+        times.append((time.process_time() - start) / len(part))
+    other = 1e6 * float(np.median(times))
+    print(f"filterpy, predict + update: {other:.1f} us/sample, {other / own:.0f} times as long")
+    return {"filterpy over ours": other / own}
+
+
+def words(samples: int = 100_000) -> dict[str, float]:
+    """The whole way from a file of text to a file of text, with checkpoints."""
+    t, Y = tracker()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        block = np.resize(Y, (samples, Y.shape[1]))
+        table = np.column_stack([np.arange(samples) * t.fitted.dt, block])
+        np.savetxt(folder / "in.csv", table, delimiter=",", fmt="%.9g")
+        start, begun = time.process_time(), time.monotonic()
+        done = follow(t, str(folder / "in.csv"), str(folder / "out.csv"), state=folder / "state.h5", idle=0)
+        seconds, wall = time.process_time() - start, time.monotonic() - begun
+    print(f"text to text with time stamps and a checkpoint every 5000 samples: {done.samples} samples, "
+          f"{1e6 * seconds / samples:.1f} us/sample CPU, {1e6 * wall / samples:.1f} wall")  # fmt: skip
+    return {"text, us/sample": 1e6 * seconds / samples}
+
+
+def killed(kills: int) -> dict[str, float]:
+    """Killed runs beside an undisturbed one."""
+    t, Y = fitted(max(20 * kills, 600))
+    nursery = Nursery()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        t.save(folder / "model.h5")
+        data = troubled(t, Y)
+        resumed, cut = tortured(nursery, folder, data, kills)
+        nursery.close()
+        (folder / "whole.csv").write_bytes(data)
+        straight = checkpoint.load(folder / "model.h5")
+        done = follow(straight, str(folder / "whole.csv"), str(folder / "straight.csv"), idle=0)
+        a, b = ((folder / name).read_bytes() for name in ("out.csv", "straight.csv"))
+        own, other = (checkpoint.running(x) for x in (checkpoint.load(folder / "state.h5"), straight))
+        same = checkpoint.pack(own)["numbers"].tobytes() == checkpoint.pack(other)["numbers"].tobytes()
+    different = abs(len(a) - len(b)) + sum(x != y for x, y in zip(a, b, strict=False)) + (not same)
+    print(f"killed {kills} times, {resumed} of them with a checkpoint, {cut} with output behind it; "
+          f"{done.samples} samples, {len(b)} bytes, different: {different}")  # fmt: skip
+    return {"different bytes": float(different)}
+
+
+def restart() -> dict[str, float]:
+    """From the start of a run to its first new answer: in a process that has imported everything, and in a new one."""
+    t, Y = fitted(600)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        t.save(folder / "model.h5")
+        (folder / "log").write_bytes(troubled(t, Y))
+        inner, whole = [], []
+        for k in range(5):
+            argv = [sys.executable, "-m", "loadid.cli", "track", "--model", str(folder / "model.h5"), "--in",
+                    str(folder / "log"), "--out", str(folder / f"o{k}"), "--state", str(folder / f"s{k}.h5"),
+                    "--idle", "0"]  # fmt: skip
+            subprocess.run(argv, check=True, capture_output=True)
+            begun = time.monotonic()
+            cpu = children()
+            subprocess.run(argv, check=True, capture_output=True)
+            whole.append((children() - cpu, time.monotonic() - begun))
+            with (folder / "log").open("ab") as file:
+                file.write(b"1e3,0,0,0,0\n")
+            begun = time.monotonic()
+            again, stream = checkpoint.read(folder / f"s{k}.h5")
+            follow(again, str(folder / "log"), str(folder / f"o{k}"), state=folder / f"s{k}.h5", stream=stream, idle=0)
+            inner.append(time.monotonic() - begun)
+        cpu, wall = (float(np.median(column)) for column in zip(*whole, strict=True))
+    warm = float(np.median(inner))
+    print(f"restart: {warm:.3f} s in a warm process (a gap of 2000 samples among it); a new process from its start to "
+          f"its end {cpu:.2f} s CPU, {wall:.2f} s wall (load of the machine {os.getloadavg()[0]:.1f})")  # fmt: skip
+    return {"restart in a warm process, s": warm, "new process, s CPU": cpu}
+
+
+def children() -> float:
+    """CPU seconds of processes that have ended."""
+    now = os.times()
+    return now.children_user + now.children_system
+
+
+def resident() -> float:
+    """Bytes of this process in memory."""
+    with open("/proc/self/status") as file:
+        return next(1024.0 * float(line.split()[1]) for line in file if line.startswith("VmRSS"))
+
+
+def main() -> int:
+    """Print all figures; 1 where one is missed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--samples", type=int, default=3_600_000)
+    parser.add_argument("--day", action="store_true")
+    parser.add_argument("--kills", type=int, default=200)
+    parser.add_argument("--only", choices=("soak", "text", "kills", "restart"))
+    args = parser.parse_args()
+    print(f"compiled loops: {'yes (extra fast)' if AVAILABLE else 'no'}")
+    found: dict[str, float] = {}
+    if args.only in (None, "soak"):
+        found |= soak(86_400_000 if args.day else args.samples)
+        found |= rival(found["us/sample"])
+    if args.only in (None, "text"):
+        found |= words()
+    if args.only in (None, "restart"):
+        found |= restart()
+    if args.only in (None, "kills"):
+        found |= killed(args.kills)
+    print("\nFigures (limit)")
+    missed = 0
+    for name, value in found.items():
+        good = value <= LIMITS.get(name, np.inf) and value >= LEAST.get(name, -np.inf)
+        missed += not good
+        bound = f"at most {LIMITS[name]:g}" if name in LIMITS else f"at least {LEAST[name]:g}" if name in LEAST else "-"
+        print(f"  {name:30s} {value:10.3g}   ({bound}){'' if good else '   MISSED'}")
+    return int(missed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
