@@ -22,6 +22,7 @@ from ..inverse.kalman.lag import fixed_lag
 from ..inverse.kalman.observe import Observability, observability
 from ..inverse.kalman.priors import OU, Matern32, Matern52
 from ..inverse.kalman.steady import Steady, steady
+from ..record import Record
 from . import noise as noises
 from .data import Data, gather, health
 from .tracking.certificate import Certificate, certify
@@ -217,7 +218,11 @@ class LoadTracker:
 
     def estimate(self, record: Any, dt: float | None = None) -> Any:
         """Fit to a record and track it from its first sample; see `Tracker.track`."""
-        return self.fit(record, dt).track(record, dt)
+        tracker = self.fit(record, dt)
+        if isinstance(record, Record):
+            return tracker.track(record)
+        data = gather(record, dt, self.model, self.sensors, allow_missing=True)  # a bare table may hold all sensors
+        return tracker.track(np.where(data.missing, np.nan, data.values), dt)
 
     # -- inside -----------------------------------------------------------------------------------------------------
     def _hold(self) -> str | None:

@@ -66,6 +66,7 @@ class Engine:
         self.rival: State | None = None  # without the channel that may be wrong
         self.suspect, self.doubt, self.age = 0, 0.0, 0  # that channel, odds against it, samples of the rival
         self.said: Innovation | None = None
+        self.taken = np.zeros(model.m)  # the last sample off the settled gain: NaN where a channel was kept out
         self.loop: Loop | None = None
         if settled is not None:
             limit = None if gate is None else gate * self.width * settled.innovation_std
@@ -99,8 +100,14 @@ class Engine:
                 return load, self._std
         return self._slow(self._sample(y))
 
-    def block(self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray | None = None) -> None:
-        """Fill loads and std (samples, p) of a block (samples, m); normalised innovations into `e` where given."""
+    def block(
+        self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray | None = None, taken_as: NDArray | None = None
+    ) -> None:
+        """Fill loads and std (samples, p) of a block (samples, m).
+
+        Where given, `e` gets the normalised innovations, and `taken_as`, a copy of the block, NaN where a channel was
+        kept out.
+        """
         Y = np.ascontiguousarray(Y, float)
         raw = np.empty(Y.shape)
         k = 0
@@ -119,6 +126,8 @@ class Engine:
             load[k], std[k] = self._slow(self._sample(Y[k]))
             if e is not None:
                 e[k] = np.nan if self.said is None else self.said.normalised
+            if taken_as is not None:
+                taken_as[k] = self.taken
             k += 1
 
     def _sample(self, y: ArrayLike) -> NDArray[np.float64]:
@@ -135,6 +144,7 @@ class Engine:
                 self._doubt(*doubted)
         else:
             y = self._weighed(y, before, self.core.predict(self.rival))
+        self.taken = y
         self._settle(y)
         assert self.state is not None
         Cp = self.model.Cp

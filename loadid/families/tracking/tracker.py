@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Flag
+from structures.values import number
 
 from ... import flags as guards
 from ...estimate import Axis, LoadEstimate
@@ -22,6 +23,7 @@ from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.steady import Steady
 from ...provenance import provenance
 from ...record import Record
+from ..data import numbers
 from .certificate import Certificate
 from .engine import Engine
 from .late import Late
@@ -150,9 +152,11 @@ class Tracker:
             return late[0], spread[0]
         if not self._bank:
             return load, std
+        quick = steady and self._engine.phase == "steady"
+        taken = sample if quick else self._engine.taken  # what was kept out is kept out of all models
         between = np.zeros(self._p)
         for weight, engine in self._bank:
-            between += weight * (engine.step(sample)[0] - load) ** 2
+            between += weight * (engine.step(taken)[0] - load) ** 2
         return load, np.sqrt(std**2 + between)
 
     def track(
@@ -192,12 +196,13 @@ class Tracker:
         size = 65_536
         for k in range(0, len(Y), size):
             part = slice(k, k + size)
-            self._engine.block(Y[part], load[part], std[part], e[part])
-            if self._bank:
+            taken = Y[part].copy() if self._bank else None
+            self._engine.block(Y[part], load[part], std[part], e[part], taken)
+            if taken is not None:
                 between = np.zeros(load[part].shape)
                 other, unused = np.empty(load[part].shape), np.empty(load[part].shape)
                 for weight, engine in self._bank:
-                    engine.block(Y[part], other, unused)
+                    engine.block(taken, other, unused)
                     between += weight * (other - load[part]) ** 2
                 std[part] = np.sqrt(std[part] ** 2 + between)
             if self._late is not None:
@@ -337,8 +342,9 @@ class Tracker:
                 raise InputError("a channel is in another unit than its sensor", where="track", found="; ".join(wrong),
                                  expected="the units of the fit", hint="state the units of the record")  # fmt: skip
         else:
-            values, step, inputs = np.asarray(block, float), f.dt if dt is None else dt, {}
-        if abs(step / f.dt - 1) > 1e-6:
+            values, inputs = numbers(block, "the block is no table of real numbers"), {}
+            step = f.dt if dt is None else number("dt", dt, where="track", unit="s")
+        if not abs(step / f.dt - 1) <= 1e-6:
             raise InputError("the samples have another step than those of the fit", where="track",
                              found=f"dt = {step:.9g} s", expected=f"dt = {f.dt:.9g} s",
                              hint="resample, or fit a tracker for this step")  # fmt: skip

@@ -91,7 +91,8 @@ def tune(
     if min(values) >= LOST:
         raise InputError("no steady filter exists for any numbers of this prior", where="fit",
                          found=f"{len(starts)} starts", expected="a prior that the sensors can follow",
-                         hint="add a displacement or strain sensor, or take a prior that returns to zero")  # fmt: skip
+                         hint="add a displacement or strain sensor, take a prior that returns to zero, or state the "
+                         "numbers of the prior, such as RandomWalk(100)")  # fmt: skip
     best = None
     for k in np.argsort(values)[:STARTS]:
         x0 = np.asarray(starts[k], float)
