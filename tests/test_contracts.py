@@ -9,9 +9,8 @@ from loadid.inverse.choice import choose
 from loadid.inverse.path import PathPoint, RegularizationPath, Solution
 from loadid.inverse.problem import LinearProblem, whiten
 from loadid.inverse.spectral.compressed import compress
-from loadid.inverse.spectral.posterior import factor
+from loadid.inverse.spectral.posterior import factor, posterior
 from loadid.inverse.spectral.ruled import JoinedPath, LinesPath
-from loadid.inverse.stacked import StackedPath
 from loadid.inverse.svd import SVDPath
 from structures import ForwardModel, FrfModel, InputError, beams, damping, loads, sensors
 
@@ -53,7 +52,7 @@ def test_static_solve_with_a_cone_projected_step():
     assert abs(step[0]) <= mu * step[1] * (1 + 1e-12)
 
 
-def test_stacked_lines_with_one_lambda_each():
+def test_lines_with_one_lambda_each():
     """Frequency inversion: all lines in one path, GCV chosen line by line, each line equal to its own dense problem."""
     model = beam([0.3, 0.8, 1.4, 1.7], at=(0.65, 1.25))
     f = np.linspace(5, 200, 30)
@@ -63,12 +62,13 @@ def test_stacked_lines_with_one_lambda_each():
     Y = np.einsum("ksl,kl->ks", H, G) + 1e-3 * (
         rng.standard_normal(H.shape[:2]) + 1j * rng.standard_normal(H.shape[:2])
     )
-    path = StackedPath(H, Y)
+    lines = factor(compress(H, Y), np.ones((len(f), 2)))
+    path = LinesPath(lines)
     grid = np.geomspace(1e-6, 1, 60)
     gcv = rules.gcv_function(path, path.at(grid))
     assert gcv.shape == (30, 60)
     lam = grid[np.nanargmin(gcv, axis=1)]
-    load = path.solution(lam, None).load
+    load = posterior(lines, (lam * path.scale) ** 2).load[..., 0]
     assert load.shape == (30, 2)
     for k in (0, 11, 29):
         x = lam[k] * path.scale[k]

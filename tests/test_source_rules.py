@@ -14,7 +14,9 @@ import pytest
 
 from loadid.inverse.path import FactoredPath
 from loadid.inverse.problem import LinearProblem
-from loadid.inverse.stacked import StackedPath
+from loadid.inverse.spectral.compressed import compress
+from loadid.inverse.spectral.posterior import factor, posterior
+from loadid.inverse.spectral.ruled import LinesPath
 from loadid.inverse.svd import SVDPath
 from loadid.inverse.toeplitz import SpectralPath
 from structures.spectra import padded_length
@@ -221,7 +223,8 @@ def test_two_loads_that_look_alike_share_a_line(lam: float) -> None:
     rng = np.random.default_rng(3)
     h = rng.standard_normal((5, 3)) + 1j * rng.standard_normal((5, 3))
     H, Y = np.stack([h, h], axis=-1), h * (2 + 1j)
-    G = StackedPath(H, Y).solution(lam, None).load
+    lines = factor(compress(H, Y), np.ones((len(H), 2)))
+    G = posterior(lines, (lam * LinesPath(lines).scale) ** 2).load[..., 0]
     np.testing.assert_allclose(G[:, 0], G[:, 1], atol=1e-11)
     np.testing.assert_allclose(G.sum(axis=1), (2 + 1j) / (1 + lam**2), atol=1e-11)
 

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from structures.errors import InputError, NotIdentifiable
 from structures.spectra import multiplicity, padded_length, smooth_lines
 
-from . import stacked
 from .path import FactoredPath, Solution
 from .penalties import symbol
 from .posterior import SpectralPosterior
@@ -26,6 +25,26 @@ def toeplitz(h: NDArray) -> NDArray[np.float64]:
     # row t holds h[t], h[t-1], ... h[t-N+1]: windows of the padded history, read backwards
     windows = np.lib.stride_tricks.sliding_window_view(padded, N, axis=0)[..., ::-1]  # (N, m, p, N)
     return np.ascontiguousarray(windows.transpose(0, 1, 3, 2)).reshape(N, m, N * p)
+
+
+def decomposed(H: NDArray, Y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
+    """Batched SVD of whitened lines.
+
+    Parameters
+    ----------
+    H : array, shape (lines, sensors, loads)
+    Y : array, shape (lines, sensors)
+
+    Returns
+    -------
+    U (lines, sensors, r), c (lines, r), zero below rounding, V (lines, loads, r), beta (lines, r), outside (lines,)
+    """
+    U, c, Vh = np.linalg.svd(H, full_matrices=False)
+    # what rounding leaves of a silent direction carries no information: sums run over the rank of each line
+    c = np.where(c > max(H.shape[1:]) * np.finfo(float).eps * c[:, :1], c, 0.0)
+    beta = np.einsum("ksr,ks->kr", U.conj(), Y)
+    outside = np.sum(np.abs(Y - np.einsum("ksr,kr->ks", U, beta)) ** 2, axis=1)
+    return U, c, Vh.conj().swapaxes(1, 2), beta, outside
 
 
 class SpectralPath(FactoredPath):
@@ -81,7 +100,7 @@ class SpectralPath(FactoredPath):
         root = np.sqrt(power)
         self.H = H * (np.sqrt(self.samples) / root)[..., None]
         self.Y = fft.rfft(y, self.padded, axis=0) / root
-        self.U, c, self.V, beta, outside = stacked.factor(self.H, self.Y)
+        self.U, c, self.V, beta, outside = decomposed(self.H, self.Y)
         self.penalty_lines = symbol(penalty, 2 * np.pi * np.arange(lines) / self.padded)
         self.variance = None if variance is None else variance / power[..., None]
         self.excess = None if excess is None else excess / power

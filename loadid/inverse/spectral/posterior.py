@@ -108,8 +108,9 @@ def posterior(f: Factored, noise: NDArray, cut: NDArray | None = None) -> Poster
         Singular values below this are left out and none is damped (truncated SVD); what is left out keeps its prior.
     """
     if cut is None:
-        total = f.s**2 + noise[:, None]
-        filtered, remains, told = f.s / total, noise[:, None] / total, f.s**2 / total
+        s = np.where(f.seen, f.s, 0.0)  # what rounding leaves of a silent direction carries no information
+        total = np.where(f.seen, f.s**2 + noise[:, None], 1.0)
+        filtered, told, remains = s / total, s**2 / total, np.where(f.seen, noise[:, None] / total, 1.0)
     else:
         kept = f.seen & (f.s >= cut[:, None] * (1 - 1e-12))
         safe = np.where(kept, f.s, 1.0)
