@@ -27,6 +27,7 @@ from .spectral.agreement import judged
 from .spectral.fitting import Fit, Rule, fit
 from .spectral.gathered import LineData, Settings, lines_of, response
 
+BESIDE = 16  # samples around a load that stands out, to which what is missing of it belongs
 CLEAR = 5.0  # standard deviations by which a load stands out of a transient
 
 
@@ -365,13 +366,15 @@ def _hidden(solved: Fit, history: NDArray, std: NDArray, padded: int) -> NDArray
     lines agree in phase: the same is missing at the pulse. So regularisation is asked what it takes from the load that
     stands out.
     """
-    from scipy.ndimage import uniform_filter1d
+    from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
     size = np.sqrt(uniform_filter1d(history**2, 5, axis=0))
     clear = np.where(size > CLEAR * std, history, 0.0)
     spectrum = np.fft.rfft(clear, padded, axis=0)
-    missing = np.einsum("kij,kj->ki", solved.blind, spectrum)
-    return np.asarray(np.fft.irfft(missing, padded, axis=0)[: len(history)], float)
+    missing = np.fft.irfft(np.einsum("kij,kj->ki", solved.blind, spectrum), padded, axis=0)[: len(history)]
+    # far from the pulses what rings on is no bias of this load
+    beside = np.asarray(maximum_filter1d(clear != 0, 2 * BESIDE + 1, axis=0))
+    return np.where(beside, missing, 0.0)
 
 
 def _in_order(noise: ArrayLike | None, rows: NDArray) -> ArrayLike | None:
