@@ -162,6 +162,25 @@ def test_three_kalman_steps_from_the_state_space():
     assert filtered[0] == pytest.approx(batch[-1], rel=1e-8)
 
 
+def test_a_smoothed_track_equals_tikhonov():
+    """Online family, whole: a random walk's smoothed loads are batch least squares with L = first difference."""
+    from loadid.families.kalman import LoadTracker
+    from loadid.inverse.kalman.priors import RandomWalk
+    from loadid.inverse.toeplitz import toeplitz
+
+    model, N, sd, rate = beam([0.4, 1.3], kind=sensors.Displacement), 60, 1e-6, 300.0
+    y = model.predict(np.sin(np.arange(N)[:, None] / 5), DT, "zoh")
+    y = y + sd * np.random.default_rng(4).standard_normal(y.shape)
+    tracker = LoadTracker(model, prior=RandomWalk(rate), noise=sd, hold="zoh").fit(y, DT)
+    first = np.linalg.norm(tracker.fitted.model.Cp @ tracker.fitted.model.L0)  # std of the load before the record
+    step = rate * np.sqrt(DT)
+    L = (np.eye(N) - np.eye(N, k=-1)) / np.where(np.arange(N) == 0, first, step)[:, None]
+    H = toeplitz(model.impulse_response(DT, N, "zoh")).reshape(2 * N, N) / sd
+    batch = np.linalg.lstsq(np.vstack([H, L]), np.r_[y.ravel() / sd, np.zeros(N)], rcond=None)[0]
+    found = tracker.smooth(y, DT).load[:, 0]
+    assert np.linalg.norm(found - batch) <= 1e-8 * np.linalg.norm(batch)
+
+
 def test_moving_load():
     """A load that moves is a basis whose columns change with time: the state space carries B(t)."""
     start, stop, N = 0.2, 1.8, 60
