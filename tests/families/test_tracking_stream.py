@@ -248,6 +248,22 @@ def test_a_whole_sample_that_is_wrong_is_left_out():
     assert tracker.counts["gated"] == 4
 
 
+def test_a_wrong_model_is_no_reason_to_throw_its_sensors_away():
+    """Innovations are what they were at the fit: the gate is as many times wider, and still keeps what is wrong out."""
+    c = case()
+    tracker = LoadTracker(c.setup.stiffened(1.05).space(), prior=MATERN, noise=c.noise).fit(c.y[:1500], c.dt)
+    assert min(tracker.certificate.rms[:2]) > 5
+    tracker.run(c.y)
+    assert tracker.counts["gated"] + tracker.counts["steps"] < 30
+    tracker.reset()
+    y = c.y.copy()
+    y[2000, ACC3] += 100 * y[:, ACC3].std()
+    load, std, _ = tracker.run(y)
+    tracker.reset()
+    assert np.abs(load - tracker.run(c.y)[0])[2000:].max() < 20 * std.max()
+    assert tracker.counts["samples"] == 3000
+
+
 def test_a_stream_from_the_middle_is_found_again():
     """The structure moves already: where all channels are beyond the gate, it is the state that is wrong."""
     load, std, tracker = tracked(case().y[1000:])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 LAGS = 20
 LEVEL = 0.05
 WIDE = 1.96
+QUARTILE = 0.6745  # std of a normal number whose size has the median one
 INSIDE = 0.90  # least share inside the 95 % band of a sensor that the others predict; more is only cautious
 
 
@@ -36,6 +37,8 @@ class Certificate:
     sensors : tuple of str
     time_constant : float
         In which the filter forgets an error, s.
+    spread : tuple of float
+        Std of the normalised innovation of each channel as its median tells it, single wrong samples apart.
     """
 
     samples: int
@@ -48,6 +51,7 @@ class Certificate:
     left_out: tuple[float | None, ...]
     sensors: tuple[str, ...]
     time_constant: float
+    spread: tuple[float, ...] = ()
 
     @property
     def failing(self) -> tuple[str, ...]:
@@ -109,6 +113,7 @@ def certify(
         left_out=tuple(left_out),
         sensors=tuple(sensors),
         time_constant=float(time_constant),
+        spread=tuple(float(np.nanmedian(np.abs(x))) / QUARTILE if np.isfinite(x).any() else 1.0 for x in normalised.T),
     )
 
 

@@ -125,7 +125,7 @@ class Tracker:
     def reset(self) -> None:
         """Back before the first sample."""
         f = self.fitted
-        self._engine = Engine(f.model, f.settled, self.gate)
+        self._engine = Engine(f.model, f.settled, self.gate, self._width())
         prior = f.model.Cp @ f.model.x0, np.linalg.norm(f.model.Cp @ f.model.L0, axis=1)
         self._late = None if not self.lag or f.settled is None else Late(fixed_lag(f.settled, self.lag), *prior)
         self._bank = [(weight, Engine(model, settled, None)) for weight, model, settled in f.bank]
@@ -320,6 +320,11 @@ class Tracker:
         return load(path, model)
 
     # -- inside -----------------------------------------------------------------------------------------------------
+    def _width(self) -> NDArray[np.float64] | None:
+        """Of the gate: a model that is not exact is no reason to throw its sensors away."""
+        spread = () if self.fitted.certificate is None else self.fitted.certificate.spread
+        return np.maximum(1.0, spread) if spread else None
+
     def _spread(self) -> NDArray[np.float64]:
         settled = self.fitted.settled
         if settled is not None:
