@@ -154,9 +154,10 @@ def _run(args: Namespace) -> int:
         screen.add(times, load, std)
         past.add(times, load, std)
 
+    out = sys.stdout.buffer if args.out == "-" else args.out
     with _until_told() as stop:
         done = follow(
-            tracker, args.source, args.out, state=args.state, stream=stream, every=args.every, idle=args.idle,
+            tracker, args.source, out, state=args.state, stream=stream, every=args.every, idle=args.idle,
             stop=stop, watch=None if args.plot is None else watch,
         )  # fmt: skip
     if args.plot is not None:

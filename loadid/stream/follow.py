@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +61,7 @@ class Followed:
 def follow(
     tracker: Tracker,
     source: str,
-    out: str,
+    out: str | BinaryIO,
     *,
     state: str | os.PathLike | None = None,
     stream: dict[str, Any] | None = None,
@@ -77,8 +77,8 @@ def follow(
     tracker : Tracker
     source : str
         A file that grows, ``-``, or ``tcp://HOST:PORT``.
-    out : str
-        A file, or ``-``: a line a sample with time, loads and stds.
+    out : str or binary file
+        Name of a file, or an open pipe: a line a sample with time, loads and stds.
     state : path, optional
         File of the checkpoints; none are written where it is left out.
     stream : dict, optional
@@ -106,8 +106,9 @@ def follow(
 
 class _Run:
     def __init__(
-        self, tracker: Tracker, source: str, out: str, state: str | os.PathLike | None, stream: dict[str, Any] | None
-    ) -> None:
+        self, tracker: Tracker, source: str, out: str | BinaryIO, state: str | os.PathLike | None,
+        stream: dict[str, Any] | None,
+    ) -> None:  # fmt: skip
         self.tracker, self.state, self.resumed, self.name = tracker, state, stream is not None, source
         if state is not None:
             _swept(Path(state))

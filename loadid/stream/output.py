@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import sys
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -17,12 +16,12 @@ TAIL = 256  # bytes before the end by which an output is known again
 
 
 class Output:
-    """A file, or standard output.
+    """A file, or a pipe.
 
     Parameters
     ----------
-    where : str
-        ``-`` for standard output, which cannot be cut back.
+    where : str or binary file
+        An open file is taken for a pipe, which cannot be cut back and is left open.
     head : str
         First line.
     place : dict, optional
@@ -34,14 +33,15 @@ class Output:
         A file that is not, or no longer, what the checkpoint saw.
     """
 
-    def __init__(self, where: str, head: str, place: dict[str, Any] | None = None) -> None:
-        self.where, self.at, self._tail = where, 0, b""
-        if where == "-":
-            self._file: BinaryIO = sys.stdout.buffer
+    def __init__(self, where: str | BinaryIO, head: str, place: dict[str, Any] | None = None) -> None:
+        self.path: Path | None = None
+        self.at, self._tail = 0, b""
+        if not isinstance(where, str):
+            self._file: BinaryIO = where
             if place is None:
                 self._put(head.encode() + b"\n")
             return
-        path = Path(where)
+        self.path = path = Path(where)
         if place is not None and place["where"] == str(path.resolve()):
             self._file = _reopened(path, int(place["at"]), str(place["tail"]))
             self.at = int(place["at"])
@@ -60,18 +60,18 @@ class Output:
     def sync(self) -> None:
         """Everything is on the disk when this returns."""
         self._file.flush()
-        if self.where != "-":
+        if self.path is not None:
             os.fsync(self._file.fileno())
 
     def place(self) -> dict[str, Any] | None:
         """Where it ends now."""
-        if self.where == "-":
+        if self.path is None:
             return {"where": "-", "at": self.at, "tail": ""}
-        return {"where": str(Path(self.where).resolve()), "at": self.at, "tail": _digest(self._tail)}
+        return {"where": str(self.path.resolve()), "at": self.at, "tail": _digest(self._tail)}
 
     def close(self) -> None:
         """Close the file."""
-        if self.where == "-":
+        if self.path is None:
             self._file.flush()
         else:
             self._file.close()
@@ -80,7 +80,7 @@ class Output:
         left = memoryview(data)
         while left:  # a raw file may take less than it is given
             left = left[self._file.write(left) :]
-        if self.where == "-":
+        if self.path is None:
             self._file.flush()
         self.at += len(data)
         self._tail = (self._tail + data[-TAIL:])[-TAIL:]

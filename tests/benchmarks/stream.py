@@ -5,9 +5,8 @@
     --kills 200          `loadid track` killed at random moments; its output beside that of an undisturbed run
     --only soak|text|kills|restart
 
-The structure has 18 modes (36 states), the load two more as an Ornstein-Uhlenbeck process with Matern 3/2 beside it
-makes three: 39 states, 8 sensors. CPU seconds of one thread. filterpy runs the same model, predict and update for each
-sample.
+A chain of 18 masses (36 states) under one load, a Matern-3/2 process with an Ornstein-Uhlenbeck process beside it (3
+states), 8 sensors. CPU seconds of one thread. filterpy runs the same model, predict and update for each sample.
 """
 
 from __future__ import annotations
@@ -171,14 +170,14 @@ def restart() -> dict[str, float]:
             subprocess.run(argv, check=True, capture_output=True)
             whole.append((children() - cpu, time.monotonic() - begun))
             with (folder / "log").open("ab") as file:
-                file.write(b"1e3,0,0,0,0\n")
+                file.write(b"%g,0,0,0,0\n" % (1e3 + k * t.fitted.dt))
             begun = time.monotonic()
             again, stream = checkpoint.read(folder / f"s{k}.h5")
             follow(again, str(folder / "log"), str(folder / f"o{k}"), state=folder / f"s{k}.h5", stream=stream, idle=0)
             inner.append(time.monotonic() - begun)
         cpu, wall = (float(np.median(column)) for column in zip(*whole, strict=True))
     warm = float(np.median(inner))
-    print(f"restart: {warm:.3f} s in a warm process (a gap of 2000 samples among it); a new process from its start to "
+    print(f"restart: {warm:.3f} s in a warm process; a new process from its start to "
           f"its end {cpu:.2f} s CPU, {wall:.2f} s wall (load of the machine {os.getloadavg()[0]:.1f})")  # fmt: skip
     return {"restart in a warm process, s": warm, "new process, s CPU": cpu}
 
