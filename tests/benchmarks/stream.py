@@ -3,7 +3,7 @@
     --samples 3600000    through the block path, memory after the first sixtieth (a minute of an hour) and at the end
     --day                86.4 million: a day at 1 kHz
     --kills 200          `loadid track` killed at random moments; its output beside that of an undisturbed run
-    --only soak|text|kills|restart
+    --only soak|text|latency|kills|restart
 
 A chain of 18 masses (36 states) under one load, a Matern-3/2 process with an Ornstein-Uhlenbeck process beside it (3
 states), 8 sensors. CPU seconds of one thread. filterpy runs the same model, predict and update for each sample.
@@ -14,9 +14,11 @@ from __future__ import annotations
 import argparse
 import gc
 import os
+import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -182,6 +184,48 @@ def restart() -> dict[str, float]:
     return {"restart in a warm process, s": warm, "new process, s CPU": cpu}
 
 
+class Clocked:
+    """A pipe that notes when each line reached it."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+
+    def write(self, data: bytes) -> int:
+        """Take some lines."""
+        self.times += [time.monotonic()] * bytes(data).count(b"\n")
+        return len(data)
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+
+def latency(samples: int = 3000) -> dict[str, float]:
+    """From a sample in a socket at 1 kHz, with pauses, to its answer in a pipe."""
+    t, Y = tracker()
+    sent: list[float] = []
+    out = Clocked()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            connection, _ = server.accept()
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            with connection:
+                for k in range(samples):
+                    sent.append(time.monotonic())
+                    connection.sendall(",".join(map(repr, [k * t.fitted.dt, *Y[k].tolist()])).encode() + b"\n")
+                    time.sleep(0.05 if k % 500 == 499 else 1e-3)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        done = follow(t, f"tcp://127.0.0.1:{server.getsockname()[1]}", out)  # type: ignore[arg-type]
+        thread.join()
+    late = 1e3 * (np.array(out.times[1:]) - np.array(sent))
+    middle, most = (float(np.percentile(late, q)) for q in (50, 99.9))
+    print(f"socket to pipe at 1 kHz: {done.samples} samples, median {middle:.2f} ms, 99.9 % {most:.2f} ms; the source "
+          f"waited {done.counts.get('waited', 0)} times (load of the machine {os.getloadavg()[0]:.1f})")  # fmt: skip
+    return {"latency, ms": middle, "latency 99.9 %, ms": most}
+
+
 def children() -> float:
     """CPU seconds of processes that have ended."""
     now = os.times()
@@ -200,7 +244,7 @@ def main() -> int:
     parser.add_argument("--samples", type=int, default=3_600_000)
     parser.add_argument("--day", action="store_true")
     parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--only", choices=("soak", "text", "kills", "restart"))
+    parser.add_argument("--only", choices=("soak", "text", "latency", "kills", "restart"))
     args = parser.parse_args()
     print(f"compiled loops: {'yes (extra fast)' if AVAILABLE else 'no'}")
     found: dict[str, float] = {}
@@ -209,6 +253,8 @@ def main() -> int:
         found |= rival(found["us/sample"])
     if args.only in (None, "text"):
         found |= words()
+    if args.only in (None, "latency"):
+        found |= latency()
     if args.only in (None, "restart"):
         found |= restart()
     if args.only in (None, "kills"):

@@ -1,10 +1,14 @@
 """A tracked stream that is killed at random moments continues bit for bit: no sample is lost, none comes twice."""
 
+import os
+
 import pytest
 
 from loadid.families.tracking import checkpoint
 from loadid.stream import follow
 from tests.killed import Nursery, fitted, tortured, troubled
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and SIGKILL")
 
 
 @pytest.fixture(scope="module")
