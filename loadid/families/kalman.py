@@ -208,7 +208,7 @@ class LoadTracker:
             numbers=numbers,
             noise_source=noise.source if noise.known else "likelihood of the innovations",
             certificate=certificate,
-            flags=self._flags(data, seen, settled, certificate, e),
+            flags=self._flags(data, seen, model, settled, certificate, e),
             fingerprint=getattr(self.model, "fingerprint", "unknown"),
             settings=self._settings(),
             inputs={data.record.source or data.record.name or "record": data.record.sha256},
@@ -300,7 +300,7 @@ class LoadTracker:
         return certify(e[first:], nis, _left_out(model, data, first), labels, constant), e[first:]
 
     def _flags(
-        self, data: Data, seen: Observability, settled: Steady | None, certificate: Certificate, e: NDArray
+        self, data: Data, seen: Observability, model: Any, settled: Steady | None, certificate: Certificate, e: NDArray
     ) -> tuple[Flag, ...]:
         tuned = any(isinstance(g, Named) for g in self.given)
         return guards.collect(
@@ -310,6 +310,7 @@ class LoadTracker:
                 guards.not_verified(self.model.certificate),
                 told.drifting(seen),
                 told.supposed(seen),
+                told.unbalanced(model, self.state_noise),
                 None if settled is None else told.slow(settled.time_constant, data.duration),
                 told.untuned(certificate.nis, tuned=tuned),
                 told.overconfident(certificate.nis, e, certificate.sensors),

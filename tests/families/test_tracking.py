@@ -273,6 +273,9 @@ def test_what_was_not_tuned_or_does_not_fit_is_said():
     timid = fitted(c, prior=priors.Matern32(1.0, 0.08))
     assert {"LID-W502", "LID-W504"} <= {f.code for f in timid.flags}
     assert timid.certificate.nis > 2
+    shared = {noise: {f.code for f in fitted(c, prior=MATERN, state_noise=noise).flags} for noise in (1e-9, 0.1)}
+    assert "LID-W503" in shared[0.1]
+    assert "LID-W503" not in shared[1e-9]
     slow = LoadTracker(building(), prior=MATERN, noise=c.noise[:3], sensors=ACC, hold="zoh").fit(c.y[:60], c.dt)
     assert "LID-W520" in {f.code for f in slow.flags}
 
