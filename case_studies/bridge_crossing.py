@@ -8,7 +8,7 @@ and its two neighbours, which is largest midway between places and near the supp
 the support and no sensor sees it.
 
 Set-up of our own: a simply supported girder of 30 m (first frequency 4 Hz, 1 % damping); an axle of 100 kN at 15 m/s,
-pulsing by 8 % at 1.8 Hz; five bending strains of the lower flange, three accelerometers, 1 % noise, 200 Hz. The truth has
+pulsing by 8 % at 1.8 Hz; five strains of the lower flange, three accelerometers, 1 % noise, 200 Hz. The truth has
 twenty modes, runs between the samples, and the axle moves continuously; the tracker has eight modes and five places.
 The prior of each place: it is loaded for as long as the slowest vehicle needs from place to place.
 
