@@ -21,6 +21,7 @@ BIASED = 4.0  # standard errors (19 degrees) by which a mean innovation may leav
 PIECES = 20  # of a record, whose means tell the standard error of the whole where innovations are correlated
 HIDING = 1.0  # noise sds that the state noise of one mode may be worth at a sensor
 SHARE = 0.2  # of a record that the filter may take to settle
+FEW, OFTEN = 10, 2e-3  # channel samples that a gate may keep out before it is said, and their share
 LONG = 40  # samples below which a mean of innovations is not judged
 
 
@@ -89,6 +90,28 @@ def slow(time_constant: float, duration: float) -> Flag | None:
         Evidence("time constant of the filter, s", float(time_constant), SHARE * duration),
         f"the filter forgets its start with a time constant of {time_constant:.3g} s, in a record of {duration:.3g} s",
         "record longer, state the start, or add a sensor that sees the load at 0 Hz",
+    )
+
+
+def kept_out(gated: int, taken: int, steps: int) -> Flag | None:
+    """W521: the gate keeps out more than single samples: a sensor is broken, or the load is none that the prior knows.
+
+    Parameters
+    ----------
+    gated, taken : int
+        Channel samples that were kept out, and all.
+    steps : int
+        Steps of the load that were taken up.
+    """
+    share = gated / max(taken, 1)
+    if gated < FEW or share <= OFTEN:
+        return None
+    return Flag(
+        "W521",
+        Evidence("share of the channel samples that were kept out", share, OFTEN),
+        f"the gate kept {gated} of {taken} channel samples out and took {steps} steps of the load up: a sensor is "
+        "broken, or the load moves in ways that its prior does not know, such as impacts",
+        "look at the sensors; for impacts gate=None believes every number, or take a family for impacts",
     )
 
 

@@ -127,3 +127,10 @@ def test_a_drift_that_is_accepted_is_tuned_and_grows() -> None:
     assert answer.std[-1] > 1.2 * answer.std[300]
     z = (answer.load - seen.load) / answer.std
     assert np.mean(np.abs(z[200:]) < 1.96) > 0.9
+
+
+def test_a_sensor_that_the_gate_keeps_out_is_said(case: tracked.Tracked) -> None:
+    y = case.y[:1200].copy()
+    assert "W521" not in tracker(case).track(y).codes
+    y[400:700, 0] += 100 * np.asarray(case.noise)[0]
+    assert "W521" in tracker(case).track(y).codes

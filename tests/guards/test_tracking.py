@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from loadid.flags.tracking import biases, drifting, overconfident, refused, slow, supposed, unbalanced, untuned
+from loadid.flags.tracking import (
+    biases,
+    drifting,
+    kept_out,
+    overconfident,
+    refused,
+    slow,
+    supposed,
+    unbalanced,
+    untuned,
+)
 from loadid.inverse.kalman.cure import cures
 from loadid.inverse.kalman.observe import observability
 from structures import ForwardModel, chains, loads, sensors
@@ -68,6 +78,7 @@ CASES = [
          lambda: one(overconfident(1.0, CALM, ["a", "b"])), "1.42", "NIS"),
     Case("W519", lambda: one(supposed(observed((), matern32(100.0, 0.08, 0.01)))),
          lambda: one(supposed(observed((10,), matern32(100.0, 0.08, 0.01)))), "0 of 1.*prior"),
+    Case("W521", lambda: one(kept_out(67, 3600, 4)), lambda: one(kept_out(3, 60, 0)), "67 of 3600.*gate=None"),
     Case("W520", lambda: one(slow(20.0, 60.0)), lambda: one(slow(2.0, 60.0)), "20 s.*60 s"),
 ]  # fmt: skip
 

@@ -18,6 +18,7 @@ from structures.values import number
 
 from ... import flags as guards
 from ...estimate import Axis, LoadEstimate
+from ...flags.tracking import kept_out
 from ...inverse.kalman.lag import fixed_lag
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.steady import Steady
@@ -366,7 +367,7 @@ class Tracker:
         self, load: NDArray, std: NDArray, Y: NDArray | None, rest: NDArray | None, inputs: dict[str, str],
         first: int, path: str = PATH,
     ) -> LoadEstimate:  # fmt: skip
-        f = self.fitted
+        f, counts, m = self.fitted, self.counts, len(self.fitted.sensors)
         there = np.ones((len(load), len(f.sensors)), bool) if Y is None else np.isfinite(Y)
         facts: dict[str, Any] = {
             "path": path, "m": int(there.sum()), "n": int(load.size), "noise_source": f.noise_source,
@@ -386,7 +387,7 @@ class Tracker:
             residual=None if rest is None else np.where(there & np.isfinite(rest), rest, 0.0),
             sensors=[c.label for c in f.sensors],
             sensor_units=[c.unit for c in f.sensors],
-            flags=guards.collect(f.flags),
+            flags=guards.collect([*f.flags, kept_out(counts["gated"], counts["samples"] * m, counts["steps"])]),
             facts=facts,
             provenance=provenance(
                 "load tracking", settings=dict(f.settings), inputs={**f.inputs, **inputs}, model=f.fingerprint,
