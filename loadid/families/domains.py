@@ -104,20 +104,20 @@ def compare_domains(
     told = progress or (lambda fraction, text: None)
     both: dict[str, Any] = {"noise": noise, "noise_source": noise_source}
     told(0.0, "in time")
-    values = getattr(record, "values", record)
-    long = np.shape(values)[0] * len(model.loads) > LONG and type(model).state_space is Model.state_space
+    values = np.asarray(getattr(record, "values", record))
+    if values.dtype.kind == "f" and np.isnan(values).any():
+        raise InputError("a record with gaps has no spectrum to compare with", where="compare_domains",
+                         found=f"{int(np.isnan(values).sum())} missing samples", expected="complete channels",
+                         hint="take Deconvolution")  # fmt: skip
+    long = (len(values) if values.ndim else 0) * len(model.loads) > LONG and type(
+        model
+    ).state_space is Model.state_space
     in_time = {"path": "fft"} if long and time is None else dict(time or {})
     timed = Deconvolution(model, **both, **in_time, progress=lambda f, t: told(0.7 * f, t)).estimate(record, dt)
     told(0.7, "by frequency lines")
-    try:
-        lines = FrequencyInversion(
-            model, signal="transient", **both, **(frequency or {}), progress=lambda f, t: told(0.7 + 0.3 * f, t)
-        ).estimate(record, dt)
-    except InputError as why:
-        if "missing" not in f"{why.what} {why.found}" and "gap" not in f"{why.what} {why.hint}":
-            raise
-        raise InputError("a record with gaps has no spectrum to compare with", where="compare_domains",
-                         found=why.found, expected="complete channels", hint="take Deconvolution") from why  # fmt: skip
+    lines = FrequencyInversion(
+        model, signal="transient", **both, **(frequency or {}), progress=lambda f, t: told(0.7 + 0.3 * f, t)
+    ).estimate(record, dt)
     stated = (_stated(lines), _stated(timed))
     take, reason = _judge(lines, timed, stated)
     chosen = lines if take == "frequency" else timed

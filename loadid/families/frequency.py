@@ -25,7 +25,7 @@ from ..spectrum import LEVEL, Spectrum
 from .data import rows_of
 from .spectral.agreement import judged
 from .spectral.fitting import Fit, Rule, fit
-from .spectral.gathered import LineData, Settings, lines_of, response
+from .spectral.gathered import SIGNALS, LineData, Settings, lines_of, response
 
 BESIDE = 16  # samples around a load that stands out, to which what is missing of it belongs
 CLEAR = 5.0  # standard deviations by which a load stands out of a transient
@@ -62,7 +62,7 @@ class FrequencyInversion:
     signal : {"stationary", "transient"}, optional
         What a time record is: averaged into cross spectra, or transformed once, zero-padded, into a load history.
     band : (float, float), optional
-        Lines that are inverted (Hz).
+        Lines that are inverted (Hz); not of a transient, whose history needs all of them.
     window, segment, overlap
         Of averaged records, as in `structures.welch.cross_spectra`.
     noise : float or array, optional
@@ -113,6 +113,9 @@ class FrequencyInversion:
     ) -> None:
         if not (real(level) or 0) > 0:
             raise InputError("no level of trust", where="level", found=repr(level)[:80], expected="a number > 0")
+        if signal not in (None, *SIGNALS):
+            raise InputError("no such kind of record", where="signal", found=repr(signal)[:80],
+                             expected=" or ".join(map(repr, SIGNALS)))  # fmt: skip
         self.model, self.level, self.coverage = model, float(level), coverage
         self.rule = Rule(method, choice, over, neighbours, count, size)
         self.held = rows_of(validation, model) if len(validation) else np.zeros(0, int)

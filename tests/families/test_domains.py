@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import InputError, compare_domains
+from loadid import FrequencyInversion, InputError, compare_domains
 from structures import Channel, ForwardModel, beams, damping, loads, sensors
 
 DT = 1 / 2000
@@ -64,3 +64,14 @@ def test_gaps_are_for_the_time_domain(beam: ForwardModel) -> None:
         compare_domains(
             beam, Record(y, DT, [Channel(label=s.label, quantity=s.quantity, unit=s.unit) for s in beam.sensors])
         )
+
+
+def test_settings_that_a_history_cannot_have_are_refused(beam: ForwardModel) -> None:
+    y, _ = record(beam, 400)
+    with pytest.raises(InputError, match="all lines"):
+        FrequencyInversion(beam, signal="transient", band=(10.0, 100.0)).estimate(y, DT)
+    for wrong in (5, "text", None):
+        with pytest.raises(InputError):
+            compare_domains(beam, wrong, DT)
+    with pytest.raises(InputError, match="no such kind"):
+        FrequencyInversion(beam, signal="impact")

@@ -194,6 +194,10 @@ def _averaged(data: list[Data], model: Model, s: Settings) -> LineData:
 
 
 def _of_transient(data: Data, model: Model, s: Settings) -> LineData:
+    if s.band is not None:
+        raise InputError("a history is made of all lines of its record", where="band", found=f"{s.band!r}"[:80],
+                         expected="no band with signal='transient'",
+                         hint="filter the record, or look at estimate.spectrum in the band")  # fmt: skip
     noise = noises.resolve(s.noise, s.noise_source, model, data)
     _refuse_covariance(noise)
     samples, padded = len(data.values), padded_length(len(data.values))
