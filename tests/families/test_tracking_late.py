@@ -134,3 +134,13 @@ def test_a_sensor_that_the_gate_keeps_out_is_said(case: tracked.Tracked) -> None
     assert "W521" not in tracker(case).track(y).codes
     y[400:700, 0] += 100 * np.asarray(case.noise)[0]
     assert "W521" in tracker(case).track(y).codes
+
+
+def test_a_smoothed_record_keeps_no_states_and_is_the_smoother_that_does(case: tracked.Tracked) -> None:
+    y = case.y.copy()
+    y[700:720, 1] = np.nan
+    found = tracker(case)
+    answer, whole = found.smooth(y), smooth(filtered(found.fitted.model, y, keep=True))
+    assert np.allclose(answer.load, whole.load, atol=1e-6 * np.abs(whole.load).max())
+    assert np.allclose(answer.std, whole.std, rtol=1e-6)
+    assert found.counts["samples"] == 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,10 +123,3 @@ def _correlation(x: NDArray) -> float:
     if power == 0 or len(x) <= LAGS:
         return 0.0
     return float(max(abs(float(x[lag:] @ x[:-lag])) / power for lag in range(1, LAGS + 1)))
-
-
-def to_dict(c: Certificate) -> dict[str, Any]:
-    """Plain tree for files."""
-    from dataclasses import asdict
-
-    return asdict(c)

@@ -29,6 +29,7 @@ from .certificate import Certificate
 from .engine import Engine
 from .late import Late
 
+STATES = 4 * 2**30  # bytes of states that a smoother without a settled gain may keep
 CALM = 0.01  # of the std of the loads, within which the gain counts as settled
 PATH = "square-root filter, settled gain"
 
@@ -229,15 +230,32 @@ class Tracker:
         InputError
             As `track`; a record too long to keep its states.
         """
-        from ...inverse.kalman.smoothing import smooth
-        from ...inverse.kalman.squareroot import filter as filtered
+        from ...inverse.kalman.records import filter_settling, smooth_settling
 
         Y, inputs = self._values(record, dt)
         told = progress or (lambda share, text: None)
-        kept = filtered(self.fitted.model, Y, keep=True, progress=lambda f, t: told(0.5 * f, t))
+        settled, path = self.fitted.settled, "square-root filter and smoother"
+        if settled is None:
+            load, std, rest = self._kept(Y, told)
+        else:  # no states are kept where the gain is settled
+            found = smooth_settling(filter_settling(settled, Y, progress=lambda f, t: told(0.5 * f, t)),
+                                    progress=lambda f, t: told(0.5 + 0.5 * f, t))  # fmt: skip
+            load, std, rest = found.load, found.std, found.residual
+        return self._estimate(load, std, Y, rest, inputs, 0, path)
+
+    def _kept(self, Y: NDArray, told: Callable[[float, str], None]) -> tuple[NDArray, NDArray, NDArray]:
+        """Smoothed loads, std and residual by a filter that keeps the states of all samples."""
+        from ...inverse.kalman.smoothing import smooth
+        from ...inverse.kalman.squareroot import filter as filtered
+
+        model = self.fitted.model
+        if (size := 8 * len(Y) * model.n**2) > STATES:
+            raise InputError("the record is too long to keep its states", where="smooth",
+                             found=f"{size / 2**30:.1f} GiB", expected=f"at most {STATES / 2**30:.0f} GiB",
+                             hint="smooth it in parts")  # fmt: skip
+        kept = filtered(model, Y, keep=True, progress=lambda f, t: told(0.5 * f, t))
         found = smooth(kept, progress=lambda f, t: told(0.5 + 0.5 * f, t))
-        rest = Y - found.x @ self.fitted.model.H.T
-        return self._estimate(found.load, found.std, Y, rest, inputs, 0, "square-root filter and smoother")
+        return found.load, found.std, Y - found.x @ model.H.T
 
     # -- others -----------------------------------------------------------------------------------------------------
     def to_filterpy(self) -> Any:
