@@ -1,0 +1,369 @@
+"""The gel pad as finite elements: bonded base, free edges, any number of layers, seen from its loaded surface.
+
+x and y lie in the plane of the pad with the origin at its centre, z = 0 is the bonded base, z = h the surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from structures import bases, condensation, evaluation
+from structures.errors import InputError
+from structures.factor import Factor
+from structures.flags import Flag
+from structures.materials import Material
+from structures.structure import Structure
+from structures.surfaces import Surface
+from structures.values import positive, reals
+
+from .guards import pad as guards
+from .padbody import Body, rectangle, sides
+
+if TYPE_CHECKING:
+    from structures.bases import Basis
+
+    from .layer import Layer
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+AXES = "XYZ"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Pad:
+    """A gel pad bonded to a rigid window.
+
+    Parameters
+    ----------
+    size : (a, b)
+        Sides along x and y (m); those of the mesh where one is given.
+    thickness : float
+        From the bonded base to the surface (m); likewise.
+    E, nu : float
+        Young's modulus (Pa) and Poisson's ratio.
+    pitch : float, optional
+        Side of the cells in the plane (m); a side that it does not divide gets the nearest number of cells. A quarter
+        of the thickness where neither `pitch` nor `elements` is given.
+    elements : (nx, ny), optional
+        Or the number of cells along each side.
+    layers : int
+        Cells through the thickness.
+    element : {"bbar", "standard", "incompatible"}
+        B-bar unless history is to be repeated: one layer of ``"standard"`` bricks is the baseline of the field, whose
+        map of tractions is wrong by half (W115).
+    outline : optional
+        What is left of the rectangle, `tactile.outline`.
+    density : float
+        kg/m^3; static maps do not ask for it.
+    material : str
+        ``"elastomer"`` questions a modulus that none has (W111); another word does not.
+    allow : sequence of str
+        ``("E109",)``: plain bricks above nu = 0.49, flagged; ``("W115",)``: few layers that were compared with many.
+    mesh : optional
+        A mesh instead of dimensions: `Pad.from_mesh`.
+
+    Attributes
+    ----------
+    structure : Structure
+        The finite elements, base bonded.
+    surface : Surface
+        The loaded surface: nodes, cells, areas, boundary mass.
+    flags : tuple of Flag
+        What the guards of material and mesh found.
+
+    Raises
+    ------
+    InputError
+        If a value is not possible, or the mesh is none.
+
+    Notes
+    -----
+    Vectors at points are flattened with the point first, 3 * point + component. Forces are consistent nodal forces (N);
+    `surface.tractions` turns them into Pa. What the base carries is `reactions` and never part of a load.
+    """
+
+    E: float
+    nu: float
+    size: tuple[float, float] = (0.0, 0.0)
+    thickness: float = 0.0
+    pitch: float | None = None
+    elements: tuple[int, int] | None = None
+    layers: int = 4
+    element: str = "bbar"
+    outline: Any = None
+    density: float = 1000.0
+    material: str = "elastomer"
+    allow: Sequence[str] = ()
+    mesh: Any = None
+    structure: Structure = field(init=False, repr=False)
+    surface: Surface = field(init=False, repr=False)
+    flags: tuple[Flag, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        fix = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731  (a frozen dataclass needs it)
+        material = Material(E=self.E, rho=self.density, nu=self.nu)
+        fix("allow", (self.allow,) if isinstance(self.allow, str) else tuple(self.allow))
+        body = self._rectangle(material) if self.mesh is None else self.mesh.built(material, self.element, self.allow)
+        for name, value in body.dimensions.items():
+            fix(name, value)
+        fix("structure", body.structure)
+        fix("surface", body.surface)
+        fix("flags", self._found(body))
+
+    def _rectangle(self, material: Material) -> Body:
+        size, h = sides(self.size), positive("the thickness", self.thickness, where="Pad", unit="m")
+        return rectangle(
+            size,
+            h,
+            pitch=self.pitch,
+            elements=self.elements,
+            layers=self.layers,
+            material=material,
+            element=self.element,
+            outline=self.outline,
+            allow=tuple(self.allow),
+        )
+
+    def _found(self, body: Body) -> tuple[Flag, ...]:
+        """What the guards of mesh and material found."""
+        found = [guards.modulus(self.E) if self.material == "elastomer" else None]
+        if body.layered:
+            found.append(guards.too_coarse(self.layers, self.nu, self.element))
+        waived = {str(code).upper().removeprefix("LID-") for code in self.allow}
+        kept = [f for f in found if f is not None and f.code.removeprefix("LID-") not in waived]
+        return (*body.flags, *kept)
+
+    def __repr__(self) -> str:
+        a, b = (1e3 * side for side in self.size)
+        cells = f"{len(self.surface.cells)} cells x {self.layers} layers" if self.mesh is None else repr(self.mesh)
+        return f"Pad({a:g} x {b:g} x {1e3 * self.thickness:g} mm, E={self.E:g} Pa, nu={self.nu:g}, {cells})"
+
+    # -- geometry -------------------------------------------------------------------------------------------------
+    @property
+    def nodes2d(self) -> Array:
+        """Places (x, y) of the surface nodes (P, 2) in m."""
+        return self.surface.coordinates[:, :2]
+
+    @property
+    def points(self) -> int:
+        """Number of surface nodes, P."""
+        return len(self.surface.nodes)
+
+    @property
+    def top(self) -> tuple[float, float, float]:
+        """Centre of the surface (0, 0, h): the point about which moments are taken."""
+        return 0.0, 0.0, self.thickness
+
+    @cached_property
+    def edge(self) -> NDArray[np.bool_]:
+        """Whether a surface node lies on the rim (P,)."""
+        cells = self.surface.cells
+        pairs = np.sort(np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], axis=1), axis=1)
+        pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+        sides, times = np.unique(pairs, axis=0, return_counts=True)
+        out = np.zeros(self.points, bool)
+        out[sides[times == 1].ravel()] = True
+        return out
+
+    @cached_property
+    def layer(self) -> Layer:
+        """The bonded layer of the same thickness and material, without edges."""
+        from .layer import Layer
+
+        return Layer(self.thickness, self.E, self.nu)
+
+    @cached_property
+    def basis(self) -> Basis:
+        """Nodal forces on the surface along X, Y and Z: what `ForwardModel` takes as loads."""
+        return bases.nodal(self.structure, self.surface, components=("+X", "+Y", "+Z"))
+
+    # -- stiffness ------------------------------------------------------------------------------------------------
+    @cached_property
+    def dofs(self) -> Index:
+        """DOFs of the surface nodes in the structure (3 P,)."""
+        return (3 * self.surface.nodes[:, None] + np.arange(3)).ravel().astype(np.intp)
+
+    @cached_property
+    def _split(self) -> tuple[Index, Index]:
+        """Rows of `K_free`: those of the surface in the order of `dofs`, and all others."""
+        surface = np.searchsorted(self.structure.free, self.dofs)
+        return surface, np.setdiff1d(np.arange(self.structure.free.size), surface)
+
+    @cached_property
+    def _interior(self) -> Factor | None:
+        """Factor of the interior stiffness; None where a single layer has no interior."""
+        i = self._split[1]
+        return Factor(self.structure.K_free[i][:, i]) if i.size else None
+
+    @cached_property
+    def _coupling(self) -> sparse.csr_array:
+        """Forces on the interior from displacements of the surface."""
+        s, i = self._split
+        return self.structure.K_free[i][:, s].tocsr()
+
+    @cached_property
+    def factor(self) -> Factor:
+        """Factor of the stiffness of all free DOFs."""
+        return Factor.of(self.structure)
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """Nodal forces from displacements of the surface (3 P, 3 P) in N/m, the interior free of load."""
+        return condensation.schur(self.structure.K_free, self._split[0], Factor)
+
+    @cached_property
+    def compliance(self) -> Array:
+        """Displacements from nodal forces on the surface (3 P, 3 P) in m/N."""
+        return condensation.compliance(self.stiffness.copy(order="F"))
+
+    # -- forces and motion ----------------------------------------------------------------------------------------
+    def forces(self, displacements: ArrayLike) -> Array:
+        """Nodal forces (P, 3) in N that hold the surface at `displacements` (P, 3) or (3 P,) in m: F = K U.
+
+        The dense stiffness is not formed.
+
+        Raises
+        ------
+        InputError
+            If the displacements do not fit or are not finite.
+        """
+        s, i = self._split
+        U = self._vectors(displacements, "displacements").ravel()
+        u = np.zeros(self.structure.free.size)
+        u[s] = U
+        if self._interior is not None:
+            u[i] = -self._interior.solve(self._coupling @ U)
+        return np.asarray((self.structure.K_free[s] @ u).reshape(-1, 3), float)
+
+    def solve(self, forces: ArrayLike) -> Array:
+        """Motion of all DOFs (n,) in m under nodal forces (P, 3) or (3 P,) in N on the surface.
+
+        Raises
+        ------
+        InputError
+            If the forces do not fit or are not finite.
+        """
+        f = np.zeros(self.structure.free.size)
+        f[self._split[0]] = self._vectors(forces, "forces").ravel()
+        return self.structure.expand(self.factor.solve(f))
+
+    def displacements(self, forces: ArrayLike) -> Array:
+        """Motion of the surface (P, 3) in m under nodal forces on it (N)."""
+        return self.solve(forces)[self.dofs].reshape(-1, 3)
+
+    def reactions(self, forces: ArrayLike) -> Array:
+        """What the base exerts on the pad under nodal forces on the surface: (supported nodes, 3) in N."""
+        return self.structure.reactions(self.solve(forces)).reshape(-1, 3)
+
+    def resultant(self, forces: ArrayLike) -> Array:
+        """(Fx, Fy, Fz, Mx, My, Mz) of nodal forces in N and N m, moments about (0, 0, h)."""
+        f = self._vectors(forces, "forces")
+        arms = self.surface.coordinates - np.array(self.top)
+        return np.concatenate([f.sum(axis=0), np.cross(arms, f).sum(axis=0)])
+
+    def strain(self, forces: ArrayLike) -> Array:
+        """Largest principal strain by size, with sign, at the centre of every cell (cells,) under surface forces (N)."""
+        return evaluation.largest_strain(evaluation.strains(self.structure, self.solve(forces)))
+
+    def strained(self, forces: ArrayLike) -> Flag | None:
+        """Guard W112: whether these surface forces strain the pad beyond the linear range."""
+        return guards.large_strain(float(np.abs(self.strain(forces)).max()))
+
+    def _vectors(self, values: ArrayLike, what: str) -> Array:
+        found = reals(values, where=f"Pad, {what}")
+        if found.shape == (3 * self.points,):
+            found = found.reshape(-1, 3)
+        if found.shape != (self.points, 3) or not np.all(np.isfinite(found)):
+            raise InputError(
+                f"the {what} do not fit the surface of the pad",
+                where=f"Pad, {what}",
+                found=f"shape {found.shape}" if found.shape != (self.points, 3) else "NaN or infinity",
+                expected=f"finite numbers, ({self.points}, 3) or ({3 * self.points},)",
+                hint="rows in the order of pad.surface.nodes; interpolate markers onto the nodes first",
+            )
+        return found
+
+    # -- points on and under the surface --------------------------------------------------------------------------
+    def rows(self, points: ArrayLike) -> sparse.csr_array:
+        """Motion of points of the pad from all DOFs: sparse (3 N, n), row 3 * point + axis.
+
+        Parameters
+        ----------
+        points : array (N, 2) or (N, 3)
+            (x, y) on the surface, or (x, y, z) in the pad (m).
+
+        Raises
+        ------
+        InputError
+            If a point is none or lies outside.
+        """
+        return evaluation.motions(self.structure, self._places(points))
+
+    def from_surface(self, points: ArrayLike) -> Any:
+        """Motion of points of the pad (3 N,) from that of the surface (3 P,), the interior free of load.
+
+        Sparse for points on the surface, dense for points under it.
+        """
+        rows = self.rows(points)[:, self.structure.free]
+        s, i = self._split
+        inner = rows[:, i]
+        if self._interior is None or inner.nnz == 0:
+            return rows[:, s].tocsr()
+        return rows[:, s].toarray() - (self._coupling.T @ self._interior.solve(inner.T.tocsc())).T
+
+    def transfer(self, points: ArrayLike, components: str = AXES) -> Array:
+        """Motion of points under unit nodal forces on the surface: dense (rows, 3 P) in m/N.
+
+        Parameters
+        ----------
+        points : array (N, 2) or (N, 3)
+            As in `rows`.
+        components : str
+            Which of "XYZ" to keep, in this order: rows are point * len(components) + component.
+
+        Raises
+        ------
+        InputError
+            If points or components are none.
+        """
+        names = str(components).upper()
+        if not names or any(name not in AXES for name in names) or len(set(names)) != len(names):
+            raise InputError(
+                "no components of a motion",
+                where="Pad.transfer, components",
+                found=repr(components),
+                expected='some of "XYZ", each once',
+                hint='"XY" for markers whose normal motion is not seen',
+            )
+        places = self._places(points)
+        kept = (3 * np.arange(len(places))[:, None] + [AXES.index(name) for name in names]).ravel()
+        if "compliance" in self.__dict__ or len(kept) > self.dofs.size // 4:
+            return np.asarray(self.from_surface(places)[kept] @ self.compliance, float)
+        s, _ = self._split
+        rows = self.rows(places)[kept][:, self.structure.free]
+        return np.asarray(self.factor.solve(rows.T.tocsc())[s].T, float)
+
+    def _places(self, points: ArrayLike) -> Array:
+        found = reals(points, where="Pad, points", hint="an array (N, 2) or (N, 3) in m")
+        if found.ndim != 2 or found.shape[1] not in (2, 3):
+            raise InputError(
+                "no points of a pad",
+                where="Pad, points",
+                found=f"shape {found.shape}",
+                expected="(N, 2) on the surface or (N, 3), in m",
+                hint="x and y from the centre of the pad, z from its bonded base",
+            )
+        if found.shape[1] == 2:
+            found = np.column_stack([found, self._height(found)])
+        return found
+
+    def _height(self, points: Array) -> Array:
+        """z of the surface at (x, y)."""
+        return np.full(len(points), self.thickness)
