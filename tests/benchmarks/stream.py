@@ -144,6 +144,8 @@ def killed(kills: int) -> dict[str, float]:
         nursery.close()
         (folder / "whole.csv").write_bytes(data)
         straight = checkpoint.load(folder / "model.h5")
+        assert straight._engine.loop is not None
+        straight._engine.loop.compile()
         done = follow(straight, str(folder / "whole.csv"), str(folder / "straight.csv"), idle=0)
         a, b = ((folder / name).read_bytes() for name in ("out.csv", "straight.csv"))
         own, other = (checkpoint.running(x) for x in (checkpoint.load(folder / "state.h5"), straight))

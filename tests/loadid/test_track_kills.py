@@ -26,6 +26,7 @@ def test_killed_and_undisturbed_runs_write_the_same_bytes(nursery, tmp_path):
     assert resumed >= 3, cut  # the kills met checkpoints
     (tmp_path / "whole.csv").write_bytes(data)
     straight = checkpoint.load(tmp_path / "model.h5")
+    straight._engine.loop.compile()
     done = follow(straight, str(tmp_path / "whole.csv"), str(tmp_path / "straight.csv"), idle=0)
     assert {"filled", "duplicated", "late", "wide", "unreadable", "missing"} <= set(done.counts)
     assert (tmp_path / "out.csv").read_bytes() == (tmp_path / "straight.csv").read_bytes()

@@ -4,20 +4,27 @@
 
 A sample that is not finite, or whose innovation leaves its limits, is not taken: the state stays as it was, and the
 caller decides. Sample by sample and block are the same recursion.
+
+Where loops compile, short blocks run in numpy first, with the same sums in the same order, bit for bit: a process that
+starts anew answers before the compiler is loaded, and a stream goes on as if it had never been interrupted.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from operator import le
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 
-from ..compiled import AVAILABLE, compiled
+from ..compiled import AVAILABLE, Compiled, compiled
 
 LARGE = 40_000  # entries of M from which BLAS is faster than the loop, call and all
+COLD = 10**8  # products from which the compiler is worth its load
+LONG = 64  # samples of a block that count for it: who sends fewer is waited for, and a live stream is not held up
 
 
 class Loop:
@@ -38,6 +45,9 @@ class Loop:
     __slots__ = (
         "_M",
         "_all",
+        "_cold",
+        "_done",
+        "_fast",
         "_gemv",
         "_limits",
         "_load",
@@ -68,9 +78,11 @@ class Loop:
         self._x, self._y = self._v[:n], self._v[n:]
         self._load, self.e, self._next = self._out[:p], self._out[p : p + m], self._out[p + m :]
         self._x[:] = x
-        if self._single:  # compiled now, not within the first sample
-            _block(self._all, n, m, p, np.full((1, m), np.nan), np.empty((1, p)), np.empty((1, m)))
-            _step(self._all, n, m, p)
+        self._fast: tuple[Callable[..., Any], Callable[..., Any]] | None = None
+        self._cold: _Plain | None = None
+        self._done = 0  # products without the compiler
+        if self._single and isinstance(_block, Compiled) and _block.built:
+            self.compile()  # it is there
 
     @property
     def x(self) -> NDArray[np.float64]:
@@ -80,6 +92,17 @@ class Loop:
     @x.setter
     def x(self, value: ArrayLike) -> None:
         self._x[:] = value
+
+    def compile(self) -> None:
+        """Load the compiler now, where there is one, and not within a sample; `step` asks for it at its first call."""
+        if not self._single or self._fast is not None:
+            return
+        assert isinstance(_block, Compiled)
+        assert isinstance(_step, Compiled)
+        self._fast = _step.build(), _block.build()
+        n, m, p, state = self.n, self.m, self.p, self._all.copy()
+        self._fast[1](state, n, m, p, np.full((1, m), np.nan), np.empty((1, p)), np.empty((1, m)))
+        self._fast[0](state, n, m, p)
 
     def step(self, y: ArrayLike) -> NDArray[np.float64] | None:
         """Loads (p,) of the sample y (m,), or None where it was not taken; its innovation is then in `e`.
@@ -93,7 +116,9 @@ class Loop:
             raise _width(y, self.m)
         self._y[:] = y
         if self._single:
-            return self._load.copy() if _step(self._all, self.n, self.m, self.p) else None
+            if self._fast is None:
+                self.compile()
+            return self._load.copy() if self._fast[0](self._all, self.n, self.m, self.p) else None  # type: ignore[index]
         return self._load.copy() if self._numpy_step() else None
 
     def block(self, Y: ArrayLike, load: NDArray, e: NDArray) -> int:
@@ -118,21 +143,67 @@ class Loop:
         if Y.ndim != 2 or Y.shape[1] != self.m:
             raise _width(Y, self.m)
         if self._single:
-            return int(_block(self._all, self.n, self.m, self.p, Y, load, e))
-        y, found, innovation = self._y, self._load, self.e
+            self._done += len(Y) * (self.n + self.m) * len(self._out) * (len(Y) >= LONG)
+            if self._done > COLD:
+                self.compile()
+            if self._fast is not None:
+                return int(self._fast[1](self._all, self.n, self.m, self.p, Y, load, e))
+        y, found, innovation, one = self._y, self._load, self.e, self._same() if self._single else self._numpy_step
         for k in range(len(Y)):
             y[:] = Y[k]
-            taken = self._numpy_step()
+            taken = one()
             e[k] = innovation
             if not taken:
                 return k
             load[k] = found
         return len(Y)
 
+    def _same(self) -> Callable[[], bool]:
+        """The compiled step without the compiler."""
+        if self._cold is None:
+            self._cold = _Plain(self._all, self.n, self.m, self.p)
+        return self._cold.step
+
     def _numpy_step(self) -> bool:
         # as numpy's dot, which would warn of inf: alpha, a, x, beta, y, offsets and steps of x and y, trans, overwrite
         self._gemv(1.0, self._M, self._v, 0.0, self._out, 0, 1, 0, 1, 1, 1)
         if not all(map(le, map(abs, self.e.tolist()), self._limits)):  # quickest of so few; NaN is never smaller
+            return False
+        self._x[:] = self._next
+        return True
+
+
+class _Plain:
+    """`_step` in numpy on the same array: the same products, added in the same order.
+
+    Four columns of M at a time, as there: products of a column are made at once, and `add.reduce` along the first axis
+    adds one row after the other.
+    """
+
+    def __init__(self, a: NDArray, n: int, m: int, p: int) -> None:
+        columns, rows = n + m, p + m + n
+        ends = np.cumsum([m, columns, rows])
+        self._limits, v, self._out, flat = np.split(a, ends)
+        self._M, self._v, self._x, self._next = flat.reshape(columns, rows), v[:, None], v[:n], self._out[p + m :]
+        self._e, self._limit = self._out[p : p + m], self._limits.tolist()
+        fours = columns // 4
+        self._products = np.empty((columns, rows))
+        self._sums = np.zeros((1 + fours + columns % 4, rows))  # the first is the zero that the loop starts from
+        whole, self._rest = self._products[: 4 * fours], self._products[4 * fours :]
+        self._quarters = tuple(whole[k::4] for k in range(4))
+        self._fours, self._left = self._sums[1 : 1 + fours], self._sums[1 + fours :]
+        self._half = np.empty((fours, rows))
+
+    def step(self) -> bool:
+        """As `_step`."""
+        np.multiply(self._M, self._v, out=self._products)
+        q, r, s, t = self._quarters
+        np.add(q, r, out=self._fours)
+        np.add(s, t, out=self._half)
+        np.add(self._fours, self._half, out=self._fours)
+        self._left[:] = self._rest
+        np.add.reduce(self._sums, axis=0, out=self._out)
+        if not all(map(le, map(abs, self._e.tolist()), self._limit)):
             return False
         self._x[:] = self._next
         return True
