@@ -105,7 +105,9 @@ def test_the_tree_of_an_engine_holds_an_undecided_doubt():
     assert first.rival is not None
     first.doubt, first.age, first.good[1], first.wrong[1] = 1.25, 3, 2, 7
     second.restore(first.to_tree())
-    assert (second.suspect, second.doubt, second.age) == (ROOF, 1.25, 3)
+    assert second.suspects.tolist() == [False, False, True, False]
+    assert (second.believing, second.doubt, second.age) == (first.believing, 1.25, 3)
+    assert (second.lean, second.events, second.out, second.young) == (first.lean, 1, 1, False)
     assert second.good.tolist() == [0, 2, 0, 0]
     assert second.wrong.tolist() == [0, 7, 0, 0]
     assert np.array_equal(second.rival.x, first.rival.x)

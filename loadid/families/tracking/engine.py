@@ -15,12 +15,13 @@ from ...inverse.kalman.loops import Loop
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.squareroot import Innovation, SquareRoot, State
 from ...inverse.kalman.steady import Steady
+from .gate import RARE, missed, reach, weighed
 
 ARRIVED = 1e-3  # of the variances, from which the settled gain takes over
 GATE = 6.0  # std of an innovation beyond which a sample is looked at
 PATIENCE = 20  # samples: of good behaviour at most, until a channel is believed again; of a lost state, that it is held
-AGREE = 0.9  # share of what is beyond the gate that a step of the loads explains
-DECISIVE = 2.0  # logarithm of the odds between a step of the load and one wrong channel
+DECISIVE = 2.0  # logarithm of the odds between an event and wrong channels
+OPEN = 1.0  # of them at most, that the first sample may speak: later ones decide
 
 
 class Engine:
@@ -32,8 +33,8 @@ class Engine:
     settled : Steady or None
         None where none exists: every sample is one QR factorisation then, and the std may grow.
     gate : float or None
-        Std of an innovation from which a channel is kept out, or a step of the load is taken up. None: every finite
-        number is believed.
+        Std of an innovation from which a channel is kept out, or an event taken up. None: every finite number is
+        believed.
     width : array (m,), optional
         Factor on the std of each channel's innovation for the gate: what they are when all is well, where the model is
         not exact. One by default.
@@ -42,14 +43,16 @@ class Engine:
     ----------
     phase : {"warm-up", "steady", "transient"}
     counts : Counter
-        ``samples, missing, gated, steps``.
+        ``samples, missing, gated, steps, lost``.
 
     Notes
     -----
-    A channel that is beyond the gate alone is kept out for as long as it is, and as many samples longer as it was (at
-    most `PATIENCE`): a sensor that is stuck passes the right value now and then. Where half of the channels are, the
-    state may be wrong and not they: after `PATIENCE` samples they are believed again. What a step of the loads explains
-    is taken up at once; where one channel alone says so, a rival filter runs without it until the others have decided.
+    Innovations beyond the gate are wrong channels or an event: a load that the prior did not expect, or, before the
+    filter has settled once, a structure that moved already (`gate.weighed`). The likelier of the two speaks, a rival
+    filter follows the other, and what later samples say decides between them; until then the band holds both. One
+    channel that no event explains is kept out without a rival, for as long as it is beyond and as many samples longer
+    as it was (at most `PATIENCE`): a sensor that is stuck passes the right value now and then. Where half of the
+    channels have been beyond for more than `PATIENCE` samples, the state is wrong and not they: it is looked for anew.
     """
 
     def __init__(
@@ -63,10 +66,15 @@ class Engine:
         self.width = np.ones(model.m) if width is None else np.asarray(width, float)
         self.wrong = np.zeros(model.m, int)  # samples beyond the gate, of a channel that is kept out
         self.good = np.zeros(model.m, int)  # samples within it since
-        self.rival: State | None = None  # without the channel that may be wrong
-        self.suspect, self.doubt, self.age = 0, 0.0, 0  # that channel, odds against it, samples of the rival
+        self.rival: State | None = None  # the other of two: with the event, or without the channels that may be wrong
+        self.believing = True  # the event, until now: the rival does not
+        self.suspects = np.zeros(model.m, bool)  # channels that are wrong if there is no event
+        self.doubt, self.lean, self.age = 0.0, 0.0, 0  # odds against the event, what is too early in them, samples
+        self.events, self.out = 0, 0  # taken up by the one, channel samples kept out by the other
+        self.young = True  # never settled
         self.said: Innovation | None = None
         self.taken = np.zeros(model.m)  # the last sample off the settled gain: NaN where a channel was kept out
+        self._moves: NDArray[np.float64] | None = None
         self.loop: Loop | None = None
         if settled is not None:
             limit = None if gate is None else gate * self.width * settled.innovation_std
@@ -138,105 +146,150 @@ class Engine:
         self.counts["missing"] += int(np.sum(~np.isfinite(y)))
         before = self._predicted()
         if self.rival is None:
-            y, before, doubted = self._judged(y, before)
-            self.state, self.said = self.core.update(before, y)
-            if doubted is not None:
-                self._doubt(*doubted)
+            self._judged(y, before)
         else:
-            y = self._weighed(y, before, self.core.predict(self.rival))
-        self.taken = y
-        self._settle(y)
+            self._compared(y, before, self.core.predict(self.rival))
+        self._settle(self.taken)
         assert self.state is not None
         Cp = self.model.Cp
         load, std = Cp @ self.state.x, np.linalg.norm(Cp @ self.state.L, axis=1)
-        if self.rival is not None:  # half the distance between the two: either is within two std
-            std = np.sqrt(std**2 + ((load - Cp @ self.rival.x) / 2) ** 2)
+        if self.rival is not None:  # a mixture of the two, seen from the one that speaks
+            other = _share(-self.doubt if self.believing else self.doubt)
+            std = np.sqrt(std**2 + other * (1 - other) * (load - Cp @ self.rival.x) ** 2)
         return load, std
 
     # -- gates ------------------------------------------------------------------------------------------------------
-    def _beyond(self, y: NDArray, before: State) -> tuple[NDArray, NDArray, NDArray]:
-        """Innovations, their std, and which of them are beyond the gate."""
+    def _beyond(self, y: NDArray, before: State) -> tuple[NDArray, NDArray[np.bool_]]:
+        """Innovations, and which of them are beyond the gate."""
         assert self.gate is not None
         H = self.model.H
         e = y - H @ before.x
         spread = self.width * np.sqrt(np.sum((H @ before.L) ** 2, axis=1) + np.sum(self.model.LR**2, axis=1))
-        return e, spread, np.isfinite(e) & (np.abs(e) > self.gate * spread)
+        return e, np.isfinite(e) & (np.abs(e) > self.gate * spread)
 
-    def _judged(self, y: NDArray, before: State) -> tuple[NDArray, State, tuple[State, NDArray] | None]:
-        """Channels beyond the gate are kept out, unless a step of the loads explains them; then it is taken up.
-
-        Returns
-        -------
-        y : array (m,)
-            NaN where a channel is kept out.
-        before : State
-            Prediction, wider where a step is taken up.
-        doubted : (State, array) or None
-            Prediction and sample of the rival, where one channel alone speaks of the step.
-        """
+    def _judged(self, y: NDArray, before: State) -> None:
+        """A sample while nothing is in doubt: channels beyond the gate are wrong, or an event begins."""
         if self.gate is None or (self.phase == "warm-up" and self.state is None):
-            return y, before, None
-        e, spread, beyond = self._beyond(y, before)
+            self._take(before, y)
+            return
+        e, beyond = self._beyond(y, before)
         barred = self.wrong > 0
         if not beyond.any() and not barred.any():
-            return y, before, None
+            self._take(before, y)
+            return
         fresh = beyond & ~barred
-        jump = self._jump(np.where(barred, np.nan, e), spread) if fresh.any() else None
-        y = np.where(self._held(y, beyond if jump is None else beyond & barred), np.nan, y)
-        if jump is None:
-            return y, before, None
-        self.counts["steps"] += 1
-        alone = fresh.sum() == 1 and np.isfinite(y).sum() > 1
-        doubted = (before, np.where(fresh, np.nan, y)) if alone else None
-        return y, self._widened(before, jump), doubted
+        odds, wider, lost = np.inf, before, False
+        if fresh.any():
+            odds, wider, lost = self._event(np.where(barred, np.nan, e), before, fresh)
+        if np.isinf(odds) or (odds > DECISIVE and fresh.sum() == 1):
+            held, state_lost = self._held(y, beyond)
+            self._take(self._found(before) if state_lost else before, np.where(held, np.nan, y))
+            return
+        held, _ = self._held(y, beyond & barred)
+        y = np.where(held, np.nan, y)
+        without = np.where(fresh, np.nan, y)
+        believed, doubted = self.core.update(wider, y), self.core.update(before, without)
+        self.suspects, self.age, self.events, self.out = fresh, 0, 1, int(fresh.sum())
+        self.counts["lost"] += lost
+        self.doubt, self.lean = odds, odds - float(np.clip(odds, -OPEN, OPEN))
+        self._speak(believed, doubted, y, without, believing=odds <= DECISIVE)
 
-    def _doubt(self, before: State, y: NDArray) -> None:
-        """A rival from the same sample without the channel that may be wrong."""
-        assert self.said is not None
-        self.suspect, self.doubt, self.age = int(np.argmax(self.said.present & np.isnan(y))), 0.0, 0
-        self.rival = self.core.update(before, y)[0]
+    def _speak(
+        self, believed: tuple[State, Innovation], doubted: tuple[State, Innovation], y: NDArray, without: NDArray, *,
+        believing: bool,
+    ) -> None:  # fmt: skip
+        """The likelier filter speaks; the other goes on as its rival."""
+        first, second = (believed, doubted) if believing else (doubted, believed)
+        self.believing, self.taken = believing, y if believing else without
+        (self.state, self.said), self.rival = first, second[0]
 
-    def _held(self, y: NDArray, beyond: NDArray) -> NDArray[np.bool_]:
-        """Which channels are kept out of this sample, and for how long they have been wrong and good since."""
+    def _take(self, before: State, y: NDArray) -> None:
+        self.state, self.said = self.core.update(before, y)
+        self.taken = y
+
+    def _event(self, e: NDArray, before: State, wrong: NDArray) -> tuple[float, State, bool]:
+        """Odds of wrong channels against an event, the prediction that expects it, and whether the state was lost."""
+        H, LR = self.model.H, self.model.LR
+        root = self.width[:, None] * np.hstack([H @ before.L, LR])
+        odds, size = weighed(e, root, H @ self.model.LQ, wrong)
+        if odds > DECISIVE and self.young:
+            ways = self._reach()
+            other, far = weighed(e, root, H @ ways, wrong)
+            if other < odds:
+                return other, _wider(before, far * ways), True
+        return odds, _wider(before, size * self.model.LQ), False
+
+    def _held(self, y: NDArray, beyond: NDArray) -> tuple[NDArray[np.bool_], bool]:
+        """Which channels are kept out of this sample, and whether it is the state that is wrong and not they."""
         there = np.isfinite(y)
         self.wrong[beyond] += 1
         self.good = np.where(beyond, 0, self.good + (there & (self.wrong > 0)))
         back = (self.wrong > 0) & (self.good >= np.minimum(self.wrong, PATIENCE))
         self.wrong[back], self.good[back] = 0, 0
         held = there & (self.wrong > 0)
-        if 2 * held.sum() >= there.sum() and self.wrong.max() > PATIENCE:  # not they: the state
-            return np.zeros_like(held)
+        if 2 * held.sum() >= there.sum() and self.wrong.max() > PATIENCE:
+            self.wrong[:], self.good[:] = 0, 0
+            return np.zeros_like(held), True
         self.counts["gated"] += int(held.sum())
-        return held
+        return held, False
 
-    def _weighed(self, y: NDArray, before: State, ahead: State) -> NDArray[np.float64]:
-        """A sample to the filter that took a step up, and to its rival (`ahead`: its prediction) that doubts it."""
-        e, spread, out = self._beyond(y, before)
-        out_of_rival = self._beyond(y, ahead)[2]
-        wrong = bool(out_of_rival[self.suspect])
-        out_of_rival[self.suspect] = False
-        held = self._held(y, out & out_of_rival)
+    def _found(self, before: State) -> State:
+        """A prediction as wide as the structure moves: where the state is, the sample says."""
+        self.counts["lost"] += 1
+        return _wider(before, self._reach())
+
+    def _compared(self, y: NDArray, before: State, ahead: State) -> None:
+        """A sample to the filter that speaks and to its rival (`ahead`: its prediction), and what it decides."""
+        held, _ = self._held(y, self._beyond(y, before)[1] & (self.wrong > 0))
         y = np.where(held, np.nan, y)
-        jump = self._jump(np.where(held, np.nan, e), spread) if (out & ~held).any() else None
-        before = before if jump is None else self._widened(before, jump)
-        self.state, self.said = self.core.update(before, y)
-        other, own = y, self.said.loglik
-        if wrong:  # the others are to judge
-            other = y.copy()
-            other[self.suspect] = np.nan
-            own = self.core.update(before, other)[1].loglik
-        self.rival, said = self.core.update(ahead, other)
-        self.doubt += said.loglik - own
+        with_it, without = (before, ahead) if self.believing else (ahead, before)
+        believed, taken, own, again = self._believed(y, with_it)
+        self.events += again
+        e, wrong = self._beyond(y, without)
+        left = np.where(wrong, np.nan, y)
+        doubted = self.core.update(without, left)
+        other = doubted[1].loglik
+        if self.suspects.sum() == 1:  # one sensor that is broken stays so: the others are to judge
+            alone = np.where(self.suspects & wrong, np.nan, y)
+            own = own if np.array_equal(alone, y, equal_nan=True) else self._believed(alone, with_it)[2]
+            other += missed(e, wrong & ~self.suspects)
+        else:
+            other += missed(e, wrong)
+        self.doubt += other - own
         self.age += 1
-        if self.doubt > DECISIVE:
-            self.counts["steps"] -= 1
-            self.counts["gated"] += self.age + wrong
-            self.wrong[self.suspect] = self.age + 1 if wrong else 0
-            self.state, self.said, self.rival = self.rival, said, None
-            return other
-        if self.doubt < -DECISIVE or self.age >= PATIENCE:
-            self.rival = None
-        return y
+        self.out += int(wrong.sum())
+        self._speak(believed, doubted, taken, left, believing=self.believing)
+        self._decide(believed, doubted, taken, left, wrong)
+
+    def _believed(self, y: NDArray, before: State) -> tuple[tuple[State, Innovation], NDArray, float, bool]:
+        """A sample to the filter that believes: its state, what it took, the log density, whether the event goes on."""
+        e, beyond = self._beyond(y, before)
+        density, again = 0.0, False
+        if beyond.any():
+            odds, wider, _ = self._event(e, before, beyond)
+            if odds <= DECISIVE:
+                before, density, again = wider, -RARE, True
+            else:
+                y, density = np.where(beyond, np.nan, y), missed(e, beyond)
+        found = self.core.update(before, y)
+        return found, y, density + found[1].loglik, again
+
+    def _decide(
+        self, believed: tuple[State, Innovation], doubted: tuple[State, Innovation], y: NDArray, left: NDArray,
+        wrong: NDArray,
+    ) -> None:  # fmt: skip
+        """End the doubt where later samples have spoken, or for good."""
+        odds = self.doubt - self.lean
+        if abs(odds) <= DECISIVE and self.age < PATIENCE:
+            return
+        event = odds < 0 if abs(odds) > DECISIVE else self.believing
+        self._speak(believed, doubted, y, left, believing=event)
+        self.rival = None
+        if event:
+            self.counts["steps"] += self.events
+            return
+        self.counts["gated"] += self.out
+        self.wrong[wrong] = self.age + 1
 
     def _predicted(self) -> State:
         """Mean and covariance of the sample that comes, before it."""
@@ -256,25 +309,12 @@ class Engine:
         now = np.sum(self.state.L**2, axis=1)
         if np.all(np.abs(now - self._variance) <= ARRIVED * self._variance):
             self.loop.x = self.core.predict(self.state).x
-            self.phase = "steady"
+            self.phase, self.young = "steady", False
 
-    def _jump(self, e: NDArray, spread: NDArray) -> NDArray[np.float64] | None:
-        """Step of the loads, in units of their prior, that explains the innovations; None where none does."""
-        seen = np.isfinite(e)
-        loads = (self.model.H @ self._load_root())[seen] / spread[seen, None]
-        white = e[seen] / spread[seen]
-        jump = np.linalg.lstsq(loads, white, rcond=1e-6)[0]
-        explained = np.sum((white - loads @ jump) ** 2) <= (1 - AGREE) * np.sum(white**2)
-        return jump if explained else None
-
-    def _load_root(self) -> NDArray[np.float64]:
-        """Directions of the state that belong to the loads, in units of their priors."""
-        root = np.array(self.model.L0)
-        root[: self.model.nx] = 0.0
-        return root[:, np.any(root, axis=0)]
-
-    def _widened(self, before: State, jump: NDArray) -> State:
-        return State(before.x, np.hstack([before.L, self._load_root() * np.abs(jump)]), before.y)
+    def _reach(self) -> NDArray[np.float64]:
+        if self._moves is None:
+            self._moves = reach(self.model)
+        return self._moves
 
     # -- the state for files ----------------------------------------------------------------------------------------
     def to_tree(self) -> dict[str, Any]:
@@ -286,9 +326,14 @@ class Engine:
             "ahead": None if self.loop is None else self.loop.x,
             "wrong": self.wrong,
             "good": self.good,
-            "suspect": self.suspect,
+            "believing": self.believing,
+            "suspects": self.suspects,
             "doubt": self.doubt,
+            "lean": self.lean,
             "age": self.age,
+            "events": self.events,
+            "out": self.out,
+            "young": self.young,
             "counts": dict(self.counts),
         }
 
@@ -300,8 +345,20 @@ class Engine:
         if self.loop is not None and tree["ahead"] is not None:
             self.loop.x = np.asarray(tree["ahead"], float)
         self.wrong, self.good = np.array(tree["wrong"], int), np.array(tree["good"], int)
-        self.suspect, self.doubt, self.age = int(tree["suspect"]), float(tree["doubt"]), int(tree["age"])
+        self.believing, self.young = bool(tree["believing"]), bool(tree["young"])
+        self.suspects = np.array(tree["suspects"], bool)
+        self.doubt, self.lean = float(tree["doubt"]), float(tree["lean"])
+        self.age, self.events, self.out = int(tree["age"]), int(tree["events"]), int(tree["out"])
         self.counts = Counter({str(k): int(v) for k, v in tree["counts"].items()})
+
+
+def _share(odds: float) -> float:
+    """Probability of logarithmic odds."""
+    return float(1 / (1 + np.exp(np.clip(-odds, -500, 500))))
+
+
+def _wider(before: State, ways: NDArray) -> State:
+    return State(before.x, np.hstack([before.L, ways]), before.y)
 
 
 def _arrays(state: State | None) -> dict[str, Any] | None:

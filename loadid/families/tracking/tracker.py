@@ -122,7 +122,7 @@ class Tracker:
     @property
     def counts(self) -> dict[str, int]:
         """Samples taken; channel samples missing and kept out by the gate; steps of the load taken up."""
-        return {name: self._engine.counts[name] for name in ("samples", "missing", "gated", "steps")}
+        return {name: self._engine.counts[name] for name in ("samples", "missing", "gated", "steps", "lost")}
 
     def reset(self) -> None:
         """Back before the first sample."""
