@@ -1,0 +1,58 @@
+"""How good a force map is: resultants, distribution, leakage, and what marker noise does to them.
+
+Every number of a distribution is invariant to the units of force and length. Accuracy, fidelity and noise resistance
+are words that papers define in their own ways; the formulas here are those of each function's docstring.
+"""
+
+from __future__ import annotations
+
+from .benchmark import BenchmarkRow, BenchmarkTable, Case, benchmark, cases
+from .feats import CellErrors, cell_errors, to_cells
+from .mapped import MapMetrics, compare, compare_resultants
+from .measures import (
+    centroid,
+    centroid_error,
+    cosine,
+    dma,
+    dtma,
+    dtmb,
+    iou,
+    patches,
+    peak_ratio,
+    relative_error,
+    snr,
+    spread,
+)
+from .resultants import ResultantErrors, resultant, resultant_errors
+from .slope import NoiseSlope, noise_slope
+
+__all__ = [
+    "BenchmarkRow",
+    "BenchmarkTable",
+    "Case",
+    "CellErrors",
+    "MapMetrics",
+    "NoiseSlope",
+    "ResultantErrors",
+    "benchmark",
+    "cases",
+    "cell_errors",
+    "centroid",
+    "centroid_error",
+    "compare",
+    "compare_resultants",
+    "cosine",
+    "dma",
+    "dtma",
+    "dtmb",
+    "iou",
+    "noise_slope",
+    "patches",
+    "peak_ratio",
+    "relative_error",
+    "resultant",
+    "resultant_errors",
+    "snr",
+    "spread",
+    "to_cells",
+]
