@@ -1,0 +1,69 @@
+"""Guards of a force map: what was completed, what was lost, what regularisation took from its resultant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.flags import Evidence, Flag
+
+BIAS, SHARE = 0.02, 0.02
+
+
+def completed(provided: Mapping[str, str]) -> Flag | None:
+    """N606: a component of the motion was not tracked."""
+    names = [axis for axis, how in provided.items() if how == "completed"]
+    if not names:
+        return None
+    labels = ", ".join(f"u_{axis}: {how}" for axis, how in provided.items())
+    return Flag(
+        "N606",
+        Evidence("components completed", ", ".join(names)),
+        f"not every component of the motion was tracked ({labels})",
+        "measure it (a depth map), or do not validate with what completed it",
+    )
+
+
+def lost(rows: int, total: int) -> Flag | None:
+    """W604: readings were lost in this frame."""
+    share = rows / max(total, 1)
+    if not share > SHARE:
+        return None
+    return Flag(
+        "W604",
+        Evidence("share of readings lost", share, SHARE),
+        f"{rows} of {total} readings are missing in this frame; the map is exact for the others, its std is larger",
+        "look at the image; where markers vanish under the contact the map there is the prior's",
+    )
+
+
+def taken(hidden: NDArray, resultant: NDArray, covariance: NDArray) -> Flag | None:
+    """W608: regularisation is expected to have lowered the resultant by more than 2 % and more than its noise."""
+    size = float(np.linalg.norm(resultant[:3]))
+    if size == 0:
+        return None
+    along = resultant[:3] / size
+    loss = -float(along @ hidden[:3]) / size
+    noise = float(np.sqrt(max(along @ covariance[:3, :3] @ along, 0.0))) / size
+    if not (loss > BIAS and loss > noise):
+        return None
+    return Flag(
+        "W608",
+        Evidence("share of the resultant lost", loss, BIAS),
+        f"regularisation lowers the resultant by {100 * loss:.1f} %",
+        "give the resultant of a force/torque sensor (wrench=), or take a smaller lambda",
+    )
+
+
+def stopped(converged: bool, steps: int) -> Flag | None:
+    """W410: the constrained solver ended on its limit."""
+    if converged:
+        return None
+    return Flag(
+        "W410",
+        Evidence("Newton steps", float(steps)),
+        "the constrained map was not solved to the end in this frame",
+        "leave the friction cone out, or choose a larger lambda",
+    )

@@ -1,0 +1,169 @@
+"""The frozen inverse of a pad: one product per frame, exact when markers are lost, fused with a force/torque sensor.
+
+With C the posterior covariance, H the whitened transfer matrix and G = C H^T, leaving rows M out gives the load
+``G y`` with ``y_M = (I - A_MM)^-1 A_MO y_O`` and ``A = H G`` (what the others predict there), and the covariance
+``C + G_M (I - A_MM)^-1 G_M^T``: the Woodbury identity, no matrix of the size of the map is factored again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError
+
+from .reading import Wrench
+
+if TYPE_CHECKING:
+    from loadid.families.static import StaticInversion
+    from loadid.inverse.choice import Choice
+
+Array = NDArray[np.float64]
+LARGE = 4_000_000  # entries from which the products run in single precision: 1e-6 of the load, half the memory traffic
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Load (n,), its std (n,), and the covariance of its resultant (6, 6)."""
+
+    load: Array
+    std: Array
+    wrench: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Inverse:
+    """Regularised inverse at one lambda, in whitened readings.
+
+    Parameters
+    ----------
+    matrix : array (n, m)
+        G: loads per whitened reading; single precision where it is large.
+    influence : array (m, m)
+        A = H G: what is predicted at a reading per unit of another.
+    spread : array (m,)
+        Std of each reading: what whitens it.
+    std : array (n,)
+        Posterior std of the loads.
+    resultant : array (6, n)
+        Force and moment of unit loads.
+    reach : array (n, 6)
+        C R^T: covariance of the loads with their resultant.
+    loss : array (6, n)
+        ``R (G H - I)``: what regularisation takes from the resultant of a load.
+    lam, scale : float
+        Relative lambda and what makes it absolute.
+    rule : str
+        Who chose it.
+    """
+
+    matrix: NDArray
+    influence: Array
+    spread: Array
+    std: Array
+    resultant: Array
+    reach: Array
+    loss: Array
+    lam: float
+    scale: float
+    rule: str
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Loads and readings."""
+        return self.matrix.shape  # type: ignore[return-value]
+
+    def __call__(self, y: Array, wrench: Wrench | None = None) -> Answer:
+        """Load of readings (m,) in their own units; NaN where one is lost.
+
+        Raises
+        ------
+        InputError
+            If no reading is left.
+        """
+        z = y / self.spread
+        lost = np.flatnonzero(~np.isfinite(z))
+        covariance = self.resultant @ self.reach
+        if lost.size == 0:
+            answer = Answer(self._times(z), self.std, covariance)
+        else:
+            answer = self._without(z, lost, covariance)
+        return answer if wrench is None else self._fused(answer, wrench)
+
+    def hidden(self, load: Array) -> Array:
+        """What regularisation is expected to have taken from the resultant of this load (6,)."""
+        return self.loss @ load
+
+    def _times(self, z: Array) -> Array:
+        return np.asarray(self.matrix @ z.astype(self.matrix.dtype, copy=False), float)
+
+    def _without(self, z: Array, lost: NDArray, covariance: Array) -> Answer:
+        from scipy.linalg import cho_factor, cho_solve
+
+        if lost.size == len(z):
+            raise InputError("no reading is left in this frame", where="frame", found="all markers lost",
+                             expected="at least three markers", hint="look at the image")  # fmt: skip
+        z = np.where(np.isfinite(z), z, 0.0)
+        left = np.eye(lost.size) - self.influence[np.ix_(lost, lost)]
+        factor = cho_factor((left + left.T) / 2)
+        z[lost] = cho_solve(factor, self.influence[lost] @ z)
+        columns = self.matrix[:, lost].astype(float)
+        more = cho_solve(factor, columns.T)
+        felt = self.resultant @ columns
+        return Answer(
+            self._times(z),
+            np.sqrt(self.std**2 + np.einsum("nk,kn->n", columns, more)),
+            covariance + felt @ cho_solve(factor, felt.T),
+        )
+
+    def _fused(self, answer: Answer, wrench: Wrench) -> Answer:
+        """Conditioned on the resultant: exactly met, or weighed by its std."""
+        value = wrench.value
+        R, P = self.resultant[: len(value)], self.reach[:, : len(value)]
+        S = answer.wrench[: len(value), : len(value)]
+        if wrench.std is not None:
+            S = S + np.diag(wrench.std**2)
+        gain = np.linalg.solve(S, P.T).T
+        rest = value - R @ answer.load
+        variance = np.maximum(answer.std**2 - np.sum(gain * P, axis=1), 0.0)
+        K = np.linalg.solve(S, answer.wrench[: len(value)]).T
+        return Answer(answer.load + gain @ rest, np.sqrt(variance), answer.wrench - K @ answer.wrench[: len(value)])
+
+
+def prepare(family: StaticInversion, resultant: Array, lam: float, rule: str = "given") -> Inverse:
+    """Inverse of a static family at relative `lam`; its constraints are left to others.
+
+    Parameters
+    ----------
+    family : StaticInversion
+        Its noise is known.
+    resultant : array (6, n)
+    """
+    posed = family.at_rest()
+    base = posed.base
+    known = base.solution(lam, 1.0).posterior
+    assert known is not None
+    spread = np.asarray(posed.noise.level, float)
+    matrix = base.inverse(lam)  # per whitened reading
+    whitened = posed.H / spread[:, None]
+    factor = known.factor  # type: ignore[attr-defined]
+    return Inverse(
+        matrix=np.ascontiguousarray(matrix, np.float32 if matrix.size > LARGE else float),
+        influence=whitened @ matrix,
+        spread=spread,
+        std=np.asarray(known.std, float),
+        resultant=resultant,
+        reach=factor @ (factor.T @ resultant.T),
+        loss=(resultant @ matrix) @ whitened - resultant,
+        lam=float(lam),
+        scale=float(base.scale),
+        rule=rule,
+    )
+
+
+def from_choice(family: StaticInversion, resultant: Array, choice: Choice) -> Inverse:
+    """Inverse at the lambda that a rule chose."""
+    return prepare(family, resultant, choice.lam, choice.rule)

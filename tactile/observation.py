@@ -1,0 +1,201 @@
+"""What is observed of the surface: one row per marker and direction, one per window of a depth map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from structures.channels import Channel
+from structures.errors import InputError
+from structures.values import reals
+
+from .reading import Averaging, DepthMap
+
+Array = NDArray[np.float64]
+FEWEST = 3  # markers
+QUARTERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]]) / 4
+
+
+@dataclass(frozen=True, eq=False)
+class Markers:
+    """Markers on or under the surface, and what of their motion is seen.
+
+    Parameters
+    ----------
+    points : array (N, 2) or (N, 3)
+        Places at rest (m) in the frame of the pad; two columns are on the surface.
+    noise : float or array (N,), (axes,) or (N, axes)
+        Std of their motion (m), independent of each other.
+    axes : str
+        ``"XY"`` for in-plane motion, ``"XYZ"`` where all of it is tracked.
+    slope : array (N, 2), optional
+        Apparent in-plane motion per unit of normal motion: projection and refraction of a camera. The readings are
+        then apparent motions, and the inversion tells tangential from normal motion.
+
+    Raises
+    ------
+    InputError
+        Fewer than three markers, shapes that do not fit, NaN.
+    """
+
+    points: Array
+    noise: Any
+    axes: str = "XY"
+    slope: Array | None = None
+
+    def __post_init__(self) -> None:
+        points = reals(self.points, what="the markers are no real numbers", where="markers")
+        if points.ndim != 2 or points.shape[1] not in (2, 3) or not np.all(np.isfinite(points)):
+            raise InputError("no markers", where="markers", found=f"shape {points.shape}, or NaN",
+                             expected="finite places (N, 2) on the surface, or (N, 3), in m")  # fmt: skip
+        if len(points) < FEWEST:
+            raise InputError("too few markers", where="markers", found=len(points), expected=f"at least {FEWEST}",
+                             hint="three markers are the least that make a map of anything")  # fmt: skip
+        if self.axes not in ("XY", "XYZ"):
+            raise InputError("no axes of a motion", where="axes", found=repr(self.axes), expected="'XY' or 'XYZ'")
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "noise", self._spread(points))
+        if self.slope is not None:
+            slope = reals(self.slope, what="the slopes are no real numbers", where="markers, slope")
+            if slope.shape != (len(points), 2) or not np.all(np.isfinite(slope)):
+                raise InputError("the slopes do not fit the markers", where="markers, slope", found=slope.shape,
+                                 expected=f"({len(points)}, 2)")  # fmt: skip
+            object.__setattr__(self, "slope", slope)
+
+    def _spread(self, points: Array) -> Array:
+        noise = reals(self.noise, what="the noise is no real number", where="markers, noise")
+        count, axes = len(points), len(self.axes)
+        if noise.shape == (count,) and count != axes:
+            noise = noise[:, None]
+        if noise.shape not in ((), (axes,), (count, 1), (count, axes)) or not np.all(noise > 0):
+            raise InputError("the noise does not fit the markers", where="markers, noise", found=f"shape {noise.shape}",
+                             expected=f"a std > 0 in m, ({axes},), ({count},) or ({count}, {axes})",
+                             hint="the std of the motion of markers of the unloaded sensor")  # fmt: skip
+        return np.broadcast_to(noise, (count, axes)).copy()
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def channels(self) -> list[Channel]:
+        """A sensor for each marker and axis."""
+        return [
+            Channel(label=f"m{i}+{a}", quantity="displacement", unit="m", noise=float(self.noise[i, k]))
+            for i in range(len(self))
+            for k, a in enumerate(self.axes)
+        ]
+
+    def rows(self, motion: Any) -> Any:
+        """Rows of what is read from rows (3 N, n) of the motion of the markers."""
+        count = len(self)
+        if self.slope is None:
+            keep = (3 * np.arange(count)[:, None] + np.arange(len(self.axes))).ravel()
+            return motion[keep]
+        z = motion[2::3]
+        parts = [motion[k::3] + sparse.diags_array(self.slope[:, k]) @ z for k in range(2)]
+        if self.axes == "XYZ":
+            parts.append(z)
+        order = np.arange(count * len(parts)).reshape(len(parts), count).T.ravel()
+        stacked = sparse.vstack(parts).tocsr() if sparse.issparse(motion) else np.vstack(parts)
+        return stacked[order]
+
+    def readings(self, motion: ArrayLike) -> Array:
+        """Readings (N axes,) of a motion (N, 2 or 3); NaN where a marker is lost.
+
+        Raises
+        ------
+        InputError
+            If it does not fit, or holds infinity.
+        """
+        found = reals(motion, what="the displacements are no real numbers", where="displacements")
+        axes = len(self.axes)
+        if found.shape not in ((len(self), axes), (len(self), 3)) or np.any(np.isinf(found)):
+            raise InputError(
+                "the displacements do not fit the markers", where="displacements",
+                found=f"shape {found.shape}" + (", infinity" if np.any(np.isinf(found)) else ""),
+                expected=f"({len(self)}, {axes}) in m, NaN where a marker is lost",
+                hint="one row per marker, in the order in which the sensor was built",
+            )  # fmt: skip
+        found = found[:, :axes]
+        return np.where(np.isnan(found).any(axis=1, keepdims=True), np.nan, found).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class Depths:
+    """A depth map as readings: the mean normal motion in a window about each of some points.
+
+    Parameters
+    ----------
+    template : DepthMap
+        A map of the size, pixel and noise of those to come; its values do not matter.
+    points : array (n, 2)
+        Centres of the windows (m).
+    width : float
+        Side of the windows (m).
+    """
+
+    template: DepthMap
+    points: Array
+    width: float
+
+    def __post_init__(self) -> None:
+        seen = Averaging.over(self.template, self.points, self.width).share >= 1
+        if not seen.any():
+            raise InputError("the depth map does not lie on the pad", where="depth", found=f"{self.template.axes}",
+                             expected="pixels over the surface", hint="centre= places it")  # fmt: skip
+        object.__setattr__(self, "points", np.asarray(self.points, float)[seen])
+
+    @cached_property
+    def averaging(self) -> Averaging:
+        """The windows over the pixels."""
+        return Averaging.over(self.template, self.points, self.width)
+
+    @property
+    def channels(self) -> list[Channel]:
+        """A sensor for each window."""
+        spread = self.averaging.std(self.template.noise)
+        return [Channel(label=f"z{i}", quantity="displacement", unit="m", noise=float(s)) for i, s in enumerate(spread)]
+
+    @property
+    def samples(self) -> Array:
+        """Four points in each window (4 n, 2), whose mean is that of a bilinear motion over it."""
+        return (self.points[:, None, :] + self.width * QUARTERS).reshape(-1, 2)
+
+    def rows(self, motion: Any) -> Any:
+        """Rows of the means from rows (12 n, columns) of the motion of `samples`."""
+        z = motion[2::3]
+        count = z.shape[0] // 4
+        mean = sparse.kron(sparse.eye_array(count), np.full((1, 4), 0.25)).tocsr()
+        return mean @ z
+
+    def readings(self, depth: DepthMap) -> Array:
+        """Mean motion in every window (n,); NaN where pixels are missing.
+
+        Raises
+        ------
+        InputError
+            If the map is of another size or scale than the template.
+        """
+        t = self.template
+        same = isinstance(depth, DepthMap) and depth.values.shape == t.values.shape
+        if not same or depth.pixel != t.pixel or tuple(depth.centre) != tuple(t.centre):
+            raise InputError(
+                "the depth map is of another kind than the one the sensor was built for", where="depth",
+                found=f"{depth.values.shape}, pixel {depth.pixel:g} m" if isinstance(depth, DepthMap) else type(depth),
+                expected=f"{t.values.shape}, pixel {t.pixel:g} m, centre {tuple(t.centre)}",
+                hint="build the sensor with depth= a map of the kind that it will see",
+            )  # fmt: skip
+        return self.averaging.means(depth)
+
+
+def stacked(parts: Sequence[Any]) -> Any:
+    """Rows under each other, sparse where all of them are."""
+    if all(sparse.issparse(p) for p in parts):
+        return sparse.vstack(parts).tocsr()
+    return np.vstack([p.toarray() if sparse.issparse(p) else p for p in parts])

@@ -1,0 +1,141 @@
+"""What reaches a sensor beside the markers: depth maps as measured normal motion, and a force/torque sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from structures.errors import InputError
+from structures.values import positive, reals
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """Normal motion of the surface on a grid of pixels.
+
+    Parameters
+    ----------
+    values : array (H, W)
+        Motion u_z (m), outward positive: a press is negative. Row 0 lies at the smallest y, column 0 at the smallest
+        x. NaN where there is none.
+    pixel : float
+        Size of a pixel (m).
+    noise : float
+        Std of one pixel (m), independent between pixels.
+    centre : (x, y)
+        Centre of the map in the frame of the pad (m).
+    """
+
+    values: Array
+    pixel: float
+    noise: float
+    centre: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        values = reals(self.values, what="the depth map is no real numbers", where="DepthMap")
+        if values.ndim != 2 or min(values.shape) < 2 or np.any(np.isinf(values)):
+            raise InputError("no depth map", where="DepthMap", found=f"shape {values.shape}, or infinity",
+                             expected="(H, W), NaN where there is none")  # fmt: skip
+        object.__setattr__(self, "values", values)
+        positive("the pixel", self.pixel, where="DepthMap", unit="m")
+        positive("the noise", self.noise, where="DepthMap", unit="m")
+
+    @property
+    def axes(self) -> tuple[Array, Array]:
+        """Places of rows and columns: y (H,) and x (W,) in m."""
+        y, x = ((np.arange(n) - (n - 1) / 2) * self.pixel for n in self.values.shape)
+        return y + self.centre[1], x + self.centre[0]
+
+    def at(self, points: ArrayLike) -> Array:
+        """Motion at points (n, 2), bilinear; NaN outside and beside missing pixels."""
+        from scipy.ndimage import map_coordinates
+
+        points = np.asarray(points, float)
+        y, x = self.axes
+        where = np.array([(points[:, 1] - y[0]) / self.pixel, (points[:, 0] - x[0]) / self.pixel])
+        return np.asarray(map_coordinates(self.values, where, order=1, mode="constant", cval=np.nan))
+
+
+@dataclass(frozen=True, eq=False)
+class Averaging:
+    """Means of a depth map over square windows about points: built once, one sparse product per frame.
+
+    Parameters
+    ----------
+    weights : sparse (n, H W)
+        Rows sum to one; a point without pixels has an empty row.
+    share : array (n,)
+        Number of pixels of each window.
+    """
+
+    weights: sparse.csr_array
+    share: Array
+
+    @classmethod
+    def over(cls, depth: DepthMap, points: ArrayLike, width: float) -> Averaging:
+        """Windows of `width` (m) about `points` (n, 2): disjoint where the points are a grid of that pitch."""
+        y, x = depth.axes
+        points = np.asarray(points, float)
+        rows, columns, count = [], [], np.zeros(len(points))
+        edges = (np.searchsorted(a, points[:, k] + s * width / 2) for k, a in ((1, y), (0, x)) for s in (-1, 1))
+        for i, (j0, j1, k0, k1) in enumerate(zip(*edges, strict=True)):
+            here = (np.arange(j0, j1)[:, None] * len(x) + np.arange(k0, k1)).ravel()
+            count[i] = len(here)
+            rows.append(np.full(len(here), i))
+            columns.append(here)
+        owner = np.concatenate(rows)
+        data = 1 / np.maximum(count, 1)[owner]
+        shape = (len(points), depth.values.size)
+        return cls(sparse.csr_array((data, (owner, np.concatenate(columns))), shape=shape), count)
+
+    def means(self, depth: DepthMap) -> Array:
+        """Mean motion in each window (n,); NaN where it has no pixel, or one is missing."""
+        found = self.weights @ depth.values.ravel()
+        return np.where(self.share > 0, found, np.nan)
+
+    def std(self, noise: float) -> Array:
+        """Std of the means (n,) for independent pixels."""
+        return noise / np.sqrt(np.maximum(self.share, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Wrench:
+    """What a force/torque sensor says acts on the pad.
+
+    Parameters
+    ----------
+    force : array (3,)
+        N.
+    torque : array (3,), optional
+        N m about the centre of the loaded surface; left out where not given.
+    std : array (3,) or (6,), optional
+        Standard deviations; without them the equality is exact.
+    """
+
+    force: Array
+    torque: Array | None = None
+    std: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name, count in (("force", {3}), ("torque", {3}), ("std", {3, 6})):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            found = reals(value, what=f"the {name} is no real numbers", where="Wrench")
+            if found.shape not in {(c,) for c in count} or not np.all(np.isfinite(found)):
+                raise InputError(f"the {name} does not fit", where="Wrench", found=f"shape {found.shape}, or NaN",
+                                 expected=f"finite, ({' or '.join(map(str, sorted(count)))},)")  # fmt: skip
+            object.__setattr__(self, name, found)
+        if self.std is not None and (len(self.std) != len(self.value) or not np.all(self.std > 0)):
+            raise InputError("the stds do not fit what was measured", where="Wrench", found=self.std,
+                             expected=f"{len(self.value)} numbers > 0")  # fmt: skip
+
+    @property
+    def value(self) -> Array:
+        """Force, and torque where it was measured, (3,) or (6,)."""
+        return self.force if self.torque is None else np.concatenate([self.force, self.torque])

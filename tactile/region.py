@@ -1,0 +1,161 @@
+"""Maps that only press and do not leave their friction cone, solved where the contact is, frame after frame.
+
+Only the nodes of a region are unknowns; the region follows the contact. The answer is exact for a load on the region
+(active sets, `loadid.inverse.activeset`), and every frame starts from the one before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loadid.inverse import activeset
+from loadid.inverse.activeset import Point
+from loadid.inverse.constraints import Constraint, FrictionCone, NonNegative, Resultant
+from loadid.inverse.feasible import Feasible, compile_
+from loadid.inverse.quadratic import Quadratic
+
+from .reading import Wrench
+
+Array = NDArray[np.float64]
+GROWTH = 1.6  # how much larger than needed a region may be before it is cut
+FLIP = np.array([1.0, 1.0, -1.0])  # pressures are unknowns, not normal tractions
+
+
+@dataclass(frozen=True, eq=False)
+class Pressed:
+    """Load (n,), its std (n,), covariance of its resultant (6, 6), Newton steps, and whether they ended."""
+
+    load: Array
+    std: Array
+    wrench: Array
+    steps: int
+    converged: bool
+
+
+class _Region:
+    """The problem on some nodes: matrix, Gram matrix, feasible set, posterior of its unconstrained answer."""
+
+    def __init__(self, owner: RegionSolver, nodes: NDArray, lost: NDArray) -> None:
+        self.nodes, self.lost = nodes, lost
+        self.columns = (3 * nodes[:, None] + np.arange(3)).ravel()
+        self.flip = np.tile(FLIP, len(nodes))
+        H = owner.H[:, self.columns].astype(float) * self.flip
+        H[lost] = 0.0
+        self.A = np.vstack([H, np.diag(owner.prior[self.columns])])
+        self.gram = H.T @ H + np.diag(owner.prior[self.columns] ** 2)
+        self.R = owner.resultant[:, self.columns] * self.flip
+        self._spread: tuple[Array, Array] | None = None
+        self._free: tuple[Quadratic, Feasible] | None = None
+
+    def problem(self, mu: float | None) -> tuple[Quadratic, Feasible]:
+        """Objective and feasible set where no resultant is given; prepared once."""
+        if self._free is None:
+            feasible = self.feasible(mu, None)
+            self._free = Quadratic(self.A, feasible, self.gram), feasible
+        return self._free
+
+    def feasible(self, mu: float | None, equal: tuple[Array, Array] | None) -> Feasible:
+        """Cones, or pressures that are not negative; a resultant that is met."""
+        n = len(self.columns)
+        triples = np.arange(n).reshape(-1, 3)
+        first: Constraint = NonNegative(triples[:, 2]) if mu is None else FrictionCone(mu, triples)
+        constraints = [first] if equal is None else [first, Resultant(equal[0], equal[1])]
+        return compile_(constraints, n)
+
+    def spread(self) -> tuple[Array, Array]:
+        """Std of the load on the region without constraints, and the covariance of its resultant."""
+        if self._spread is None:
+            from structures.condensation import compliance
+
+            C = compliance(np.asfortranarray(self.gram.copy()))
+            self._spread = np.sqrt(np.diag(C)), self.R @ C @ self.R.T
+        return self._spread
+
+
+class RegionSolver:
+    """Constrained maps on the region of contact.
+
+    Parameters
+    ----------
+    H : array (m, n)
+        Whitened transfer matrix.
+    prior : array (n,)
+        Weight of each load in the penalty, absolute lambda included.
+    resultant : array (6, n)
+    neighbours : sparse (P, P)
+        Which nodes share a cell.
+    friction : float or None
+        Coefficient of friction; None only forbids pulling.
+    """
+
+    def __init__(
+        self, H: NDArray, prior: Array, resultant: Array, neighbours: Any, friction: float | None = None
+    ) -> None:
+        self.H, self.prior, self.resultant = np.asfortranarray(H), prior, resultant
+        self.neighbours, self.friction = neighbours.tocsr().astype(bool), friction
+        self._last: _Region | None = None
+        self._point: Point | None = None
+
+    def solve(self, z: Array, touched: NDArray[np.bool_], wrench: Wrench | None = None) -> Pressed:
+        """Load for whitened readings; `touched` (P,) says where contact is, a ring about it is added.
+
+        The ring makes room for what a first guess misses; where nothing is touched the load is zero.
+        """
+        n = self.H.shape[1]
+        wanted = self._grown(touched)
+        if not wanted.any():
+            return Pressed(np.zeros(n), np.zeros(n), np.zeros((6, 6)), 0, True)
+        lost = np.flatnonzero(~np.isfinite(z))
+        region = self._region(wanted, lost)
+        point = self._solve(region, np.where(np.isfinite(z), z, 0.0), wrench)
+        load, std = np.zeros(n), np.zeros(n)
+        spread, covariance = region.spread()
+        load[region.columns], std[region.columns] = point.h * region.flip, spread
+        return Pressed(load, std, covariance, point.steps, point.converged)
+
+    def _grown(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return np.asarray(self.neighbours @ mask, bool) | mask
+
+    def _region(self, wanted: NDArray, lost: NDArray) -> _Region:
+        """The last region while it still covers the contact and the same markers are lost."""
+        last = self._last
+        if last is not None and np.array_equal(last.lost, lost):
+            inside = np.zeros(len(wanted), bool)
+            inside[last.nodes] = True
+            if not np.any(wanted & ~inside) and inside.sum() <= GROWTH * wanted.sum():
+                return last
+        self._point = None if last is None else self._point
+        region = _Region(self, np.flatnonzero(self._grown(wanted)), lost)
+        self._point = None if self._point is None else self._moved(last, region)
+        self._last = region
+        return region
+
+    def _moved(self, last: _Region | None, region: _Region) -> Point | None:
+        """The last answer on the nodes of a new region."""
+        if last is None or self._point is None:
+            return None
+        whole = np.zeros(self.H.shape[1])
+        whole[last.columns] = self._point.h
+        start = activeset.origin(region.feasible(self.friction, None))
+        return replace(start, h=whole[region.columns])
+
+    def _solve(self, region: _Region, z: Array, wrench: Wrench | None) -> Point:
+        b = np.concatenate([z, np.zeros(len(region.columns))])
+        quadratic, feasible = region.problem(self.friction)
+        if wrench is not None:
+            rows = region.R[: len(wrench.value)]
+            if wrench.std is None:
+                feasible = region.feasible(self.friction, (rows, wrench.value))
+            else:
+                soft = rows / wrench.std[:, None]
+                quadratic = Quadratic(np.vstack([region.A, soft]), feasible, region.gram + soft.T @ soft)
+                b = np.concatenate([b, wrench.value / wrench.std])
+        start = self._point
+        if start is not None and (len(start.nu) != len(feasible.equal) or len(start.h) != len(region.columns)):
+            start = None
+        self._point = activeset.solve(quadratic, b, feasible, start)
+        return self._point
