@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from structures import bases, condensation, evaluation
+from structures import bases, evaluation, layered
 from structures.errors import InputError
 from structures.factor import Factor
 from structures.flags import Flag
@@ -214,14 +214,18 @@ class Pad:
         return Factor.of(self.structure)
 
     @cached_property
-    def stiffness(self) -> Array:
-        """Nodal forces from displacements of the surface (3 P, 3 P) in N/m, the interior free of load."""
-        return condensation.schur(self.structure.K_free, self._split[0], Factor)
+    def _condensed(self) -> tuple[Array, Array]:
+        return layered.condense(self.structure, self.dofs)
 
-    @cached_property
+    @property
+    def stiffness(self) -> Array:
+        """Nodal forces from displacements of the surface (3 P, 3 P) in N/m, the interior free of load; kept."""
+        return self._condensed[0]
+
+    @property
     def compliance(self) -> Array:
-        """Displacements from nodal forces on the surface (3 P, 3 P) in m/N."""
-        return condensation.compliance(self.stiffness.copy(order="F"))
+        """Displacements from nodal forces on the surface (3 P, 3 P) in m/N; kept."""
+        return self._condensed[1]
 
     # -- forces and motion ----------------------------------------------------------------------------------------
     def forces(self, displacements: ArrayLike) -> Array:
@@ -269,7 +273,7 @@ class Pad:
         return np.concatenate([f.sum(axis=0), np.cross(arms, f).sum(axis=0)])
 
     def strain(self, forces: ArrayLike) -> Array:
-        """Largest principal strain by size, with sign, at the centre of every cell (cells,) under surface forces (N)."""
+        """Largest principal strain by size, with sign, at the centre of every cell (cells,) under forces (N)."""
         return evaluation.largest_strain(evaluation.strains(self.structure, self.solve(forces)))
 
     def strained(self, forces: ArrayLike) -> Flag | None:
@@ -344,7 +348,7 @@ class Pad:
             )
         places = self._places(points)
         kept = (3 * np.arange(len(places))[:, None] + [AXES.index(name) for name in names]).ravel()
-        if "compliance" in self.__dict__ or len(kept) > self.dofs.size // 4:
+        if "_condensed" in self.__dict__ or len(kept) > self.dofs.size // 4:
             return np.asarray(self.from_surface(places)[kept] @ self.compliance, float)
         s, _ = self._split
         rows = self.rows(places)[kept][:, self.structure.free]
@@ -365,5 +369,5 @@ class Pad:
         return found
 
     def _height(self, points: Array) -> Array:
-        """z of the surface at (x, y)."""
+        """Height of the surface at (x, y)."""
         return np.full(len(points), self.thickness)

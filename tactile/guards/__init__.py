@@ -1,0 +1,1 @@
+"""Guards of the tactile route: one module for each room."""

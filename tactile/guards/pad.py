@@ -1,4 +1,4 @@
-"""Guards of the pad: E110 impossible mesh counts, W111 modulus, W112 large strain, W115 too coarse through the depth."""
+"""Guards of the pad: E110 impossible mesh counts, W111 modulus, W112 large strain, W115 too coarse in depth."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def modulus(E: float) -> Flag | None:
     return Flag(
         "W111",
         Evidence("Young's modulus in Pa", E, threshold),
-        f"E = {E:.4g} Pa is outside the range of elastomers, 1 kPa to 10 MPa; E is a pure gain: a factor 1000 here is a "
-        "factor 1000 in every force, and no residual shows it",
+        f"E = {E:.4g} Pa is outside the range of elastomers, 1 kPa to 10 MPa; E is a pure gain: a factor 1000 here is "
+        "a factor 1000 in every force, and no residual shows it",
         "check the unit and the decimal point; one press with a known force settles the gain",
     )
 
@@ -46,8 +46,8 @@ def large_strain(strain: float) -> Flag | None:
     return Flag(
         "W112",
         Evidence("largest principal strain", abs(strain), LINEAR),
-        f"linear range exceeded: principal strain of {100 * abs(strain):.1f} % in the reconstructed field; large strain "
-        "is outside what this version models",
+        f"linear range exceeded: principal strain of {100 * abs(strain):.1f} % in the reconstructed field; large "
+        "strain is outside what this version models",
         "press less hard, or take the map as an estimate to that order",
     )
 
