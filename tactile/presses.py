@@ -1,0 +1,131 @@
+"""Presses: known tractions on the surface of a pad, with the exact motion that they cause.
+
+A press is a round load with pressure and shear of the same shape. Its displacements come from the kernels of a layer or
+of a half-space (`tactile.radial`), never from a mesh: the truth that force maps are held against.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.values import number, pair, positive, real, reals, shown
+
+from .cells import polygon_means
+from .layer import HalfSpace, Layer
+from .profiles import profile
+from .radial import moved, radial
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Press:
+    """A round load on the surface: pressure of resultant `force`, shear of resultant `shear`, one shape for both.
+
+    Parameters
+    ----------
+    at : tuple of two floats
+        Centre (m), in the plane of the pad.
+    radius : float
+        Radius of the contact (m).
+    force : float
+        Normal force (N), positive when it presses; 0 for shear alone.
+    shear : tuple of two floats
+        Tangential force on the pad, X and Y (N).
+    profile : {"hertz", "uniform"}
+        sqrt(1 - r^2/a^2), or constant.
+
+    Raises
+    ------
+    InputError
+        If a value is not possible.
+    """
+
+    at: tuple[float, float] = (0.0, 0.0)
+    radius: float = 2.5e-3
+    force: float = 1.0
+    shear: tuple[float, float] = (0.0, 0.0)
+    profile: str = "hertz"
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "at", pair("at", self.at, where="Press", unit="m"))
+        set_(self, "radius", positive("radius", self.radius, where="Press", unit="m"))
+        set_(self, "force", number("force", self.force, where="Press", unit="N"))
+        set_(self, "shear", pair("shear", self.shear, where="Press", unit="N"))
+        profile(self.profile)
+
+    @property
+    def vector(self) -> tuple[float, float, float]:
+        """Resultant on the pad, X, Y, Z (N)."""
+        return (*self.shear, -self.force)
+
+    @property
+    def peak(self) -> float:
+        """Largest pressure (Pa)."""
+        return float(self.force * profile(self.profile).shape(np.zeros(1))[0] / self.radius**2)
+
+    def traction(self, points: ArrayLike) -> Array:
+        """Traction on the pad (Pa), (n, 3), at points (n, 2) or (n, 3) of the surface (m)."""
+        r = np.hypot(*self._offsets(_points(points)).T)
+        shape = profile(self.profile).shape(r / self.radius) / self.radius**2
+        return np.multiply.outer(shape, self.vector)
+
+    def displacement(self, ground: Layer | HalfSpace, points: ArrayLike) -> Array:
+        """Motion of points of the body (m), (n, 3).
+
+        Parameters
+        ----------
+        ground : Layer or HalfSpace
+            What is pressed.
+        points : array_like, (n, 2) or (n, 3)
+            Points of the surface, or anywhere in the body with their heights (m).
+
+        Raises
+        ------
+        InputError
+            If points are not finite or lie outside the body.
+        """
+        points = _points(points)
+        offsets = self._offsets(points)
+        heights = points[:, 2] if points.shape[1] == 3 else None
+        found = radial(ground, self.profile, self.radius, np.hypot(*offsets.T), heights)
+        return moved(found, offsets, self.vector)
+
+    def resultant(self, about: Sequence[float] = (0.0, 0.0)) -> Array:
+        """Fx, Fy, Fz (N) and Mx, My, Mz (N m) on the pad, moments about a point of the surface (m)."""
+        x, y = (a - b for a, b in zip(self.at, pair("about", about[:2], where="resultant", unit="m"), strict=True))
+        fx, fy, fz = self.vector
+        return np.array([fx, fy, fz, y * fz, -x * fz, x * fy - y * fx])
+
+    def mean_tractions(self, cells: ArrayLike) -> Array:
+        """Mean traction (Pa) over polygons, (n, 3), exact to 1e-9 of the peak.
+
+        Parameters
+        ----------
+        cells : array_like, (n, corners, 2)
+            Corners of each cell in turn, counter-clockwise (m).
+        """
+        corners = reals(cells, where="cells")
+        means = polygon_means(profile(self.profile), (corners - np.asarray(self.at)) / self.radius)
+        return np.multiply.outer(means / self.radius**2, self.vector)
+
+    def _offsets(self, points: Array) -> Array:
+        return points[:, :2] - np.asarray(self.at)
+
+
+def _points(points: ArrayLike) -> Array:
+    found = np.atleast_2d(reals(points, where="points"))
+    if found.ndim != 2 or found.shape[1] not in (2, 3) or not np.isfinite(found).all():
+        raise InputError(
+            "points must be finite, two or three coordinates each",
+            where="points",
+            found=f"an array of shape {found.shape}",
+            expected="(n, 2) or (n, 3), in metres",
+        )
+    return found

@@ -1,0 +1,170 @@
+"""Round loads on a layer or a half-space: Hankel integrals, exact to about 1e-10 of the largest motion.
+
+The motion of the half-space is known in closed form (`tactile.profiles`). What the rigid base takes from it decays as
+exp(-k (2 h - d)) at depth d, so that its Hankel integrals need a short Gauss rule only, and are so smooth in r and z that
+a Chebyshev interpolant carries them to any number of points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.values import positive, reals
+
+from .layer import Components, HalfSpace, Layer
+from .profiles import Profile, profile
+
+Array = NDArray[np.float64]
+HEIGHTS = 21  # Chebyshev points over the thickness, where points have more heights than that: 1e-12
+DECAY = 40.0  # where the integrals end: exp(-40) of their start
+
+
+def radial(ground: Layer | HalfSpace, shape: str, radius: float, r: ArrayLike, z: ArrayLike | None = None) -> Array:
+    """Five radial functions of a round load of unit resultant (m/N), (points, 5).
+
+    With f_m[X] = (1/2 pi) int X(k) g(k a) J_m(k r) k dk and the five functions of `tactile.layer.Components`:
+    f_0[zz], f_1[kz], f_1[zk], f_0[(kk + tt)/2], f_2[(kk - tt)/2]. `moved` makes displacements of them.
+
+    Parameters
+    ----------
+    ground : Layer or HalfSpace
+        What is pressed.
+    shape : str
+        ``"hertz"``: sqrt(1 - r^2/a^2), or ``"uniform"``.
+    radius : float
+        Radius a of the load (m).
+    r : array_like, (points,)
+        Distances from its axis (m).
+    z : array_like, (points,), optional
+        Heights (m), as `Layer` and `HalfSpace` count them; None: on the surface.
+
+    Raises
+    ------
+    InputError
+        If distances or heights are no finite numbers or lie outside the body.
+    """
+    form, a = profile(shape), positive("radius", radius, where="radial", unit="m")
+    r, z = _places(ground, r, z)
+    depth = ground.top - z
+    found = _half_space(ground, form, a, r, depth)
+    if isinstance(ground, Layer) and r.size:
+        found = found + _base(ground, form.transform, a, r, z)
+    return found
+
+
+def unit_point(layer: Layer, r: ArrayLike, z: ArrayLike | None = None) -> Array:
+    """What the base of a layer takes from the motion under a unit point force on a half-space, (points, 5), finite at r = 0."""
+    r, z = _places(layer, r, z)
+    return _base(layer, np.ones_like, 0.0, r, z)
+
+
+def moved(functions: Array, offsets: Array, force: ArrayLike) -> Array:
+    """Displacements (points, 3) at horizontal offsets (points, 2) from the axis of a load of resultant (X, Y, Z)."""
+    zz, kz, zk, mean, split = functions.T
+    fx, fy, fz = np.asarray(force, float)
+    r = np.hypot(*offsets.T)
+    ex, ey = offsets.T / np.where(r == 0, 1.0, r)
+    along = ex * fx + ey * fy
+    return np.column_stack([
+        kz * fz * ex + mean * fx - split * (2 * ex * along - fx),
+        kz * fz * ey + mean * fy - split * (2 * ey * along - fy),
+        zz * fz - zk * along,
+    ])  # fmt: skip
+
+
+def _half_space(ground: Layer | HalfSpace, form: Profile, a: float, r: Array, depth: Array) -> Array:
+    H0, H1 = np.zeros((2, len(r), 3))
+    top = depth == 0
+    H0[top] = form.surface(r[top] / a) / a
+    if not top.all():
+        found = form.below(r[~top] / a, depth[~top] / a)
+        H0[~top], H1[~top] = found[0] / a, found[1] / a**2
+    nu, q = ground.nu, depth[:, None] * H1
+    return np.column_stack([
+        2 * (1 - nu) * H0[:, 0] + q[:, 0],
+        (1 - 2 * nu) * H0[:, 1] - q[:, 1],
+        (1 - 2 * nu) * H0[:, 1] + q[:, 1],
+        (2 - nu) * H0[:, 0] - q[:, 0] / 2,
+        -nu * H0[:, 2] - q[:, 2] / 2,
+    ]) / (4 * np.pi * ground.mu)  # fmt: skip
+
+
+def _base(layer: Layer, transform: Callable[[Array], Array], a: float, r: Array, z: Array) -> Array:
+    """Layer minus half-space, interpolated over r, and over z where there are many heights."""
+    heights = np.unique(z)
+    reach = float(r.max(initial=0.0))
+    if len(heights) <= HEIGHTS:
+        found = np.empty((len(r), 5))
+        for height in heights:
+            here = z == height
+            found[here] = _over_distance(layer, transform, a, r[here], height, reach)
+        return found
+    from numpy.polynomial import chebyshev
+
+    h = layer.h
+    at = (chebyshev.chebpts1(HEIGHTS) + 1) * h / 2
+    rows = np.array([_over_distance(layer, transform, a, r, height, reach) for height in at])
+    fit = chebyshev.chebvander(2 * at / h - 1, HEIGHTS - 1)
+    weights = np.linalg.solve(fit.T, chebyshev.chebvander(2 * z / h - 1, HEIGHTS - 1).T)
+    return np.einsum("hp,hpj->pj", weights, rows)
+
+
+def _over_distance(
+    layer: Layer, transform: Callable[[Array], Array], a: float, r: Array, z: float, reach: float
+) -> Array:
+    """Layer minus half-space at one height: directly at few distances, else by Chebyshev points in 0 <= r <= reach."""
+    from numpy.polynomial import chebyshev
+
+    # singular only at r = +- i (2 h - d): that sets the degree for 1e-13
+    b = 2 * (layer.h + z) / max(reach, 1e-9 * layer.h)
+    degree = 12 + int(30 / np.log(b + np.hypot(b, 1)))
+    if len(r) <= degree + 1:
+        return _integrals(layer, transform, a, r, z)
+    coefficients = chebyshev.chebinterpolate(lambda x: _integrals(layer, transform, a, (x + 1) * reach / 2, z), degree)
+    return chebyshev.chebval(2 * r / reach - 1, coefficients).T
+
+
+def _integrals(layer: Layer, transform: Callable[[Array], Array], a: float, r: Array, z: float) -> Array:
+    from scipy.special import j0, j1
+
+    end = DECAY / (layer.h + z)
+    x, w = np.polynomial.legendre.leggauss(160 + int(0.55 * end * (a + r.max(initial=0.0))))
+    k, w = (x + 1) * end / 2, w * end / 2
+    f = _difference(layer, k, z)
+    w = w * k * transform(k * a) / (2 * np.pi)
+    kr = np.multiply.outer(r, k)
+    J0, J1 = j0(kr), j1(kr)
+    J2 = np.divide(2 * J1, kr, out=np.zeros_like(kr), where=kr > 0) - np.where(kr > 0, J0, 0.0)
+    return np.column_stack([
+        J0 @ (w * f.zz),
+        J1 @ (w * f.kz),
+        J1 @ (w * f.zk),
+        J0 @ (w * (f.kk + f.tt) / 2),
+        J2 @ (w * (f.kk - f.tt) / 2),
+    ])  # fmt: skip
+
+
+def _difference(layer: Layer, k: Array, z: float) -> Components:
+    ours, limit = layer.components(k, z), layer.half_space.components(k, z - layer.h)
+    return Components(*(f - g for f, g in zip(ours, limit, strict=True)))
+
+
+def _places(ground: Layer | HalfSpace, r: ArrayLike, z: ArrayLike | None) -> tuple[Array, Array]:
+    r = np.atleast_1d(reals(r, where="r"))
+    z = np.full(r.shape, ground.top) if z is None else np.broadcast_to(reals(z, where="z"), r.shape)
+    if not (np.isfinite(r).all() and np.isfinite(z).all()):
+        raise InputError("places must be finite", where="points", found="NaN or infinity", expected="metres")
+    bottom, slack = (0.0, 1e-9 * ground.h) if isinstance(ground, Layer) else (-np.inf, 0.0)
+    if r.size and (z.min() < bottom - slack or z.max() > ground.top + slack):
+        raise InputError(
+            "points outside the body",
+            where="z",
+            found=f"{z.min():g} to {z.max():g} m",
+            expected=f"{bottom:g} to {ground.top:g} m",
+            hint="z is the height above the bonded base of a layer, and minus the depth in a half-space",
+        )
+    return np.abs(r), np.clip(z, bottom, ground.top)
