@@ -263,6 +263,45 @@ def test_a_whole_sample_that_is_wrong_is_left_out():
     assert tracker.counts["gated"] == 4
 
 
+@pytest.mark.parametrize("off", [1.0, 1.03])
+def test_an_impact_of_a_few_samples_is_no_fault_of_its_sensors(off):
+    """Twelve prior stds within three samples, every channel beyond the gate: followed as well as without a gate."""
+    from case_studies import method_map
+
+    c = method_map.case("impact", 3)
+    model = method_map.model() if off == 1.0 else method_map.model().perturbed("stiffness", off)
+    found = LoadTracker(model, prior=priors.Matern32(17.0, 0.004), noise=c.noise).fit(c.record, method_map.DT).fitted
+    errors, cover = {}, 0.0
+    for gate in (None, 6.0):
+        tracker = Tracker(found, gate)
+        load, std, _ = tracker.run(c.record)
+        errors[gate] = np.linalg.norm(load[:, 0] - c.force)
+        cover = np.mean(np.abs(load[:, 0] - c.force) < 1.96 * std[:, 0])
+    assert errors[6.0] < 1.1 * errors[None]
+    assert tracker.counts["gated"] == 0
+    assert tracker.counts["steps"] >= 1
+    assert cover > 0.9 or off > 1
+
+
+def test_a_wholly_wrong_sample_is_told_from_an_impact_by_what_follows():
+    """Three channels that a load could explain for one sample: its band says so, and the next sample decides."""
+    from case_studies import method_map
+
+    c, rng = method_map.case("random", 0), np.random.default_rng(0)
+    found = (
+        LoadTracker(method_map.model(), prior=priors.Matern32(22.0, 0.019), noise=c.noise).fit(c.record, 2e-3).fitted
+    )
+    for size in (3.0, 30.0):
+        for at in (220, 260, 300):
+            y = c.record.copy()
+            y[at] += size * y.std(axis=0) * rng.choice([-1, 1], 3) * rng.uniform(0.5, 2, 3)
+            tracker = Tracker(found, 6.0)
+            load, std, _ = tracker.run(y)
+            assert (np.abs(load[:, 0] - c.force) / std[:, 0])[at : at + 60].max() < 4
+            assert tracker.counts["gated"] == 3
+            assert tracker.counts["steps"] == 0
+
+
 def test_a_wrong_model_is_no_reason_to_throw_its_sensors_away():
     """Innovations are what they were at the fit: the gate is as many times wider, and still keeps what is wrong out."""
     c = case()

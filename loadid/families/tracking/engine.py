@@ -20,8 +20,8 @@ from .gate import RARE, missed, reach, weighed
 ARRIVED = 1e-3  # of the variances, from which the settled gain takes over
 GATE = 6.0  # std of an innovation beyond which a sample is looked at
 PATIENCE = 20  # samples: of good behaviour at most, until a channel is believed again; of a lost state, that it is held
-DECISIVE = 2.0  # logarithm of the odds between an event and wrong channels
-OPEN = 1.0  # of them at most, that the first sample may speak: later ones decide
+DECISIVE = 3.0  # logarithm of the odds between an event and wrong channels
+OPEN = 2.0  # of them at most, that the first sample may say: later ones decide
 
 
 class Engine:
@@ -154,7 +154,8 @@ class Engine:
         Cp = self.model.Cp
         load, std = Cp @ self.state.x, np.linalg.norm(Cp @ self.state.L, axis=1)
         if self.rival is not None:  # a mixture of the two, seen from the one that speaks
-            other = _share(-self.doubt if self.believing else self.doubt)
+            odds = self.doubt - min(self.lean, 0.0)  # that no load explains a sample may be believed at once
+            other = _share(odds if self.believing else -odds)
             std = np.sqrt(std**2 + other * (1 - other) * (load - Cp @ self.rival.x) ** 2)
         return load, std
 
