@@ -36,10 +36,19 @@ class Named:
     make: Callable[..., Any]
 
     def starts(self, size: float, dt: float, samples: int) -> list[NDArray[np.float64]]:
-        """Logarithms of the parameters from which the search begins, for a load of about this size (its std)."""
+        """Logarithms of the parameters from which the search begins, for a load of about this size (std, if white).
+
+        A slow load moves the sensors less than a white one of its std: what a Matern-3/2 process has at high
+        frequencies stays the same where its std grows with its length to the power of 3/2.
+        """
         lengths = np.geomspace(SHORTEST * 2 * dt, LONGEST * samples * dt, 4)
         if self.parameters == ("sd", "length"):
-            return [np.log([size * s, length]) for length in lengths for s in (0.3, 1.0, 3.0)]
+            slow = (lengths / lengths[0]) ** 1.5
+            return [
+                np.log([size * s, length])
+                for length, most in zip(lengths, slow, strict=True)
+                for s in np.geomspace(0.3, 3.0 * most, 3)
+            ]
         if self.parameters == ("rate",):
             return [np.log([size * s / np.sqrt(length)]) for length in lengths for s in (0.3, 3.0)]
         return [np.log([size * s]) for s in (0.1, 0.3, 1.0, 3.0)]

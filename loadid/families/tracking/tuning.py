@@ -2,7 +2,9 @@
 
 The steady filter predicts every sample; the density of what the samples said beyond that is the likelihood. A common
 factor on process and measurement noise leaves the gain alone: its optimum is the mean NIS, in closed form, where the
-noise level is not known.
+noise level is not known. The search stays within `REACH` of where it starts, and the starts follow from step and length
+of the record: a correlation length of ten records is not told from an endless one, nor one of a hundredth of a step
+from none. Single wrong samples, which no load explains, are left out in a second pass.
 """
 
 from __future__ import annotations
@@ -17,10 +19,17 @@ from structures.errors import InputError, NotIdentifiable
 
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.steady import Steady, steady
+from .posed import rescaled
+from .search import Point, climb
+from .wrong import wrong_samples
 
 SKIPPED = 0.05  # of a record, in which the filter settles
 STARTS = 2  # of the grid from which the search goes on
-LOST = 1e12  # of a filter that does not exist
+REACH = 100.0  # of the search beyond its starts, as a factor
+PASSES = 3  # in which wrong samples are looked for
+EDGE = 1e-6  # of a logarithm, within which a number counts as at its bound
+
+Build = Callable[[NDArray], FilterModel]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,24 +45,29 @@ class Tuned:
     scale : float
         Variance by which process and measurement noise are to be multiplied; 1 where the level is known.
     evaluations : int
+    bounded : tuple of int
+        Numbers that ended at a bound of the search: the record does not tell them.
+    wrong : tuple of int
+        Samples of each channel that no load explains, and that were left out.
     """
 
     parameters: NDArray[np.float64]
     loglik: float
     scale: float
     evaluations: int
+    bounded: tuple[int, ...] = ()
+    wrong: tuple[int, ...] = ()
 
 
 def tune(
-    build: Callable[[NDArray], FilterModel],
+    build: Build,
     starts: list[NDArray],
     Y: NDArray,
     *,
     free_scale: bool,
-    step: float = 0.3,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Tuned:
-    """Nelder-Mead from the best of a grid of starts.
+    """Scoring from the best of a grid of starts, once more without wrong samples where there are some.
 
     Parameters
     ----------
@@ -64,60 +78,95 @@ def tune(
         Without gaps.
     free_scale : bool
         The noise level is not known: the common scale is at its optimum everywhere.
-    step : float
-        First step of the simplex, in logarithms.
 
     Raises
     ------
     InputError
         No filter exists for any start.
     """
-    from scipy.optimize import minimize
-
-    count = 0
-
-    def cost(x: NDArray) -> float:
-        nonlocal count
-        count += 1
-        progress(min(count / 150, 1.0))
-        try:
-            found = steady(build(x))
-        except (NotIdentifiable, InputError, np.linalg.LinAlgError):
-            return LOST
-        value = likelihood(found, Y, free_scale)[0]
-        return -value if np.isfinite(value) else LOST
-
-    values = [cost(x) for x in starts]
-    if min(values) >= LOST:
+    grid = np.array(starts, float)
+    low, high = grid.min(axis=0) - np.log(REACH), grid.max(axis=0) + np.log(REACH)
+    likely = Likelihood(build, Y, free_scale, progress)
+    points = sorted((p for p in map(likely, grid) if p is not None), key=lambda p: p.cost)
+    if not points:
         raise InputError("no steady filter exists for any numbers of this prior", where="fit",
                          found=f"{len(starts)} starts", expected="a prior that the sensors can follow",
                          hint="add a displacement or strain sensor, take a prior that returns to zero, or state the "
                          "numbers of the prior, such as RandomWalk(100)")  # fmt: skip
-    best = None
-    for k in np.argsort(values)[:STARTS]:
-        x0 = np.asarray(starts[k], float)
-        simplex = np.vstack([x0, x0 + step * np.eye(len(x0))])
-        options = {"initial_simplex": simplex, "xatol": 5e-3, "fatol": 1e-2, "maxfev": 80 * len(x0)}
-        found = minimize(cost, x0, method="Nelder-Mead", options=options)
-        if best is None or found.fun < best.fun:
-            best = found
-    assert best is not None
-    value, scale = likelihood(steady(build(best.x)), Y, free_scale)
-    return Tuned(np.asarray(best.x, float), value, scale, count)
+    best = min((climb(likely, p, low, high) for p in points[:STARTS]), key=lambda p: p.cost)
+    count, wrong = likely.count, None
+    for _ in range(PASSES):
+        found = wrong_samples(steady(rescaled(build(best.x), best.scale)), Y)
+        if found.count == 0 or (wrong is not None and np.array_equal(found.mask, wrong.mask)):
+            break
+        wrong = found
+        likely = Likelihood(build, wrong.values, free_scale, progress, wrong.mask.any(axis=1))
+        again = likely(best.x)
+        assert again is not None  # a filter exists here
+        best = climb(likely, again, low, high)
+        count += likely.count
+    edge = np.flatnonzero((best.x <= low + EDGE) | (best.x >= high - EDGE))
+    left = () if wrong is None else tuple(wrong.mask.sum(axis=0).tolist())
+    return Tuned(best.x, -best.cost, best.scale, count, tuple(edge.tolist()), left)
+
+
+class Likelihood:
+    """Points of a search: the likelihood of a complete record (samples, sensors) at numbers, and how often asked.
+
+    Parameters
+    ----------
+    build, Y, free_scale, progress
+        As in `tune`.
+    apart : array of bool (samples,), optional
+        Samples that do not count.
+    """
+
+    def __init__(
+        self,
+        build: Build,
+        Y: NDArray,
+        free_scale: bool,
+        progress: Callable[[float], None],
+        apart: NDArray[np.bool_] | None = None,
+    ) -> None:
+        self.build, self.Y, self.free_scale, self.progress, self.count = build, Y, free_scale, progress, 0
+        self.use = settled_samples(len(Y)) if apart is None else settled_samples(len(Y)) & ~apart
+
+    def __call__(self, x: NDArray) -> Point | None:
+        """Where a filter exists."""
+        self.count += 1
+        self.progress(min(self.count / 100, 1.0))
+        try:
+            found = steady(self.build(x))
+        except (NotIdentifiable, InputError, np.linalg.LinAlgError):
+            return None
+        e = innovations(found, self.Y)[self.use]
+        value, scale = density(found.Se_root, e, self.free_scale)
+        if not np.isfinite(value):
+            return None
+        root = found.Se_root * np.where(np.diag(found.Se_root) < 0, -1.0, 1.0)
+        return Point(np.array(x, float), -value, scale, e, root, self.free_scale)
+
+
+def settled_samples(count: int) -> NDArray[np.bool_]:
+    """Samples of a record in which the filter has settled (count,)."""
+    return np.arange(count) >= min(max(int(SKIPPED * count), 10), count - 1)
+
+
+def density(root: NDArray, e: NDArray, free_scale: bool) -> tuple[float, float]:
+    """Log-likelihood of innovations (samples, m) of a covariance given by its root, and the scale of the noises."""
+    from ...inverse.kalman.roots import forward
+
+    white = forward(root, e.T)
+    squares, number = float(np.sum(white**2)), white.size
+    scale = squares / number if free_scale else 1.0
+    spread = float(np.sum(np.log(np.abs(np.diag(root))))) + 0.5 * len(root) * float(np.log(scale))
+    return -0.5 * (squares / scale + number * float(np.log(2 * np.pi))) - len(e) * spread, scale
 
 
 def likelihood(filtered: Steady, Y: NDArray, free_scale: bool) -> tuple[float, float]:
-    """Log-likelihood of the samples beyond the settling, and the common scale of the noises."""
-    from ...inverse.kalman.roots import forward
-
-    e = innovations(filtered, Y)
-    first = min(max(int(SKIPPED * len(Y)), 10), len(Y) - 1)
-    white = forward(filtered.Se_root, e[first:].T)
-    squares, number = float(np.sum(white**2)), white.size
-    scale = squares / number if free_scale else 1.0
-    spread = float(np.sum(np.log(np.abs(np.diag(filtered.Se_root))))) + 0.5 * len(filtered.Se_root) * np.log(scale)
-    value = -0.5 * (squares / scale + number * np.log(2 * np.pi)) - (len(Y) - first) * spread
-    return value, scale
+    """Log-likelihood of the samples of a complete record beyond the settling, and the common scale of the noises."""
+    return density(filtered.Se_root, innovations(filtered, Y)[settled_samples(len(Y))], free_scale)
 
 
 def innovations(filtered: Steady, Y: NDArray) -> NDArray[np.float64]:
@@ -126,5 +175,7 @@ def innovations(filtered: Steady, Y: NDArray) -> NDArray[np.float64]:
 
     model = filtered.model
     load, e = np.empty((len(Y), model.p)), np.empty(Y.shape)
-    Loop(filtered.rows(), model.p, model.m, model.x0).block(Y, load, e)
+    loop = Loop(filtered.rows(), model.p, model.m, model.x0)
+    loop.compile()  # a search asks many times
+    loop.block(Y, load, e)
     return e

@@ -109,7 +109,7 @@ def smooth_settling(record: Sectioned, *, progress: Progress = None) -> Smoothed
     for section in reversed(record.sections):
         part = slice(section.first, section.first + section.count)
         if section.e is not None:
-            told = _back_mean(steady, section.e, told, load[part], rest[part])
+            told = back_mean(steady, section.e, told, load[part], rest[part])
             np.subtract(filtered.load[part], load[part], out=load[part])
             std[part], root = _back_std(steady, section.count, root)
         else:
@@ -148,7 +148,7 @@ def _settled(
     return Section(first, [], [], e), loop.x
 
 
-def _back_mean(steady: Steady, e: NDArray, told: NDArray, change: NDArray, rest: NDArray) -> NDArray[np.float64]:
+def back_mean(steady: Steady, e: NDArray, told: NDArray, change: NDArray, rest: NDArray) -> NDArray[np.float64]:
     """Fill the change of the loads of a stretch and its residuals; what it and later samples tell the one before.
 
     With lambda from the later samples, ``y - H x_s = R (Se^-1 e + K^T lambda)``, as ``H P = R K^T``.
