@@ -1,0 +1,223 @@
+"""Markers followed from frame to frame: predicted, matched, held against their neighbours, lost and found again."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError
+from structures.flags import Flag
+from structures.values import positive
+
+from ..guards.vision import leapt, vanished
+from .detect import Detected, Detector
+from .match import NONE, Dots, Neighbourhood, places
+from .motion import Motion
+from .noise import Jitter, jitter
+from .scale import size_of_dots
+
+log = logging.getLogger(__name__)
+FIRST = 0.75  # gate of the first look, over the pitch: motion of half a pitch in any direction is inside
+COMMON = 0.15  # common motion, over the pitch, from which on it is taken off before a second look
+GATE = 0.4
+RETURN = 0.25  # gate of a marker that was lost, over the pitch: strange dots are not taken for it
+DISAGREE = 0.5  # distance from the neighbours' motion since rest, over the pitch
+STEP = 0.5  # motion of one frame beyond which a neighbour is as near, over the pitch
+FEWEST = 3
+
+
+class MarkerTracker:
+    """Follows the dots of a pattern from a frame at rest.
+
+    The pattern may have any shape and any gaps: no rows and columns are counted. Every frame is matched to the one
+    before it, so that a marker must not move by half a pitch between two of them; its total motion may be larger.
+
+    Parameters
+    ----------
+    reference : image (H, W) or (H, W, 3), or array (N, 2)
+        Frame of the unloaded pad; or the places of its dots in px, then frames come as places too unless a
+        `detector` is given.
+    radius, pitch : float, optional
+        Of the dots, px; default estimated from the reference.
+    dark, method, threshold, margin, backend
+        As in `Detector`.
+    detector : Detector, optional
+        Instead of these.
+    gate : float
+        Distance from the prediction at which a dot is still taken, over the pitch.
+
+    Raises
+    ------
+    InputError
+        Fewer than three markers; a gate that is none.
+    """
+
+    def __init__(
+        self,
+        reference: Any,
+        *,
+        radius: float | None = None,
+        pitch: float | None = None,
+        dark: bool = True,
+        method: str = "parabola",
+        threshold: float | None = None,
+        margin: float | None = None,
+        backend: str | None = None,
+        detector: Detector | None = None,
+        gate: float = GATE,
+    ) -> None:
+        if detector is None and not _is_points(reference):
+            radius, pitch = size_of_dots(reference, radius=radius, pitch=pitch, dark=dark, backend=backend)
+            detector = Detector(radius, pitch, dark, method, margin=margin, backend=backend)
+            detector = detector if threshold is None else replace(detector, threshold=threshold)
+        self.detector = detector
+        self._size: tuple[int, ...] | None = None
+        self.gate = positive("gate", gate, where="MarkerTracker")
+        rest = self._dots(reference)
+        if len(rest) < FEWEST:
+            raise InputError(
+                "too few markers",
+                where="reference frame",
+                found=len(rest),
+                expected=f"at least {FEWEST}",
+                hint="dark=False looks for bright dots; radius= and pitch= state their size in px",
+            )
+        self._rest = rest
+        self._around = Neighbourhood(rest)
+        self._pattern = rest  # as first seen: what neighbours are compared in
+        self._now = rest  # where each marker was last seen, or where its neighbours say it is
+        self._found = np.ones(len(rest), bool)
+        self._frame = 0
+        self._leap: Flag | None = None
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """Places of the markers at rest, px, shape (N, 2)."""
+        return self._rest.copy()
+
+    @property
+    def pitch(self) -> float:
+        """Median distance of neighbouring markers at rest, px."""
+        return self._around.pitch
+
+    def step(self, frame: Any) -> Motion:
+        """Motion of the markers in the next frame.
+
+        Parameters
+        ----------
+        frame : image, Detected, or array (k, 2)
+            The frame, or the places of the dots in it.
+        """
+        dots = Dots(self._dots(frame))
+        self._frame += 1
+        expected, common = self._expected(dots)
+        index = dots.mutual(expected, self.gate * self.pitch)
+        taken = index != NONE
+        place = np.full_like(expected, np.nan)
+        place[taken] = dots.points[index[taken]]
+        strange = ~self._found & (_length(place - expected) > RETURN * self.pitch)
+        rejected = self._odd(place) | strange | (_length(place - self._now) > STEP * self.pitch)
+        self._found = taken & ~rejected
+        self._now = np.where(self._found[:, None], place, expected)
+        self._leap = self._leap or leapt(common, self.pitch, self._frame)
+        return self._motion(rejected, len(dots.points) - int(taken.sum()))
+
+    def _motion(self, rejected: NDArray[np.bool_], unmatched: int) -> Motion:
+        moved = np.where(self._found[:, None], self._now - self._rest, np.nan)
+        lost = np.isnan(moved).any(axis=1) & ~rejected
+        gone = vanished(len(lost), int(lost.sum()), int(rejected.sum()), unmatched)
+        flags = tuple(flag for flag in (gone, self._leap) if flag is not None)
+        return Motion(self.points, moved, lost, rejected, unmatched, self._frame, flags)
+
+    def zero(self, frames: Iterable[Any] | None = None) -> None:
+        """Take the present places as rest; with unloaded frames, their mean.
+
+        A marker that is not seen there has no place at rest: it counts as lost until the next `zero` that sees it.
+
+        Raises
+        ------
+        InputError
+            Fewer than three markers are seen; `frames` is empty.
+        """
+        sums, counts = np.zeros_like(self._now), np.zeros(len(self._now), int)
+        for frame in (None,) if frames is None else frames:
+            if frame is not None:
+                self.step(frame)
+            sums[self._found] += self._now[self._found]
+            counts += self._found
+        known = counts > 0
+        if known.sum() < FEWEST:
+            raise InputError(
+                "too few markers seen", where="zero", found=int(known.sum()), expected=f"at least {FEWEST}"
+            )
+        rest = np.full_like(self._now, np.nan)
+        rest[known] = sums[known] / counts[known, None]
+        self._rest = rest
+        log.info("zeroed on %d of %d markers", known.sum(), len(known))
+
+    def jitter(self, frames: Iterable[Any]) -> Jitter:
+        """Noise of the places over unloaded frames, per axis; see `tactile.vision.noise.jitter`."""
+        return jitter([self._followed(frame) for frame in frames])
+
+    def _followed(self, frame: Any) -> NDArray[np.float64]:
+        """Places in the next frame, whether or not they are known at rest."""
+        self.step(frame)
+        return np.where(self._found[:, None], self._now, np.nan)
+
+    def _dots(self, frame: Any) -> NDArray[np.float64]:
+        if isinstance(frame, Detected):
+            return frame.points
+        if self.detector is None or _is_points(frame):
+            return _finite(places(frame, "dots"))
+        self._size = self._size or np.shape(frame)[:2]
+        if np.shape(frame)[:2] != self._size:
+            raise InputError(
+                "a frame of another size",
+                where=f"frame {self._frame + 1}",
+                found=np.shape(frame),
+                expected=self._size,
+                hint="a tracker follows one camera at one setting; start another one from an unloaded frame",
+            )
+        return self.detector(frame).points
+
+    def _expected(self, dots: Dots) -> tuple[NDArray[np.float64], float]:
+        """Where the markers should be, from how their neighbours moved since the last frame; length of the common motion.
+
+        The first look sees most dots where the pattern moves as one; the second, from there, sees the local motion.
+        """
+        moved = dots.offers(self._now, FIRST * self.pitch)
+        common = _middle(moved)
+        if np.hypot(*common) > COMMON * self.pitch:
+            moved = common + dots.offers(self._now + common, FIRST * self.pitch)
+        local = self._around.median(moved)
+        return self._now + np.where(np.isfinite(local), local, common), float(np.hypot(*common))
+
+    def _odd(self, place: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Markers whose motion since rest is not like that of their neighbours."""
+        moved = place - self._pattern
+        middle = self._around.median(moved)
+        return _length(moved - middle) > DISAGREE * self.pitch
+
+
+def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.hypot(vectors[:, 0], vectors[:, 1])
+
+
+def _middle(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Median per axis of those that are known, 0 where none is."""
+    known = vectors[np.isfinite(vectors[:, 0])]
+    return np.median(known, axis=0) if len(known) else np.zeros(2)
+
+
+def _finite(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _is_points(frame: Any) -> bool:
+    """Whether an array holds places (n, 2) and no image."""
+    return not isinstance(frame, Detected) and np.ndim(frame) == 2 and np.shape(frame)[1] == 2
