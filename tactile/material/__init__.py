@@ -1,0 +1,19 @@
+"""Modulus and Poisson's ratio of a gel from tensile and indentation tests, and what those tests do not show."""
+
+from __future__ import annotations
+
+from .curves import Indentation, Tensile
+from .identify import MaterialFit, from_tests
+from .indenters import flat_stiffness, sphere_contact, sphere_force
+from .verdicts import Verdict
+
+__all__ = [
+    "Indentation",
+    "MaterialFit",
+    "Tensile",
+    "Verdict",
+    "flat_stiffness",
+    "from_tests",
+    "sphere_contact",
+    "sphere_force",
+]

@@ -1,0 +1,222 @@
+"""From tests to material: E and nu with their std, and the verdicts on rate independence and linearity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from structures.errors import InputError, NotIdentifiable
+from structures.flags import Flag
+from structures.values import number, positive
+
+from ..guards.material import one_of_two
+from ..guards.pad import modulus
+from .curves import Curve, Indentation, Tensile
+from .fits import CurveFit, fit, poisson
+from .pooled import Pooled, pool
+from .verdicts import BEND, RATE, Verdict, linearity, rate_independence
+
+KNOWN = 0.05  # std of Poisson's ratio beyond which the tests do not determine it
+SIZES = 1.5  # ratio of indenter or contact sizes from which they count as two
+LOWEST, HIGHEST, TRIAL = 0.0, 0.4995, 0.005
+
+
+@dataclass(frozen=True)
+class MaterialFit:
+    """A material as its tests show it.
+
+    Parameters
+    ----------
+    E, E_std : float
+        Young's modulus (Pa), and its std: noise, scatter between runs, and what Poisson's ratio leaves open.
+    nu, nu_std : float or None
+        Poisson's ratio; None where the tests do not tell it and none was given.
+    nu_source : {"lateral strain", "indenter sizes", "given", "not determined"}
+    rate, linear : Verdict
+        Rate independence and linearity: neither follows from the other.
+    curves : tuple of CurveFit
+    dof : int
+        Of the std of E.
+    flags : tuple of Flag
+        W111 implausible modulus, W113 one verdict missing.
+    """
+
+    E: float
+    E_std: float
+    nu: float | None
+    nu_std: float | None
+    nu_source: str
+    rate: Verdict
+    linear: Verdict
+    curves: tuple[CurveFit, ...]
+    dof: int
+    flags: tuple[Flag, ...] = ()
+
+    def interval(self, level: float = 0.95) -> tuple[float, float]:
+        """Interval of E (Pa), by Student's t with the curves that there are."""
+        relative = self.E_std / self.E
+        half = Pooled(np.zeros(1), np.array([relative]), self.dof, 1.0).half_width(0, level)
+        return float(self.E * np.exp(-half)), float(self.E * np.exp(half))
+
+    def table(self) -> str:
+        """Answer, verdicts, one line for each curve, and flags, as text."""
+        low, high = self.interval()
+        ratio = "not determined" if self.nu is None else f"{self.nu:.4g} +- {self.nu_std or 0.0:.2g} ({self.nu_source})"
+        lines = [
+            f"E = {self.E:.4g} +- {self.E_std:.2g} Pa (95 %: {low:.4g} to {high:.4g})",
+            f"nu = {ratio}",
+            str(self.rate),
+            str(self.linear),
+            f"{'curve':20s} {'rate 1/s':>9s} {'E Pa':>11s} {'std':>9s} {'bend %':>8s} {'std':>6s} {'strain %':>9s}",
+        ]
+        for f in self.curves:
+            lines.append(f"{f.name[:20]:20s} {f.rate:9.3g} {f.E:11.4g} {f.std:9.2g} {100 * f.bend:8.2f} "
+                         f"{100 * f.bend_std:6.2f} {100 * f.strain:9.2f}")  # fmt: skip
+        return "\n".join([*lines, *map(str, self.flags)])
+
+    def __str__(self) -> str:
+        return self.table()
+
+
+def from_tests(
+    curves: Iterable[Curve],
+    *,
+    nu: float | tuple[float, float] | None = None,
+    rate_tolerance: float = RATE,
+    linear_tolerance: float = BEND,
+) -> MaterialFit:
+    """Modulus, Poisson's ratio and two verdicts from tensile and indentation curves, at one or several speeds.
+
+    Parameters
+    ----------
+    curves : iterable of Tensile or Indentation
+        Loading branches.
+    nu : float or (value, std), optional
+        Known Poisson's ratio. Without it, lateral strain or several indenter sizes must tell it where indentation is
+        used; tensile tests give E without it.
+    rate_tolerance, linear_tolerance : float
+        Relative change of the modulus, over the speeds and over the strain tested, that still counts as none.
+
+    Returns
+    -------
+    MaterialFit
+        An implausible modulus is flagged, never corrected.
+
+    Raises
+    ------
+    InputError
+        No curve, or curves without stiffness.
+    NotIdentifiable
+        Indentation of one size without a Poisson's ratio: the force depends on E and nu together.
+    """
+    tests = list(curves)
+    if not tests or not all(isinstance(c, Tensile | Indentation) for c in tests):
+        raise InputError(
+            "no tests", where="material.from_tests", found=f"{[type(c).__name__ for c in tests][:4]}",
+            expected="Tensile and Indentation curves", hint="material.from_tests([Tensile(...), ...])",
+        )  # fmt: skip
+    given = _given(nu)
+    ratio = _ratio(tests, given)
+    used = 0.45 if ratio.value is None else ratio.value
+    fits = tuple(fit(c, used) for c in tests)
+    E, E_std, dof = _modulus(tests, fits, ratio)
+    rate, linear = rate_independence(fits, rate_tolerance), linearity(fits, linear_tolerance)
+    found = (modulus(E), one_of_two(rate.verdict, linear.verdict))
+    return MaterialFit(
+        E, E_std, ratio.value, ratio.std, ratio.source, rate, linear, fits, dof, tuple(f for f in found if f)
+    )
+
+
+@dataclass(frozen=True)
+class _Ratio:
+    """Poisson's ratio, its std and its source; with the pooled fit where it was found together with E."""
+
+    value: float | None
+    std: float | None
+    source: str
+    joint: Pooled | None = None
+
+
+def _given(nu: float | tuple[float, float] | None) -> tuple[float, float] | None:
+    if nu is None:
+        return None
+    pair = nu if isinstance(nu, tuple | list) and len(nu) == 2 else (nu, 0.0)
+    value, std = (number("nu", v, where="material.from_tests") for v in pair)
+    if not -1 < value < 0.5 or std < 0:
+        raise InputError("Poisson's ratio is not possible", where="material.from_tests, nu", found=nu,
+                         expected="-1 < nu < 0.5, or (nu, std)", hint="0.4995 for an incompressible gel")  # fmt: skip
+    return value, std
+
+
+def _ratio(tests: Sequence[Curve], given: tuple[float, float] | None) -> _Ratio:
+    """Poisson's ratio from what tells it."""
+    if given is not None and given[1] == 0:
+        return _Ratio(given[0], 0.0, "given")
+    lateral = [poisson(c) for c in tests if isinstance(c, Tensile) and c.contraction is not None]
+    direct = lateral + ([given] if given else [])
+    pressed = any(isinstance(c, Indentation) for c in tests)
+    if not pressed:
+        if not direct:
+            return _Ratio(None, None, "not determined")
+        found = pool([v for v, _ in direct], [s for _, s in direct], np.ones((len(direct), 1)))
+        return _Ratio(float(found.value[0]), float(found.std[0]), "lateral strain" if lateral else "given")
+    joint = _joint(tests, direct)
+    value, std = float(joint.value[1]), float(joint.std[1])
+    if std > KNOWN or not (direct or _sizes(tests)):
+        raise NotIdentifiable(
+            f"E and Poisson's ratio cannot be told apart: std of nu is {std:.2g} (limit {KNOWN:g})"
+            + ("" if direct or _sizes(tests) else ", with indenters of one size and no lateral strain"),
+            advice="add a tensile test, lateral strain, or indenters whose radius over thickness differs by a factor "
+            "of 1.5 or more; or pass nu=",
+            code="LID-E306",
+        )
+    return _Ratio(value, std, "lateral strain" if lateral else "given" if given else "indenter sizes", joint)
+
+
+def _joint(tests: Sequence[Curve], direct: Sequence[tuple[float, float]]) -> Pooled:
+    """Both log E and nu from all curves at once: each curve's log E as a function of nu, by Gauss-Newton."""
+    nu = float(np.clip(np.mean([v for v, _ in direct]) if direct else 0.4, 0.1, 0.48))
+    found = None
+    for _ in range(12):
+        here = [fit(c, nu) for c in tests]
+        slope = np.array([_sensitivity(c, nu) for c in tests])
+        value = [*np.log([f.E for f in here]), *(v - nu for v, _ in direct)]
+        std = [*(f.std / f.E for f in here), *(s for _, s in direct)]
+        first = np.r_[np.ones(len(tests)), np.zeros(len(direct))]
+        second = np.r_[-slope, np.ones(len(direct))]
+        if not direct and float(np.ptp(slope)) < 1e-9:
+            return Pooled(np.array([0.0, nu]), np.array([np.inf, np.inf]), 0, 1.0)
+        found = pool(value, std, np.stack([first, second], axis=1))
+        step = float(found.value[1])
+        after = float(np.clip(nu + np.clip(step, -0.15, 0.15), LOWEST, HIGHEST))
+        moved, nu = abs(after - nu), after
+        if moved < 1e-6:
+            break
+    assert found is not None
+    return Pooled(np.array([found.value[0], nu]), found.std, found.dof, found.excess)
+
+
+def _sensitivity(curve: Curve, nu: float) -> float:
+    """Slope d log E / d nu of one curve, zero for tension."""
+    if isinstance(curve, Tensile):
+        return 0.0
+    low, high = max(nu - TRIAL, LOWEST), min(nu + TRIAL, HIGHEST)
+    return (np.log(fit(curve, high).E) - np.log(fit(curve, low).E)) / (high - low)
+
+
+def _sizes(tests: Sequence[Curve]) -> bool:
+    """Indenters of several sizes, or a tensile test that gives E apart."""
+    sizes = [c.radius / c.thickness for c in tests if isinstance(c, Indentation)]
+    return max(sizes) / min(sizes) >= SIZES or any(isinstance(c, Tensile) for c in tests)
+
+
+def _modulus(tests: Sequence[Curve], fits: Sequence[CurveFit], ratio: _Ratio) -> tuple[float, float, int]:
+    """E, its std and its degrees of freedom."""
+    if ratio.joint is not None:
+        value = float(np.exp(ratio.joint.value[0]))
+        return value, value * float(ratio.joint.std[0]), ratio.joint.dof
+    found = pool(np.log([f.E for f in fits]), [f.std / f.E for f in fits], np.ones((len(fits), 1)))
+    E = positive("E", float(np.exp(found.value[0])), where="material.from_tests")
+    return E, E * float(found.std[0]), found.dof
