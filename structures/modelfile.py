@@ -207,8 +207,8 @@ def _forward(tree: Mapping[str, Any]) -> ForwardModel:
 
 def _space(tree: Mapping[str, Any]) -> StateSpace:
     sensors, loads = ([Channel(**c) for c in tree[name]] for name in ("sensors", "loads"))
-    matrices = (tree[name] for name in "ABCD")
-    return StateSpace(*matrices, tree["dt"], tree["hold"], sensors=sensors, loads=loads)
+    A, B, C, D = (tree[name] for name in "ABCD")
+    return StateSpace(A, B, C, D, tree["dt"], tree["hold"], sensors=sensors, loads=loads)
 
 
 # -- parts ------------------------------------------------------------------------------------------------------------

@@ -5,21 +5,33 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from structures.errors import InputError
-
 from . import Command, emit
-from ._arguments import UsageError, count
+from ._arguments import count
+from ._spoken import spoken
+from ._tracker import add_fit_options, require_fit_options, started
 
 if TYPE_CHECKING:
     from loadid.families.tracking.tracker import Tracker
     from loadid.stream import Followed
 
+EXAMPLES = """\
+examples:
+  tune a model on a record, then follow the log of today; started again, it goes on where it was:
+    loadid track --model mast.h5 --fit commissioning.csv --state state.h5 --in today.csv --out loads.csv
+  the same from a socket, with the load in the terminal and a picture at the end:
+    loadid track --model mast.h5 --fit commissioning.csv --state state.h5 \\
+        --in tcp://127.0.0.1:5000 --out loads.csv --plot loads.png
+  in a pipe:
+    acquire | loadid track --model tracker.h5 --in - --out - | alarm
+
+A stream is lines of comma-separated numbers under a line of names, which are those of the sensors in any order;
+without that line the order of the sensors, with a time stamp first or without. Empty cells are lost channels.
+"""
 WORDS = {
     "lines": "lines",
     "samples": "samples",
@@ -39,41 +51,8 @@ WORDS = {
     "missing": "channel samples missing",
     "gated": "channel samples kept out",
     "steps": "steps of a load taken up",
+    "lost": "times that the state was lost, and found again",
 }
-
-
-def started(model: str | None, state: str | None) -> tuple[Tracker, dict[str, Any] | None]:
-    """Tracker of the state where there is one, else of the model, and where its stream stood.
-
-    Raises
-    ------
-    InputError
-        No file, a damaged one, one without a tracker, a state of another tracker than the model's.
-    """
-    from loadid.families.tracking import checkpoint
-
-    if state is None or not Path(state).exists():
-        if model is None:
-            raise InputError("there is no state to go on from", where=f"--state {state}", found="no such file",
-                             expected="a file of a tracker", hint="name a fitted tracker with --model")  # fmt: skip
-        return checkpoint.read(_tracker_file(model))[0], None
-    tracker, stream = checkpoint.read(_tracker_file(state))
-    if model is not None and checkpoint.fit_of(_tracker_file(model)) != checkpoint.fit_of(state):
-        raise InputError("the state belongs to another tracker than the model", where=f"--state {state}",
-                         expected=f"a state of {model}", hint="name a new file with --state")  # fmt: skip
-    return tracker, stream
-
-
-def _tracker_file(path: str) -> str:
-    """The path, where it leads to a tracker."""
-    from loadid.families.tracking.checkpoint import KIND
-    from structures.storage import kind_of
-
-    kind = kind_of(path)
-    if kind is not None and kind != KIND:
-        raise InputError("this file holds no tracker", where=path, found=kind, expected=KIND,
-                         hint="in Python: LoadTracker(model).fit(record).save(file)")  # fmt: skip
-    return path
 
 
 @contextmanager
@@ -96,14 +75,29 @@ def show(tracker: Tracker, done: Followed) -> str:
     lines = [
         f"{done.samples} samples in {done.seconds:.3g} s: {done.ended}" + (", gone on from a state" * done.resumed),
         f"{tracker.fitted.words}; {done.phase}",
-        *(f"  {value} {WORDS.get(name, name)}" for name, value in done.counts.items()),
+        *(f"  {WORDS.get(name, name)}: {value}" for name, value in done.counts.items()),
         *(str(flag) for flag in tracker.flags if flag.level != "note"),
     ]
     return "\n".join(lines)
 
 
+def show_fit(record: str, tracker: Tracker) -> str:
+    """What a fit has found, in words."""
+    f = tracker.fitted
+    tuned = ", ".join(f"{name} {value:.4g}" for name, value in f.numbers.items())
+    lines = [f"tuned on {record}: {f.words}", f"{tuned}; noise: {f.noise_source}", str(f.certificate), ""]
+    return spoken("\n".join(lines))
+
+
 def _configure(parser: ArgumentParser) -> None:
-    parser.add_argument("--model", metavar="TRACKER.h5", help="tracker as it was fitted (Tracker.save)")
+    parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
+    parser.add_argument(
+        "--model", metavar="MODEL.h5",
+        help="a tracker as it was fitted (Tracker.save); or, with --fit, a model of a structure (structures.modelfile)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--fit", metavar="RECORD", help="log to tune the model on: noise, prior and gain are found, and tested"
+    )
     parser.add_argument(
         "--state", metavar="STATE.h5", help="checkpoints; gone on from where the file is there, else begun from --model"
     )
@@ -119,6 +113,7 @@ def _configure(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--idle", type=_seconds, metavar="S", help="end where a file has not grown for so long (default: never)"
     )
+    add_fit_options(parser)
 
 
 def _seconds(text: str) -> float:
@@ -136,17 +131,22 @@ def _seconds(text: str) -> float:
 def _run(args: Namespace) -> int:
     from ._outputs import require_outputs
 
-    if args.model is None and args.state is None:
-        raise UsageError("nothing to track with: name a tracker with --model, or a state with --state")
+    require_fit_options(args)
     source = None if args.source == "-" or args.source.startswith("tcp://") else args.source
     outputs = {"--out": None if args.out == "-" else args.out, "--state": args.state, "--plot": args.plot or None}
-    require_outputs(outputs, [source, args.model])
+    require_outputs(outputs, [source, args.model, args.fit])
 
+    from loadid.progress import Bar
     from loadid.stream import follow
     from loadid.stream.history import History
+    from loadid.stream.sources import require_source
     from loadid.stream.terminal import Screen
 
-    tracker, stream = started(args.model, args.state)
+    require_source(args.source)
+    with Bar() as bar:
+        tracker, stream, fitted = started(args, bar)
+    if fitted and not args.json:
+        sys.stderr.write(show_fit(args.fit, tracker))
     names = [c.label for c in tracker.fitted.loads], [c.unit for c in tracker.fitted.loads]
     screen, past = Screen(*names, sys.stderr), History(*names)
 
@@ -180,7 +180,9 @@ def _picture(path: str, tracker: Tracker, past: Any, done: Followed) -> None:
 
 def _told(args: Namespace, tracker: Tracker, done: Followed) -> None:
     data = {"samples": done.samples, "seconds": done.seconds, "resumed": done.resumed, "ended": done.ended,
-            "phase": done.phase, "counts": done.counts, "flags": [f.to_dict() for f in tracker.flags]}  # fmt: skip
+            "phase": done.phase, "counts": done.counts, "flags": [f.to_dict() for f in tracker.flags],
+            "prior": tracker.fitted.words, "tuned": dict(tracker.fitted.numbers),
+            "verdict": None if tracker.certificate is None else tracker.certificate.verdict}  # fmt: skip
     if args.out != "-":
         emit(args, data, show(tracker, done))
         return

@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from io import FileIO
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -74,6 +75,28 @@ def open_source(where: str, place: dict[str, Any] | None = None, fresh: Callable
     return GrowingFile(Path(where), place, fresh)
 
 
+def require_source(where: str) -> None:
+    """Nothing, where `where` can be a source: said before anything takes time.
+
+    Raises
+    ------
+    InputError
+        A file that cannot be read, no address of a socket.
+    """
+    if where.startswith("tcp://"):
+        _address(where)
+    elif where != "-":
+        _opened(Path(where)).close()
+
+
+def _opened(path: Path) -> FileIO:
+    try:
+        return path.open("rb", buffering=0)
+    except OSError as error:
+        raise InputError("the stream cannot be read", where=str(path), found=error.strerror or str(error),
+                         hint="check the path") from None  # fmt: skip
+
+
 class GrowingFile:
     """A file that is read while it is written, rotated or emptied.
 
@@ -85,11 +108,7 @@ class GrowingFile:
     def __init__(self, path: Path, place: dict[str, Any] | None = None, fresh: Callable[[], None] | None = None):
         self.path, self.counts = path, Counter()  # type: ignore[var-annotated]
         self._fresh = fresh or (lambda: None)
-        try:
-            self._file = path.open("rb", buffering=0)
-        except OSError as error:
-            raise InputError("the stream cannot be read", where=str(path), found=error.strerror or str(error),
-                             hint="check the path") from None  # fmt: skip
+        self._file = _opened(path)
         self._at = 0
         if place is not None:
             at = int(place["at"])
@@ -225,11 +244,8 @@ def connected(where: str) -> Pumped:
     InputError
         No such address, nobody there.
     """
-    host, _, port = where.removeprefix("tcp://").rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise InputError("no address of a socket", where=where, expected="tcp://HOST:PORT, with a port below 65536")
     try:
-        made = socket.create_connection((host.strip("[]"), int(port)), timeout=PATIENCE)
+        made = socket.create_connection(_address(where), timeout=PATIENCE)
     except OSError as error:
         raise InputError("nobody answers at the socket", where=where, found=error.strerror or str(error),
                          hint="start the sender first, and check host and port") from None  # fmt: skip
@@ -241,3 +257,17 @@ def connected(where: str) -> Pumped:
         made.close()
 
     return Pumped(lambda: made.recv(PIECE), close)
+
+
+def _address(where: str) -> tuple[str, int]:
+    """Host and port.
+
+    Raises
+    ------
+    InputError
+        Neither.
+    """
+    host, _, port = where.removeprefix("tcp://").rpartition(":")
+    if not host or not (port.isascii() and port.isdecimal()) or not 0 < int(port) < 65536:
+        raise InputError("no address of a socket", where=where, expected="tcp://HOST:PORT, with a port below 65536")
+    return host.strip("[]"), int(port)
