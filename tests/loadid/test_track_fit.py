@@ -129,21 +129,29 @@ def test_what_is_refused_says_why_and_writes_nothing(folder, run, words, code, s
 def test_every_setting_reaches_the_tracker(run, monkeypatch):
     given = {}
 
-    def tracker(model, **settings):
-        given.update(settings)
-        raise NotIdentifiable("enough", advice="none")
+    class Silent(kalman.LoadTracker):
+        def __init__(self, model, **settings):
+            given.update(settings)
+            super().__init__(model, **settings)
 
-    monkeypatch.setattr(kalman, "LoadTracker", tracker)
+        def fit(self, record, dt=None):
+            raise NotIdentifiable("enough", advice="none", code="LID-E501")
+
+    monkeypatch.setattr(kalman, "LoadTracker", Silent)
     words = (
         "--model named.h5 --fit record.csv --in stream.csv --out new.csv --prior matern52 --noise 4+Z=2,8+Z=1,gauge=3 "
-        "--lag auto --scales stiffness,damping --model-error mass=0.02 --start static --gate none --allow-drift"
+        "--scales stiffness,damping --model-error mass=0.02 --start static --gate none --allow-drift"
     )
     model = made()
     named = [model.sensors[0], model.sensors[1], sensors.StrainGauge(at=0.5, fibre=0.1, label="gauge")]
     modelfile.save(ForwardModel(model.structure, named, model.loads, modes=4), "named.h5")
-    assert run(words)[0] == cli.REFUSED
+    code, _, err = run(words)
+    assert code == cli.REFUSED, err
     del given["progress"]
     assert given == {
-        "prior": "matern52", "noise": [1.0, 2.0, 3.0], "noise_source": "--noise", "lag": "auto", "allow_drift": True,
+        "prior": "matern52", "noise": [1.0, 2.0, 3.0], "noise_source": "--noise", "allow_drift": True,
         "scales": ["stiffness", "damping"], "model_error": {"mass": 0.02}, "start": "static", "gate": None,
     }  # fmt: skip
+    for words, lag in (("auto", "auto"), ("5", 5)):
+        assert run(f"--model named.h5 --fit record.csv --in stream.csv --out new.csv --lag {words}")[0] == cli.REFUSED
+        assert given["lag"] == lag
