@@ -19,7 +19,6 @@ from .reading import Wrench
 
 if TYPE_CHECKING:
     from loadid.families.static import StaticInversion
-    from loadid.inverse.choice import Choice
 
 Array = NDArray[np.float64]
 LARGE = 4_000_000  # entries from which the products run in single precision: 1e-6 of the load, half the memory traffic
@@ -27,11 +26,12 @@ LARGE = 4_000_000  # entries from which the products run in single precision: 1e
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Load (n,), its std (n,), and the covariance of its resultant (6, 6)."""
+    """Load (n,), its std (n,), covariance of its resultant (6, 6), and of the load with it (n, 6)."""
 
     load: Array
     std: Array
     wrench: Array
+    reach: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +87,9 @@ class Inverse:
         z = y / self.spread
         lost = np.flatnonzero(~np.isfinite(z))
         covariance = self.resultant @ self.reach
-        if lost.size == 0:
-            answer = Answer(self._times(z), self.std, covariance)
-        else:
-            answer = self._without(z, lost, covariance)
-        return answer if wrench is None else self._fused(answer, wrench)
+        whole = lost.size == 0
+        answer = Answer(self._times(z), self.std, covariance, self.reach) if whole else self._without(z, lost)
+        return answer if wrench is None else fused(answer, self.resultant, wrench)
 
     def hidden(self, load: Array) -> Array:
         """What regularisation is expected to have taken from the resultant of this load (6,)."""
@@ -100,7 +98,7 @@ class Inverse:
     def _times(self, z: Array) -> Array:
         return np.asarray(self.matrix @ z.astype(self.matrix.dtype, copy=False), float)
 
-    def _without(self, z: Array, lost: NDArray, covariance: Array) -> Answer:
+    def _without(self, z: Array, lost: NDArray) -> Answer:
         from scipy.linalg import cho_factor, cho_solve
 
         if lost.size == len(z):
@@ -112,25 +110,29 @@ class Inverse:
         z[lost] = cho_solve(factor, self.influence[lost] @ z)
         columns = self.matrix[:, lost].astype(float)
         more = cho_solve(factor, columns.T)
-        felt = self.resultant @ columns
-        return Answer(
-            self._times(z),
-            np.sqrt(self.std**2 + np.einsum("nk,kn->n", columns, more)),
-            covariance + felt @ cho_solve(factor, felt.T),
-        )
+        reach = self.reach + columns @ cho_solve(factor, (self.resultant @ columns).T)
+        spread = np.sqrt(self.std**2 + np.einsum("nk,kn->n", columns, more))
+        return Answer(self._times(z), spread, self.resultant @ reach, reach)
 
-    def _fused(self, answer: Answer, wrench: Wrench) -> Answer:
-        """Conditioned on the resultant: exactly met, or weighed by its std."""
-        value = wrench.value
-        R, P = self.resultant[: len(value)], self.reach[:, : len(value)]
-        S = answer.wrench[: len(value), : len(value)]
-        if wrench.std is not None:
-            S = S + np.diag(wrench.std**2)
-        gain = np.linalg.solve(S, P.T).T
-        rest = value - R @ answer.load
-        variance = np.maximum(answer.std**2 - np.sum(gain * P, axis=1), 0.0)
-        K = np.linalg.solve(S, answer.wrench[: len(value)]).T
-        return Answer(answer.load + gain @ rest, np.sqrt(variance), answer.wrench - K @ answer.wrench[: len(value)])
+
+def fused(answer: Answer, resultant: Array, wrench: Wrench) -> Answer:
+    """Answer conditioned on what a force/torque sensor says: exactly met, or weighed by its std."""
+    value = wrench.value
+    k = len(value)
+    S = answer.wrench[:k, :k]
+    if wrench.std is not None:
+        S = S + np.diag(wrench.std**2)
+    gain = _gain(S, answer.reach[:, :k])
+    load = answer.load + gain @ (value - resultant[:k] @ answer.load)
+    variance = np.maximum(answer.std**2 - np.sum(gain * answer.reach[:, :k], axis=1), 0.0)
+    reach = answer.reach - gain @ answer.wrench[:k]
+    return Answer(load, np.sqrt(variance), resultant @ reach, reach)
+
+
+def _gain(S: Array, P: Array) -> Array:
+    """P S^-1, scaled so that forces and moments do not drown each other."""
+    size = np.sqrt(np.diag(S))
+    return np.linalg.solve(S / size[:, None] / size, (P / size).T).T / size
 
 
 def prepare(family: StaticInversion, resultant: Array, lam: float, rule: str = "given") -> Inverse:
@@ -163,7 +165,3 @@ def prepare(family: StaticInversion, resultant: Array, lam: float, rule: str = "
         rule=rule,
     )
 
-
-def from_choice(family: StaticInversion, resultant: Array, choice: Choice) -> Inverse:
-    """Inverse at the lambda that a rule chose."""
-    return prepare(family, resultant, choice.lam, choice.rule)

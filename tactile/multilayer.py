@@ -28,8 +28,8 @@ class MultilayerPad(LinearSensor):
     """Force maps from the motion of markers on a pad of several layers of finite elements.
 
     The interior carries no load and is condensed; unknowns are the tractions at the nodes of the surface (bilinear
-    between them), with a ridge or smoothness on them: ``min |R^(-1/2) (H t - y)|^2 + lambda^2 |L t|^2``. In the style of
-    Zhao, Liu & Ma, IEEE Trans. Robotics (2025), whose formulas are not reproduced here.
+    between them), with a ridge or smoothness on them: ``min |R^(-1/2) (H t - y)|^2 + lambda^2 |L t|^2``. In the style
+    of Zhao, Liu & Ma, IEEE Trans. Robotics (2025), whose formulas are not reproduced here.
 
     Parameters
     ----------
@@ -54,6 +54,8 @@ class MultilayerPad(LinearSensor):
         Pressures are not negative.
     friction : float, optional
         Coefficient of friction: tractions stay in their cone.
+    support : array, optional
+        Nodes of the surface that may be loaded: a mask (P,) or their numbers. The others carry nothing.
     allow : sequence of str
         Guard codes whose refusal is overridden.
     eye : Eye, optional
@@ -82,6 +84,7 @@ class MultilayerPad(LinearSensor):
         noise_source: str | None = None,
         no_pull: bool = False,
         friction: float | None = None,
+        support: ArrayLike | None = None,
         allow: Sequence[str] = (),
         eye: Eye | None = None,
     ) -> None:
@@ -104,6 +107,7 @@ class MultilayerPad(LinearSensor):
             noise_source=noise_source or (None if eye is None else "unloaded frames"),
             no_pull=no_pull,
             friction=friction,
+            support=support,
             allow=allow,
             flags=pad.flags,
             eye=eye,

@@ -83,6 +83,11 @@ class Markers:
         return len(self.points)
 
     @property
+    def readings_count(self) -> int:
+        """Readings of a frame: markers times axes."""
+        return len(self) * len(self.axes)
+
+    @cached_property
     def channels(self) -> list[Channel]:
         """A sensor for each marker and axis."""
         return [
@@ -156,7 +161,7 @@ class Depths:
         """The windows over the pixels."""
         return Averaging.over(self.template, self.points, self.width)
 
-    @property
+    @cached_property
     def channels(self) -> list[Channel]:
         """A sensor for each window."""
         spread = self.averaging.std(self.template.noise)

@@ -75,6 +75,7 @@ class LinearSensor:
         noise_source: str | None = None,
         no_pull: bool = False,
         friction: float | None = None,
+        support: ArrayLike | None = None,
         allow: Sequence[str] = (),
         flags: Sequence[Flag] = (),
         eye: Eye | None = None,
@@ -88,7 +89,14 @@ class LinearSensor:
             rows.append(transfer(depth.samples, depth.rows))
             sensors += depth.channels
         points = len(geometry["coordinates"])
-        self.model = PadModel(stacked(rows), sensors, channels(points, geometry["kind"]), basis, tuple(flags))
+        self.labels = channels(points, geometry["kind"])
+        self.kept = supported(support, points)
+        H, loads = stacked(rows), self.labels
+        if self.kept is not None:
+            penalty, basis = _cut(penalty, basis, self.kept), None
+            H, loads = H[:, self.kept], [loads[i] for i in self.kept]
+        self.resultant = geometry["resultant"] if self.kept is None else geometry["resultant"][:, self.kept]
+        self.model = PadModel(H, sensors, loads, basis, tuple(flags))
         self.family = StaticInversion(
             self.model, penalty=penalty, choice=choice, noise_source=noise_source, allow=list(allow)
         )
@@ -195,7 +203,7 @@ class LinearSensor:
         """Readings in the order of the model, NaN where there is none, and what was found on the way."""
         flags: list[Flag | None] = []
         seen = np.asarray(found)
-        if _is_image(seen, len(self.markers)):
+        if is_image(seen, len(self.markers)):
             if self.eye is None:
                 raise InputError("this sensor has no eye: it cannot read images", where="frame",
                                  found=f"an image {seen.shape}", expected="displacements (markers, 2 or 3) in m",
@@ -222,11 +230,11 @@ class LinearSensor:
                                  expected="a calibration, or a relative lambda",
                                  hint="sensor.calibrate([press, press, ...])")  # fmt: skip
             rule = "given" if family.calibration is None else family.calibration.rule
-            self._inverses[with_depth] = prepare(family, self.geometry["resultant"], float(lam), rule)
+            self._inverses[with_depth] = prepare(family, self.resultant, float(lam), rule)
         return self._inverses[with_depth]
 
     def _quick(self, y: Array, wrench: Wrench | None, flags: list[Flag | None]) -> ForceMap:
-        count = len(self.markers.channels)
+        count = self.markers.readings_count
         depths = self.depth is None or bool(np.isfinite(y[count:]).any())
         inverse = self._frozen(depths)
         used = y if depths else y[:count]
@@ -264,13 +272,19 @@ class LinearSensor:
                 self.model.H[: len(y)] / spread,
                 inverse.lam * inverse.scale * self._weights,
                 inverse.resultant,
-                neighbours(self.geometry["cells"], self.geometry["coordinates"]),
+                self._neighbours,
                 self.friction,
             )
         pressure, spread = -load[2::3], std[2::3]
         peak = float(pressure.max())
         touched = (pressure > TOUCH * peak) & (pressure > CLEAR * spread)
         return self._solver.solve(y / inverse.spread, touched, wrench)
+
+    @property
+    def _neighbours(self) -> Any:
+        found = neighbours(self.geometry["cells"], self.geometry["coordinates"])
+        nodes = None if self.kept is None else self.kept[::3] // 3
+        return found if nodes is None else found[nodes][:, nodes]
 
     @property
     def _weights(self) -> Array:
@@ -291,16 +305,15 @@ class LinearSensor:
     def _thorough(self, y: Array, wrench: Wrench | None, flags: list[Flag | None]) -> ForceMap:
         labels = [s.label for s in self.model.sensors]
         seen = np.isfinite(y)
-        count = len(self.markers.channels)
-        if int(np.sum(seen[:count])) < 3 * len(self.markers.axes):
+        count = self.markers.readings_count
+        if np.sum(seen[:count]) < 3 * len(self.markers.axes):
             raise InputError("too few markers are left in this frame", where="frame",
                              found=int(np.sum(seen[:count])) // len(self.markers.axes), expected="at least 3",
                              hint="look at the image: light, focus, occlusion")  # fmt: skip
         family = _with(self.family, self._constraints(wrench))
         readings = {name: float(v) for name, v, s in zip(labels, y, seen, strict=True) if s}
         found = family.estimate(readings if not seen.all() else y)
-        R = self.geometry["resultant"]
-        covariance = _covariance(found.posterior, R)
+        covariance = _covariance(found.posterior, self.resultant)
         facts = {
             **found.facts,
             "lost": int(np.sum(~seen)),
@@ -320,7 +333,7 @@ class LinearSensor:
         elif self.no_pull:
             out.append(Bounds(upper=0.0, loads=triples[:, 2]))
         if wrench is not None:
-            rows = self.geometry["resultant"][: len(wrench.value)]
+            rows = self.resultant[: len(wrench.value)]
             spread = None if wrench.std is None else wrench.std**2
             out.append(Resultant(rows, wrench.value, covariance=spread))
         return out
@@ -345,11 +358,15 @@ class LinearSensor:
         own = [*flags, guards.completed(facts["provided"]), guards.lost(facts["lost"], facts["m"] + facts["lost"])]
         if found is not None:
             kept = {f.name: getattr(found, f.name) for f in fields(LoadEstimate)}
-            merged = collect([*found.flags, *own])
-            return ForceMap(**{**kept, "geometry": geometry, "facts": facts, "flags": merged})
+            named = {"labels": self._labels[0], "units": self._labels[1]}
+            if self.kept is not None:  # the posterior is that of the loads that may act
+                kept |= {"posterior": None, "bias": None, "diagnosis": None}
+            own = [*found.flags, *own]
+            whole = {"load": self._scattered(load), "std": self._scattered(std), "flags": collect(own)}
+            return ForceMap(**{**kept, **named, **whole, "geometry": geometry, "facts": facts})
         return ForceMap(
-            load=load,
-            std=std,
+            load=self._scattered(load),
+            std=self._scattered(std),
             labels=self._labels[0],
             units=self._labels[1],
             flags=collect([*self.model.flags, *own]),
@@ -363,9 +380,16 @@ class LinearSensor:
     @property
     def _labels(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         if not hasattr(self, "_named"):
-            loads = self.model.loads
-            self._named = tuple(c.label for c in loads), tuple(c.unit for c in loads)
+            self._named = tuple(c.label for c in self.labels), tuple(c.unit for c in self.labels)
         return self._named
+
+    def _scattered(self, values: Array) -> Array:
+        """Values of the loads that may act among all of the surface."""
+        if self.kept is None:
+            return values
+        out = np.zeros(len(self.labels))
+        out[self.kept] = values
+        return out
 
     @property
     def _provenance(self) -> dict[str, Any]:
@@ -386,7 +410,7 @@ class LinearSensor:
         return self._origin
 
 
-def _is_image(found: NDArray, markers: int) -> bool:
+def is_image(found: NDArray, markers: int) -> bool:
     """Whether an array is a picture: bytes, three axes, or more columns than a motion has."""
     if found.dtype == np.uint8 or found.ndim == 3:
         return True
@@ -399,6 +423,36 @@ def _friction(value: float | None) -> float | None:
     from structures.values import positive
 
     return float(positive("the friction coefficient", value, where="friction"))
+
+
+def supported(support: ArrayLike | None, points: int) -> NDArray[np.intp] | None:
+    """Loads (3 k,) at the nodes of a support: a mask (P,) or node numbers; None is all.
+
+    Raises
+    ------
+    InputError
+        If it does not fit, or is empty.
+    """
+    if support is None:
+        return None
+    given = np.asarray(support)
+    nodes = np.flatnonzero(given) if given.dtype == bool else np.unique(given)
+    fits = given.shape == (points,) if given.dtype == bool else given.dtype.kind in "iu" and np.all(nodes < points)
+    if not fits or nodes.size == 0:
+        raise InputError("the support does not fit the surface", where="support", found=f"{given.dtype} {given.shape}",
+                         expected=f"a mask ({points},) or numbers of nodes, not empty")  # fmt: skip
+    return (3 * nodes[:, None] + np.arange(3)).ravel()
+
+
+def _cut(penalty: Any, basis: Any, kept: NDArray[np.intp]) -> Any:
+    """A penalty on the loads that may act."""
+    from loadid.families import smoothness
+
+    if penalty is None or isinstance(penalty, str) and penalty == "identity":
+        return penalty
+    L = smoothness.matrix(penalty, len(basis), basis)
+    dense = np.asarray(L.toarray() if hasattr(L, "toarray") else L)[:, kept]
+    return dense[np.any(dense != 0, axis=1)]
 
 
 def _settings(family: StaticInversion) -> dict[str, Any]:

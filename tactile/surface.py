@@ -1,4 +1,4 @@
-"""The surface that a map lives on: places, areas, resultants, neighbours, in the form in which a result carries them."""
+"""The surface that a map lives on: places, areas, resultants and neighbours, as plain arrays that a result carries."""
 
 from __future__ import annotations
 
