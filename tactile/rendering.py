@@ -1,7 +1,7 @@
 """Images of a dotted pad as a camera would take them: dots at known places, blur, shading, noise, 8 bits.
 
-They give truth to the tests and the demonstration. A dot is a disc on the pad; through a view it is drawn pixel by pixel
-where the pad would be seen, so that perspective and refraction deform it as they do in a camera.
+They give truth to the tests and the demonstration. A dot is a disc on the pad; through a view it is drawn pixel by
+pixel where the pad would be seen, so that perspective and refraction deform it as they do in a camera.
 """
 
 from __future__ import annotations

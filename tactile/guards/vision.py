@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from loadid.flags.measurement import CORRELATED
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
-
-from loadid.flags.measurement import CORRELATED
 
 REJECTED = 0.02  # share of the markers
 FROZEN = 0.05  # share of exact repetitions among successive places of a dot
@@ -15,8 +14,8 @@ PROJECTION = (
     "image motion mixes tangential motion with the shift of projection, d tan(beta), beta = arcsin(sin(alpha) / gamma)"
 )
 CALIBRATE = (
-    "calibrate the viewing angle and the index of refraction, give the normal motion, and subtract the shift; otherwise "
-    "report the motion in the image only"
+    "calibrate the viewing angle and the index of refraction, give the normal motion, and subtract the shift; "
+    "otherwise report the motion in the image only"
 )
 
 
@@ -97,8 +96,8 @@ def leapt(step: float, pitch: float, frame: int) -> Flag | None:
     return Flag(
         "W604",
         Evidence("motion of one frame over the pitch", step / pitch, 0.5),
-        f"in frame {frame} the dots moved by {step:.1f} px, more than half of their distance ({pitch:.1f} px): from there "
-        "on a marker may be its neighbour",
+        f"in frame {frame} the dots moved by {step:.1f} px, more than half of their distance ({pitch:.1f} px): from "
+        "there on a marker may be its neighbour",
         "take more frames per second, or move more slowly; start again from an unloaded frame",
     )
 

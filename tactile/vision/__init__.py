@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from .detect import Detected, Detector, detect
+from .frames import Frames, frames
+from .match import match
+from .motion import Motion
+from .motions import Motions, read_motions
+from .noise import Jitter, jitter
+from .scale import size_of_dots
+from .tracker import MarkerTracker
 
-_PUBLIC = {
-    "Detected": "detect",
-    "Detector": "detect",
-    "Frames": "frames",
-    "Jitter": "noise",
-    "MarkerTracker": "tracker",
-    "Motion": "motion",
-    "Motions": "motions",
-    "detect": "detect",
-    "frames": "frames",
-    "match": "match",
-    "read_motions": "motions",
-}
-_MODULES = ("backend", "grey", "noise", "scale")
-
-__all__ = sorted({*_PUBLIC, *_MODULES})
-
-
-def __getattr__(name: str) -> Any:
-    if name in _PUBLIC:
-        return getattr(importlib.import_module(f".{_PUBLIC[name]}", __name__), name)
-    if name in _MODULES:
-        return importlib.import_module(f".{name}", __name__)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return __all__
+__all__ = [
+    "Detected",
+    "Detector",
+    "Frames",
+    "Jitter",
+    "MarkerTracker",
+    "Motion",
+    "Motions",
+    "detect",
+    "frames",
+    "jitter",
+    "match",
+    "read_motions",
+    "size_of_dots",
+]

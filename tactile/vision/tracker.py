@@ -186,7 +186,7 @@ class MarkerTracker:
         return self.detector(frame).points
 
     def _expected(self, dots: Dots) -> tuple[NDArray[np.float64], float]:
-        """Where the markers should be, from how their neighbours moved since the last frame; length of the common motion.
+        """Where the markers should be, as their neighbours moved since the last frame; length of the common motion.
 
         The first look sees most dots where the pattern moves as one; the second, from there, sees the local motion.
         """

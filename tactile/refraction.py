@@ -1,0 +1,163 @@
+"""Rays from a camera through a flat window to the markers: one bend, at the outer face of the window.
+
+Heights are measured from the plane of the markers at rest, positive away from the camera (along the pad's +Z); gel and
+window have one index of refraction. A ray that crosses the plane at rest in q is at q + height * slope elsewhere, with
+the slope tan(beta) along its direction in the plane, sin(beta) = sin(alpha) / gamma.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.values import number, pair, positive, reals
+
+ITERATIONS = 60
+EXACT = 1e-15
+
+
+def bend(alpha: ArrayLike, gamma: float) -> NDArray[np.float64]:
+    """Angle beta inside of a ray that meets the face at alpha (rad): sin(beta) = sin(alpha) / gamma."""
+    angle = reals(alpha, where="alpha")
+    if not (np.abs(angle) < np.pi / 2).all():
+        raise InputError("no viewing angle", where="alpha", found=alpha, expected="less than 90 degrees, in rad")
+    return np.arcsin(np.sin(angle) / _index(gamma))
+
+
+def projection_shift(d: ArrayLike, alpha: ArrayLike, gamma: float) -> NDArray[np.float64]:
+    """In-plane shift that a normal motion d seems to be: d tan(beta), sin(beta) = sin(alpha) / gamma (Ma et al. 2019).
+
+    Parameters
+    ----------
+    d : array
+        Normal motion; the shift has its unit.
+    alpha : array
+        Viewing angle in rad, from the normal of the window.
+    gamma : float
+        Index of refraction of gel and window over that outside, at least 1.
+    """
+    return reals(d, where="d") * np.tan(bend(alpha, gamma))
+
+
+@dataclass(frozen=True)
+class Parallel:
+    """Rays of one direction: a camera far away.
+
+    Parameters
+    ----------
+    alpha : float
+        Viewing angle outside, rad from the normal.
+    gamma : float
+        Relative index of refraction.
+    azimuth : float
+        Direction in the plane of the pad in which the rays travel away from the camera, rad from +X.
+    """
+
+    alpha: float
+    gamma: float = 1.0
+    azimuth: float = 0.0
+
+    def __post_init__(self) -> None:
+        bend(number("alpha", self.alpha, where="Parallel", unit="rad"), self.gamma)
+        number("azimuth", self.azimuth, where="Parallel", unit="rad")
+
+    def slope(self, xy: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
+        """In-plane motion of the ray through each point per unit of height, shape (N, 2)."""
+        direction = np.array([np.cos(self.azimuth), np.sin(self.azimuth)])
+        return np.broadcast_to(np.tan(bend(self.alpha, self.gamma)) * direction, xy.shape)
+
+
+@dataclass(frozen=True)
+class Window:
+    """Rays through one point, the centre of the lens, bent at a flat face.
+
+    Parameters
+    ----------
+    eye : (float, float)
+        x and y of the centre of the lens in the plane of the pad, m.
+    distance : float
+        From the lens to the face, m.
+    depth : float
+        From the face to the markers at rest, m: window and gel.
+    gamma : float
+        Relative index of refraction.
+    """
+
+    eye: tuple[float, float]
+    distance: float
+    depth: float
+    gamma: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "eye", pair("eye", self.eye, where="Window", unit="m"))
+        positive("distance", self.distance, where="Window", unit="m")
+        if number("depth", self.depth, where="Window", unit="m") < 0:
+            raise InputError("depth must not be negative", where="Window", found=self.depth)
+        _index(self.gamma)
+
+    def slope(self, xy: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
+        """In-plane motion of the ray through each point per unit of height, shape (N, 2)."""
+        offset, radius = self._from_eye(xy)
+        return offset * _ratio(self.inside(self.outside(radius, height)), radius)
+
+    def direction(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Direction (dx, dy, 1) outside of the ray from the lens to each marker at rest, shape (N, 3)."""
+        offset, radius = self._from_eye(xy)
+        sideways = offset * _ratio(self.outside(radius, np.zeros(len(xy))), radius)
+        return np.column_stack([sideways, np.ones(len(xy))])
+
+    def reached(self, direction: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points at rest, shape (N, 2), that rays (dx, dy, 1) from the lens reach."""
+        tangent = np.hypot(direction[:, 0], direction[:, 1])[:, None]
+        out = direction[:, :2] * self.distance
+        return np.array(self.eye) + out + direction[:, :2] * _ratio(self.depth * self.inside(tangent), tangent)
+
+    def inside(self, tangent: NDArray[np.float64]) -> NDArray[np.float64]:
+        """tan(beta) of tan(alpha)."""
+        return tangent / np.sqrt(self.gamma**2 + (self.gamma**2 - 1) * tangent**2)
+
+    def outside(self, radius: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
+        """tan(alpha) of the ray to points at a distance in the plane from the lens, shape (N, 1).
+
+        The radius grows with tan(alpha), concavely: Newton's method from zero climbs to the root without passing it.
+        """
+        depth = self.depth + height[:, None]
+        if not (depth > 0).all() and not (depth == 0).all():
+            raise InputError(
+                "a marker lies on the face of the window or outside",
+                where="height",
+                found=f"{float(height.min()):g} m",
+                expected=f"above {-self.depth:g} m",
+            )
+        t, n2 = np.zeros_like(radius), self.gamma**2
+        for _ in range(ITERATIONS):
+            root = np.sqrt(n2 + (n2 - 1) * t**2)
+            step = (radius - self.distance * t - depth * t / root) / (self.distance + depth * n2 / root**3)
+            t = t + step
+            if (np.abs(step) <= EXACT * (1 + t)).all():
+                break
+        return t
+
+    def _from_eye(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        offset = xy - np.array(self.eye)
+        return offset, np.hypot(offset[:, 0], offset[:, 1])[:, None]
+
+
+def _ratio(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quotient, 0 where b is 0: a ray along the normal is not bent."""
+    return np.divide(a, b, out=np.zeros_like(a), where=b > 0)
+
+
+def _index(gamma: float) -> float:
+    found = positive("gamma", gamma, where="index of refraction")
+    if found < 1:
+        raise InputError(
+            "an index below 1",
+            where="gamma",
+            found=found,
+            expected="index of gel and window over that outside, at least 1 (1.4 to air)",
+        )
+    return found
