@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import number, pair, positive, real, reals, shown
+from structures.values import number, pair, positive, reals
 
 from .cells import polygon_means
 from .layer import HalfSpace, Layer

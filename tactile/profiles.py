@@ -1,6 +1,7 @@
 """Round tractions of unit resultant: their shape, their Hankel transform, and what they do to a half-space.
 
-A profile g(r) of radius a, unit resultant, has the transform g(k a) with g(0) = 1. On a half-space all motions are sums of
+A profile g(r) of radius a, unit resultant, has the transform g(k a) with g(0) = 1. On a half-space all motions are sums
+of
 
     H0_m = int e^{-k d} g(k a) J_m(k r) dk,    H1_m = int k e^{-k d} g(k a) J_m(k r) dk,    m = 0, 1, 2,
 
@@ -62,7 +63,7 @@ class Profile:
         H0, H1 = np.zeros((2, len(r), 3))
         for side in (-1, 1):
             reach = np.arcsinh((1 - middle if side > 0 else middle) / gap)
-            # a root at t = 1, the far end of the one side and for r >= 1 the near end of the other, is smooth in a square
+            # a root at t = 1 (far end of one side, near end of the other for r >= 1) is smooth in a square
             v = reach[:, None] * (1 - (1 - x) ** 2 if side > 0 else x**2)
             dv = reach[:, None] * 2 * (1 - x if side > 0 else x)
             t = middle[:, None] + side * gap[:, None] * np.sinh(v)

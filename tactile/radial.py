@@ -1,8 +1,8 @@
 """Round loads on a layer or a half-space: Hankel integrals, exact to about 1e-10 of the largest motion.
 
 The motion of the half-space is known in closed form (`tactile.profiles`). What the rigid base takes from it decays as
-exp(-k (2 h - d)) at depth d, so that its Hankel integrals need a short Gauss rule only, and are so smooth in r and z that
-a Chebyshev interpolant carries them to any number of points.
+exp(-k (2 h - d)) at depth d, so that its Hankel integrals need a short Gauss rule only, and are so smooth in r and z
+that a Chebyshev interpolant carries them to any number of points.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from .profiles import Profile, profile
 
 Array = NDArray[np.float64]
 HEIGHTS = 21  # Chebyshev points over the thickness, where points have more heights than that: 1e-12
+TABLE = 4096  # points of a cubic spline in its stead for a great many distances: 1e-11
+BATCH = 20_000  # points at a time
 DECAY = 40.0  # where the integrals end: exp(-40) of their start
 
 
@@ -57,23 +59,29 @@ def radial(ground: Layer | HalfSpace, shape: str, radius: float, r: ArrayLike, z
 
 
 def unit_point(layer: Layer, r: ArrayLike, z: ArrayLike | None = None) -> Array:
-    """What the base of a layer takes from the motion under a unit point force on a half-space, (points, 5), finite at r = 0."""
+    """Functions of a unit point force on a layer less those on a half-space, (points, 5): finite at r = 0."""
     r, z = _places(layer, r, z)
     return _base(layer, np.ones_like, 0.0, r, z)
 
 
 def moved(functions: Array, offsets: Array, force: ArrayLike) -> Array:
     """Displacements (points, 3) at horizontal offsets (points, 2) from the axis of a load of resultant (X, Y, Z)."""
+    return np.einsum("pij,j->pi", matrices(functions, offsets), np.asarray(force, float))
+
+
+def matrices(functions: Array, offsets: Array) -> Array:
+    """Motion X, Y, Z per resultant X, Y, Z (m/N), (points, 3, 3), from the five functions at horizontal offsets."""
     zz, kz, zk, mean, split = functions.T
-    fx, fy, fz = np.asarray(force, float)
     r = np.hypot(*offsets.T)
-    ex, ey = offsets.T / np.where(r == 0, 1.0, r)
-    along = ex * fx + ey * fy
-    return np.column_stack([
-        kz * fz * ex + mean * fx - split * (2 * ex * along - fx),
-        kz * fz * ey + mean * fy - split * (2 * ey * along - fy),
-        zz * fz - zk * along,
-    ])  # fmt: skip
+    x, y = offsets.T / np.where(r == 0, 1.0, r)
+    found = np.empty((len(r), 3, 3))
+    found[:, 0, 0] = mean - split * (x**2 - y**2)
+    found[:, 1, 1] = mean + split * (x**2 - y**2)
+    found[:, 0, 1] = found[:, 1, 0] = -2 * split * x * y
+    found[:, 2, 2] = zz
+    found[:, 0, 2], found[:, 1, 2] = kz * x, kz * y
+    found[:, 2, 0], found[:, 2, 1] = -zk * x, -zk * y
+    return found
 
 
 def _half_space(ground: Layer | HalfSpace, form: Profile, a: float, r: Array, depth: Array) -> Array:
@@ -103,14 +111,34 @@ def _base(layer: Layer, transform: Callable[[Array], Array], a: float, r: Array,
             here = z == height
             found[here] = _over_distance(layer, transform, a, r[here], height, reach)
         return found
+    return _over_both(layer, transform, a, r, z, reach)
+
+
+def _over_both(layer: Layer, transform: Callable[[Array], Array], a: float, r: Array, z: Array, reach: float) -> Array:
+    """Layer minus half-space at many heights: a table of Chebyshev coefficients in r and z."""
     from numpy.polynomial import chebyshev
 
-    h = layer.h
-    at = (chebyshev.chebpts1(HEIGHTS) + 1) * h / 2
-    rows = np.array([_over_distance(layer, transform, a, r, height, reach) for height in at])
-    fit = chebyshev.chebvander(2 * at / h - 1, HEIGHTS - 1)
-    weights = np.linalg.solve(fit.T, chebyshev.chebvander(2 * z / h - 1, HEIGHTS - 1).T)
-    return np.einsum("hp,hpj->pj", weights, rows)
+    h, degree = layer.h, _degree(layer.h, max(reach, layer.h))
+    reach = max(reach, h)
+    heights, x = (chebyshev.chebpts1(HEIGHTS) + 1) * h / 2, chebyshev.chebpts1(degree + 1)
+    values = _integrals(layer, transform, a, (x + 1) * reach / 2, heights)
+    for axis, n in ((0, degree + 1), (2, HEIGHTS)):  # values at the points -> coefficients, by their orthogonality
+        scale = np.full(n, 2 / n)
+        scale[0] = 1 / n
+        rows = chebyshev.chebvander(chebyshev.chebpts1(n), n - 1).T * scale[:, None]
+        values = np.moveaxis(np.tensordot(rows, values, axes=(1, axis)), 0, axis)
+    table, found = values.reshape(degree + 1, -1), np.empty((len(r), 5))
+    for i in range(0, len(r), BATCH):
+        part = slice(i, i + BATCH)
+        rows = (chebyshev.chebvander(2 * r[part] / reach - 1, degree) @ table).reshape(-1, 5, HEIGHTS)
+        found[part] = np.einsum("pjh,ph->pj", rows, chebyshev.chebvander(2 * z[part] / h - 1, HEIGHTS - 1))
+    return found
+
+
+def _degree(gap: float, reach: float) -> int:
+    """Chebyshev degree over 0 <= r <= reach of functions that are singular at r = +- i gap only, to 1e-13."""
+    b = 2 * gap / max(reach, 1e-9 * gap)
+    return 12 + int(30 / np.log(b + np.hypot(b, 1)))
 
 
 def _over_distance(
@@ -119,33 +147,39 @@ def _over_distance(
     """Layer minus half-space at one height: directly at few distances, else by Chebyshev points in 0 <= r <= reach."""
     from numpy.polynomial import chebyshev
 
-    # singular only at r = +- i (2 h - d): that sets the degree for 1e-13
-    b = 2 * (layer.h + z) / max(reach, 1e-9 * layer.h)
-    degree = 12 + int(30 / np.log(b + np.hypot(b, 1)))
+    here = np.array([z])
+    degree = _degree(layer.h + z, reach)  # the image of the load in the base lies at r = +- i (2 h - d)
     if len(r) <= degree + 1:
-        return _integrals(layer, transform, a, r, z)
-    coefficients = chebyshev.chebinterpolate(lambda x: _integrals(layer, transform, a, (x + 1) * reach / 2, z), degree)
+        return _integrals(layer, transform, a, r, here)[..., 0]
+    coefficients = chebyshev.chebinterpolate(
+        lambda x: _integrals(layer, transform, a, (x + 1) * reach / 2, here)[..., 0], degree
+    )
     return chebyshev.chebval(2 * r / reach - 1, coefficients).T
 
 
-def _integrals(layer: Layer, transform: Callable[[Array], Array], a: float, r: Array, z: float) -> Array:
+def _integrals(layer: Layer, transform: Callable[[Array], Array], a: float, r: Array, heights: Array) -> Array:
+    """Layer minus half-space at every distance and height, (distances, 5, heights), by one Gauss rule."""
     from scipy.special import j0, j1
 
-    end = DECAY / (layer.h + z)
+    end = DECAY / (layer.h + heights.min())
     x, w = np.polynomial.legendre.leggauss(160 + int(0.55 * end * (a + r.max(initial=0.0))))
     k, w = (x + 1) * end / 2, w * end / 2
-    f = _difference(layer, k, z)
     w = w * k * transform(k * a) / (2 * np.pi)
     kr = np.multiply.outer(r, k)
     J0, J1 = j0(kr), j1(kr)
     J2 = np.divide(2 * J1, kr, out=np.zeros_like(kr), where=kr > 0) - np.where(kr > 0, J0, 0.0)
-    return np.column_stack([
-        J0 @ (w * f.zz),
-        J1 @ (w * f.kz),
-        J1 @ (w * f.zk),
-        J0 @ (w * (f.kk + f.tt) / 2),
-        J2 @ (w * (f.kk - f.tt) / 2),
-    ])  # fmt: skip
+    waves = [_difference(layer, k, z) for z in heights]
+
+    def summed(J: Array, part: Callable[[Components], Array]) -> Array:
+        return J @ np.column_stack([w * part(f) for f in waves])
+
+    return np.stack([
+        summed(J0, lambda f: f.zz),
+        summed(J1, lambda f: f.kz),
+        summed(J1, lambda f: f.zk),
+        summed(J0, lambda f: (f.kk + f.tt) / 2),
+        summed(J2, lambda f: (f.kk - f.tt) / 2),
+    ], axis=1)  # fmt: skip
 
 
 def _difference(layer: Layer, k: Array, z: float) -> Components:
