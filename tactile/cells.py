@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from structures.errors import InputError
 
 from .profiles import Profile
+from .quadrature import drawn
 
 Array = NDArray[np.float64]
 NODES = 16  # a side of each crossing; the square root of the traction at r = 1 is smooth in the angle that places them
@@ -57,10 +58,7 @@ def polygon_means(profile: Profile, corners: Array) -> Array:
     low, high = _inside(start, end)
     first, last = start + low[..., None] * (end - start), start + high[..., None] * (end - start)
     outside = _angle(start, first) + _angle(last, end)
-    # Gauss-Chebyshev-like rule: t = (1 - cos) / 2 draws the nodes to both crossings
-    x, w = np.polynomial.legendre.leggauss(NODES)
-    turn = np.pi * (x + 1) / 2
-    t, dt = (1 - np.cos(turn)) / 2, np.pi / 4 * w * np.sin(turn)
+    t, dt = drawn(NODES)
     at = first[..., None, :] + t[:, None] * (last - first)[..., None, :]
     square = np.maximum((at**2).sum(axis=-1), 1e-24)
     swept = ((high - low) * cross)[..., None] * profile.within(np.sqrt(square)) / square

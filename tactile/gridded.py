@@ -1,7 +1,7 @@
 """A layer on a regular grid: motion from tractions and tractions from motion by fast Fourier transforms.
 
-The mesh-free fast path. The motion is that of an infinite layer under the patches or hats that the grid stands for, exact
-inside the grid and free of wrap-around; the way back is regularised wave by wave.
+The mesh-free fast path. The motion is that of an infinite layer under the patches or hats that the grid stands for,
+free of wrap-around; the way back is regularised.
 """
 
 from __future__ import annotations

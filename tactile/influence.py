@@ -15,6 +15,7 @@ from structures.values import positive, reals, shown
 from .halfspace import point_forces
 from .layer import HalfSpace, Layer
 from .patches import rectangle
+from .quadrature import drawn, gauss
 from .radial import matrices, unit_point
 
 Array = NDArray[np.float64]
@@ -82,10 +83,7 @@ def _pairs(ground: Layer | HalfSpace, offsets: Array, z: Array, pitch: float, sh
     """Motion per traction of each pair of a point and a node, (pairs, 3, 3)."""
     half_space = ground.half_space if isinstance(ground, Layer) else ground
     sunk = np.column_stack([offsets, np.minimum(z - ground.top, 0.0)])
-    if shape == "patch":
-        found = rectangle(half_space, sunk, (pitch, pitch))
-    else:
-        found = _hats(half_space, sunk, pitch)
+    found = rectangle(half_space, sunk, (pitch, pitch)) if shape == "patch" else _hats(half_space, sunk, pitch)
     if isinstance(ground, Layer):
         s, w = _rule(shape, 3 if pitch <= ground.h / 2 else 5 if pitch <= ground.h else 16)
         for i, wi in zip(s, w, strict=True):
@@ -97,12 +95,11 @@ def _pairs(ground: Layer | HalfSpace, offsets: Array, z: Array, pitch: float, sh
 
 def _rule(shape: str, n: int) -> tuple[Array, Array]:
     """Places and weights, in pitches, of the mean over a patch or over a hat."""
-    x, w = np.polynomial.legendre.leggauss(n)
+    x, w = gauss(n)
     if shape == "patch":
-        return x / 2, w / 2
+        return x - 0.5, w
     if n == 3:  # meets the moments of a hat up to the fifth
         return np.sqrt(0.4) * np.array([-1.0, 0.0, 1.0]), np.array([5.0, 14.0, 5.0]) / 24
-    x, w = (x + 1) / 2, w / 2
     return np.concatenate([-x, x]), np.tile(w * (1 - x), 2)
 
 
@@ -130,9 +127,7 @@ def _hats(ground: HalfSpace, offsets: Array, pitch: float) -> Array:
 
 def _near_hats(ground: HalfSpace, offsets: Array, pitch: float, nodes: int = 8) -> Array:
     """Mean of the patch over a cell, by rules drawn to the lines on which the point meets the edge of the patch."""
-    x, w = np.polynomial.legendre.leggauss(nodes)
-    turn = np.pi * (x + 1) / 2
-    t, dt = (1 - np.cos(turn)) / 2, np.pi / 4 * w * np.sin(turn)
+    t, dt = drawn(nodes)
     places, weights = [], []
     for c in offsets[:, :2].T / pitch:
         edge = np.clip(c - np.copysign(0.5, c), -0.5, 0.5)[:, None]

@@ -71,7 +71,7 @@ def _corner(X: Array, Y: Array, d: Array, nu: float) -> Array:
 
 
 def _times_log(factor: Array, y: Array, rest: Array, R: Array) -> Array:
-    """factor ln(y + R) with R^2 = y^2 + rest, which cancels for y < 0; 0 where the factor is."""
+    """The product factor ln(y + R) with R^2 = y^2 + rest, which cancels for y < 0; 0 where the factor is."""
     straight = np.where(factor != 0, y + R, 1.0)
     safe = np.where((factor != 0) & (y < 0), rest, 1.0)
     mirrored = np.log(np.where(safe > 0, safe, 1.0)) - np.log(np.where(y < 0, R - y, 1.0))

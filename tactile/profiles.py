@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from structures.errors import InputError
 from structures.values import shown
 
+from .quadrature import gauss
+
 Array = NDArray[np.float64]
 NODES = 40
 
@@ -56,8 +58,7 @@ class Profile:
 
         The Gauss rules are drawn together at t = r, next to the pole of the field of a point load, and at t = 1.
         """
-        x, w = np.polynomial.legendre.leggauss(NODES)
-        x, w = (x + 1) / 2, w / 2
+        x, w = gauss(NODES)
         middle = np.minimum(r, 1.0)
         gap = np.hypot(d, np.maximum(r - 1, 0.0))
         H0, H1 = np.zeros((2, len(r), 3))

@@ -15,8 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 from structures.values import positive, reals
 
-from .layer import Components, HalfSpace, Layer
+from .layer import HalfSpace, Layer
 from .profiles import Profile, profile
+from .quadrature import gauss
+from .waves import Components
 
 Array = NDArray[np.float64]
 HEIGHTS = 21  # Chebyshev points over the thickness, where points have more heights than that: 1e-12
@@ -162,9 +164,10 @@ def _integrals(layer: Layer, transform: Callable[[Array], Array], a: float, r: A
     from scipy.special import j0, j1
 
     end = DECAY / (layer.h + heights.min())
-    x, w = np.polynomial.legendre.leggauss(160 + int(0.55 * end * (a + r.max(initial=0.0))))
-    k, w = (x + 1) * end / 2, w * end / 2
-    w = w * k * transform(k * a) / (2 * np.pi)
+    nodes = 160 + int(0.55 * end * (a + r.max(initial=0.0)))
+    x, w = gauss(32 * (nodes // 32 + 1))
+    k = x * end
+    w = w * end * k * transform(k * a) / (2 * np.pi)
     kr = np.multiply.outer(r, k)
     J0, J1 = j0(kr), j1(kr)
     J2 = np.divide(2 * J1, kr, out=np.zeros_like(kr), where=kr > 0) - np.where(kr > 0, J0, 0.0)
