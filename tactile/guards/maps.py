@@ -67,3 +67,15 @@ def stopped(converged: bool, steps: int) -> Flag | None:
         "the constrained map was not solved to the end in this frame",
         "leave the friction cone out, or choose a larger lambda",
     )
+
+
+def too_deep(error: float, limit: float = 0.3) -> Flag | None:
+    """W304: noise alone makes more than 30 % error of the forces, without regularisation."""
+    if not error > limit:
+        return None
+    return Flag(
+        "W304",
+        Evidence("expected relative error of the forces", error, limit),
+        f"the markers lie too deep for the pitch of the forces: noise alone would make {100 * error:.0f} % error",
+        "markers nearer to the surface, a coarser grid of forces, or regularisation (choice=None)",
+    )
