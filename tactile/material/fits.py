@@ -112,7 +112,7 @@ def _solved(curve: Curve, nu: float | None, *, bent: bool) -> tuple[_Solution, A
     found = least_squares(
         lambda p: force(np.append(p, 0.0)) - y / top, start, bounds=bounds, xtol=1e-13, ftol=1e-13, gtol=1e-13
     )
-    triangle = np.linalg.qr(found.jac, mode="r")
+    _, triangle = np.linalg.qr(found.jac)
     rows = np.linalg.solve(triangle.T, np.eye(count))  # columns of R^-T: their squares sum to the variances
     spread = np.zeros(3)
     spread[:count] = np.sqrt(np.sum(rows**2, axis=0)) / top

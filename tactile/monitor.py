@@ -1,0 +1,268 @@
+"""A gel in use: has its gain changed (E), its shape (thickness, boundary, nu), or its rest position?
+
+The same few presses of known force, repeated after weeks, are held against those of the calibration. A change of E
+multiplies every map by one factor; wear of the thickness, a bond that lets go or another Poisson's ratio also change
+its shape, but little: a layer 15 % thinner keeps a correlation of 0.996. So the share of the map that no gain explains
+is judged against the noise, and not the correlation alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.flags import Flag
+from structures.values import positive, reals
+
+from .guards import monitor as guards
+
+if TYPE_CHECKING:
+    from .causes import Cause
+    from .layer import Layer
+    from .presses import Press
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GelCheck:
+    """What a repeat of the reference presses shows.
+
+    Parameters
+    ----------
+    gain, gain_std : float
+        Scale of the maps now over the reference, of all presses. For presses of the same force, E has become E / gain.
+    gains : tuple of (float, float)
+        The same for each press, with its std: of one E they agree.
+    correlation : float
+        Cosine of the maps, noise included.
+    share : float
+        Share of the map that no gain explains, noise taken out.
+    significance : float
+        By how many sd of the noise that share stands out.
+    offset : float or None
+        Rms offset of the unloaded markers (m).
+    verdict : {"unchanged", "gain", "shape"}
+    flags : tuple of Flag
+        W607, W705, W706.
+    """
+
+    gain: float
+    gain_std: float
+    gains: tuple[tuple[float, float], ...]
+    correlation: float
+    share: float
+    significance: float
+    offset: float | None
+    verdict: str
+    flags: tuple[Flag, ...] = ()
+
+    def __str__(self) -> str:
+        text = (
+            f"{self.verdict}: gain {self.gain:.4g} +- {self.gain_std:.2g}, correlation {self.correlation:.4f}, "
+            f"{self.share:.1%} of the map is no gain ({self.significance:.1f} sd)"
+        )
+        text += "" if self.offset is None else f", unloaded offset {1e6 * self.offset:.3g} um"
+        return "\n".join([text, *map(str, self.flags)])
+
+
+@dataclass(frozen=True, eq=False)
+class GelMonitor:
+    """The reference that later checks are held against.
+
+    Parameters
+    ----------
+    reference : array (presses, N, C) or (N, C)
+        Maps of the reference presses at calibration: displacements of the markers (m), or unregularised force maps.
+        Presses of different size tell gain from shape best.
+    noise : float
+        Std of each component of a map that is checked.
+    reference_noise : float, optional
+        Std of each component of the reference, smaller where it was averaged; default `noise`.
+    calibrated : datetime or str
+        Date of the calibration (ISO). Default now.
+    period : float
+        Days that a calibration lasts.
+    rest : array (M, 2 or 3), optional
+        Markers of the unloaded gel at calibration (m), averaged over frames.
+    rest_noise : float, optional
+        Std of a coordinate of an unloaded marker when checked (m); default `noise`.
+
+    Raises
+    ------
+    InputError
+        Maps that are none, NaN, noise that is not positive, a date that cannot be read.
+    """
+
+    reference: Any
+    noise: float
+    reference_noise: float | None = None
+    calibrated: datetime | str = field(default_factory=lambda: datetime.now(UTC))
+    period: float = guards.PERIOD
+    rest: Any = None
+    rest_noise: float | None = None
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "reference", _maps(self.reference, "reference"))
+        put(self, "noise", positive("noise", self.noise, where="GelMonitor"))
+        for name in ("reference_noise", "rest_noise"):
+            given = getattr(self, name)
+            put(self, name, self.noise if given is None else positive(name, given, where="GelMonitor"))
+        put(self, "calibrated", _date(self.calibrated, "calibrated"))
+        put(self, "period", positive("period", self.period, where="GelMonitor", unit="days"))
+        if self.rest is not None:
+            put(self, "rest", _points(self.rest, None))
+
+    def check(
+        self,
+        maps: ArrayLike,
+        *,
+        unloaded: ArrayLike | None = None,
+        now: datetime | str | None = None,
+        validated: datetime | str | None = None,
+    ) -> GelCheck:
+        """Hold a repeat of the presses against the reference.
+
+        Parameters
+        ----------
+        maps : array, as the reference
+            Points that are NaN (lost markers) are left out.
+        unloaded : array (M, 2 or 3), optional
+            Markers of the unloaded gel now (m), NaN where lost.
+        now : datetime or str, optional
+            Date of the check; default the clock.
+        validated : datetime or str, optional
+            Date of the validation that is quoted for this sensor.
+
+        Raises
+        ------
+        InputError
+            Maps that do not fit the reference.
+        """
+        found = _maps(maps, "maps", like=self.reference)
+        kept = np.asarray(np.isfinite(found).all(axis=-1))
+        if not (kept.sum(axis=1) >= 3).all():
+            raise InputError("fewer than three points of a press are left", where="GelMonitor.check",
+                             found=int(kept.sum(axis=1).min()), expected="three or more",
+                             hint="leave that press out of reference and check")  # fmt: skip
+        pairs = [(r[k], m[k]) for r, m, k in zip(self.reference, found, kept, strict=True)]
+        gains = tuple(self._gain(r, m) for r, m in pairs)
+        a, b = (np.concatenate([p[i].ravel() for p in pairs]) for i in (0, 1))
+        gain, std = self._gain(a, b)
+        share, significance = self._unexplained(a, b, gain)
+        correlation = float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b))) if b.any() else 0.0
+        offset, expected = self._offset(unloaded)
+        calibrated = _date(self.calibrated, "calibrated")
+        days = (_date(now or datetime.now(UTC), "now") - calibrated).total_seconds() / 86400
+        changed = guards.gain_or_shape(gain, correlation, share, significance)
+        flags = [
+            changed,
+            None if offset is None else guards.drift(offset, expected, calibrated),
+            guards.age(days, self.period, calibrated),
+            None if validated is None else guards.other_calibration(_date(validated, "validated"), calibrated),
+        ]
+        verdict = "unchanged" if changed is None else "shape" if "shape wrong" in changed.message else "gain"
+        return GelCheck(gain, std, gains, correlation, share, significance, offset, verdict,
+                        tuple(f for f in flags if f is not None))  # fmt: skip
+
+    def attribute(
+        self, maps: ArrayLike, layer: Layer, presses: Sequence[Press], points: ArrayLike
+    ) -> tuple[Cause, ...]:
+        """Which single change of the layer explains the maps best, the best one first.
+
+        Parameters
+        ----------
+        maps : array, as the reference
+            Displacements of the markers now (m).
+        layer : Layer
+            The pad as calibrated.
+        presses : sequence of Press
+            What presses it, one for each map.
+        points : array (N, 2 or 3)
+            Markers (m).
+
+        Notes
+        -----
+        The change of the maps since the calibration is compared with the change of the exact layer's motion, so that
+        what the layer does not model cancels to first order.
+        """
+        from .causes import attributed
+
+        found = _maps(maps, "maps", like=self.reference)
+        sigma = float(np.hypot(self.noise, self.reference_noise or self.noise))
+        return attributed(found - self.reference, sigma, layer, presses, points)
+
+    def _gain(self, reference: Array, found: Array) -> tuple[float, float]:
+        """Least squares, without the fall that noise of the reference would cause; and its std."""
+        noise = float(self.reference_noise or 0.0)
+        energy = float(np.sum(reference**2)) - reference.size * noise**2
+        if energy <= 0:
+            raise InputError("a reference press no larger than its noise", where="GelMonitor",
+                             found=f"rms {np.sqrt(np.mean(reference**2)):.3g}", expected=f"well above {noise:.3g}",
+                             hint="press harder at calibration")  # fmt: skip
+        gain = float(np.sum(reference * found)) / energy
+        return gain, float(np.hypot(self.noise, gain * noise) / np.sqrt(energy))
+
+    def _unexplained(self, reference: Array, found: Array, gain: float) -> tuple[float, float]:
+        """Share of the map that no gain explains, the expected noise taken out, and its distance from zero in sd."""
+        variance = self.noise**2 + (gain * float(self.reference_noise or 0.0)) ** 2
+        excess = float(np.sum((found - gain * reference) ** 2)) - (found.size - 1) * variance
+        energy = gain**2 * float(np.sum(reference**2))
+        share = float(np.sqrt(max(excess, 0.0) / energy)) if energy > 0 else 0.0
+        return share, excess / (variance * np.sqrt(2 * found.size))
+
+    def _offset(self, unloaded: ArrayLike | None) -> tuple[float | None, float]:
+        """Rms offset of the unloaded markers, and what noise explains."""
+        if unloaded is None or self.rest is None:
+            return None, 0.0
+        away = _points(unloaded, self.rest.shape) - self.rest
+        away = away[np.isfinite(away).all(axis=1)]
+        if len(away) < 3:
+            raise InputError("fewer than three unloaded markers are left", where="GelMonitor.check, unloaded",
+                             found=len(away), expected="three or more", hint="track them again")  # fmt: skip
+        noise = float(self.rest_noise or self.noise)
+        return float(np.sqrt(np.mean(np.sum(away**2, axis=1)))), noise * float(np.sqrt(away.shape[1]))
+
+
+def _maps(values: Any, name: str, like: Array | None = None) -> Array:
+    array = reals(values, where=f"GelMonitor, {name}")
+    array = array[None] if array.ndim == 2 else array
+    if (
+        array.ndim != 3
+        or not array.size
+        or (like is None and not np.isfinite(array).all())
+        or (like is not None and array.shape != like.shape)
+    ):
+        raise InputError(
+            "maps of the presses do not fit" if like is not None else "no maps of presses",
+            where=f"GelMonitor, {name}",
+            found=f"shape {array.shape}",
+            expected="finite values (presses, points, components)" if like is None else f"shape {like.shape}",
+            hint="the same presses at the same points, in the same order",
+        )
+    return array
+
+
+def _points(values: Any, shape: tuple[int, ...] | None) -> Array:
+    array = reals(values, where="GelMonitor, unloaded markers")
+    if array.ndim != 2 or array.shape[1] not in (2, 3) or (shape is not None and array.shape != shape):
+        raise InputError("unloaded markers do not fit", where="GelMonitor", found=f"shape {array.shape}",
+                         expected=f"{shape or '(markers, 2 or 3)'}", hint="the same markers, in order")  # fmt: skip
+    return array
+
+
+def _date(value: datetime | str, name: str) -> datetime:
+    """A date with its time zone; UTC where it names none."""
+    try:
+        found = value if isinstance(value, datetime) else datetime.fromisoformat(str(value))
+    except ValueError:
+        raise InputError(f"{name} is no date", where="GelMonitor", found=repr(value)[:40],
+                         expected="2026-03-01, or a datetime", hint="ISO format") from None  # fmt: skip
+    return found if found.tzinfo else found.replace(tzinfo=UTC)

@@ -1,0 +1,180 @@
+"""Gel monitor: a change of gain told from a change of shape, drift and dates, each with its silent twin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from functools import cache
+
+import numpy as np
+import pytest
+
+from structures.errors import InputError
+from structures.flags import codes
+from tactile.guards import labels
+from tactile.layer import Layer
+from tactile.monitor import GelMonitor
+from tactile.presses import Press
+
+LAYER = Layer(h=3e-3, E=0.147e6, nu=0.45)
+PRESSES = [Press(at=(1e-3, 0), radius=r, force=1.0, shear=(0.3, 0.1)) for r in (1e-3, 2.5e-3, 4e-3)]
+SIGMA = 5e-6
+DAY = datetime(2026, 3, 1, tzinfo=UTC)
+
+
+def markers() -> np.ndarray:
+    x = np.linspace(-9e-3, 9e-3, 15)
+    return np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+
+
+POINTS = markers()
+
+
+@cache
+def clean(layer: Layer) -> np.ndarray:
+    return np.array([p.displacement(layer, POINTS) for p in PRESSES])
+
+
+def maps(layer: Layer, seed: int, sigma: float = SIGMA) -> np.ndarray:
+    u = clean(layer)
+    return u + sigma * np.random.default_rng(seed).standard_normal(u.shape)
+
+
+MONITOR = GelMonitor(maps(LAYER, 0), noise=SIGMA, calibrated=DAY, rest=POINTS, rest_noise=SIGMA)
+SOON = DAY + timedelta(days=2)
+
+
+def test_nothing_changed_is_silent() -> None:
+    rng = np.random.default_rng(9)
+    for seed in range(1, 9):
+        unloaded = POINTS + SIGMA * rng.standard_normal(POINTS.shape)
+        found = MONITOR.check(maps(LAYER, seed), unloaded=unloaded, now=SOON, validated="2026-03-02")
+        assert found.verdict == "unchanged"
+        assert not found.flags
+        assert found.gain == pytest.approx(1, abs=4 * found.gain_std)
+        assert abs(found.significance) < 4
+
+
+def test_a_softer_gel_is_a_gain() -> None:
+    softer = replace(LAYER, E=0.8 * LAYER.E)
+    found = MONITOR.check(maps(softer, 1), now=SOON)
+    assert found.verdict == "gain"
+    assert codes(found.flags) == {"W705"}
+    assert "recheck E" in found.flags[0].message
+    assert found.gain == pytest.approx(1.25, abs=4 * found.gain_std)
+    assert found.gain_std < 0.005
+    for gain, std in found.gains:  # the same for every press
+        assert gain == pytest.approx(1.25, abs=4 * std)
+
+
+@pytest.mark.parametrize("nu", [0.3223, 0.45, 0.49])
+def test_a_worn_gel_is_a_shape(nu: float) -> None:
+    """15 % thinner: the correlation stays above .99, and the part that no gain explains tells it."""
+    fresh = replace(LAYER, nu=nu)
+    worn = replace(fresh, h=0.85 * fresh.h)
+    found = GelMonitor(maps(fresh, 0), noise=SIGMA, calibrated=DAY).check(maps(worn, 1), now=SOON)
+    assert found.correlation > 0.99
+    assert found.verdict == "shape"
+    assert codes(found.flags) == {"W705"}
+    assert "shape wrong" in found.flags[0].message
+    assert found.significance > 20
+    assert np.ptp([g for g, _ in found.gains]) > 0.02  # narrow presses feel the thickness less
+
+
+@pytest.mark.parametrize(
+    ("changed", "name", "value"),
+    [
+        (replace(LAYER, E=0.8 * LAYER.E), "E", 0.8 * LAYER.E),
+        (replace(LAYER, h=0.85 * LAYER.h), "thickness", 0.85 * LAYER.h),
+        (replace(LAYER, nu=0.42), "nu", 0.42),
+    ],
+)
+def test_the_cause_is_named_with_its_value(changed: Layer, name: str, value: float) -> None:
+    best, *others = MONITOR.attribute(maps(changed, 1), LAYER, PRESSES, POINTS)
+    assert best.name == name
+    assert best.value == pytest.approx(value, abs=4 * best.std)
+    assert best.misfit == pytest.approx(1, abs=0.1)
+    assert all(other.misfit > 1.5 for other in others)
+
+
+def test_noise_of_the_reference_does_not_lower_the_gain() -> None:
+    loud = 40e-6
+    gains = [
+        GelMonitor(maps(LAYER, 100 + s, loud), noise=loud).check(maps(LAYER, 200 + s, loud)).gain for s in range(40)
+    ]
+    pairs = [(maps(LAYER, 100 + s, loud), maps(LAYER, 200 + s, loud)) for s in range(40)]
+    plain = np.mean([np.sum(a * b) / np.sum(a * a) for a, b in pairs])
+    assert np.mean(gains) == pytest.approx(1, abs=0.005)
+    assert plain < 0.99
+
+
+def test_a_shape_change_below_the_noise_is_not_claimed() -> None:
+    worn = replace(LAYER, h=0.88 * LAYER.h)
+    verdicts = [
+        GelMonitor(maps(LAYER, 0, s), noise=s, calibrated=DAY).check(maps(worn, 1, s), now=SOON).verdict
+        for s in (SIGMA, 60e-6)
+    ]
+    assert verdicts == ["shape", "unchanged"]
+
+
+def test_lost_markers_are_left_out() -> None:
+    now = maps(LAYER, 1)
+    now[:, ::10] = np.nan
+    assert MONITOR.check(now, now=SOON).verdict == "unchanged"
+    now[1] = np.nan
+    with pytest.raises(InputError, match="fewer than three"):
+        MONITOR.check(now)
+
+
+def test_drift_of_the_rest_position_is_seen() -> None:
+    found = MONITOR.check(maps(LAYER, 1), unloaded=POINTS + np.array([20e-6, 0]), now=SOON)
+    assert codes(found.flags) == {"W607"}
+    assert found.offset == pytest.approx(20e-6)
+    assert "20 um" in found.flags[0].message
+
+
+def test_an_old_calibration_and_an_older_validation_are_said() -> None:
+    found = MONITOR.check(maps(LAYER, 1), now="2026-04-15")
+    assert codes(found.flags) == {"W607"}
+    assert "2026-03-01" in found.flags[0].message
+    found = MONITOR.check(maps(LAYER, 1), now=SOON, validated="2026-02-01")
+    assert codes(found.flags) == {"W706"}
+    assert "2026-02-01" in str(found)
+
+
+def test_units_do_not_matter() -> None:
+    a = MONITOR.check(maps(LAYER, 1), now=SOON)
+    scaled = GelMonitor(1e6 * MONITOR.reference, noise=1e6 * SIGMA, calibrated=DAY)
+    b = scaled.check(1e6 * maps(LAYER, 1), now=SOON)
+    assert (b.gain, b.share, b.significance) == pytest.approx((a.gain, a.share, a.significance), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"reference": np.zeros(4)}, "no maps"),
+        ({"reference": np.full((2, 5, 3), np.nan)}, "no maps"),
+        ({"noise": 0.0}, "noise must be positive"),
+        ({"calibrated": "last week"}, "no date"),
+        ({"rest": np.zeros((4, 5))}, "unloaded markers"),
+    ],
+)
+def test_a_reference_that_is_none_is_refused(change: dict, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        GelMonitor(**({"reference": np.ones((2, 5, 3)), "noise": 1e-6} | change))
+
+
+def test_maps_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(InputError, match="do not fit"):
+        MONITOR.check(maps(LAYER, 1)[:2])
+    with pytest.raises(InputError, match="no larger than its noise"):
+        GelMonitor(np.full((1, 9, 3), 1e-9), noise=1e-6).check(np.zeros((1, 9, 3)))
+
+
+def test_notes_on_what_is_completed_and_what_is_no_map() -> None:
+    flag = labels.completed({"x": "tracked", "y": "tracked", "z": "completed"}, "a known sphere")
+    assert flag is not None
+    assert codes([flag]) == {"N606"}
+    assert "z completed from a known sphere" in flag.message
+    assert labels.completed({"x": "tracked", "y": "tracked", "z": "measured"}) is None
+    assert codes([labels.resultant_output("a network")]) == {"N610"}
