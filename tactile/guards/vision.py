@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from loadid.flags.measurement import CORRELATED
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
 
@@ -114,6 +113,8 @@ def interpolation_noise(nodes: int, effective: float, rank: int) -> Flag | None:
     rank : int
         Rank of C.
     """
+    from loadid.flags.measurement import CORRELATED
+
     if rank == nodes and effective > CORRELATED * nodes:
         return None
     return Flag(
