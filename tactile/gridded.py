@@ -193,4 +193,4 @@ class LayerGrid:
 
 
 def _unseen(what: str) -> NotIdentifiable:
-    return NotIdentifiable(what, advice="give a larger lam", code="LID-W304")
+    return NotIdentifiable(what, advice="give a larger lam", code="LID-E306")
