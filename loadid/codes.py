@@ -72,6 +72,7 @@ GUARDS = {
     "W519": "a constant load that only its prior holds",
     "W520": "a filter that takes a good part of the record to settle",
     "W521": "samples that the gate of a tracker keeps out",
+    "W522": "a tracker that goes on with another model",
     "N701": "resultants alone were compared",
     "W702": "data simulated by the model that inverts them",
     "W703": "coverage of the band",

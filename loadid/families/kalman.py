@@ -27,9 +27,12 @@ from . import noise as noises
 from .data import Data, gather, health
 from .tracking.certificate import Certificate, certify
 from .tracking.engine import GATE, Engine
+from .tracking.fitted import Fitted
+from .tracking.limits import ranges, within
 from .tracking.named import Named, leaky, named
 from .tracking.posed import Posing, restricted
-from .tracking.tracker import Fitted, Tracker
+from .tracking.recipe import Recipe, storable
+from .tracking.tracker import ENGINES, Tracker
 from .tracking.tuning import tune
 
 PARAMETERS = ("stiffness", "mass", "damping")
@@ -79,7 +82,16 @@ class LoadTracker:
     allow_drift : bool
         Run although no sensor sees a constant load; the std then grows as it should (flag E501 stays).
     gate : float or None
-        Std of an innovation beyond which a single channel is kept out; None believes every number.
+        Std of an innovation beyond which a channel is kept out, or an event of the load taken up, whichever is the
+        likelier; None believes every number.
+    limits : number, sequence (sensors,) or mapping of label to one, optional
+        Ends of the range of the sensors that are used, L for -L to L or (low, high): a sample at them counts as
+        missing, in the fit and after it.
+    replay : int, optional
+        Samples by which a sample may come late and still be put in its place (`Tracker.insert`); the lag if left out.
+    engine : {"own", "filterpy"}
+        What runs the fitted filter. filterpy is slower, believes every number and answers at once: `gate` is without
+        effect, `lag` and `model_error` are refused.
     sensors : sequence of str or int, optional
     allow, coverage, progress
         As in `Deconvolution`.
@@ -109,6 +121,9 @@ class LoadTracker:
         lag: int | str = 0,
         allow_drift: bool = False,
         gate: float | None = GATE,
+        limits: Any = None,
+        replay: int | None = None,
+        engine: str = "own",
         sensors: Sequence[str | int] | None = None,
         allow: Sequence[str] = (),
         coverage: Any = None,
@@ -141,6 +156,15 @@ class LoadTracker:
             raise InputError("late answers know nothing of errors of the model", where="lag", found="model_error given",
                              expected="lag=0", hint="tune the model instead (scales=)")  # fmt: skip
         self.lag = lag
+        whole = isinstance(replay, int | np.integer) and not isinstance(replay, bool) and 0 <= replay <= MOST
+        if replay is not None and not whole:
+            raise InputError("no count of samples", where="replay", found=repr(replay), expected=f"0 to {MOST}")
+        if engine not in ENGINES:
+            raise InputError("no such engine", where="engine", found=repr(engine)[:80], expected=", ".join(ENGINES))
+        if engine != "own" and (lag or errors):
+            raise InputError("filterpy answers at once, with one model", where="engine",
+                             found="lag or model_error", expected="neither", hint="take the own engine")  # fmt: skip
+        self.limits, self.replay, self.engine = limits, replay, engine
         if gate is not None and not (real(gate) or 0) > 0:
             raise InputError("no gate", where="gate", found=repr(gate), expected="a number of stds > 0, or None")
         self.model, self.noise, self.noise_source, self.hold = model, noise, noise_source, hold
@@ -174,6 +198,8 @@ class LoadTracker:
             `allow_drift`.
         """
         data = gather(record, dt, self.model, self.sensors, allow_missing=True)
+        limits = ranges(self.limits, [self.model.sensors[i].label for i in data.rows])
+        data = within(data, limits)
         noise = noises.resolve(self.noise, self.noise_source, self.model, data)
         if np.ndim(noise.level) != 1:
             raise InputError("a tracker takes a noise std per sensor", where="noise", found="a matrix",
@@ -212,9 +238,13 @@ class LoadTracker:
             fingerprint=getattr(self.model, "fingerprint", "unknown"),
             settings=self._settings(),
             inputs={data.record.source or data.record.name or "record": data.record.sha256},
+            limits=limits,
+            recipe=self._recipe(posing, x, scale),
         )
         self._progress(1.0, "done")
-        return Tracker(fitted, self.gate, self._lag(settled))
+        tracker = Tracker(fitted, self.gate, self._lag(settled), replay=self.replay, engine=self.engine)
+        tracker.made_of(posing.scaled(x))
+        return tracker
 
     def estimate(self, record: Any, dt: float | None = None) -> Any:
         """Fit to a record and track it from its first sample; see `Tracker.track`."""
@@ -230,6 +260,18 @@ class LoadTracker:
             return self.hold
         smooth = all(getattr(g, "name", "") in JOINT or isinstance(g, OU | Matern32 | Matern52) for g in self.given)
         return "joint" if smooth else None
+
+    def _recipe(self, posing: Posing, x: NDArray, scale: float) -> Recipe | None:
+        """How the filter is made of a model; None where that cannot be kept."""
+        priors = posing.priors(x)
+        if self.around["ambient"] is not None or not storable(priors):
+            return None
+        noise = np.ones(len(self.model.sensors))
+        noise[posing.rows] = posing.factor(x) * posing.noise
+        return Recipe(
+            priors, noise, posing.rows, posing.hold, self.state_noise, self.around["bias"], self.around["start"],
+            scale, dict(self.errors),
+        )  # fmt: skip
 
     def _lag(self, settled: Steady | None) -> int:
         if self.lag != "auto":
@@ -323,7 +365,7 @@ class LoadTracker:
         return {
             "prior": [g.name if isinstance(g, Named) else g.words for g in self.given], "hold": self.hold,
             "scales": list(self.scales), "model_error": dict(self.errors), "state_noise": self.state_noise,
-            "allow_drift": self.allow_drift, "gate": self.gate,
+            "allow_drift": self.allow_drift, "gate": self.gate, "engine": self.engine,
         }  # fmt: skip
 
 

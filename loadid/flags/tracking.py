@@ -115,6 +115,19 @@ def kept_out(gated: int, taken: int, steps: int) -> Flag | None:
     )
 
 
+def other_model(before: str, now: str) -> Flag | None:
+    """W522: a tracker goes on with another model than the one that it was certified with (fingerprints)."""
+    if before == now:
+        return None
+    return Flag(
+        "W522",
+        Evidence("model", now[:12], before[:12]),
+        "the filter goes on with another model than the one it was fitted and certified with: priors and noises are "
+        "those of the fit, the certificate is not of this model",
+        "fit again on a record of the structure as it is now",
+    )
+
+
 def untuned(nis: float, *, tuned: bool) -> Flag | None:
     """W502: the variance of the load was not tuned, or does not fit: mean NIS per channel, and whether a sweep ran."""
     if tuned and CALM <= nis <= RESTLESS:

@@ -7,7 +7,7 @@ import numpy as np
 from loadid.flags.tracking import (
     biases,
     drifting,
-    kept_out,
+    kept_out, other_model,
     overconfident,
     refused,
     slow,
@@ -79,6 +79,8 @@ CASES = [
     Case("W519", lambda: one(supposed(observed((), matern32(100.0, 0.08, 0.01)))),
          lambda: one(supposed(observed((10,), matern32(100.0, 0.08, 0.01)))), "0 of 1.*prior"),
     Case("W521", lambda: one(kept_out(67, 3600, 4)), lambda: one(kept_out(3, 60, 0)), "67 of 3600.*gate=None"),
+    Case("W522", lambda: one(other_model("a" * 64, "b" * 64)), lambda: one(other_model("a" * 64, "a" * 64)),
+         "certificate is not of this model"),
     Case("W520", lambda: one(slow(20.0, 60.0)), lambda: one(slow(2.0, 60.0)), "20 s.*60 s"),
 ]  # fmt: skip
 

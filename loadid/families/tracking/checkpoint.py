@@ -13,11 +13,12 @@ from weakref import WeakKeyDictionary
 from structures import storage
 from structures.errors import InputError
 
+from .fitted import Fitted
 from .packing import pack, unpack
-from .tracker import Fitted, Tracker
+from .tracker import Tracker
 
 KIND = "tracker"
-FORMAT = 1
+FORMAT = 2
 _PACKED: WeakKeyDictionary[Fitted, tuple[dict[str, Any], str]] = WeakKeyDictionary()
 
 
@@ -45,7 +46,9 @@ def save(tracker: Tracker, path: str | os.PathLike, stream: dict[str, Any] | Non
         "fitted": fitted,
         "gate": tracker.gate,
         "lag": tracker.lag,
-        "running": pack(running(tracker)),
+        "replay": tracker.replay,
+        "kind of engine": tracker.engine,
+        "running": pack(tracker.to_tree()),
         "stream": pack(stream),
     }
     storage.write(path, tree, KIND)
@@ -85,8 +88,11 @@ def read(path: str | os.PathLike, model: Any = None) -> tuple[Tracker, dict[str,
         raise InputError("a tracker of another model", where=str(path), found=f"model {tree['model'][:12]}",
                          expected=f"model {wanted[:12]}", hint="fit a tracker to this model")  # fmt: skip
     try:
-        tracker = Tracker(unpack(tree["fitted"]), tree["gate"], int(tree["lag"]))
-        restore(tracker, unpack(tree["running"]))
+        tracker = Tracker(
+            unpack(tree["fitted"]), tree["gate"], int(tree["lag"]), replay=int(tree["replay"]),
+            engine=str(tree["kind of engine"]),
+        )  # fmt: skip
+        tracker.restore(unpack(tree["running"]))
         _PACKED[tracker.fitted] = tree["fitted"], tree["fit"]  # to be written again as it was
         return tracker, unpack(tree["stream"])
     except InputError:
@@ -110,20 +116,7 @@ def fit_of(path: str | os.PathLike) -> str:
 
 def running(tracker: Tracker) -> dict[str, Any]:
     """What changes from sample to sample, as plain arrays and numbers."""
-    return {
-        "engine": tracker._engine.to_tree(),
-        "bank": [engine.to_tree() for _, engine in tracker._bank],
-        "late": None if tracker._late is None else tracker._late.to_tree(),
-    }
-
-
-def restore(tracker: Tracker, tree: dict[str, Any]) -> None:
-    """Put a tracker where `running` found it."""
-    tracker._engine.restore(tree["engine"])
-    for (_, engine), own in zip(tracker._bank, tree["bank"], strict=True):
-        engine.restore(own)
-    if tracker._late is not None:
-        tracker._late.restore(tree["late"])
+    return tracker.to_tree()
 
 
 def _packed(fitted: Fitted) -> tuple[dict[str, Any], str]:

@@ -61,6 +61,7 @@ class Engine:
         self.model, self.settled, self.gate = model, settled, gate
         self.core = SquareRoot(model)
         self.state: State | None = None  # filtered; None before the first sample
+        self.ready: State | None = None  # prediction of the next sample, where it is handed over
         self.phase = "warm-up"
         self.counts: Counter[str] = Counter()
         self.width = np.ones(model.m) if width is None else np.asarray(width, float)
@@ -298,6 +299,9 @@ class Engine:
             assert self.loop is not None
             self.phase = "transient"
             return State(self.loop.x, self._ahead)
+        if self.ready is not None:
+            before, self.ready = self.ready, None
+            return before
         if self.state is None:
             return self.core.start()
         return self.core.predict(self.state)
@@ -317,6 +321,21 @@ class Engine:
             self._moves = reach(self.model)
         return self._moves
 
+    # -- to another filter --------------------------------------------------------------------------------------------
+    def succeed(self, old: Engine, T: NDArray | None) -> None:
+        """Go on where the engine of another model stands: states T times its own, or, without T, anywhere in reach."""
+        self.counts, self.wrong, self.good = old.counts.copy(), old.wrong.copy(), old.good.copy()
+        if old.state is None and old.phase != "steady" and old.ready is None:
+            return
+        before = old._predicted()
+        whole = np.eye(self.model.n)
+        if T is not None:
+            whole[: len(T), : len(T)] = T
+        self.ready = State(whole @ before.x, whole @ before.L)
+        if T is None:
+            self.ready = _wider(self.ready, self._reach())
+        self.state, self.phase = State(self.ready.x, self.ready.L, np.full(self.model.m, np.nan)), "transient"
+
     # -- the state for files ----------------------------------------------------------------------------------------
     def to_tree(self) -> dict[str, Any]:
         """Everything that changes, as plain arrays and numbers."""
@@ -325,8 +344,9 @@ class Engine:
             "state": _arrays(self.state),
             "rival": _arrays(self.rival),
             "ahead": None if self.loop is None else self.loop.x,
-            "wrong": self.wrong,
-            "good": self.good,
+            "ready": _arrays(self.ready),
+            "wrong": self.wrong.copy(),
+            "good": self.good.copy(),
             "believing": self.believing,
             "suspects": self.suspects,
             "doubt": self.doubt,
@@ -341,7 +361,7 @@ class Engine:
     def restore(self, tree: dict[str, Any]) -> None:
         """Go on from what `to_tree` gave."""
         self.phase = str(tree["phase"])
-        self.state = _state(tree["state"])
+        self.state, self.ready = _state(tree["state"]), _state(tree["ready"])
         self.rival = _state(tree["rival"])
         if self.loop is not None and tree["ahead"] is not None:
             self.loop.x = np.asarray(tree["ahead"], float)

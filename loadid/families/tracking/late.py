@@ -49,6 +49,10 @@ class Late:
         self.loads, self.stds, self.news, self.calm = loads[count:], stds[count:], news[count:], calm[count:]
         return late, spread
 
+    def succeed(self, old: Late) -> None:
+        """Go on with the loads of another model as they stand; nothing later is added to them."""
+        self.loads, self.stds = old.loads, old.stds
+
     def to_tree(self) -> dict[str, Any]:
         """Everything that changes, as plain arrays."""
         return {"loads": self.loads, "stds": self.stds, "news": self.news, "calm": self.calm.astype(float)}

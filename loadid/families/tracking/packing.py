@@ -21,10 +21,12 @@ from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.present import Present
 from ...inverse.kalman.steady import Steady
 from .certificate import Certificate
-from .tracker import Fitted
+from .fitted import Fitted
+from .recipe import PRIORS, Recipe
 
 TYPES: dict[str, type] = {
-    kind.__name__: kind for kind in (Certificate, Channel, Evidence, Fitted, Flag, FilterModel, Present, Steady)
+    kind.__name__: kind
+    for kind in (Certificate, Channel, Evidence, Fitted, Flag, FilterModel, Present, Recipe, Steady, *PRIORS)
 }
 
 

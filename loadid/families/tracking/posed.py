@@ -82,7 +82,7 @@ class Posing:
                 priors.append(prior.make(*values))
             else:
                 priors.append(prior)
-        return self.filter(self._scaled(x), priors, scale, self._factor(x))
+        return self.filter(self.scaled(x), priors, scale, self.factor(x))
 
     def priors(self, x: NDArray, scale: float = 1.0) -> tuple[Any, ...]:
         """The priors of these numbers."""
@@ -104,10 +104,12 @@ class Posing:
         )
         return rescaled(restricted(made, self.rows), scale)
 
-    def _factor(self, x: NDArray) -> float:
+    def factor(self, x: NDArray) -> float:
+        """On the noise of the sensors."""
         return float(np.exp(np.clip(x[-1], -80, 80))) if self.free_noise and len(x) else 1.0
 
-    def _scaled(self, x: NDArray) -> Model:
+    def scaled(self, x: NDArray) -> Model:
+        """The model with its tuned parameters."""
         if not self.scales:
             return self.model
         stop = len(x) - self.free_noise
@@ -124,7 +126,7 @@ class Posing:
 
         Gauss-Hermite with three points for each parameter: one at the nominal value, two at 1 +- sqrt(3) std.
         """
-        base, priors, noise = self._scaled(x), self.priors(x), self._factor(x)
+        base, priors, noise = self.scaled(x), self.priors(x), self.factor(x)
         found = []
         for (name, std), sign in product(errors.items(), (-1, 1)):
             factor = 1 + sign * SPREAD * std

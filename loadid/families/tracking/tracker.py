@@ -3,77 +3,34 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Flag
-from structures.values import number
 
-from ... import flags as guards
-from ...estimate import Axis, LoadEstimate
-from ...flags.tracking import kept_out
+from ...estimate import LoadEstimate
 from ...inverse.kalman.lag import fixed_lag
-from ...inverse.kalman.model import FilterModel
-from ...inverse.kalman.steady import Steady
-from ...provenance import provenance
-from ...record import Record
-from ..data import numbers
+from . import blocks, recipe
 from .certificate import Certificate
 from .engine import Engine
+from .fitted import Fitted
 from .late import Late
+from .limits import inside
+from .peer import Peer
+from .replay import Replay
+
+__all__ = ["Fitted", "Tracker"]
 
 STATES = 4 * 2**30  # bytes of states that a smoother without a settled gain may keep
 CALM = 0.01  # of the std of the loads, within which the gain counts as settled
 PATH = "square-root filter, settled gain"
-
-
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """What a fit has settled; everything that a tracker needs to run.
-
-    Parameters
-    ----------
-    model : FilterModel
-    settled : Steady or None
-    bank : tuple of (weight, FilterModel, Steady or None)
-        Models that are wrong by what was declared.
-    dt : float
-    sensors, loads : tuple of Channel
-    words : str
-        The priors of the loads.
-    numbers : mapping
-        What was tuned.
-    noise_source : str
-    certificate : Certificate or None
-    flags : tuple of Flag
-    fingerprint : str
-        Of the model of the structure.
-    settings : mapping
-    inputs : mapping
-        Digest of the record of the fit.
-    """
-
-    model: FilterModel
-    settled: Steady | None
-    bank: tuple[tuple[float, FilterModel, Steady | None], ...]
-    dt: float
-    sensors: tuple[Channel, ...]
-    loads: tuple[Channel, ...]
-    words: str
-    numbers: Mapping[str, float]
-    noise_source: str
-    certificate: Certificate | None
-    flags: tuple[Flag, ...]
-    fingerprint: str
-    settings: Mapping[str, Any]
-    inputs: Mapping[str, str]
+ENGINES = {"own": Engine, "filterpy": Peer}
 
 
 class Tracker:
@@ -86,16 +43,29 @@ class Tracker:
         Std of an innovation beyond which a single channel is kept out, or a step of the load is taken up.
     lag : int
         Samples by which the answers come late.
+    replay : int, optional
+        Samples by which a sample may come late and still be put in its place (`insert`); the lag if left out.
+    engine : {"own", "filterpy"}
+        filterpy believes every number: it has no gate.
 
     Notes
     -----
     A tracker has a state: `step` and `track` go on from the last sample. `smooth` and `reset` do not.
     """
 
-    def __init__(self, fitted: Fitted, gate: float | None = None, lag: int = 0) -> None:
+    def __init__(
+        self, fitted: Fitted, gate: float | None = None, lag: int = 0, *, replay: int | None = None,
+        engine: str = "own",
+    ) -> None:  # fmt: skip
         self.fitted, self.gate, self.lag = fitted, gate, lag
+        self.replay, self.engine = lag if replay is None else replay, engine
         self._p = fitted.model.p
+        self._origin: Any = None  # the model of the structure, where it is at hand
         self.reset()
+
+    def made_of(self, model: Any) -> None:
+        """The model of the structure behind the filter, for `update_model`: a file does not hold it."""
+        self._origin = model
 
     def __repr__(self) -> str:
         f = self.fitted
@@ -121,13 +91,27 @@ class Tracker:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Samples taken; channel samples missing and kept out by the gate; steps of the load taken up."""
-        return {name: self._engine.counts[name] for name in ("samples", "missing", "gated", "steps", "lost")}
+        """What has come, since the start.
+
+        ``samples``; channel samples ``missing``, at the end of a range among them (``saturated``), or ``gated``;
+        events of the load taken up (``steps``); times that the state was ``lost`` and found; late samples put in their
+        place (``replayed``), or come too late (``expired``).
+        """
+        found = {name: self._engine.counts[name] for name in ("samples", "missing", "gated", "steps", "lost")}
+        return found | {name: self._tally[name] for name in ("saturated", "replayed", "expired")}
 
     def reset(self) -> None:
         """Back before the first sample."""
+        self._tally: Counter[str] = Counter()
+        self._ring = Replay(self.replay) if self.replay else None
+        self._made()
+
+    def _made(self) -> None:
+        """Engines of the fit, before their first sample."""
         f = self.fitted
-        self._engine = Engine(f.model, f.settled, self.gate, self._width())
+        self._engine: Any = Peer(f.model)
+        if self.engine == "own":
+            self._engine = Engine(f.model, f.settled, self.gate, self._width())
         prior = f.model.Cp @ f.model.x0, np.linalg.norm(f.model.Cp @ f.model.L0, axis=1)
         self._late = None if not self.lag or f.settled is None else Late(fixed_lag(f.settled, self.lag), *prior)
         self._bank = [(weight, Engine(model, settled, None)) for weight, model, settled in f.bank]
@@ -143,6 +127,17 @@ class Tracker:
         InputError
             A sample of another width, or infinite.
         """
+        if self.fitted.limits is not None:
+            sample = self._believable(sample)
+        if self._ring is None:
+            return self._one(sample)
+        if self._ring.count % self.replay == 0 or not self._ring.anchors:
+            self._ring.anchor(self._changing())
+        answer = self._one(sample)
+        self._ring.push(np.asarray(sample, float)[None])
+        return answer
+
+    def _one(self, sample: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         steady = self._engine.phase == "steady"
         load, std = self._engine.step(sample)
         if self._late is not None:
@@ -179,7 +174,7 @@ class Tracker:
         InputError
             Channels or a step that are not those of the fit, a first block that is shorter than the lag.
         """
-        Y, inputs = self._values(block, dt)
+        Y, inputs = blocks.values(self.fitted, block, dt)
         first = self._engine.counts["samples"]
         skip = max(self.lag - first, 0)
         if skip >= len(Y):
@@ -187,13 +182,32 @@ class Tracker:
                              expected=f"more than the lag of {self.lag}", hint="hand over more at once")  # fmt: skip
         load, std, e = self.run(Y, progress)
         if self.lag:
-            return self._estimate(load[skip:], std[skip:], None, None, inputs, first - self.lag + skip,
-                                  f"{PATH}, {self.lag} samples late")  # fmt: skip
-        return self._estimate(load, std, Y, e * self._spread(), inputs, first)
+            return blocks.estimate(self.fitted, self.counts, load[skip:], std[skip:], None, None, inputs,
+                                   first - self.lag + skip, f"{PATH}, {self.lag} samples late")  # fmt: skip
+        Y, path = inside(Y, self.fitted.limits), PATH if self.engine == "own" else "filterpy, full covariance"
+        return blocks.estimate(self.fitted, self.counts, load, std, Y, e * self._spread(), inputs, first, path)
 
     def run(self, Y: NDArray, progress: Callable[[float, str], None] | None = None) -> tuple[NDArray, NDArray, NDArray]:
         """Loads and std (samples, loads), normalised innovations (samples, sensors) of bare numbers."""
         load, std, e = np.empty((len(Y), self._p)), np.empty((len(Y), self._p)), np.full(Y.shape, np.nan)
+        if self.fitted.limits is not None:
+            Y = self._believable(Y)
+        if self._ring is None:
+            self._run(Y, load, std, e, progress)
+            return load, std, e
+        cuts = self._ring.cuts(len(Y))
+        for start, stop in zip([0, *cuts], cuts, strict=False):
+            part = slice(start, stop)
+            if start in cuts:
+                self._ring.anchor(self._changing())
+            self._run(Y[part], load[part], std[part], e[part], progress)
+            self._ring.push(Y[part])
+        return load, std, e
+
+    def _run(
+        self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray, progress: Callable[[float, str], None] | None
+    ) -> None:
+        """Fill loads, std and innovations of a block."""
         told = progress or (lambda share, text: None)
         size = 65_536
         for k in range(0, len(Y), size):
@@ -211,7 +225,67 @@ class Tracker:
                 news = self._news(std[part], e[part] * self._spread())
                 load[part], std[part] = self._late.block(load[part], std[part], news)
             told(min((k + size) / len(Y), 1.0), "tracking")
-        return load, std, e
+
+    def insert(self, sample: ArrayLike, ago: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Put a sample that comes late in its place, and run the filter again from there.
+
+        What has already come of that time stays; the channels that were missing then are filled in.
+
+        Parameters
+        ----------
+        sample : array (sensors,)
+            NaN marks a channel that is still missing.
+        ago : int
+            Samples taken after it.
+
+        Returns
+        -------
+        load, std : array, shape (ago + 1, loads), or None
+            The answers from its time on, as if it had come in order (with a lag, of so many samples before); None
+            where it comes too late (`replay`), which is counted.
+
+        Raises
+        ------
+        InputError
+            A sample of another width, or infinite; `ago` is no count.
+        """
+        if isinstance(ago, bool) or not isinstance(ago, int | np.integer) or ago < 0:
+            raise InputError("no count of samples", where="ago", found=repr(ago), expected="0, 1, 2, ...")
+        row = self._engine.core.sample(sample)
+        place = None if self._ring is None else self._ring.place(int(ago))
+        if self._ring is None or place is None:
+            self._tally["expired"] += 1
+            return None
+        row = self._believable(row)
+        rows = self._ring.samples
+        rows[place] = np.where(np.isfinite(rows[place]), rows[place], row)
+        load, std = self._again(np.array(rows))
+        self._tally["replayed"] += 1
+        return load[place:], std[place:]
+
+    def _again(self, Y: NDArray) -> tuple[NDArray, NDArray]:
+        """The kept samples once more, from the older anchor on."""
+        assert self._ring is not None
+        load, std, e = np.empty((len(Y), self._p)), np.empty((len(Y), self._p)), np.full(Y.shape, np.nan)
+        marks = [k for k, _ in self._ring.anchors]
+        self._restored(self._ring.anchors[0][1])
+        anchors, ends = [], [*(k - marks[0] for k in marks), len(Y)]
+        for k, start, stop in zip(marks, ends, ends[1:], strict=False):
+            anchors.append((k, self._changing()))
+            part = slice(start, stop)
+            self._run(Y[part], load[part], std[part], e[part], None)
+        self._ring.anchors = anchors
+        return load, std
+
+    def _believable(self, Y: Any) -> Any:
+        """Samples without those at the end of the range of their sensor, which are counted."""
+        try:
+            given = np.asarray(Y, float)
+            found = inside(given, self.fitted.limits)
+        except (TypeError, ValueError):
+            return Y  # the engine says what is wrong with it
+        self._tally["saturated"] += int(np.sum(np.isnan(found)) - np.sum(np.isnan(given)))
+        return found
 
     def _news(self, std: NDArray, e: NDArray) -> NDArray[np.float64]:
         """Innovations of the samples at the settled gain, or near it; NaN of the others."""
@@ -232,7 +306,8 @@ class Tracker:
         """
         from ...inverse.kalman.records import filter_settling, smooth_settling
 
-        Y, inputs = self._values(record, dt)
+        Y, inputs = blocks.values(self.fitted, record, dt)
+        Y = inside(Y, self.fitted.limits)
         told = progress or (lambda share, text: None)
         settled, path = self.fitted.settled, "square-root filter and smoother"
         if settled is None:
@@ -241,7 +316,7 @@ class Tracker:
             found = smooth_settling(filter_settling(settled, Y, progress=lambda f, t: told(0.5 * f, t)),
                                     progress=lambda f, t: told(0.5 + 0.5 * f, t))  # fmt: skip
             load, std, rest = found.load, found.std, found.residual
-        return self._estimate(load, std, Y, rest, inputs, 0, path)
+        return blocks.estimate(self.fitted, self.counts, load, std, Y, rest, inputs, 0, path)
 
     def _kept(self, Y: NDArray, told: Callable[[float, str], None]) -> tuple[NDArray, NDArray, NDArray]:
         """Smoothed loads, std and residual by a filter that keeps the states of all samples."""
@@ -256,6 +331,38 @@ class Tracker:
         kept = filtered(model, Y, keep=True, progress=lambda f, t: told(0.5 * f, t))
         found = smooth(kept, progress=lambda f, t: told(0.5 + 0.5 * f, t))
         return found.load, found.std, Y - found.x @ model.H.T
+
+    # -- another model ----------------------------------------------------------------------------------------------
+    def update_model(self, model: Any) -> None:
+        """Go on with another model of the same sensors and loads: a stiffness that has changed, say.
+
+        Gains are solved anew under the priors and noises of the fit. Where both models have modes of the same degrees
+        of freedom the state is carried over through these, with its covariance; else it may be anywhere in reach, and
+        the next samples find it. Late samples from before cannot be put in their place any more. The certificate stays
+        as the one of the model before (`Fitted.stale`, flag W522).
+
+        Raises
+        ------
+        InputError
+            Other sensors, loads or number of states; a fit whose priors cannot be made again.
+        NotIdentifiable
+            The new model has no settled gain.
+        """
+        f, old = self.fitted, self._engine
+        if f.recipe is None or self.engine != "own":
+            raise InputError("this tracker does not know how its filter was made", where="update_model",
+                             found="ambient loads, a prior of one's own, or filterpy", expected="the own engine under "
+                             "priors of the library", hint="fit a tracker to the model")  # fmt: skip
+        recipe.same_channels(f, model)
+        T = recipe.carried(self._origin, model, f.model.nx)
+        self.fitted, late = recipe.renewed(f, model), self._late
+        self._made()
+        self._engine.succeed(old, T)
+        if self._late is not None and late is not None:
+            self._late.succeed(late)
+        for _, engine in self._bank:
+            engine.succeed(old, T)
+        self._ring, self._origin = Replay(self.replay) if self.replay else None, model
 
     # -- others -----------------------------------------------------------------------------------------------------
     def to_filterpy(self) -> Any:
@@ -302,9 +409,11 @@ class Tracker:
         """
         from ...inverse.kalman.filterpy import FilterpyEngine
 
-        Y, inputs = self._values(record, dt)
+        Y, inputs = blocks.values(self.fitted, record, dt)
+        Y = inside(Y, self.fitted.limits)
         found = FilterpyEngine(self.fitted.model).track(Y, progress)
-        return self._estimate(found.load, found.std, Y, None, inputs, 0, "filterpy, full covariance")
+        return blocks.estimate(self.fitted, self.counts, found.load, found.std, Y, None, inputs, 0,
+                               "filterpy, full covariance")  # fmt: skip
 
     # -- files ------------------------------------------------------------------------------------------------------
     def save(self, path: str | os.PathLike) -> None:
@@ -338,7 +447,34 @@ class Tracker:
 
         return load(path, model)
 
+    def to_tree(self) -> dict[str, Any]:
+        """Everything that changes from sample to sample, as plain arrays and numbers."""
+        ring = None if self._ring is None else self._ring.to_tree()
+        return self._changing() | {"ring": ring, "tally": dict(self._tally)}
+
+    def restore(self, tree: dict[str, Any]) -> None:
+        """Go on from what `to_tree` gave."""
+        self._restored(tree)
+        self._tally = Counter({str(k): int(v) for k, v in tree["tally"].items()})
+        if self._ring is not None:
+            self._ring.restore(tree["ring"])
+
     # -- inside -----------------------------------------------------------------------------------------------------
+    def _changing(self) -> dict[str, Any]:
+        """What a sample changes in the filters."""
+        return {
+            "engine": self._engine.to_tree(),
+            "bank": [engine.to_tree() for _, engine in self._bank],
+            "late": None if self._late is None else self._late.to_tree(),
+        }
+
+    def _restored(self, tree: dict[str, Any]) -> None:
+        self._engine.restore(tree["engine"])
+        for (_, engine), own in zip(self._bank, tree["bank"], strict=True):
+            engine.restore(own)
+        if self._late is not None:
+            self._late.restore(tree["late"])
+
     def _width(self) -> NDArray[np.float64] | None:
         """Of the gate: a model that is not exact is no reason to throw its sensors away."""
         spread = () if self.fitted.certificate is None else self.fitted.certificate.spread
@@ -349,66 +485,3 @@ class Tracker:
         if settled is not None:
             return settled.innovation_std
         return np.linalg.norm(self.fitted.model.LR, axis=1)
-
-    def _values(self, block: Any, dt: float | None) -> tuple[NDArray[np.float64], dict[str, str]]:
-        f = self.fitted
-        labels = [c.label for c in f.sensors]
-        if isinstance(block, Record):
-            picked = block.select(labels)
-            step, values = picked.dt, picked.values
-            inputs = {block.source or block.name or "record": block.sha256}
-            wrong = [
-                f"{c.label} in {c.unit}, not {s.unit}"
-                for c, s in zip(picked.channels, f.sensors, strict=True)
-                if "arbitrary" not in (c.unit, s.unit) and c.unit != s.unit
-            ]
-            if wrong:
-                raise InputError("a channel is in another unit than its sensor", where="track", found="; ".join(wrong),
-                                 expected="the units of the fit", hint="state the units of the record")  # fmt: skip
-        else:
-            values, inputs = numbers(block, "the block is no table of real numbers"), {}
-            step = f.dt if dt is None else number("dt", dt, where="track", unit="s")
-        if not abs(step / f.dt - 1) <= 1e-6:
-            raise InputError("the samples have another step than those of the fit", where="track",
-                             found=f"dt = {step:.9g} s", expected=f"dt = {f.dt:.9g} s",
-                             hint="resample, or fit a tracker for this step")  # fmt: skip
-        if values.ndim != 2 or values.shape[1] != len(labels) or not len(values):
-            raise InputError("the block does not fit the sensors", where="track", found=f"shape {values.shape}",
-                             expected=f"(samples, {len(labels)}): {', '.join(labels[:8])}")  # fmt: skip
-        if np.isinf(values).any():
-            raise InputError("an infinite number in the block", where="track",
-                             found=labels[int(np.argmax(np.isinf(values).any(axis=0)))],
-                             expected="finite numbers, NaN where a sample is missing")  # fmt: skip
-        return np.ascontiguousarray(values, float), inputs
-
-    def _estimate(
-        self, load: NDArray, std: NDArray, Y: NDArray | None, rest: NDArray | None, inputs: dict[str, str],
-        first: int, path: str = PATH,
-    ) -> LoadEstimate:  # fmt: skip
-        f, counts, m = self.fitted, self.counts, len(self.fitted.sensors)
-        there = np.ones((len(load), len(f.sensors)), bool) if Y is None else np.isfinite(Y)
-        facts: dict[str, Any] = {
-            "path": path, "m": int(there.sum()), "n": int(load.size), "noise_source": f.noise_source,
-            "time_constant": None if f.settled is None else f.settled.time_constant,
-            **{f"tuned_{name}": value for name, value in f.numbers.items()},
-            **{f"count_{name}": value for name, value in self.counts.items()},
-        }  # fmt: skip
-        if not there.all():
-            facts["missing"] = f"{int((~there).sum())} of {there.size} channel samples"
-        return LoadEstimate(
-            load=load,
-            std=std,
-            labels=[c.label for c in f.loads],
-            units=[c.unit for c in f.loads],
-            axis=Axis("time", "s", np.asarray((first + np.arange(len(load))) * f.dt, float)),
-            response=None if Y is None else np.where(there, Y, 0.0),
-            residual=None if rest is None else np.where(there & np.isfinite(rest), rest, 0.0),
-            sensors=[c.label for c in f.sensors],
-            sensor_units=[c.unit for c in f.sensors],
-            flags=guards.collect([*f.flags, kept_out(counts["gated"], counts["samples"] * m, counts["steps"])]),
-            facts=facts,
-            provenance=provenance(
-                "load tracking", settings=dict(f.settings), inputs={**f.inputs, **inputs}, model=f.fingerprint,
-                prior=f.words,
-            ),
-        )  # fmt: skip

@@ -50,6 +50,7 @@ class FilterpyEngine:
         self.model, self.kf = model, to_filterpy(model)
         self._parts: dict[bytes, Present] = {}
         self._last: tuple[Present, Array] | None = None
+        self.normalised = np.full(model.m, np.nan)  # innovation of the last sample over its std, NaN where missing
 
     def step(self, sample: ArrayLike) -> tuple[Array, Array]:
         """Loads (p,) and their std after a sample (m,); NaN marks a missing channel.
@@ -71,8 +72,10 @@ class FilterpyEngine:
             self.kf.predict(u=None if before.T is None else told, B=before.T, F=before.F, Q=Q)
         part = self._part(np.isfinite(y))
         y = y[part.mask]
+        self.normalised = np.full(self.model.m, np.nan)
         if len(y):
             self.kf.update(y, R=part.LR @ part.LR.T, H=part.H)
+            self.normalised[part.mask] = self.kf.y / np.sqrt(np.diag(self.kf.S))
         else:
             self.kf.update(None)
         self._last = (part, y)
@@ -97,6 +100,17 @@ class FilterpyEngine:
             if progress and k % 1000 == 0:
                 progress(k / N, "filterpy")
         return Tracked(load, std, nis, loglik)
+
+    def to_tree(self) -> dict[str, Any]:
+        """Everything that changes, as plain arrays."""
+        last = None if self._last is None else {"mask": self._last[0].mask, "y": self._last[1]}
+        return {"x": np.array(self.kf.x), "P": np.array(self.kf.P), "last": last}
+
+    def restore(self, tree: dict[str, Any]) -> None:
+        """Go on from what `to_tree` gave."""
+        self.kf.x, self.kf.P = np.array(tree["x"], float), np.array(tree["P"], float)
+        last = tree["last"]
+        self._last = None if last is None else (self._part(np.array(last["mask"], bool)), np.array(last["y"], float))
 
     def _said(self) -> tuple[float, float]:
         """NIS and log-likelihood of the last update, from its innovation and that innovation's covariance."""
