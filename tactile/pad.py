@@ -16,11 +16,11 @@ from scipy import sparse
 
 from structures import bases, evaluation, layered
 from structures.errors import InputError
-from structures.factor import Factor
 from structures.flags import Flag
 from structures.materials import Material
 from structures.structure import Structure
 from structures.surfaces import Surface
+from structures.symmetry import SymmetricFactor, reflections
 from structures.values import positive, reals
 
 from .guards import pad as guards
@@ -197,21 +197,29 @@ class Pad:
         return surface, np.setdiff1d(np.arange(self.structure.free.size), surface)
 
     @cached_property
-    def _interior(self) -> Factor | None:
+    def _mirrors(self) -> list[sparse.csr_array]:
+        """Mirror planes of the pad; they keep the surface as a whole."""
+        s, _ = self._split
+        return [G for G in reflections(self.structure) if np.isin(G.indices[s], s).all()]
+
+    @cached_property
+    def _interior(self) -> SymmetricFactor | None:
         """Factor of the interior stiffness; None where a single layer has no interior."""
         i = self._split[1]
-        return Factor(self.structure.K_free[i][:, i]) if i.size else None
+        if not i.size:
+            return None
+        return SymmetricFactor(self.structure.K_free[i][:, i], [G[i][:, i] for G in self._mirrors])
+
+    @cached_property
+    def _whole(self) -> SymmetricFactor:
+        """Factor of the stiffness of all free DOFs."""
+        return SymmetricFactor(self.structure.K_free, self._mirrors)
 
     @cached_property
     def _coupling(self) -> sparse.csr_array:
         """Forces on the interior from displacements of the surface."""
         s, i = self._split
         return self.structure.K_free[i][:, s].tocsr()
-
-    @cached_property
-    def factor(self) -> Factor:
-        """Factor of the stiffness of all free DOFs."""
-        return Factor.of(self.structure)
 
     @cached_property
     def _condensed(self) -> tuple[Array, Array]:
@@ -256,7 +264,7 @@ class Pad:
         """
         f = np.zeros(self.structure.free.size)
         f[self._split[0]] = self._vectors(forces, "forces").ravel()
-        return self.structure.expand(self.factor.solve(f))
+        return self.structure.expand(self._whole.solve(f))
 
     def displacements(self, forces: ArrayLike) -> Array:
         """Motion of the surface (P, 3) in m under nodal forces on it (N)."""
@@ -352,7 +360,7 @@ class Pad:
             return np.asarray(self.from_surface(places)[kept] @ self.compliance, float)
         s, _ = self._split
         rows = self.rows(places)[kept][:, self.structure.free]
-        return np.asarray(self.factor.solve(rows.T.tocsc())[s].T, float)
+        return np.asarray(self._whole.solve(rows.T.tocsc())[s].T, float)
 
     def _places(self, points: ArrayLike) -> Array:
         found = reals(points, where="Pad, points", hint="an array (N, 2) or (N, 3) in m")

@@ -161,9 +161,15 @@ class TestGeometry:
         assert len(pad.basis) == 3 * pad.points
         assert np.array_equal(columns.tocsc().indices, pad.dofs)
 
-    def test_factor_serves_others(self, pad):
-        assert isinstance(pad.factor, Factor)
-        assert pad.solve(patch(pad, radius=5e-3)).shape == (pad.structure.n,)
+    @pytest.mark.parametrize("force", [(0.0, 0.0, -1.0), (0.3, 0.0, -1.0), (0.3, -0.2, 1.0)])
+    def test_motion_is_that_of_the_whole_stiffness(self, pad, force):
+        """Symmetric, half symmetric and crooked loads."""
+        f = patch(pad, force, radius=5e-3)
+        f[3] += np.array(force) * (force[1] != 0)
+        load = np.zeros(pad.structure.n)
+        load[pad.dofs] = f.ravel()
+        wanted = Factor.of(pad.structure).solve(load[pad.structure.free])
+        assert np.abs(pad.solve(f)[pad.structure.free] - wanted).max() < 1e-12 * np.abs(wanted).max()
 
 
 @pytest.mark.parametrize(
