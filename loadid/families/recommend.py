@@ -1,26 +1,57 @@
-"""Which prior fits a record: Tikhonov for loads that act all the time, spikes or pulses for impacts, or none."""
+"""Which prior fits a record, which family carries it, and a way to run it.
+
+Processes in time (the tracker's smoother; Tikhonov, whose load is white) and waveforms (spikes, B-splines) are compared
+by what each makes of the record: the evidence of a process at its most likely numbers, the extended information
+criterion of a dictionary on its best support. Both are minus twice a log-likelihood plus a price for what was chosen.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.errors import InputError
 from structures.model import Model
 
+from ..estimate import LoadEstimate
 from ..flags import sparsity as told
 from ..inverse.sparse import dictionaries
+from ..record import Record
 from .data import gather
 from .deconvolution import Deconvolution
+from .kalman import LoadTracker
+from .processes import compared, of_sparse
 from .shapes import half_width, kurtosis
 from .sparse import SparseDeconvolution
 from .sparsity import Problem, pose, posing
 
 HALF_SINE = 1.5  # width of a half-sine pulse over its width at half height
 PER_PULSE = 4  # knots per pulse width: the best spacing is a third to a fifth of it
+CLASSES = {  # priors that hold such loads, the usual one first
+    "impact": ("spikes", "pulses", "matern32", "ou"),
+    "service": ("matern32", "matern52", "ou", "tikhonov", "random_walk"),
+    "slow": ("matern52", "matern32", "random_walk"),
+    "harmonic": ("matern52", "matern32"),
+    "random": ("matern32", "ou", "matern52", "tikhonov"),
+    "step": ("random_walk", "ou", "matern32"),
+}
+WAVEFORMS = ("spikes", "pulses")
+WORDS = {
+    "random_walk": "a random walk (steps, drifts)",
+    "ou": "an Ornstein-Uhlenbeck process (rough, returns to zero)",
+    "matern32": "a Matern-3/2 process (smooth once)",
+    "matern52": "a Matern-5/2 process (smooth twice)",
+    "tikhonov": "white in time (Tikhonov)",
+    "spikes": "few spikes of one sample",
+    "pulses": "few B-splines",
+}
+
+
+Run = Callable[[Any, float | None], LoadEstimate]
 
 
 @dataclass(frozen=True)
@@ -29,7 +60,7 @@ class Recommendation:
 
     Parameters
     ----------
-    prior : {"tikhonov", "spikes", "pulses"}
+    prior : {"tikhonov", "random_walk", "ou", "matern32", "matern52", "spikes", "pulses"}
     family : str
         The call that uses it.
     reason : str
@@ -44,6 +75,8 @@ class Recommendation:
         Spacing of B-splines, by the information criterion; None where none was asked.
     scores : dict of int to float
         Information criterion of spikes (1) and of B-splines by spacing.
+    evidence : dict of str to float
+        Criterion of every prior that was compared, above that of the best; empty where the model carries no process.
     """
 
     prior: str
@@ -54,9 +87,24 @@ class Recommendation:
     width: float
     knots: int | None
     scores: dict[int, float]
+    evidence: dict[str, float] = field(default_factory=dict)
+    _run: Run | None = field(default=None, repr=False, compare=False)
 
     def __str__(self) -> str:
         return f"{self.family}: {self.reason}"
+
+    def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
+        """Loads of a record as recommended: with the same sensors and noise, numbers tuned to this record.
+
+        Raises
+        ------
+        InputError
+            A record that does not fit the model.
+        """
+        if self._run is None:
+            raise InputError("a recommendation without a model", where="estimate", found="made by hand",
+                             expected="one of recommend()")  # fmt: skip
+        return self._run(record, dt)
 
 
 def recommend(
@@ -64,6 +112,7 @@ def recommend(
     record: Any,
     dt: float | None = None,
     *,
+    load_class: str | None = None,
     hold: str | None = None,
     noise: ArrayLike | None = None,
     noise_source: str | None = None,
@@ -72,64 +121,169 @@ def recommend(
 ) -> Recommendation:
     """Compare the priors on a record.
 
-    The Tikhonov load tells by its kurtosis whether it is made of impacts. Then spikes of one sample and B-splines of
-    several spacings are compared by the extended information criterion of their least squares, on the first part of a
-    long record; a best one that uses much of its dictionary speaks for Tikhonov after all.
+    Processes are compared where the model has a state space, by evidence. The Tikhonov load tells by its kurtosis
+    whether it may be made of impacts: then spikes of one sample and B-splines of several spacings are compared too, on
+    the first part of a long record.
 
     Parameters
     ----------
     model, record, dt, hold, noise, noise_source, sensors, progress
         As for `SparseDeconvolution`.
+    load_class : {"impact", "service", "slow", "harmonic", "random", "step"}, optional
+        What is known of the load. It decides between priors that the record does not tell apart, and has waveforms
+        compared for an impact; a record that says otherwise is believed, and the reason says so.
 
     Raises
     ------
     InputError
-        A record that does not fit the model.
+        A record that does not fit the model, an unknown class.
     """
+    if load_class is not None and load_class not in CLASSES:
+        raise InputError("unknown class of load", where="load_class", found=repr(load_class)[:80],
+                         expected=", ".join(map(repr, CLASSES)))  # fmt: skip
     say = progress or (lambda fraction, text: None)
     settings: dict[str, Any] = {"hold": hold, "noise": noise, "noise_source": noise_source, "sensors": sensors}
     say(0.0, "Tikhonov")
     smooth = Deconvolution(model, **settings).estimate(record, dt)
     peaked = [kurtosis(g) for g in smooth.load.T]
     worst = int(np.argmax(peaked))
-    width = pulse_width(smooth.load[:, worst])
-    if peaked[worst] < told.IMPULSIVE:
-        return Recommendation(
-            "tikhonov", "Deconvolution", f"the load acts all the time (kurtosis {peaked[worst]:.3g}, impacts have more "
-            f"than {told.IMPULSIVE:g})", True, peaked[worst], width, None, {},
-        )  # fmt: skip
+    seen = _Seen(peaked[worst], pulse_width(smooth.load[:, worst]), 1 - (smooth.facts.get("peak_bias") or 0.0))
+    asked = _Asked(model, record, dt, settings, seen, load_class)
     data = gather(record, dt, model, sensors, allow_missing=True)
-    scores, shares = _compared(pose(model, data, posing(hold, noise, noise_source, ())), say)
+    problem = pose(model, data, posing(hold, noise, noise_source, ()))
+    first = problem.beginning()
+    samples = first.samples + len(data.values) - problem.samples
+    processes = compared(model, data, samples, settings, lambda f, t: say(0.1 + 0.4 * f, t))
+    criteria = {"tikhonov" if name == "white" else name: one.criterion for name, one in processes.items()}
+    if seen.kurtosis < told.IMPULSIVE and load_class != "impact":
+        return asked.process(criteria, {})
+    scores, shares = _compared(first, lambda f, t: say(0.2 + f, t))
     best = min(scores, key=lambda k: scores[k])
-    impulsive = f"the load looks impulsive (kurtosis {peaked[worst]:.3g})"
     knots = min((k for k in scores if k > 1), key=lambda k: scores[k], default=None)
+    every = dict(criteria)
+    for k, score in scores.items() if criteria else ():
+        name = "spikes" if k == 1 else "pulses"
+        every[name] = min(of_sparse(score, first, samples), every.get(name, np.inf))
     if shares[best] > told.DENSE:
-        return Recommendation(
-            "tikhonov", "Deconvolution", f"{impulsive}, but {shares[best]:.0%} of the best dictionary would be in use",
-            True, peaked[worst], width, knots, scores,
-        )  # fmt: skip
-    ahead = min((scores[k] for k in scores if (k == 1) != (best == 1)), default=np.inf) - scores[best]
-    if best > 1 and ahead > told.CLEARLY:
-        reason = (
-            f"{impulsive}, and B-splines with knots every {best} samples explain it best (criterion {ahead:.3g} below "
-            f"that of spikes); the pulses are at most {width:.0f} samples wide, which asks for {knots_for(width)}"
-        )
-        family = f"SparseDeconvolution(dictionary='bspline', knots={best}), or Tikhonov with a load that only pushes"
-        return Recommendation("pulses", family, reason, True, peaked[worst], width, best, scores)
+        found = asked.process(every, scores)
+        dense = f"{'' if criteria else ', but'} {shares[best]:.0%} of the best dictionary would be in use"
+        return replace(found, reason=f"{found.reason}{';' if criteria else ''}{dense}", knots=knots)
+    if every and _chosen(every, load_class) not in WAVEFORMS:
+        return replace(asked.process(every, scores), knots=knots)
     say(0.8, "spikes")
-    spikes = SparseDeconvolution(model, **settings).estimate(record, dt)
-    share = float(spikes.facts.get("amplitude_std_with_neighbours", 0.0))
-    reason = f"{impulsive}, and {spikes.facts['support']} spikes of one sample explain it best"
-    trusted = share <= told.UNSURE and ahead > told.CLEARLY
-    if not trusted:
-        shown = 1 - (smooth.facts.get("peak_bias") or 0.0)
-        alike = "" if ahead > told.CLEARLY else f" or as well as pulses (criterion {ahead:.2g} apart)"
-        reason += (
-            f"{alike}; neither prior is to be trusted with heights: the places are good, the amplitudes are not "
-            f"(± {share:.0%} if neighbouring samples act too; Tikhonov shows a single-sample peak at {shown:.0%} of "
-            "its height)"
+    return replace(asked.waveforms(every, scores, best), knots=knots)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What the Tikhonov load looks like: kurtosis, width of its largest pulse (samples), share shown of a peak."""
+
+    kurtosis: float
+    width: float
+    shown: float
+
+    def __str__(self) -> str:
+        if self.kurtosis < told.IMPULSIVE:
+            return (
+                f"the load acts all the time (kurtosis {self.kurtosis:.3g}, impacts have more than {told.IMPULSIVE:g})"
+            )
+        return f"the load looks impulsive (kurtosis {self.kurtosis:.3g})"
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """A model and a record, the settings of every family, what the Tikhonov load shows, the class of the load."""
+
+    model: Model
+    record: Any
+    dt: float | None
+    settings: Mapping[str, Any]
+    seen: _Seen
+    load_class: str | None
+
+    def process(self, criteria: Mapping[str, float], scores: dict[int, float]) -> Recommendation:
+        """The best process: by the tracker's smoother, or Tikhonov."""
+        own = {name: c for name, c in criteria.items() if name not in WAVEFORMS}
+        taken = _chosen(own, self.load_class) if own else "tikhonov"
+        reason = str(self.seen) + self._ranked(taken, criteria)
+        if taken == "tikhonov":
+            run = self._by(lambda: Deconvolution(self.model, **self.settings).estimate)
+            return self._answer(taken, "Deconvolution", reason, criteria, scores, run)
+        family = f"LoadTracker(prior={taken!r}).fit(record).smooth(record)"
+        tracker = LoadTracker(self.model, prior=taken, gate=None, **self.settings)
+        return self._answer(taken, family, reason, criteria, scores, lambda r, dt: smoothed(tracker, r, dt))
+
+    def waveforms(self, criteria: Mapping[str, float], scores: dict[int, float], best: int) -> Recommendation:
+        """Spikes (1), or B-splines of a spacing."""
+        ahead = min((scores[k] for k in scores if (k == 1) != (best == 1)), default=np.inf) - scores[best]
+        if best > 1 and ahead > told.CLEARLY:
+            reason = (
+                f"{self.seen}, and B-splines with knots every {best} samples explain it best (criterion {ahead:.3g} "
+                f"below that of spikes); the pulses are at most {self.seen.width:.0f} samples wide, which asks for "
+                f"{knots_for(self.seen.width)}"
+            )
+            family = (
+                f"SparseDeconvolution(dictionary='bspline', knots={best}), or Tikhonov with a load that only pushes"
+            )
+            settings = {**self.settings, "dictionary": "bspline", "knots": best}
+            run = self._by(lambda: SparseDeconvolution(self.model, **settings).estimate)
+            return self._answer("pulses", family, reason + self._ranked("pulses", criteria), criteria, scores, run)
+        spikes = SparseDeconvolution(self.model, **self.settings).estimate(self.record, self.dt)
+        share = float(spikes.facts.get("amplitude_std_with_neighbours", 0.0))
+        reason = f"{self.seen}, and {spikes.facts['support']} spikes of one sample explain it best"
+        trusted = share <= told.UNSURE and ahead > told.CLEARLY
+        if not trusted:
+            alike = "" if ahead > told.CLEARLY else f" or as well as pulses (criterion {ahead:.2g} apart)"
+            reason += (
+                f"{alike}; neither prior is to be trusted with heights: the places are good, the amplitudes are not "
+                f"(± {share:.0%} if neighbouring samples act too; Tikhonov shows a single-sample peak at "
+                f"{self.seen.shown:.0%} of its height)"
+            )
+        run = self._by(lambda: SparseDeconvolution(self.model, **self.settings).estimate)
+        reason += self._ranked("spikes", criteria)
+        return replace(self._answer("spikes", "SparseDeconvolution", reason, criteria, scores, run), trusted=trusted)
+
+    def _ranked(self, taken: str, criteria: Mapping[str, float]) -> str:
+        """How far ahead a prior is, and what was declared of the load."""
+        if not criteria:
+            return ""
+        others = sorted((c, name) for name, c in criteria.items() if name != taken)
+        text = f"; of all priors {WORDS[taken]} explains the record best" if others else f"; taken: {WORDS[taken]}"
+        if others:
+            ahead = others[0][0] - criteria[taken]
+            text += f" (criterion {abs(ahead):.3g} {'below' if ahead >= 0 else 'above'} that of {WORDS[others[0][1]]})"
+        if self.load_class is not None and taken not in CLASSES[self.load_class]:
+            text += f", although the load was declared as {self.load_class}"
+        return text
+
+    def _by(self, family: Callable[[], Callable[..., LoadEstimate]]) -> Run:
+        return lambda record, dt: family()(record, dt)
+
+    def _answer(
+        self, prior: str, family: str, reason: str, criteria: Mapping[str, float], scores: dict[int, float], run: Run
+    ) -> Recommendation:
+        least = min(criteria.values(), default=0.0)
+        evidence = {name: float(c - least) for name, c in sorted(criteria.items(), key=lambda item: item[1])}
+        return Recommendation(
+            prior, family, reason, True, self.seen.kurtosis, self.seen.width, None, scores, evidence, run
         )
-    return Recommendation("spikes", "SparseDeconvolution", reason, trusted, peaked[worst], width, knots, scores)
+
+
+def smoothed(tracker: LoadTracker, record: Any, dt: float | None = None) -> LoadEstimate:
+    """Fit a tracker to a record and smooth the whole of it."""
+    fitted = tracker.fit(record, dt)
+    if isinstance(record, Record):
+        return fitted.smooth(record)
+    data = gather(record, dt, tracker.model, tracker.sensors, allow_missing=True)  # a bare table may hold all sensors
+    return fitted.smooth(np.where(data.missing, np.nan, data.values), data.dt)
+
+
+def _chosen(criteria: Mapping[str, float], load_class: str | None) -> str:
+    """The smallest criterion; between those that the record does not tell apart, one that holds the declared load."""
+    best = min(criteria, key=lambda name: criteria[name])
+    alike = [name for name in criteria if criteria[name] - criteria[best] <= told.CLEARLY]
+    held = [name for name in alike if load_class is not None and name in CLASSES[load_class]]
+    return min(held or [best], key=lambda name: criteria[name])
 
 
 def _compared(problem: Problem, say: Callable[[float, str], None]) -> tuple[dict[int, float], dict[int, float]]:

@@ -1,0 +1,114 @@
+"""What is recommended: by evidence where a model carries processes, with the declared class where that says nothing."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from loadid import Record, recommend
+from loadid.families import recommend as advice
+from loadid.families.processes import of_sparse
+from loadid.families.sparsity import pose, posing
+from structures import ImpulseModel, InputError, StateSpace
+from tests.tracked import Tracked, bm2
+
+SAID = {"noise_source": "data sheet"}
+
+
+@cache
+def case(kind: str = "matern") -> Tracked:
+    return bm2(kind, 0, samples=400)
+
+
+@cache
+def space(rows: tuple[int, ...] = (0, 1, 2, 3)) -> StateSpace:
+    plain = case().setup.space()
+    return StateSpace(
+        plain.A, plain.B, plain.C[list(rows)], plain.D[list(rows)], plain.dt, plain.hold,
+        sensors=[plain.sensors[i] for i in rows], loads=plain.loads,
+    )  # fmt: skip
+
+
+@cache
+def plainly() -> advice.Recommendation:
+    return recommend(space(), case().y, case().dt, noise=case().noise, **SAID)
+
+
+def test_a_process_is_recognised_and_run():
+    """The load is a Matern-3/2 process; the recommendation runs it, and states the prior in words."""
+    c, found = case(), plainly()
+    assert found.prior == "matern32"
+    assert found.evidence["matern32"] == 0
+    assert found.evidence["matern52"] > 10
+    assert "Matern-3/2" in found.reason
+    estimate = found.estimate(c.y, c.dt)
+    off = estimate.load[:, 0] - c.load[:, 0]
+    assert np.linalg.norm(off) < 0.03 * np.linalg.norm(c.load)
+    assert np.mean(np.abs(off) < 1.96 * estimate.std[:, 0]) > 0.9
+    assert "Matern-3/2" in estimate.provenance["prior"]
+
+
+def test_a_record_of_some_sensors_and_in_any_unit():
+    """The same prior, the same load; channels found by their labels."""
+    c = case()
+    labels = [s.label for s in space().sensors]
+    some = recommend(space(), c.y, c.dt, noise=c.noise[[3, 1]], sensors=[labels[3], labels[1]], **SAID)
+    record = Record(c.y[:, [1, 3]], c.dt, [space().sensors[i] for i in (1, 3)])
+    one, two = some.estimate(c.y, c.dt), some.estimate(record)
+    assert np.array_equal(one.load, two.load)
+    plain = space()
+    small = StateSpace(plain.A, plain.B, 1e-6 * plain.C, 1e-6 * plain.D, plain.dt, plain.hold,
+                       sensors=plain.sensors, loads=plain.loads)  # fmt: skip
+    other = recommend(small, 1e-6 * c.y, c.dt, noise=1e-6 * c.noise, **SAID)
+    assert other.prior == plainly().prior
+    assert other.evidence == pytest.approx(plainly().evidence, abs=0.1)
+
+
+def test_a_declared_class_decides_where_the_record_does_not():
+    near = {"matern32": 3.0, "random_walk": 0.0, "spikes": 900.0}
+    assert advice._chosen(near, None) == "random_walk"
+    assert advice._chosen(near, "slow") == "random_walk"
+    assert advice._chosen(near, "harmonic") == "matern32"
+    assert advice._chosen(near, "impact") == "matern32"
+    assert advice._chosen({**near, "matern32": 50.0}, "harmonic") == "random_walk"
+    c = case()
+    assert {"spikes", "pulses"} & set(plainly().evidence) == set()
+    asked = recommend(space(), c.y, c.dt, noise=c.noise, load_class="impact", **SAID)
+    assert {"spikes", "pulses"} <= set(asked.evidence)
+    assert asked.prior == "matern32"
+    told = advice._Asked(space(), c.y, c.dt, {}, advice._Seen(3.0, 5.0, 1.0), "harmonic")
+    assert "although the load was declared as harmonic" in told.process({"ou": 0.0, "matern52": 99.0}, {}).reason
+    with pytest.raises(InputError, match="load_class"):
+        recommend(space(), c.y, c.dt, noise=c.noise, load_class="hammer", **SAID)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_waveforms_and_processes_are_judged_in_one_unit(known):
+    """No waveform at all against the density of a record of noise alone, computed by hand."""
+    c = case()
+    rng, sd = np.random.default_rng(0), c.noise
+    y = sd * rng.standard_normal(c.y.shape)
+    from loadid.families.data import gather
+    from loadid.inverse.sparse.path import ebic
+
+    noise = sd if known else None
+    problem = pose(space(), gather(y, c.dt, space(), None), posing(None, noise, "data sheet" if known else None, ()))
+    score = ebic(float(np.sum(problem.y**2)), 0, problem.data, len(y), problem.noise.sigma)
+    level = problem.noise.level if known else problem.noise.level * np.sqrt(np.mean(problem.y**2))
+    density = np.sum(np.log(2 * np.pi * level**2) + (problem.values / level) ** 2)
+    assert of_sparse(score, problem, problem.samples) == pytest.approx(density, rel=1e-9)
+
+
+def test_a_model_that_carries_no_process():
+    """An impulse response has no states: Tikhonov and waveforms are left, and run."""
+    c = case()
+    h = space().impulse_response(c.dt, 300, "zoh")
+    model = ImpulseModel(h, c.dt, kind="held")
+    found = recommend(model, c.y[:300], c.dt, noise=c.noise, **SAID)
+    assert found.prior == "tikhonov"
+    assert found.evidence == {}
+    assert found.estimate(c.y[:300], c.dt).load.shape == (300, 1)
+    with pytest.raises(InputError, match="without a model"):
+        advice.Recommendation("tikhonov", "", "", True, 3.0, 5.0, None, {}).estimate(c.y)
