@@ -45,7 +45,8 @@ class Jitter:
 def jitter(positions: ArrayLike) -> Jitter:
     """Noise of places over frames in which nothing moves.
 
-    Differences of successive frames leave slow drift out; their median absolute value leaves out what jumps.
+    Differences of successive frames, less their median, leave steady drift out; their median absolute value leaves out
+    what jumps.
 
     Parameters
     ----------
@@ -69,10 +70,11 @@ def jitter(positions: ArrayLike) -> Jitter:
     known = np.isfinite(steps).all(axis=2)
     if not known.any():
         raise InputError("no marker is seen in two frames running", where="jitter")
-    std = NORMAL / np.sqrt(2) * np.median(np.abs(steps[known]), axis=0)
+    drifting = np.median(steps[known], axis=0)
+    std = NORMAL / np.sqrt(2) * np.median(np.abs(steps[known] - drifting), axis=0)
     still = float(np.mean(~steps[known].any(axis=1)))
     flag = frozen(still)
-    return Jitter(std, _each(steps), _drift(x), len(x), (flag,) if flag else ())
+    return Jitter(std, _each(steps - drifting), _drift(x), len(x), (flag,) if flag else ())
 
 
 def _each(steps: NDArray[np.float64]) -> NDArray[np.float64]:
