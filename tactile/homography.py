@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -100,5 +101,5 @@ def _normalised(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
     return (points - mean) / size, matrix
 
 
-def _flat(homogeneous: NDArray[np.float64]) -> NDArray[np.float64]:
+def _flat(homogeneous: NDArray[Any]) -> NDArray[np.float64]:
     return homogeneous[:, :2] / homogeneous[:, 2:]

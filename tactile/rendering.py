@@ -68,7 +68,7 @@ class Scene:
         places = _seen(centres, 2)
         rows, columns, xy = self._windows(places, np.full(len(places), self.radius))
         distance = np.hypot(*np.moveaxis(xy - places[:, None, None], -1, 0))
-        return self._finish(self._cover(rows, columns, distance - self.radius), seed)
+        return self._finish(self._cover(rows, columns, distance - self._rim(np.array(self.radius))), seed)
 
     def photograph(self, view: View, markers: ArrayLike, *, seed: int | np.random.Generator = 0) -> NDArray[np.uint8]:
         """Image of dots printed on a pad, through a view.
@@ -90,7 +90,12 @@ class Scene:
         k, w = xy.shape[0], xy.shape[1]
         pad = view.in_plane(xy.reshape(-1, 2), np.repeat(heights, w * w)).reshape(k, w, w, 2)
         distance = np.hypot(*np.moveaxis(pad - places[:, None, None, :2], -1, 0))
-        return self._finish(self._cover(rows, columns, (distance - self.radius) * scale[:, None, None]), seed)
+        px = scale[:, None, None]
+        return self._finish(self._cover(rows, columns, distance * px - self._rim(self.radius * px)), seed)
+
+    def _rim(self, radius: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Radius in px at which a blurred disc is half dark: its area stays that of the disc."""
+        return np.sqrt(np.maximum(radius**2 - self.blur**2, (0.1 * radius) ** 2))
 
     def _windows(self, centres: NDArray, radius: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Rows and columns of the squares around some dots, and their pixels (k, w, w, 2) as x, y."""

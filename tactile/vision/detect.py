@@ -203,10 +203,10 @@ def binned(image: Grey, bins: int) -> Image:
         return image.astype(np.float32)
     h, w = (n // bins for n in image.shape)
     cut = image[: h * bins, : w * bins]
-    rows = cut[0::bins].astype(np.uint32 if bins > 16 else np.uint16)
+    rows: NDArray[Any] = cut[0::bins].astype(np.uint32 if bins > 16 else np.uint16)
     for k in range(1, bins):
         rows += cut[k::bins]
-    total = rows[:, 0::bins].astype(np.float32)
+    total: Image = rows[:, 0::bins].astype(np.float32)
     for k in range(1, bins):
         total += rows[:, k::bins]
     total *= np.float32(1 / bins**2)

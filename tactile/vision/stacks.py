@@ -25,7 +25,7 @@ def read_stack(path: Path, key: str | None = None) -> np.ndarray:
     try:
         if path.suffix.lower() == ".npy":
             return _checked(np.load(path, mmap_mode="r", allow_pickle=False), path)
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return _checked(archive[_member(archive, path, key)], path)
     except InputError:
         raise

@@ -1,4 +1,4 @@
-"""Pixels and places: round trips, Snell's law traced independently, the published correction, the refusal without it."""
+"""Pixels and places: round trips, Snell's law traced independently, the published correction, its refusal."""
 
 from __future__ import annotations
 

@@ -94,13 +94,13 @@ def test_an_empty_frame_loses_all_and_the_next_finds_them_again() -> None:
     scene, rest = Scene(), pattern()
     tracker = MarkerTracker(scene.draw(rest), detector=Detector(5, PITCH))
     assert tracker.step(np.full((480, 640), 120, np.uint8)).lost.all()
-    assert tracker.step(scene.draw(rest + [3.0, -2.0])).seen.all()
+    assert tracker.step(scene.draw(rest + np.array([3.0, -2.0]))).seen.all()
 
 
 def test_zero_takes_the_mean_of_unloaded_frames_as_rest() -> None:
     rest, rng = pattern(), np.random.default_rng(0)
     tracker = MarkerTracker(rest)
-    moved = rest + [2.0, 1.0]
+    moved = rest + np.array([2.0, 1.0])
     noisy = [moved + 0.1 * rng.standard_normal(rest.shape) for _ in range(16)]
     noisy[3][7] = np.nan
     for frame in noisy:

@@ -1,0 +1,241 @@
+"""Frames and marker files: every source gives the same images, and what is wrong is named with its frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from structures.errors import InputError
+from structures.flags import codes
+from tactile.rendering import Scene
+from tactile.vision import backend, frames, read_motions
+from tactile.vision.frames import missing_numbers, natural
+
+from ..data import measured
+from .scenes import pattern
+
+needs_cv2 = pytest.mark.skipif(not backend.installed(), reason="OpenCV is not installed (extra vision)")
+
+
+@pytest.fixture(scope="module")
+def clip() -> np.ndarray:
+    """Twelve frames of 120 x 160 px."""
+    scene = Scene(size=(120, 160))
+    dots = 0.25 * pattern()[::4]
+    return np.stack([scene.draw(dots + 0.2 * k, seed=k) for k in range(12)])
+
+
+def saved(folder: Path, clip: np.ndarray, name: str = "frame{}.png", first: int = 1) -> Path:
+    folder.mkdir(exist_ok=True)
+    for k, image in enumerate(clip):
+        Image.fromarray(image).save(folder / name.format(first + k))
+    return folder
+
+
+def colour(clip: np.ndarray) -> np.ndarray:
+    return np.repeat(clip[..., None], 3, axis=-1)
+
+
+def test_every_source_gives_the_same_frames(clip: np.ndarray, tmp_path: Path) -> None:
+    np.save(tmp_path / "clip.npy", clip)
+    np.savez(tmp_path / "clip.npz", images=clip, force=np.zeros(12), depth=np.zeros((12, 120, 160)))
+    folder = saved(tmp_path / "folder", clip)  # frame10 follows frame9, not frame1
+    (folder / "notes.txt").write_text("not an image")
+    rgba = np.concatenate([colour(clip), np.full((*clip.shape, 1), 255, np.uint8)], axis=-1)
+    sources = [
+        clip, iter(clip), list(clip), colour(clip), rgba, clip / 255, clip.astype(np.uint16) * 256, clip[..., None],
+        tmp_path / "clip.npy", str(tmp_path / "clip.npz"), folder,
+    ]  # fmt: skip
+    for source in sources:
+        found = frames(source)
+        images = list(found)
+        assert np.abs(np.stack(images).astype(int) - clip).max() <= 1  # grey of equal channels rounds down
+        assert images[0].dtype == np.uint8
+        assert found.delivered == 12
+        assert found.count in (12, None)
+        assert found.flags == ()
+    assert frames(found) is found
+    assert len(list(frames(folder / "frame1.png"))) == 1
+    np.testing.assert_array_equal(next(frames(tmp_path / "clip.npz", key="images")), clip[0])
+    assert len(list(frames(clip[0]))) == len(list(frames(colour(clip)[0]))) == 1
+
+
+def test_the_measured_frame_is_read_without_unpickling() -> None:
+    found = frames(measured("gelsight_dots", "nocontact.npz"))
+    assert next(found).shape == (240, 320)
+    assert found.count == 1
+
+
+def test_a_frame_that_cannot_be_used_is_named(clip: np.ndarray, tmp_path: Path) -> None:
+    sizes = frames([*clip[:3], clip[3, :100]])
+    with pytest.raises(InputError, match=r"frame 4: a frame of another size.*160 x 100 px.*160 x 120 px"):
+        list(sizes)
+    assert sizes.delivered == 3
+    with pytest.raises(InputError, match="frame 2: an image holds NaN"):
+        list(frames([clip[0], np.full((120, 160), np.nan)]))
+    folder = saved(tmp_path / "damaged", clip[:3])
+    whole = (folder / "frame2.png").read_bytes()
+    for damaged in (whole[: len(whole) // 2], b"", b"no image at all"):
+        (folder / "frame2.png").write_bytes(damaged)
+        with pytest.raises(InputError, match=r"frame2\.png.*cannot be read"):
+            list(frames(folder))
+
+
+def test_frames_missing_in_a_folder_are_noted(clip: np.ndarray, tmp_path: Path) -> None:
+    folder = saved(tmp_path / "gaps", clip, "run7_{:04d}.png")
+    assert frames(folder).flags == ()
+    for k in (4, 9):
+        (folder / f"run7_{k:04d}.png").unlink()
+    (flag,) = frames(folder).flags
+    assert codes([flag]) == {"W604"}
+    assert "4, 9" in flag.message
+    assert missing_numbers(["a1", "a3", "a5", "a9"]) == [7]  # every second one is the rule
+    assert missing_numbers(["a1", "b2", "c9"]) == missing_numbers(["left", "right"]) == missing_numbers(["7"]) == []
+    names = ["f1", "f2", "f10", "F011", "g1"]
+    assert [p.name for p in sorted(map(Path, reversed(names)), key=natural)] == names
+
+
+def test_what_holds_no_frames(clip: np.ndarray, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    np.save(tmp_path / "objects.npy", np.array([{"gs_img": 1}], dtype=object), allow_pickle=True)
+    np.savez(tmp_path / "two.npz", a=clip, b=clip)
+    np.savez(tmp_path / "none.npz", a=np.zeros(4))
+    np.save(tmp_path / "row.npy", np.zeros(4))
+    np.save(tmp_path / "flat.npy", np.zeros((2, 3, 4, 5, 6)))
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "two.npz").read_bytes()[:2000])
+    (tmp_path / "text.csv").write_text("1,2")
+    cases = {
+        "empty": "holds no images", "objects.npy": "cannot be read", "two.npz": "several arrays",
+        "none.npz": "no images", "row.npy": "no images", "flat.npy": "no stack of images", "cut.npz": "cannot be read",
+        "text.csv": "no frames in a file of this kind", "absent": "no such file",
+    }  # fmt: skip
+    for name, message in cases.items():
+        with pytest.raises(InputError, match=message):
+            frames(tmp_path / name)
+    with pytest.raises(InputError, match="no such array"):
+        frames(tmp_path / "two.npz", key="c")
+    with pytest.raises(InputError, match="there are no frames"):
+        list(frames([]))
+    with pytest.raises(InputError, match="no frames"):
+        frames(3)
+
+
+@needs_cv2
+def test_videos_are_read_and_a_truncated_one_names_the_frame(clip: np.ndarray, tmp_path: Path) -> None:
+    cv2 = backend.opencv()
+    found = {}
+    for codec in ("FFV1", "MJPG"):
+        path = tmp_path / f"{codec}.avi"
+        writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 30, (160, 120))
+        if not writer.isOpened():
+            pytest.skip(f"this OpenCV writes no {codec}")
+        for image in colour(clip):
+            writer.write(np.ascontiguousarray(image))
+        writer.release()
+        video = frames(path)
+        found[codec] = np.stack(list(video)).astype(int)
+        assert video.count == 12
+        assert codes(video.flags) == ({"W406"} if codec == "MJPG" else set())
+    assert np.abs(found["FFV1"] - clip).max() <= 2
+    assert np.sqrt(np.mean((found["MJPG"] - clip) ** 2)) < 6
+    whole = (tmp_path / "MJPG.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(whole[: 6 * len(whole) // 10])
+    video = frames(tmp_path / "cut.avi")
+    with pytest.raises(InputError, match=r"frame \d+: the video ends early") as error:
+        list(video)
+    assert 1 <= video.delivered < 12
+    assert f"frame {video.delivered + 1}" in str(error.value)
+    (tmp_path / "noise.mp4").write_bytes(bytes(500))
+    with pytest.raises(InputError, match="the video cannot be read"):
+        frames(tmp_path / "noise.mp4")
+
+
+def test_without_opencv_a_video_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.avi").write_bytes(b"RIFF")
+    monkeypatch.setattr("tactile.vision.video.installed", lambda: False)
+    monkeypatch.setattr(backend, "installed", lambda: False)
+    with pytest.raises(InputError, match=r"loadid\[vision\]"):
+        frames(tmp_path / "a.avi")
+    with pytest.raises(InputError, match=r"loadid\[vision\]"):
+        backend.backend("cv2")
+    assert backend.backend().name == "scipy"
+
+
+# -- marker motion tracked elsewhere ----------------------------------------------------------------------------------
+def places(count: int = 6) -> np.ndarray:
+    x = np.random.default_rng(0).uniform(20, 300, (count, 5, 3))
+    x[2, 3] = np.nan
+    return x
+
+
+def test_marker_files_of_every_form_give_the_same_motion(tmp_path: Path) -> None:
+    x = places()
+    np.save(tmp_path / "x.npy", x)
+    rows = [
+        f"{k + 1},{i},{','.join(map(repr, map(float, x[k, i])))}"
+        for k in range(6)
+        for i in range(5)
+        if np.isfinite(x[k, i, 0])
+    ]
+    (tmp_path / "x.csv").write_text("frame,id,x,y,z\n" + "\n".join(reversed(rows)) + "\n\n")
+    for source in (x, tmp_path / "x.npy", tmp_path / "x.csv"):
+        found = read_motions(source)
+        np.testing.assert_array_equal(found.places, x[..., :2])
+        np.testing.assert_array_equal(found.heights, x[..., 2])
+        np.testing.assert_array_equal(found.moved, (x - x[0])[..., :2])
+        assert found.flags == ()
+        assert len(found) == 6
+        motion = found[2]
+        assert motion.lost.tolist() == [False, False, False, True, False]
+        assert motion.frame == 3
+        assert codes(motion.flags) == {"W604"}
+        assert found[1].flags == ()
+    np.testing.assert_array_equal(read_motions(x[..., :2], rest=1).points, x[1, :, :2])
+    assert read_motions(x[..., :2]).heights is None
+
+
+def test_the_file_of_gsrobotics_is_read(tmp_path: Path) -> None:
+    lines = [
+        f"{k},{r},{c},{30 * c},{20 * r},{30 * c + k},{20 * r - k * (r + 1)}"
+        for k in (1, 2, 4)
+        for r in (1, 2)
+        for c in (1, 2)
+    ]
+    (tmp_path / "g.csv").write_text("\n".join([*lines, "4,1,3,90,20,-5,3"]) + "\n")
+    found = read_motions(tmp_path / "g.csv")
+    np.testing.assert_array_equal(found.points, [[30, 20], [60, 20], [90, 20], [30, 40], [60, 40]])
+    np.testing.assert_array_equal(found.moved[1, [0, 1, 3, 4]], [[2, -4], [2, -4], [2, -6], [2, -6]])
+    assert np.isnan(found.moved[:, 2]).all()  # absent twice, then inferred outside the image
+    assert found.numbers == (1, 2, 4)
+    assert codes(found.flags) == {"W604"}
+    assert any("0.29 px" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("frame,id,x,y\n1,1,2,3\n1,2,3\n", "no table"),
+        ("frame,id,x,y\n1,1,2,3\n1,1,2,4\n", "twice"),
+        ("frame,id,x,y\n1,1,2,3\n1,2,2,4\n", "too few markers"),
+        ("frame,id,x,y\n1,1.5,2,3\n", "whole numbers"),
+        ("frame,id,x,y\n1,1,2,three\n", "no number"),
+        ("t,u,v\n1,1,2\n", "no marker motion"),
+        ("1,2,3\n", "no marker motion"),
+        ("", "no table"),
+    ],
+)
+def test_a_marker_file_that_is_none(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_motions(tmp_path / "x.csv")
+
+
+def test_an_array_that_is_no_motion() -> None:
+    for source, settings in ((places()[0], {}), (places(), {"rest": 6}), (np.full((2, 5, 2), np.inf), {})):
+        with pytest.raises(InputError):
+            read_motions(source, **settings)
+    with pytest.raises(InputError, match="no such file"):
+        read_motions("absent.csv")
