@@ -1,4 +1,4 @@
-"""Solids: a rectangular block of eight-node bricks, with B-bar, plain or incompatible elements.
+"""Solids: a rectangular block of eight-node bricks with B-bar, plain or incompatible elements; any mesh by `mesh`.
 
 The X-Y plane is the plane of the pad, Z its thickness. Node n = i + (nx + 1) (j + (ny + 1) k), at column i along X, j
 along Y, k along Z, has the DOFs ``n+X, n+Y, n+Z``.
@@ -21,10 +21,11 @@ from .hexcell import ELEMENTS, Brick, mass_matrix
 from .hexfield import HexField, known_face
 from .locking import locking
 from .materials import Material
+from .meshes import mesh
 from .structure import Structure
 from .values import integer, number, positive, shown
 
-__all__ = ["FacePatch", "block"]
+__all__ = ["FacePatch", "block", "mesh"]
 
 CELLS = 50_000  # matrices of half a GB, a factor of many GB
 
