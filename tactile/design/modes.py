@@ -1,0 +1,135 @@
+"""Waves of traction on the pad, each with what the markers see of it: singular values and posterior std."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .markers import common
+from .parameters import Skin
+
+Array = NDArray[np.float64]
+TINY = 1e-13  # share of the largest singular value below which a wave is not seen at all
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """All waves that a grid of patches can hold.
+
+    Parameters
+    ----------
+    k : array (n,)
+        Wave numbers (rad/m).
+    signal : array (n, 3)
+        Singular values of each wave's three components of traction, as signal over noise: the displacement of a wave of
+        the expected amplitude over the noise of that wave. Zero where markers cannot tell the wave from a longer one.
+    posterior : array (3,)
+        Std of the mean traction X, Y, Z on a patch after the reading (Pa), with the expected load as prior.
+    unregularised : array (3,) or None
+        The same without a prior; None where a wave is not seen.
+    """
+
+    k: Array
+    signal: Array
+    posterior: Array
+    unregularised: Array | None
+
+    @property
+    def recoverable(self) -> int:
+        """Components whose signal exceeds their noise."""
+        return int(np.sum(self.signal > 1))
+
+    @property
+    def rank(self) -> int:
+        """Components that are seen at all."""
+        return int(np.sum(self.signal > TINY * self.signal.max()))
+
+    @property
+    def nullity(self) -> int:
+        """Components that are not."""
+        return self.signal.size - self.rank
+
+    @property
+    def kappa(self) -> float:
+        """Condition number of what is seen."""
+        seen = self.signal[self.signal > TINY * self.signal.max()]
+        return float(seen.max() / seen.min())
+
+
+def modes(skin: Skin) -> Modes:
+    """Waves of a periodic pad, on a grid of patches; each is a 3 x 3 problem of its own.
+
+    Notes
+    -----
+    Edges of the pad, and what waves beyond the markers' own limit add to the shorter ones, are left out.
+    """
+    counts = [max(4, round(s / skin.patch)) for s in skin.size]
+    lines = [2 * np.pi * np.fft.fftfreq(n, s / n) for n, s in zip(counts, skin.size, strict=True)]
+    kx, ky = (k.ravel() for k in np.meshgrid(*lines, indexing="ij"))
+    limit = np.pi / skin.pitch * (1 + 1e-9)
+    seen = (np.abs(kx) <= limit) & (np.abs(ky) <= limit)
+    A = whitened(skin, kx, ky) * np.where(seen, 1.0, 0.0)[:, None, None]
+    _, s, V = np.linalg.svd(A)
+    s = np.concatenate([s, np.zeros((len(s), 3 - s.shape[1]))], axis=1)
+    shares = np.abs(V) ** 2  # (n, singular, component): each row of V is a direction of traction
+    posterior = skin.load * np.sqrt(np.mean(np.einsum("nsc,ns->nc", shares, 1 / (1 + s**2)), axis=0))
+    raw = None
+    if (s > TINY * s.max()).all():
+        raw = skin.load * np.sqrt(np.mean(np.einsum("nsc,ns->nc", shares, 1 / s**2), axis=0))
+    return Modes(np.hypot(kx, ky), s, posterior, raw)
+
+
+def whitened(skin: Skin, kx: Array, ky: Array) -> NDArray[np.complex128]:
+    """Displacement of waves of the expected traction over the noise of their amplitude (n, rows, 3).
+
+    A white load of std `load` on patches has the spectral density load^2 patch^2; white noise of the markers has
+    noise^2 pitch^2.
+    """
+    G = skin.layer.interior(kx, ky, skin.height)
+    std = [skin.noise, skin.noise] + ([] if skin.noise_z is None else [skin.noise_z])
+    scale = skin.load * skin.patch / (skin.pitch * np.sqrt(common(skin, kx, ky)))
+    return G[:, : len(std)] * (scale[:, None, None] / np.array(std)[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """What is learnt of waves of growing wave number, along one direction.
+
+    Parameters
+    ----------
+    k : array (n,)
+        Wave number (rad/m).
+    pressure, shear : array (n,)
+        Share of the expected variance that a reading removes: 1 known, 0 not seen; shear is the worse of its two kinds.
+    singular : array (n, 3)
+        Signal over noise.
+    """
+
+    k: Array
+    pressure: Array
+    shear: Array
+    singular: Array
+
+
+def spectrum(skin: Skin, points: int = 400) -> Spectrum:
+    """Waves from the pad's length down to a fiftieth of its thickness, without the limits of markers and patches."""
+    k = np.geomspace(np.pi / max(skin.size), 100 * np.pi / min(skin.h, skin.patch), points)
+    A = whitened(skin, k, np.zeros_like(k))
+    _, s, V = np.linalg.svd(A)
+    s = np.concatenate([s, np.zeros((len(s), 3 - s.shape[1]))], axis=1)
+    known = np.einsum("nsc,ns->nc", np.abs(V) ** 2, s**2 / (1 + s**2))
+    return Spectrum(k, known[:, 2], np.minimum(known[:, 0], known[:, 1]), s)
+
+
+def resolution(found: Spectrum, known: Array) -> float | None:
+    """Half the shortest wave of which half the variance is known (m); None where there is no such wave."""
+    above = np.flatnonzero(known >= 0.5)
+    if not len(above):
+        return None
+    last = int(above[-1])
+    if last == len(known) - 1:
+        return float(np.pi / found.k[last])
+    x, y = np.log(found.k[last : last + 2]), known[last : last + 2]
+    return float(np.pi / np.exp(x[0] + (x[1] - x[0]) * (y[0] - 0.5) / (y[0] - y[1])))
