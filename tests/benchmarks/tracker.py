@@ -2,8 +2,9 @@
 
 A stable model with 20, 60 and 200 states (one load, random walk) and 10 sensors. Microseconds of CPU a sample, median
 of BATCHES (15) batches: the settled filter sample by sample (load, std, innovation, NaN test) and in blocks, compiled
-and in numpy; the same with a delay of 20 samples; the square-root step for gaps; filterpy's `predict` + `update` in
-the same run, with the ratio. Then milliseconds of the steady gain, and of scipy's Riccati solver.
+and in numpy; the same with a delay of 20 samples, and with a channel that comes ten times more slowly; the square-root
+step for gaps; filterpy's `predict` + `update` in the same run, with the ratio. Then milliseconds of the steady gain,
+and of scipy's Riccati solver.
 """
 
 from __future__ import annotations
@@ -23,11 +24,16 @@ from loadid.inverse.compiled import AVAILABLE
 from loadid.inverse.kalman.lag import LagLine, fixed_lag
 from loadid.inverse.kalman.loops import Loop
 from loadid.inverse.kalman.model import FilterModel
+from loadid.inverse.kalman.periodic import PeriodicLoop, periodic
 from loadid.inverse.kalman.squareroot import SquareRoot
 from loadid.inverse.kalman.steady import Steady, steady
 
 SIZES, SENSORS, LAG, DT = (20, 60, 200), 10, 20, 0.01
-OWN = {"step": "step", "late": f"step + lag {LAG}", "block": "block of 4096", "root": "square-root step"}
+EVERY = 10  # samples between two of the slow channel
+OWN = {
+    "step": "step", "late": f"step + lag {LAG}", "block": "block of 4096", "rates": f"block, a channel each {EVERY}th",
+    "root": "square-root step",
+}  # fmt: skip
 LIMITS = {"step": 2.5, "plain step": 5.0, "root": 150.0, "ratio": 12.0}  # at 60 states
 
 
@@ -74,6 +80,7 @@ def own(states: int, batches: int) -> dict[str, float]:
     found["late"] = median(stepping(gain, limit, rows, LagLine(fixed_lag(gain, LAG))), len(rows), batches)
     loop, load, e = Loop(gain.rows(), 1, SENSORS, system.x0, limit), np.empty((4096, 1)), np.empty(Y.shape)
     found["block"] = median(lambda: loop.block(Y, load, e), len(Y), batches)
+    found["rates"] = median(several(system, Y), len(Y), min(batches, 5))
     core, few = SquareRoot(system), rows[:50]
     state = core.update(core.start(), Y[0])[0]
 
@@ -84,6 +91,20 @@ def own(states: int, batches: int) -> dict[str, float]:
 
     found["root"] = median(rooted, len(few), batches)
     return found
+
+
+def several(system: FilterModel, Y: np.ndarray) -> Callable[[], object]:
+    """The same block where one channel comes more slowly: what would be a square-root step each."""
+    masks, slow = np.ones((EVERY, SENSORS), bool), Y.copy()
+    masks[1:, 0] = False
+    slow[np.arange(len(Y)) % EVERY != 0, 0] = np.nan
+    filters, load, e = periodic(system, masks), np.empty((len(Y), 1)), np.empty(Y.shape)
+
+    def run() -> None:
+        taken = PeriodicLoop(filters, system.x0).block(slow, load, e)
+        assert taken == len(Y)
+
+    return run
 
 
 def stepping(

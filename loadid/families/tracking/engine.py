@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,15 +13,24 @@ from structures.values import reals
 
 from ...inverse.kalman.loops import Loop
 from ...inverse.kalman.model import FilterModel
+from ...inverse.kalman.periodic import PeriodicLoop
 from ...inverse.kalman.squareroot import Innovation, SquareRoot, State
 from ...inverse.kalman.steady import Steady
 from .gate import RARE, missed, reach, weighed
+from .rhythm import Listener, Rhythm
 
 ARRIVED = 1e-3  # of the variances, from which the settled gain takes over
+REPEATS = 1e-9  # of the variances, from which the gains of a rhythm do
 GATE = 6.0  # std of an innovation beyond which a sample is looked at
 PATIENCE = 20  # samples: of good behaviour at most, until a channel is believed again; of a lost state, that it is held
 DECISIVE = 3.0  # logarithm of the odds between an event and wrong channels
 OPEN = 2.0  # of them at most, that the first sample may say: later ones decide
+
+
+class Heard(NamedTuple):
+    """Normalised innovations (m,) of a sample at a settled gain."""
+
+    normalised: NDArray[np.float64]
 
 
 class Engine:
@@ -41,7 +50,7 @@ class Engine:
 
     Attributes
     ----------
-    phase : {"warm-up", "steady", "transient"}
+    phase : {"warm-up", "steady", "transient", "periodic"}
     counts : Counter
         ``samples, missing, gated, steps, lost``.
 
@@ -73,7 +82,10 @@ class Engine:
         self.doubt, self.lean, self.age = 0.0, 0.0, 0  # odds against the event, what is too early in them, samples
         self.events, self.out = 0, 0  # taken up by the one, channel samples kept out by the other
         self.young = True  # never settled
-        self.said: Innovation | None = None
+        self.said: Innovation | Heard | None = None
+        self.listener = Listener(self.core)
+        self.rhythm: Rhythm | None = None
+        self.beat: PeriodicLoop | None = None
         self.taken = np.zeros(model.m)  # the last sample off the settled gain: NaN where a channel was kept out
         self._moves: NDArray[np.float64] | None = None
         self.loop: Loop | None = None
@@ -107,7 +119,12 @@ class Engine:
             if load is not None:
                 self.counts["samples"] += 1
                 return load, self._std
-        return self._slow(self._sample(y))
+        y = self._sample(y)
+        if self.phase == "periodic":
+            load, std, e = np.empty((1, self.model.p)), np.empty((1, self.model.p)), np.empty((1, self.model.m))
+            if self._turned(y[None], load, std, e):
+                return load[0], std[0]
+        return self._slow(y)
 
     def block(
         self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray | None = None, taken_as: NDArray | None = None
@@ -130,8 +147,13 @@ class Engine:
                     e[k : k + taken] = raw[k : k + taken] / self.settled.innovation_std
                 self.counts["samples"] += taken
                 k += taken
-                if k == len(Y):
-                    return
+            elif self.phase == "periodic":
+                taken = self._turned(Y[k:], load[k:], std[k:], raw[k:])
+                if e is not None:
+                    e[k : k + taken] = raw[k : k + taken]
+                k += taken
+            if k == len(Y):
+                return
             load[k], std[k] = self._slow(self._sample(Y[k]))
             if e is not None:
                 e[k] = np.nan if self.said is None else self.said.normalised
@@ -142,15 +164,29 @@ class Engine:
     def _sample(self, y: ArrayLike) -> NDArray[np.float64]:
         return self.core.sample(reals(y, where="sample", what="a sample that is no row of real numbers"))
 
+    def _turned(self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray) -> int:
+        """Fill samples at the gains of a rhythm up to the first that does not fit; how many."""
+        assert self.beat is not None
+        assert self.rhythm is not None
+        phase, period = self.beat.phase, self.rhythm.period
+        taken = self.beat.block(Y, load, e)
+        if taken:
+            phases = (phase + np.arange(taken)) % period
+            std[:taken] = self.rhythm.std[phases]
+            self.counts["samples"] += taken
+            self.counts["missing"] += int(np.sum(self.rhythm.absent[phases]))
+            self.taken, self.said = Y[taken - 1].copy(), Heard(e[taken - 1].copy())
+        return taken
+
     def _slow(self, y: NDArray) -> tuple[NDArray, NDArray]:
         self.counts["samples"] += 1
         self.counts["missing"] += int(np.sum(~np.isfinite(y)))
-        before = self._predicted()
+        before, there = self._predicted(), np.isfinite(y)
         if self.rival is None:
             self._judged(y, before)
         else:
             self._compared(y, before, self.core.predict(self.rival))
-        self._settle(self.taken)
+        self._settle(self.taken, there)
         assert self.state is not None
         Cp = self.model.Cp
         load, std = Cp @ self.state.x, np.linalg.norm(Cp @ self.state.L, axis=1)
@@ -299,6 +335,12 @@ class Engine:
             assert self.loop is not None
             self.phase = "transient"
             return State(self.loop.x, self._ahead)
+        if self.phase == "periodic":
+            assert self.beat is not None
+            assert self.rhythm is not None
+            self.phase = "transient"
+            self.listener.clear()
+            return State(self.beat.x, self.rhythm.ahead[self.beat.phase])
         if self.ready is not None:
             before, self.ready = self.ready, None
             return before
@@ -306,15 +348,33 @@ class Engine:
             return self.core.start()
         return self.core.predict(self.state)
 
-    def _settle(self, y: NDArray) -> None:
-        """Back to the settled gain where the covariance has arrived at its."""
-        if self.settled is None or self.loop is None or self.rival is not None or not np.isfinite(y).all():
-            return
+    def _settle(self, y: NDArray, there: NDArray[np.bool_]) -> None:
+        """Back to a settled gain where the covariance has arrived at its: that of all channels, or of a rhythm."""
         assert self.state is not None
+        self.listener.hear(there)
+        if self.rival is not None or not np.array_equal(np.isfinite(y), there):
+            return
         now = np.sum(self.state.L**2, axis=1)
-        if np.all(np.abs(now - self._variance) <= ARRIVED * self._variance):
+        whole = self.loop is not None and there.all()
+        if whole and np.all(np.abs(now - self._variance) <= ARRIVED * self._variance):
+            assert self.loop is not None
             self.loop.x = self.core.predict(self.state).x
             self.phase, self.young = "steady", False
+            self.listener.clear()
+            return
+        found = self.listener.found()
+        if found is None:
+            return
+        rhythm, phase = found
+        if np.all(np.abs(now - rhythm.variances[phase]) <= REPEATS * rhythm.variances[phase]):
+            self._beat(rhythm, self.core.predict(self.state).x, (phase + 1) % rhythm.period)
+            self.young = False
+
+    def _beat(self, rhythm: Rhythm, x: NDArray, phase: int) -> None:
+        """To the gains of a rhythm, from the prediction of a sample of this phase."""
+        sigmas = np.inf if self.gate is None else self.gate * self.width
+        self.rhythm, self.beat = rhythm, PeriodicLoop(rhythm.filters, x, phase, sigmas)
+        self.phase = "periodic"
 
     def _reach(self) -> NDArray[np.float64]:
         if self._moves is None:
@@ -344,6 +404,8 @@ class Engine:
             "state": _arrays(self.state),
             "rival": _arrays(self.rival),
             "ahead": None if self.loop is None else self.loop.x,
+            "listener": self.listener.to_tree(),
+            "beat": None if self.phase != "periodic" else self._beaten_tree(),
             "ready": _arrays(self.ready),
             "wrong": self.wrong.copy(),
             "good": self.good.copy(),
@@ -358,6 +420,11 @@ class Engine:
             "counts": dict(self.counts),
         }
 
+    def _beaten_tree(self) -> dict[str, Any]:
+        assert self.beat is not None
+        assert self.rhythm is not None
+        return {"masks": self.rhythm.masks, "x": self.beat.x, "phase": self.beat.phase}
+
     def restore(self, tree: dict[str, Any]) -> None:
         """Go on from what `to_tree` gave."""
         self.phase = str(tree["phase"])
@@ -365,6 +432,11 @@ class Engine:
         self.rival = _state(tree["rival"])
         if self.loop is not None and tree["ahead"] is not None:
             self.loop.x = np.asarray(tree["ahead"], float)
+        self.listener.restore(tree["listener"])
+        if (beat := tree["beat"]) is not None:
+            rhythm = self.listener.solved(np.array(beat["masks"], bool))
+            assert rhythm is not None
+            self._beat(rhythm, np.asarray(beat["x"], float), int(beat["phase"]))
         self.wrong, self.good = np.array(tree["wrong"], int), np.array(tree["good"], int)
         self.believing, self.young = bool(tree["believing"]), bool(tree["young"])
         self.suspects = np.array(tree["suspects"], bool)

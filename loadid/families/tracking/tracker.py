@@ -86,7 +86,7 @@ class Tracker:
 
     @property
     def phase(self) -> str:
-        """``"warm-up"``, ``"steady"`` or ``"transient"``."""
+        """``"warm-up"``, ``"steady"``, ``"periodic"`` (channels of several rates) or ``"transient"``."""
         return self._engine.phase
 
     @property

@@ -104,6 +104,11 @@ class Loop:
         self._fast[1](state, n, m, p, np.full((1, m), np.nan), np.empty((1, p)), np.empty((1, m)))
         self._fast[0](state, n, m, p)
 
+    @property
+    def ahead(self) -> NDArray[np.float64]:
+        """The same, not copied: the next step overwrites it."""
+        return self._x
+
     def step(self, y: ArrayLike) -> NDArray[np.float64] | None:
         """Loads (p,) of the sample y (m,), or None where it was not taken; its innovation is then in `e`.
 

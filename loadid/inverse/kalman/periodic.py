@@ -92,7 +92,7 @@ def periodic(model: FilterModel, masks: ArrayLike, dt: float = 1.0) -> Periodic:
 
 
 class PeriodicLoop:
-    """The recursion of a periodic filter, one loop for each phase.
+    """The recursion of a periodic filter, one loop for each phase; a channel that a phase has not weighs nothing.
 
     Parameters
     ----------
@@ -101,17 +101,18 @@ class PeriodicLoop:
         Prediction of the first sample.
     phase : int
         Of the first sample.
-    sigmas : float
+    sigmas : float or array (m,)
         Innovations, in units of their std, beyond which a sample is not taken.
     """
 
-    def __init__(self, filters: Periodic, x: ArrayLike, phase: int = 0, sigmas: float = np.inf) -> None:
-        self._x, self.phase = np.array(x, float), phase
-        self._masks = [f.part.mask for f in filters.phases]
-        self._loops = [
-            Loop(f.rows(), f.model.p, len(f.part.H), x, sigmas * f.innovation_std) for f in filters.phases
-        ]  # fmt: skip
-        self.std = filters.std
+    def __init__(self, filters: Periodic, x: ArrayLike, phase: int = 0, sigmas: ArrayLike = np.inf) -> None:
+        self.phase, self.std = phase, filters.std
+        self.masks = np.array([f.part.mask for f in filters.phases])
+        self._x = np.array(x, float)
+        self._loops = [_padded(f, sigmas) for f in filters.phases]
+        self._spread = np.full(self.masks.shape, np.nan)
+        for t, f in enumerate(filters.phases):
+            self._spread[t, self.masks[t]] = f.innovation_std
 
     @property
     def x(self) -> NDArray[np.float64]:
@@ -123,14 +124,47 @@ class PeriodicLoop:
 
         The std is that of the phase before the step, ``std[phase]``.
         """
-        mask, loop = self._masks[self.phase], self._loops[self.phase]
-        if not np.array_equal(np.isfinite(y), mask):
-            return None
-        loop.x = self._x
-        load = loop.step(y[mask])
-        if load is not None:
-            self._x, self.phase = loop.x, (self.phase + 1) % len(self._loops)
-        return load
+        load, e = np.empty((1, self.std.shape[1])), np.empty((1, len(y)))
+        return load[0] if self.block(np.asarray(y, float)[None], load, e) else None
+
+    def block(self, Y: NDArray, load: NDArray, e: NDArray) -> int:
+        """Fill loads (samples, p) and normalised innovations (samples, m) up to the first sample that is not taken.
+
+        Returns
+        -------
+        taken : int
+            Samples before it.
+        """
+        there = ~np.isnan(Y)
+        phases = (self.phase + np.arange(len(Y))) % len(self._loops)
+        fits = np.all(there == self.masks[phases], axis=1)
+        stop = len(Y) if fits.all() else int(np.argmin(fits))
+        taken, x, loops = 0, self._x, self._loops
+        for t, y in zip(phases[:stop].tolist(), np.where(there, Y, 0.0), strict=False):
+            loop = loops[t]
+            loop.x = x
+            found = loop.step(y)
+            if found is None:
+                break
+            x = loop.ahead
+            load[taken], e[taken] = found, loop.e
+            taken += 1
+        e[:taken] /= self._spread[phases[:taken]]
+        self._x = np.array(x)
+        self.phase = (self.phase + taken) % len(loops)
+        return taken
+
+
+def _padded(f: Steady, sigmas: ArrayLike) -> Loop:
+    """Loop of a phase with all channels, those that it has not with zeros."""
+    mask, n, p = f.part.mask, f.model.n, f.model.p
+    m = len(mask)
+    rows, limit = np.zeros((p + m + n, n + m)), np.full(m, np.inf)
+    into = np.r_[np.arange(n), n + np.flatnonzero(mask)]
+    out = np.r_[np.arange(p), p + np.flatnonzero(mask), p + m + np.arange(n)]
+    rows[np.ix_(out, into)] = f.rows()
+    limit[mask] = np.broadcast_to(np.asarray(sigmas, float), (m,))[mask] * f.innovation_std
+    return Loop(rows, p, m, np.zeros(n), limit)
 
 
 Step = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]

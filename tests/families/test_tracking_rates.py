@@ -1,0 +1,106 @@
+"""Channels of several rates: a period in what is missing is recognised, and runs by the gains of its phases."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from loadid.families.kalman import LoadTracker
+from loadid.families.tracking.rhythm import Listener
+from loadid.families.tracking.tracker import Fitted, Tracker
+from loadid.inverse.kalman import priors
+from loadid.inverse.kalman.squareroot import SquareRoot
+from loadid.inverse.kalman.squareroot import filter as recursive
+from tests.tracked import Tracked, bm2
+
+DISP = 3
+
+
+@cache
+def case() -> Tracked:
+    return bm2("matern", samples=1500)
+
+
+@cache
+def fit() -> Fitted:
+    c = case()
+    return LoadTracker(c.setup.space(), prior=priors.Matern32(100.0, 0.08), noise=c.noise).fit(c.y, c.dt).fitted
+
+
+def sampled(every: int, first: int = 0) -> np.ndarray:
+    """The displacement in every so-many-th sample only."""
+    y = case().y.copy()
+    y[np.arange(len(y)) % every != first, DISP] = np.nan
+    return y
+
+
+@pytest.mark.parametrize("every", [2, 10])
+def test_several_rates_are_the_recursion_by_a_gain_for_each_phase(every):
+    y = sampled(every, every - 1)
+    tracker = Tracker(fit(), 6.0)
+    load, std, e = tracker.run(y)
+    expected = recursive(fit().model, y)
+    assert tracker.phase == "periodic"
+    assert np.abs(load - expected.load).max() < 1e-9 * np.abs(expected.load).max()
+    assert std == pytest.approx(expected.std, rel=1e-9)
+    assert np.array_equal(np.isnan(e), np.isnan(expected.normalised))
+    assert np.nanmax(np.abs(e - expected.normalised)) < 1e-6
+    assert tracker.counts["missing"] == np.isnan(y).sum()
+    assert tracker.counts["gated"] == 0
+
+
+def test_a_gap_and_a_wrong_sample_leave_the_rhythm_and_it_is_found_again(tmp_path):
+    """Also in samples one by one, and through a file within the rhythm."""
+    y = sampled(5)
+    y[700:707] = np.nan
+    y[1150, 0] += 1e3
+    whole = Tracker(fit(), 6.0)
+    load, std, _ = whole.run(y)
+    gone = y.copy()
+    gone[1150, 0] = np.nan
+    expected = recursive(fit().model, gone)
+    assert np.abs(load - expected.load).max() < 1e-8 * np.abs(expected.load).max()
+    assert whole.counts["gated"] == 1
+    single = Tracker(fit(), 6.0)
+    phases, found = [], []
+    for k, row in enumerate(y):
+        if k in (600, 705, 1151):
+            single.save(tmp_path / "t.h5")
+            single = Tracker.load(tmp_path / "t.h5")
+        found.append(single.step(row))
+        phases.append(single.phase)
+    assert [phases[k] for k in (690, 700, 701, 1149, 1150, 1499)] == [
+        "periodic", "transient", "transient", "periodic", "transient", "periodic",
+    ]  # fmt: skip
+    assert np.array_equal(np.array([a[0] for a in found]), load)
+    assert np.array_equal(np.array([a[1] for a in found]), std)
+
+
+def test_a_channel_that_is_lost_for_good_has_a_settled_gain_too():
+    y = case().y.copy()
+    y[300:, 0] = np.nan
+    tracker = Tracker(fit(), 6.0)
+    load = tracker.run(y)[0]
+    assert tracker.phase == "periodic"
+    assert np.abs(load - recursive(fit().model, y).load)[600:].max() < 1e-9 * np.abs(load).max()
+
+
+def test_what_does_not_repeat_or_does_not_settle_has_no_rhythm():
+    listener = Listener(SquareRoot(fit().model))
+    rng = np.random.default_rng(0)
+    for mask in rng.random((400, 4)) < 0.7:
+        listener.hear(mask)
+        assert listener.found() is None
+    listener.clear()
+    for _ in range(300):
+        listener.hear(np.zeros(4, bool))
+    assert listener.found() is None
+    listener.clear()
+    for k in range(60):
+        listener.hear(np.array([True, k % 3 > 0, True, k % 6 == 2]))
+    rhythm, phase = listener.found()
+    assert rhythm.period == 6
+    assert rhythm.masks[phase].tolist() == [True, True, True, False]
+    assert rhythm.masks[(phase + 3) % 6].tolist() == [True, True, True, True]
