@@ -79,8 +79,8 @@ def test_mindlin_as_presses_is_the_same_load() -> None:
     np.testing.assert_allclose(loads.resultant((1.0, 2.0)), [0.15, 0.2, -1, 0, 0, 0], atol=1e-14)
     r = np.linspace(0, 3, 31)
     found = loads.traction(np.column_stack([1.0 + r, np.full(31, 2.0)]))
-    np.testing.assert_allclose(found, np.outer(slip.traction(r), [0.6, 0.8, 0]) - np.outer(SPHERE.pressure(r), [0, 0, 1]),
-                               atol=1e-15)  # fmt: skip
+    truth = np.outer(slip.traction(r), [0.6, 0.8, 0]) - np.outer(SPHERE.pressure(r), [0, 0, 1])
+    np.testing.assert_allclose(found, truth, atol=1e-15)
     inside = np.column_stack([1.0 + np.linspace(0, 0.99, 9) * slip.stick, np.full(9, 2.0)])
     shear = loads.displacement(SPHERE.ground, inside) - SPHERE.press((1.0, 2.0)).displacement(SPHERE.ground, inside)
     np.testing.assert_allclose(shear[:, :2], np.tile(slip.shift * np.array([0.6, 0.8]), (9, 1)), rtol=1e-10)

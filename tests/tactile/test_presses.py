@@ -1,4 +1,4 @@
-"""Presses: resultants, exact means over cells, superposition, frames of a slide; the Fourier sum as an outside judge."""
+"""Presses: resultants, exact means over cells, superposition, frames of a slide, and the Fourier sum of the kernels."""
 
 from __future__ import annotations
 
