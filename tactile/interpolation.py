@@ -65,7 +65,7 @@ class Interpolation:
         markers, nodes = _plane(self.markers, "markers"), _plane(self.nodes, "nodes")
         if self.kind not in KINDS:
             raise InputError("unknown interpolation", where="kind", found=repr(self.kind), expected=" or ".join(KINDS))
-        used: NDArray[np.bool_] = np.isfinite(markers).all(axis=1)
+        used = np.all(np.isfinite(markers), axis=1)
         if used.sum() < FEWEST:
             raise InputError(
                 "too few markers to interpolate",

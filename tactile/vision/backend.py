@@ -1,6 +1,6 @@
 """The image operations that detection needs, by OpenCV where it is installed and by scipy.ndimage where it is not.
 
-Both filter with the same kernels and the same mirrored border, so that they find the same dots.
+Both filter with the same kernels and the border continued alike, so that they find the same dots.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NAMES = ("cv2", "scipy")
 
 @dataclass(frozen=True)
 class Backend:
-    """Two filters on float32 images with a mirrored border.
+    """Two filters on float32 images with a border that is continued.
 
     Parameters
     ----------
@@ -90,10 +90,10 @@ def _opencv() -> Backend:
 
     def smooth(image: Image, sigma: float) -> Image:
         weights = gaussian(sigma)
-        return cv2.sepFilter2D(image, cv2.CV_32F, weights, weights, borderType=cv2.BORDER_REFLECT_101)
+        return cv2.sepFilter2D(image, cv2.CV_32F, weights, weights, borderType=cv2.BORDER_REPLICATE)
 
     def box(image: Image, width: int) -> Image:
-        return cv2.blur(image, (width, width), borderType=cv2.BORDER_REFLECT_101)
+        return cv2.blur(image, (width, width), borderType=cv2.BORDER_REPLICATE)
 
     return Backend("cv2", smooth, box)
 
@@ -104,9 +104,9 @@ def _scipy() -> Backend:
 
     def smooth(image: Image, sigma: float) -> Image:
         weights = gaussian(sigma)
-        return ndimage.correlate1d(ndimage.correlate1d(image, weights, axis=0, mode="mirror"), weights, mode="mirror")
+        return ndimage.correlate1d(ndimage.correlate1d(image, weights, axis=0, mode="nearest"), weights, mode="nearest")
 
     def box(image: Image, width: int) -> Image:
-        return ndimage.uniform_filter(image, width, mode="mirror")
+        return ndimage.uniform_filter(image, width, mode="nearest")
 
     return Backend("scipy", smooth, box)

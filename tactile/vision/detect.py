@@ -20,11 +20,11 @@ from .backend import Backend, Image, backend
 from .grey import Grey, grey
 
 BLUR = 0.8  # standard deviation of the smoothing over the radius of a dot
-COARSEST = 2.5  # px of a radius in the binned image
+COARSEST = {"parabola": 2.5, "centroid": 4.0}  # px of a radius in the binned image
+MARGIN = 1.2  # distance to the border over the radius, below which the border cuts a dot
 THRESHOLD = 0.35  # of the usual maximum
 NOISE = 5.0  # standard deviations of the noise of the smoothed image, below which nothing is a dot
 HALF = 0.5  # of its maximum: where the peak of a dot ends for the weighted centroid
-METHODS = ("parabola", "centroid")
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Detector:
     threshold : float
         Share of the usual strength above which a maximum is a dot.
     margin : float, optional
-        Dots closer than this to the border, in px, are cut by it and left out; default one radius.
+        Dots closer than this to the border, in px, are cut by it and left out; default 1.2 radii.
     backend : {"cv2", "scipy"}, optional
         Default: OpenCV where it is installed.
 
@@ -101,9 +101,9 @@ class Detector:
                 found=f"radius {self.radius:g} px, pitch {self.pitch:g} px",
                 expected="a pitch of at least two radii",
             )
-        if self.method not in METHODS:
+        if self.method not in COARSEST:
             raise InputError(
-                "unknown method of detection", where="method", found=repr(self.method), expected=" or ".join(METHODS)
+                "unknown method of detection", where="method", found=repr(self.method), expected=" or ".join(COARSEST)
             )
         backend(self.backend)
 
@@ -119,7 +119,7 @@ class Detector:
     def response(self, image: Grey) -> Response:
         """The image in which every dot is one smooth maximum, and its noise."""
         tools: Backend = backend(self.backend)
-        bins = max(1, int(self.radius / COARSEST))
+        bins = max(1, int(self.radius / COARSEST[self.method]))
         coarse = binned(image, bins)
         sigma = BLUR * self.radius / bins
         width = 2 * round(0.5 * self.pitch / bins) + 1
@@ -142,7 +142,7 @@ class Detector:
         return max(2, round(min(self.radius * 1.3, 0.45 * self.pitch) / response.bins))
 
     def _inside(self, points: NDArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        margin = self.radius if self.margin is None else self.margin
+        margin = MARGIN * self.radius if self.margin is None else self.margin
         x, y = points.T
         return (x >= margin) & (y >= margin) & (x <= shape[1] - 1 - margin) & (y <= shape[0] - 1 - margin)
 
