@@ -82,7 +82,8 @@ def augment(
         Std of each sensor, or their covariance.
     hold : ``"foh"``, ``"zoh"`` or ``"joint"``, optional
         How the load runs between its samples: linear, constant, or as its prior says (needs a model with modes). That
-        of the model by default.
+        of the model by default. Under ``"foh"`` a model with modes takes what an OU or Matern load does beside its
+        straight line as noise of the states: the band holds, though ``"joint"`` has the smaller error.
     state_noise : float or array (nx,)
         Std that a sample adds to every state of the structure, in the units of the states.
     start : float, array (nx,), root (nx, any) or "static"

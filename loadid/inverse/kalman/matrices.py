@@ -16,8 +16,9 @@ from structures.model import Model
 from structures.statespace import StateSpace
 from structures.values import positive, shown
 
-from .priors import Prior, diagonal
+from .priors import Companion, Prior, diagonal
 from .quadrature import step
+from .roots import lower
 
 HOLDS = ("foh", "zoh", "joint")
 SINGULAR = 1e13  # condition above which a structure has no static state
@@ -27,7 +28,10 @@ Parts = tuple[NDArray, NDArray, NDArray, NDArray]
 
 @dataclass(frozen=True, eq=False)
 class Matrices:
-    """Matrices of a structure at a step: discrete, or under the joint hold continuous."""
+    """Matrices of a structure at a step: discrete, or under the joint hold continuous.
+
+    Under the first-order hold of a model with modes those in continuous time (A, B) stand in `rates` beside.
+    """
 
     A: NDArray[np.float64]
     B: NDArray[np.float64]
@@ -35,6 +39,7 @@ class Matrices:
     D: NDArray[np.float64]
     dt: float
     hold: str
+    rates: tuple[NDArray, NDArray] | None = None
 
     @classmethod
     def of(cls, model: Any, dt: float, hold: str | None) -> Matrices:
@@ -53,7 +58,7 @@ class Matrices:
             raise InputError("a load that moves has no filter of constant matrices", where="augment", found="B(t)",
                              expected="loads that stay in place",
                              hint="put a basis of fixed loads along its way")  # fmt: skip
-        return cls(known.A, known.B, known.C, known.D, known.dt, hold)
+        return cls(known.A, known.B, known.C, known.D, known.dt, hold, _rates(model) if hold == "foh" else None)
 
     def static(self) -> NDArray[np.float64]:
         """States in equilibrium with constant loads of one (nx, loads)."""
@@ -65,11 +70,35 @@ class Matrices:
         return np.asarray(np.linalg.solve(rest, self.B), float)
 
     def held(self, priors: Sequence[Prior]) -> Parts:
-        """F and LQ (of x and z), reading of the loads and their start."""
+        """F and LQ (of x and z), reading of the loads and their start.
+
+        A prior with a length says how its load runs between the samples; the first-order hold takes it for straight.
+        What the load does beside disturbs the structure, where it is known in continuous time.
+        """
         known = [prior.discrete(self.dt) for prior in priors]
         Fz, LQz, H, L0 = (diagonal([getattr(k, name) for k in known]) for name in ("F", "LQ", "H", "L0"))
         F = np.block([[self.A, self.B @ H], [np.zeros((len(Fz), len(self.A))), Fz]])
-        return F, np.vstack([np.zeros((len(self.A), LQz.shape[1])), LQz]), H, L0
+        rest = np.hstack([self._beside(prior, load) for load, prior in enumerate(priors)])
+        LQ = diagonal([rest, LQz])
+        return F, LQ, H, L0
+
+    def _beside(self, prior: Prior, load: int) -> NDArray[np.float64]:
+        """Root of what a load does to the states within a step beside its straight line (nx, any), in the long run.
+
+        From one step to the next it is correlated a little, and with the noise of the load: taken as white it makes
+        the band cautious, not its mean better (the joint hold does both).
+        """
+        n = len(self.A)
+        if self.rates is None or not isinstance(prior, Companion):
+            return np.zeros((n, 0))
+        A, b, known = self.rates[0], self.rates[1][:, [load]], prior.continuous()
+        size, line = len(known.F), np.diag([1.0], 1)  # of the load: a value and a slope
+        held, ramp = _exponential(self.dt * np.block([[A, b, 0 * b], [np.zeros((2, n)), line]]))[:n, n:].T[:, :, None]
+        late = ramp / self.dt  # what the load at the end of the step has pushed
+        rates = np.block([[A, b @ known.H], [np.zeros((size, n)), known.F]])
+        E, L = step(rates, np.vstack([np.zeros((n, known.b.shape[1])), known.b]), self.dt)
+        straight = (held - late) @ known.H + late @ known.H @ E[n:, n:]
+        return lower(L[:n] - late @ known.H @ L[n:], (E[:n, n:] - straight) @ known.L0)
 
     def jointly(self, priors: Sequence[Prior]) -> Parts:
         """The same from one system in continuous time."""
@@ -96,9 +125,25 @@ def _continuous(model: Any) -> Parts:
     return continuous(model.reduced)
 
 
-def held_over(A: NDArray, B: NDArray, dt: float) -> NDArray[np.float64]:
-    """State that a load of one, held over a step, leaves behind."""
+def _rates(model: Any) -> tuple[NDArray, NDArray] | None:
+    """A and B in continuous time of a model that has modes and constant matrices; None of any other."""
+    if isinstance(model, MappedModel):
+        found = _rates(model.model)
+        return None if found is None else (found[0], found[1] @ model.T)
+    if isinstance(model, StateSpace) or not hasattr(model, "reduced"):
+        return None
+    if model.reduced.moving or model.reduced.loss != 0:
+        return None
+    return continuous(model.reduced)[:2]
+
+
+def _exponential(A: NDArray) -> NDArray[np.float64]:
     from scipy.linalg import expm
 
+    return np.asarray(expm(A))
+
+
+def held_over(A: NDArray, B: NDArray, dt: float) -> NDArray[np.float64]:
+    """State that a load of one, held over a step, leaves behind."""
     n, p = B.shape
-    return np.asarray(expm(dt * np.block([[A, B], [np.zeros((p, n + p))]]))[:n, n:])
+    return _exponential(dt * np.block([[A, B], [np.zeros((p, n + p))]]))[:n, n:]

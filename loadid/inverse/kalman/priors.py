@@ -200,7 +200,7 @@ class White:
 
 
 @dataclass(frozen=True)
-class _Companion:
+class Companion:
     """A load whose highest derivative is driven by white noise and that forgets within a length.
 
     Parameters
@@ -252,7 +252,7 @@ class _Companion:
         raise NotImplementedError
 
 
-class OU(_Companion):
+class OU(Companion):
     """Ornstein-Uhlenbeck, Matern 1/2: rough, and always tame. Correlation ``exp(-t / length)``."""
 
     _pole, _density = 1.0, 2.0
@@ -267,7 +267,7 @@ class OU(_Companion):
         return np.full((1, 1), math.exp(-a))
 
 
-class Matern32(_Companion):
+class Matern32(Companion):
     """Matern 3/2: a load with a rate. Correlation ``(1 + a) exp(-a)``, ``a = sqrt(3) t / length``."""
 
     _pole, _density = math.sqrt(3.0), 4.0
@@ -282,7 +282,7 @@ class Matern32(_Companion):
         return math.exp(-a) * np.array([[1 + a, a], [-a, 1 - a]])
 
 
-class Matern52(_Companion):
+class Matern52(Companion):
     """Matern 5/2: a load with a curvature. Correlation ``(1 + a + a^2/3) exp(-a)``, ``a = sqrt(5) t / length``."""
 
     _pole, _density = math.sqrt(5.0), 16.0 / 3.0
