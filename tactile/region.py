@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import qr
 
 from loadid.inverse import activeset
 from loadid.inverse.activeset import Point
@@ -45,8 +46,10 @@ class _Region:
         self.flip = np.tile(FLIP, len(nodes))
         H = owner.H[:, self.columns].astype(float) * self.flip
         H[lost] = 0.0
-        self.A = np.vstack([H, np.diag(owner.prior[self.columns])])
-        self.gram = H.T @ H + np.diag(owner.prior[self.columns] ** 2)
+        # few unknowns, many readings: a QR leaves a square problem for all frames on this region
+        self.Q, self.A = qr(np.vstack([H, np.diag(owner.prior[self.columns])]), mode="economic", check_finite=False)
+        self.Q = np.asfortranarray(self.Q[: len(H)])
+        self.gram = self.A.T @ self.A
         self.R = owner.resultant[:, self.columns] * self.flip
         self._spread: tuple[Array, Array] | None = None
         self._free: tuple[Quadratic, Feasible] | None = None
@@ -144,7 +147,7 @@ class RegionSolver:
         return replace(start, h=whole[region.columns])
 
     def _solve(self, region: _Region, z: Array, wrench: Wrench | None) -> Point:
-        b = np.concatenate([z, np.zeros(len(region.columns))])
+        b = region.Q.T @ z
         quadratic, feasible = region.problem(self.friction)
         if wrench is not None:
             rows = region.R[: len(wrench.value)]
