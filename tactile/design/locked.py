@@ -29,6 +29,7 @@ def locking(
     """
     from structures import solids
     from structures.factor import Factor
+    from structures.hexfield import HexField
     from structures.materials import Material
 
     a = positive("size", size, where="design.locking", unit="m")
@@ -39,6 +40,7 @@ def locking(
             lengths=(a, a, positive("thickness", thickness, where="design.locking", unit="m")), elements=elements,
             material=Material(E=1e5, rho=1e3, nu=nu), element=element, origin=(-a / 2, -a / 2, 0.0), allow=("E109",),
         )  # fmt: skip
+        assert isinstance(block.field, HexField)
         f = block.field.traction("top", ((-half, half), (-half, half)), 3)[block.free]
         depths.append(float(f @ Factor(block.K_free, check=False).solve(f)))
     return depths[0] / depths[1]

@@ -11,6 +11,7 @@ from .markers import common
 from .parameters import Skin
 
 Array = NDArray[np.float64]
+FINEST, IMAGES = 3, 3  # markers per patch and direction; images summed on each side
 TINY = 1e-13  # share of the largest singular value below which a wave is not seen at all
 
 
@@ -59,20 +60,24 @@ class Modes:
 
 
 def modes(skin: Skin) -> Modes:
-    """Waves of a periodic pad, on a grid of patches; each is a 3 x 3 problem of its own.
+    """Waves of a periodic pad whose tractions are constant on patches; each is a 3 x 3 problem of its own.
 
     Notes
     -----
-    Edges of the pad, and what waves beyond the markers' own limit add to the shorter ones, are left out.
+    What markers of a lattice read of such loads is exact, aliases included, where the marker pitch divides the patch
+    once, twice or three times; other pitches take the nearest of these lattices and their own density. Markers further
+    apart than patches tell no wave beyond their own limit, and what those waves add to the longer ones is left out. So
+    are the edges of the pad.
     """
     counts = [max(4, round(s / skin.patch)) for s in skin.size]
     lines = [2 * np.pi * np.fft.fftfreq(n, s / n) for n, s in zip(counts, skin.size, strict=True)]
     kx, ky = (k.ravel() for k in np.meshgrid(*lines, indexing="ij"))
     limit = np.pi / skin.pitch * (1 + 1e-9)
     seen = (np.abs(kx) <= limit) & (np.abs(ky) <= limit)
-    A = whitened(skin, kx, ky) * np.where(seen, 1.0, 0.0)[:, None, None]
-    _, s, V = np.linalg.svd(A)
-    s = np.concatenate([s, np.zeros((len(s), 3 - s.shape[1]))], axis=1)
+    A = _read(skin, kx, ky) * np.where(seen, 1.0, 0.0)[:, None, None]
+    _, s, V = np.linalg.svd(A, full_matrices=False)
+    if A.shape[1] < 3:  # the third direction of traction is seen by nothing
+        _, s, V = np.linalg.svd(np.concatenate([A, np.zeros_like(A[:, :1])], axis=1))
     shares = np.abs(V) ** 2  # (n, singular, component): each row of V is a direction of traction
     posterior = skin.load * np.sqrt(np.mean(np.einsum("nsc,ns->nc", shares, 1 / (1 + s**2)), axis=0))
     raw = None
@@ -81,13 +86,36 @@ def modes(skin: Skin) -> Modes:
     return Modes(np.hypot(kx, ky), s, posterior, raw)
 
 
-def whitened(skin: Skin, kx: Array, ky: Array) -> NDArray[np.complex128]:
-    """Displacement of waves of the expected traction over the noise of their amplitude (n, rows, 3).
+def _read(skin: Skin, kx: Array, ky: Array) -> NDArray[np.complex128]:
+    """What the markers' lattice reads of waves of patches, whitened (n, rows, 3).
+
+    A wave of patches holds all waves k + 2 pi m / patch, by the transform of a patch. The lattice tells r x r of them
+    apart; each of those it reads together with its own images.
+    """
+    b = skin.patch
+    r = int(np.clip(round(b / skin.pitch), 1, FINEST))
+    step, own = 2 * np.pi * r / b, 2 * np.pi / b
+    sign = -1.0 if r % 2 == 0 else 1.0  # markers lie about the middle of a patch
+    rows = []
+    for i in np.arange(r) - (r - 1) // 2:
+        for j in np.arange(r) - (r - 1) // 2:
+            x, y = kx + i * own, ky + j * own
+            total = np.zeros((len(kx), 3, 3), complex)
+            for m in range(-IMAGES, IMAGES + 1):
+                for n in range(-IMAGES, IMAGES + 1):
+                    qx, qy = x + m * step, y + n * step
+                    share = np.sinc(qx * b / (2 * np.pi)) * np.sinc(qy * b / (2 * np.pi)) * sign ** (m + n)
+                    total += skin.layer.interior(qx, qy, skin.height) * share[:, None, None]
+            rows.append(_over_noise(skin, total, x, y))
+    return np.concatenate(rows, axis=1)
+
+
+def _over_noise(skin: Skin, G: NDArray[np.complex128], kx: Array, ky: Array) -> NDArray[np.complex128]:
+    """Displacement of waves of the expected traction over the noise of their amplitude.
 
     A white load of std `load` on patches has the spectral density load^2 patch^2; white noise of the markers has
     noise^2 pitch^2.
     """
-    G = skin.layer.interior(kx, ky, skin.height)
     std = [skin.noise, skin.noise] + ([] if skin.noise_z is None else [skin.noise_z])
     scale = skin.load * skin.patch / (skin.pitch * np.sqrt(common(skin, kx, ky)))
     return G[:, : len(std)] * (scale[:, None, None] / np.array(std)[:, None])
@@ -116,7 +144,7 @@ class Spectrum:
 def spectrum(skin: Skin, points: int = 400) -> Spectrum:
     """Waves from the pad's length down to a fiftieth of its thickness, without the limits of markers and patches."""
     k = np.geomspace(np.pi / max(skin.size), 100 * np.pi / min(skin.h, skin.patch), points)
-    A = whitened(skin, k, np.zeros_like(k))
+    A = _over_noise(skin, skin.layer.interior(k, 0 * k, skin.height), k, 0 * k)
     _, s, V = np.linalg.svd(A)
     s = np.concatenate([s, np.zeros((len(s), 3 - s.shape[1]))], axis=1)
     known = np.einsum("nsc,ns->nc", np.abs(V) ** 2, s**2 / (1 + s**2))

@@ -22,7 +22,8 @@ def draw(designs: Sequence[SkinDesign], path: str | os.PathLike | None = None) -
     """Above, the share of pressure and shear that is known of each wave; below, four numbers of each design."""
     figure = new_figure()
     figure.set_size_inches(11, 7.5)
-    upper, lower = figure.subfigures(2, 1, height_ratios=(1.25, 1))
+    parts: Any = figure.subfigures(2, 1, height_ratios=(1.25, 1))
+    upper, lower = parts
     panels = upper.subplots(1, 2, sharey=True)
     for ax, kind in zip(panels, ("pressure", "shear"), strict=True):
         for i, one in enumerate(designs):

@@ -79,8 +79,9 @@ def test_density_averages_only_independent_noise() -> None:
     pitches = (1e-3, 0.5e-3, 0.25e-3, 0.125e-3)
     own = [design.skin(**GEL, pitch=p) for p in pitches]
     for coarse, fine in pairwise(own):
-        assert fine.pressure_raw / coarse.pressure_raw == pytest.approx(0.5, rel=1e-9)
+        assert fine.pressure_raw / coarse.pressure_raw == pytest.approx(0.5, rel=0.03)  # and tells images apart
         assert fine.effective / coarse.effective == pytest.approx(4, rel=1e-9)
+    assert own[3].pressure_raw / own[2].pressure_raw == pytest.approx(0.5, rel=1e-9)
     length = 0.8e-3
     shared = [design.skin(**GEL, pitch=p, correlated=0.95, correlation=length) for p in pitches]
     ceiling = 20e-3 * 16e-3 / (2 * np.pi * length**2)
@@ -114,29 +115,39 @@ def test_plain_bricks_lock_as_nu_goes_to_one_half(nu: float, ratio: float) -> No
 # -- numbers against dense and closed forms ---------------------------------------------------------------------------
 
 
-def test_waves_against_a_dense_problem() -> None:
-    """Singular values and posterior of 9 x 9 patches (odd: no wave at the limit): a dense matrix by unit tractions."""
-    s = Skin(**GEL, size=(9e-3, 9e-3), load=5e3, depth=0.4e-3)
-    k = 2 * np.pi * np.fft.fftfreq(9, 1e-3)
+@pytest.mark.parametrize(("per", "fine", "nu"), [(1, 45, 0.3223), (2, 42, 0.45), (3, 45, 0.49)])
+def test_waves_against_a_dense_problem(per: int, fine: int, nu: float) -> None:
+    """Patches of constant traction on a periodic pad of 7 x 7, read at `per` x `per` markers each: a dense matrix.
+
+    Its columns come from a grid so fine that every marker lies on a node of it.
+    """
+    n, size = 7, 7 * fine
+    s = Skin(h=3e-3, E=0.147e6, nu=nu, size=(7e-3, 7e-3), load=5e3, depth=0.4e-3, pitch=1e-3 / per)
+    k = 2 * np.pi * np.fft.fftfreq(size, 1e-3 / fine)
+    patch = np.zeros((size, size))
+    patch[:fine, :fine] = 1.0
     G = s.layer.interior(*np.meshgrid(k, k, indexing="ij"), s.height)
-    unit = np.eye(243).reshape(9, 9, 3, 243)
-    waves = np.einsum("xyij,xyjn->xyin", G, np.fft.fft2(unit, axes=(0, 1)))
-    H = np.fft.ifft2(waves, axes=(0, 1)).real.reshape(243, 243)
-    A = H / np.tile([s.noise, s.noise, s.noise_z], 81)[:, None] * s.load
+    u = np.fft.ifft2(np.fft.fft2(patch)[..., None, None] * G, axes=(0, 1)).real
+    at = (fine * (2 * np.arange(per) + 1) - per) // (2 * per)
+    markers = (fine * np.arange(n)[:, None] + at).ravel()
+    H = np.empty((n * per, n * per, 3, n, n, 3))
+    for i in range(n):
+        for j in range(n):
+            H[:, :, :, i, j] = u[np.ix_((markers - i * fine) % size, (markers - j * fine) % size)]
+    A = H.reshape(-1, 3 * n * n) / np.tile([s.noise, s.noise, s.noise_z], (n * per) ** 2)[:, None] * s.load
     found = modes(s)
-    assert np.linalg.svd(A, compute_uv=False) == pytest.approx(np.sort(found.signal.ravel())[::-1], rel=1e-9)
-    cov = s.load**2 * np.linalg.solve(np.eye(243) + A.T @ A, np.eye(243))
-    assert np.sqrt(np.diag(cov)[:3]) == pytest.approx(found.posterior, rel=1e-9)
+    assert np.linalg.svd(A, compute_uv=False) == pytest.approx(np.sort(found.signal.ravel())[::-1], rel=5e-3)
+    cov = s.load**2 * np.linalg.solve(np.eye(3 * n * n) + A.T @ A, np.eye(3 * n * n))
+    assert np.sqrt(np.diag(cov)[:3]) == pytest.approx(found.posterior, rel=5e-3)
     q, r = np.linalg.qr(A / s.load)
-    raw = np.linalg.norm(np.linalg.solve(r, q.T), axis=1)[:3]
-    assert raw == pytest.approx(found.unregularised, rel=1e-9)
+    assert np.linalg.norm(np.linalg.solve(r, q.T), axis=1)[:3] == pytest.approx(found.unregularised, rel=5e-3)
 
 
-def test_noise_of_a_map_without_prior_is_that_of_the_closed_form() -> None:
+def test_noise_of_a_map_without_prior_is_near_that_of_band_limited_waves() -> None:
+    """The closed form takes waves without images: sampled patches couple pressure and shear less."""
     s = Skin(**GEL, size=(64e-3, 64e-3))
-    shear, pressure = noise_std(s.layer, 1e-3, s.noise, s.noise_z)
-    found = modes(s).unregularised
-    assert found == pytest.approx([shear, shear, pressure], rel=0.01)
+    shear, pressure = noise_std(s.layer, 1e-3, s.noise, s.noise_z, coupled=False)
+    assert modes(s).unregularised == pytest.approx([shear, shear, pressure], rel=0.15)
 
 
 @pytest.mark.parametrize("share", [0.4, 0.99])
