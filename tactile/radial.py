@@ -124,17 +124,23 @@ def _over_both(layer: Layer, transform: Callable[[Array], Array], a: float, r: A
     reach = max(reach, h)
     heights, x = (chebyshev.chebpts1(HEIGHTS) + 1) * h / 2, chebyshev.chebpts1(degree + 1)
     values = _integrals(layer, transform, a, (x + 1) * reach / 2, heights)
-    for axis, n in ((0, degree + 1), (2, HEIGHTS)):  # values at the points -> coefficients, by their orthogonality
-        scale = np.full(n, 2 / n)
-        scale[0] = 1 / n
-        rows = chebyshev.chebvander(chebyshev.chebpts1(n), n - 1).T * scale[:, None]
-        values = np.moveaxis(np.tensordot(rows, values, axes=(1, axis)), 0, axis)
-    table, found = values.reshape(degree + 1, -1), np.empty((len(r), 5))
+    values = _coefficients(np.moveaxis(_coefficients(values), -1, 0))
+    table, found = np.moveaxis(values, 0, -1).reshape(degree + 1, -1), np.empty((len(r), 5))
     for i in range(0, len(r), BATCH):
         part = slice(i, i + BATCH)
         rows = (chebyshev.chebvander(2 * r[part] / reach - 1, degree) @ table).reshape(-1, 5, HEIGHTS)
         found[part] = np.einsum("pjh,ph->pj", rows, chebyshev.chebvander(2 * z[part] / h - 1, HEIGHTS - 1))
     return found
+
+
+def _coefficients(values: Array) -> Array:
+    """Chebyshev coefficients along the first axis, from values at the points of the first kind."""
+    from numpy.polynomial import chebyshev
+
+    n = len(values)
+    rows = chebyshev.chebvander(chebyshev.chebpts1(n), n - 1).T * (2 / n)
+    rows[0] /= 2
+    return np.tensordot(rows, values, axes=1)
 
 
 def _degree(gap: float, reach: float) -> int:
@@ -153,10 +159,14 @@ def _over_distance(
     degree = _degree(layer.h + z, reach)  # the image of the load in the base lies at r = +- i (2 h - d)
     if len(r) <= degree + 1:
         return _integrals(layer, transform, a, r, here)[..., 0]
-    coefficients = chebyshev.chebinterpolate(
-        lambda x: _integrals(layer, transform, a, (x + 1) * reach / 2, here)[..., 0], degree
-    )
-    return chebyshev.chebval(2 * r / reach - 1, coefficients).T
+    x = chebyshev.chebpts1(degree + 1)
+    coefficients = _coefficients(_integrals(layer, transform, a, (x + 1) * reach / 2, here)[..., 0])
+    if len(r) < 4 * TABLE:
+        return chebyshev.chebvander(2 * r / reach - 1, degree) @ coefficients
+    from scipy.interpolate import CubicSpline
+
+    at = np.linspace(0, reach, 1 + TABLE * max(1, round(reach / 16 / (layer.h + z))))
+    return CubicSpline(at, chebyshev.chebvander(2 * at / reach - 1, degree) @ coefficients)(r)
 
 
 def _integrals(layer: Layer, transform: Callable[[Array], Array], a: float, r: Array, heights: Array) -> Array:
