@@ -23,7 +23,7 @@ from structures.values import shown
 from .quadrature import gauss
 
 Array = NDArray[np.float64]
-NODES = 40
+SHALLOW = 0.05  # d/a below which the rules need more points
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,17 @@ class Profile:
     weight: Callable[[Array], Array]
 
     def below(self, r: Array, d: Array) -> tuple[Array, Array]:
-        """(H0, H1) at r/a and d/a > 0, times a and a^2; each (n, 3). To 1e-12, by `NODES` point loads a side.
+        """(H0, H1) at r/a and d/a > 0, times a and a^2; each (n, 3), to 1e-11."""
+        H0, H1 = np.empty((2, len(r), 3))
+        shallow = d < SHALLOW
+        for here, nodes in ((shallow, 40), (~shallow, 24)):
+            if here.any():
+                H0[here], H1[here] = self._below(r[here], d[here], nodes)
+        return H0, H1
 
-        The Gauss rules are drawn together at t = r, next to the pole of the field of a point load, and at t = 1.
-        """
-        x, w = gauss(NODES)
+    def _below(self, r: Array, d: Array, nodes: int) -> tuple[Array, Array]:
+        """The Gauss rules are drawn together at t = r, next to the pole of the field of a point load, and at t = 1."""
+        x, w = gauss(nodes)
         middle = np.minimum(r, 1.0)
         gap = np.hypot(d, np.maximum(r - 1, 0.0))
         H0, H1 = np.zeros((2, len(r), 3))
@@ -70,11 +76,14 @@ class Profile:
             t = middle[:, None] + side * gap[:, None] * np.sinh(v)
             weight = self.weight(t) * w * dv * gap[:, None] * np.cosh(v)
             z, rr = d[:, None] - 1j * t, r[:, None]
-            R = np.sqrt(rr**2 + z**2)
-            turn = rr / (R + z)
-            H0 += np.stack([(weight * f.real).sum(1) for f in (1 / R, turn / R, turn**2 / R)], axis=-1)
-            slopes = (z / R**3, rr / R**3, turn**2 * (2 * R + z) / R**3)
-            H1 += np.stack([(weight * f.real).sum(1) for f in slopes], axis=-1)
+            R = np.sqrt(rr**2 + z * z)
+            one, turn = 1 / R, rr / (R + z)
+            cube = one * one * one
+            fields = (one, turn * one, turn * turn * one)
+            slopes = (z * cube, rr * cube, turn * turn * (2 * R + z) * cube)
+            for m in range(3):
+                H0[:, m] += np.einsum("pj,pj->p", weight, fields[m].real)
+                H1[:, m] += np.einsum("pj,pj->p", weight, slopes[m].real)
         return H0, H1
 
 
