@@ -64,6 +64,42 @@ class Parallel:
         bend(number("alpha", self.alpha, where="Parallel", unit="rad"), self.gamma)
         number("azimuth", self.azimuth, where="Parallel", unit="rad")
 
+    @classmethod
+    def from_press(cls, apparent: ArrayLike, normal: ArrayLike, gamma: float) -> Parallel:
+        """Rays that explain the apparent motion of a flat press without shear, by least squares: angle and sign.
+
+        Parameters
+        ----------
+        apparent : array, shape (N, 2)
+            Motion that the image shows (m); NaN = lost.
+        normal : float or array, shape (N,)
+            Normal motion of the same markers (m), negative where pressed.
+        gamma : float
+            Relative index of refraction.
+
+        Raises
+        ------
+        InputError
+            No normal motion, or an apparent one that no ray shows.
+        """
+        seen = reals(apparent, where="apparent motion")
+        height = np.broadcast_to(reals(normal, where="normal motion"), seen.shape[:1])
+        known = np.isfinite(height) & np.isfinite(seen).all(axis=1)
+        total = float(np.sum(height[known] ** 2))
+        if total == 0:
+            raise InputError("a press without normal motion tells nothing of the rays", where="normal motion")
+        slope = -(height[known] @ seen[known]) / total
+        sine = _index(gamma) * np.sin(np.arctan(np.hypot(*slope)))
+        if sine >= 1:
+            raise InputError(
+                "no ray shows this motion",
+                where="apparent motion",
+                found=f"{np.hypot(*slope):.3g} m per m of normal motion",
+                expected=f"below {np.tan(np.arcsin(1 / gamma)) if gamma > 1 else np.inf:.3g} for an index of {gamma:g}",
+                hint="press flat and without shear, and check the index and the unit of the normal motion",
+            )
+        return cls(float(np.arcsin(sine)), gamma, float(np.arctan2(slope[1], slope[0])))
+
     def slope(self, xy: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
         """In-plane motion of the ray through each point per unit of height, shape (N, 2)."""
         direction = np.array([np.cos(self.azimuth), np.sin(self.azimuth)])

@@ -15,6 +15,7 @@ from structures.flags import Flag
 from structures.values import positive
 
 from ..guards.vision import leapt, vanished
+from ..localfit import NEAREST, fitted_weights
 from .detect import Detected, Detector
 from .match import NONE, Dots, Neighbourhood, places
 from .motion import Motion
@@ -28,6 +29,7 @@ GATE = 0.4
 RETURN = 0.25  # gate of a marker that was lost, over the pitch: strange dots are not taken for it
 DISAGREE = 0.5  # distance from the neighbours' motion since rest, over the pitch
 STEP = 0.5  # motion of one frame beyond which a neighbour is as near, over the pitch
+EXTRAPOLATED = 3.0  # sum of absolute weights, from which on a fitted value is an extrapolation
 FEWEST = 3
 
 
@@ -94,6 +96,7 @@ class MarkerTracker:
         self._found = np.ones(len(rest), bool)
         self._frame = 0
         self._leap: Flag | None = None
+        self._fit: tuple[bytes, NDArray[np.intp], NDArray[np.float64]] | None = None
 
     @property
     def points(self) -> NDArray[np.float64]:
@@ -123,7 +126,7 @@ class MarkerTracker:
         strange = ~self._found & (_length(place - expected) > RETURN * self.pitch)
         rejected = self._odd(place) | strange | (_length(place - self._now) > STEP * self.pitch)
         self._found = taken & ~rejected
-        self._now = np.where(self._found[:, None], place, expected)
+        self._now = np.where(self._found[:, None], place, self._without(expected, place))
         self._leap = self._leap or leapt(common, self.pitch, self._frame)
         return self._motion(rejected, len(dots.points) - int(taken.sum()))
 
@@ -196,6 +199,26 @@ class MarkerTracker:
             moved = common + dots.offers(self._now + common, FIRST * self.pitch)
         local = self._around.median(moved)
         return self._now + np.where(np.isfinite(local), local, common), float(np.hypot(*common))
+
+    def _without(self, expected: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where the markers that were not found should be: as a smooth motion since rest of those around has it.
+
+        Steps of the neighbours add up to a drift; the motion since rest does not. Where it would have to be
+        extrapolated far, the steps are all there is.
+        """
+        gone = np.flatnonzero(~self._found)
+        if len(gone) == 0 or self._found.sum() < NEAREST:
+            return expected
+        key = self._found.tobytes()
+        if self._fit is None or self._fit[0] != key:  # the same markers stay lost for many frames
+            index, weights = fitted_weights(self._pattern[self._found], self._pattern[gone])
+            self._fit = (key, np.flatnonzero(self._found)[index], weights)
+        _, index, weights = self._fit
+        near = np.abs(weights).sum(axis=1) < EXTRAPOLATED
+        moved = np.einsum("mk,mki->mi", weights[near], (place - self._pattern)[index[near]])
+        guessed = expected.copy()
+        guessed[gone[near]] = self._pattern[gone[near]] + moved
+        return guessed
 
     def _odd(self, place: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Markers whose motion since rest is not like that of their neighbours."""

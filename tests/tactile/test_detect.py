@@ -69,6 +69,13 @@ def test_a_shift_of_the_light_moves_no_dot() -> None:
     np.testing.assert_allclose(errors(even.points, truth), errors(uneven.points, truth), atol=0.06)
 
 
+def test_a_darker_image_holds_the_same_dots() -> None:
+    truth = pattern()
+    image = Scene(noise=0.0).draw(truth)
+    bright, dim = (detect(x, radius=5, pitch=PITCH).points for x in (image, (0.5 * image).astype(np.uint8)))
+    np.testing.assert_allclose(errors(bright, truth), errors(dim, truth), atol=0.05)  # whole grey levels
+
+
 def test_noise_alone_holds_no_dots() -> None:
     blank = Scene(noise=4.0).draw(np.empty((0, 2)))
     assert len(Detector(5, PITCH)(blank).points) == 0

@@ -11,6 +11,7 @@ from scipy.interpolate import LinearNDInterpolator
 from structures.errors import InputError
 from structures.flags import codes
 from tactile.interpolation import Interpolation
+from tactile.localfit import fitted_weights
 from tactile.rendering import grid
 
 
@@ -146,3 +147,12 @@ def test_three_markers_are_enough_and_two_are_not(kind: str) -> None:
 def test_what_does_not_fit_is_refused(make) -> None:
     with pytest.raises(InputError):
         make(Interpolation(scattered(), NODES))
+
+
+def test_markers_on_two_lines_carry_affine_fields_and_rows_still_sum_to_one() -> None:
+    index, weights = fitted_weights(grid(2, 20, 1e-3), grid(3, 7, 0.3e-3))
+    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-12)
+    markers = grid(2, 20, 1e-3)
+    np.testing.assert_allclose((weights * markers[index, 0]).sum(axis=1), grid(3, 7, 0.3e-3)[:, 0], atol=1e-12)
+    on_a_line = fitted_weights(grid(1, 20, 1e-3), grid(1, 3, 0.4e-3))[1]
+    np.testing.assert_allclose(on_a_line.sum(axis=1), 1, atol=1e-12)

@@ -94,6 +94,24 @@ def test_parallel_rays_shift_by_the_formula_exactly_and_along_them() -> None:
     np.testing.assert_allclose(view.motion(view.to_pixels([[0.001, 0.002]]), pressed, -1e-3), 0, atol=1e-15)
 
 
+def test_a_flat_press_tells_the_rays_and_their_sign() -> None:
+    true = Parallel(0.5, 1.4, azimuth=-2.0)
+    rng = np.random.default_rng(0)
+    normal = -rng.uniform(1e-4, 3e-4, 80)
+    apparent = -normal[:, None] * true.slope(np.zeros((80, 2)), normal) + 2e-6 * rng.standard_normal((80, 2))
+    apparent[3] = np.nan
+    found = Parallel.from_press(apparent, normal, 1.4)
+    assert found.alpha == pytest.approx(0.5, abs=0.01)
+    assert found.azimuth == pytest.approx(-2.0, abs=0.01)
+    view = View(View.homography(np.diag([14e3, 14e3, 1])).image, found)
+    at = view.to_pixels(np.zeros((80, 2)) + apparent)
+    np.testing.assert_allclose(view.in_plane(at, normal)[normal < 0][10:], 0, atol=1.2e-5)
+    with pytest.raises(InputError, match="without normal motion"):
+        Parallel.from_press(apparent, 0.0, 1.4)
+    with pytest.raises(InputError, match="no ray shows"):
+        Parallel.from_press([[1.0, 0.0]], -0.1, 1.4)
+
+
 def test_a_homography_with_a_lens_is_the_camera() -> None:
     rays = camera().rays
     points = np.random.default_rng(0).uniform(-0.008, 0.008, (40, 2))

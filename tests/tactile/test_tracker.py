@@ -61,6 +61,21 @@ def test_no_marker_takes_the_place_of_another(seed: int) -> None:
         np.testing.assert_array_equal(motion.lost, gone)
 
 
+def test_a_hidden_part_of_a_moving_pattern_is_found_again() -> None:
+    rng, rest = np.random.default_rng(5), pattern(5)
+    tracker, shift = MarkerTracker(rest), np.zeros(2)
+    hidden = np.hypot(*(rest - [280.0, 200.0]).T) < 4.2 * PITCH
+    assert hidden.sum() > 40
+    for k in range(36):
+        shift += rng.uniform(-0.25, 0.25, 2) * PITCH
+        truth = pressed(rest, 10 * np.sin(k / 8), 6 * np.sin(k / 5)) + shift
+        gone = hidden & (8 <= k < 28)
+        motion = tracker.step((truth + 0.03 * rng.standard_normal(truth.shape))[~gone])
+        assert swapped(motion.places, truth) == 0
+        assert motion.seen[~hidden].all()
+    assert motion.seen.all()
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 4, 2.0])
 def test_a_motion_of_nearly_half_a_pitch_is_followed(angle: float) -> None:
     rest = pattern()
