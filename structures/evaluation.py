@@ -22,7 +22,7 @@ Index = NDArray[np.intp]
 SNAP = 1e-9  # of a cell: points so far outside are on the surface
 
 
-def motions(structure: Structure, points: ArrayLike) -> sparse.csr_array:
+def motions(structure: Structure, points: ArrayLike, *, reach: float | None = None) -> sparse.csr_array:
     """Rows of the motion along X, Y, Z at many points of a solid.
 
     Parameters
@@ -31,6 +31,8 @@ def motions(structure: Structure, points: ArrayLike) -> sparse.csr_array:
         A block or a mesh of `structures.solids`.
     points : array (N, 3)
         Places in the solid or on its surface (m).
+    reach : float, optional
+        How far outside a cell of a general mesh a point may lie, in cells: near a curved surface.
 
     Returns
     -------
@@ -42,7 +44,7 @@ def motions(structure: Structure, points: ArrayLike) -> sparse.csr_array:
     InputError
         If a point is none or lies outside: the first such point is named.
     """
-    nodes, values = interpolants(structure, points)
+    nodes, values = interpolants(structure, points, reach=reach)
     count, corners = nodes.shape
     rows = 3 * np.arange(count)[:, None, None] + np.arange(3)
     columns = 3 * nodes[:, :, None] + np.arange(3)
@@ -53,7 +55,7 @@ def motions(structure: Structure, points: ArrayLike) -> sparse.csr_array:
     return out
 
 
-def interpolants(structure: Structure, points: ArrayLike) -> tuple[Index, Array]:
+def interpolants(structure: Structure, points: ArrayLike, *, reach: float | None = None) -> tuple[Index, Array]:
     """Nodes (N, m) whose motion makes that of each point, and their weights (N, m), which sum to one.
 
     Raises
@@ -62,7 +64,7 @@ def interpolants(structure: Structure, points: ArrayLike) -> tuple[Index, Array]
         As `motions`.
     """
     places = reals(points, where="points of a solid", hint="an array (N, 3) in m")
-    if places.ndim != 2 or places.shape[1] != 3 or not np.all(np.isfinite(places)):
+    if places.ndim != 2 or places.shape[-1] != 3 or not np.all(np.isfinite(places)):
         bad = np.flatnonzero(~np.isfinite(places).all(axis=1)) if places.ndim == 2 else ()
         raise InputError(
             "no points of a solid",
@@ -74,7 +76,7 @@ def interpolants(structure: Structure, points: ArrayLike) -> tuple[Index, Array]
     field: Any = field_of(structure, "points of a solid")
     if isinstance(field, HexField):
         return _in_block(field, places)
-    return field.interpolants(places)
+    return field.interpolants(places) if reach is None else field.interpolants(places, reach)
 
 
 def _in_block(field: HexField, places: Array) -> tuple[Index, Array]:

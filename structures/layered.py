@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from .condensation import compliance, schur
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
-def condense(structure: Structure, surface: Any) -> tuple[Array, Array]:
+def condense(structure: Structure, surface: Any, levels: ArrayLike | None = None) -> tuple[Array, Array]:
     """Stiffness and compliance of some DOFs of a solid, all others unloaded.
 
     Parameters
@@ -30,6 +30,9 @@ def condense(structure: Structure, surface: Any) -> tuple[Array, Array]:
         Any; a block or another mesh of levels is served level by level.
     surface : int array (s,)
         DOFs that stay, as rows of the structure: on the uppermost level where it has levels.
+    levels : int array (nodes,), optional
+        Level of each node from the base up; by height where not given. Levels that couple more than neighbours are not
+        used.
 
     Returns
     -------
@@ -49,7 +52,7 @@ def condense(structure: Structure, surface: Any) -> tuple[Array, Array]:
     """
     K, free = structure.K_free, structure.free
     stays = np.searchsorted(free, np.asarray(surface))
-    level = _levels(structure)
+    level = _levels(structure, levels)
     if level is not None and np.any(level[stays] != level.max()):
         level = None
     mirrors = [G for G in reflections(structure) if np.isin(G.indices[stays], stays).all()]
@@ -68,13 +71,12 @@ def condense(structure: Structure, surface: Any) -> tuple[Array, Array]:
     return stiffness, flexible
 
 
-def _levels(structure: Structure) -> Index | None:
+def _levels(structure: Structure, known: ArrayLike | None) -> Index | None:
     """Level of every free DOF from the base up; None where the stiffness couples more than neighbours."""
     places = structure.coordinates
     if places is None or places.shape[1] != 3 or structure.n != 3 * len(places):
         return None
-    size = np.ptp(places[:, 2])
-    heights = np.round(places[:, 2] / size * 1e6).astype(np.int64)
+    heights = np.round(places[:, 2] / np.ptp(places[:, 2]) * 1e6) if known is None else np.asarray(known)
     _, level = np.unique(heights, return_inverse=True)
     found = np.repeat(level.ravel(), 3)[structure.free]
     K = structure.K_free.tocoo()

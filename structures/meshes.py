@@ -117,7 +117,7 @@ def _checked(nodes: Any, cells: Any, cell: Cell, where: str) -> tuple[Array, Ind
             found="NaN or infinity" if len(bad) else f"shape {places.shape}",
             expected="finite (x, y, z), shape (nodes, 3)",
         )
-    if table.ndim != 2 or table.shape[1:] != (cell.nodes,) or table.dtype.kind not in "iu" or not len(table):
+    if table.ndim != 2 or table.shape[-1] != cell.nodes or table.dtype.kind not in "iu" or not len(table):
         raise InputError(
             f"no cells of kind {cell.name}",
             where=f"{where}, cells",

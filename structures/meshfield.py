@@ -61,8 +61,8 @@ class MeshField:
         return lower - slack, upper + slack
 
     # -- points ---------------------------------------------------------------------------------------------------
-    def interpolants(self, points: ArrayLike) -> tuple[Index, Array]:
-        """Nodes (N, m) of the cell that holds each point, and their weights (N, m).
+    def interpolants(self, points: ArrayLike, reach: float = SNAP) -> tuple[Index, Array]:
+        """Nodes (N, m) of the cell that holds each point, and their weights (N, m); up to `reach` cells beside it.
 
         Raises
         ------
@@ -71,7 +71,7 @@ class MeshField:
         """
         places = np.asarray(points, float)
         cell, xi, beyond = self._located(places)
-        outside(beyond > SNAP, places, self.coordinates.min(axis=0), self.coordinates.max(axis=0))
+        outside(beyond > reach, places, self.coordinates.min(axis=0), self.coordinates.max(axis=0))
         return self.cells[cell], self.cell.shape(xi)
 
     def _located(self, places: Array) -> tuple[Index, Array, Array]:

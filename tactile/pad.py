@@ -5,6 +5,7 @@ x and y lie in the plane of the pad with the origin at its centre, z = 0 is the 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,14 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from structures import bases, evaluation, layered
+from structures import bases, condensation, evaluation, layered
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.materials import Material
 from structures.structure import Structure
 from structures.surfaces import Surface
 from structures.symmetry import SymmetricFactor, reflections
-from structures.values import positive, reals
+from structures.values import integer, positive, reals
 
 from .guards import pad as guards
 from .padbody import Body, rectangle, sides
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 AXES = "XYZ"
+STRIP = 256  # right-hand sides at once
+NEAR = 0.2  # of a cell: how far from it a point of a curved surface may lie by its interpolated height
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -105,15 +108,17 @@ class Pad:
     structure: Structure = field(init=False, repr=False)
     surface: Surface = field(init=False, repr=False)
     flags: tuple[Flag, ...] = field(init=False, repr=False)
+    _levels: Index | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         fix = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731  (a frozen dataclass needs it)
         material = Material(E=self.E, rho=self.density, nu=self.nu)
         fix("allow", (self.allow,) if isinstance(self.allow, str) else tuple(self.allow))
-        body = self._rectangle(material) if self.mesh is None else self.mesh.built(material, self.element, self.allow)
+        body = self._rectangle(material) if self.mesh is None else self._meshed(material)
         for name, value in body.dimensions.items():
             fix(name, value)
         fix("structure", body.structure)
+        fix("_levels", body.levels)
         fix("surface", body.surface)
         fix("flags", self._found(body))
 
@@ -130,6 +135,62 @@ class Pad:
             outline=self.outline,
             allow=tuple(self.allow),
         )
+
+    def _meshed(self, material: Material) -> Body:
+        if self.pitch is None:
+            return self.mesh.built(material, self.element, self.allow)
+        from .padmesh import rebuilt
+
+        layers = integer("layers", self.layers, where="Pad, layers", limit=100)
+        return rebuilt(self.mesh, self.pitch, layers, material, self.element, self.allow)
+
+    @classmethod
+    def from_mesh(
+        cls,
+        file: str | os.PathLike,
+        *,
+        E: float,
+        nu: float,
+        pitch: float | None = None,
+        layers: int = 4,
+        unit: str | None = None,
+        axis: str | None = None,
+        base: str | None = None,
+        top: str | None = None,
+        element: str = "bbar",
+        **settings: Any,
+    ) -> Pad:
+        """Pad from a mesh file: Abaqus or CalculiX ``.inp``, also with ``.gz``, or arrays in NPZ or HDF5.
+
+        Parameters
+        ----------
+        file : path
+            `tactile.meshfiles.read` says what it may hold.
+        E, nu : float
+            Pa; `tactile.meshfiles.elastic` reads them from an input file.
+        pitch, layers : optional
+            With a pitch (m), rebuild the body from columns of B-bar bricks: outline of the base, height of the surface.
+            Without, the cells of the file are used as they are; the loads of ten-node tetrahedra are then tractions
+            that fall linearly from a corner to its neighbours, of 1 N each.
+        unit, axis, base, top : optional
+            As in `tactile.padmesh.placed`: what the file does not say is found, and told by ``repr(pad.mesh)``.
+        element : str
+            Of hexahedra.
+        **settings
+            Other settings of `Pad`.
+
+        Raises
+        ------
+        InputError
+            If the file holds no mesh of a pad; code LID-E110 where Euler's formula says so.
+        """
+        from .meshfiles import read
+        from .padmesh import placed
+
+        allow = settings.get("allow", ())
+        allow = (allow,) if isinstance(allow, str) else tuple(allow)
+        mesh = placed(read(file), unit=unit, axis=axis, base=base, top=top, allow=allow)
+        return cls(E=E, nu=nu, mesh=mesh, pitch=pitch, layers=layers, element=element, **settings)
 
     def _found(self, body: Body) -> tuple[Flag, ...]:
         """What the guards of mesh and material found."""
@@ -181,10 +242,44 @@ class Pad:
 
     @cached_property
     def basis(self) -> Basis:
-        """Nodal forces on the surface along X, Y and Z: what `ForwardModel` takes as loads."""
+        """Nodal forces on the surface along X, Y and Z: what `ForwardModel` takes as loads.
+
+        Raises
+        ------
+        InputError
+            For ten-node tetrahedra.
+        """
+        if self._quadratic:
+            raise InputError(
+                "ten-node tetrahedra have no load basis",
+                where="Pad, basis",
+                found=repr(self.mesh),
+                expected="hexahedra",
+                hint="Pad.from_mesh(file, pitch=) rebuilds the body from bricks; solve, transfer and compliance serve both",
+            )
         return bases.nodal(self.structure, self.surface, components=("+X", "+Y", "+Z"))
 
     # -- stiffness ------------------------------------------------------------------------------------------------
+    @property
+    def _quadratic(self) -> bool:
+        """Whether the cells are ten-node tetrahedra, whose corners carry no consistent load of their own."""
+        cell = getattr(self.structure.field, "cell", None)
+        return getattr(cell, "corners", 4) == 3
+
+    @cached_property
+    def loads(self) -> sparse.csc_array:
+        """Nodal loads of unit forces on the surface, sparse (n, 3 P).
+
+        Of bricks each is a force on its node; of ten-node tetrahedra the consistent load of a traction that falls
+        linearly from a corner to its neighbours, of 1 N.
+        """
+        if self._quadratic:
+            mesh: Any = self.structure.field
+            hats = mesh.hats(self.surface) @ sparse.diags_array(1 / self.surface.areas)
+            return sparse.csc_array(sparse.kron(hats, sparse.eye_array(3)))
+        ones, columns = np.ones(self.dofs.size), np.arange(self.dofs.size)
+        return sparse.coo_array((ones, (self.dofs, columns)), shape=(self.structure.n, self.dofs.size)).tocsc()
+
     @cached_property
     def dofs(self) -> Index:
         """DOFs of the surface nodes in the structure (3 P,)."""
@@ -223,7 +318,19 @@ class Pad:
 
     @cached_property
     def _condensed(self) -> tuple[Array, Array]:
-        return layered.condense(self.structure, self.dofs)
+        if not self._quadratic:
+            return layered.condense(self.structure, self.dofs, self._levels)
+        A = self._under_loads(self.loads.T)
+        A = np.asfortranarray((A + A.T) / 2)
+        return condensation.compliance(A.copy(order="F")), A
+
+    def _under_loads(self, rows: Any) -> Array:
+        """``rows K^-1 loads`` (rows, 3 P), a strip of loads at a time."""
+        kept, B = sparse.csr_array(rows)[:, self.structure.free], self.loads[self.structure.free]
+        out = np.empty((kept.shape[0], B.shape[1]))
+        for start in range(0, B.shape[1], STRIP):
+            out[:, start : start + STRIP] = kept @ self._whole.solve(B[:, start : start + STRIP])
+        return out
 
     @property
     def stiffness(self) -> Array:
@@ -239,7 +346,7 @@ class Pad:
     def forces(self, displacements: ArrayLike) -> Array:
         """Nodal forces (P, 3) in N that hold the surface at `displacements` (P, 3) or (3 P,) in m: F = K U.
 
-        The dense stiffness is not formed.
+        The dense stiffness is formed for ten-node tetrahedra only.
 
         Raises
         ------
@@ -248,6 +355,8 @@ class Pad:
         """
         s, i = self._split
         U = self._vectors(displacements, "displacements").ravel()
+        if self._quadratic:
+            return np.asarray(self.stiffness @ U, float).reshape(-1, 3)
         u = np.zeros(self.structure.free.size)
         u[s] = U
         if self._interior is not None:
@@ -262,13 +371,15 @@ class Pad:
         InputError
             If the forces do not fit or are not finite.
         """
-        f = np.zeros(self.structure.free.size)
-        f[self._split[0]] = self._vectors(forces, "forces").ravel()
+        f = self.loads[self.structure.free] @ self._vectors(forces, "forces").ravel()
         return self.structure.expand(self._whole.solve(f))
 
     def displacements(self, forces: ArrayLike) -> Array:
-        """Motion of the surface (P, 3) in m under nodal forces on it (N)."""
-        return self.solve(forces)[self.dofs].reshape(-1, 3)
+        """Motion of the surface (P, 3) in m under nodal forces on it (N).
+
+        That of its nodes; of ten-node tetrahedra the mean over the traction that each force is.
+        """
+        return np.asarray(self.loads.T @ self.solve(forces), float).reshape(-1, 3)
 
     def reactions(self, forces: ArrayLike) -> Array:
         """What the base exerts on the pad under nodal forces on the surface: (supported nodes, 3) in N."""
@@ -316,13 +427,16 @@ class Pad:
         InputError
             If a point is none or lies outside.
         """
-        return evaluation.motions(self.structure, self._places(points))
+        places, on_surface = self._places(points)
+        return evaluation.motions(self.structure, places, reach=NEAR if on_surface else None)
 
     def from_surface(self, points: ArrayLike) -> Any:
         """Motion of points of the pad (3 N,) from that of the surface (3 P,), the interior free of load.
 
         Sparse for points on the surface, dense for points under it.
         """
+        if self._quadratic:
+            return self.transfer(points) @ self.stiffness
         rows = self.rows(points)[:, self.structure.free]
         s, i = self._split
         inner = rows[:, i]
@@ -354,15 +468,19 @@ class Pad:
                 expected='some of "XYZ", each once',
                 hint='"XY" for markers whose normal motion is not seen',
             )
-        places = self._places(points)
-        kept = (3 * np.arange(len(places))[:, None] + [AXES.index(name) for name in names]).ravel()
-        if "_condensed" in self.__dict__ or len(kept) > self.dofs.size // 4:
-            return np.asarray(self.from_surface(places)[kept] @ self.compliance, float)
-        s, _ = self._split
-        rows = self.rows(places)[kept][:, self.structure.free]
-        return np.asarray(self._whole.solve(rows.T.tocsc())[s].T, float)
+        rows = self.rows(points)
+        kept = (np.arange(0, rows.shape[0], 3)[:, None] + [AXES.index(name) for name in names]).ravel()
+        if not self._quadratic and ("_condensed" in self.__dict__ or len(kept) > self.dofs.size // 4):
+            return np.asarray(self.from_surface(points)[kept] @ self.compliance, float)
+        free, B = self.structure.free, self.loads[self.structure.free]
+        out = np.empty((len(kept), B.shape[1]))
+        for start in range(0, len(kept), STRIP):
+            strip = rows[kept[start : start + STRIP]][:, free]
+            out[start : start + STRIP] = (B.T @ self._whole.solve(strip.T.tocsc())).T
+        return out
 
-    def _places(self, points: ArrayLike) -> Array:
+    def _places(self, points: ArrayLike) -> tuple[Array, bool]:
+        """Points (N, 3), and whether their height was found."""
         found = reals(points, where="Pad, points", hint="an array (N, 2) or (N, 3) in m")
         if found.ndim != 2 or found.shape[1] not in (2, 3):
             raise InputError(
@@ -372,10 +490,16 @@ class Pad:
                 expected="(N, 2) on the surface or (N, 3), in m",
                 hint="x and y from the centre of the pad, z from its bonded base",
             )
-        if found.shape[1] == 2:
-            found = np.column_stack([found, self._height(found)])
-        return found
+        if found.shape[1] == 3:
+            return found, False
+        return np.column_stack([found, self._height(found)]), True
 
     def _height(self, points: Array) -> Array:
-        """Height of the surface at (x, y)."""
-        return np.full(len(points), self.thickness)
+        """Height of the surface at (x, y); NaN beside it."""
+        from scipy.interpolate import LinearNDInterpolator
+
+        z = self.surface.coordinates[:, 2]
+        if np.ptp(z) <= 1e-9 * self.thickness or not np.all(np.isfinite(points)):
+            return np.full(len(points), self.thickness)
+        found = LinearNDInterpolator(self.nodes2d, z)(points)
+        return np.where(np.isfinite(found), found, self.thickness)  # beside it: refused where the cell is looked for

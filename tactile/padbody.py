@@ -5,13 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from structures import solids
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.materials import Material
 from structures.structure import Structure
 from structures.surfaces import Surface
-from structures.values import integer, pair, positive
+from structures.values import integer, pair, positive, shown
+
+from .outline import Outline
 
 CELLS = 2_000  # along a side
 
@@ -29,6 +34,8 @@ class Body:
     flags : tuple of Flag
     layered : bool
         Whether it is made of layers of bricks, so that few of them are too few.
+    levels : int array (nodes,), optional
+        Level of each node from the base up.
     """
 
     structure: Structure
@@ -36,6 +43,7 @@ class Body:
     dimensions: dict[str, Any]
     flags: tuple[Flag, ...] = ()
     layered: bool = True
+    levels: NDArray[np.intp] | None = None
 
 
 def sides(size: Any) -> tuple[float, float]:
@@ -113,6 +121,17 @@ def rectangle(
     nx, ny = divisions(size, thickness, pitch, elements)
     nz = integer("layers", layers, where="Pad, layers", limit=CELLS)
     dimensions = {"size": size, "thickness": thickness, "elements": (nx, ny), "pitch": None, "layers": nz}
+    if outline is not None:
+        if not isinstance(outline, Outline):
+            raise InputError(
+                "no outline",
+                where="Pad, outline",
+                found=shown(outline),
+                expected="an Outline",
+                hint="outline.rounded(radius), outline.polygon(corners) or outline.mask(cells) of tactile.outline",
+            )
+        places, quads = outline.on(size, (nx, ny))
+        return extruded(places, quads, thickness, nz, material, element, allow, dimensions)
     structure = solids.block(
         lengths=(*size, thickness),
         elements=(nx, ny, nz),
@@ -123,3 +142,42 @@ def rectangle(
     )
     field: Any = structure.field
     return Body(structure, field.surface("top"), dimensions, field.flags)
+
+
+def extruded(
+    places: NDArray[np.float64],
+    quads: NDArray[np.intp],
+    thickness: float,
+    layers: int,
+    material: Material,
+    element: str,
+    allow: tuple[str, ...],
+    dimensions: dict[str, Any],
+    *,
+    height: NDArray[np.float64] | float = 1.0,
+) -> Body:
+    """Layers of hexahedra over quadrilaterals (Q, 4) between nodes (V, 2), base bonded.
+
+    The surface lies at ``thickness * height``, one height for all nodes or for each.
+
+    Raises
+    ------
+    InputError
+        As `structures.solids.mesh`.
+    """
+    count = len(places)
+    z = np.multiply.outer(np.linspace(0.0, thickness, layers + 1), np.broadcast_to(height, count)).ravel()
+    nodes = np.column_stack([np.tile(places, (layers + 1, 1)), z])
+    cells = np.concatenate([np.hstack([quads + k * count, quads + (k + 1) * count]) for k in range(layers)])
+    structure = solids.mesh(
+        nodes,
+        cells,
+        material=material,
+        element=element,
+        fixed=np.arange(count),
+        allow=[code for code in allow if code.upper().endswith("E109")],
+        where="Pad",
+    )
+    field: Any = structure.field
+    levels = np.repeat(np.arange(layers + 1), count)
+    return Body(structure, field.surface("top"), dimensions, field.flags, levels=levels)
