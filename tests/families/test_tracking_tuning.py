@@ -14,6 +14,7 @@ from loadid.families.tracking.posed import Posing
 from loadid.families.tracking.wrong import left, wrong_samples
 from loadid.inverse.kalman.priors import Matern32
 from loadid.inverse.kalman.steady import steady
+from tests.families.test_tracking import building
 from tests.tracked import Tracked, bm2
 
 
@@ -118,7 +119,16 @@ def test_the_others_stand_in_for_a_wrong_sample():
     load = smooth_settling(filter_settling(settled, hole)).load
     filled = np.where(found.mask, made[0], c.y)
     assert smooth_settling(filter_settling(settled, filled)).load == pytest.approx(load, abs=1e-3)
-    assert np.abs(left(settled, filled)[at]) < 1e-4 * c.noise[3]
+    assert np.abs(left(settled, filled)[0][at]) < 1e-4 * c.noise[3]
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_step_of_the_load_is_no_wrong_sample(seed):
+    """One that comes between two samples surprises the sensor beside it alone."""
+    c = bm2("step", seed, samples=1200, fine=20)
+    given = Posing(building(), c.dt, np.arange(4), c.noise, (NAMES["matern32"],), hold="joint")
+    found = tuning.tune(given.build, starts(c), c.y, free_scale=False)
+    assert found.wrong == ()
 
 
 def test_an_impact_is_no_wrong_sample():

@@ -48,10 +48,14 @@ class Wrong:
 
 
 def wrong_samples(settled: Steady, Y: NDArray) -> Wrong:
-    """Numbers of a complete record Y (samples, m) that no load explains, by a smoother at the numbers of a filter."""
-    mask, values, share = np.zeros(Y.shape, bool), Y, None
+    """Numbers of a complete record Y (samples, m) that no load explains, by a smoother at the numbers of a filter.
+
+    Where the load itself moves as it seldom does (an impact, a step) a prior may fit it badly, and that is left alone.
+    """
+    none = np.zeros(Y.shape, bool)
+    mask, kept, values, share = none, none, Y, None
     for _ in range(TURNS):
-        new = _apart(settled, left(settled, values)) & ~mask
+        new = _apart(settled, left(settled, values)[0]) & ~mask & ~kept
         if not new.any():
             return Wrong(mask, values)
         mask = mask | new
@@ -59,9 +63,28 @@ def wrong_samples(settled: Steady, Y: NDArray) -> Wrong:
             break
         if share is None:
             share = own_share(settled, len(Y))
-        for _ in range(ROUNDS):  # a number that the smoother leaves nothing of is what all others say of it
-            values = np.where(mask, values - left(settled, values) / share, Y)
-    return Wrong(np.zeros(Y.shape, bool), Y)
+        values = _replaced(settled, Y, mask, values, share)
+        moved = mask & _event(left(settled, values)[1])[:, None]
+        if moved.any():
+            mask, kept = mask & ~moved, kept | moved
+            values = _replaced(settled, Y, mask, values, share)
+    return Wrong(none, Y)
+
+
+def _replaced(settled: Steady, Y: NDArray, mask: NDArray, values: NDArray, share: NDArray) -> NDArray[np.float64]:
+    """The record with what all others say where the mask holds: numbers that the smoother leaves nothing of."""
+    values = np.where(mask, values, Y)
+    for _ in range(ROUNDS):
+        values = np.where(mask, values - left(settled, values)[0] / share, Y)
+    return values
+
+
+def _event(load: NDArray) -> NDArray[np.bool_]:
+    """Where a load (samples, p) moves within a few samples as it seldom does (samples,)."""
+    moved = np.zeros(load.shape)
+    moved[AROUND:-AROUND] = np.abs(load[2 * AROUND :] - load[: -2 * AROUND])
+    usual = np.median(moved, axis=0) / QUARTILE
+    return np.any(moved > BEYOND * usual, axis=1)
 
 
 def own_share(settled: Steady, samples: int) -> NDArray[np.float64]:
@@ -71,22 +94,23 @@ def own_share(settled: Steady, samples: int) -> NDArray[np.float64]:
     for i in range(m):
         one = np.zeros((samples, m))
         one[at, i] = 1.0
-        found[i] = left(settled, one)[at, i]
+        found[i] = left(settled, one)[0][at, i]
     return np.maximum(found, SMALLEST)
 
 
-def left(settled: Steady, Y: NDArray) -> NDArray[np.float64]:
-    """What a smoother at the settled gain leaves of a complete record (samples, m)."""
+def left(settled: Steady, Y: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What a smoother at the settled gain leaves of a complete record (samples, m), and its loads (samples, p)."""
     from ...inverse.kalman.loops import Loop
     from ...inverse.kalman.records import back_mean
 
     model = settled.model
-    load, e, rest = np.empty((len(Y), model.p)), np.empty(Y.shape), np.empty(Y.shape)
+    load, change = np.empty((len(Y), model.p)), np.empty((len(Y), model.p))
+    e, rest = np.empty(Y.shape), np.empty(Y.shape)
     loop = Loop(settled.rows(), model.p, model.m, model.x0)
     loop.compile()
     loop.block(Y, load, e)
-    back_mean(settled, e, np.zeros(model.n), load, rest)
-    return rest
+    back_mean(settled, e, np.zeros(model.n), change, rest)
+    return rest, load - change
 
 
 def _apart(settled: Steady, rest: NDArray) -> NDArray[np.bool_]:
