@@ -49,6 +49,54 @@ def test_around_a_gap_the_band_stays_honest(case: tracked.Tracked) -> None:
     assert np.linalg.norm((late.load - truth)[200:]) < 0.5 * np.linalg.norm((plain.load[: len(truth)] - truth)[200:])
 
 
+@pytest.mark.parametrize("every", [1, 4])
+def test_late_answers_are_the_smoothed_ones_around_everything(case: tracked.Tracked, every: int) -> None:
+    """Starts, gaps of all and of some channels, a wrong sample, channels of two rates: at any time, to rounding."""
+    lag, y = 6, case.y[:700].copy()
+    y[np.arange(700) % every > 0, 0] = np.nan
+    y[100:103], y[300:340, 2] = np.nan, np.nan
+    gone = y.copy()
+    y[420, 1] += 1e4
+    gone[420, 1] = np.nan
+    found = tracker(case, lag=lag)
+    late = found.track(y)
+    assert found.counts["gated"] == 1
+    model = found.fitted.model
+    for k in (0, 3, 95, 99, 101, 104, 296, 310, 337, 341, 345, 415, 420, 424, 500, 650):
+        whole = smooth(filtered(model, gone[: k + lag + 1], keep=True))
+        assert late.load[k] == pytest.approx(whole.load[k], abs=2e-3 * whole.std[k].item())
+        assert late.std[k] == pytest.approx(whole.std[k], rel=2e-3)
+
+
+def test_a_wrong_sample_beside_the_load_is_decided_before_a_late_answer() -> None:
+    """It looks like an event at first: the late answer is that of the filter that did not believe it."""
+    seen = tracked.bm2("matern", 0, samples=900)
+    y, lag = seen.y.copy(), 5
+    y[600, 2] += 1e3
+    gone = y.copy()
+    gone[600, 2] = np.nan
+    found = tracker(seen, lag=lag)
+    late = found.track(y)
+    assert found.counts["gated"] == 1
+    assert found.counts["steps"] == 0
+    for k in (594, 596, 599, 600, 601, 605):
+        whole = smooth(filtered(found.fitted.model, gone[: k + lag + 1], keep=True))
+        if k + lag > 600:
+            assert late.load[k] == pytest.approx(whole.load[k], abs=2e-3 * whole.std[k].item())
+            assert late.std[k] == pytest.approx(whole.std[k], rel=2e-3)
+
+
+def test_a_drift_that_is_accepted_has_late_answers_too() -> None:
+    from loadid.inverse.kalman.priors import RandomWalk
+
+    seen, lag = tracked.bm2("mix", 0, disp=(), samples=300), 8
+    found = tracker(seen, prior=RandomWalk(100.0), allow_drift=True, lag=lag, gate=None)
+    late = found.track(seen.y)
+    whole = smooth(filtered(found.fitted.model, seen.y[: 200 + lag + 1], keep=True))
+    assert late.load[200] == pytest.approx(whole.load[200], abs=1e-6 * whole.std[200].item())
+    assert late.std[200] == pytest.approx(whole.std[200], rel=1e-6)
+
+
 def test_samples_and_blocks_answer_alike_also_from_a_file(case: tracked.Tracked, tmp_path) -> None:
     y = case.y[:900].copy()
     y[500:520, 1] = np.nan

@@ -17,6 +17,7 @@ from ...inverse.kalman.periodic import PeriodicLoop
 from ...inverse.kalman.squareroot import Innovation, SquareRoot, State
 from ...inverse.kalman.steady import Steady
 from .gate import RARE, missed, reach, weighed
+from .late import Late, Move
 from .rhythm import Listener, Rhythm
 
 ARRIVED = 1e-3  # of the variances, from which the settled gain takes over
@@ -77,6 +78,7 @@ class Engine:
         self.wrong = np.zeros(model.m, int)  # samples beyond the gate, of a channel that is kept out
         self.good = np.zeros(model.m, int)  # samples within it since
         self.rival: State | None = None  # the other of two: with the event, or without the channels that may be wrong
+        self.pair: tuple[tuple[State, Innovation], tuple[State, Innovation]] | None = None  # both, of the last sample
         self.believing = True  # the event, until now: the rival does not
         self.suspects = np.zeros(model.m, bool)  # channels that are wrong if there is no event
         self.doubt, self.lean, self.age = 0.0, 0.0, 0  # odds against the event, what is too early in them, samples
@@ -127,12 +129,13 @@ class Engine:
         return self._slow(y)
 
     def block(
-        self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray | None = None, taken_as: NDArray | None = None
-    ) -> None:
+        self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray | None = None, taken_as: NDArray | None = None,
+        late: Late | None = None,
+    ) -> None:  # fmt: skip
         """Fill loads and std (samples, p) of a block (samples, m).
 
-        Where given, `e` gets the normalised innovations, and `taken_as`, a copy of the block, NaN where a channel was
-        kept out.
+        Where given, `e` gets the normalised innovations, `taken_as`, a copy of the block, NaN where a channel was kept
+        out, and loads and std are those that `late` makes of them.
         """
         Y = np.ascontiguousarray(Y, float)
         raw = np.empty(Y.shape)
@@ -145,16 +148,29 @@ class Engine:
                 std[k : k + taken] = self._std
                 if e is not None:
                     e[k : k + taken] = raw[k : k + taken] / self.settled.innovation_std
+                if late is not None and taken:
+                    part = slice(k, k + taken)
+                    load[part], std[part] = late.calm(self.settled, load[part], raw[part])
                 self.counts["samples"] += taken
                 k += taken
             elif self.phase == "periodic":
+                assert self.beat is not None
+                first, rhythm = self.beat.phase, self.rhythm
                 taken = self._turned(Y[k:], load[k:], std[k:], raw[k:])
+                if late is not None and rhythm is not None:
+                    for i in range(k, k + taken):
+                        before, now = rhythm.pair(first + i - k)
+                        news = raw[i, now.part.mask] * now.innovation_std
+                        load[i], std[i] = late.phase(before, now, load[i].copy(), news)
                 if e is not None:
                     e[k : k + taken] = raw[k : k + taken]
                 k += taken
             if k == len(Y):
                 return
+            origin = self._origin() if late is not None else (None, None)
             load[k], std[k] = self._slow(self._sample(Y[k]))
+            if late is not None:
+                self._follow(late, origin, load[k], std[k])
             if e is not None:
                 e[k] = np.nan if self.said is None else self.said.normalised
             if taken_as is not None:
@@ -163,6 +179,29 @@ class Engine:
 
     def _sample(self, y: ArrayLike) -> NDArray[np.float64]:
         return self.core.sample(reals(y, where="sample", what="a sample that is no row of real numbers"))
+
+    def _origin(self) -> tuple[State | None, State | None]:
+        """States of the sample before, of the filter that believes (or speaks alone) and of the one that does not."""
+        if self.phase == "periodic":
+            assert self.rhythm is not None
+            assert self.beat is not None
+            last = self.rhythm.masks[self.beat.phase - 1]
+            return State(self.beat.x, self.rhythm.ahead[0], np.where(last, 0.0, np.nan)), None
+        state = None if self.phase == "steady" else self.state
+        return (state, self.rival) if self.believing or self.rival is None else (self.rival, state)
+
+    def _follow(self, late: Late, before: tuple[State | None, State | None], load: NDArray, std: NDArray) -> None:
+        """Loads and std of a sample off the settled gain, as they are some samples late."""
+        if self.pair is None:
+            assert self.state is not None
+            assert isinstance(self.said, Innovation)
+            load[:], std[:] = late.moved(self.core, [Move(before[0], self.state, self.said)], 0)
+            return
+        first, second = before[0], before[1] if before[1] is not None else before[0]
+        moves = [Move(first, *self.pair[0]), Move(second, *self.pair[1])]
+        load[:], std[:] = late.moved(self.core, moves, 0 if self.believing else 1)
+        if self.rival is None:
+            late.decided(0 if self.believing else 1)
 
     def _turned(self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray) -> int:
         """Fill samples at the gains of a rhythm up to the first that does not fit; how many."""
@@ -238,12 +277,13 @@ class Engine:
     ) -> None:  # fmt: skip
         """The likelier filter speaks; the other goes on as its rival."""
         first, second = (believed, doubted) if believing else (doubted, believed)
+        self.pair = believed, doubted
         self.believing, self.taken = believing, y if believing else without
         (self.state, self.said), self.rival = first, second[0]
 
     def _take(self, before: State, y: NDArray) -> None:
         self.state, self.said = self.core.update(before, y)
-        self.taken = y
+        self.taken, self.pair = y, None
 
     def _event(self, e: NDArray, before: State, wrong: NDArray) -> tuple[float, State, bool]:
         """Odds of wrong channels against an event, the prediction that expects it, and whether the state was lost."""

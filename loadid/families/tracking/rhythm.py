@@ -16,6 +16,7 @@ from structures.errors import InputError, NotIdentifiable
 
 from ...inverse.kalman.periodic import periodic
 from ...inverse.kalman.squareroot import SquareRoot, State
+from ...inverse.kalman.steady import Steady
 
 LONGEST = 128  # samples of a period
 REPEATED = 2  # periods that show one
@@ -53,6 +54,11 @@ class Rhythm:
     def period(self) -> int:
         """Samples."""
         return len(self.masks)
+
+    def pair(self, phase: int) -> tuple[Steady, Steady]:
+        """Filters of the phase before, and of this one; phases count on."""
+        phases, T = self.filters.phases, self.period
+        return phases[(phase - 1) % T], phases[phase % T]
 
 
 class Listener:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.flags import Flag
+from structures.values import reals
 
 from ...estimate import LoadEstimate
 from ...inverse.kalman.lag import fixed_lag
@@ -28,7 +29,6 @@ from .replay import Replay
 __all__ = ["Fitted", "Tracker"]
 
 STATES = 4 * 2**30  # bytes of states that a smoother without a settled gain may keep
-CALM = 0.01  # of the std of the loads, within which the gain counts as settled
 PATH = "square-root filter, settled gain"
 ENGINES = {"own": Engine, "filterpy": Peer}
 
@@ -113,7 +113,8 @@ class Tracker:
         if self.engine == "own":
             self._engine = Engine(f.model, f.settled, self.gate, self._width())
         prior = f.model.Cp @ f.model.x0, np.linalg.norm(f.model.Cp @ f.model.L0, axis=1)
-        self._late = None if not self.lag or f.settled is None else Late(fixed_lag(f.settled, self.lag), *prior)
+        fixed = None if not self.lag or f.settled is None else fixed_lag(f.settled, self.lag)
+        self._late = Late(self.lag, fixed, *prior) if self.lag else None
         self._bank = [(weight, Engine(model, settled, None)) for weight, model, settled in f.bank]
 
     # -- samples ----------------------------------------------------------------------------------------------------
@@ -138,15 +139,15 @@ class Tracker:
         return answer
 
     def _one(self, sample: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        if self._late is not None:
+            given = self._engine.core.sample(
+                reals(sample, where="sample", what="a sample that is no row of real numbers")
+            )
+            load, std = np.empty((1, self._p)), np.empty((1, self._p))
+            self._engine.block(given[None], load, std, late=self._late)
+            return load[0], std[0]
         steady = self._engine.phase == "steady"
         load, std = self._engine.step(sample)
-        if self._late is not None:
-            assert self._engine.loop is not None
-            said = self._engine.said
-            quick = steady and self._engine.phase == "steady"
-            e = self._engine.loop.e if quick or said is None else said.normalised * self._spread()
-            late, spread = self._late.block(load[None], std[None], self._news(std[None], e[None]))
-            return late[0], spread[0]
         if not self._bank:
             return load, std
         quick = steady and self._engine.phase == "steady"
@@ -213,7 +214,8 @@ class Tracker:
         for k in range(0, len(Y), size):
             part = slice(k, k + size)
             taken = Y[part].copy() if self._bank else None
-            self._engine.block(Y[part], load[part], std[part], e[part], taken)
+            late = {} if self._late is None else {"late": self._late}
+            self._engine.block(Y[part], load[part], std[part], e[part], taken, **late)
             if taken is not None:
                 between = np.zeros(load[part].shape)
                 other, unused = np.empty(load[part].shape), np.empty(load[part].shape)
@@ -221,9 +223,6 @@ class Tracker:
                     engine.block(taken, other, unused)
                     between += weight * (other - load[part]) ** 2
                 std[part] = np.sqrt(std[part] ** 2 + between)
-            if self._late is not None:
-                news = self._news(std[part], e[part] * self._spread())
-                load[part], std[part] = self._late.block(load[part], std[part], news)
             told(min((k + size) / len(Y), 1.0), "tracking")
 
     def insert(self, sample: ArrayLike, ago: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
@@ -286,13 +285,6 @@ class Tracker:
             return Y  # the engine says what is wrong with it
         self._tally["saturated"] += int(np.sum(np.isnan(found)) - np.sum(np.isnan(given)))
         return found
-
-    def _news(self, std: NDArray, e: NDArray) -> NDArray[np.float64]:
-        """Innovations of the samples at the settled gain, or near it; NaN of the others."""
-        assert self.fitted.settled is not None
-        settled = self.fitted.settled.std
-        calm = np.all(np.abs(std - settled) <= CALM * settled, axis=1)
-        return np.where(calm[:, None], e, np.nan)
 
     def smooth(
         self, record: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None

@@ -178,20 +178,33 @@ class Delayed:
         """Of each load (lag + 1, p)."""
         return np.sqrt(self.variance)
 
-    def advance(self, core: SquareRoot, before: State, state: State, said: Innovation) -> Delayed:
+    def advance(
+        self, core: SquareRoot, before: State, state: State, said: Innovation, lag: int | None = None
+    ) -> Delayed:
         """One sample later: states of the filter before and after it, and what it said."""
         then = core.whole if core.model.S is None or before.y is None else core.seen(np.isfinite(before.y))
-        cross = self.cross @ then.F.T
-        H = forward(said.root, core.seen(said.present).H)
-        news = cross @ H.T
-        load = self.load + news @ forward(said.root, said.e[said.present])
-        variance = np.maximum(self.variance - np.sum(news**2, axis=2), 0.0)
-        cross = cross - news @ said.gain.T
-        now = delayed(core, state, self.lag)
-        old = slice(0, self.lag)
+        root = core.model.Cp @ state.L
+        return self.moved(
+            then.F, core.seen(said.present).H, said.root, said.gain, said.e[said.present],
+            core.model.Cp @ state.x, np.sum(root**2, axis=1), root @ state.L.T, self.lag if lag is None else lag,
+        )  # fmt: skip
+
+    def moved(
+        self, F: NDArray, H: NDArray, Se_root: NDArray, gain: NDArray, e: NDArray,
+        load: NDArray, variance: NDArray, cross: NDArray, lag: int,
+    ) -> Delayed:  # fmt: skip
+        """One sample later, for the transition F into it, its channels (H, e, root of Se, ``P- H^T Se^-T/2``).
+
+        Load (p,), variance (p,) and covariance with the state (p, n) are those of that sample.
+        """
+        ahead = self.cross @ F.T
+        news = ahead @ forward(Se_root, H).T
+        later = self.load + news @ forward(Se_root, e)
+        less = np.maximum(self.variance - np.sum(news**2, axis=2), 0.0)
+        left, old = ahead - news @ gain.T, slice(0, lag)
         return Delayed(
-            np.concatenate([now.load, load[old]]), np.concatenate([now.variance, variance[old]]),
-            np.concatenate([now.cross, cross[old]]), self.lag,
+            np.concatenate([load[None], later[old]]), np.concatenate([variance[None], less[old]]),
+            np.concatenate([cross[None], left[old]]), lag,
         )  # fmt: skip
 
 
