@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ...inverse.kalman.steady import Steady
+from .bands import Bands, in_words, told_bands
 
 LAGS = 20
 LEVEL = 0.05
@@ -38,6 +41,12 @@ class Certificate:
         In which the filter forgets an error, s.
     spread : tuple of float
         Std of the normalised innovation of each channel as its median tells it, single wrong samples apart.
+    bands : tuple of (tuple of (float, float))
+        For each load, the frequencies (Hz) at which the track knows more than its prior did.
+    loads : tuple of str
+        Loads of the bands.
+    nyquist : float
+        Hz.
     """
 
     samples: int
@@ -51,6 +60,9 @@ class Certificate:
     sensors: tuple[str, ...]
     time_constant: float
     spread: tuple[float, ...] = ()
+    bands: tuple[Bands, ...] = ()
+    loads: tuple[str, ...] = ()
+    nyquist: float = float("inf")
 
     @property
     def failing(self) -> tuple[str, ...]:
@@ -82,7 +94,19 @@ class Certificate:
         for name, r, m, share in zip(self.sensors, self.rms, self.mean, self.left_out, strict=True):
             alone = "not predictable from the others" if share is None else f"{share:.0%} inside from the others"
             lines.append(f"  {name}: innovation rms {r:.3f}, mean {m:+.3f}; {alone}")
+        for name, bands in zip(self.loads, self.bands, strict=True):
+            lines.append(f"  {name}: {in_words(bands, self.nyquist)}")
         return "\n".join(lines)
+
+
+def banded(certificate: Certificate, settled: Steady | None, loads: Sequence[str], dt: float) -> Certificate:
+    """A certificate with the bands in which the track of every load knows more than its prior did.
+
+    A filter that never settles has no such bands, and the certificate stays as it is.
+    """
+    if settled is None:
+        return certificate
+    return replace(certificate, bands=told_bands(settled, dt), loads=tuple(loads), nyquist=0.5 / dt)
 
 
 def certify(
