@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 from structures.values import number, pair, positive, reals
 
-from .guards.vision import tangential
+from .guards.vision import RAYS, not_tangential, tangential
 from .homography import Homography, fitted
 from .refraction import Parallel, Window, bend, projection_shift
 
@@ -244,8 +244,7 @@ class View:
 
     def _slope(self, xy: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
         if self.rays is None:
-            tangential(False, True)
-            raise AssertionError  # pragma: no cover - the guard has raised
+            raise not_tangential([RAYS])
         return self.rays.slope(xy, height)
 
 

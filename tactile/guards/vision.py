@@ -9,6 +9,7 @@ from structures.flags import Evidence, Flag
 
 REJECTED = 0.02  # share of the markers
 FROZEN = 0.05  # share of exact repetitions among successive places of a dot
+RAYS = "viewing angle and index"
 PROJECTION = (
     "image motion mixes tangential motion with the shift of projection, d tan(beta), beta = arcsin(sin(alpha) / gamma)"
 )
@@ -37,14 +38,21 @@ def tangential(optics_known: bool, normal_known: bool, *, allow: Sequence[str] =
     """
     if optics_known and normal_known:
         return None
-    missing = [
-        words
-        for words, known in (("viewing angle and index", optics_known), ("normal motion", normal_known))
-        if not known
-    ]
+    missing = [words for words, known in ((RAYS, optics_known), ("normal motion", normal_known)) if not known]
     if any(code.upper().removeprefix("LID-") == "E603" for code in allow):
         return Flag("E603", Evidence("missing", " and ".join(missing)), PROJECTION, CALIBRATE)
-    raise InputError(
+    raise not_tangential(missing)
+
+
+def not_tangential(missing: Sequence[str]) -> InputError:
+    """E603 as an error to raise.
+
+    Parameters
+    ----------
+    missing : sequence of str
+        What is not known.
+    """
+    return InputError(
         f"tangential motion cannot be told from the image: {PROJECTION}",
         where="tangential motion",
         found=f"not known: {' and '.join(missing)}",
