@@ -38,6 +38,7 @@ WORDS = {
     "wide": "lines of another width, left out",
     "unreadable": "lines that cannot be read, left out",
     "endless": "lines without an end, left out",
+    "unfinished": "line whose end has not come",
     "infinite": "lines with infinite numbers, taken as missing",
     "filled": "samples without data put in",
     "gaps": "gaps",

@@ -7,16 +7,22 @@ exactly.
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.errors import InputError
+
 FOLLOW = 0.05  # share of its distance to a stamp that the grid moves
 JITTER = 0.1  # steps off the grid that are counted
 LONGEST = 2000  # samples that a gap is filled with: the filter has forgotten by then, and a jump is no longer a gap
+SEEN = 40  # stamps that show at what step a stream comes
+FASTEST, SLOWEST, SPARSE = 0.75, 20.5, 1.5  # of its steps over that of the tracker; from where it is said
 REGULAR = 20  # late samples in a row, a step apart from each other, that show a clock that was put back
+log = logging.getLogger(__name__)
 
 
 class Clock:
@@ -39,15 +45,23 @@ class Clock:
         self.grid: float | None = None  # time of the last sample
         self.samples = 0
         self.again = False  # the source was opened anew and may repeat itself
+        self.first: list[float] = []  # stamps of this run, until its step is known
         self.held: list[tuple[float, NDArray[np.float64]]] = []  # late ones that may be a clock put back
         self.counts: Counter[str] = Counter()
 
     def place(self, stamps: NDArray | None, values: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Times (samples,) and values (samples, sensors) of rows, NaN where there are no data."""
+        """Times (samples,) and values (samples, sensors) of rows, NaN where there are no data.
+
+        Raises
+        ------
+        InputError
+            A stream that comes at another step than the tracker's, or whose stamps do not rise.
+        """
         if stamps is None:
             times = np.asarray((self.samples + np.arange(len(values))) * self.dt, float)
             self.samples += len(values)
             return times, values
+        self._look(stamps)
         empty = len(values)
         self._times: list[float] = []
         self._rows: list[int] = []  # of the values; -1 without data, -2 and on those that were held
@@ -76,6 +90,27 @@ class Clock:
         self.grid, self.samples = tree["grid"], int(tree["samples"])
         self.held = [(t, np.array(row, float)) for t, row in tree["held"]]
         self.counts = Counter(tree["counts"])
+
+    def _look(self, stamps: NDArray) -> None:
+        """At what step the stream comes, once in a run."""
+        if len(self.first) > SEEN:
+            return
+        self.first += stamps[: SEEN + 1 - len(self.first)].tolist()
+        if len(self.first) <= SEEN:
+            return
+        step = float(np.median(np.diff(self.first)))
+        if FASTEST <= step / self.dt <= SLOWEST:
+            if step > SPARSE * self.dt:
+                log.warning("a sample comes every %.4g s and the tracker's step is %.4g s: the steps between are "
+                            "samples without data", step, self.dt)  # fmt: skip
+            return
+        turned = step <= 0
+        raise InputError(
+            "the time stamps do not rise" if turned else "the stream comes at another step than the tracker's",
+            where="time stamps", found=f"a step of {step:.6g} s (median of the first {SEEN})",
+            expected=f"{self.dt:.6g} s",
+            hint="check that the column of time is in seconds" + ("" if turned else "; or fit a tracker to this step"),
+        )  # fmt: skip
 
     # -- one row ----------------------------------------------------------------------------------------------------
     def _one(self, t: float, k: int, values: NDArray) -> None:

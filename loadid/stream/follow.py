@@ -110,8 +110,6 @@ class _Run:
         stream: dict[str, Any] | None,
     ) -> None:  # fmt: skip
         self.tracker, self.state, self.resumed, self.name = tracker, state, stream is not None, source
-        if state is not None:
-            _swept(Path(state))
         f = tracker.fitted
         before = stream or {}
         layout = before.get("layout")
@@ -136,10 +134,12 @@ class _Run:
             *(f"std of {c.label} [{c.unit}]" for c in f.loads),
         ]
         try:
-            self.output = Output(out, ",".join(head), before.get("output"))
+            self.output = Output(out, head, before.get("output"))
         except BaseException:
             self.source.close()
             raise
+        if state is not None:
+            _swept(Path(state))  # now that no other run is known to write it
 
     def go(self, every: int, idle: float | None, stop: threading.Event, watch: Watch) -> Followed:
         begun = told = last = time.monotonic()
@@ -161,7 +161,8 @@ class _Run:
                 self.save()
                 fresh, told = 0, now
         self.save()
-        return Followed(samples, time.monotonic() - begun, self.resumed, ended, self.counts, self.tracker.phase)
+        counts = self.counts | ({"unfinished": 1} if self.lines.rest.strip() else {})
+        return Followed(samples, time.monotonic() - begun, self.resumed, ended, counts, self.tracker.phase)
 
     def close(self) -> None:
         self.source.close()

@@ -5,10 +5,12 @@ A row does not depend on the pieces in which its bytes come. What cannot be read
 
 from __future__ import annotations
 
+import csv
 import io
 import re
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +21,7 @@ from structures.channels import ARBITRARY, Channel
 from structures.errors import InputError
 
 LARGEST = 1e100  # of a reading: its square must stay a number
+HOPELESS = 50  # lines, none of which can be read, after which nothing better is expected
 LONGEST = 1 << 16  # bytes of a line; what is longer has lost its end
 TIME = ("t", "time", "zeit", "timestamp", "seconds")
 MISSING = ("", "nan", "na", "null", "none", "-")
@@ -78,6 +81,7 @@ class Lines:
         self.rest = b""
         self.skipping = False  # inside a line that is too long
         self.before: Layout | None = None  # of the file before
+        self.example = b""  # first line that cannot be read
         self.counts: Counter[str] = Counter()
 
     def push(self, data: bytes) -> tuple[NDArray[np.float64] | None, NDArray[np.float64]]:
@@ -86,7 +90,7 @@ class Lines:
         Raises
         ------
         InputError
-            A header that lacks a sensor, or a first line of a width that fits no layout.
+            A header that lacks a sensor, a first line of a width that fits no layout, lines none of which can be read.
         """
         lines = [line for line in self._whole(data) if line.strip() and not line.lstrip().startswith(b"#")]
         if lines and self.layout is None:
@@ -94,7 +98,9 @@ class Lines:
         if not lines or self.layout is None:
             stamped = self.layout is not None and self.layout.time is not None
             return np.empty(0) if stamped else None, np.empty((0, len(self.sensors)))
-        return self._parted(self._table(lines))
+        parted = self._parted(self._table(lines))
+        self._require_any()
+        return parted
 
     def another(self) -> None:
         """The bytes that follow are those of another file or connection, which may begin with a header."""
@@ -114,6 +120,14 @@ class Lines:
             self.skipping, self.rest = True, b""
         self.counts["endless"] += len(lines) - len(kept) + (self.skipping and bool(data))
         return kept
+
+    def _require_any(self) -> None:
+        c = self.counts
+        if c["lines"] >= HOPELESS and c["wide"] + c["unreadable"] >= c["lines"]:
+            assert self.layout is not None
+            raise InputError("no line of the stream can be read", where="stream", found=printable(self.example),
+                             expected=f"{self.layout.width} numbers with a comma, semicolon or tab between them",
+                             hint="time stamps are seconds, as 12.345; name the columns in the first line")  # fmt: skip
 
     # -- the first line ---------------------------------------------------------------------------------------------
     def _begun(self, lines: list[bytes]) -> list[bytes]:
@@ -143,10 +157,13 @@ class Lines:
         """Numbers (lines, width): those of a good block at once, else line by line; a bad line is NaN throughout."""
         assert self.layout is not None
         self.counts["lines"] += len(lines)
-        width = self.layout.width
-        if b"," in lines[0] or width == 1:
+        width, mark = self.layout.width, _separator(lines[0])
+        if mark != b" " or width == 1:
+            data = b"\n".join(lines)
+            if mark != b",":
+                data = data.replace(b",", b".")  # decimal comma
             try:
-                table = np.loadtxt(io.BytesIO(b"\n".join(lines)), delimiter=",", comments=None, ndmin=2)
+                table = np.loadtxt(io.BytesIO(data), delimiter=mark.decode(), comments=None, ndmin=2)
             except ValueError:
                 table = np.empty((0, 0))
             if table.shape == (len(lines), width):
@@ -160,6 +177,8 @@ class Lines:
                 self.counts["unreadable"] += 1
             else:
                 table[k] = numbers
+                continue
+            self.example = self.example or line
         return table
 
     def _parted(self, table: NDArray) -> tuple[NDArray | None, NDArray]:
@@ -178,6 +197,7 @@ class Lines:
         if not good.all():
             bad = np.isnan(table).all(axis=1)
             self.counts["unreadable"] += int(np.sum(~good & ~bad))
+            self.example = self.example or b"a line without its time stamp"
         return t[good], values[good]  # one without its stamp is a gap, which the next stamp tells
 
 
@@ -195,7 +215,7 @@ def header(cells: Sequence[str], sensors: Sequence[Channel]) -> Layout:
     lost = [c.label for c in sensors if names.count(c.label) != 1]
     if lost:
         raise InputError("a sensor is not in the header of the stream, or twice", where=f"channel {lost[0]}",
-                         found=", ".join(names), expected=", ".join(c.label for c in sensors),
+                         found=printable(", ".join(names)), expected=", ".join(c.label for c in sensors),
                          hint="name the columns as the sensors of the model")  # fmt: skip
     columns = tuple(names.index(c.label) for c in sensors)
     times = [k for k, name in enumerate(names) if name.lower() in TIME and k not in columns]
@@ -215,13 +235,26 @@ def _factor(unit: str | None, sensor: Channel) -> float:
     return float(found.factor)
 
 
+def printable(text: str | bytes, most: int = 200) -> str:
+    """Text of a stranger that does a terminal no harm."""
+    words = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
+    words = "".join(c if c.isprintable() else "?" for c in words[: most + 1])
+    return words if len(words) <= most else words[:most] + " ..."
+
+
+def _separator(line: bytes) -> bytes:
+    """What stands between numbers; where it is no comma, a comma is a decimal one."""
+    return next((mark for mark in (b";", b"\t", b",") if mark in line), b" ")
+
+
 def _cells(line: bytes) -> list[str]:
-    text = line.decode("utf-8", "replace").strip()
-    if "," in text:
-        return [c.strip() for c in text.split(",")]
-    if ";" in text or "\t" in text:
-        return [c.strip() for c in re.split(r"[;\t]", text)]
-    return text.split()
+    text, mark = line.decode("utf-8-sig", "replace").strip(), _separator(line).decode()
+    if mark == " ":
+        return text.split()
+    if '"' in text:
+        with suppress(csv.Error, StopIteration):
+            return [c.strip() for c in next(csv.reader([text], delimiter=mark, skipinitialspace=True))]
+    return [c.strip() for c in text.split(mark)]
 
 
 def _number(cell: str) -> float | None:
@@ -229,6 +262,6 @@ def _number(cell: str) -> float | None:
     if cell.lower() in MISSING:
         return float("nan")
     try:
-        return float(cell)
+        return float(cell.replace(",", "."))
     except ValueError:
         return None

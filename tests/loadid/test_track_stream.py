@@ -261,12 +261,12 @@ def test_sources_that_are_not_there_are_named(tmp_path):
 # -- output and pictures ----------------------------------------------------------------------------------------------
 def test_an_output_is_cut_back_to_its_checkpoint_and_a_changed_one_refused(tmp_path):
     path = str(tmp_path / "out.csv")
-    output, one = Output(path, "t,p,s"), np.ones((1, 1))
+    output, one = Output(path, ["t", "p", "s"]), np.ones((1, 1))
     output.write(np.array([0.1]), 2 * one, one / 3)
     place = output.place()
     output.write(np.array([0.2]), one, one)
     output.close()
-    again = Output(path, "t,p,s", place)
+    again = Output(path, ["t", "p", "s"], place)
     again.write(np.array([0.3]), one, one)
     assert again.place()["at"] == os.path.getsize(path)
     again.close()
@@ -275,11 +275,11 @@ def test_an_output_is_cut_back_to_its_checkpoint_and_a_changed_one_refused(tmp_p
     for wrong in (text[:20], text.replace("2.0", "3.0")):
         (tmp_path / "out.csv").write_text(wrong)
         with pytest.raises(InputError, match="not the one"):
-            Output(path, "t,p,s", place)
+            Output(path, ["t", "p", "s"], place)
         assert (tmp_path / "out.csv").read_text() == wrong
     os.remove(path)
     with pytest.raises(InputError, match="gone"):
-        Output(path, "t,p,s", place)
+        Output(path, ["t", "p", "s"], place)
 
 
 def test_the_past_is_kept_in_bounded_memory_with_its_extremes():
