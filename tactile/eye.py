@@ -1,4 +1,4 @@
-"""The eye of a sensor: images in, apparent motion of markers in metres out, with its noise and what could not be seen."""
+"""The eye of a sensor: images in, apparent motion of markers in metres out, with its noise and what was lost."""
 
 from __future__ import annotations
 

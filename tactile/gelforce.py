@@ -1,9 +1,9 @@
 """Forces on a grid from two layers of markers in a transparent body, by one block matrix inverted globally.
 
-After K. Kamiyama, K. Vlack, T. Mizota, H. Kajimoto, N. Kawakami & S. Tachi, "Vision-based sensor for real-time measuring
-of surface traction fields", IEEE Computer Graphics and Applications 25 (2005) 68-75: point forces on a half-space move
-every marker (Boussinesq and Cerruti). The inversion couples all forces with all markers; what limits it is the
-half-space on a thin pad, so the kernels of a bonded layer stand beside them.
+After K. Kamiyama, K. Vlack, T. Mizota, H. Kajimoto, N. Kawakami & S. Tachi, "Vision-based sensor for real-time
+measuring of surface traction fields", IEEE Computer Graphics and Applications 25 (2005) 68-75: point forces on a
+half-space move every marker (Boussinesq and Cerruti). The inversion couples all forces with all markers; what limits it
+is the half-space on a thin pad, so the kernels of a bonded layer stand beside them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import positive, reals
+from structures.flags import Flag
+from structures.values import reals
 
 from .guards import closed
 from .guards import maps as guards
@@ -49,6 +50,9 @@ class GelForce(LinearSensor):
     thickness, contact_radius : float, optional
         Of the pad and of the contacts expected (m): a half-space is flagged above a/t = 0.1 (W601) and refused above
         0.3 (E602). A layer needs neither.
+    size : (a, b), optional
+        Sides of the pad (m): forces nearer to its edge than four thicknesses are flagged (W601), as neither ground
+        knows an edge.
     penalty, choice, no_pull, friction, allow
         As in `MultilayerPad`. ``choice=0`` is the pseudo-inverse of the publication, by SVD.
 
@@ -70,8 +74,9 @@ class GelForce(LinearSensor):
         axes: str = "XYZ",
         thickness: float | None = None,
         contact_radius: float | None = None,
+        size: tuple[float, float] | None = None,
         penalty: Any = "identity",
-        choice: Any = None,
+        choice: Any = "discrepancy",
         noise_source: str | None = None,
         no_pull: bool = False,
         friction: float | None = None,
@@ -84,15 +89,10 @@ class GelForce(LinearSensor):
         if seen.points.shape[1] != 3 or np.any(seen.points[:, 2] >= ground.top):
             raise InputError(
                 "markers must lie under the surface", where="GelForce, markers", found="markers on or above it",
-                expected="(N, 3) with z below the surface", hint="point forces move the point they act on without bound",
+                expected="(N, 3) with z below the surface", hint="a point force moves its own point without bound",
             )  # fmt: skip
         area = _cell(places)
-        flags = []
-        if isinstance(ground, HalfSpace) and thickness is not None and contact_radius is not None:
-            h = positive("the thickness", thickness, where="GelForce", unit="m")
-            a = positive("the contact radius", contact_radius, where="GelForce", unit="m")
-            found = closed.thin_pad(a, h, ground.nu, allow=allow)
-            flags = [] if found is None else [found]
+        flags = _valid(ground, places, thickness, contact_radius, size, allow)
         surface = np.column_stack([places, np.full(len(places), ground.top)])
 
         def transfer(points: Array, pick: Callable[[Any], Any]) -> Array:
@@ -149,6 +149,22 @@ def influence(ground: HalfSpace | Layer, points: Array, forces: Array) -> Array:
         more = unit_point(ground, np.hypot(flat[:, 0], flat[:, 1]), heights)
         blocks = blocks + matrices(more, flat[:, :2]).reshape(blocks.shape)
     return blocks.transpose(0, 2, 1, 3).reshape(3 * len(points), 3 * len(forces))
+
+
+def _valid(
+    ground: HalfSpace | Layer, places: Array, thickness: float | None, radius: float | None,
+    size: tuple[float, float] | None, allow: Sequence[str],
+) -> list[Flag]:  # fmt: skip
+    """What speaks against the kernels on this pad: a thin one, edges that are near."""
+    h = ground.h if isinstance(ground, Layer) else thickness
+    found: list[Flag | None] = []
+    if isinstance(ground, HalfSpace) and h is not None and radius is not None:
+        found.append(closed.thin_pad(radius, h, ground.nu, allow=allow))
+    if size is not None and h is not None:
+        reach = 0.0 if radius is None else radius
+        distance = float(np.min(np.asarray(size) / 2 - np.abs(places))) - reach
+        found.append(closed.near_edge(max(distance, 0.0), h))
+    return [flag for flag in found if flag is not None]
 
 
 def _grid(forces: ArrayLike) -> Array:

@@ -23,14 +23,16 @@ from structures.flags import Flag
 
 from .completion import Completion, surface_stiffness
 from .forcemap import ForceMap
+from .frame import not_built_for_depth, readings_of
 from .guards import maps as guards
+from .guards.labels import completed
 from .indenters import Indenter
 from .interpolation import Interpolation
 from .inversion import Answer, fused
 from .multilayer import observed, windows
 from .reading import DepthMap, Wrench
 from .region import RegionSolver
-from .sensor import CLEAR, TOUCH, is_image
+from .sensor import CLEAR, TOUCH
 from .surface import channels, neighbours, of_pad
 
 if TYPE_CHECKING:
@@ -129,7 +131,7 @@ class GelSlim:
             If neither markers, depth nor an indenter give the normal motion, or readings do not fit.
         """
         motion, flags = self._motion(found, depth)
-        seen = np.isfinite(motion).all(axis=1)
+        seen = np.asarray(np.isfinite(motion).all(axis=1))
         field = self._interpolation(seen)
         z, how = self._normal(motion, seen, field, depth, indenter)
         known, U, completion = self._solved(motion, seen, field, z)
@@ -156,14 +158,8 @@ class GelSlim:
 
     # -- steps --------------------------------------------------------------------------------------------------------
     def _motion(self, found: ArrayLike, depth: DepthMap | None) -> tuple[Array, list[Flag | None]]:
-        seen, flags = np.asarray(found), []
-        if is_image(seen, len(self.markers)):
-            if self.eye is None:
-                raise InputError("this sensor has no eye: it cannot read images", where="frame",
-                                 found=f"an image {seen.shape}", expected="displacements (markers, 2 or 3) in m",
-                                 hint="build it with eye=tactile.Eye(view, reference)")  # fmt: skip
-            seen, flags = self.eye.read(seen, depth)
-        return self.markers.readings(seen).reshape(len(self.markers), -1) - self._offset, flags
+        seen, flags = readings_of(found, self.markers, self.eye, depth)
+        return seen.reshape(len(self.markers), -1) - self._offset, flags
 
     def _interpolation(self, seen: NDArray[np.bool_]) -> Interpolation:
         key = seen.tobytes()
@@ -179,8 +175,7 @@ class GelSlim:
         """Normal motion at the nodes (P,), NaN where it is not given, and where it comes from."""
         if depth is not None:
             if self.depth is None:
-                raise InputError("this sensor was not built for a depth map", where="depth", found="a depth map",
-                                 expected="none", hint="build it with depth= a map of the kind it will see")  # fmt: skip
+                raise not_built_for_depth()
             z = np.full(self.pad.points, np.nan)
             z[~self.pad.edge] = self.depth.readings(depth)
             return z, "measured"
@@ -195,7 +190,9 @@ class GelSlim:
             hint="MultilayerPad inverts in-plane markers alone",
         )  # fmt: skip
 
-    def _solved(self, motion: Array, seen: NDArray, field: Interpolation, z: Array) -> tuple[NDArray, Array, Completion]:
+    def _solved(
+        self, motion: Array, seen: NDArray, field: Interpolation, z: Array
+    ) -> tuple[NDArray, Array, Completion]:
         """What is known (P, 3), its values, and the completion; nodes that an indenter would pull are let go."""
         known = np.column_stack([field.inside, field.inside, np.isfinite(z)])
         values = np.column_stack([field.W @ motion[seen, 0], field.W @ motion[seen, 1], np.where(known[:, 2], z, 0.0)])
@@ -203,7 +200,9 @@ class GelSlim:
         for _ in range(ROUNDS):
             completion = self._completion(known)
             U = values[known]
-            for _ in range(PASSES if slope is not None else 0):
+            for _ in range(PASSES):
+                if slope is None:
+                    break
                 lifted = completion.displacements(U).reshape(-1, 3)[:, 2]
                 at = self._at_markers @ lifted
                 corrected = motion[seen, :2] - slope[seen] * at[seen, None]
@@ -269,9 +268,12 @@ class GelSlim:
             order = neighbours(self.geometry["cells"], self.geometry["coordinates"])
             n = 3 * self.pad.points
             self._solver = RegionSolver(
-                self.pad.compliance / spread, np.full(n, 1e-6 * self._scale / spread), self.geometry["resultant"], order,
+                self.pad.compliance / spread,
+                np.full(n, 1e-6 * self._scale / spread),
+                self.geometry["resultant"],
+                order,
                 self.friction,
-            )  # fmt: skip
+            )
         pressure, std = -answer.load[2::3], answer.std[2::3]
         touched = (pressure > TOUCH * pressure.max()) & (pressure > CLEAR * std)
         found = self._solver.solve(completion.displacements(U) / spread, touched, wrench)
@@ -300,7 +302,7 @@ class GelSlim:
         provided = {"x": "tracked", "y": "tracked", "z": how}
         lost = int(np.sum(~seen)) * len(self.markers.axes)
         own = [
-            *self.pad.flags, *flags, stopped, guards.completed(provided),
+            *self.pad.flags, *flags, stopped, completed(provided),
             guards.lost(lost, self.markers.readings_count),
         ]  # fmt: skip
         return ForceMap(

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from loadid.families.static import StaticInversion
 
 Array = NDArray[np.float64]
+STRAY, PART = 10.0, 0.25
+NORMAL = 1.4826  # standard deviation over median absolute value of a normal law
 LARGE = 4_000_000  # entries from which the products run in single precision: 1e-6 of the load, half the memory traffic
 
 
@@ -74,7 +76,7 @@ class Inverse:
     @property
     def shape(self) -> tuple[int, int]:
         """Loads and readings."""
-        return self.matrix.shape  # type: ignore[return-value]
+        return self.matrix.shape
 
     def __call__(self, y: Array, wrench: Wrench | None = None) -> Answer:
         """Load of readings (m,) in their own units; NaN where one is lost.
@@ -94,6 +96,29 @@ class Inverse:
     def hidden(self, load: Array) -> Array:
         """What regularisation is expected to have taken from the resultant of this load (6,)."""
         return self.loss @ load
+
+    def strays(self, y: Array, markers: int, axes: int) -> NDArray[np.bool_]:
+        """Markers (markers,) whose motion contradicts what all others and the mechanics say, by far: other dots.
+
+        A marker strays where its residual is `STRAY` times the noise or the typical residual, and a good part of the
+        largest motion: errors of the model stay below the one or the other.
+        """
+        z = y / self.spread
+        lost = ~np.isfinite(z)
+        z = np.where(lost, 0.0, z)
+        rows = markers * axes
+        rest = z[:rows] - self._of_markers(rows) @ z.astype(self.matrix.dtype, copy=False)
+        rest[lost[:rows]] = 0.0
+        size = np.linalg.norm(rest.reshape(markers, axes), axis=1)
+        moved = np.linalg.norm(z[:rows].reshape(markers, axes), axis=1)
+        scale = max(1.0, NORMAL * float(np.median(size)))
+        return (size > STRAY * scale) & (size > PART * moved.max(initial=0.0))
+
+    def _of_markers(self, rows: int) -> NDArray:
+        """Rows of the influence matrix that are markers, in the precision of the products."""
+        if "_marked" not in self.__dict__:
+            object.__setattr__(self, "_marked", np.ascontiguousarray(self.influence[:rows], self.matrix.dtype))
+        return self.__dict__["_marked"]
 
     def _times(self, z: Array) -> Array:
         return np.asarray(self.matrix @ z.astype(self.matrix.dtype, copy=False), float)
@@ -164,4 +189,3 @@ def prepare(family: StaticInversion, resultant: Array, lam: float, rule: str = "
         scale=float(base.scale),
         rule=rule,
     )
-

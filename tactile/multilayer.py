@@ -80,7 +80,7 @@ class MultilayerPad(LinearSensor):
         depth_width: float | None = None,
         slope: ArrayLike | None = None,
         penalty: Any = "identity",
-        choice: Any = None,
+        choice: Any = "discrepancy",
         noise_source: str | None = None,
         no_pull: bool = False,
         friction: float | None = None,

@@ -18,7 +18,9 @@ from structures.errors import InputError
 from structures.flags import Flag
 
 from .forcemap import ForceMap
+from .frame import not_built_for_depth, readings_of
 from .guards import maps as guards
+from .guards.labels import completed
 from .inversion import Inverse, prepare
 from .observation import Depths, Markers, stacked
 from .reading import DepthMap, Wrench
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 TOUCH = 0.05  # of the peak pressure of the unconstrained map: where the constrained one looks for contact
 CLEAR = 2.0  # stds of the unconstrained map
+MANY = 12  # markers from which one can be told to contradict the others
+ROUNDS = 4  # of leaving such markers out
 
 
 class PadModel(MatrixModel):
@@ -71,7 +75,7 @@ class LinearSensor:
         basis: Any = None,
         depth: Depths | None = None,
         penalty: Any = "identity",
-        choice: Any = None,
+        choice: Any = "discrepancy",
         noise_source: str | None = None,
         no_pull: bool = False,
         friction: float | None = None,
@@ -201,21 +205,13 @@ class LinearSensor:
     # -- readings -----------------------------------------------------------------------------------------------------
     def _readings(self, found: ArrayLike, depth: DepthMap | None) -> tuple[Array, list[Flag | None]]:
         """Readings in the order of the model, NaN where there is none, and what was found on the way."""
-        flags: list[Flag | None] = []
-        seen = np.asarray(found)
-        if is_image(seen, len(self.markers)):
-            if self.eye is None:
-                raise InputError("this sensor has no eye: it cannot read images", where="frame",
-                                 found=f"an image {seen.shape}", expected="displacements (markers, 2 or 3) in m",
-                                 hint="build it with eye=tactile.Eye(view, reference)")  # fmt: skip
-            seen, flags = self.eye.read(seen, depth)
-        parts = [self.markers.readings(seen)]
+        seen, flags = readings_of(found, self.markers, self.eye, depth)
+        parts = [seen]
         if self.depth is not None:
             rows = len(self.depth.points)
             parts.append(np.full(rows, np.nan) if depth is None else self.depth.readings(depth))
         elif depth is not None and self.eye is None:
-            raise InputError("this sensor was not built for a depth map", where="depth", found="a depth map",
-                             expected="none", hint="build it with depth= a map of the kind it will see")  # fmt: skip
+            raise not_built_for_depth()
         return np.concatenate(parts) - self._offset, flags
 
     # -- the quick way ------------------------------------------------------------------------------------------------
@@ -237,7 +233,7 @@ class LinearSensor:
         count = self.markers.readings_count
         depths = self.depth is None or bool(np.isfinite(y[count:]).any())
         inverse = self._frozen(depths)
-        used = y if depths else y[:count]
+        used, strays = self._without_strays(inverse, y if depths else y[:count])
         answer = inverse(used, None if self.constrained else wrench)
         load, std, covariance, solver = answer.load, answer.std, answer.wrench, "frozen inverse"
         if self.constrained:
@@ -253,11 +249,27 @@ class LinearSensor:
             "m": len(used) - lost,
             "n": len(load),
             "lost": lost,
+            "strays": strays,
             "lambda": inverse.lam,
             "lambda_rule": inverse.rule,
             "provided": self.provided(depths and self.depth is not None),
         }
         return self._map(load, std, covariance, facts, flags, response=None)
+
+    def _without_strays(self, inverse: Inverse, y: Array) -> tuple[Array, int]:
+        """Readings without those of markers that contradict all others: a dot taken for its neighbour."""
+        count, axes = len(self.markers), len(self.markers.axes)
+        if count < MANY:
+            return y, 0
+        found = 0
+        for _ in range(ROUNDS):
+            strays = inverse.strays(y, count, axes)
+            if not strays.any():
+                break
+            found += int(strays.sum())
+            y = y.copy()
+            y[: count * axes][np.repeat(strays, axes)] = np.nan
+        return y, found
 
     @property
     def constrained(self) -> bool:
@@ -322,7 +334,7 @@ class LinearSensor:
         return self._map(found.load, found.std, covariance, facts, flags, response=found.response, found=found)
 
     def _constraints(self, wrench: Wrench | None) -> list[Any]:
-        from loadid.inverse.constraints import FrictionCone, Resultant, Bounds
+        from loadid.inverse.constraints import Bounds, FrictionCone, Resultant
 
         n = self.model.H.shape[1]
         triples = np.arange(n).reshape(-1, 3)
@@ -355,7 +367,7 @@ class LinearSensor:
         found: LoadEstimate | None = None,
     ) -> ForceMap:
         geometry = {**self.geometry, "resultant_covariance": covariance}
-        own = [*flags, guards.completed(facts["provided"]), guards.lost(facts["lost"], facts["m"] + facts["lost"])]
+        own = [*flags, completed(facts["provided"]), guards.lost(facts["lost"], facts["m"] + facts["lost"])]
         if found is not None:
             kept = {f.name: getattr(found, f.name) for f in fields(LoadEstimate)}
             named = {"labels": self._labels[0], "units": self._labels[1]}
@@ -410,13 +422,6 @@ class LinearSensor:
         return self._origin
 
 
-def is_image(found: NDArray, markers: int) -> bool:
-    """Whether an array is a picture: bytes, three axes, or more columns than a motion has."""
-    if found.dtype == np.uint8 or found.ndim == 3:
-        return True
-    return found.ndim == 2 and found.shape[1] > 3 and len(found) != markers
-
-
 def _friction(value: float | None) -> float | None:
     if value is None:
         return None
@@ -448,9 +453,9 @@ def _cut(penalty: Any, basis: Any, kept: NDArray[np.intp]) -> Any:
     """A penalty on the loads that may act."""
     from loadid.families import smoothness
 
-    if penalty is None or isinstance(penalty, str) and penalty == "identity":
+    if penalty is None or (isinstance(penalty, str) and penalty == "identity"):
         return penalty
-    L = smoothness.matrix(penalty, len(basis), basis)
+    L: Any = smoothness.matrix(penalty, len(basis), basis)
     dense = np.asarray(L.toarray() if hasattr(L, "toarray") else L)[:, kept]
     return dense[np.any(dense != 0, axis=1)]
 

@@ -1,8 +1,6 @@
-"""Guards of a force map: what was completed, what was lost, what regularisation took from its resultant."""
+"""Guards of a force map: what was lost, what regularisation took from its resultant, markers that lie too deep."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,20 +8,6 @@ from numpy.typing import NDArray
 from structures.flags import Evidence, Flag
 
 BIAS, SHARE = 0.02, 0.02
-
-
-def completed(provided: Mapping[str, str]) -> Flag | None:
-    """N606: a component of the motion was not tracked."""
-    names = [axis for axis, how in provided.items() if how == "completed"]
-    if not names:
-        return None
-    labels = ", ".join(f"u_{axis}: {how}" for axis, how in provided.items())
-    return Flag(
-        "N606",
-        Evidence("components completed", ", ".join(names)),
-        f"not every component of the motion was tracked ({labels})",
-        "measure it (a depth map), or do not validate with what completed it",
-    )
 
 
 def lost(rows: int, total: int) -> Flag | None:
