@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from structures.errors import InputError
 from tactile.plots.overlay import overlay
@@ -51,9 +52,8 @@ def test_bright_dots_are_dark_dots_of_the_negative() -> None:
     image = Scene().draw(pattern())
     dark, bright = detect(image, radius=5, pitch=PITCH), detect(255 - image, radius=5, pitch=PITCH, dark=False)
     np.testing.assert_allclose(dark.points, bright.points, atol=1e-3)
-    assert len(detect(image, radius=5, pitch=PITCH, dark=False).points) == 0 or not np.array_equal(
-        detect(image, radius=5, pitch=PITCH, dark=False).points, dark.points
-    )
+    wrong = detect(image, radius=5, pitch=PITCH, dark=False).points  # what lies between the dots, but no dot
+    assert len(wrong) == 0 or cKDTree(pattern()).query(wrong)[0].min() > 5
 
 
 @pytest.mark.parametrize("radius", [3.0, 5.0, 7.5])
