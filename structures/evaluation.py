@@ -64,7 +64,7 @@ def interpolants(structure: Structure, points: ArrayLike, *, reach: float | None
         As `motions`.
     """
     places = reals(points, where="points of a solid", hint="an array (N, 3) in m")
-    if places.ndim != 2 or places.shape[-1] != 3 or not np.all(np.isfinite(places)):
+    if places.ndim != 2 or places.shape[1:] != (3,) or not np.all(np.isfinite(places)):
         bad = np.flatnonzero(~np.isfinite(places).all(axis=1)) if places.ndim == 2 else ()
         raise InputError(
             "no points of a solid",

@@ -109,7 +109,7 @@ def _checked(nodes: Any, cells: Any, cell: Cell, where: str) -> tuple[Array, Ind
     """Nodes and cells as arrays, every index in range, every node used."""
     places = reals(nodes, where=f"{where}, nodes", hint="an array (nodes, 3) in m")
     table = np.asarray(cells)
-    if places.ndim != 2 or places.shape[1] != 3 or not np.all(np.isfinite(places)):
+    if places.ndim != 2 or places.shape[1:] != (3,) or not np.all(np.isfinite(places)):
         bad = np.flatnonzero(~np.isfinite(places).all(axis=1)) if places.ndim == 2 else ()
         raise InputError(
             "no nodes of a solid",
@@ -117,7 +117,7 @@ def _checked(nodes: Any, cells: Any, cell: Cell, where: str) -> tuple[Array, Ind
             found="NaN or infinity" if len(bad) else f"shape {places.shape}",
             expected="finite (x, y, z), shape (nodes, 3)",
         )
-    if table.ndim != 2 or table.shape[-1] != cell.nodes or table.dtype.kind not in "iu" or not len(table):
+    if table.ndim != 2 or table.shape[-1:] != (cell.nodes,) or table.dtype.kind not in "iu" or not len(table):
         raise InputError(
             f"no cells of kind {cell.name}",
             where=f"{where}, cells",

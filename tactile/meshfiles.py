@@ -79,7 +79,7 @@ def read(path: str | os.PathLike) -> MeshFile:
     Raises
     ------
     InputError
-        If the file cannot be read, is none of these, holds no solid cells, or cells of several kinds; the line is named.
+        If the file cannot be read, is none of these, holds no solid cells or several kinds of them; the line is named.
     """
     place = Path(os.fspath(path))
     if not place.is_file():

@@ -192,6 +192,19 @@ class Pad:
         mesh = placed(read(file), unit=unit, axis=axis, base=base, top=top, allow=allow)
         return cls(E=E, nu=nu, mesh=mesh, pitch=pitch, layers=layers, element=element, **settings)
 
+    @classmethod
+    def from_toml(cls, file: str | os.PathLike) -> Pad:
+        """Pad of a TOML file: `tactile.padtoml.read` says what it may hold.
+
+        Raises
+        ------
+        InputError
+            If it holds no pad; code LID-E110 for counts that no mesh has.
+        """
+        from .padtoml import read
+
+        return read(file)
+
     def _found(self, body: Body) -> tuple[Flag, ...]:
         """What the guards of mesh and material found."""
         found = [guards.modulus(self.E) if self.material == "elastomer" else None]
@@ -255,7 +268,7 @@ class Pad:
                 where="Pad, basis",
                 found=repr(self.mesh),
                 expected="hexahedra",
-                hint="Pad.from_mesh(file, pitch=) rebuilds the body from bricks; solve, transfer and compliance serve both",
+                hint="Pad.from_mesh(file, pitch=) rebuilds the body from bricks; solve and transfer serve both",
             )
         return bases.nodal(self.structure, self.surface, components=("+X", "+Y", "+Z"))
 

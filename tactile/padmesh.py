@@ -1,4 +1,4 @@
-"""A mesh turned into a pad: which face is bonded, which is pressed, its frame and unit; or rebuilt by layers of bricks."""
+"""A mesh turned into a pad: which face is bonded, which is pressed, frame and unit; or rebuilt by layers of bricks."""
 
 from __future__ import annotations
 
