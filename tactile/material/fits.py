@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from structures.errors import InputError
 from .curves import Curve, Tensile
 
 Array = NDArray[np.float64]
+DIFFERENCE, STEPS = 1e-6, 60
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,11 @@ def fit(curve: Curve, nu: float | None) -> CurveFit:
     )
 
 
+def modulus(curve: Curve, nu: float | None) -> float:
+    """Modulus of the linear law alone (Pa)."""
+    return _solved(curve, nu, bent=False)[0].E
+
+
 @dataclass(frozen=True)
 class _Solution:
     E: float
@@ -86,38 +93,78 @@ class _Solution:
 
 
 def _solved(curve: Curve, nu: float | None, *, bent: bool) -> tuple[_Solution, Array]:
-    """Least squares for (log E, contact point, bend), in units of the curve's own ranges."""
-    from scipy.optimize import least_squares
-
+    """Least squares for (log E, start of the load, bend) by Levenberg-Marquardt, in units of the curve's ranges."""
     order = np.argsort(curve.motion, kind="stable")
     x, y = curve.motion[order], curve.force[order]
     reach, top = float(np.ptp(x)), float(np.max(np.abs(y - y[0])))
-    whole = float(curve.shape(np.array([reach]), nu)[0])
-    slope = np.polyfit(x / reach, y / top, 1)[0] if top > 0 else 0.0
+    slope = np.polyfit((x - x[0]) / reach, y / top, 1)[0] if top > 0 else 0.0
     if not slope > 0.05:
         raise InputError(
             "force does not grow with the motion", where=f"{type(curve).__name__} {curve.name}".strip(),
             found=f"slope {slope:.2g} of the largest force over the range", expected="a loading curve, both positive",
             hint="depth and elongation are positive into the load; pass the loading branch alone",
         )  # fmt: skip
-
-    def force(p: Array) -> Array:
-        deep = x - x[0] - reach * p[1]
-        return np.exp(p[0]) * curve.shape(deep, nu) / whole * (1 + (p[2] if bent else 0.0) * deep / reach)
-
-    start = np.array([0.0, y[0] / top * (-1 if isinstance(curve, Tensile) else 0), 0.0])
-    count = 3 if bent else 2
-    bounds = (np.array([-5.0, -0.9, -0.95])[:count], np.array([5.0, 0.9, 20.0])[:count])
-    start = np.clip(start, [-4.0, -0.8, -0.9], [4.0, 0.8, 10.0])[:count]
-    found = least_squares(
-        lambda p: force(np.append(p, 0.0)) - y / top, start, bounds=bounds, xtol=1e-13, ftol=1e-13, gtol=1e-13
-    )
-    _, triangle = np.linalg.qr(found.jac)
-    rows = np.linalg.solve(triangle.T, np.eye(count))  # columns of R^-T: their squares sum to the variances
+    whole = float(curve.shape(np.array([reach]), nu)[0])
+    law = _Law((x - x[0]) / reach, lambda deep: curve.shape(reach * deep, nu) / whole)
+    p, J = _fitted(law, y / top, law.start(y / top), 3 if bent else 2)
+    _, triangle = np.linalg.qr(J)
+    rows = np.linalg.solve(triangle.T, np.eye(len(triangle)))  # columns of R^-T: their squares sum to the variances
     spread = np.zeros(3)
-    spread[:count] = np.sqrt(np.sum(rows**2, axis=0)) / top
-    c = float(found.x[2]) if bent else 0.0
-    return _Solution(float(np.exp(found.x[0]) * top / whole), c, spread), found.fun * top
+    spread[: len(rows)] = np.sqrt(np.sum(rows**2, axis=0)) / top
+    return _Solution(float(np.exp(p[0]) * top / whole), float(p[2]), spread), y - top * law.force(p)
+
+
+@dataclass(frozen=True)
+class _Law:
+    """Force exp(a) g(x - x0) (1 + c (x - x0)) of motion x from 0 to 1."""
+
+    x: Array
+    g: Callable[[Array], Array]
+
+    def force(self, p: Array) -> Array:
+        deep = self.x - p[1]
+        return np.exp(p[0]) * self.g(deep) * (1 + p[2] * deep)
+
+    def slopes(self, p: Array) -> Array:
+        """Derivatives by a, x0 and c."""
+        moved = np.array([0.0, DIFFERENCE, 0.0])
+        deep = self.x - p[1]
+        by_place = (self.force(p + moved) - self.force(p - moved)) / (2 * DIFFERENCE)
+        return np.stack([self.force(p), by_place, np.exp(p[0]) * self.g(deep) * deep], axis=1)
+
+    def start(self, y: Array) -> Array:
+        """The best of some places at which the load may start, with its modulus."""
+        best, found = np.inf, np.zeros(3)
+        for place in np.linspace(-0.4, 0.8, 7):
+            g = self.g(self.x - place)
+            E = float(g @ y) / float(g @ g)
+            misfit = float(np.sum((y - E * g) ** 2))
+            if E > 0 and misfit < best:
+                best, found = misfit, np.array([np.log(E), place, 0.0])
+        return found
+
+
+def _fitted(law: _Law, y: Array, p: Array, count: int) -> tuple[Array, Array]:
+    """The first `count` unknowns by damped Gauss-Newton from p, and the derivatives there."""
+    damping, misfit = 1e-6, float(np.sum((y - law.force(p)) ** 2))
+    for _ in range(STEPS):
+        J = law.slopes(p)[:, :count]
+        size = np.linalg.norm(J, axis=0)
+        A = np.concatenate([J, np.sqrt(damping) * np.diag(size)])
+        step = np.zeros(3)
+        step[:count] = np.linalg.lstsq(A, np.append(y - law.force(p), np.zeros(count)), rcond=None)[0]
+        trial = np.clip(p + step, [-np.inf, -5.0, -0.95], [np.inf, 0.95, 20.0])
+        found = float(np.sum((y - law.force(trial)) ** 2))
+        if found <= misfit:
+            settled = np.max(np.abs(trial - p)) < 1e-7
+            p, misfit, damping = trial, found, 0.1 * damping
+            if settled:
+                break
+        else:
+            damping *= 10
+            if damping > 1e9:
+                break
+    return p, law.slopes(p)[:, :count]
 
 
 def _fewer(residual: Array) -> float:

@@ -15,6 +15,7 @@ from ..guards.material import one_of_two
 from ..guards.pad import modulus
 from .curves import Curve, Indentation, Tensile
 from .fits import CurveFit, fit, poisson
+from .fits import modulus as of_curve
 from .pooled import Pooled, pool
 from .verdicts import BEND, RATE, Verdict, linearity, rate_independence
 
@@ -178,32 +179,30 @@ def _ratio(tests: Sequence[Curve], given: tuple[float, float] | None) -> _Ratio:
 def _joint(tests: Sequence[Curve], direct: Sequence[tuple[float, float]]) -> Pooled:
     """Both log E and nu from all curves at once: each curve's log E as a function of nu, by Gauss-Newton."""
     nu = float(np.clip(np.mean([v for v, _ in direct]) if direct else 0.4, 0.1, 0.48))
+    noise = [f.std / f.E for f in (fit(c, nu) for c in tests)] + [s for _, s in direct]
     found = None
     for _ in range(12):
-        here = [fit(c, nu) for c in tests]
-        slope = np.array([_sensitivity(c, nu) for c in tests])
-        value = [*np.log([f.E for f in here]), *(v - nu for v, _ in direct)]
-        std = [*(f.std / f.E for f in here), *(s for _, s in direct)]
-        first = np.r_[np.ones(len(tests)), np.zeros(len(direct))]
-        second = np.r_[-slope, np.ones(len(direct))]
+        level, slope = np.array([_of_ratio(c, nu) for c in tests]).T
         if not direct and float(np.ptp(slope)) < 1e-9:
             return Pooled(np.array([0.0, nu]), np.array([np.inf, np.inf]), 0, 1.0)
-        found = pool(value, std, np.stack([first, second], axis=1))
-        step = float(found.value[1])
-        after = float(np.clip(nu + np.clip(step, -0.15, 0.15), LOWEST, HIGHEST))
+        first = np.r_[np.ones(len(tests)), np.zeros(len(direct))]
+        second = np.r_[-slope, np.ones(len(direct))]
+        found = pool([*level, *(v - nu for v, _ in direct)], noise, np.stack([first, second], axis=1))
+        after = float(np.clip(nu + np.clip(found.value[1], -0.15, 0.15), LOWEST, HIGHEST))
         moved, nu = abs(after - nu), after
-        if moved < 1e-6:
+        if moved < 0.01 * float(found.std[1]):
             break
     assert found is not None
     return Pooled(np.array([found.value[0], nu]), found.std, found.dof, found.excess)
 
 
-def _sensitivity(curve: Curve, nu: float) -> float:
-    """Slope d log E / d nu of one curve, zero for tension."""
+def _of_ratio(curve: Curve, nu: float) -> tuple[float, float]:
+    """One curve's log E at a Poisson's ratio, and its slope over it: none for tension."""
     if isinstance(curve, Tensile):
-        return 0.0
+        return float(np.log(of_curve(curve, None))), 0.0
     low, high = max(nu - TRIAL, LOWEST), min(nu + TRIAL, HIGHEST)
-    return (np.log(fit(curve, high).E) - np.log(fit(curve, low).E)) / (high - low)
+    a, b = (float(np.log(of_curve(curve, v))) for v in (low, high))
+    return a + (b - a) * (nu - low) / (high - low), (b - a) / (high - low)
 
 
 def _sizes(tests: Sequence[Curve]) -> bool:

@@ -44,7 +44,7 @@ def flat_stiffness(layer: Layer, radius: float) -> float:
             found=f"a/h = {a / layer.h:.3g}", expected=f"at most {WIDEST:g}",
             hint="such a punch compresses the layer uniformly",
         )  # fmt: skip
-    level, _, _, _ = _solved(a / layer.h, layer.nu)
+    level = _solved((a / layer.h,), layer.nu)[0, 0]
     return float(2 * layer.E * a / (1 - layer.nu**2) * level)
 
 
@@ -63,7 +63,7 @@ def sphere_contact(layer: Layer, radius: float, contact: ArrayLike) -> tuple[Arr
             "contact radius outside what this solution resolves", where="sphere_contact, contact",
             found=f"a/h to {np.max(a) / layer.h:.3g}", expected=f"0 < a/h <= {WIDEST:g}", hint="a radius in m",
         )  # fmt: skip
-    found = np.array([_sphere(x / layer.h, layer.nu) for x in a])
+    found = _spheres(tuple((a.ravel() / layer.h).tolist()), layer.nu)
     shape = np.shape(contact)
     depth = found[:, 0] * layer.h**2 / R
     force = found[:, 1] * layer.E * layer.h**3 / R
@@ -89,7 +89,7 @@ def sphere_law(nu: float) -> Callable[[Array], Array]:
     """F R / (E h^3) of delta R / h^2: one curve for all spheres and layers of one Poisson's ratio."""
     from scipy.interpolate import CubicSpline
 
-    table = np.log([_sphere(x, nu) for x in np.geomspace(NARROWEST, WIDEST, STEPS)])
+    table = np.log(_spheres(tuple(np.geomspace(NARROWEST, WIDEST, STEPS).tolist()), nu))
     spline = CubicSpline(table[:, 0], table[:, 1])
     low, high = np.exp(table[0]), float(np.exp(table[-1, 0]))
 
@@ -108,24 +108,32 @@ def sphere_law(nu: float) -> Callable[[Array], Array]:
     return law
 
 
-def _sphere(alpha: float, nu: float) -> tuple[float, float]:
-    """Depth and force, scaled as in `sphere_law`, at contact radius over thickness `alpha`."""
-    level, bowl, level_rim, bowl_rim = _solved(alpha, nu)
+def _spheres(alphas: tuple[float, ...], nu: float) -> Array:
+    """Depth and force (n, 2), scaled as in `sphere_law`, at contact radii over thickness."""
+    level, bowl, level_rim, bowl_rim = _solved(alphas, nu).T
+    alpha = np.array(alphas)
     depth = alpha**2 * bowl_rim / level_rim
-    return depth, 2 * alpha / (1 - nu**2) * (depth * level - alpha**2 * bowl)
+    return np.stack([depth, 2 * alpha / (1 - nu**2) * (depth * level - alpha**2 * bowl)], axis=1)
 
 
-def _solved(alpha: float, nu: float) -> tuple[float, float, float, float]:
-    """Integrals over the contact, and rim values, of the solutions for the right-hand sides 1 and t^2."""
+def _solved(alphas: tuple[float, ...], nu: float) -> Array:
+    """Integrals over the contact and rim values of the solutions for the right-hand sides 1 and t^2, (n, 4)."""
     t, w = _gauss(NODES, 1.0)
-    x, v = _gauss(WAVES, END)
-    waves = np.cos(alpha * np.outer(np.append(t, 1.0), x))
-    kernel = (2 / np.pi) * alpha * (waves * (v * _excess(nu))) @ waves[:-1].T * w
+    _, v = _gauss(WAVES, END)
+    waves, scale = _cosines(alphas), (2 / np.pi) * np.array(alphas)[:, None, None]
+    kernel = scale * ((waves * (v * _excess(nu))) @ waves[:, :-1].transpose(0, 2, 1)) * w
     right = np.stack([np.ones(NODES + 1), np.append(t, 1.0) ** 2], axis=1)
-    chi = np.linalg.solve(np.eye(NODES) - kernel[:-1], right[:-1])
-    rim = right[-1] + kernel[-1] @ chi
-    area = w @ chi
-    return float(area[0]), float(area[1]), float(rim[0]), float(rim[1])
+    chi = np.linalg.solve(np.eye(NODES) - kernel[:, :-1], np.broadcast_to(right[:-1], (len(alphas), NODES, 2)))
+    rim = right[-1] + (kernel[:, -1:] @ chi)[:, 0]
+    return np.concatenate([w @ chi, rim], axis=1)
+
+
+@lru_cache(maxsize=8)
+def _cosines(alphas: tuple[float, ...]) -> Array:
+    """Waves on the Gauss points of the contact and on its rim, for each contact radius; the same for every material."""
+    t, _ = _gauss(NODES, 1.0)
+    x, _ = _gauss(WAVES, END)
+    return np.cos(np.multiply.outer(np.array(alphas), np.outer(np.append(t, 1.0), x)))
 
 
 @lru_cache(maxsize=64)

@@ -32,17 +32,17 @@ class Pooled:
 
     def half_width(self, i: int = 0, level: float = 0.95) -> float:
         """Half of the interval of coefficient i, by Student's t."""
-        from scipy.stats import norm, t
+        from scipy.special import ndtri, stdtrit
 
         q = 0.5 + level / 2
-        return float((t.ppf(q, self.dof) if self.dof > 0 else norm.ppf(q)) * self.std[i])
+        return float((stdtrit(self.dof, q) if self.dof > 0 else ndtri(q)) * self.std[i])
 
     def p_value(self, i: int) -> float:
         """Probability of a coefficient at least that large where it is zero."""
-        from scipy.stats import norm, t
+        from scipy.special import ndtr, stdtr
 
-        z = abs(float(self.value[i] / self.std[i]))
-        return float(2 * (t.sf(z, self.dof) if self.dof > 0 else norm.sf(z)))
+        z = -abs(float(self.value[i] / self.std[i]))
+        return float(2 * (stdtr(self.dof, z) if self.dof > 0 else ndtr(z)))
 
 
 def pool(values: ArrayLike, stds: ArrayLike, design: ArrayLike) -> Pooled:
