@@ -27,6 +27,7 @@ from structures.errors import InputError, NotIdentifiable
 from structures.model import Model
 from structures.values import shown
 
+from .dummy import near_rest
 from .levels import covariance_root, noise_root, offsets, spread_root
 from .matrices import Matrices, held_over
 from .model import FilterModel
@@ -67,6 +68,7 @@ def augment(
     ambient: Ambient | None = None,
     bias: ArrayLike = 0.0,
     bias_start: ArrayLike | None = None,
+    dummy: float | None = None,
 ) -> FilterModel:
     """Filter model of a structure under loads with priors.
 
@@ -96,6 +98,9 @@ def augment(
     bias_start : float or array (sensors,), optional
         Std of the offset before the first sample. A sensor with neither has no offset; one that drifts starts a
         thousand noise stds wide where nothing is said.
+    dummy : float, optional
+        Std in m within which every load is believed to leave the structure near its rest, at each sample and where it
+        acts: a prior, not data (see `dummy.near_rest`). It needs a model with modes.
 
     Returns
     -------
@@ -121,7 +126,7 @@ def augment(
     drift = offsets(bias, bias_start, np.linalg.norm(LR, axis=1), dt)
     states, carried = _start(start, structure, Hz @ Lz)
     c, n = drift.rows.shape[1], len(F) + drift.rows.shape[1]
-    return FilterModel(
+    made = FilterModel(
         F=diagonal([F, np.eye(c)]),
         LQ=diagonal([np.hstack([np.vstack([LQx, np.zeros((len(F) - nx, LQx.shape[1]))]), LQ]), drift.LQ]),
         H=np.hstack([structure.C, structure.D @ Hz, drift.rows]),
@@ -132,6 +137,10 @@ def augment(
         nx=nx,
         S=None if S is None else np.vstack([S, np.zeros((n - nx, m))]),
     )
+    if dummy is None:
+        return made
+    own, direct = structure.displaced(model)
+    return near_rest(made, np.hstack([own, direct @ Hz, np.zeros((p, c))]), dummy)
 
 
 def _start(start: Any, structure: Matrices, loads: NDArray) -> tuple[NDArray, NDArray]:

@@ -82,6 +82,30 @@ class Matrices:
         LQ = diagonal([rest, LQz])
         return F, LQ, H, L0
 
+    def displaced(self, model: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Displacements where and as the loads act, of the states (loads, nx) and of the loads (loads, loads).
+
+        Those of the modes: what the modes left out add under a static load is not among them.
+        """
+        inner = model.model if isinstance(model, MappedModel) else model
+        rates = _rates(model)
+        if rates is None:
+            raise InputError(f"{type(inner).__name__} knows no displacement at its loads", where="dummy",
+                             found="no modes", expected="a model with modes, as ForwardModel has them",
+                             hint="a displacement sensor of the model that is zero does the same")  # fmt: skip
+        omega = np.sqrt(inner.reduced.lam)
+        C = np.zeros((rates[1].shape[1], len(self.A)))
+        C[:, 2 * np.arange(len(omega))] = rates[1][1 : 2 * len(omega) : 2].T / np.where(omega > 0, omega, 1.0)
+        if self.hold != "foh":
+            return C, np.zeros((len(C), len(C)))
+        return C, C @ np.hstack([self._pushed(rates[0], b[:, None])[1] for b in rates[1].T])
+
+    def _pushed(self, A: NDArray, b: NDArray) -> tuple[NDArray, NDArray]:
+        """What a load does to the states at the end of a step (nx, 1): with its value before it, and after it."""
+        n, line = len(A), np.diag([1.0], 1)  # of the load: a value and a slope
+        held, ramp = _exponential(self.dt * np.block([[A, b, 0 * b], [np.zeros((2, n)), line]]))[:n, n:].T[:, :, None]
+        return held - ramp / self.dt, ramp / self.dt
+
     def _beside(self, prior: Prior, load: int) -> NDArray[np.float64]:
         """Root of what a load does to the states within a step beside its straight line (nx, any), in the long run.
 
@@ -92,12 +116,10 @@ class Matrices:
         if self.rates is None or not isinstance(prior, Companion):
             return np.zeros((n, 0))
         A, b, known = self.rates[0], self.rates[1][:, [load]], prior.continuous()
-        size, line = len(known.F), np.diag([1.0], 1)  # of the load: a value and a slope
-        held, ramp = _exponential(self.dt * np.block([[A, b, 0 * b], [np.zeros((2, n)), line]]))[:n, n:].T[:, :, None]
-        late = ramp / self.dt  # what the load at the end of the step has pushed
+        size, (early, late) = len(known.F), self._pushed(A, b)
         rates = np.block([[A, b @ known.H], [np.zeros((size, n)), known.F]])
         E, L = step(rates, np.vstack([np.zeros((n, known.b.shape[1])), known.b]), self.dt)
-        straight = (held - late) @ known.H + late @ known.H @ E[n:, n:]
+        straight = early @ known.H + late @ known.H @ E[n:, n:]
         return lower(L[:n] - late @ known.H @ L[n:], (E[:n, n:] - straight) @ known.L0)
 
     def jointly(self, priors: Sequence[Prior]) -> Parts:
