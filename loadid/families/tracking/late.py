@@ -64,9 +64,11 @@ class Late:
         self._open()
         root = now.model.Cp @ now.L
         cross, variance = root @ now.L.T, np.sum(root**2, axis=1)
-        last = self.forms[0] if self.forms else Delayed(*(np.zeros((0, *a.shape)) for a in (load, variance, cross)), 0)
-        self.forms = [last.moved(before.part.F, now.part.H, now.Se_root, now.K @ now.Se_root, e,
-                                 load, variance, cross, self.lag)]  # fmt: skip
+        none = np.zeros((0, *load.shape))
+        last = self.forms[0] if self.forms else Delayed(none, none, np.zeros((0, *cross.shape)), self.lag)
+        self.forms = [
+            last.moved(before.part.F, now.part.H, now.Se_root, now.K @ now.Se_root, e, load, variance, cross, self.lag)
+        ]
         return self._due(self.forms[0])
 
     def moved(self, core: SquareRoot, moves: list[Move], speaker: int) -> tuple[Array, Array]:

@@ -139,12 +139,13 @@ def carried(before: Any, after: Any, nx: int) -> NDArray[np.float64] | None:
     one, two = before.reduced, after.reduced
     k = len(one.lam)
     filtered = bool(np.any(one.corner > 0) or np.any(two.corner > 0))
-    if len(two.lam) != k or 2 * k != nx or filtered or before.natural_frequencies is None:
+    mass = after.structure.M_free
+    if len(two.lam) != k or 2 * k != nx or filtered or mass is None:
         return None
     old, new = before._shapes.phi, after._shapes.phi
     if old.shape != new.shape:
         return None
-    shapes = new.T @ (after.structure.M_free @ old)
+    shapes = new.T @ (mass @ old)
     unit = [np.where(lam > 0, np.sqrt(lam), 1.0) for lam in (one.lam, two.lam)]
     T = np.zeros((nx, nx))
     T[0::2, 0::2] = unit[1][:, None] * shapes / unit[0]

@@ -3,37 +3,30 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from structures.errors import InputError
 from structures.flags import Flag
-from structures.values import reals
 
 from ...estimate import LoadEstimate
-from ...inverse.kalman.lag import fixed_lag
 from . import blocks, recipe
 from .certificate import Certificate
-from .engine import Engine
 from .fitted import Fitted
-from .late import Late
 from .limits import inside
-from .peer import Peer
 from .replay import Replay
+from .running import ENGINES, Running
 
-__all__ = ["Fitted", "Tracker"]
+__all__ = ["ENGINES", "Fitted", "Tracker"]
 
 STATES = 4 * 2**30  # bytes of states that a smoother without a settled gain may keep
 PATH = "square-root filter, settled gain"
-ENGINES = {"own": Engine, "filterpy": Peer}
 
 
-class Tracker:
+class Tracker(Running):
     """Loads of a running structure, sample by sample.
 
     Parameters
@@ -53,20 +46,6 @@ class Tracker:
     A tracker has a state: `step` and `track` go on from the last sample. `smooth` and `reset` do not.
     """
 
-    def __init__(
-        self, fitted: Fitted, gate: float | None = None, lag: int = 0, *, replay: int | None = None,
-        engine: str = "own",
-    ) -> None:  # fmt: skip
-        self.fitted, self.gate, self.lag = fitted, gate, lag
-        self.replay, self.engine = lag if replay is None else replay, engine
-        self._p = fitted.model.p
-        self._origin: Any = None  # the model of the structure, where it is at hand
-        self.reset()
-
-    def made_of(self, model: Any) -> None:
-        """The model of the structure behind the filter, for `update_model`: a file does not hold it."""
-        self._origin = model
-
     def __repr__(self) -> str:
         f = self.fitted
         return (
@@ -84,78 +63,7 @@ class Tracker:
         """What the guards found at the fit."""
         return self.fitted.flags
 
-    @property
-    def phase(self) -> str:
-        """``"warm-up"``, ``"steady"``, ``"periodic"`` (channels of several rates) or ``"transient"``."""
-        return self._engine.phase
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """What has come, since the start.
-
-        ``samples``; channel samples ``missing``, at the end of a range among them (``saturated``), or ``gated``;
-        events of the load taken up (``steps``); times that the state was ``lost`` and found; late samples put in their
-        place (``replayed``), or come too late (``expired``).
-        """
-        found = {name: self._engine.counts[name] for name in ("samples", "missing", "gated", "steps", "lost")}
-        return found | {name: self._tally[name] for name in ("saturated", "replayed", "expired")}
-
-    def reset(self) -> None:
-        """Back before the first sample."""
-        self._tally: Counter[str] = Counter()
-        self._ring = Replay(self.replay) if self.replay else None
-        self._made()
-
-    def _made(self) -> None:
-        """Engines of the fit, before their first sample."""
-        f = self.fitted
-        self._engine: Any = Peer(f.model)
-        if self.engine == "own":
-            self._engine = Engine(f.model, f.settled, self.gate, self._width())
-        prior = f.model.Cp @ f.model.x0, np.linalg.norm(f.model.Cp @ f.model.L0, axis=1)
-        fixed = None if not self.lag or f.settled is None else fixed_lag(f.settled, self.lag)
-        self._late = Late(self.lag, fixed, *prior) if self.lag else None
-        self._bank = [(weight, Engine(model, settled, None)) for weight, model, settled in f.bank]
-
     # -- samples ----------------------------------------------------------------------------------------------------
-    def step(self, sample: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Loads and their std (loads,) after one sample (sensors,); NaN marks a channel that is missing.
-
-        With a lag they are those of so many samples ago: before the first one, what the prior says.
-
-        Raises
-        ------
-        InputError
-            A sample of another width, or infinite.
-        """
-        if self.fitted.limits is not None:
-            sample = self._believable(sample)
-        if self._ring is None:
-            return self._one(sample)
-        if self._ring.count % self.replay == 0 or not self._ring.anchors:
-            self._ring.anchor(self._changing())
-        answer = self._one(sample)
-        self._ring.push(np.asarray(sample, float)[None])
-        return answer
-
-    def _one(self, sample: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        if self._late is not None:
-            given = self._engine.core.sample(
-                reals(sample, where="sample", what="a sample that is no row of real numbers")
-            )
-            load, std = np.empty((1, self._p)), np.empty((1, self._p))
-            self._engine.block(given[None], load, std, late=self._late)
-            return load[0], std[0]
-        steady = self._engine.phase == "steady"
-        load, std = self._engine.step(sample)
-        if not self._bank:
-            return load, std
-        quick = steady and self._engine.phase == "steady"
-        taken = sample if quick else self._engine.taken  # what was kept out is kept out of all models
-        between = np.zeros(self._p)
-        for weight, engine in self._bank:
-            between += weight * (engine.step(taken)[0] - load) ** 2
-        return load, np.sqrt(std**2 + between)
 
     def track(
         self, block: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None
@@ -187,104 +95,6 @@ class Tracker:
                                    first - self.lag + skip, f"{PATH}, {self.lag} samples late")  # fmt: skip
         Y, path = inside(Y, self.fitted.limits), PATH if self.engine == "own" else "filterpy, full covariance"
         return blocks.estimate(self.fitted, self.counts, load, std, Y, e * self._spread(), inputs, first, path)
-
-    def run(self, Y: NDArray, progress: Callable[[float, str], None] | None = None) -> tuple[NDArray, NDArray, NDArray]:
-        """Loads and std (samples, loads), normalised innovations (samples, sensors) of bare numbers."""
-        load, std, e = np.empty((len(Y), self._p)), np.empty((len(Y), self._p)), np.full(Y.shape, np.nan)
-        if self.fitted.limits is not None:
-            Y = self._believable(Y)
-        if self._ring is None:
-            self._run(Y, load, std, e, progress)
-            return load, std, e
-        cuts = self._ring.cuts(len(Y))
-        for start, stop in zip([0, *cuts], cuts, strict=False):
-            part = slice(start, stop)
-            if start in cuts:
-                self._ring.anchor(self._changing())
-            self._run(Y[part], load[part], std[part], e[part], progress)
-            self._ring.push(Y[part])
-        return load, std, e
-
-    def _run(
-        self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray, progress: Callable[[float, str], None] | None
-    ) -> None:
-        """Fill loads, std and innovations of a block."""
-        told = progress or (lambda share, text: None)
-        size = 65_536
-        for k in range(0, len(Y), size):
-            part = slice(k, k + size)
-            taken = Y[part].copy() if self._bank else None
-            late = {} if self._late is None else {"late": self._late}
-            self._engine.block(Y[part], load[part], std[part], e[part], taken, **late)
-            if taken is not None:
-                between = np.zeros(load[part].shape)
-                other, unused = np.empty(load[part].shape), np.empty(load[part].shape)
-                for weight, engine in self._bank:
-                    engine.block(taken, other, unused)
-                    between += weight * (other - load[part]) ** 2
-                std[part] = np.sqrt(std[part] ** 2 + between)
-            told(min((k + size) / len(Y), 1.0), "tracking")
-
-    def insert(self, sample: ArrayLike, ago: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """Put a sample that comes late in its place, and run the filter again from there.
-
-        What has already come of that time stays; the channels that were missing then are filled in.
-
-        Parameters
-        ----------
-        sample : array (sensors,)
-            NaN marks a channel that is still missing.
-        ago : int
-            Samples taken after it.
-
-        Returns
-        -------
-        load, std : array, shape (ago + 1, loads), or None
-            The answers from its time on, as if it had come in order (with a lag, of so many samples before); None
-            where it comes too late (`replay`), which is counted.
-
-        Raises
-        ------
-        InputError
-            A sample of another width, or infinite; `ago` is no count.
-        """
-        if isinstance(ago, bool) or not isinstance(ago, int | np.integer) or ago < 0:
-            raise InputError("no count of samples", where="ago", found=repr(ago), expected="0, 1, 2, ...")
-        row = self._engine.core.sample(sample)
-        place = None if self._ring is None else self._ring.place(int(ago))
-        if self._ring is None or place is None:
-            self._tally["expired"] += 1
-            return None
-        row = self._believable(row)
-        rows = self._ring.samples
-        rows[place] = np.where(np.isfinite(rows[place]), rows[place], row)
-        load, std = self._again(np.array(rows))
-        self._tally["replayed"] += 1
-        return load[place:], std[place:]
-
-    def _again(self, Y: NDArray) -> tuple[NDArray, NDArray]:
-        """The kept samples once more, from the older anchor on."""
-        assert self._ring is not None
-        load, std, e = np.empty((len(Y), self._p)), np.empty((len(Y), self._p)), np.full(Y.shape, np.nan)
-        marks = [k for k, _ in self._ring.anchors]
-        self._restored(self._ring.anchors[0][1])
-        anchors, ends = [], [*(k - marks[0] for k in marks), len(Y)]
-        for k, start, stop in zip(marks, ends, ends[1:], strict=False):
-            anchors.append((k, self._changing()))
-            part = slice(start, stop)
-            self._run(Y[part], load[part], std[part], e[part], None)
-        self._ring.anchors = anchors
-        return load, std
-
-    def _believable(self, Y: Any) -> Any:
-        """Samples without those at the end of the range of their sensor, which are counted."""
-        try:
-            given = np.asarray(Y, float)
-            found = inside(given, self.fitted.limits)
-        except (TypeError, ValueError):
-            return Y  # the engine says what is wrong with it
-        self._tally["saturated"] += int(np.sum(np.isnan(found)) - np.sum(np.isnan(given)))
-        return found
 
     def smooth(
         self, record: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None
@@ -325,6 +135,7 @@ class Tracker:
         return found.load, found.std, Y - found.x @ model.H.T
 
     # -- another model ----------------------------------------------------------------------------------------------
+
     def update_model(self, model: Any) -> None:
         """Go on with another model of the same sensors and loads: a stiffness that has changed, say.
 
@@ -357,6 +168,7 @@ class Tracker:
         self._ring, self._origin = Replay(self.replay) if self.replay else None, model
 
     # -- others -----------------------------------------------------------------------------------------------------
+
     def to_filterpy(self) -> Any:
         """The configured filter as ``filterpy.kalman.KalmanFilter``, before its first update.
 
@@ -408,6 +220,7 @@ class Tracker:
                                "filterpy, full covariance")  # fmt: skip
 
     # -- files ------------------------------------------------------------------------------------------------------
+
     def save(self, path: str | os.PathLike) -> None:
         """Write fit and state to a file, whole or not at all.
 
@@ -438,42 +251,3 @@ class Tracker:
         from .checkpoint import load
 
         return load(path, model)
-
-    def to_tree(self) -> dict[str, Any]:
-        """Everything that changes from sample to sample, as plain arrays and numbers."""
-        ring = None if self._ring is None else self._ring.to_tree()
-        return self._changing() | {"ring": ring, "tally": dict(self._tally)}
-
-    def restore(self, tree: dict[str, Any]) -> None:
-        """Go on from what `to_tree` gave."""
-        self._restored(tree)
-        self._tally = Counter({str(k): int(v) for k, v in tree["tally"].items()})
-        if self._ring is not None:
-            self._ring.restore(tree["ring"])
-
-    # -- inside -----------------------------------------------------------------------------------------------------
-    def _changing(self) -> dict[str, Any]:
-        """What a sample changes in the filters."""
-        return {
-            "engine": self._engine.to_tree(),
-            "bank": [engine.to_tree() for _, engine in self._bank],
-            "late": None if self._late is None else self._late.to_tree(),
-        }
-
-    def _restored(self, tree: dict[str, Any]) -> None:
-        self._engine.restore(tree["engine"])
-        for (_, engine), own in zip(self._bank, tree["bank"], strict=True):
-            engine.restore(own)
-        if self._late is not None:
-            self._late.restore(tree["late"])
-
-    def _width(self) -> NDArray[np.float64] | None:
-        """Of the gate: a model that is not exact is no reason to throw its sensors away."""
-        spread = () if self.fitted.certificate is None else self.fitted.certificate.spread
-        return np.maximum(1.0, spread) if spread else None
-
-    def _spread(self) -> NDArray[np.float64]:
-        settled = self.fitted.settled
-        if settled is not None:
-            return settled.innovation_std
-        return np.linalg.norm(self.fitted.model.LR, axis=1)

@@ -1,0 +1,276 @@
+"""What a sample is worth: wrong channels kept out, events of the load taken up, and two filters while it is in doubt.
+
+Innovations beyond the gate are wrong channels or an event: a load that the prior did not expect, or, before the filter
+has settled once, a structure that moved already (`gate.weighed`). The likelier of the two speaks, a rival filter
+follows the other, and what later samples say decides between them. One channel that no event explains is kept out
+without a rival, for as long as it is beyond and as many samples longer as it was (at most `PATIENCE`): a sensor that is
+stuck passes the right value now and then. Where half of the channels have been beyond for more than `PATIENCE` samples,
+the state is wrong and not they: it is looked for anew.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...inverse.kalman.model import FilterModel
+from ...inverse.kalman.squareroot import Innovation, SquareRoot, State
+from .gate import RARE, missed, reach, weighed
+
+GATE = 6.0  # std of an innovation beyond which a sample is looked at
+PATIENCE = 20  # samples: of good behaviour at most, until a channel is believed again; of a lost state, that it is held
+DECISIVE = 3.0  # logarithm of the odds between an event and wrong channels
+OPEN = 2.0  # of them at most, that the first sample may say: later ones decide
+
+Updated = tuple[State, Innovation]
+
+
+class Heard(NamedTuple):
+    """Normalised innovations (m,) of a sample at a settled gain."""
+
+    normalised: NDArray[np.float64]
+
+
+class Judge:
+    """A filter off the settled gain, with its doubts.
+
+    Parameters
+    ----------
+    model : FilterModel
+    gate : float or None
+        None: every finite number is believed.
+    width : array (m,), optional
+        Factor on the std of each channel's innovation, one by default.
+    """
+
+    def __init__(self, model: FilterModel, gate: float | None = GATE, width: NDArray | None = None) -> None:
+        self.model, self.gate, self.core = model, gate, SquareRoot(model)
+        self.width = np.ones(model.m) if width is None else np.asarray(width, float)
+        self.counts: Counter[str] = Counter()
+        self.state: State | None = None  # filtered; None before the first sample
+        self.said: Innovation | Heard | None = None
+        self.taken = np.zeros(model.m)  # the last sample off the settled gain: NaN where a channel was kept out
+        self.wrong = np.zeros(model.m, int)  # samples beyond the gate, of a channel that is kept out
+        self.good = np.zeros(model.m, int)  # samples within it since
+        self.rival: State | None = None  # the other of two: with the event, or without the channels that may be wrong
+        self.pair: tuple[Updated, Updated] | None = None  # both, of the last sample: with the event, and without
+        self.believing = True  # the event, until now: the rival does not
+        self.suspects = np.zeros(model.m, bool)  # channels that are wrong if there is no event
+        self.doubt, self.lean, self.age = 0.0, 0.0, 0  # odds against the event, what is too early in them, samples
+        self.events, self.out = 0, 0  # taken up by the one, channel samples kept out by the other
+        self.young = True  # never settled
+        self._moves: NDArray[np.float64] | None = None
+
+    def judge(self, y: NDArray, before: State) -> None:
+        """Take a sample up, from the prediction of the filter that speaks."""
+        if self.rival is None:
+            self._judged(y, before)
+        else:
+            self._compared(y, before, self.core.predict(self.rival))
+
+    def answer(self) -> tuple[NDArray, NDArray]:
+        """Loads and their std (p,) after it; in doubt the std of both filters together."""
+        assert self.state is not None
+        Cp = self.model.Cp
+        load, std = Cp @ self.state.x, np.linalg.norm(Cp @ self.state.L, axis=1)
+        if self.rival is None:
+            return load, std
+        odds = self.doubt - min(self.lean, 0.0)  # that no load explains a sample may be believed at once
+        other = _share(odds if self.believing else -odds)
+        return load, np.sqrt(std**2 + other * (1 - other) * (load - Cp @ self.rival.x) ** 2)
+
+    # -- inside -----------------------------------------------------------------------------------------------------
+    def _beyond(self, y: NDArray, before: State) -> tuple[NDArray, NDArray[np.bool_]]:
+        """Innovations, and which of them are beyond the gate."""
+        assert self.gate is not None
+        H = self.model.H
+        e = y - H @ before.x
+        spread = self.width * np.sqrt(np.sum((H @ before.L) ** 2, axis=1) + np.sum(self.model.LR**2, axis=1))
+        return e, np.isfinite(e) & (np.abs(e) > self.gate * spread)
+
+    def _judged(self, y: NDArray, before: State) -> None:
+        """A sample while nothing is in doubt: channels beyond the gate are wrong, or an event begins."""
+        if self.gate is None or self.state is None:
+            self._take(before, y)
+            return
+        e, beyond = self._beyond(y, before)
+        barred = self.wrong > 0
+        if not beyond.any() and not barred.any():
+            self._take(before, y)
+            return
+        fresh = beyond & ~barred
+        odds, wider, lost = np.inf, before, False
+        if fresh.any():
+            odds, wider, lost = self._event(np.where(barred, np.nan, e), before, fresh)
+        if np.isinf(odds) or (odds > DECISIVE and fresh.sum() == 1):
+            held, state_lost = self._held(y, beyond)
+            self._take(self._found(before) if state_lost else before, np.where(held, np.nan, y))
+            return
+        held, _ = self._held(y, beyond & barred)
+        y = np.where(held, np.nan, y)
+        without = np.where(fresh, np.nan, y)
+        believed, doubted = self.core.update(wider, y), self.core.update(before, without)
+        self.suspects, self.age, self.events, self.out = fresh, 0, 1, int(fresh.sum())
+        self.counts["lost"] += lost
+        self.doubt, self.lean = odds, odds - float(np.clip(odds, -OPEN, OPEN))
+        self._speak(believed, doubted, y, without, believing=odds <= DECISIVE)
+
+    def _speak(
+        self, believed: Updated, doubted: Updated, y: NDArray, without: NDArray, *,
+        believing: bool,
+    ) -> None:  # fmt: skip
+        """The likelier filter speaks; the other goes on as its rival."""
+        first, second = (believed, doubted) if believing else (doubted, believed)
+        self.pair = believed, doubted
+        self.believing, self.taken = believing, y if believing else without
+        (self.state, self.said), self.rival = first, second[0]
+
+    def _take(self, before: State, y: NDArray) -> None:
+        self.state, self.said = self.core.update(before, y)
+        self.taken, self.pair = y, None
+
+    def _event(self, e: NDArray, before: State, wrong: NDArray) -> tuple[float, State, bool]:
+        """Odds of wrong channels against an event, the prediction that expects it, and whether the state was lost."""
+        H, LR = self.model.H, self.model.LR
+        root = self.width[:, None] * np.hstack([H @ before.L, LR])
+        odds, size = weighed(e, root, H @ self.model.LQ, wrong)
+        if odds > DECISIVE and self.young:
+            ways = self._reach()
+            other, far = weighed(e, root, H @ ways, wrong)
+            if other < odds:
+                return other, wider(before, far * ways), True
+        return odds, wider(before, size * self.model.LQ), False
+
+    def _held(self, y: NDArray, beyond: NDArray) -> tuple[NDArray[np.bool_], bool]:
+        """Which channels are kept out of this sample, and whether it is the state that is wrong and not they."""
+        there = np.isfinite(y)
+        self.wrong[beyond] += 1
+        self.good = np.where(beyond, 0, self.good + (there & (self.wrong > 0)))
+        back = (self.wrong > 0) & (self.good >= np.minimum(self.wrong, PATIENCE))
+        self.wrong[back], self.good[back] = 0, 0
+        held = there & (self.wrong > 0)
+        if 2 * held.sum() >= there.sum() and self.wrong.max() > PATIENCE:
+            self.wrong[:], self.good[:] = 0, 0
+            return np.zeros_like(held), True
+        self.counts["gated"] += int(held.sum())
+        return held, False
+
+    def _found(self, before: State) -> State:
+        """A prediction as wide as the structure moves: where the state is, the sample says."""
+        self.counts["lost"] += 1
+        return wider(before, self._reach())
+
+    def _compared(self, y: NDArray, before: State, ahead: State) -> None:
+        """A sample to the filter that speaks and to its rival (`ahead`: its prediction), and what it decides."""
+        held, _ = self._held(y, self._beyond(y, before)[1] & (self.wrong > 0))
+        y = np.where(held, np.nan, y)
+        with_it, without = (before, ahead) if self.believing else (ahead, before)
+        believed, taken, own, again = self._believed(y, with_it)
+        self.events += again
+        e, wrong = self._beyond(y, without)
+        left = np.where(wrong, np.nan, y)
+        doubted = self.core.update(without, left)
+        other = doubted[1].loglik
+        if self.suspects.sum() == 1:  # one sensor that is broken stays so: the others are to judge
+            alone = np.where(self.suspects & wrong, np.nan, y)
+            own = own if np.array_equal(alone, y, equal_nan=True) else self._believed(alone, with_it)[2]
+            other += missed(e, wrong & ~self.suspects)
+        else:
+            other += missed(e, wrong)
+        self.doubt += other - own
+        self.age += 1
+        self.out += int(wrong.sum())
+        self._speak(believed, doubted, taken, left, believing=self.believing)
+        self._decide(believed, doubted, taken, left, wrong)
+
+    def _believed(self, y: NDArray, before: State) -> tuple[Updated, NDArray, float, bool]:
+        """A sample to the filter that believes: its state, what it took, the log density, whether the event goes on."""
+        e, beyond = self._beyond(y, before)
+        density, again = 0.0, False
+        if beyond.any():
+            odds, wider, _ = self._event(e, before, beyond)
+            if odds <= DECISIVE:
+                before, density, again = wider, -RARE, True
+            else:
+                y, density = np.where(beyond, np.nan, y), missed(e, beyond)
+        found = self.core.update(before, y)
+        return found, y, density + found[1].loglik, again
+
+    def _decide(
+        self, believed: Updated, doubted: Updated, y: NDArray, left: NDArray,
+        wrong: NDArray,
+    ) -> None:  # fmt: skip
+        """End the doubt where later samples have spoken, or for good."""
+        odds = self.doubt - self.lean
+        if abs(odds) <= DECISIVE and self.age < PATIENCE:
+            return
+        event = odds < 0 if abs(odds) > DECISIVE else self.believing
+        self._speak(believed, doubted, y, left, believing=event)
+        self.rival = None
+        if event:
+            self.counts["steps"] += self.events
+            return
+        self.counts["gated"] += self.out
+        self.wrong[wrong] = self.age + 1
+
+    def _reach(self) -> NDArray[np.float64]:
+        if self._moves is None:
+            self._moves = reach(self.model)
+        return self._moves
+
+    # -- the state for files ----------------------------------------------------------------------------------------
+    def judged_tree(self) -> dict[str, Any]:
+        """What a sample changes in it, as plain arrays and numbers."""
+        return {
+            "state": arrays(self.state),
+            "rival": arrays(self.rival),
+            "wrong": self.wrong.copy(),
+            "good": self.good.copy(),
+            "believing": self.believing,
+            "suspects": self.suspects,
+            "doubt": self.doubt,
+            "lean": self.lean,
+            "age": self.age,
+            "events": self.events,
+            "out": self.out,
+            "young": self.young,
+            "counts": dict(self.counts),
+        }
+
+    def restore_judged(self, tree: dict[str, Any]) -> None:
+        """Go on from what `judged_tree` gave."""
+        self.state, self.rival = state_of(tree["state"]), state_of(tree["rival"])
+        self.wrong, self.good = np.array(tree["wrong"], int), np.array(tree["good"], int)
+        self.believing, self.young = bool(tree["believing"]), bool(tree["young"])
+        self.suspects = np.array(tree["suspects"], bool)
+        self.doubt, self.lean = float(tree["doubt"]), float(tree["lean"])
+        self.age, self.events, self.out = int(tree["age"]), int(tree["events"]), int(tree["out"])
+        self.counts = Counter({str(k): int(v) for k, v in tree["counts"].items()})
+
+
+def wider(before: State, ways: NDArray) -> State:
+    """A prediction with more directions of its root."""
+    return State(before.x, np.hstack([before.L, ways]), before.y)
+
+
+def arrays(state: State | None) -> dict[str, Any] | None:
+    """A state as plain arrays."""
+    return None if state is None else {"x": state.x, "L": state.L, "y": state.y}
+
+
+def state_of(tree: dict[str, Any] | None) -> State | None:
+    """Inverse of `arrays`."""
+    if tree is None:
+        return None
+    y = tree["y"]
+    return State(
+        np.asarray(tree["x"], float), np.asarray(tree["L"], float), None if y is None else np.asarray(y, float)
+    )
+
+
+def _share(odds: float) -> float:
+    """Probability of logarithmic odds."""
+    return float(1 / (1 + np.exp(np.clip(-odds, -500, 500))))
