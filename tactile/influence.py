@@ -52,8 +52,8 @@ def influence(
 
     Notes
     -----
-    Patches: exact to rounding on a half-space, to 1e-7 of the largest entry on a layer thicker than two pitches. Hats:
-    to 1e-5 of the largest entry.
+    Patches are exact to rounding on a half-space and to 3e-7 of the largest entry on the surface of a layer, hats to
+    1e-5.
     """
     points, nodes = np.atleast_2d(reals(points, where="points")), np.atleast_2d(reals(nodes, where="nodes"))
     pitch = positive("pitch", pitch, where="influence", unit="m")
@@ -85,7 +85,9 @@ def _pairs(ground: Layer | HalfSpace, offsets: Array, z: Array, pitch: float, sh
     sunk = np.column_stack([offsets, np.minimum(z - ground.top, 0.0)])
     found = rectangle(half_space, sunk, (pitch, pitch)) if shape == "patch" else _hats(half_space, sunk, pitch)
     if isinstance(ground, Layer):
-        s, w = _rule(shape, 3 if pitch <= ground.h / 2 else 5 if pitch <= ground.h else 16)
+        # the image of the load in the base lies h + z below the point
+        share = pitch / (ground.h + float(np.min(z, initial=ground.h)))
+        s, w = _rule(shape, 3 if share <= 0.26 else 5 if share <= 0.7 else 16)
         for i, wi in zip(s, w, strict=True):
             for j, wj in zip(s, w, strict=True):
                 at = offsets - pitch * np.array([i, j])

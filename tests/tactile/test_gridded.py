@@ -143,3 +143,18 @@ def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(NotIdentifiable) as refused:
         LayerGrid(Layer(3e-3, 1e5, 0.5), (64, 64), 1e-6).tractions(np.zeros((64, 64, 3)), lam=0.0)
     assert refused.value.code == "LID-E306"
+
+
+@pytest.mark.parametrize("share", [0.1, 0.45, 1.2])
+def test_a_cell_is_the_sum_of_its_quarters(share: float) -> None:
+    """On a layer, at any pitch and next to the base too: what the short rules leave out."""
+    layer, pitch = Layer(1.0, 1.0, 0.49), share
+    x = np.linspace(0, 3, 7)
+    places = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    quarters = pitch / 4 * np.array([[1, 1], [-1, 1], [1, -1], [-1, -1]])
+    top = np.abs(influence(layer, places, [[0.0, 0.0]], pitch)).max()
+    for z in (1.0, 0.1):
+        points = np.column_stack([places, np.full(len(places), z)])
+        whole = influence(layer, points, [[0.0, 0.0]], pitch)
+        parts = influence(layer, points, quarters, pitch / 2).reshape(-1, 4, 3).sum(axis=1)
+        np.testing.assert_allclose(whole, parts, atol=3e-7 * top)
