@@ -99,10 +99,38 @@ def test_a_leap_is_said_and_stays_said() -> None:
 def test_a_dot_that_moves_unlike_its_neighbours_is_refused_and_only_it() -> None:
     rest = pattern()
     truth = rest.copy()
-    truth[[100, 333]] += [[0.48 * PITCH, 0.3 * PITCH], [-0.5 * PITCH, 0.2 * PITCH]]
+    truth[[100, 333, 402]] += PITCH * np.array([[0.48, 0.3], [-0.5, 0.2], [0.0, -0.44]])
     motion = MarkerTracker(rest).step(truth)
-    np.testing.assert_array_equal(np.flatnonzero(~motion.seen), [100, 333])
+    np.testing.assert_array_equal(np.flatnonzero(~motion.seen), [100, 333, 402])
     np.testing.assert_allclose(motion.moved[motion.seen], 0, atol=1e-12)
+
+
+def test_a_speck_that_wanders_off_is_let_go_and_no_stranger_is_taken_for_a_lost_marker() -> None:
+    rest = pattern()
+    tracker = MarkerTracker(rest)
+    seen = []
+    for k in range(1, 9):
+        truth = rest + k
+        truth[250] += [0.1 * k * PITCH, 0.02 * k * PITCH]  # never far in one frame
+        seen.append(tracker.step(truth).seen[250])
+    assert seen[:4] == [True] * 4
+    assert not any(seen[5:])
+    gone = np.delete(rest + 9, 77, axis=0)
+    assert tracker.step(gone).lost[77]
+    stranger = np.vstack([gone, rest[77] + 10 + [0.3 * PITCH, 0]])
+    assert tracker.step(stranger).rejected[77]
+    assert tracker.step(rest + 11).seen[77]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_quick_motion_that_loses_half_the_dots_swaps_none(seed: int) -> None:
+    rng, rest = np.random.default_rng(seed), pattern(seed)
+    angle = rng.uniform(0, 2 * np.pi)
+    truth = rest + 0.44 * PITCH * np.array([np.cos(angle), np.sin(angle)])
+    gone = rng.random(len(rest)) < 0.5
+    motion = MarkerTracker(rest).step(truth[~gone])
+    np.testing.assert_array_equal(motion.seen, ~gone)
+    assert swapped(motion.places, truth) == 0
 
 
 def test_an_empty_frame_loses_all_and_the_next_finds_them_again() -> None:
