@@ -157,9 +157,10 @@ def centroid_error(found: Any, truth: Any, points: ArrayLike, areas: ArrayLike |
 
 
 def spread(found: Any, truth: Any, points: ArrayLike, areas: ArrayLike | None = None) -> float | None:
-    """Rms radius of the magnitude about its own centre, over that of the truth: above 1 where the map is smeared.
+    """Rms radius of the squared magnitude about its own centre, over that of the truth: above 1 where a map is smeared.
 
-    None for an empty estimate, and for a truth at one point.
+    Squares, because a floor of noise over the whole pad would dominate the radius of the magnitude itself. None for an
+    empty estimate, and for a truth at one point.
     """
     a, b = pair(found, truth)
     known = _radius(b, points, areas)
@@ -167,8 +168,9 @@ def spread(found: Any, truth: Any, points: ArrayLike, areas: ArrayLike | None = 
 
 
 def _radius(t: Array, points: ArrayLike, areas: ArrayLike | None) -> float:
-    w = weights(areas, len(t)) * size(t)
-    away = places(points, len(t)) - centroid(t, points, areas)
+    w = weights(areas, len(t)) * (size(t) / size(t).max()) ** 2
+    x = places(points, len(t))
+    away = x - (w / w.sum()) @ x
     return float(np.sqrt(w @ np.sum(away**2, axis=1) / w.sum()))
 
 

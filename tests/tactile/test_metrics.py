@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from structures.errors import InputError
 from structures.flags import codes
 from tactile import metrics
+from tactile.layer import Layer
 from tactile.metrics.mapped import compare_resultants
+from tactile.presses import Press
 
 PITCH = 1e-3
 
@@ -203,9 +206,37 @@ def test_benchmark_of_known_sensors() -> None:
     text = table.table()
     assert text.count("per um") == 2
     assert table.plot().axes[0].get_title(loc="left").startswith("relative L2")
-    short = metrics.benchmark({"direct": lambda u: gain * u}, presses, areas=AREAS, points=POINTS, noise=(0, 1e-6))
+    short = metrics.benchmark(
+        {"direct": lambda u: SimpleNamespace(load=(gain * u).ravel())},
+        presses,
+        areas=AREAS,
+        points=POINTS,
+        noise=(0, 1e-6),
+    )
     assert short.slopes["direct"] is None
     assert "too few levels" in short.table()
+
+
+@pytest.mark.parametrize("shape", ["hat", "patch"])
+def test_cases_hold_the_force_and_the_motion_of_their_presses(shape: str) -> None:
+    layer = Layer(h=3e-3, E=0.147e6, nu=0.4)
+    pair = [
+        Press(at=(1.3e-3, 0.2e-3), radius=2e-3, force=0.5, shear=(0.2, 0)),
+        Press(at=(-4e-3, 2e-3), radius=1.2e-3, force=1),
+    ]
+    one, both = metrics.cases([pair[0], pair], layer, POINTS, POINTS, pitch=PITCH, shape=shape)
+    assert one.tractions.sum(axis=0) * PITCH**2 == pytest.approx([0.2, 0, -0.5], rel=1e-6)
+    assert both.tractions.sum(axis=0) * PITCH**2 == pytest.approx([0.2, 0, -1.5], rel=1e-6)
+    assert both.displacements == pytest.approx(sum(p.displacement(layer, POINTS) for p in pair))
+    points = Press(radius=2e-3, force=1.0).traction(POINTS).sum(axis=0)[2] * PITCH**2
+    assert points == pytest.approx(-0.87, abs=0.01)  # what values at the points would lose
+    if shape == "hat":  # against a fine sum
+        x = (np.arange(400) + 0.5) / 200 - 1
+        X, Y = np.meshgrid(x, x)
+        t = pair[0].traction(np.stack([PITCH + PITCH * X.ravel(), PITCH * Y.ravel()], axis=1))
+        expected = ((1 - np.abs(X)) * (1 - np.abs(Y))).ravel() @ t / 200**2
+        node = np.argmin(np.linalg.norm(POINTS - [PITCH, 0], axis=1))
+        assert one.tractions[node] == pytest.approx(expected, rel=2e-3)
 
 
 @pytest.mark.parametrize(
