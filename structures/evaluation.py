@@ -64,8 +64,8 @@ def interpolants(structure: Structure, points: ArrayLike, *, reach: float | None
         As `motions`.
     """
     places = reals(points, where="points of a solid", hint="an array (N, 3) in m")
-    if places.ndim != 2 or places.shape[1:] != (3,) or not np.all(np.isfinite(places)):
-        bad = np.flatnonzero(~np.isfinite(places).all(axis=1)) if places.ndim == 2 else ()
+    if places.ndim != 2 or places.shape[1] != 3 or not np.all(np.isfinite(places)):
+        bad = np.flatnonzero(~np.isfinite(places).all(axis=1)) if places.ndim == 2 else np.empty(0, int)
         raise InputError(
             "no points of a solid",
             where=f"point {bad[0]}" if len(bad) else "points",

@@ -149,17 +149,18 @@ CELLS = {cell.name: cell for cell in (HEX8, TET10)}
 
 
 # -- matrices ---------------------------------------------------------------------------------------------------------
+def determinants(cell: Cell, X: Array, xi: Array) -> Array:
+    """Jacobian determinants (F, Q) of cells with nodes at `X` (F, nodes, 3) at reference points (Q, 3)."""
+    a, b, c = (np.tensordot(X, slopes, axes=(1, 1)) for slopes in cell.slopes(xi).transpose(2, 0, 1))  # (F, 3, Q)
+    return np.asarray(np.sum(np.cross(a, b, axis=1) * c, axis=1), float)
+
+
 def gradients(cell: Cell, X: Array, xi: Array) -> tuple[Array, Array]:
     """Slopes of the functions in space (F, Q, nodes, 3), and Jacobian determinants (F, Q), at points (Q, 3)."""
     local = cell.slopes(xi)
-    J = np.einsum("qnr,fnx->fqrx", local, X)
-    det = np.linalg.det(J)
-    safe = np.where(np.abs(det) > 0, 1.0, np.nan)[..., None, None] * J
-    with np.errstate(invalid="ignore"):
-        out = np.linalg.solve(np.where(np.isfinite(safe), safe, np.eye(3)), np.broadcast_to(
-            local.transpose(0, 2, 1), (*det.shape, 3, cell.nodes)
-        ))  # fmt: skip
-    return out.swapaxes(-1, -2), det
+    J = np.einsum("qnr,fnx->fqrx", local, X, optimize=True)
+    right = np.broadcast_to(local.transpose(0, 2, 1), (*J.shape[:2], 3, cell.nodes))
+    return np.linalg.solve(J, right).swapaxes(-1, -2), np.linalg.det(J)
 
 
 def strain_matrices(g: Array) -> Array:
@@ -206,7 +207,7 @@ def stiffnesses(cell: Cell, X: Array, nu: float, *, bbar: bool) -> Array:
 def masses(cell: Cell, X: Array, rho: float) -> Array:
     """Consistent mass of one component of cells with nodes at `X` (F, nodes, 3), (F, nodes, nodes)."""
     N = cell.shape(cell.mass_points)
-    _, det = gradients(cell, X, cell.mass_points)
+    det = determinants(cell, X, cell.mass_points)
     return np.asarray(np.einsum("fq,qi,qj->fij", rho * det * cell.mass_weights, N, N, optimize=True), float)
 
 
@@ -218,7 +219,7 @@ def upright(cell: Cell, X: Array, names: Index | None = None, where: str = "mesh
     InputError
         If a Jacobian determinant is not positive at a quadrature point.
     """
-    _, det = gradients(cell, X, cell.points)
+    det = determinants(cell, X, cell.points)
     mean = np.abs(det).mean()
     bad = np.flatnonzero(np.any(~(det > 1e-9 * mean), axis=1))
     if not bad.size:

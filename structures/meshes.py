@@ -109,8 +109,8 @@ def _checked(nodes: Any, cells: Any, cell: Cell, where: str) -> tuple[Array, Ind
     """Nodes and cells as arrays, every index in range, every node used."""
     places = reals(nodes, where=f"{where}, nodes", hint="an array (nodes, 3) in m")
     table = np.asarray(cells)
-    if places.ndim != 2 or places.shape[1:] != (3,) or not np.all(np.isfinite(places)):
-        bad = np.flatnonzero(~np.isfinite(places).all(axis=1)) if places.ndim == 2 else ()
+    if places.ndim != 2 or places.shape[1] != 3 or not np.all(np.isfinite(places)):
+        bad = np.flatnonzero(~np.isfinite(places).all(axis=1)) if places.ndim == 2 else np.empty(0, int)
         raise InputError(
             "no nodes of a solid",
             where=f"{where}, nodes" + (f", node {bad[0]}" if len(bad) else ""),
