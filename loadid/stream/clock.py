@@ -19,7 +19,7 @@ from structures.errors import InputError
 FOLLOW = 0.05  # share of its distance to a stamp that the grid moves
 JITTER = 0.1  # steps off the grid that are counted
 LONGEST = 2000  # samples that a gap is filled with: the filter has forgotten by then, and a jump is no longer a gap
-SEEN = 40  # stamps that show at what step a stream comes
+FEW, SEEN = 5, 40  # stamps that show at what step a stream comes
 FASTEST, SLOWEST, SPARSE = 0.75, 20.5, 1.5  # of its steps over that of the tracker; from where it is said
 REGULAR = 20  # late samples in a row, a step apart from each other, that show a clock that was put back
 log = logging.getLogger(__name__)
@@ -96,9 +96,11 @@ class Clock:
         if len(self.first) > SEEN:
             return
         self.first += stamps[: SEEN + 1 - len(self.first)].tolist()
-        if len(self.first) <= SEEN:
+        steps = np.diff(self.first)
+        far = len(steps) >= FEW and bool(np.all(steps > SLOWEST * self.dt))  # each would be filled with thousands
+        if len(steps) < SEEN and not far:
             return
-        step = float(np.median(np.diff(self.first)))
+        step = float(np.median(steps))
         if FASTEST <= step / self.dt <= SLOWEST:
             if step > SPARSE * self.dt:
                 log.warning("a sample comes every %.4g s and the tracker's step is %.4g s: the steps between are "
@@ -107,7 +109,7 @@ class Clock:
         turned = step <= 0
         raise InputError(
             "the time stamps do not rise" if turned else "the stream comes at another step than the tracker's",
-            where="time stamps", found=f"a step of {step:.6g} s (median of the first {SEEN})",
+            where="time stamps", found=f"a step of {step:.6g} s (median of the first {len(steps)})",
             expected=f"{self.dt:.6g} s",
             hint="check that the column of time is in seconds" + ("" if turned else "; or fit a tracker to this step"),
         )  # fmt: skip

@@ -52,7 +52,7 @@ class Source(Protocol):
 
 
 def open_source(where: str, place: dict[str, Any] | None = None, fresh: Callable[[], None] | None = None) -> Source:
-    """A file, ``-`` for standard input, or ``tcp://HOST:PORT``.
+    """A file or named pipe, ``-`` for standard input, or ``tcp://HOST:PORT``.
 
     Parameters
     ----------
@@ -65,13 +65,15 @@ def open_source(where: str, place: dict[str, Any] | None = None, fresh: Callable
     Raises
     ------
     InputError
-        A file that is not there, a socket that nobody serves.
+        A file that is not there, standard input that is closed, a socket that nobody serves.
     """
     if where == "-":
-        pipe = sys.stdin.buffer.fileno()
+        pipe = _standard_input()
         return Pumped(lambda: os.read(pipe, PIECE), lambda: None)
     if where.startswith("tcp://"):
         return connected(where)
+    if _is_pipe(Path(where)):
+        return Pumped(_received(Path(where)), lambda: None)
     return GrowingFile(Path(where), place, fresh)
 
 
@@ -85,8 +87,42 @@ def require_source(where: str) -> None:
     """
     if where.startswith("tcp://"):
         _address(where)
-    elif where != "-":
+    elif where == "-":
+        _standard_input()
+    elif not _is_pipe(Path(where)):  # to open that and leave it would end its sender
         _opened(Path(where)).close()
+
+
+def _standard_input() -> int:
+    """Its descriptor.
+
+    Raises
+    ------
+    InputError
+        It is closed.
+    """
+    if sys.stdin is None:
+        raise InputError("standard input is closed", where="-", expected="lines of numbers",
+                         hint="send them through a pipe, or name a file")  # fmt: skip
+    return sys.stdin.buffer.fileno()
+
+
+def _received(path: Path) -> Callable[[], bytes]:
+    """Reads a named pipe, and lets go of it at its end."""
+    file = _opened(path)
+
+    def receive() -> bytes:
+        data = file.read(PIECE) or b""
+        if not data:
+            file.close()
+        return data
+
+    return receive
+
+
+def _is_pipe(path: Path) -> bool:
+    """Whether a name leads to a named pipe or a device: neither file nor folder."""
+    return path.exists() and not path.is_file() and not path.is_dir()
 
 
 def _opened(path: Path) -> FileIO:
