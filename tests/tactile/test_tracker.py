@@ -123,14 +123,18 @@ def test_a_speck_that_wanders_off_is_let_go_and_no_stranger_is_taken_for_a_lost_
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_quick_motion_that_loses_half_the_dots_swaps_none(seed: int) -> None:
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_quick_motion_under_a_press_swaps_none_though_half_the_dots_vanish(seed: int, share: float) -> None:
     rng, rest = np.random.default_rng(seed), pattern(seed)
     angle = rng.uniform(0, 2 * np.pi)
-    truth = rest + 0.44 * PITCH * np.array([np.cos(angle), np.sin(angle)])
-    gone = rng.random(len(rest)) < 0.5
-    motion = MarkerTracker(rest).step(truth[~gone])
-    np.testing.assert_array_equal(motion.seen, ~gone)
+    truth = pressed(rest, 6.0) + 0.44 * PITCH * np.array([np.cos(angle), np.sin(angle)])
+    gone = rng.random(len(rest)) < share
+    tracker = MarkerTracker(rest)
+    motion = tracker.step(truth[~gone])
     assert swapped(motion.places, truth) == 0
+    far = np.hypot(*(truth - rest).T) > 0.48 * tracker.pitch  # more than half a pitch is refused
+    assert motion.seen[~gone & ~far].mean() > 0.99
+    assert not motion.seen[gone].any()
 
 
 def test_an_empty_frame_loses_all_and_the_next_finds_them_again() -> None:
