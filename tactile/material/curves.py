@@ -12,9 +12,10 @@ from structures.errors import InputError
 from structures.values import positive, reals
 
 from ..layer import Layer
-from .indenters import WIDEST, flat_stiffness, sphere_law
+from .indenters import WIDEST, flat_stiffness, sphere_law, sphere_limit
 
 Array = NDArray[np.float64]
+DEEPEST = 5.5  # depth times radius of a sphere over thickness squared: contact of some 3.5 thicknesses
 FEWEST = 5  # points of a curve: modulus, offset, curvature, and something left to see the noise
 
 
@@ -118,12 +119,13 @@ class Indentation:
         if self.indenter not in ("sphere", "flat"):
             raise InputError("unknown indenter", where=f"Indentation {self.name}", found=repr(self.indenter),
                              expected='"sphere" or "flat"', hint="a flat-ended cylinder is flat")  # fmt: skip
-        reach = self.radius if self.indenter == "flat" else np.sqrt(np.ptp(self.depth) * self.radius)
-        if reach > WIDEST * self.thickness:
+        flat = self.indenter == "flat"
+        reach = self.radius / self.thickness if flat else np.ptp(self.depth) * self.radius / self.thickness**2
+        if reach > (WIDEST if flat else DEEPEST):
             raise InputError(
-                "contact too wide for this layer", where=f"Indentation {self.name}",
-                found=f"contact of about {reach / self.thickness:.3g} thicknesses", expected=f"at most {WIDEST:g}",
-                hint="depth, radius and thickness in m",
+                "contact too wide for this layer", where=f"Indentation {self.name}".strip(),
+                found=f"{'radius over thickness' if flat else 'depth times radius over thickness squared'} {reach:.3g}",
+                expected=f"at most {WIDEST if flat else DEEPEST:g}", hint="depth, radius and thickness in m",
             )  # fmt: skip
 
     @property
@@ -146,8 +148,8 @@ class Indentation:
         assert nu is not None
         if self.indenter == "flat":
             return flat_stiffness(Layer(h=self.thickness, E=1.0, nu=nu), self.radius) * motion
-        law = sphere_law(nu)
-        return law(motion * self.radius / self.thickness**2) * self.thickness**3 / self.radius
+        x = motion * self.radius / self.thickness**2  # a search may look deeper than the record: not beyond the law
+        return sphere_law(nu)(np.minimum(x, sphere_limit(nu))) * self.thickness**3 / self.radius
 
 
 Curve = Tensile | Indentation

@@ -85,6 +85,12 @@ def sphere_force(layer: Layer, radius: float, depth: ArrayLike) -> Array:
 
 
 @lru_cache(maxsize=64)
+def sphere_limit(nu: float) -> float:
+    """Largest delta R / h^2 of `sphere_law`: 6.1 for an incompressible layer, more for others."""
+    return float(_spheres((WIDEST,), nu)[0, 0])
+
+
+@lru_cache(maxsize=64)
 def sphere_law(nu: float) -> Callable[[Array], Array]:
     """F R / (E h^3) of delta R / h^2: one curve for all spheres and layers of one Poisson's ratio."""
     from scipy.interpolate import CubicSpline

@@ -303,6 +303,18 @@ def test_curves_that_are_none_are_refused(change: dict, words: str) -> None:
         material.Tensile(**settings)
 
 
+def test_a_sphere_far_too_large_for_the_layer_is_refused_and_a_large_one_is_not() -> None:
+    rng = np.random.default_rng(14)
+    large = press(0.15, 0.499, rng)
+    assert large.radius * np.ptp(large.depth) / H**2 > 5.3
+    found = material.from_tests([large], nu=0.499)
+    assert pytest.approx(E, rel=0.05) == found.E
+    with pytest.raises(InputError, match="too wide"):
+        material.Indentation(large.depth, large.force, radius=0.2, thickness=H, speed=MID)
+    with pytest.raises(InputError, match="too wide"):
+        material.Indentation(large.depth, large.force, radius=5 * H, thickness=H, speed=MID, indenter="flat")
+
+
 def test_a_curve_without_stiffness_and_no_curves_are_refused() -> None:
     x = np.linspace(0, 1e-3, 40)
     flat = material.Tensile(x, np.zeros(40), length=20e-3, area=1e-6, speed=1e-3)
