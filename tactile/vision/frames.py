@@ -40,10 +40,9 @@ class Frames:
         self, images: Iterable[Any], *, name: str = "frames", count: int | None = None, flags: Iterable[Flag] = ()
     ) -> None:
         self._images = iter(images)
-        self._name, self._size = name, None
+        self._name = name
+        self._size: tuple[int, ...] | None = None
         self.count, self.flags, self.delivered = count, tuple(flags), 0
-
-    _size: tuple[int, ...] | None
 
     def __iter__(self) -> Iterator[Grey]:
         return self

@@ -16,6 +16,7 @@ from .grey import grey
 SMALLEST, LARGEST = 1.5, 0.08  # radius in px, and as a share of the shorter side of the image
 STEPS = 1.15  # ratio of neighbouring radii that are tried
 WIDER = 1.6  # ratio of the two Gaussians whose difference is a blob detector
+WINDOW = 5.0  # pitch over radius that is taken until the pitch is known
 FINE = 6.0  # px of radius above which the image is binned before it is searched
 
 
@@ -43,7 +44,7 @@ def size_of_dots(
     r = best_radius(picture, dark=dark, backend=backend) if radius is None else positive("radius", radius, where=where)
     if pitch is not None:
         return r, positive("pitch", pitch, where=where)
-    found = Detector(r, max(5 * r, 2 * r), dark, backend=backend)(picture)
+    found = Detector(r, WINDOW * r, dark, backend=backend)(picture)
     if len(found.points) < 3:
         raise InputError(
             "no pattern of dots in the image",

@@ -160,7 +160,7 @@ class MarkerTracker:
             )
         rest = np.full_like(self._now, np.nan)
         rest[known] = sums[known] / counts[known, None]
-        self._rest = rest
+        self._rest, self._leap = rest, None  # which dot is which begins anew
         log.info("zeroed on %d of %d markers", known.sum(), len(known))
 
     def jitter(self, frames: Iterable[Any]) -> Jitter:

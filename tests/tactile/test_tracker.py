@@ -94,6 +94,8 @@ def test_a_leap_is_said_and_stays_said() -> None:
     assert "W604" in codes(tracker.step(truth).flags)
     later = tracker.step(truth)
     assert any("frame 1" in flag.message for flag in later.flags)
+    tracker.zero([truth, truth])
+    assert tracker.step(truth).flags == ()
 
 
 def test_a_dot_that_moves_unlike_its_neighbours_is_refused_and_only_it() -> None:
