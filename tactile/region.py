@@ -17,7 +17,7 @@ from loadid.inverse import activeset
 from loadid.inverse.activeset import Point
 from loadid.inverse.constraints import Constraint, FrictionCone, NonNegative, Resultant
 from loadid.inverse.feasible import Feasible, compile_
-from loadid.inverse.quadratic import Quadratic
+from loadid.inverse.quadratic import Quadratic, gram_of
 
 from .reading import Wrench
 
@@ -49,7 +49,7 @@ class _Region:
         # few unknowns, many readings: a QR leaves a square problem for all frames on this region
         self.Q, self.A = qr(np.vstack([H, np.diag(owner.prior[self.columns])]), mode="economic", check_finite=False)
         self.Q = np.asfortranarray(self.Q[: len(H)])
-        self.gram = self.A.T @ self.A
+        self.gram = gram_of(self.A)
         self.R = owner.resultant[:, self.columns] * self.flip
         self._spread: tuple[Array, Array] | None = None
         self._free: tuple[Quadratic, Feasible] | None = None
@@ -155,7 +155,7 @@ class RegionSolver:
                 feasible = region.feasible(self.friction, (rows, wrench.value))
             else:
                 soft = rows / wrench.std[:, None]
-                quadratic = Quadratic(np.vstack([region.A, soft]), feasible, region.gram + soft.T @ soft)
+                quadratic = Quadratic(np.vstack([region.A, soft]), feasible, region.gram + gram_of(soft))
                 b = np.concatenate([b, wrench.value / wrench.std])
         start = self._point
         if start is not None and (len(start.nu) != len(feasible.equal) or len(start.h) != len(region.columns)):

@@ -185,6 +185,28 @@ class LinearSensor:
         self._inverses, self._solver = {}, None
         return self.family.calibrate(whole)
 
+    def readings(self, found: ArrayLike, depth: DepthMap | None = None) -> Array:
+        """Readings (m,) of a frame in the order of ``sensor.model.sensors``, zero taken off; NaN where lost."""
+        return self._readings(found, depth)[0]
+
+    def pressed(self, y: Array) -> Pressed:
+        """Load of readings (m,) that only presses, within its friction cone if there is one, in the region of contact.
+
+        Raises
+        ------
+        InputError
+            Where lambda is not fixed.
+        """
+        inverse = self._frozen(with_depth=True)
+        answer = inverse(y)
+        return self._constrained(inverse, y, answer.load, answer.std, None)
+
+    @property
+    def E(self) -> float:
+        """Young's modulus that the sensor was built with (Pa)."""
+        body = getattr(self, "pad", None) or self.ground  # type: ignore[attr-defined]
+        return float(body.E)
+
     @property
     def frozen(self) -> bool:
         """Whether lambda is fixed: estimates are then quick, and comparable from frame to frame."""
