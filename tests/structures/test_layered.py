@@ -8,7 +8,7 @@ from structures.beams import Material
 from structures.condensation import compliance, schur
 from structures.factor import Factor
 from structures.layered import condense
-from structures.symmetry import blocks, reflections
+from structures.symmetry import SymmetricFactor, blocks, reflections
 
 GEL = Material(E=1e5, rho=1e3, nu=0.45)
 
@@ -73,6 +73,47 @@ def test_blocks_are_orthonormal_and_uncoupled():
         K[start:stop, start:stop] = 0
         start = stop
     assert np.abs(K).max() < 1e-13 * abs(structure.K_free).max()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_factors_of_the_blocks(case):
+    structure, mirrors = CASES[case]
+    rng = np.random.default_rng(0)
+    factor = SymmetricFactor(structure.K_free, reflections(structure))
+    assert len(factor._factors) == 2**mirrors
+    for B in (rng.standard_normal((structure.free.size, 3)), rng.standard_normal(structure.free.size)):
+        wanted = Factor(structure.K_free).solve(B)
+        assert np.abs(factor.solve(B) - wanted).max() < 1e-11 * np.abs(wanted).max()
+
+
+def test_a_symmetric_load_asks_for_one_block():
+    structure = block()
+    load = np.zeros(structure.n)
+    load[2::3] = 1.0
+    factor = SymmetricFactor(structure.K_free, reflections(structure))
+    found = factor.solve(load[structure.free])
+    assert [f is not None for f in factor._factors] == [True, False, False, False]
+    assert np.abs(structure.K_free @ found - load[structure.free]).max() < 1e-10
+    assert np.all(factor.solve(np.zeros(structure.free.size)) == 0)
+
+
+def test_levels_may_be_told():
+    """Curved layers have no common height."""
+    structure = block()
+    lift = np.where(structure.coordinates[:, 2] > 0, 0.3e-3 * np.cos(500 * structure.coordinates[:, 0]), 0)
+    curved = solids.mesh(
+        structure.coordinates + lift[:, None] * [0, 0, 1], _hexes(structure), material=GEL, fixed="bottom"
+    )
+    levels = np.repeat(np.arange(4), 20)
+    for told in (levels, None, levels % 2):
+        stiffness, _ = condense(curved, top(structure), told)
+        wanted = schur(curved.K_free, np.searchsorted(curved.free, top(structure)), Factor)
+        assert np.abs(stiffness - wanted).max() < 1e-11 * np.abs(wanted).max()
+
+
+def _hexes(structure):
+    i, j, k = (m.ravel() for m in np.meshgrid(*(np.arange(line.elements) for line in structure.field.lines)))
+    return structure.field.corners(i, j, k)[:, [0, 1, 3, 2, 4, 5, 7, 6]]
 
 
 def test_a_structure_without_a_mesh_is_condensed_all_the_same():

@@ -22,9 +22,9 @@ def hexes(block=BLOCK):
     return block.field.corners(i, j, k)[:, ORDER]
 
 
-def tets():
-    """A box of ten-node tetrahedra: six for each of 2 x 2 x 2 boxes (Kuhn), nodes in the middle of all sides."""
-    n = np.array([2, 2, 2])
+def tets(n=(2, 2, 2)):
+    """A box of ten-node tetrahedra: six for each of n boxes (Kuhn), nodes in the middle of all sides."""
+    n = np.array(n)
     lattice = np.array(list(np.ndindex(*(2 * n + 1))))
     number = {tuple(p): i for i, p in enumerate(lattice)}
     cells = []

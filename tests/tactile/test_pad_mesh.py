@@ -13,6 +13,7 @@ from tactile.meshfiles import elastic, read
 from tactile.pad import Pad
 from tactile.padmesh import placed
 from tests.data import measured
+from tests.structures.test_meshes import tets
 
 GEL = {"E": 147e3, "nu": 0.45}
 RECT = {**GEL, "size": (20e-3, 16e-3), "thickness": 3e-3, "pitch": 2e-3, "layers": 3}
@@ -291,22 +292,50 @@ class TestPublishedGel:
         assert np.all(base[:, 2] < 1e-9)
         assert gel.surface.area == pytest.approx(538e-6, rel=2e-3)
 
-    def test_resultant_reactions_and_bricks(self, gel):
-        """Two unlike meshes of one body under one traction."""
+    def test_rebuilt_from_bricks(self, gel):
+        """The dome and the rounded outline stay; what is pressed on it is carried by the base."""
         bricks = replace(gel, pitch=1.5e-3, layers=4)
         assert bricks.flags == ()
-        points = np.array([[0.0, 0.0], [3e-3, 0.0], [5e-3, 3e-3], [0.0, 8e-3]])
-        seen = []
-        for pad in (gel, bricks):
-            f = push(pad)
-            assert pad.reactions(f).sum(axis=0) == pytest.approx(-f.sum(axis=0), rel=1e-7)
-            seen.append(pad.transfer(points) @ f.ravel())
-            assert pad.rows(points) @ pad.solve(f) == pytest.approx(seen[-1], rel=1e-8, abs=1e-15)
-        assert seen[1] == pytest.approx(seen[0], abs=0.05 * np.abs(seen[0]).max())
+        assert bricks.surface.area == pytest.approx(gel.surface.area, rel=0.01)
+        ours, theirs = (p.surface.coordinates[:, 2].max() for p in (bricks, gel))
+        assert ours == pytest.approx(theirs, rel=0.005)
+        f = push(bricks)
+        assert bricks.reactions(f).sum(axis=0) == pytest.approx(-f.sum(axis=0), rel=1e-9)
+        assert np.all(np.isfinite(bricks.rows([[0.0, 0.0], [11e-3, 9e-3], [-12e-3, 0.0]]).toarray()))
 
     def test_no_basis_of_corner_forces(self, gel):
         with pytest.raises(InputError, match="pitch="):
             _ = gel.basis
+
+
+class TestTetrahedra:
+    """Ten-node tetrahedra: a force on a corner is a traction around it."""
+
+    @pytest.fixture
+    def pads(self, tmp_path):
+        nodes, cells = tets((5, 4, 4))
+        np.savez(tmp_path / "tets.npz", nodes=nodes, cells=cells)
+        sides = {"size": (6e-3, 4e-3), "thickness": 3e-3}
+        return Pad.from_mesh(tmp_path / "tets.npz", **GEL, unit="m"), Pad(**GEL, **sides, pitch=0.5e-3, layers=6)
+
+    def test_uniform_pressure(self, pads):
+        """Forces in proportion to the areas: the same motion as of fine bricks."""
+        points = np.array([[0.0, 0.0], [1.5e-3, 1e-3], [-2e-3, 0.5e-3]])
+        deep = []
+        for pad in pads:
+            f = np.outer(pad.surface.areas, [200.0, 0.0, -1000.0])
+            assert pad.reactions(f).sum(axis=0) == pytest.approx(-f.sum(axis=0), rel=1e-9)
+            deep.append(pad.transfer(points) @ f.ravel())
+            assert pad.rows(points) @ pad.solve(f) == pytest.approx(deep[-1], rel=1e-9)
+        assert deep[0] == pytest.approx(deep[1], abs=0.025 * np.abs(deep[1]).max())
+
+    def test_forces_come_back(self, pads):
+        pad, rng = pads[0], np.random.default_rng(0)
+        f = rng.standard_normal((pad.points, 3))
+        assert pad.forces(pad.displacements(f)) == pytest.approx(f, abs=1e-9)
+        assert pad.compliance @ f.ravel() == pytest.approx(pad.displacements(f).ravel(), abs=1e-12)
+        seen = (pad.rows(pad.nodes2d[:3]) @ pad.solve(f)).ravel()
+        assert pad.from_surface(pad.nodes2d[:3]) @ pad.displacements(f).ravel() == pytest.approx(seen, abs=1e-12)
 
 
 def test_a_file_without_a_unit_says_what_was_taken(cut, file, caplog):
