@@ -20,7 +20,7 @@ from .backend import Backend, Image, backend
 from .grey import Grey, grey
 
 BLUR = 0.8  # standard deviation of the smoothing over the radius of a dot
-COARSEST = {"parabola": 2.5, "centroid": 4.0}  # px of a radius in the binned image
+COARSEST = {"parabola": 2.5, "centroid": 3.0}  # px of a radius in the binned image
 MARGIN = 1.2  # distance to the border over the radius, below which the border cuts a dot
 THRESHOLD = 0.35  # of the usual maximum
 NOISE = 5.0  # standard deviations of the noise of the smoothed image, below which nothing is a dot
