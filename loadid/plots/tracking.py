@@ -1,15 +1,19 @@
-"""Picture of tracked loads with their bands over a whole stream."""
+"""Pictures of tracking: loads with their bands over a whole stream, the L-curve of the noise of the loads."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from .style import BLUE, INK, SKY, new_figure, text, tidy, unit
+from .style import BLUE, GREEN, GREY, INK, ORANGE, SKY, new_figure, text, tidy, unit
+
+if TYPE_CHECKING:
+    from loadid.families.tracking.sweep import QSweep
 
 
 def tracked_figure(
@@ -43,4 +47,37 @@ def tracked_figure(
     if note:
         lines = "\n".join(textwrap.wrap(note, 120))
         figure.suptitle(lines, fontsize=8, color=INK, x=0.01, ha="left")
+    return figure
+
+
+def sweep_figure(sweep: QSweep) -> Figure:
+    """L-curve of the variance of the loads, and what the innovations say of it.
+
+    Left: what the loads leave of the data against how rough they are; right: NIS per channel and the likelihood below
+    its largest, over the std of the loads.
+    """
+    figure = new_figure()
+    figure.set_size_inches(9.0, 3.8)
+    left, right = figure.subplots(1, 2)
+    left.loglog(sweep.residual, sweep.roughness, ".-", color=BLUE, lw=1.0, ms=4)
+    right.semilogx(sweep.factors, sweep.nis, ".-", color=BLUE, lw=1.0, ms=4, label="NIS per channel")
+    right.axhline(1.0, color=GREY, lw=0.8)
+    right.set_yscale("log")
+    points = {"likelihood": (sweep.likely, GREEN, "o"), "corner": (sweep.corner, ORANGE, "s")}
+    if sweep.corner is None:
+        points["one arm: alike from here on"] = (sweep.plateau, ORANGE, "s")
+    for name, (k, color, shape) in points.items():
+        if k is not None:
+            style = {"color": color, "marker": shape, "ms": 8, "mfc": "none", "mew": 1.8, "ls": "none", "label": name}
+            left.plot(sweep.residual[k], sweep.roughness[k], **style)
+            right.plot(sweep.factors[k], sweep.nis[k], **style | {"label": None})
+    lost = right.twinx()
+    lost.semilogx(sweep.factors, sweep.loglik - sweep.loglik.max(), color=INK, lw=1.0, ls="--")
+    lost.set_yscale("symlog", linthresh=10.0)
+    lost.set_ylabel("log-likelihood below its largest (dashed)")
+    left.set(xlabel="rms of what is left of the data, over noise", ylabel="rms step of the loads [of the likelihood's]")
+    right.set(xlabel="factor on the std of the loads", ylabel="NIS per channel")
+    for ax in (left, right):
+        tidy(ax)
+    left.legend(loc="best", fontsize=8, frameon=False)
     return figure

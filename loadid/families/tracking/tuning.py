@@ -100,7 +100,7 @@ def tune(
         if found.count == 0 or (wrong is not None and np.array_equal(found.mask, wrong.mask)):
             break
         wrong = found
-        likely = Likelihood(build, wrong.values, free_scale, progress, wrong.mask.any(axis=1))
+        likely = Likelihood(build, wrong.values, free_scale, progress, np.asarray(wrong.mask.any(axis=1)))
         again = likely(best.x)
         assert again is not None  # a filter exists here
         best = climb(likely, again, low, high)

@@ -87,7 +87,7 @@ class Matrices:
 
         Those of the modes: what the modes left out add under a static load is not among them.
         """
-        inner = model.model if isinstance(model, MappedModel) else model
+        inner: Any = model.model if isinstance(model, MappedModel) else model
         rates = _rates(model)
         if rates is None:
             raise InputError(f"{type(inner).__name__} knows no displacement at its loads", where="dummy",
