@@ -25,6 +25,7 @@ from .measures import (
 )
 from .resultants import ResultantErrors, resultant, resultant_errors
 from .slope import NoiseSlope, noise_slope
+from .truth import known, means
 
 __all__ = [
     "BenchmarkRow",
@@ -46,6 +47,8 @@ __all__ = [
     "dtma",
     "dtmb",
     "iou",
+    "known",
+    "means",
     "noise_slope",
     "patches",
     "peak_ratio",

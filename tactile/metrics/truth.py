@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError
 from structures.values import positive
 
-from .settled import Array
+from .settled import Array, finite
+
+if TYPE_CHECKING:
+    from loadid.validate import Known
 
 PARTS = 6  # sub-cells of a pitch along each direction; a hat is taken as constant in each
 
@@ -49,6 +54,38 @@ def means(press: Any, nodes: Array, pitch: float | tuple[float, float], shape: s
             weight = (1 - abs(x)) * (1 - abs(y)) / PARTS**2
             found[near] += weight * press.mean_tractions(_cells(nodes[near] + d * [x, y], d / PARTS))
     return found
+
+
+def known(
+    presses: Sequence[Any],
+    nodes: Array,
+    areas: ArrayLike,
+    *,
+    pitch: float | tuple[float, float],
+    source: str = "presses of known force and place",
+) -> Known:
+    """Nodal forces of known presses, as `loadid.validate` takes them: level "distribution".
+
+    A resultant alone (``loadid.validate.Wrench``) stays partial there.
+
+    Parameters
+    ----------
+    presses : sequence of Press
+        Acting together.
+    nodes : array (P, 2 or 3)
+        Places of the estimate's nodes (m).
+    areas : array (P,)
+        Their tributary areas (m^2).
+    pitch : float or (along X, along Y)
+        Distance of the nodes (m).
+    source : str
+        What the reference is, in words.
+    """
+    from loadid.validate import Known
+
+    at = finite(nodes, "nodes")[:, :2]
+    total = np.sum([means(p, at, pitch) for p in presses], axis=0) * finite(areas, "areas")[:, None]
+    return Known(total.ravel(), source=source)
 
 
 def _cells(middles: Array, d: Array) -> Array:

@@ -8,6 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from loadid import StaticInversion
+from loadid.validate import Wrench, validate
+from structures import Channel, MatrixModel
 from structures.errors import InputError
 from structures.flags import codes
 from tactile import metrics
@@ -206,13 +209,8 @@ def test_benchmark_of_known_sensors() -> None:
     text = table.table()
     assert text.count("per um") == 2
     assert table.plot().axes[0].get_title(loc="left").startswith("relative L2")
-    short = metrics.benchmark(
-        {"direct": lambda u: SimpleNamespace(load=(gain * u).ravel())},
-        presses,
-        areas=AREAS,
-        points=POINTS,
-        noise=(0, 1e-6),
-    )
+    estimate = {"direct": lambda u: SimpleNamespace(load=(gain * u).ravel())}  # as a sensor's estimate has it
+    short = metrics.benchmark(estimate, presses, areas=AREAS, points=POINTS, noise=(0, 1e-6))
     assert short.slopes["direct"] is None
     assert "too few levels" in short.table()
 
@@ -237,6 +235,28 @@ def test_cases_hold_the_force_and_the_motion_of_their_presses(shape: str) -> Non
         expected = ((1 - np.abs(X)) * (1 - np.abs(Y))).ravel() @ t / 200**2
         node = np.argmin(np.linalg.norm(POINTS - [PITCH, 0], axis=1))
         assert one.tractions[node] == pytest.approx(expected, rel=2e-3)
+
+
+def test_the_package_validates_maps_of_presses_and_calls_a_resultant_partial() -> None:
+    nodes = grid(7)
+    areas = np.full(49, PITCH**2)
+    press = Press(at=(0.4e-3, 0), radius=2e-3, force=1.0, shear=(0.3, 0.0))
+    truth = metrics.known([press], nodes, areas, pitch=PITCH)
+    channels = [[Channel(label=f"{k}{i}", quantity=q, unit=u) for i in range(147)] for k, q, u in
+                (("u", "displacement", "m"), ("f", "force", "N"))]  # fmt: skip
+    away = np.linalg.norm(nodes[:, None] - nodes, axis=2)
+    H = np.kron(1e-3 * np.exp(-away / PITCH), np.eye(3))
+    model = MatrixModel(H, sensors=channels[0], loads=channels[1])
+    noisy = H @ np.asarray(truth.values) + 1e-7 * np.random.default_rng(0).standard_normal(147)
+    found = StaticInversion(model, noise=1e-7, choice=1e-6).estimate(noisy)
+    checked = validate(found, truth)
+    assert checked.level == "distribution"
+    assert checked.agrees
+    sums = np.tile(np.eye(3), 49)
+    partial = validate(found, Wrench([0.3, 0, -1.0], std=0.01, labels=("Fx", "Fy", "Fz"), C=sums, units=("N",) * 3))
+    assert partial.partial
+    assert partial.agrees
+    assert codes(partial.flags) == {"N701"}
 
 
 @pytest.mark.parametrize(
