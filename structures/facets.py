@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from .hermite import gauss
 from .surfaces import Surface
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-_GAUSS = 1 / np.sqrt(3.0)
 # integrals over a triangle of area 1 of the quadratic functions (corners, middles of 12, 23, 31) times the linear ones
 _TRIANGLE = np.array([[2, -1, -1], [-1, 2, -1], [-1, -1, 2], [8, 8, 4], [4, 8, 8], [8, 4, 8]]) / 60
 
@@ -25,13 +25,13 @@ def flat(name: str, faces: Index, coordinates: Array) -> Surface:
         mass = np.linalg.norm(normal, axis=1)[:, None, None] * (np.ones((3, 3)) + np.eye(3)) / 12
     else:
         mass = np.zeros((len(faces), 4, 4))
-        g = 0.5 + np.array([-_GAUSS, _GAUSS]) / 2
-        for a in g:
-            for b in g:
+        points, weights = gauss(4)  # exact in the plane, and to many digits on a curved face
+        for a, wa in zip(points, weights, strict=True):
+            for b, wb in zip(points, weights, strict=True):
                 N = np.array([(1 - a) * (1 - b), a * (1 - b), a * b, (1 - a) * b])
                 u = (1 - b) * (p[:, 1] - p[:, 0]) + b * (p[:, 2] - p[:, 3])
                 v = (1 - a) * (p[:, 3] - p[:, 0]) + a * (p[:, 2] - p[:, 1])
-                mass += np.linalg.norm(np.cross(u, v), axis=1)[:, None, None] * np.outer(N, N) / 4
+                mass += wa * wb * np.linalg.norm(np.cross(u, v), axis=1)[:, None, None] * np.outer(N, N)
         normal = np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 1]) / 2
     size, corners = len(nodes), faces.shape[1]
     i, j = np.repeat(cells, corners, axis=1).ravel(), np.tile(cells, (1, corners)).ravel()

@@ -214,11 +214,17 @@ def test_consistent_loads_do_the_work_of_the_traction(name):
 
 
 def test_loads_on_its_surface():
-    mesh = solids.mesh(skewed(BLOCK.coordinates, share=0.0), hexes(), material=GEL)
+    """Nodal forces and hats on a curved face: hats carry the boundary mass."""
+    lift = np.where(BLOCK.coordinates[:, 2] > 2e-3, 40 * BLOCK.coordinates[:, 0] * BLOCK.coordinates[:, 1], 0)
+    mesh = solids.mesh(BLOCK.coordinates + lift[:, None] * [0, 0, 1], hexes(), material=GEL)
     surface = mesh.field.surface("top")
-    for basis in (bases.nodal(mesh, surface, components=("+X", "+Z")), bases.hats(mesh, region=surface)):
-        assert basis.points == len(surface.nodes)
-        assert basis.columns(mesh).shape == (mesh.n, len(basis))
+    nodal = bases.nodal(mesh, surface, components=("+X", "+Z"))
+    hats = bases.hats(mesh, region=surface, components="+Z")
+    assert nodal.points == hats.points == len(surface.nodes)
+    assert nodal.columns(mesh).sum() == pytest.approx(len(nodal))
+    found = hats.columns(mesh).toarray()[3 * surface.nodes + 2]
+    assert np.abs(found - surface.mass.toarray()).max() < 1e-6 * surface.mass.max()
+    assert surface.area > SIDES[0] * SIDES[1] * 1.001
 
 
 class TestRefusals:
