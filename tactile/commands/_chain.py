@@ -1,0 +1,261 @@
+"""From an input and a pad file to the force maps of its frames."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loadid.flags.base import collect
+from structures.errors import InputError
+from structures.flags import Flag
+
+from .. import padfile
+from ._eyes import Seen, look
+from ._inputs import DepthMaps, depth_maps
+
+if TYPE_CHECKING:
+    from ..forcemap import ForceMap
+    from ..pad import Pad
+
+Array = NDArray[np.float64]
+SENSORS = ("multilayer", "gelslim")
+STRONGEST = 3  # frames on which lambda is chosen
+RULE = "discrepancy"  # the noise is that of the unloaded sensor
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """Force maps of an input, and how they came about.
+
+    Parameters
+    ----------
+    map : ForceMap
+        (frames, 3 P).
+    pad : Pad
+    seen : Seen
+        Markers, their noise, and which frames are the rest.
+    lost : list of int
+        Markers lost in each frame.
+    lam : str
+        Lambda and its rule, in words.
+    normal : str
+        Where the normal motion comes from, in words.
+    rate : float
+        Frames a second, from image (or motion) to map; reading files is left out.
+    """
+
+    map: ForceMap
+    pad: Pad
+    seen: Seen
+    lost: list[int]
+    lam: str
+    normal: str
+    rate: float
+
+    @property
+    def strongest(self) -> int:
+        """Frame of the largest force, from 0."""
+        return int(np.argmax(np.linalg.norm(np.atleast_2d(self.map.resultant().value), axis=1)))
+
+
+def reconstruct(
+    source: str | Path,
+    pad_file: str | Path,
+    *,
+    depth: str | Path | None = None,
+    unloaded: str | None = None,
+    sensor: str = "multilayer",
+    friction: float | None = None,
+    no_pull: bool = False,
+    lam: float | None = None,
+    frames: tuple[int, int] | None = None,
+    rate: float | None = None,
+    allow: Iterable[str] = (),
+    progress: Callable[[float, str], None] | None = None,
+) -> Reconstruction:
+    """Force maps of images, or of marker motions.
+
+    Parameters
+    ----------
+    source : path
+        Folder of images, NPY or NPZ stack, video, or marker motions (CSV, NPY).
+    pad_file : path
+        As `tactile.padfile` reads it.
+    depth : path, optional
+        Depth maps, one per frame of the source.
+    unloaded : str, optional
+        Number of frames that the source begins with, or a path, of the unloaded pad.
+    sensor : {"multilayer", "gelslim"}
+    friction, no_pull, lam
+        Override those of the file.
+    frames : (first, last), optional
+        Frames to invert, from 1, both included; all are tracked up to the last.
+    rate : float, optional
+        Frames a second of the camera: the axis is then time.
+    allow : iterable of str
+        Guard codes whose refusal is overridden.
+    progress : callable, optional
+        Called as ``progress(fraction, text)``.
+
+    Raises
+    ------
+    InputError, NotIdentifiable
+        From the files, the guards, and the sensor.
+    """
+    tell = progress or (lambda fraction, text: None)
+    settings = padfile.read(pad_file)
+    codes = tuple(c.upper().removeprefix("LID-") for c in allow)
+    tell(0.02, "building the pad")
+    pad = settings.pad(allow=[c for c in codes if c[1:2] == "1"])
+    tell(0.05, "finding markers")
+    seen = look(Path(source), settings, pad, unloaded, codes)
+    maps = None if depth is None else depth_maps(Path(depth), settings.depth, settings.path).zeroed(seen.inside)
+    contact = {**settings.contact, **({"no_pull": True} if no_pull else {})}
+    contact |= {name: v for name, v in (("friction", friction), ("lam", lam)) if v is not None}
+    built, fixed = _sensor(sensor, pad, seen, maps, contact, codes)
+    tracked = _tracked(seen, maps, frames, tell)
+    words = "no lambda: F = K U is a product"
+    if sensor == "multilayer":
+        tell(0.45, "choosing lambda")
+        words = f"{fixed:g}, as stated" if fixed is not None else _choose(built, tracked, maps)
+    return _inverted(built, pad, seen, tracked, maps, words, rate, tell)
+
+
+# -- steps ------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Tracked:
+    """Motion of the frames to invert, with their numbers from 0, and the flags of each."""
+
+    numbers: list[int]
+    motions: list[Array]
+    flags: list[list[Flag | None]]
+    seconds: float
+    read: int
+
+
+def _sensor(
+    name: str, pad: Pad, seen: Seen, maps: DepthMaps | None, contact: dict[str, Any], codes: tuple[str, ...]
+) -> tuple[Any, float | None]:
+    """The sensor, and lambda where it is stated."""
+    from loadid.codes import GUARDS
+
+    given: dict[str, Any] = {
+        "markers": seen.markers, "noise": seen.noise, "axes": seen.axes, "slope": seen.slope,
+        "no_pull": contact.get("no_pull", False), "friction": contact.get("friction"),
+        "depth": None if maps is None else maps[0], "allow": [c for c in codes if c in GUARDS],
+    }  # fmt: skip
+    if name == "gelslim":
+        from ..gelslim import GelSlim
+
+        ignored = [key for key in ("lam", "penalty") if key in contact]
+        if ignored:
+            raise InputError("F = K U has no lambda and no penalty", where="--sensor gelslim", found=", ".join(ignored),
+                             expected="neither", hint="leave them out, or take --sensor multilayer")  # fmt: skip
+        return GelSlim(pad, **given), None
+    from ..multilayer import MultilayerPad
+
+    fixed = contact.get("lam")
+    source = seen.noise_words.rpartition(", ")[2].removeprefix("measured on ")
+    built = MultilayerPad(
+        pad, choice=RULE if fixed is None else float(fixed), penalty=contact.get("penalty", "identity"),
+        noise_source="stated" if source == "as stated" else source, **given,
+    )  # fmt: skip
+    return built, fixed
+
+
+def _tracked(
+    seen: Seen, maps: DepthMaps | None, wanted: tuple[int, int] | None, tell: Callable[[float, str], None]
+) -> _Tracked:
+    """Motion of all frames that are asked for."""
+    first, last = wanted or (1, seen.count or 10**9)
+    numbers, motions, flags, seconds = [], [], [], 0.0
+    read = 0
+    for k, frame in enumerate(seen.frames):
+        if k + 1 > last:
+            break
+        read += 1
+        if maps is not None and k >= len(maps):
+            raise InputError("there are fewer depth maps than frames", where=maps.name, found=len(maps),
+                             expected=f"one per frame, also of the unloaded ones: at least {k + 1}")  # fmt: skip
+        depth = None if maps is None else maps[k]
+        start = time.perf_counter()
+        motion, found = seen.read(frame, depth)
+        seconds += time.perf_counter() - start
+        if k + 1 >= first:
+            numbers.append(k)
+            motions.append(motion)
+            flags.append(list(found))
+        tell(0.1 + 0.35 * min(1.0, (k + 1) / (seen.count or k + 2)), f"tracking frame {k + 1}")
+    if maps is not None and seen.count is not None and len(maps) != seen.count:
+        raise InputError("there is not one depth map per frame", where=maps.name, found=len(maps),
+                         expected=f"{seen.count}, the unloaded frames included")  # fmt: skip
+    if not numbers:
+        raise InputError("there are no such frames", where="--frames", found=f"{first}:{last}",
+                         expected=f"frames from 1 to {read}")  # fmt: skip
+    return _Tracked(numbers, motions, flags, seconds, read)
+
+
+def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None) -> str:
+    """Lambda by the discrepancy rule on the strongest frames together, frozen; in words."""
+    strength = [float(np.sqrt(np.nanmean(m**2))) if np.isfinite(m).any() else 0.0 for m in tracked.motions]
+    order = np.argsort(strength)[::-1]
+    readings, used = [], []
+    for i in order[: 10 * STRONGEST]:
+        y = built.readings(tracked.motions[i], None if maps is None else maps[tracked.numbers[i]])
+        if np.all(np.isfinite(y)):
+            readings.append(y)
+            used.append(tracked.numbers[i] + 1)
+        if len(used) == STRONGEST:
+            break
+    if readings:
+        found = built.family.calibrate([np.array(readings)])
+        named = ", ".join(map(str, sorted(used)))
+        return f"{found.lam:.3g} by {found.rule} on the strongest whole frames ({named}) together, {found.verdict}"
+    i = int(order[0])  # no frame in which every marker is seen: one frame speaks, with what is seen in it
+    labels = [s.label for s in built.model.sensors]
+    y = built.readings(tracked.motions[i], None if maps is None else maps[tracked.numbers[i]])
+    choice = built.family.estimate({n: float(v) for n, v in zip(labels, y, strict=True) if np.isfinite(v)}).choice
+    built.family.choice = float(choice.lam)
+    return f"{choice.lam:.3g} by {choice.rule} on frame {tracked.numbers[i] + 1}, {choice.verdict}"
+
+
+def _inverted(
+    built: Any, pad: Pad, seen: Seen, tracked: _Tracked, maps: DepthMaps | None, words: str, rate: float | None,
+    tell: Callable[[float, str], None],
+) -> Reconstruction:  # fmt: skip
+    """Maps of all frames as one result."""
+    from ..recording import record
+
+    found, seconds = _maps(built, tracked, maps, tell)
+    times = None if rate is None else np.array(tracked.numbers) / rate
+    whole = record(found, numbers=[k + 1 for k in tracked.numbers], times=times)
+    strongest = int(np.argmax(np.linalg.norm(whole.resultant().value, axis=1)))
+    strained = pad.strained(whole.frame(strongest).forces())
+    whole = replace(whole, flags=collect([*whole.flags, strained, *seen.flags]))
+    lost = [int(np.isnan(m[:, 0]).sum()) for m in tracked.motions]
+    each = tracked.seconds / tracked.read + seconds / len(found)
+    return Reconstruction(whole, pad, seen, lost, words, whole.provided["z"], 1 / max(each, 1e-9))
+
+
+def _maps(
+    built: Any, tracked: _Tracked, maps: DepthMaps | None, tell: Callable[[float, str], None]
+) -> tuple[list[ForceMap], float]:
+    """Map of every frame, and the seconds that they took; what the first of them prepares is left out."""
+    found, seconds = [], 0.0
+    for i, (k, motion) in enumerate(zip(tracked.numbers, tracked.motions, strict=True)):
+        depth = None if maps is None else maps[k]
+        if i == 0:
+            built.estimate(motion, depth)
+        start = time.perf_counter()
+        one = built.estimate(motion, depth)
+        seconds += time.perf_counter() - start
+        flags = collect([*one.flags, *tracked.flags[i]])
+        found.append(replace(one, flags=flags, posterior=None, diagnosis=None))
+        tell(0.7 + 0.25 * (i + 1) / len(tracked.numbers), f"map of frame {k + 1}")
+    return found, seconds
