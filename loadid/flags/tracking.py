@@ -128,6 +128,45 @@ def other_model(before: str, now: str) -> Flag | None:
     )
 
 
+def undetermined(names: Sequence[str]) -> Flag | None:
+    """W523: numbers of a prior that ended at a bound of their search (`names`): the record does not tell them."""
+    if not names:
+        return None
+    return Flag(
+        "W523",
+        Evidence("numbers at a bound of the search", float(len(names)), 0.0),
+        f"the record does not tell {', '.join(names)}: the search ended at its bound, a length at ten records",
+        "nothing to do for the track, which such numbers do not change; state the prior, or record longer, where the "
+        "numbers themselves matter",
+    )
+
+
+def spoilt(wrong: Sequence[int], sensors: Sequence[str]) -> Flag | None:
+    """W524: single samples of the record of a fit that no load explains; how many of each channel."""
+    if not any(wrong):
+        return None
+    listed = ", ".join(f"{n} of {name}" for n, name in zip(wrong, sensors, strict=True) if n)
+    return Flag(
+        "W524",
+        Evidence("wrong samples in the record of the fit", float(sum(wrong)), 0.0),
+        f"single samples that no load explains were left out of the tuning: {listed}",
+        "look at these channels: loose contacts, spikes of the logger; the gate keeps such samples out of the track",
+    )
+
+
+def believed(dummy: float | None) -> Flag | None:
+    """W525: displacements near zero are believed, not measured; `dummy` is their std in m."""
+    if dummy is None:
+        return None
+    return Flag(
+        "W525",
+        Evidence("std of the displacements that are believed, m", float(dummy), "measured"),
+        f"the mean of the loads rests on the belief that displacements stay near zero within {dummy:.3g} m at every "
+        "sample: a prior, not data; it draws static loads to zero and the band does not know by how much",
+        "add a displacement or strain sensor; else compare several stds, and read the track above the lowest modes",
+    )
+
+
 def untuned(nis: float, *, tuned: bool) -> Flag | None:
     """W502: the variance of the load was not tuned, or does not fit: mean NIS per channel, and whether a sweep ran."""
     if tuned and CALM <= nis <= RESTLESS:

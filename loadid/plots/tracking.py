@@ -74,7 +74,8 @@ def sweep_figure(sweep: QSweep) -> Figure:
     lost = right.twinx()
     lost.semilogx(sweep.factors, sweep.loglik - sweep.loglik.max(), color=INK, lw=1.0, ls="--")
     lost.set_yscale("symlog", linthresh=10.0)
-    lost.set_ylabel("log-likelihood below its largest (dashed)")
+    lost.set_ylabel("log-likelihood below its largest (dashed)", fontsize=9)
+    lost.tick_params(labelsize=8)
     left.set(xlabel="rms of what is left of the data, over noise", ylabel="rms step of the loads [of the likelihood's]")
     right.set(xlabel="factor on the std of the loads", ylabel="NIS per channel")
     for ax in (left, right):

@@ -5,14 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from loadid.flags.tracking import (
+    believed,
     biases,
     drifting,
-    kept_out, other_model,
+    kept_out,
+    other_model,
     overconfident,
     refused,
     slow,
+    spoilt,
     supposed,
     unbalanced,
+    undetermined,
     untuned,
 )
 from loadid.inverse.kalman.cure import cures
@@ -81,6 +85,9 @@ CASES = [
     Case("W521", lambda: one(kept_out(67, 3600, 4)), lambda: one(kept_out(3, 60, 0)), "67 of 3600.*gate=None"),
     Case("W522", lambda: one(other_model("a" * 64, "b" * 64)), lambda: one(other_model("a" * 64, "a" * 64)),
          "certificate is not of this model"),
+    Case("W523", lambda: one(undetermined(["length of load 1"])), lambda: one(undetermined([])), "length of load 1"),
+    Case("W524", lambda: one(spoilt((0, 3), ["a", "b"])), lambda: one(spoilt((0, 0), ["a", "b"])), "3 of b"),
+    Case("W525", lambda: one(believed(0.02)), lambda: one(believed(None)), "not data"),
     Case("W520", lambda: one(slow(20.0, 60.0)), lambda: one(slow(2.0, 60.0)), "20 s.*60 s"),
 ]  # fmt: skip
 

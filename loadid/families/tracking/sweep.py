@@ -143,18 +143,18 @@ def q_sweep(
     data = gather(record, dt, model, family.sensors, allow_missing=True)
     Y = _whole(data)
     factors = np.geomspace(10 ** (-span / 2), 10 ** (span / 2), points | 1)  # one among them
-    recipe, judged = fitted.recipe, []
+    recipe, judged, good = fitted.recipe, [], []
     for k, factor in enumerate(factors):
         told(0.5 + 0.5 * k / len(factors), "sweeping the variance of the loads")
         scaled = replace(recipe, priors=tuple(p.scaled(float(factor)) for p in recipe.priors))
         try:
             judged.append(_judged(steady(scaled.build(model, fitted.dt), fitted.dt), Y))
         except NotIdentifiable:  # so small a variance does not settle
-            judged.append(None)
-    good = [k for k, found in enumerate(judged) if found is not None]
-    innovation, residual, steps, nis, loglik = (np.array(part) for part in zip(*(judged[k] for k in good), strict=True))  # type: ignore[misc]
+            continue
+        good.append(k)
+    innovation, residual, steps, nis, loglik = (np.array(part) for part in zip(*judged, strict=True))
     likely = int(np.argmax(loglik))
-    roughness = np.sqrt(np.mean((steps / steps[likely]) ** 2, axis=1))
+    roughness = np.sqrt(np.mean((steps / np.maximum(steps[likely], 1e-300)) ** 2, axis=1))
     return QSweep(
         factors=factors[good],
         innovation=innovation,
@@ -190,8 +190,8 @@ def _judged(filtered: Steady, Y: NDArray) -> tuple[float, float, NDArray, float,
     white = forward(filtered.Se_root, e.T)
     left = model.LR @ (model.LR.T @ backward(filtered.Se_root, white))  # R Se^-1 e
     steps = np.sqrt(np.mean(np.diff(load[use], axis=0) ** 2, axis=0))
-    sizes = (float(np.sqrt(np.mean(part**2))) for part in (e / noise, left.T / noise))
-    return *sizes, steps, float(np.mean(white**2)), density(filtered.Se_root, e, False)[0]  # type: ignore[return-value]
+    news, rest = (float(np.sqrt(np.mean(part**2))) for part in (e / noise, left.T / noise))
+    return news, rest, steps, float(np.mean(white**2)), density(filtered.Se_root, e, False)[0]
 
 
 def _corner(factors: NDArray, residual: NDArray, roughness: NDArray) -> int | None:
