@@ -197,7 +197,7 @@ def restart(times: int = 7) -> dict[str, float]:
     warm, imports = float(np.median(inner)), float(np.median(least))
     print(f"restart: {warm:.3f} s in a warm process; a new process from its start to its end {cpu:.2f} s CPU "
           f"({min(c for c, _ in whole):.2f} to {max(c for c, _ in whole):.2f}), {wall:.2f} s wall; "
-          f"numpy, scipy.linalg and h5py alone {imports:.2f} s CPU (machine load {os.getloadavg()[0]:.1f})")  # fmt: skip
+          f"numpy, scipy.linalg and h5py alone {imports:.2f} (machine load {os.getloadavg()[0]:.1f})")  # fmt: skip
     return {"restart in a warm process, s": warm, "restart in a new process, s CPU": cpu}
 
 
