@@ -17,6 +17,7 @@ from .factor import Factor
 from .structure import Structure
 from .symmetry import blocks, reflections
 
+STRIP = 256  # rows at once: no second copy of the whole
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
@@ -104,16 +105,9 @@ def _condensed(K: sparse.csr_array, stays: Index, level: Index | None) -> Array:
 
 
 def _spread(out: Array, share: sparse.csr_array, block: Array) -> None:
-    """Add ``share @ block @ share.T``, each row of `share` with one entry at most."""
+    """Add ``share @ block @ share.T``, each row of `share` with one entry at most; whole rows at a time."""
+    across = np.ascontiguousarray((share @ block).T)
     there = np.flatnonzero(np.diff(share.indptr))
-    column, value = share.indices, share.data
-    if len(there) == len(out):
-        rows = block[column]
-        rows *= value[:, None]
-        for start in range(0, len(out), 512):  # a strip at a time: no second copy of the whole
-            out[start : start + 512] += rows[start : start + 512][:, column] * value
-    else:
-        for start in range(0, len(there), 512):
-            strip = there[start : start + 512]
-            picked = block[column[start : start + 512]] * value[start : start + 512, None]
-            out[np.ix_(strip, there)] += picked[:, column] * value
+    for start in range(0, len(there), STRIP):
+        strip = slice(start, start + STRIP)
+        out[there[strip]] += across[share.indices[strip]] * share.data[strip, None]
