@@ -138,6 +138,25 @@ def test_the_tracking_example(tmp_path, monkeypatch, capsys):
     assert abs(scope["load"].item() - force[-fine].item()) < 4 * scope["std"].item()
     assert "NIS per channel" in capsys.readouterr().out
     assert Path("mast.h5").stat().st_size > 1000
+    _the_tracking_commands(scope, force[3000 * fine :: fine])
+
+
+def _the_tracking_commands(scope, force):
+    """The two command lines below the example, on the files of the example."""
+    from loadid import cli
+    from structures import modelfile
+
+    saving, *others = re.findall(r"`(structures\.modelfile\.save\([^`]*\))`", README)
+    assert not others
+    exec(saving.removeprefix("structures."), {"modelfile": modelfile, "model": scope["model"]})
+    commands = [line.split() for line in re.findall(r"`loadid (track [^`]*)`", README)]
+    assert len(commands) == 2
+    for words in commands:
+        assert cli.main([*words, "--idle", "0"]) == 0
+        table = np.loadtxt(words[words.index("--out") + 1], delimiter=",", skiprows=1)
+        off = (table[200:, 1] - force[200:, 0]) / table[200:, 2]
+        assert np.mean(np.abs(off) < 1.96) > 0.85
+        assert np.linalg.norm(table[200:, 1] - force[200:, 0]) < 0.1 * np.linalg.norm(force[200:])
 
 
 def test_the_two_commands_stand_on_their_own_lines():
