@@ -56,7 +56,7 @@ def in_words(bands: Bands, nyquist: float) -> str:
     if not bands:
         return "at no frequency do the data tell more than the prior"
     listed = " and ".join(f"{low:.3g} to {high:.3g} Hz" for low, high in bands)
-    if bands == ((0.0, nyquist),):
+    if len(bands) == 1 and bands[0][0] == 0.0 and np.isclose(bands[0][1], nyquist):
         return f"the data tell more than the prior at all frequencies ({listed})"
     return f"the data tell more than the prior from {listed}; elsewhere the track is its prior"
 

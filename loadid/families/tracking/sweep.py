@@ -23,7 +23,8 @@ from structures.values import positive
 
 from ...inverse.kalman.steady import Steady, steady
 from ...inverse.rules import curvature
-from ..data import Data, gather
+from ..data import gather
+from .numbers import complete
 from .tuning import density, settled_samples
 
 FEWEST = 9  # points of a curve
@@ -141,7 +142,7 @@ def q_sweep(
                          found="ambient loads, tuned scales of the model, or a prior of one's own",
                          expected="a model and priors that stay")  # fmt: skip
     data = gather(record, dt, model, family.sensors, allow_missing=True)
-    Y = _whole(data)
+    Y = complete(data)
     factors = np.geomspace(10 ** (-span / 2), 10 ** (span / 2), points | 1)  # one among them
     recipe, judged, good = fitted.recipe, [], []
     for k, factor in enumerate(factors):
@@ -167,13 +168,6 @@ def q_sweep(
         likely=likely,
         priors=tuple(p.scaled(float(np.sqrt(recipe.scale))) for p in recipe.priors),
     )
-
-
-def _whole(data: Data) -> NDArray[np.float64]:
-    """The longest stretch of a record without gaps."""
-    edges = np.flatnonzero(np.diff(np.r_[False, ~data.missing.any(axis=1), False].astype(int))).reshape(-1, 2)
-    start, stop = edges[np.argmax(np.ptp(edges, axis=1))]  # a fit has found one
-    return np.ascontiguousarray(data.values[start:stop])
 
 
 def _judged(filtered: Steady, Y: NDArray) -> tuple[float, float, NDArray, float, float]:
