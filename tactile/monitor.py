@@ -21,6 +21,7 @@ from structures.flags import Flag
 from structures.values import positive, reals
 
 from .guards import monitor as guards
+from .shifts import taken_out, tangents
 
 if TYPE_CHECKING:
     from .causes import Cause
@@ -51,6 +52,8 @@ class GelCheck:
     verdict : {"unchanged", "gain", "shape"}
     flags : tuple of Flag
         W607, W705, W706.
+    shifts : tuple of (float, float)
+        By how much each press lies beside its place (m), where the monitor knows the markers' places.
     """
 
     gain: float
@@ -62,12 +65,15 @@ class GelCheck:
     offset: float | None
     verdict: str
     flags: tuple[Flag, ...] = ()
+    shifts: tuple[tuple[float, float], ...] = ()
 
     def __str__(self) -> str:
         text = (
             f"{self.verdict}: gain {self.gain:.4g} +- {self.gain_std:.2g}, correlation {self.correlation:.4f}, "
             f"{self.share:.1%} of the map is no gain ({self.significance:.1f} sd)"
         )
+        if self.shifts:
+            text += f", presses up to {1e3 * max(float(np.hypot(*d)) for d in self.shifts):.2g} mm beside their places"
         text += "" if self.offset is None else f", unloaded offset {1e6 * self.offset:.3g} um"
         return "\n".join([text, *map(str, self.flags)])
 
@@ -93,6 +99,9 @@ class GelMonitor:
         Markers of the unloaded gel at calibration (m), averaged over frames.
     rest_noise : float, optional
         Std of a coordinate of an unloaded marker when checked (m); default `noise`.
+    points : array (N, 2 or 3), optional
+        Places of the maps' points (m). With them a press that is repeated beside its place is recognised and its shift
+        taken out, up to a tenth of its radius; without them 0.1 mm beside may pass for a change of shape.
 
     Raises
     ------
@@ -107,6 +116,8 @@ class GelMonitor:
     period: float = guards.PERIOD
     rest: Any = None
     rest_noise: float | None = None
+    points: Any = None
+    _tangents: Any = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -119,6 +130,8 @@ class GelMonitor:
         put(self, "period", positive("period", self.period, where="GelMonitor", unit="days"))
         if self.rest is not None:
             put(self, "rest", _points(self.rest, None))
+        if self.points is not None:
+            put(self, "_tangents", tangents(self.points, self.reference))
 
     def check(
         self,
@@ -153,6 +166,11 @@ class GelMonitor:
                              found=int(kept.sum(axis=1).min()), expected="three or more",
                              hint="leave that press out of reference and check")  # fmt: skip
         pairs = [(r[k], m[k]) for r, m, k in zip(self.reference, found, kept, strict=True)]
+        shifts: tuple[tuple[float, float], ...] = ()
+        if self.points is not None:
+            placed = [taken_out(r, m, t[k]) for (r, m), t, k in zip(pairs, self._tangents, kept, strict=True)]
+            pairs = [(r, m) for (r, _), (m, _) in zip(pairs, placed, strict=True)]
+            shifts = tuple(shift for _, shift in placed)
         gains = tuple(self._gain(r, m) for r, m in pairs)
         a, b = (np.concatenate([p[i].ravel() for p in pairs]) for i in (0, 1))
         gain, std = self._gain(a, b)
@@ -170,7 +188,7 @@ class GelMonitor:
         ]
         verdict = "unchanged" if changed is None else "shape" if "shape wrong" in changed.message else "gain"
         return GelCheck(gain, std, gains, correlation, share, significance, offset, verdict,
-                        tuple(f for f in flags if f is not None))  # fmt: skip
+                        tuple(f for f in flags if f is not None), shifts)  # fmt: skip
 
     def attribute(
         self, maps: ArrayLike, layer: Layer, presses: Sequence[Press], points: ArrayLike
@@ -216,7 +234,7 @@ class GelMonitor:
         excess = float(np.sum((found - gain * reference) ** 2)) - (found.size - 1) * variance
         energy = gain**2 * float(np.sum(reference**2))
         share = float(np.sqrt(max(excess, 0.0) / energy)) if energy > 0 else 0.0
-        return share, excess / (variance * np.sqrt(2 * found.size))
+        return share, float(excess / (variance * np.sqrt(2 * found.size)))
 
     def _offset(self, unloaded: ArrayLike | None) -> tuple[float | None, float]:
         """Rms offset of the unloaded markers, and what noise explains."""

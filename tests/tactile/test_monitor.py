@@ -15,6 +15,7 @@ from tactile.guards import labels
 from tactile.layer import Layer
 from tactile.monitor import GelMonitor
 from tactile.presses import Press
+from tactile.shifts import tangents
 
 LAYER = Layer(h=3e-3, E=0.147e6, nu=0.45)
 PRESSES = [Press(at=(1e-3, 0), radius=r, force=1.0, shear=(0.3, 0.1)) for r in (1e-3, 2.5e-3, 4e-3)]
@@ -95,6 +96,50 @@ def test_the_cause_is_named_with_its_value(changed: Layer, name: str, value: flo
     assert best.value == pytest.approx(value, abs=4 * best.std)
     assert best.misfit == pytest.approx(1, abs=0.1)
     assert all(other.misfit > 1.5 for other in others)
+
+
+PLACED = replace(MONITOR, points=POINTS)
+
+
+@pytest.mark.parametrize("beside", [0.1e-3, 0.15e-3])
+def test_a_press_beside_its_place_is_no_worn_gel(beside: float) -> None:
+    x = 1e-3 * np.arange(-9, 10)
+    points = np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
+    presses = [Press(at=(1e-3, 0), radius=r, force=1.0) for r in (1.5e-3, 2.5e-3, 4e-3)]
+    shifts = np.array([[beside, 0], [0, -beside], [-0.5 * beside, 0.5 * beside]])
+    rng = np.random.default_rng(0)
+
+    def noisy(pressed: list[Press]) -> np.ndarray:
+        u = np.array([p.displacement(LAYER, points) for p in pressed])
+        return u + SIGMA * rng.standard_normal(u.shape)
+
+    plain = GelMonitor(noisy(presses), noise=SIGMA, calibrated=DAY)
+    now = noisy([replace(p, at=tuple(np.add(p.at, d))) for p, d in zip(presses, shifts, strict=True)])
+    found = replace(plain, points=points).check(now, now=SOON)
+    assert found.verdict == "unchanged"
+    assert np.array(found.shifts) == pytest.approx(shifts, abs=0.15 * beside + 2e-6)
+    blind = plain.check(now, now=SOON)
+    assert blind.verdict == "shape"
+    assert blind.share > 2 * found.share
+
+
+def test_a_worn_gel_stays_a_shape_where_shifts_are_taken_out() -> None:
+    worn = replace(LAYER, h=0.85 * LAYER.h)
+    assert PLACED.check(maps(worn, 1), now=SOON).verdict == "shape"
+    softer = PLACED.check(maps(replace(LAYER, E=0.8 * LAYER.E), 1), now=SOON)
+    assert softer.verdict == "gain"
+    assert softer.gain == pytest.approx(1.25, abs=4 * softer.gain_std)
+
+
+def test_slopes_of_a_quadratic_map_are_exact() -> None:
+    x, y = 1e3 * POINTS.T
+    maps_ = np.stack([x * x - 2 * x * y, y + 0.5 * y * y], axis=-1)[None]
+    found = tangents(POINTS, maps_)[0]
+    assert found[:, 0, 0] == pytest.approx(1e3 * (2 * x - 2 * y), abs=1e-5)
+    assert found[:, 0, 1] == pytest.approx(1e3 * (-2 * x), abs=1e-6)
+    assert found[:, 1, 1] == pytest.approx(1e3 * (1 + y), abs=1e-6)
+    with pytest.raises(InputError, match="places do not fit"):
+        GelMonitor(MONITOR.reference, noise=SIGMA, points=POINTS[:-1])
 
 
 def test_noise_of_the_reference_does_not_lower_the_gain() -> None:
