@@ -67,6 +67,9 @@ class Pad(Loaded):
         ``("E109",)``: plain bricks above nu = 0.49, flagged; ``("W115",)``: few layers that were compared with many.
     mesh : optional
         A mesh instead of dimensions: `Pad.from_mesh`.
+    counts : (cells, nodes), optional
+        Published counts of the mesh that this pad stands for: refused where no mesh of so many layers has them (E110),
+        never built from.
 
     Attributes
     ----------
@@ -101,6 +104,7 @@ class Pad(Loaded):
     material: str = "elastomer"
     allow: Sequence[str] = ()
     mesh: Any = None
+    counts: tuple[int, int] | None = None
     structure: Structure = field(init=False, repr=False)
     surface: Surface = field(init=False, repr=False)
     flags: tuple[Flag, ...] = field(init=False, repr=False)
@@ -110,6 +114,8 @@ class Pad(Loaded):
         fix = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731  (a frozen dataclass needs it)
         material = Material(E=self.E, rho=self.density, nu=self.nu)
         fix("allow", (self.allow,) if isinstance(self.allow, str) else tuple(self.allow))
+        if self.counts is not None:
+            guards.published(self.counts, self.layers)
         body = self._rectangle(material) if self.mesh is None else self._meshed(material)
         for name, value in body.dimensions.items():
             fix(name, value)
@@ -190,16 +196,16 @@ class Pad(Loaded):
 
     @classmethod
     def from_toml(cls, file: str | os.PathLike) -> Pad:
-        """Pad of a TOML file: `tactile.padtoml.read` says what it may hold.
+        """Pad of a TOML file: its table ``[pad]``; `tactile.padfile` says what it may hold.
 
         Raises
         ------
         InputError
-            If it holds no pad; code LID-E110 for counts that no mesh has.
+            If it holds no pad, or as `Pad`.
         """
-        from .padtoml import read
+        from .padfile import read
 
-        return read(file)
+        return read(file).pad()
 
     def _found(self, body: Body) -> tuple[Flag, ...]:
         """What the guards of mesh and material found."""

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
+from structures.values import integer
 
 SOFTEST, STIFFEST = 1e3, 1e7  # Pa, elastomers
 LINEAR = 0.1  # principal strain up to which small-strain theory is taken
 ENOUGH = 3  # layers from which on W115 is silent
+MOST, NAMES = 10**9, ("cells", "nodes")
 # Relative map error of the exact displacements of a Hertz patch (a = h) read with n layers: at nu .3223, .475, .49
 # (tests/benchmarks/tactile_pad.py prints it)
 MAP_ERROR = {1: (0.54, 2.6, 6.2), 2: (0.13, 0.64, 1.6)}
@@ -120,6 +124,28 @@ def counts(
         return
     expected = f"{low} nodes" if low == high else f"{low} to {high} nodes, a multiple of {layers + 1}"
     raise _impossible(where, f"{cells} cells in {layers} layer{'s'[: layers > 1]} and {nodes} nodes", expected)
+
+
+def published(pair: Any, layers: Any) -> None:
+    """E110 for the counts that a publication gives for its mesh.
+
+    Parameters
+    ----------
+    pair : (cells, nodes)
+    layers : int
+        Layers of the pad that stands for it.
+
+    Raises
+    ------
+    InputError
+        If they are no two positive integers; code LID-E110 as `counts`.
+    """
+    found = list(pair) if isinstance(pair, tuple | list) else []
+    if len(found) != 2:
+        raise InputError("counts of a mesh are two", where="Pad, counts", found=repr(pair), expected="(cells, nodes)")
+    cells, nodes = (integer(n, v, where="Pad, counts", limit=MOST) for n, v in zip(NAMES, found, strict=True))
+    deep = integer("layers", layers, where="Pad, layers", limit=MOST)
+    counts(cells, nodes, layers=deep, where="Pad, counts")
 
 
 def _impossible(where: str, found: str, expected: str) -> InputError:

@@ -1,11 +1,12 @@
 """The FE pad beside the figures of the literature page, and what its condensation costs.
 
-Run ``python -m tests.benchmarks.tactile_pad``; parts by name: ``waves hertz locking forward cost``.
+Run ``python -m tests.benchmarks.tactile_pad``; parts by name: ``waves hertz locking forward mesh cost``.
 
 waves    traction that an endless mesh returns for the exact motion of a plane wave of the bonded layer
 hertz    exact motion under 1 N on a Hertz patch (a = h = 3 mm), F = K U: map error, peak, resultant
 locking  patch on a pad 16 x 16 x 4 mm, plain bricks and B-bar; single-layer case and its model trap
 forward  depth under the Hertz patch against the exact layer
+mesh     the published gel (ten-node tetrahedra, domed) as it is and rebuilt from bricks, under one smooth traction
 cost     stiffness and compliance of 43 x 43 surface nodes on 4 layers: CPU seconds and memory, against splu
 """
 
@@ -19,8 +20,10 @@ import numpy as np
 
 from structures import condensation
 from structures.factor import Factor
+from tactile.meshfiles import elastic
 from tactile.pad import Pad
 from tactile.presses import Press
+from tests.data import data_folder
 from tests.tactile.padtruth import consistent, map_error, recovered
 from tests.tactile.test_pad_layer import HERTZ, PRESS, WAVES, pad
 
@@ -96,6 +99,29 @@ def forward() -> None:
             print(f"  nu {nu:<6} {1e3 * pitch:g} mm x {layers}: {100 * (depth / exact - 1):+.2f} %")
 
 
+def mesh() -> None:
+    """The published gel: two unlike meshes of one body."""
+    folder = data_folder()
+    if folder is None:
+        print("measured records not found (set LOADID_DATA)")
+        return
+    file = folder / "gelsight_dots" / "gelsight_miniMesh.inp.gz"
+    E = 1e6 * elastic(folder / "gelsight_dots" / "materials.inp")["E"]
+    points = np.array([[0.0, 0.0], [3e-3, 0.0], [5e-3, 3e-3], [0.0, 8e-3]])
+    print("gel of a camera sensor, 1 kPa and 0.4 kPa of shear, Gaussian of 3 mm: um along X, Y, Z at four points")
+    for pitch in (None, 1.5e-3, 0.75e-3):
+        start = time.process_time()
+        gel = Pad.from_mesh(file, E=E, nu=0.475, pitch=pitch, layers=4)
+        w = np.exp(-np.sum(gel.nodes2d**2, axis=1) / (3e-3) ** 2)
+        t = w[:, None] * np.array([400.0, 0.0, -1000.0])
+        f = gel.surface.areas[:, None] * t if pitch is None else gel.surface.forces(t)
+        u = 1e6 * (gel.rows(points) @ gel.solve(f))
+        name = "C3D10 as it is" if pitch is None else f"bricks {1e3 * pitch:g} mm x 4"
+        print(f"  {name:18} {gel.points} nodes, {-f[:, 2].sum():.4f} N: " + " ".join(f"{x:6.2f}" for x in u), end="")
+        print(f"   {time.process_time() - start:.1f} CPU s")
+    print("  " + repr(Pad.from_mesh(file, E=E, nu=0.475, pitch=3e-3).mesh))
+
+
 def cost() -> None:
     """CPU time and memory of the condensed stiffness, and the route of one sparse solve per surface DOF."""
     gel = Pad(size=(24e-3, 24e-3), thickness=3e-3, E=147e3, nu=0.49, elements=(42, 42), layers=4)
@@ -123,7 +149,7 @@ def cost() -> None:
     print(f"  F = K U of one symmetric press without the dense matrix: {time.process_time() - start:.2f} CPU s")
 
 
-PARTS = {"waves": waves, "hertz": hertz, "locking": locking, "forward": forward, "cost": cost}
+PARTS = {"waves": waves, "hertz": hertz, "locking": locking, "forward": forward, "mesh": mesh, "cost": cost}
 
 
 def main() -> None:

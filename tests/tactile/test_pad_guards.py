@@ -127,61 +127,39 @@ def edges(quads):
 
 
 class TestToml:
-    def pad(self, tmp_path, text):
-        path = tmp_path / "pad.toml"
-        path.write_text(text)
-        return Pad.from_toml(path)
+    TEXT = """
+        [pad]
+        size = ["20 mm", "16 mm"]
+        thickness = "3 mm"
+        E = "0.147 MPa"
+        nu = 0.3223
+        pitch = "2 mm"
+        layers = 3
+        rounded = "4 mm"
+    """
 
-    def test_dimensions(self, tmp_path):
-        text = """
-            [pad]
-            length_unit = "mm"
-            E_unit = "MPa"
-            size = [20, 16]
-            thickness = 3
-            E = 0.147
-            nu = 0.3223
-            pitch = 2
-            layers = 3
-            rounded = 4
-        """
-        pad = self.pad(tmp_path, text)
+    def test_the_pad_of_a_file(self, tmp_path):
+        (tmp_path / "pad.toml").write_text(self.TEXT)
+        pad = Pad.from_toml(tmp_path / "pad.toml")
         wanted = Pad(
             size=(20e-3, 16e-3), thickness=3e-3, E=147e3, nu=0.3223, pitch=2e-3, layers=3, outline=outline.rounded(4e-3)
         )
         assert abs(pad.structure.K - wanted.structure.K).max() < 1e-10 * abs(wanted.structure.K).max()
 
-    def test_si_and_polygon(self, tmp_path):
-        text = "[pad]\nE = 147e3\nnu = 0.3\nsize = [0.02, 0.016]\nthickness = 0.003\nelements = [10, 8]\nlayers = 3\n"
-        whole, half = (
-            self.pad(tmp_path, text + more) for more in ("", "polygon = [[-1, -1], [0, -1], [0, 1], [-1, 1]]\n")
-        )
-        assert half.surface.area == pytest.approx(whole.surface.area / 2)
+    @pytest.mark.parametrize(("old", "new"), [("[pad]", "[skin]"), ('"3 mm"', '"thick"'), ("nu =", "mu =")])
+    def test_refused(self, tmp_path, old, new):
+        (tmp_path / "pad.toml").write_text(self.TEXT.replace(old, new, 1))
+        with pytest.raises(InputError, match=r"pad\.toml"):
+            Pad.from_toml(tmp_path / "pad.toml")
 
-    def test_mesh(self, tmp_path):
-        pad = Pad(**{**GEL, "size": (8e-3, 6e-3)}, layers=3, outline=outline.rounded(2e-3))
-        np.savez(tmp_path / "gel.npz", nodes=1e3 * pad.structure.coordinates, cells=pad.structure.field.cells)
-        found = self.pad(tmp_path, '[pad]\nmesh = "gel.npz"\nmesh_unit = "mm"\nE = 147e3\nnu = 0.3223\naxis = "+Z"\n')
-        assert found.points == pad.points
-        assert found.thickness == pytest.approx(3e-3)
 
-    @pytest.mark.parametrize(
-        ("text", "match"),
-        [
-            ("", r"\[pad\]"),
-            ("[pad", "cannot be read"),
-            ("[pad]\nE = 1e5", "only"),
-            ("[pad]\nE = 1e5\nnu = 0.3\ncolour = 1", "colour"),
-            ("[pad]\nE = 'soft'\nnu = 0.3\nsize = [1, 1]\nthickness = 1", "E"),
-            ("[pad]\nE = 1e5\nnu = 0.3\nsize = [1, 'wide']\nthickness = 1", "length"),
-            ("[pad]\nE = 1e5\nnu = 0.3\nsize = [1, 1]\nthickness = 1\nlength_unit = 'inch'", "inch"),
-            ("[pad]\nE = 1e5\nnu = 0.3\nsize = [1, 1]\nthickness = 1\nbase = 'B'", "without a mesh"),
-            ("[pad]\nE = 1e5\nnu = 0.3\nmesh = 'none.inp'", "none.inp"),
-            ("[pad]\nE = 1e5\nnu = 0.3\nsize = [1, 1]\nthickness = 1\nrounded = 1\npolygon = [[0, 0]]", "two outlines"),
-            ("[pad]\nE = 1e5\nnu = 0.3\nsize = [1, 1]\nthickness = 1\nlayers = 1\ncells = 1964\nnodes = 3698", "E110"),
-            ("[pad]\nE = 1e5\nnu = 0.3\nsize = [1, 1]\nthickness = 1\ncells = 1964", "both"),
-        ],
-    )
-    def test_refused(self, tmp_path, text, match):
-        with pytest.raises(InputError, match=match):
-            self.pad(tmp_path, text)
+class TestPublishedCounts:
+    def test_refused(self):
+        with pytest.raises(InputError, match="LID-E110"):
+            Pad(**GEL, layers=1, counts=(1964, 3698))
+        for counts in ((1964,), 1964, (1964, 3698.5), (0, 8)):
+            with pytest.raises(InputError, match="counts"):
+                Pad(**GEL, layers=1, counts=counts)
+
+    def test_silent(self):
+        assert Pad(**GEL, layers=1, counts=(320, 714), allow="W115").flags == ()
