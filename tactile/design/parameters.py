@@ -29,7 +29,9 @@ class Skin:
     noise_z : float or None
         Std of the normal motion (m), from a depth map; None where nothing measures it.
     correlated : float
-        Share of the noise variance that neighbours have in common: interpolation, vibration, refraction.
+        Share of the noise variance that neighbours have in common: vibration, refraction, haze. It moves noise from
+        short waves to long ones; the variance of a marker stays. Motion interpolated onto nodes is no such noise: give
+        the pitch of the markers.
     correlation : float
         Length over which they have it in common (m); its correlation is exp(-r^2 / 2 l^2).
     patch : float
