@@ -188,8 +188,9 @@ class Loaded:
 
     def resultant(self, forces: ArrayLike) -> Array:
         """(Fx, Fy, Fz, Mx, My, Mz) of nodal forces in N and N m, moments about (0, 0, h)."""
-        f = self._vectors(forces, "forces")
-        arms = self.surface.coordinates - np.array(self.top)
+        f = np.asarray(self.loads @ self._vectors(forces, "forces").ravel(), float).reshape(-1, 3)
+        assert self.structure.coordinates is not None
+        arms = self.structure.coordinates - np.array(self.top)
         return np.concatenate([f.sum(axis=0), np.cross(arms, f).sum(axis=0)])
 
     def strain(self, forces: ArrayLike) -> Array:

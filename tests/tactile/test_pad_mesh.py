@@ -329,6 +329,15 @@ class TestTetrahedra:
             assert pad.rows(points) @ pad.solve(f) == pytest.approx(deep[-1], rel=1e-9)
         assert deep[0] == pytest.approx(deep[1], abs=0.025 * np.abs(deep[1]).max())
 
+    def test_resultant_balances_the_base(self, pads):
+        """Force and moment of crooked forces on the corners against those of the reactions."""
+        for pad in pads:
+            f = np.random.default_rng(1).standard_normal((pad.points, 3))
+            held = pad.structure.coordinates[np.unique(pad.structure.supported // 3)] - np.array(pad.top)
+            reactions = pad.reactions(f)
+            balance = np.concatenate([reactions.sum(axis=0), np.cross(held, reactions).sum(axis=0)])
+            assert pad.resultant(f) == pytest.approx(-balance, abs=1e-8)
+
     def test_forces_come_back(self, pads):
         pad, rng = pads[0], np.random.default_rng(0)
         f = rng.standard_normal((pad.points, 3))
