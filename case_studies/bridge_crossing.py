@@ -7,6 +7,10 @@ their sum is the weight on the bridge, their centre the axle's place. What this 
 and its two neighbours, which is largest midway between places and near the supports, where part of the axle rests on
 the support and no sensor sees it.
 
+The forces of neighbouring places are known together far better than each alone: the std of their sum (`combined_std`)
+is a sixth of the sum of their stds. That band speaks of noise and prior; the fixed places are an error of the model,
+which it does not know of: it covers the weight in 82 of 100 samples, not 95. The sum of the stds covers all of them.
+
 Set-up of our own: a simply supported girder of 30 m (first frequency 4 Hz, 1 % damping); an axle of 100 kN at 15 m/s,
 pulsing by 8 % at 1.8 Hz; five strains of the lower flange, three accelerometers, 1 % noise, 200 Hz. The truth has
 twenty modes, runs between the samples, and the axle moves continuously; the tracker has eight modes and five places.
@@ -26,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import LoadEstimate, LoadTracker
+from loadid.inverse.kalman.combined import combined_std
 from loadid.inverse.kalman.priors import Matern32
 from structures import ForwardModel, beams, damping, loads, sensors
 
@@ -93,7 +98,7 @@ class Followed:
 
     true: Crossing
     estimate: LoadEstimate
-    phase: str
+    total_std: float  # of the weight on the bridge where the tracker is settled, N: noise and prior
 
     @property
     def total(self) -> Array:
@@ -101,8 +106,8 @@ class Followed:
         return self.estimate.load.sum(axis=1)
 
     @property
-    def total_std(self) -> Array:
-        """Bound of its std, as if the places were wrong together: the tracker gives the std of each place alone."""
+    def total_bound(self) -> Array:
+        """Bound of its std (samples,), as if the places were wrong together."""
         assert self.estimate.std is not None
         return np.asarray(self.estimate.std.sum(axis=1))
 
@@ -126,7 +131,9 @@ class Followed:
         return {
             "weight, relative error": float(np.linalg.norm(away) / np.linalg.norm(self.true.axle[on])),
             "weight, mean over the crossing, relative error": float(abs(np.mean(away)) / WEIGHT),
-            "weight inside its 95 % band (a bound)": float(np.mean(np.abs(away) < 1.96 * self.total_std[on])),
+            "weight inside its 95 % band": float(np.mean(np.abs(away) < 1.96 * self.total_std)),
+            "weight inside the sum of the bands": float(np.mean(np.abs(away) < 1.96 * self.total_bound[on])),
+            "std of the weight over the sum of the stds": float(self.total_std / np.mean(self.total_bound[on])),
             "place, rms error in m": float(np.sqrt(np.mean(off**2))),
             "speed, relative error": float(abs(slope / np.diff(self.true.place[on]).mean() * DT - 1)),
             "weight before and after, over the axle": float(
@@ -141,7 +148,9 @@ def follow(true: Crossing) -> Followed:
     tracker = LoadTracker(
         model(), prior=Matern32(WEIGHT, stay), noise=true.noise, noise_source="data sheet"
     ).fit(true.record, DT)  # fmt: skip
-    return Followed(true, tracker.track(true.record), tracker.phase)
+    assert tracker.fitted.settled is not None
+    total = combined_std(tracker.fitted.settled, np.ones(len(PLACES)))
+    return Followed(true, tracker.track(true.record), float(total[0]))
 
 
 def show(found: Followed) -> str:
@@ -165,8 +174,9 @@ def picture(found: Followed, path: Path) -> None:
     axes[0].set_ylabel("force [kN]")
     axes[0].set_title("nodal forces at the fixed places, 95 % bands", loc="left", fontsize=9)
     axes[0].legend(ncols=5, fontsize=8, loc="upper right")
-    total, bound = found.total / 1e3, 1.96 * found.total_std / 1e3
-    axes[1].fill_between(t, total - bound, total + bound, color="C0", alpha=0.25, lw=0, label="bound of the 95 % band")
+    total, bound, half = found.total / 1e3, 1.96 * found.total_bound / 1e3, 1.96 * found.total_std / 1e3
+    axes[1].fill_between(t, total - bound, total + bound, color="C0", alpha=0.2, lw=0, label="sum of the bands")
+    axes[1].fill_between(t, total - half, total + half, color="C0", alpha=0.5, lw=0, label="95 % band of the sum")
     axes[1].plot(t, total, color="C0", lw=1, label="tracked")
     axes[1].plot(t, true.axle / 1e3, "k--", lw=1, label="axle")
     axes[1].set_ylabel("weight on the bridge [kN]")
