@@ -93,7 +93,9 @@ def tune(
                          found=f"{len(starts)} starts", expected="a prior that the sensors can follow",
                          hint="add a displacement or strain sensor, take a prior that returns to zero, or state the "
                          "numbers of the prior, such as RandomWalk(100)")  # fmt: skip
-    best = min((climb(likely, p, low, high) for p in points[:STARTS]), key=lambda p: p.cost)
+    best = climb(likely, points[0], low, high)
+    for point in points[1:STARTS]:
+        best = min(best, climb(likely, point, low, high, best), key=lambda p: p.cost)
     count, wrong = likely.count, None
     for _ in range(PASSES):
         found = wrong_samples(steady(rescaled(build(best.x), best.scale)), Y)
