@@ -55,6 +55,8 @@ class GelSlim:
         As in `MultilayerPad`.
     depth : DepthMap, optional
         A map of the kind that will be measured.
+    interpolation : {"local", "linear"}
+        Of markers onto nodes, as `tactile.Interpolation`.
     no_pull, friction
         Constraints: least squares on K^-1 F = U under them, in the region of contact.
     allow : sequence of str
@@ -77,12 +79,13 @@ class GelSlim:
         axes: str = "XY",
         depth: DepthMap | None = None,
         slope: ArrayLike | None = None,
+        interpolation: str = "local",
         no_pull: bool = False,
         friction: float | None = None,
         allow: Sequence[str] = (),
         eye: Eye | None = None,
     ) -> None:
-        self.pad, self.eye, self.allow = pad, eye, tuple(allow)
+        self.pad, self.eye, self.allow, self.interpolation = pad, eye, tuple(allow), interpolation
         self.no_pull, self.friction = bool(no_pull), friction
         self.markers = observed(markers, noise, axes, slope, eye)
         self.depth = None if depth is None else windows(pad, depth, None)
@@ -91,6 +94,7 @@ class GelSlim:
         self._loads = channels(pad.points, "nodal")
         self._offset = np.zeros((len(self.markers), len(axes)))
         self._completions: dict[bytes, Completion] = {}
+        self._noted: dict[int, Flag | None] = {}
         self._interpolations: dict[bytes, Interpolation] = {}
         self._solver: RegionSolver | None = None
 
@@ -166,7 +170,10 @@ class GelSlim:
         if key not in self._interpolations:
             if len(self._interpolations) > 32:
                 self._interpolations.clear()
-            self._interpolations[key] = Interpolation(self.markers.points[seen, :2], self.pad.nodes2d)
+                self._noted.clear()
+            self._interpolations[key] = Interpolation(
+                self.markers.points[seen, :2], self.pad.nodes2d, self.interpolation
+            )
         return self._interpolations[key]
 
     def _normal(
@@ -279,6 +286,13 @@ class GelSlim:
         found = self._solver.solve(completion.displacements(U) / spread, touched, wrench)
         return Answer(found.load, found.std, found.wrench, answer.reach), guards.stopped(found.converged, found.steps)
 
+    def _correlated(self, field: Interpolation) -> Flag | None:
+        """W605, found once for every set of markers that are seen."""
+        key = id(field)
+        if key not in self._noted:
+            self._noted[key] = field.flag()
+        return self._noted[key]
+
     @cached_property
     def _fingerprint(self) -> str:
         from structures.statespace import digest
@@ -302,7 +316,7 @@ class GelSlim:
         provided = {"x": "tracked", "y": "tracked", "z": how}
         lost = int(np.sum(~seen)) * len(self.markers.axes)
         own = [
-            *self.pad.flags, *flags, stopped, completed(provided),
+            *self.pad.flags, *flags, stopped, completed(provided), self._correlated(field),
             guards.lost(lost, self.markers.readings_count),
         ]  # fmt: skip
         return ForceMap(

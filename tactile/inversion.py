@@ -8,10 +8,11 @@ With C the posterior covariance, H the whitened transfer matrix and G = C H^T, l
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
 from structures.errors import InputError
 
@@ -86,33 +87,41 @@ class Inverse:
         InputError
             If no reading is left.
         """
-        z = y / self.spread
-        lost = np.flatnonzero(~np.isfinite(z))
-        covariance = self.resultant @ self.reach
-        whole = lost.size == 0
-        answer = Answer(self._times(z), self.std, covariance, self.reach) if whole else self._without(z, lost)
+        z, lost = self._filled(y / self.spread)
+        plain = Answer(self._times(z), self.std, self.resultant @ self.reach, self.reach) if lost.size == 0 else None
+        answer = self._widened(z, lost) if plain is None else plain
         return answer if wrench is None else fused(answer, self.resultant, wrench)
+
+    def recovery(self, press: Array) -> float:
+        """Share of the resultant force of a load (n,) that would be found, were it there and the noise zero."""
+        force = self.resultant[:3] @ press
+        return float(1 + force @ (self.loss[:3] @ press) / (force @ force))
 
     def hidden(self, load: Array) -> Array:
         """What regularisation is expected to have taken from the resultant of this load (6,)."""
         return self.loss @ load
 
-    def strays(self, y: Array, markers: int, axes: int) -> NDArray[np.bool_]:
-        """Markers (markers,) whose motion contradicts what all others and the mechanics say, by far: other dots.
+    def stray(self, y: Array, markers: int, axes: int) -> int | None:
+        """The marker whose motion most contradicts what all others and the mechanics say, if one does by far.
 
-        A marker strays where its residual is `STRAY` times the noise or the typical residual, and a good part of the
-        largest motion: errors of the model stay below the one or the other.
+        It does where its distance from what the others predict for it (``r / (1 - A_ii)``, leave-one-out) is `STRAY`
+        times its std or the typical one, and a good part of the largest motion: errors of the model stay below the one
+        or the other. One at a time, as a stray marker pulls its neighbours' predictions with it.
         """
-        z = y / self.spread
-        lost = ~np.isfinite(z)
-        z = np.where(lost, 0.0, z)
+        z, lost = self._filled(y / self.spread)
         rows = markers * axes
+        gone = np.zeros(len(z), bool)
+        gone[lost] = True
         rest = z[:rows] - self._of_markers(rows) @ z.astype(self.matrix.dtype, copy=False)
-        rest[lost[:rows]] = 0.0
+        free = np.maximum(1 - np.diagonal(self.influence)[:rows], 1e-3)
+        rest = np.where(gone[:rows], 0.0, rest / free)
         size = np.linalg.norm(rest.reshape(markers, axes), axis=1)
-        moved = np.linalg.norm(z[:rows].reshape(markers, axes), axis=1)
+        size = size / np.sqrt(np.sum(1 / free.reshape(markers, axes), axis=1))
         scale = max(1.0, NORMAL * float(np.median(size)))
-        return (size > STRAY * scale) & (size > PART * moved.max(initial=0.0))
+        worst = int(np.argmax(size))
+        moved = np.linalg.norm(z[:rows].reshape(markers, axes), axis=1).max(initial=0.0)
+        apart = float(np.linalg.norm(rest.reshape(markers, axes)[worst]))
+        return worst if size[worst] > STRAY * scale and apart > PART * moved else None
 
     def _of_markers(self, rows: int) -> NDArray:
         """Rows of the influence matrix that are markers, in the precision of the products."""
@@ -123,16 +132,25 @@ class Inverse:
     def _times(self, z: Array) -> Array:
         return np.asarray(self.matrix @ z.astype(self.matrix.dtype, copy=False), float)
 
-    def _without(self, z: Array, lost: NDArray) -> Answer:
-        from scipy.linalg import cho_factor, cho_solve
-
+    def _filled(self, z: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Whitened readings with the lost ones as the others predict them, and which those are."""
+        lost = np.flatnonzero(~np.isfinite(z))
         if lost.size == len(z):
             raise InputError("no reading is left in this frame", where="frame", found="all markers lost",
                              expected="at least three markers", hint="look at the image")  # fmt: skip
-        z = np.where(np.isfinite(z), z, 0.0)
+        if lost.size:
+            z = np.where(np.isfinite(z), z, 0.0)
+            z[lost] = cho_solve(self._left(lost), self.influence[lost] @ z)
+        return z, lost
+
+    def _left(self, lost: NDArray[np.intp]) -> Any:
+        """Cholesky factor of I - A_MM."""
         left = np.eye(lost.size) - self.influence[np.ix_(lost, lost)]
-        factor = cho_factor((left + left.T) / 2)
-        z[lost] = cho_solve(factor, self.influence[lost] @ z)
+        return cho_factor((left + left.T) / 2)
+
+    def _widened(self, z: Array, lost: NDArray[np.intp]) -> Answer:
+        """The answer of filled readings, with the std of those that were read."""
+        factor = self._left(lost)
         columns = self.matrix[:, lost].astype(float)
         more = cho_solve(factor, columns.T)
         reach = self.reach + columns @ cho_solve(factor, (self.resultant @ columns).T)

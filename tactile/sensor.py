@@ -15,7 +15,7 @@ from loadid.flags import collect
 from loadid.provenance import provenance
 from structures.arrays import MatrixModel
 from structures.errors import InputError
-from structures.flags import Flag
+from structures.flags import Flag, codes
 
 from .forcemap import ForceMap
 from .frame import not_built_for_depth, readings_of
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 TOUCH = 0.05  # of the peak pressure of the unconstrained map: where the constrained one looks for contact
 CLEAR = 2.0  # stds of the unconstrained map
 MANY = 12  # markers from which one can be told to contradict the others
-ROUNDS = 4  # of leaving such markers out
+STRAYS = 20  # of them that are left out, at most
 
 
 class PadModel(MatrixModel):
@@ -107,6 +107,7 @@ class LinearSensor:
         self._offset = np.zeros(len(sensors))
         self._inverses: dict[bool, Inverse] = {}
         self._solver: RegionSolver | None = None
+        self._found: dict[Inverse, Flag | None] = {}
 
     def __repr__(self) -> str:
         rows, loads = self.model.H.shape
@@ -202,6 +203,11 @@ class LinearSensor:
         return self._constrained(inverse, y, answer.load, answer.std, None)
 
     @property
+    def codes(self) -> set[str]:
+        """Short codes of what the guards found when the sensor was built."""
+        return codes(self.model.flags)
+
+    @property
     def E(self) -> float:
         """Young's modulus that the sensor was built with (Pa)."""
         body = getattr(self, "pad", None) or self.ground  # type: ignore[attr-defined]
@@ -265,6 +271,7 @@ class LinearSensor:
             flags = [*flags, guards.stopped(found.converged, found.steps)]
         else:
             flags = [*flags, guards.taken(inverse.hidden(load), inverse.resultant @ load, covariance)]
+        flags = [*flags, self._unseen(inverse)]
         lost = int(np.sum(~np.isfinite(used)))
         facts = {
             "path": solver,
@@ -278,19 +285,39 @@ class LinearSensor:
         }
         return self._map(load, std, covariance, facts, flags, response=None)
 
+    def _unseen(self, inverse: Inverse) -> Flag | None:
+        """What of a plain press would be found; asked once for every inverse."""
+        if inverse not in self._found:
+            places = self.geometry["coordinates"][self._nodes]
+            about = self.geometry["about"]
+            reach = self.thickness if self.thickness is not None else float(np.ptp(places[:, :2])) / 6
+            press = np.zeros((len(places), 3))
+            press[:, 2] = -np.exp(-np.sum((places[:, :2] - about[:2]) ** 2, axis=1) / reach**2)
+            self._found[inverse] = guards.unseen(inverse.recovery(press.ravel()))
+        return self._found[inverse]
+
+    @property
+    def thickness(self) -> float | None:
+        """Thickness of what is pressed (m); None for a half-space."""
+        body = getattr(self, "pad", None) or getattr(self, "ground", None)
+        return getattr(body, "thickness", None) or getattr(body, "h", None)
+
+    @property
+    def _nodes(self) -> NDArray[np.intp]:
+        """Nodes that may be loaded."""
+        count = len(self.geometry["coordinates"])
+        return np.arange(count) if self.kept is None else self.kept[::3] // 3
+
     def _without_strays(self, inverse: Inverse, y: Array) -> tuple[Array, int]:
         """Readings without those of markers that contradict all others: a dot taken for its neighbour."""
         count, axes = len(self.markers), len(self.markers.axes)
         if count < MANY:
             return y, 0
         found = 0
-        for _ in range(ROUNDS):
-            strays = inverse.strays(y, count, axes)
-            if not strays.any():
-                break
-            found += int(strays.sum())
+        while found < STRAYS and (stray := inverse.stray(y, count, axes)) is not None:
+            found += 1
             y = y.copy()
-            y[: count * axes][np.repeat(strays, axes)] = np.nan
+            y[stray * axes : (stray + 1) * axes] = np.nan
         return y, found
 
     @property
@@ -317,8 +344,7 @@ class LinearSensor:
     @property
     def _neighbours(self) -> Any:
         found = neighbours(self.geometry["cells"], self.geometry["coordinates"])
-        nodes = None if self.kept is None else self.kept[::3] // 3
-        return found if nodes is None else found[nodes][:, nodes]
+        return found[self._nodes][:, self._nodes]
 
     @property
     def _weights(self) -> Array:

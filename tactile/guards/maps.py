@@ -41,6 +41,26 @@ def taken(hidden: NDArray, resultant: NDArray, covariance: NDArray) -> Flag | No
     )
 
 
+def unseen(share: float, limit: float = 0.8) -> Flag | None:
+    """W608: of a plain press in the middle of the pad a good part of its force would not be found.
+
+    Parameters
+    ----------
+    share : float
+        Of the normal force of a press as wide as the pad is thick, without noise.
+    limit : float
+    """
+    if share >= limit:
+        return None
+    return Flag(
+        "W608",
+        Evidence("share of a normal force that would be found", share, limit),
+        f"of a press as wide as the pad is thick {100 * share:.0f} % of the normal force would be found: the readings "
+        "or the penalty hide the rest, and no band shows it",
+        "measure the normal motion (a depth map, markers in depth), or take a smaller lambda",
+    )
+
+
 def stopped(converged: bool, steps: int) -> Flag | None:
     """W410: the constrained solver ended on its limit."""
     if converged:

@@ -20,6 +20,7 @@ from . import (
     test_spacetime,
     test_sparse,
     test_statics,
+    test_tactile,
     test_tracking,
 )
 from .cases import of
@@ -28,7 +29,7 @@ from .test_histories import folder
 __all__ = ["folder"]  # where the files of some cases go
 
 CASES = [*test_histories.CASES, *test_statics.CASES, *test_locations.CASES, *test_sparse.CASES, *test_spacetime.CASES]
-CASES += [*test_frfs.CASES, *test_frequency.CASES, *test_tracking.CASES]
+CASES += [*test_frfs.CASES, *test_frequency.CASES, *test_tracking.CASES, *test_tactile.CASES]
 CODE_RULES = {"E103", "E301", "E302", "E408"}
 ELSEWHERE = {"E116"}  # tested with the structure
 
@@ -58,7 +59,7 @@ def test_every_guard_of_the_code_is_here():
 
     said = {
         code
-        for _, path in modules("structures", "loadid")
+        for _, path in modules("structures", "loadid", "tactile")
         for code in re.findall(r"""["'](?:LID-)?([EWN]\d{3})["']""", path.read_text("utf-8"))
     }
     assert said <= set(GUARDS) | CODE_RULES

@@ -1,0 +1,103 @@
+"""Guards of the tactile route: each triggered through the door that a user takes, and its clean twin."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+import numpy as np
+
+from structures.flags import Flag
+from tactile.contact import Hertz
+from tactile.forcemap import ForceMap
+from tactile.gelslim import GelSlim
+from tactile.guards import labels, monitor
+from tactile.guards import pad as mesh
+from tactile.guards.material import one_of_two
+from tactile.indenters import Sphere
+from tactile.optics import View
+from tactile.pad import Pad
+
+from ..tactile import rigs
+from .cases import Case, refused
+
+OLD, NEW = datetime(2024, 5, 1), datetime(2025, 5, 1)
+
+
+def small(**settings: object) -> Pad:
+    """A pad of few cells."""
+    given = {"size": (8e-3, 8e-3), "thickness": 3e-3, "E": 147e3, "nu": 0.3223, "pitch": 1e-3, "layers": 4}
+    return Pad(**{**given, **settings})  # type: ignore[arg-type]
+
+
+def strained(force: float) -> tuple[Flag, ...]:
+    """What the strain of a pad under a force says."""
+    here = small()
+    f = np.zeros((here.points, 3))
+    f[here.points // 2, 2] = -force
+    found = here.strained(f)
+    return () if found is None else (found,)
+
+
+def mapped(**settings: object) -> ForceMap:
+    """A force map of the small rig, and what was found on the way."""
+    return rigs.sensor(**settings).estimate(rigs.motion(1))  # type: ignore[arg-type]
+
+
+def lost(count: int) -> tuple[Flag, ...]:
+    """Flags of a frame in which some markers are lost."""
+    y = rigs.motion(1).copy()
+    y[:count] = np.nan
+    return rigs.sensor().estimate(y).flags
+
+
+def slim(spread: bool, indenter: bool = False) -> tuple[Flag, ...]:
+    """Flags of F = K U, on markers that are the nodes or coarser than them."""
+    here = rigs.pad(1, "standard")
+    m = rigs.markers(6, 5) if spread else here.nodes2d
+    s = GelSlim(here, m, noise=1e-6, axes="XY" if indenter else "XYZ", interpolation="linear")
+    u = np.zeros((len(m), 3))
+    return s.estimate(u, indenter=Sphere(radius=8e-3, depth=0.2e-3) if indenter else None).flags
+
+
+def hertz(thickness: float) -> tuple[Flag, ...]:
+    """Flags of a Hertz contact on a pad, or its refusal."""
+    found: list[Flag] = []
+    raised = refused(lambda: found.extend(Hertz(R=4e-3, force=0.02, E=147e3, nu=0.3223, thickness=thickness).flags))
+    return raised or tuple(found)
+
+
+def motion(known: bool) -> tuple[Flag, ...]:
+    """The refusal of tangential motion by a homography, with and without the directions of the rays."""
+    rays = {"alpha": 0.3, "gamma": 1.4} if known else {}
+    view = View.homography(np.diag([2e4, 2e4, 1.0]), **rays)  # type: ignore[arg-type]
+    px = np.zeros((4, 2))
+    return refused(lambda: view.motion(px, px + 1.0, 1e-4))
+
+
+def one(flag: Flag | None) -> tuple[Flag, ...]:
+    """As a tuple."""
+    return () if flag is None else (flag,)
+
+
+CASES = [
+    Case("E110", lambda: refused(lambda: mesh.counts(1964, 3698)), lambda: refused(lambda: mesh.counts(1764, 3698)),
+         "one conforming mesh"),
+    Case("W111", lambda: small(E=147e6).flags, lambda: small().flags, "1.47e.08.*factor 1000"),
+    Case("W112", lambda: strained(5.0), lambda: strained(0.01), "principal strain"),
+    Case("W113", lambda: one(one_of_two("rate independent", "not tested")),
+         lambda: one(one_of_two("rate independent", "linear")), "linearity"),
+    Case("W115", lambda: small(layers=1, element="standard").flags, lambda: small().flags, "single layer|one layer"),
+    Case("W601", lambda: hertz(4e-3), lambda: hertz(1.0), "too soft"),
+    Case("E602", lambda: hertz(1e-3), lambda: hertz(1.0), "too soft"),
+    Case("E603", lambda: motion(False), lambda: motion(True), "not known"),
+    Case("W604", lambda: lost(12), lambda: lost(1), "36 of 585"),
+    Case("W605", lambda: slim(True), lambda: slim(False), "effective"),
+    Case("N606", lambda: slim(False, indenter=True), lambda: slim(False), "z completed"),
+    Case("W607", lambda: one(monitor.drift(5e-5, 1e-6, OLD)), lambda: one(monitor.drift(1e-6, 1e-6, OLD)), "2024-05-01"),
+    Case("W608", lambda: mapped(choice=0.2).flags, lambda: mapped(choice=1e-3).flags, "lowers the resultant by"),
+    Case("N610", lambda: one(labels.resultant_output("a net", 6)), lambda: (), "no map"),
+    Case("W705", lambda: one(monitor.gain_or_shape(0.8, 0.999, 0.01, 0.5)),
+         lambda: one(monitor.gain_or_shape(1.01, 0.9999, 0.001, 0.5)), "0.8"),
+    Case("W706", lambda: one(monitor.other_calibration(OLD, NEW)), lambda: one(monitor.other_calibration(NEW, OLD)),
+         "2024-05-01"),
+]  # fmt: skip

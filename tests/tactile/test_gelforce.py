@@ -1,0 +1,116 @@
+"""GelForce: the block matrix of two layers of markers, half-space or layer, and what its depth costs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from structures.errors import InputError, NotIdentifiable
+from tactile.gelforce import GelForce, influence
+from tactile.layer import HalfSpace, Layer
+from tactile.presses import Press
+
+GROUND = HalfSpace(E=0.147e6, nu=0.49)
+# condition number, relative error of the pseudo-inverse at 5 um: 11 x 11 forces 2 mm apart, markers under them
+PAGE = {(0.5, 1): (55.3, 0.036), (1, 2): (400, 0.19), (2, 4): (5.9e3, 1.24), (3, 6): (5.3e4, 9.8)}
+
+
+def places(count: int = 11, pitch: float = 2e-3) -> np.ndarray:
+    line = (np.arange(count) - (count - 1) / 2) * pitch
+    return np.array([(x, y) for y in line for x in line])
+
+
+def rig(
+    depths: tuple[float, float], ground: HalfSpace | Layer = GROUND, count: int = 11, **settings: object
+) -> GelForce:
+    at = places(count)
+    under = [np.column_stack([at, np.full(len(at), ground.top - 1e-3 * d)]) for d in depths]
+    return GelForce(ground, at, np.vstack(under), noise=5e-6, **{"choice": 0, "penalty": None, **settings})  # type: ignore[arg-type]
+
+
+def truth(count: int = 11) -> np.ndarray:
+    f = np.zeros((count**2, 3))
+    f[count**2 // 2] = [0.3, 0.0, -1.0]
+    f[count**2 // 2 + 1] = [0.0, 0.0, -0.5]
+    return f
+
+
+@pytest.mark.parametrize("depths", PAGE)
+def test_depth_decides(depths: tuple[float, float]) -> None:
+    s = rig(depths)
+    kappa, error = PAGE[depths]
+    assert s.condition == pytest.approx(kappa, rel=0.02)
+    assert s.expected_error(truth()) == pytest.approx(error, rel=0.08)
+    assert (s.flagged(truth()) is not None) == (error > 0.3)
+
+
+def test_noise_free_motion_gives_the_forces_back() -> None:
+    s = rig((1, 2))
+    u = (s.model.H @ truth().ravel()).reshape(-1, 3)
+    found = s.estimate(u)
+    assert np.allclose(found.forces(), truth(), atol=1e-10)
+    assert np.allclose(found.resultant().value, [0.3, 0.0, -1.5], atol=1e-10)
+
+
+def test_the_expected_error_is_that_of_draws() -> None:
+    s, rng = rig((0.5, 1), count=7), np.random.default_rng(0)
+    u = (s.model.H @ truth(7).ravel()).reshape(-1, 3)
+    errors = [np.sum((s.estimate(u + 5e-6 * rng.standard_normal(u.shape)).forces() - truth(7)) ** 2) for _ in range(60)]
+    assert np.sqrt(np.mean(errors)) / np.linalg.norm(truth(7)) == pytest.approx(s.expected_error(truth(7)), rel=0.1)
+
+
+def test_regularisation_helps_where_depth_hurts() -> None:
+    plain, ridge = rig((2, 4), count=7), rig((2, 4), count=7, choice="discrepancy", penalty="identity")
+    u = (plain.model.H @ truth(7).ravel()).reshape(-1, 3)
+    y = u + 5e-6 * np.random.default_rng(0).standard_normal(u.shape)
+    errors = [np.linalg.norm(s.estimate(y).forces() - truth(7)) for s in (plain, ridge)]
+    assert errors[1] < 0.6 * errors[0]
+
+
+@pytest.mark.parametrize("ground", [GROUND, Layer(4e-3, 0.147e6, 0.45)])
+def test_columns_are_small_presses(ground: HalfSpace | Layer) -> None:
+    at = np.array([[0.3e-3, -0.2e-3]])
+    points = np.array([[1e-3, 2e-3, ground.top - 1e-3], [-2e-3, 0.5e-3, ground.top - 2e-3]])
+    H = influence(ground, points, at)
+    press = Press(at=tuple(at[0]), radius=2e-5, force=1.0, shear=(0.4, -0.3))
+    assert np.allclose(H @ press.vector, press.displacement(ground, points).ravel(), rtol=1e-3, atol=1e-9)
+
+
+def test_the_layer_knows_the_window_and_the_half_space_does_not() -> None:
+    layer = Layer(3e-3, 0.147e6, 0.3223)
+    at = places(9, 1.5e-3)
+    markers = np.vstack([np.column_stack([at, np.full(len(at), 3e-3 - d)]) for d in (1.5e-3, 2.2e-3)])
+    press = Press(radius=3e-3, force=1.0)
+    u = press.displacement(layer, markers)
+    inside = GelForce(layer, at, markers, noise=1e-6, choice=1e-3).estimate(u)
+    down = markers - [0.0, 0.0, 3e-3]
+    half = GelForce(layer.half_space, at, down, noise=1e-6, choice=1e-3).estimate(u)
+    assert inside.resultant().value[2] == pytest.approx(-1.0, abs=0.03)
+    assert abs(half.resultant().value[2] + 1) > 0.2
+
+
+def test_a_thin_pad_is_flagged_then_refused() -> None:
+    assert "W601" in rig((0.5, 1), thickness=5e-3, contact_radius=1e-3, count=5).codes
+    assert not rig((0.5, 1), thickness=20e-3, contact_radius=1e-3, count=5).codes
+    with pytest.raises(NotIdentifiable, match="half-space"):
+        rig((0.5, 1), thickness=3e-3, contact_radius=1e-3, count=5)
+    assert "E602" in rig((0.5, 1), thickness=3e-3, contact_radius=1e-3, count=5, allow=("E602",)).codes
+
+
+def test_an_edge_nearby_is_flagged() -> None:
+    assert "W601" in rig((0.5, 1), thickness=3e-3, size=(20e-3, 20e-3), count=5).codes
+    assert not rig((0.5, 1), thickness=3e-3, size=(60e-3, 60e-3), count=5).codes
+
+
+@pytest.mark.parametrize("depth", [0.0, -1e-3])
+def test_markers_on_the_surface_are_refused(depth: float) -> None:
+    at = places(3)
+    with pytest.raises(InputError, match="under the surface"):
+        GelForce(GROUND, at, np.column_stack([at, np.full(9, -depth)]), noise=1e-6)
+
+
+@pytest.mark.parametrize("forces", [np.zeros((1, 2)), np.zeros((4, 3)), np.full((4, 2), np.nan)])
+def test_places_of_forces(forces: np.ndarray) -> None:
+    at = places(3)
+    with pytest.raises(InputError):
+        GelForce(GROUND, forces, np.column_stack([at, np.full(9, -1e-3)]), noise=1e-6)

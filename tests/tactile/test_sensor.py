@@ -1,0 +1,293 @@
+"""Sensors with one face: frozen and thorough agree, lost markers cost themselves, what a force sensor says is met."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from loadid import StaticInversion
+from structures.errors import InputError
+from tactile.forcemap import ForceMap
+from tactile.multilayer import MultilayerPad
+from tactile.observation import Depths, Markers
+from tactile.reading import DepthMap, Wrench
+
+from .rigs import NOISE, PRESS, depth, markers, motion, nodal, pad, sensor
+
+
+def relative(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.linalg.norm(a - b) / np.linalg.norm(b))
+
+
+def dense(s: MultilayerPad, y: np.ndarray, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Load and std of the readings that are kept, by stacked least squares."""
+    spread = np.array([c.noise for c in s.model.sensors])
+    lam = s.inverse.lam * s.inverse.scale
+    A = np.vstack([s.model.H[keep] / spread[keep, None], lam * np.eye(s.model.H.shape[1])])
+    b = np.concatenate([y[keep] / spread[keep], np.zeros(s.model.H.shape[1])])
+    load = np.linalg.lstsq(A, b, rcond=None)[0]
+    R = np.linalg.qr(A, mode="r")
+    return load, np.linalg.norm(np.linalg.solve(R, np.eye(len(R))), axis=1)
+
+
+def test_a_noise_free_motion_gives_the_forces_back() -> None:
+    found = sensor(1e-7).estimate(motion())
+    assert relative(found.forces(), nodal()) < 1e-6
+    assert np.allclose(found.resultant().value, nodal().sum(axis=0), rtol=1e-8)
+
+
+def test_the_quick_answer_is_that_of_dense_least_squares() -> None:
+    s, y = sensor(), motion(1).ravel()
+    found = s.estimate(motion(1))
+    load, std = dense(s, y, np.ones(len(y), bool))
+    assert relative(found.load, load) < 1e-9
+    assert relative(found.std, std) < 1e-9
+
+
+def test_quick_and_thorough_agree() -> None:
+    s = sensor()
+    quick = s.estimate(motion(1))
+    whole = StaticInversion(s.model, choice=s.inverse.lam).estimate(motion(1).ravel())
+    assert relative(quick.load, whole.load) < 1e-9
+    assert (
+        relative(s.inverse.hidden(quick.load)[:3], s.resultant[:3] @ np.zeros(len(quick.load)) + _bias(s, quick)) < 1e-6
+    )
+
+
+def _bias(s: MultilayerPad, found: ForceMap) -> np.ndarray:
+    """What the inverse makes of the response of its own answer, less that answer: its resultant."""
+    again = s.estimate((s.model.H @ found.load).reshape(-1, 3))
+    return s.resultant[:3] @ (again.load - found.load)
+
+
+def test_lost_markers_cost_themselves_and_nothing_else() -> None:
+    s, y = sensor(), motion(1).copy()
+    y[[40, 41, 97, 100]] = np.nan
+    found = s.estimate(y)
+    keep = np.isfinite(y.ravel())
+    load, std = dense(s, y.ravel(), keep)
+    assert relative(found.load, load) < 1e-8
+    assert relative(found.std, std) < 1e-8
+    assert np.all(found.std >= s.estimate(motion(1)).std - 1e-9 * found.std.max())
+    assert found.facts["lost"] == 12
+
+
+def test_a_lost_axis_loses_the_marker() -> None:
+    y = motion(1).copy()
+    y[7, 1] = np.nan
+    assert sensor().estimate(y).facts["lost"] == 3
+
+
+def test_a_dot_taken_for_its_neighbour_is_left_out() -> None:
+    y = motion(1).copy()
+    y[100] += [0.9e-3, 0.0, 0.0]
+    found, clean = sensor().estimate(y), sensor().estimate(motion(1))
+    assert found.facts["strays"] == 1
+    assert relative(found.forces(), nodal()) < 1.2 * relative(clean.forces(), nodal())
+    assert clean.facts["strays"] == 0
+
+
+def test_units_of_force_do_not_matter() -> None:
+    stiff = MultilayerPad(replace(pad(), E=147e9, material="any"), markers(), noise=NOISE, axes="XYZ", choice=0.01)
+    soft = sensor().estimate(motion(1))
+    assert relative(stiff.estimate(motion(1)).load, 1e6 * soft.load) < 1e-9
+
+
+@pytest.mark.parametrize("count", [3, 6])
+def test_a_resultant_is_met_exactly(count: int) -> None:
+    s = sensor()
+    truth = s.geometry["resultant"] @ s.estimate(motion()).load
+    given = Wrench(1.1 * truth[:3], None if count == 3 else truth[3:] + 1e-5)
+    found = s.estimate(motion(1), wrench=given)
+    assert np.allclose(found.resultant().value, given.force, atol=1e-9)
+    assert np.all(found.resultant().std < 1e-6 * s.estimate(motion(1)).resultant().std)
+    if given.torque is not None:
+        assert np.allclose(found.torque().value, given.torque, atol=1e-12)
+
+
+def test_a_measured_resultant_weighs_like_rows_of_data() -> None:
+    s, spread = sensor(), np.array([0.02, 0.03, 0.01])
+    given = Wrench([0.3, 0.05, -1.2], std=spread)
+    found = s.estimate(motion(1), wrench=given)
+    noise = np.array([c.noise for c in s.model.sensors])
+    n, lam = s.model.H.shape[1], s.inverse.lam * s.inverse.scale
+    A = np.vstack([s.model.H / noise[:, None], s.resultant[:3] / spread[:, None], lam * np.eye(n)])
+    b = np.concatenate([motion(1).ravel() / noise, given.force / spread, np.zeros(n)])
+    assert relative(found.load, np.linalg.lstsq(A, b, rcond=None)[0]) < 1e-7
+
+
+def test_a_measured_resultant_counts_when_markers_are_lost() -> None:
+    s, y = sensor(), motion(1).copy()
+    y[[40, 41, 97, 100]] = np.nan
+    found = s.estimate(y, wrench=Wrench([0.25, 0.0, -1.0]))
+    assert np.allclose(found.resultant().value, [0.25, 0.0, -1.0], atol=1e-9)
+
+
+def test_no_pull_and_friction_hold() -> None:
+    free = sensor().estimate(motion(1))
+    pressed = sensor(no_pull=True).estimate(motion(1))
+    held = sensor(friction=0.3).estimate(motion(1))
+    assert free.pressure().min() < -1e-3 * free.pressure().max()
+    assert pressed.pressure().min() >= -1e-9 * pressed.pressure().max()
+    t = held.traction()
+    assert np.all(np.hypot(t[:, 0], t[:, 1]) <= 0.3 * -t[:, 2] + 1e-6 * np.abs(t).max())
+    assert relative(pressed.forces(), nodal()) < relative(free.forces(), nodal())
+
+
+def test_the_constrained_answer_is_that_of_an_interior_point_solver() -> None:
+    from scipy.optimize import lsq_linear
+
+    s = sensor(no_pull=True)
+    found = s.estimate(motion(1))
+    region = s._solver._last  # type: ignore[union-attr]
+    assert region is not None
+    noise, lam = NOISE, s.inverse.lam * s.inverse.scale
+    A = np.vstack([s.model.H[:, region.columns] / noise, lam * np.eye(len(region.columns))])
+    b = np.concatenate([motion(1).ravel() / noise, np.zeros(len(region.columns))])
+    upper = np.tile([np.inf, np.inf, 0.0], len(region.nodes))
+    other = lsq_linear(A, b, bounds=(-np.inf, upper), tol=1e-12).x
+    assert relative(found.load[region.columns], other) < 1e-5
+
+
+def test_a_resultant_is_met_under_friction() -> None:
+    found = sensor(friction=0.6).estimate(motion(1), wrench=Wrench([0.2, 0.0, -1.05]))
+    assert np.allclose(found.resultant().value, [0.2, 0.0, -1.05], atol=1e-7)
+
+
+def test_what_is_not_touched_carries_nothing() -> None:
+    rng = np.random.default_rng(0)
+    found = sensor(no_pull=True).estimate(NOISE * rng.standard_normal((len(markers()), 3)))
+    assert np.count_nonzero(found.load) < 0.1 * found.load.size
+
+
+def test_frames_start_warm_and_give_the_same() -> None:
+    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ", choice=0.01, friction=0.5)
+    cold = s.estimate(motion(1)).load
+    s.estimate(1.3 * motion(2))
+    assert relative(s.estimate(motion(1)).load, cold) < 1e-8
+
+
+def test_a_support_carries_all() -> None:
+    here = pad()
+    near = np.hypot(*(here.nodes2d - np.array(PRESS.at)).T) < 4e-3
+    s = MultilayerPad(here, markers(), noise=NOISE, axes="XYZ", choice=0.01, support=near)
+    found = s.estimate(motion(1))
+    assert np.all(found.forces()[~_touching(near)] == 0)
+    assert relative(found.forces(), nodal()) < relative(sensor().estimate(motion(1)).forces(), nodal())
+    assert found.traction().shape == (here.points, 3)
+
+
+def _touching(nodes: np.ndarray) -> np.ndarray:
+    """Nodes that share a cell with some."""
+    cells = pad().surface.cells
+    out = nodes.copy()
+    out[cells[nodes[cells].any(axis=1)].ravel()] = True
+    return out
+
+
+def test_depth_is_measured_and_its_absence_is_said() -> None:
+    s = MultilayerPad(pad(), markers(), noise=NOISE, depth=depth(), choice=0.01)
+    y = motion(1)[:, :2]
+    both, alone = s.estimate(y, depth()), s.estimate(y)
+    assert both.provided["z"] == "measured"
+    assert alone.provided["z"] == "completed"
+    assert "N606" in alone.codes
+    assert "N606" not in both.codes
+    assert abs(both.resultant().value[2] + 1) < 0.06
+    assert abs(alone.resultant().value[2] + 1) > 0.5
+    assert alone.resultant().std[2] > 10 * both.resultant().std[2]
+
+
+def test_depth_windows_average_what_the_pad_does() -> None:
+    here, noise = pad(), 1e-5
+    window = Depths(depth(noise=noise), here.nodes2d[~here.edge], 1e-3)
+    U = np.random.default_rng(0).standard_normal(3 * here.points) * 1e-5
+    rows = window.rows(here.from_surface(window.samples))
+    fine = 1e-3 * (np.arange(20) + 0.5) / 20 - 0.5e-3
+    x, y = np.meshgrid(fine, fine)
+    for k in (10, 77):
+        places = window.points[k] + np.column_stack([x.ravel(), y.ravel()])
+        assert rows[k] @ U == pytest.approx(np.mean((here.from_surface(places) @ U)[2::3]), rel=1e-3)
+    assert window.averaging.std(noise)[50] == pytest.approx(noise / 5, rel=0.21)
+
+
+def test_zero_takes_a_constant_off() -> None:
+    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ", choice=0.01)
+    offset = 1e-5 * np.random.default_rng(3).standard_normal((len(markers()), 3))
+    before = s.estimate(motion(1)).load
+    s.zero([offset, offset])
+    assert relative(s.estimate(motion(1) + offset).load, before) < 1e-9
+
+
+def test_apparent_motion_is_told_apart_by_its_slopes() -> None:
+    slope = np.tile([0.3, -0.2], (len(markers()), 1))
+    u = motion()
+    apparent = u[:, :2] + slope * u[:, 2:]
+    s = MultilayerPad(pad(), markers(), noise=NOISE, depth=depth(), slope=slope, choice=1e-3)
+    blind = MultilayerPad(pad(), markers(), noise=NOISE, depth=depth(), choice=1e-3)
+    truth = nodal().sum(axis=0)
+    assert np.linalg.norm(s.estimate(apparent, depth()).resultant().value - truth) < 0.03
+    assert abs(blind.estimate(apparent, depth()).resultant().value[0] - truth[0]) > 0.05
+
+
+def test_lambda_is_chosen_over_presses_and_kept() -> None:
+    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ")
+    assert not s.frozen
+    first = s.estimate(motion(1))
+    assert first.choice is not None and first.choice.rule == "discrepancy"
+    found = s.calibrate([motion(1), motion(2)])
+    assert s.frozen
+    assert s.estimate(motion(3)).facts["lambda"] == found.lam
+
+
+def test_smoothness_and_constraints_refuse_each_other_at_frame_rate() -> None:
+    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ", choice=0.01, penalty="gradient", no_pull=True)
+    with pytest.raises(InputError, match="identity"):
+        s.estimate(motion(1))
+
+
+def test_the_band_of_the_resultant_holds() -> None:
+    s, truth = sensor(1e-3), nodal().sum(axis=0)
+    pulls = [
+        (r := s.estimate(motion(None) + NOISE * np.random.default_rng(k).standard_normal((195, 3))).resultant()).value
+        for k in range(200)
+    ]
+    assert np.std(pulls, axis=0) == pytest.approx(r.std, rel=0.15)
+    assert np.all(np.abs(np.mean(pulls, axis=0) - truth) < 4 * r.std / np.sqrt(200) + 2e-3)
+
+
+BAD = {
+    "two markers": lambda: Markers(np.zeros((2, 2)), NOISE),
+    "NaN": lambda: Markers(np.full((5, 2), np.nan), NOISE),
+    "no noise": lambda: MultilayerPad(pad(), markers()),
+    "noise of zero": lambda: Markers(markers(), 0.0),
+    "axes": lambda: Markers(markers(), NOISE, "ZYX"),
+    "slopes": lambda: Markers(markers(), NOISE, "XY", np.zeros((3, 2))),
+    "shape": lambda: sensor().estimate(motion()[:-1]),
+    "infinity": lambda: sensor().estimate(np.full((195, 3), np.inf)),
+    "all lost": lambda: sensor().estimate(np.full((195, 3), np.nan)),
+    "no eye": lambda: sensor().estimate(np.zeros((48, 64), np.uint8)),
+    "no depth": lambda: sensor().estimate(motion(), depth()),
+    "another depth": lambda: MultilayerPad(pad(), markers(), noise=NOISE, depth=depth(), choice=0.1).estimate(
+        motion(), depth(pixel=2.5e-4)
+    ),
+    "depth elsewhere": lambda: MultilayerPad(
+        pad(), markers(), noise=NOISE, depth=DepthMap(np.zeros((9, 9)), 1e-4, 1e-5, (1.0, 1.0))
+    ),
+    "friction": lambda: MultilayerPad(pad(), markers(), noise=NOISE, friction=-1.0),
+    "support": lambda: MultilayerPad(pad(), markers(), noise=NOISE, support=np.zeros(7, bool)),
+    "wrench": lambda: Wrench([1.0, 2.0]),
+    "wrench std": lambda: Wrench([1.0, 2.0, 3.0], std=[1.0] * 6),
+    "no frames": lambda: sensor().zero([]),
+    "depth map": lambda: DepthMap(np.zeros(5), 1e-4, 1e-5),
+    "pixel": lambda: DepthMap(np.zeros((5, 5)), 0.0, 1e-5),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_clear_error(case: str) -> None:
+    with pytest.raises(InputError) as caught:
+        BAD[case]()
+    assert caught.value.args
