@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -181,3 +182,20 @@ def test_what_cannot_be_tracked_is_refused_before_anything_is_written(made, run,
     code, _, err = run("--model", model, "--in", tmp_path / "names", "--out", out)
     assert code == cli.BAD_INPUT
     assert "channel a0" in err
+
+
+def test_a_new_start_loads_nothing_that_it_does_not_need(made, tmp_path):
+    """A fresh process that goes on from a state: the compiler or pictures would cost it more than all the rest."""
+    log = tmp_path / "log"
+    log.write_bytes(b"".join(made[2][:301]))
+    words = ["--model", made[3], "--state", tmp_path / "s.h5", "--in", log, "--out", tmp_path / "o", "--idle", "0"]
+    argv = ["track", *(str(w) for w in words)]
+    assert cli.main(argv) == 0
+    log.write_bytes(b"".join(made[2]))
+    code = (
+        f"import sys; from loadid import cli; done = cli.main({argv!r}); "
+        "print(done, *({'numba', 'matplotlib'} & set(sys.modules)))"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert ran.stdout.splitlines()[-1] == "0"
+    assert np.array_equal(table(tmp_path / "o"), expected(made))
