@@ -1,48 +1,7 @@
 """A sensor in one TOML file: pad, camera, markers, depth map and contact.
 
-Numbers are written with their unit; px may be left out where nothing else can be meant. What is not there has its
-default; what is not known is refused with its name. An example, as ``loadid tactile demo`` writes it::
-
-    [pad]
-    size = ["24 mm", "24 mm"]       # along x and y; or mesh = "pad.inp", mesh_unit = "mm"
-    thickness = "3 mm"
-    E = "0.147 MPa"
-    nu = 0.3223
-    pitch = "1 mm"                  # of the nodes of the map; a quarter of the thickness if left out
-    layers = 4                      # of elements through the thickness
-    # rounded = "3 mm"              # radius of the corners; or polygon = [["-12 mm", "-12 mm"], ...]
-
-    [camera]                        # a lens under the pad ...
-    focal = 640                     # px
-    centre = [320, 240]             # px, where the optical axis meets the image
-    distance = "25 mm"              # from the lens to the window
-    depth = "3 mm"                  # from the face of the window to the markers
-    gamma = 1.4                     # index of gel and window over that of air
-    tilt = "12 deg"
-    azimuth = "17 deg"
-    # homography = [[...], [...], [...]]   # ... or a matrix from the pad to the image, with
-    # homography_unit = "mm"               # its unit of length and the rays: alpha, gamma, azimuth,
-    # points, pixels                       # or a table [camera.lens]: at, distance, depth, gamma
-
-    [markers]
-    radius = 5.6                    # px; found in the image if left out, as is the pitch
-    dark = true
-    # noise = "0.02 px"             # std of a place; measured on unloaded frames if left out
-    # unit = "px"                   # of a file of marker motions: px, or a length
-
-    [depth]                         # a depth map beside the camera
-    pixel = "0.1 mm"
-    noise = "10 um"                 # std of one pixel
-    unit = "m"                      # of the numbers in the files
-    pressed = "negative"            # sign of a pressed place
-    # absolute = true               # the unloaded maps are not zero: take them off
-    # centre = ["0 mm", "0 mm"]     # of the map on the pad
-
-    [contact]
-    no_pull = false
-    # friction = 0.8
-    # lam = 0.007                   # relative lambda; chosen on the strongest frames if left out
-    # penalty = "identity"
+Numbers are written with their unit, ``"24 mm"``; px may be left out where nothing else can be meant. What is not there
+has its default; what is not known is refused with its name. `EXAMPLE` holds all of it, with a comment on each line.
 """
 
 from __future__ import annotations
@@ -66,6 +25,50 @@ if TYPE_CHECKING:
     from .pad import Pad
     from .reading import DepthMap
 
+EXAMPLE = """\
+# A marked gel pad, its camera and its depth map. Lengths in the frame of the pad: origin at its centre, z out of it.
+
+[pad]
+size = ["24 mm", "24 mm"]       # along x and y; or mesh = "pad.inp", mesh_unit = "mm"
+thickness = "3 mm"
+E = "0.147 MPa"
+nu = 0.3223
+pitch = "1 mm"                  # of the nodes of the map; a quarter of the thickness if left out
+layers = 4                      # of elements through the thickness
+# rounded = "3 mm"              # radius of the corners; or polygon = [["-12 mm", "-12 mm"], ...]
+
+[camera]                        # a lens under the pad ...
+focal = 640                     # px
+centre = [320, 240]             # px, where the optical axis meets the image
+distance = "25 mm"              # from the lens to the window
+depth = "3 mm"                  # from the face of the window to the markers
+gamma = 1.4                     # index of gel and window over that of air
+tilt = "12 deg"
+azimuth = "17 deg"
+# homography = [[...], [...], [...]]   # ... or a matrix from the pad to the image, with
+# homography_unit = "mm"               # its unit of length and the rays: alpha, gamma, azimuth,
+# points, pixels                       # or a table [camera.lens]: at, distance, depth, gamma
+
+[markers]
+dark = true                     # dots on a brighter gel
+# radius = 5.0                  # px; found in the image if left out, as is the pitch
+# noise = "0.02 px"             # std of a place; measured on unloaded frames if left out
+# unit = "px"                   # of a file of marker motions: px, or a length
+
+[depth]                         # a depth map beside the camera
+pixel = "0.1 mm"
+noise = "10 um"                 # std of one pixel
+unit = "m"                      # of the numbers in the files
+pressed = "negative"            # sign of a pressed place
+# absolute = true               # the unloaded maps are not zero: take them off
+# centre = ["0 mm", "0 mm"]     # of the map on the pad
+
+[contact]
+no_pull = false
+# friction = 0.8
+# lam = 0.007                   # relative lambda, or a rule; "discrepancy" on the strongest frames if left out
+# penalty = "identity"
+"""
 TABLES = ("pad", "camera", "markers", "depth", "contact")
 METHODS = ("parabola", "centroid")
 PENALTIES = ("identity", "gradient", "laplacian")
@@ -294,6 +297,17 @@ def _tracking(t: Table) -> dict[str, Any]:
     return {name: value for name, value in found.items() if value is not None}
 
 
+def _lam(t: Table) -> float | str | None:
+    """A relative lambda, or the rule that chooses it."""
+    if not isinstance(t.values.get("lam"), str):
+        found: float | None = t.number("lam", None)
+        return found
+    from loadid.inverse.rules import RULES
+
+    rule: str = t.word("lam", tuple(RULES))
+    return rule
+
+
 def _depth(t: Table) -> DepthKind:
     sign = {"negative": 1.0, "positive": -1.0}[t.word("pressed", ("negative", "positive"), "negative")]
     found = DepthKind(
@@ -311,7 +325,7 @@ def _contact(t: Table) -> dict[str, Any]:
     found = {
         "no_pull": t.flag("no_pull", None),
         "friction": t.number("friction", None),
-        "lam": t.number("lam", None),
+        "lam": _lam(t),
         "penalty": t.word("penalty", PENALTIES, None),
     }
     t.end()

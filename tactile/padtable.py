@@ -145,7 +145,7 @@ class Table:
     def matrix(self, key: str) -> NDArray[np.float64]:
         """Three rows of three numbers."""
         value = self._take(key, MISSING)
-        rows = value if isinstance(value, list) and len(value) == 3 else [None]
+        rows: list[Any] = value if isinstance(value, list) and len(value) == 3 else [None]
         if not all(isinstance(row, list) and len(row) == 3 for row in rows):
             raise self.refused(key, "no 3 x 3 matrix", shown(value), "three rows of three numbers")
         return np.array([[self._number(key, x) for x in row] for row in rows])
@@ -237,7 +237,9 @@ class Table:
         if key in self.values:
             return self.values[key]
         if default is MISSING:
-            raise self.refused(key, "a key is missing", ", ".join(self.values) or "an empty table", key)
+            near = difflib.get_close_matches(key, self.values, n=1, cutoff=0.75)
+            raise self.refused(key, "a key is missing", ", ".join(self.values) or "an empty table", key,
+                               f"is it {near[0]}, misspelt?" if near else "")  # fmt: skip
         return default
 
     def _number(self, key: str, value: Any) -> float:

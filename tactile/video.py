@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-import secrets
+import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -66,19 +66,22 @@ def write_video(path: str | os.PathLike, images: Iterable[NDArray[np.uint8]], *,
         No pictures, pictures of different sizes, a suffix that names no video, a file that cannot be written. The old
         file is untouched then.
     """
-    suffix = require_video(path)
-    rate = positive("fps", fps, where="write_video", unit="Hz")
     target = as_path(path)
-    checked = _checked(images, str(target))
-    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(6)}{suffix}")
-    try:
-        count = (_gif if suffix == GIF else _coded)(temporary, checked, rate)
-        replace(target, temporary.read_bytes())
-    except OSError as error:
-        raise InputError("the video cannot be written", where=str(target), found=error.strerror or error) from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    content, count = encoded(images, require_video(path), fps=fps, where=str(target))
+    replace(target, content)
     return count
+
+
+def encoded(
+    images: Iterable[NDArray[np.uint8]], suffix: str, *, fps: float = FPS, where: str = "video"
+) -> tuple[bytes, int]:
+    """Content of the video file that `write_video` writes, and the number of its pictures."""
+    rate = positive("fps", fps, where="video", unit="Hz")
+    checked = _checked(images, where)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"video{suffix}"
+        count = (_gif if suffix == GIF else _coded)(path, checked, rate)
+        return path.read_bytes(), count
 
 
 def film(

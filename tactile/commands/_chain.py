@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from ..pad import Pad
 
 Array = NDArray[np.float64]
-SENSORS = ("multilayer", "gelslim")
 STRONGEST = 3  # frames on which lambda is chosen
 RULE = "discrepancy"  # the noise is that of the unloaded sensor
 
@@ -73,7 +72,7 @@ def reconstruct(
     sensor: str = "multilayer",
     friction: float | None = None,
     no_pull: bool = False,
-    lam: float | None = None,
+    lam: float | str | None = None,
     frames: tuple[int, int] | None = None,
     rate: float | None = None,
     allow: Iterable[str] = (),
@@ -142,7 +141,7 @@ class _Tracked:
 def _sensor(
     name: str, pad: Pad, seen: Seen, maps: DepthMaps | None, contact: dict[str, Any], codes: tuple[str, ...]
 ) -> tuple[Any, float | None]:
-    """The sensor, and lambda where it is stated."""
+    """The sensor, and lambda where it is stated as a number."""
     from loadid.codes import GUARDS
 
     given: dict[str, Any] = {
@@ -160,10 +159,11 @@ def _sensor(
         return GelSlim(pad, **given), None
     from ..multilayer import MultilayerPad
 
-    fixed = contact.get("lam")
+    choice = contact.get("lam", RULE)
+    fixed = None if isinstance(choice, str) else float(choice)
     source = seen.noise_words.rpartition(", ")[2].removeprefix("measured on ")
     built = MultilayerPad(
-        pad, choice=RULE if fixed is None else float(fixed), penalty=contact.get("penalty", "identity"),
+        pad, choice=choice if fixed is None else fixed, penalty=contact.get("penalty", "identity"),
         noise_source="stated" if source == "as stated" else source, **given,
     )  # fmt: skip
     return built, fixed

@@ -159,7 +159,7 @@ class Followed:
 
         self._frame += 1
         moved = places - self.points
-        lost = np.isnan(moved).any(axis=1)
+        lost = np.asarray(np.isnan(moved).any(axis=1))
         gone = vanished(len(lost), int(lost.sum()), 0, 0)
         flags = () if gone is None else (gone,)
         return Motion(self.points, moved, lost, np.zeros_like(lost), 0, self._frame, flags)

@@ -95,12 +95,12 @@ def sequence_figure(
     if narrow:
         wide, high = _size(one, 1, len(kinds))
         figure.set_size_inches(wide, high + 5.0)
-        above, below = figure.subfigures(2, 1, height_ratios=(high, 5.0))
+        above, below = _halves(figure, high, 5.0)
         maps, lines = above.subplots(len(kinds), 1, squeeze=False), below.subplots(2, 1, squeeze=False)
     else:
         wide, high = _size(one, len(kinds), 1)
         figure.set_size_inches(wide, high + 2.6)
-        above, below = figure.subfigures(2, 1, height_ratios=(high, 2.6))
+        above, below = _halves(figure, high, 2.6)
         maps, lines = above.subplots(1, len(kinds), squeeze=False), below.subplots(1, 2, squeeze=False)
     draw_maps(list(maps.ravel()), one, known, kinds, title)
     known_wrenches = None if wrenches is None else _wrenches(wrenches, len(force.load))
@@ -109,6 +109,11 @@ def sequence_figure(
         draw_resultants(ax, force, torque=moment, truth=known_wrenches, at=at)
     mark(figure, force)
     return figure
+
+
+def _halves(figure: Figure, above: float, below: float) -> tuple[Any, Any]:
+    parts: Any = figure.subfigures(2, 1, height_ratios=(above, below))
+    return parts[0], parts[1]
 
 
 def taken(force: ForceMap, truth: ArrayLike | None, frame: int | None) -> tuple[ForceMap, Array | None, str]:
@@ -194,13 +199,13 @@ def pressure_std(one: ForceMap) -> Array:
 
 def surface(ax: Axes, one: ForceMap, values: Array, **style: Any) -> Any:
     """Colours over the cells of the surface, or over triangles between its points."""
-    xy = MM * one.nodes[:, :2]
+    x, y = MM * one.nodes[:, 0], MM * one.nodes[:, 1]
     cells = None if one.geometry is None else one.geometry.get("cells")
-    if cells is None:
-        return ax.tripcolor(Triangulation(*xy.T), values, shading="gouraud", rasterized=True, **style)
-    corners = np.asarray(cells)
-    triangles = corners[:, :3] if corners.shape[1] == 3 else np.vstack([corners[:, :3], corners[:, [0, 2, 3]]])
-    return ax.tripcolor(Triangulation(*xy.T, triangles), values, shading="gouraud", rasterized=True, **style)
+    corners = None if cells is None else np.asarray(cells)
+    if corners is not None and corners.shape[1] == 4:
+        corners = np.vstack([corners[:, :3], corners[:, [0, 2, 3]]])
+    draw: Any = ax.tripcolor
+    return draw(Triangulation(x, y, corners), values, shading="gouraud", rasterized=True, **style)
 
 
 def colours(low: float, top: float) -> dict[str, Any]:
