@@ -101,7 +101,7 @@ def kept_out(gated: int, taken: int, steps: int) -> Flag | None:
     gated, taken : int
         Channel samples that were kept out, and all.
     steps : int
-        Steps of the load that were taken up.
+        Events of the load that were taken up: steps, impacts.
     """
     share = gated / max(taken, 1)
     if gated < FEW or share <= OFTEN:
@@ -109,9 +109,9 @@ def kept_out(gated: int, taken: int, steps: int) -> Flag | None:
     return Flag(
         "W521",
         Evidence("share of the channel samples that were kept out", share, OFTEN),
-        f"the gate kept {gated} of {taken} channel samples out and took {steps} steps of the load up: a sensor is "
-        "broken, or the load moves in ways that its prior does not know, such as impacts",
-        "look at the sensors; for impacts gate=None believes every number, or take a family for impacts",
+        f"the gate kept {gated} of {taken} channel samples out and took {steps} events of the load up: a sensor is "
+        "broken, or the model does not fit where the load moves in ways that its prior does not know",
+        "look at the sensors named by the certificate, and at the model; gate=None believes every number",
     )
 
 

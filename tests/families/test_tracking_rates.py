@@ -104,3 +104,25 @@ def test_what_does_not_repeat_or_does_not_settle_has_no_rhythm():
     assert rhythm.period == 6
     assert rhythm.masks[phase].tolist() == [True, True, True, False]
     assert rhythm.masks[(phase + 3) % 6].tolist() == [True, True, True, True]
+
+
+def test_sets_of_channels_are_forgotten(monkeypatch):
+    """A stream whose sets never come again takes no memory, and what came last is known all the same."""
+    from types import SimpleNamespace
+
+    from loadid.families.tracking import rhythm
+
+    monkeypatch.setattr(rhythm, "NAMES", 150)
+    listener, rng = Listener(SimpleNamespace(model=SimpleNamespace(m=20))), np.random.default_rng(0)
+    masks = rng.random((400, 20)) < 0.5
+    for k, mask in enumerate(masks):
+        listener.hear(mask)
+        assert np.array_equal(listener.past(min(k + 1, 128)), masks[max(k - 127, 0) : k + 1])
+        assert len(listener._names) <= 150
+    for k in range(60):
+        listener.hear(masks[k % 3])
+    assert listener.runs[2] == 57
+    other = Listener(listener.core)
+    other.restore(listener.to_tree())
+    assert np.array_equal(other.past(128), listener.past(128))
+    assert np.array_equal(other.runs, listener.runs)

@@ -22,7 +22,10 @@ LONGEST = 128  # samples of a period
 REPEATED = 2  # periods that show one
 LEAST = 32  # samples that show one
 FOR_GOOD = 256  # samples without a channel that show that it will not come back
+NAMES = 1024  # sets of channels that are told apart
 KEPT = 8  # rhythms whose gains are kept
+SHOWN = np.maximum(REPEATED * np.arange(1, LONGEST + 1), LEAST)  # samples that show each period
+SHOWN[0] = FOR_GOOD
 
 
 class Rhythm:
@@ -78,31 +81,46 @@ class Listener:
         """Forget what has come."""
         self.heard = 0
         self._last: tuple[tuple[int, int], Rhythm | None, int] | None = None
-        self.past = np.zeros((LONGEST, self.core.model.m), bool)  # ring of the last masks
+        self._names: dict[bytes, int] = {}  # of masks, in the ring
+        self._ring = np.full(2 * LONGEST, -1)  # the last ones, the newest first, twice: they lie side by side
         self.runs = np.zeros(LONGEST, int)  # samples in a row that were as those 1, 2, ... samples before
 
     def hear(self, mask: NDArray[np.bool_]) -> None:
         """Channels present in the next sample."""
-        before = (self.heard - 1 - np.arange(LONGEST)) % LONGEST
-        same = np.all(self.past[before] == mask, axis=1) & (np.arange(LONGEST) < self.heard)
-        self.runs = np.where(same, self.runs + 1, 0)
-        self.past[self.heard % LONGEST] = mask
+        if len(self._names) >= NAMES:  # sets that never come again
+            self._rename()
+        name = self._names.setdefault(mask.tobytes(), len(self._names))
+        at = LONGEST - self.heard % LONGEST  # the ring runs backwards
+        self.runs += 1
+        self.runs *= self._ring[at : at + LONGEST] == name
+        self._ring[at - 1] = self._ring[at - 1 + LONGEST] = name
         self.heard += 1
+
+    def _rename(self) -> None:
+        """Names of the sets in the ring alone."""
+        used, ring = np.unique(self._ring, return_inverse=True)
+        known = list(self._names)
+        gone = int(used[0] == -1)  # nothing has come there
+        self._names = {known[old]: new for new, old in enumerate(used[gone:])}
+        self._ring = ring.reshape(-1) - gone
+
+    def past(self, count: int) -> NDArray[np.bool_]:
+        """Masks of the last samples (count, m), the oldest first."""
+        at = LONGEST - (self.heard - 1) % LONGEST - 1
+        masks = [np.frombuffer(name, bool) for name in self._names]
+        return np.array([masks[i] for i in self._ring[at : at + count][::-1]]).reshape(count, self.core.model.m)
 
     def found(self) -> tuple[Rhythm, int] | None:
         """The rhythm of what came last, and the phase of the last sample; None where there is none that settles."""
-        periods = np.arange(1, LONGEST + 1)
-        least = np.maximum(REPEATED * periods, LEAST)
-        least[0] = FOR_GOOD
-        shown = np.flatnonzero(self.runs >= least)
-        if not len(shown):
+        shown = self.runs >= SHOWN
+        if not shown.any():
             return None
-        period = int(periods[shown[0]])
+        period = int(np.argmax(shown)) + 1
         if self._last is not None and self._last[0] == (self.heard - 1, period):  # it goes on
             rhythm, phase = self._last[1], (self._last[2] + 1) % period
             self._last = (self.heard, period), rhythm, phase
             return None if rhythm is None else (rhythm, phase)
-        masks = self.past[(self.heard - period + np.arange(period)) % LONGEST]  # the last one is that of now
+        masks = self.past(period)  # the last one is that of now
         turn = min(range(period), key=lambda t: np.roll(masks, -t, axis=0).tobytes())
         rhythm = self.solved(np.roll(masks, -turn, axis=0))
         phase = (period - 1 - turn) % period
@@ -123,9 +141,13 @@ class Listener:
 
     def to_tree(self) -> dict[str, Any]:
         """Everything that changes, as plain arrays and numbers."""
-        return {"heard": self.heard, "past": self.past.copy(), "runs": self.runs}
+        return {"heard": self.heard, "past": self.past(min(self.heard, LONGEST)), "runs": self.runs.copy()}
 
     def restore(self, tree: dict[str, Any]) -> None:
         """Go on from what `to_tree` gave."""
-        self.heard, self.past = int(tree["heard"]), np.array(tree["past"], bool)
-        self.runs, self._last = np.array(tree["runs"], int), None
+        self.clear()
+        past = np.array(tree["past"], bool).reshape(-1, self.core.model.m)
+        self.heard = int(tree["heard"]) - len(past)
+        for mask in past:
+            self.hear(mask)
+        self.runs = np.array(tree["runs"], int)

@@ -105,12 +105,7 @@ class Running:
 
     def _one(self, sample: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         if self._late is not None:
-            given = self._engine.core.sample(
-                reals(sample, where="sample", what="a sample that is no row of real numbers")
-            )
-            load, std = np.empty((1, self._p)), np.empty((1, self._p))
-            self._engine.block(given[None], load, std, late=self._late)
-            return load[0], std[0]
+            return self._lagged(sample, self._late)
         steady = self._engine.phase == "steady"
         load, std = self._engine.step(sample)
         if not self._bank:
@@ -121,6 +116,21 @@ class Running:
         for weight, engine in self._bank:
             between += weight * (engine.step(taken)[0] - load) ** 2
         return load, np.sqrt(std**2 + between)
+
+    def _lagged(self, sample: ArrayLike, late: Late) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        engine = self._engine
+        if engine.phase == "steady" and late.line is not None:
+            try:
+                found = engine.loop.step(sample)
+            except (TypeError, ValueError):  # said below
+                found = None
+            if found is not None:
+                engine.counts["samples"] += 1
+                return late.line.push(found, engine.loop.e), late.line.std
+        row = engine.core.sample(reals(sample, where="sample", what="a sample that is no row of real numbers"))
+        load, std = np.empty((1, self._p)), np.empty((1, self._p))
+        engine.block(row[None], load, std, late=late)
+        return load[0], std[0]
 
     def run(self, Y: NDArray, progress: Callable[[float, str], None] | None = None) -> tuple[NDArray, NDArray, NDArray]:
         """Loads and std (samples, loads), normalised innovations (samples, sensors) of bare numbers."""

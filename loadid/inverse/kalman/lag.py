@@ -113,7 +113,8 @@ class LagLine:
             raise InputError("a line needs a lag", where="lag", found=0, expected="1, 2, ...")
         self._fixed, self._taps = fixed, np.ascontiguousarray(fixed.taps.transpose(1, 0, 2).reshape(p, lag * m))
         self._load, self._e, self._m = np.zeros((lag, p)), np.zeros(2 * lag * m), m
-        self.lag, self.std, self.count = lag, fixed.std[-1], 0
+        self.lag, self.std, self.count = lag, fixed.std[-1].copy(), 0
+        self.std.setflags(write=False)  # one array for all samples
 
     def push(self, load: NDArray, e: NDArray) -> NDArray[np.float64] | None:
         """The load (p,) `lag` samples ago; None until so many have come. Load and innovation are those of now."""
