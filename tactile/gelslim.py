@@ -171,9 +171,8 @@ class GelSlim:
             if len(self._interpolations) > 32:
                 self._interpolations.clear()
                 self._noted.clear()
-            self._interpolations[key] = Interpolation(
-                self.markers.points[seen, :2], self.pad.nodes2d, self.interpolation
-            )
+            points = self.markers.points[seen, :2]
+            self._interpolations[key] = Interpolation(points, self.pad.nodes2d, self.interpolation)
         return self._interpolations[key]
 
     def _normal(

@@ -107,8 +107,9 @@ def gain(E: float, estimated: ArrayLike, measured: ArrayLike) -> Gain:
         raise InputError("the estimated forces point the other way", where="gain", found=f"ratio {ratio:.3g}",
                          expected="> 0", hint="forces are those on the pad: a press has Fz < 0")  # fmt: skip
     rest = y - ratio * x
-    free = len(np.atleast_1d(a)) - 1
-    std = float(np.sqrt(rest @ rest / max(free, 1) / (x @ x))) if free else np.inf
+    # presses scatter as wholes, strong ones more than weak ones: each press counts by its own residual
+    each, count = np.sum(np.reshape(x * rest, (len(a), -1)), axis=1), len(a)
+    std = float(np.sqrt(count / (count - 1) * np.sum(each**2))) / float(x @ x) if count > 1 else np.inf
     flag = modulus(E * ratio)
     size = float(np.sqrt(rest @ rest / (y @ y))) if y @ y > 0 else np.inf
     return Gain(E * ratio, E * std, ratio, size, () if flag is None else (flag,))
@@ -124,7 +125,7 @@ def poisson(
     force_std: float = 0.01,
     progress: Callable[[float, str], None] | None = None,
 ) -> Shape:
-    """nu and E from presses with known forces.
+    """Poisson's ratio and modulus from presses with known forces.
 
     For every nu the sensor explains the motion as well as it can (residual and penalty of its own inversion) and its
     forces are scaled onto the known ones; what is left of both is the misfit. A resultant alone does not tell nu.
@@ -132,7 +133,8 @@ def poisson(
     Parameters
     ----------
     build : callable
-        Takes nu and gives a sensor whose lambda is frozen (``choice`` a number), with its pad's E; the E does not matter.
+        Takes nu and gives a sensor whose lambda is frozen (``choice`` a number, small, such as 0.005: the ridge itself
+        prefers some nu); its E does not matter.
     tried : array
         At least four values of nu, ascending.
     frames : sequence
@@ -195,5 +197,5 @@ def _minimum(x: Array, y: Array) -> tuple[float, float, bool]:
     i = int(np.argmin(y))
     if i in (0, len(x) - 1):
         return float(x[i]), float(np.diff(x).max()), False
-    a, b, c = np.polyfit(x[i - 1 : i + 2] - x[i], y[i - 1 : i + 2], 2)
+    a, b, _ = np.polyfit(x[i - 1 : i + 2] - x[i], y[i - 1 : i + 2], 2)
     return float(x[i] - b / (2 * a)), float(1 / np.sqrt(a)), True

@@ -236,7 +236,8 @@ def test_lambda_is_chosen_over_presses_and_kept() -> None:
     s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ")
     assert not s.frozen
     first = s.estimate(motion(1))
-    assert first.choice is not None and first.choice.rule == "discrepancy"
+    assert first.choice is not None
+    assert first.choice.rule == "discrepancy"
     found = s.calibrate([motion(1), motion(2)])
     assert s.frozen
     assert s.estimate(motion(3)).facts["lambda"] == found.lam
