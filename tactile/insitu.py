@@ -61,7 +61,7 @@ class Shape:
     nu, std : float
         Minimum of the misfit and its std, by its curvature.
     gain : Gain
-        At this nu (the nearest that was tried).
+        At this nu.
     tried, misfit : array
         What was tried, and minus twice the log likelihood (up to a constant).
     inside : bool
@@ -157,15 +157,13 @@ def poisson(
                          found=f"{len(nus)} values, forces {F.shape}",
                          expected=f"at least four values of nu, ({len(frames)}, 3) forces")  # fmt: skip
     said = progress or (lambda fraction, text: None)
-    spread, misfit, gains = force_std * float(np.abs(F).max()), [], []
+    spread, misfit = force_std * float(np.abs(F).max()), []
     for i, nu in enumerate(nus):
         said(i / len(nus), f"nu = {nu:.4g}")
-        value, found = _misfit(build(float(nu)), frames, depths, F, spread)
-        misfit.append(value)
-        gains.append(found)
+        misfit.append(_misfit(build(float(nu)), frames, depths, F, spread)[0])
     left = np.array(misfit)
     best, std, inside = _minimum(nus, left / max(1.0, left.min() / _count(frames, depths, F)))
-    return Shape(best, std, gains[int(np.argmin(np.abs(nus - best)))], nus, left, inside)
+    return Shape(best, std, _misfit(build(best), frames, depths, F, spread)[1], nus, left, inside)
 
 
 def _count(frames: Sequence[Any], depths: Sequence[DepthMap] | None, F: Array) -> float:
