@@ -127,7 +127,7 @@ def _fitted(args: Namespace, progress: Any) -> Tracker:
     family = LoadTracker(model, **given, progress=progress)
     found = family.fit(read(args.fit, record=one_record(args), **settings(args)))
     told = replace(found.fitted, settings={**found.fitted.settings, COMMAND: made})
-    return Tracker(told, found.gate, found.lag)
+    return Tracker(told, found.gate, found.lag, replay=found.replay, engine=found.engine)
 
 
 def model_of(path: str) -> Any:
