@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,8 +12,41 @@ from numpy.typing import NDArray
 
 from .style import BLUE, GREEN, GREY, INK, ORANGE, SKY, new_figure, text, tidy, unit
 
-if TYPE_CHECKING:
-    from loadid.families.tracking.sweep import QSweep
+
+class Swept(Protocol):
+    """What a picture asks of a sweep (`loadid.families.tracking.sweep.QSweep`)."""
+
+    @property
+    def factors(self) -> NDArray[np.float64]:
+        """On the std of the loads."""
+
+    @property
+    def residual(self) -> NDArray[np.float64]:
+        """What is left of the data, over noise."""
+
+    @property
+    def roughness(self) -> NDArray[np.float64]:
+        """Steps of the loads."""
+
+    @property
+    def nis(self) -> NDArray[np.float64]:
+        """Per channel."""
+
+    @property
+    def loglik(self) -> NDArray[np.float64]:
+        """Of every point."""
+
+    @property
+    def corner(self) -> int | None:
+        """Its point."""
+
+    @property
+    def plateau(self) -> int:
+        """First point of it."""
+
+    @property
+    def likely(self) -> int:
+        """Point of the likelihood."""
 
 
 def tracked_figure(
@@ -50,7 +83,7 @@ def tracked_figure(
     return figure
 
 
-def sweep_figure(sweep: QSweep) -> Figure:
+def sweep_figure(sweep: Swept) -> Figure:
     """L-curve of the variance of the loads, and what the innovations say of it.
 
     Left: what the loads leave of the data against how rough they are; right: NIS per channel and the likelihood below
