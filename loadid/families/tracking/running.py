@@ -126,7 +126,9 @@ class Running:
                 found = None
             if found is not None:
                 engine.counts["samples"] += 1
-                return late.line.push(found, engine.loop.e), late.line.std
+                due = late.line.push(found, engine.loop.e)
+                assert due is not None  # the line is full
+                return due, late.line.std
         row = engine.core.sample(reals(sample, where="sample", what="a sample that is no row of real numbers"))
         load, std = np.empty((1, self._p)), np.empty((1, self._p))
         engine.block(row[None], load, std, late=late)
