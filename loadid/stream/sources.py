@@ -108,13 +108,15 @@ def _standard_input() -> int:
 
 
 def _received(path: Path) -> Callable[[], bytes]:
-    """Reads a named pipe, and lets go of it at its end."""
-    file = _opened(path)
+    """Reads a named pipe, and lets go of it at its end; it waits for a sender where it reads, not where it is made."""
+    opened: list[FileIO] = []
 
     def receive() -> bytes:
-        data = file.read(PIECE) or b""
+        if not opened:
+            opened.append(path.open("rb", buffering=0))
+        data = opened[0].read(PIECE) or b""
         if not data:
-            file.close()
+            opened[0].close()
         return data
 
     return receive

@@ -155,13 +155,15 @@ def test_a_named_pipe_is_opened_once_and_read_to_its_end(tmp_path, monkeypatch):
     path = tmp_path / "pipe"
     os.mkfifo(path)
     require_source(str(path))  # does not touch it
+    waiting = open_source(str(path))
+    assert waiting.read(0.01) == b""  # nobody sends yet, and a signal can still end the run
     writer = threading.Thread(target=lambda: path.write_bytes(b"1,2\n" * 1000))
     writer.start()
-    source, data = open_source(str(path)), b""
-    while (piece := source.read(1.0)) is not None:
+    data = b""
+    while (piece := waiting.read(1.0)) is not None:
         data += piece
     writer.join()
-    source.close()
+    waiting.close()
     assert data == b"1,2\n" * 1000
     monkeypatch.setattr("sys.stdin", None)
     for ask in (require_source, open_source):
