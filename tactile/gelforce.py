@@ -76,7 +76,7 @@ class GelForce(LinearSensor):
         contact_radius: float | None = None,
         size: tuple[float, float] | None = None,
         penalty: Any = "identity",
-        choice: Any = "discrepancy",
+        choice: Any = None,
         noise_source: str | None = None,
         no_pull: bool = False,
         friction: float | None = None,

@@ -49,7 +49,8 @@ class MultilayerPad(LinearSensor):
     penalty : str or matrix
         ``identity`` (ridge; point-like contacts), ``gradient`` or ``laplacian`` (smooth ones), as `StaticInversion`.
     choice : str, float or None
-        Rule for lambda, or a relative lambda; `calibrate` freezes it.
+        Rule for lambda, or a relative lambda; `calibrate` freezes it. None takes the larger of
+        discrepancy and robust GCV: the noise of a camera at rest is not the error of the mesh.
     no_pull : bool
         Pressures are not negative.
     friction : float, optional
@@ -80,7 +81,7 @@ class MultilayerPad(LinearSensor):
         depth_width: float | None = None,
         slope: ArrayLike | None = None,
         penalty: Any = "identity",
-        choice: Any = "discrepancy",
+        choice: Any = None,
         noise_source: str | None = None,
         no_pull: bool = False,
         friction: float | None = None,

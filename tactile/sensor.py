@@ -17,6 +17,7 @@ from structures.arrays import MatrixModel
 from structures.errors import InputError
 from structures.flags import Flag, codes
 
+from .choosing import calibrated, estimated
 from .forcemap import ForceMap
 from .frame import not_built_for_depth, readings_of
 from .guards import maps as guards
@@ -75,7 +76,7 @@ class LinearSensor:
         basis: Any = None,
         depth: Depths | None = None,
         penalty: Any = "identity",
-        choice: Any = "discrepancy",
+        choice: Any = None,
         noise_source: str | None = None,
         no_pull: bool = False,
         friction: float | None = None,
@@ -184,7 +185,7 @@ class LinearSensor:
                              found=f"{len(listed)} frames, each with lost readings",
                              expected="a press in which every marker is seen")  # fmt: skip
         self._inverses, self._solver = {}, None
-        return self.family.calibrate(whole)
+        return calibrated(self.family, whole)
 
     def readings(self, found: ArrayLike, depth: DepthMap | None = None) -> Array:
         """Readings (m,) of a frame in the order of ``sensor.model.sensors``, zero taken off; NaN where lost."""
@@ -372,7 +373,7 @@ class LinearSensor:
                              hint="look at the image: light, focus, occlusion")  # fmt: skip
         family = _with(self.family, self._constraints(wrench))
         readings = {name: float(v) for name, v, s in zip(labels, y, seen, strict=True) if s}
-        found = family.estimate(readings if not seen.all() else y)
+        found = estimated(family, readings if not seen.all() else y)
         covariance = _covariance(found.posterior, self.resultant)
         facts = {
             **found.facts,

@@ -169,3 +169,34 @@ def test_links_and_pictures_exist():
     root = Path(__file__).resolve().parents[1]
     for target in re.findall(r"\]\(([^)#:]+)\)", README):
         assert (root / target).exists(), target
+
+
+def test_the_tactile_example(tmp_path, monkeypatch, capsys):
+    """A press of 1 N with 0.25 N of shear, photographed, comes back within 5 %."""
+    from tactile.layer import Layer
+    from tactile.optics import View
+    from tactile.presses import Press
+    from tactile.rendering import Scene, grid
+
+    layer, dots = Layer(3e-3, 147e3, 0.3223), grid(17, 20, 0.85e-3)
+    view = View.camera(focal=640, centre=(320, 240), distance=25e-3, depth=3e-3, gamma=1.4)
+    rest, scene = np.column_stack([dots, np.zeros(len(dots))]), Scene(radius=0.22e-3)
+    line = [(np.arange(n) - (n - 1) / 2) * 1e-4 for n in (180, 160)]
+    places = np.array(np.meshgrid(*line)).reshape(2, -1).T
+    images, depths, rng = [], [], np.random.default_rng(0)
+    for k, share in enumerate([0, 0, 0, 0, 0, 0.3, 0.6, 0.8, 1.0]):
+        press = Press(radius=2.2e-3, force=share, shear=(0.25 * share, 0.0))
+        images.append(scene.photograph(view, rest + press.displacement(layer, dots), seed=k))
+        z = press.displacement(layer, places)[:, 2].reshape(160, 180)
+        depths.append(z + 1e-5 * rng.standard_normal(z.shape))
+    monkeypatch.chdir(tmp_path)
+    np.save("press.npy", np.array(images))
+    np.save("depth.npy", np.array(depths))
+    scope: dict = {}
+    example = next(e for e in EXAMPLES if "from tactile" in e)
+    exec(compile(example.replace('frames("press")', 'frames("press.npy")'), "README.md", "exec"), scope)
+    force = scope["force"]
+    assert np.allclose(force.resultant().value, [0.25, 0.0, -1.0], atol=0.05)
+    assert abs(force.contact().radius / 2.2e-3 - 1) < 0.1
+    assert "N m" not in capsys.readouterr().err
+    assert Path("map.h5").stat().st_size > 10_000
