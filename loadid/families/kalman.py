@@ -18,6 +18,7 @@ from structures.values import number, real
 
 from .. import flags as guards
 from ..flags import tracking as told
+from ..inverse.kalman.dummy import words as near_rest_in_words
 from ..inverse.kalman.lag import fixed_lag
 from ..inverse.kalman.observe import Observability, observability
 from ..inverse.kalman.priors import OU, Matern32, Matern52
@@ -25,21 +26,20 @@ from ..inverse.kalman.steady import Steady, steady
 from ..record import Record
 from . import noise as noises
 from .data import Data, gather, health
-from .tracking.certificate import Certificate, certify
+from .tracking.certificate import Certificate, banded, certify
 from .tracking.engine import GATE, Engine
 from .tracking.fitted import Fitted
 from .tracking.limits import ranges, within
 from .tracking.named import Named, leaky, named
+from .tracking.numbers import LONGEST, numbers_of
 from .tracking.posed import Posing, restricted
 from .tracking.recipe import Recipe, storable
 from .tracking.tracker import ENGINES, Tracker
-from .tracking.tuning import tune
 
 PARAMETERS = ("stiffness", "mass", "damping")
 MOST, FAR, NEARLY = 1000, 50, 1.05  # of a lag; where it is judged, and how near to that is near enough
 JOINT = ("ou", "matern32", "matern52")
 UNKNOWN = 0.01  # of the rms of a channel: its noise, to begin with, where nobody states it
-LONGEST = 60_000  # samples that a fit is tuned on
 
 
 class LoadTracker:
@@ -76,6 +76,9 @@ class LoadTracker:
         Std that a second adds to the offset of a sensor; 0: it does not drift.
     start : float, array or ``"static"``
         Std of the states before the first sample: at rest by default, or carrying the first load in equilibrium.
+    dummy : float, optional
+        Std in m within which displacements at the loads are believed to stay near zero, at every sample: a prior that
+        holds the mean of loads which accelerometers alone let drift, and no measurement (flag W525).
     lag : int or "auto"
         Samples by which the answers come late, with what was measured meanwhile. ``"auto"``: as few as bring the std
         within 5 % of that at 50.
@@ -118,6 +121,7 @@ class LoadTracker:
         ambient: Any = None,
         bias: ArrayLike = 0.0,
         start: ArrayLike | str = 0.0,
+        dummy: float | None = None,
         lag: int | str = 0,
         allow_drift: bool = False,
         gate: float | None = GATE,
@@ -170,7 +174,7 @@ class LoadTracker:
         self.model, self.noise, self.noise_source, self.hold = model, noise, noise_source, hold
         self.scales, self.errors = tuple(scales), errors
         self.state_noise = number("state_noise", state_noise, where="LoadTracker")
-        self.around = {"ambient": ambient, "bias": bias, "start": start}
+        self.around = {"ambient": ambient, "bias": bias, "start": start, "dummy": dummy}
         self.allow_drift, self.gate, self.sensors = bool(allow_drift), gate, sensors
         self.allow, self.coverage = guards.allowed(allow), coverage
         self._progress = progress or (lambda fraction, text: None)
@@ -217,7 +221,10 @@ class LoadTracker:
         seen = self._observed(posing, size, data)
         # a walk that nobody sees has no steady filter: its rate is found with one that forgets slowly
         searched = posing if not seen.drifting else replace(posing, given=tuple(leaky(g, data.dt) for g in self.given))
-        x, scale, numbers = self._tuned(searched, data, size, noise.known)
+        tuned = numbers_of(
+            searched, data, size, noise.known, lambda s: self._progress(0.1 + 0.75 * s, "tuning by likelihood")
+        )
+        x, scale = tuned.x, tuned.scale
         model = posing.build(x, scale)
         settled = self._settled(model, data.dt)
         bank = tuple((w, m, self._settled(m, data.dt)) for w, m in posing.bank(x, self.errors, scale))
@@ -230,11 +237,11 @@ class LoadTracker:
             dt=data.dt,
             sensors=tuple(self.model.sensors[i] for i in data.rows),
             loads=tuple(self.model.loads),
-            words="; ".join(p.words for p in posing.priors(x, scale)),
-            numbers=numbers,
+            words="; ".join([*(p.words for p in posing.priors(x, scale)), *self._beliefs()]),
+            numbers=tuned.words,
             noise_source=noise.source if noise.known else "likelihood of the innovations",
             certificate=certificate,
-            flags=self._flags(data, seen, model, settled, certificate, e),
+            flags=self._flags(data, seen, model, settled, certificate, e, tuned.flags),
             fingerprint=getattr(self.model, "fingerprint", "unknown"),
             settings=self._settings(),
             inputs={data.record.source or data.record.name or "record": data.record.sha256},
@@ -261,10 +268,15 @@ class LoadTracker:
         smooth = all(getattr(g, "name", "") in JOINT or isinstance(g, OU | Matern32 | Matern52) for g in self.given)
         return "joint" if smooth else None
 
+    def _beliefs(self) -> list[str]:
+        """What is believed beside the priors of the loads, in words."""
+        dummy = self.around["dummy"]
+        return [] if dummy is None else [near_rest_in_words(dummy)]
+
     def _recipe(self, posing: Posing, x: NDArray, scale: float) -> Recipe | None:
         """How the filter is made of a model; None where that cannot be kept."""
         priors = posing.priors(x)
-        if self.around["ambient"] is not None or not storable(priors):
+        if self.around["ambient"] is not None or self.around["dummy"] is not None or not storable(priors):
             return None
         noise = np.ones(len(self.model.sensors))
         noise[posing.rows] = posing.factor(x) * posing.noise
@@ -303,25 +315,6 @@ class LoadTracker:
         told.refused(told.drifting(found), self.allow_drift or "LID-E501" in self.allow)
         return found
 
-    def _tuned(self, posing: Posing, data: Data, size: float, known: bool) -> tuple[NDArray, float, dict[str, float]]:
-        shared = posing.shared
-        if shared is None and not self.scales and known:
-            return np.zeros(0), 1.0, {}
-        Y = _complete(data)
-        own = [g.starts(size, data.dt, len(data.values)) for g in self.given if isinstance(g, Named)]
-        starts = [np.concatenate(parts) for parts in zip(*own, strict=False)] or [np.zeros(0)]
-        factors = np.log([0.3, 1.0, 3.0, 10.0])[:, None] if posing.free_noise else np.zeros((1, 0))
-        starts = [np.r_[s, np.zeros(len(self.scales)), factor] for s in starts for factor in factors]
-        found = tune(
-            posing.build, starts, Y, free_scale=not (known or posing.free_noise),
-            progress=lambda s: self._progress(0.1 + 0.75 * s, "tuning by likelihood"),
-        )  # fmt: skip
-        numbers = dict(zip(posing.names, np.exp(found.parameters).tolist(), strict=True))
-        if not (known or posing.free_noise):
-            numbers["noise scale"] = float(np.sqrt(found.scale))
-        numbers["log-likelihood"] = found.loglik
-        return found.parameters, found.scale, numbers
-
     def _settled(self, model: Any, dt: float) -> Steady | None:
         try:
             return steady(model, dt)
@@ -339,11 +332,13 @@ class LoadTracker:
         labels = [c.label for c in data.channels]
         constant = np.inf if settled is None else settled.time_constant
         nis = _nis(settled, e[first:])
-        return certify(e[first:], nis, _left_out(model, data, first), labels, constant), e[first:]
+        found = certify(e[first:], nis, _left_out(model, data, first), labels, constant)
+        return banded(found, settled, [c.label for c in self.model.loads], data.dt), e[first:]
 
     def _flags(
-        self, data: Data, seen: Observability, model: Any, settled: Steady | None, certificate: Certificate, e: NDArray
-    ) -> tuple[Flag, ...]:
+        self, data: Data, seen: Observability, model: Any, settled: Steady | None, certificate: Certificate, e: NDArray,
+        more: tuple[Flag, ...],
+    ) -> tuple[Flag, ...]:  # fmt: skip
         tuned = any(isinstance(g, Named) for g in self.given)
         return guards.collect(
             [
@@ -356,6 +351,8 @@ class LoadTracker:
                 None if settled is None else told.slow(settled.time_constant, data.duration),
                 told.untuned(certificate.nis, tuned=tuned),
                 told.overconfident(certificate.nis, e, certificate.sensors),
+                told.believed(self.around["dummy"]),
+                *more,
                 guards.inverse_crime(data.record.simulated_by, getattr(self.model, "fingerprint", "")),
                 guards.no_coverage(self.coverage),
             ]
@@ -365,23 +362,8 @@ class LoadTracker:
         return {
             "prior": [g.name if isinstance(g, Named) else g.words for g in self.given], "hold": self.hold,
             "scales": list(self.scales), "model_error": dict(self.errors), "state_noise": self.state_noise,
-            "allow_drift": self.allow_drift, "gate": self.gate, "engine": self.engine,
+            "dummy": self.around["dummy"], "allow_drift": self.allow_drift, "gate": self.gate, "engine": self.engine,
         }  # fmt: skip
-
-
-def _complete(data: Data) -> NDArray[np.float64]:
-    """The longest stretch of a record without gaps, at most `LONGEST` samples."""
-    good = np.concatenate([[False], ~data.missing.any(axis=1), [False]])
-    edges = np.flatnonzero(np.diff(good)).reshape(-1, 2)
-    if not len(edges):
-        raise InputError("no sample of the record is complete", where="fit", found="every sample lacks a channel",
-                         expected="a stretch with all channels", hint="fit with fewer sensors (sensors=)")  # fmt: skip
-    start, stop = edges[np.argmax(np.ptp(edges, axis=1))]
-    stop = min(stop, start + LONGEST)
-    if stop - start < 50:
-        raise InputError("the record is too short to tune on", where="fit", found=f"{stop - start} complete samples",
-                         expected="at least 50", hint="record longer, or state prior and noise")  # fmt: skip
-    return np.ascontiguousarray(data.values[start:stop])
 
 
 def _nis(settled: Steady | None, e: NDArray) -> NDArray[np.float64]:
