@@ -33,6 +33,7 @@ from .multilayer import observed, windows
 from .reading import DepthMap, Wrench
 from .region import RegionSolver
 from .sensor import CLEAR, TOUCH
+from .straining import StrainWatch
 from .surface import channels, neighbours, of_pad
 
 if TYPE_CHECKING:
@@ -97,6 +98,7 @@ class GelSlim:
         self._noted: dict[int, Flag | None] = {}
         self._interpolations: dict[bytes, Interpolation] = {}
         self._solver: RegionSolver | None = None
+        self._strain = StrainWatch(pad)
 
     def __repr__(self) -> str:
         return f"<GelSlim: {len(self.markers)} markers, {self.pad!r}>"
@@ -316,6 +318,7 @@ class GelSlim:
         lost = int(np.sum(~seen)) * len(self.markers.axes)
         own = [
             *self.pad.flags, *flags, stopped, completed(provided), self._correlated(field),
+            self._strain.check(answer.load.reshape(-1, 3)),
             guards.lost(lost, self.markers.readings_count),
         ]  # fmt: skip
         return ForceMap(

@@ -11,10 +11,12 @@ from scipy import sparse
 
 from structures import bases
 from structures.errors import InputError
+from structures.flags import Flag
 
 from .observation import Depths, Markers
 from .reading import DepthMap
 from .sensor import LinearSensor
+from .straining import StrainWatch
 from .surface import of_pad
 
 if TYPE_CHECKING:
@@ -89,7 +91,7 @@ class MultilayerPad(LinearSensor):
         allow: Sequence[str] = (),
         eye: Eye | None = None,
     ) -> None:
-        self.pad = pad
+        self.pad, self._strain = pad, StrainWatch(pad)
         seen = observed(markers, noise, axes, slope, eye)
         mass = sparse.kron(pad.surface.mass, sparse.eye_array(3)).tocsr()
 
@@ -114,6 +116,9 @@ class MultilayerPad(LinearSensor):
             eye=eye,
             settings={"pad": repr(pad), "markers": len(seen)},
         )
+
+    def _checked(self, load: Array) -> list[Flag | None]:
+        return [self._strain.check(self.pad.surface.mass @ load.reshape(-1, 3))]
 
 
 def observed(markers: ArrayLike | None, noise: Any, axes: str, slope: ArrayLike | None, eye: Eye | None) -> Markers:

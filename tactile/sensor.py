@@ -416,7 +416,12 @@ class LinearSensor:
         found: LoadEstimate | None = None,
     ) -> ForceMap:
         geometry = {**self.geometry, "resultant_covariance": covariance}
-        own = [*flags, completed(facts["provided"]), guards.lost(facts["lost"], facts["m"] + facts["lost"])]
+        own = [
+            *flags,
+            completed(facts["provided"]),
+            guards.lost(facts["lost"], facts["m"] + facts["lost"]),
+            *self._checked(self._scattered(load)),
+        ]
         if found is not None:
             kept = {f.name: getattr(found, f.name) for f in fields(LoadEstimate)}
             named = {"labels": self._labels[0], "units": self._labels[1]}
@@ -437,6 +442,10 @@ class LinearSensor:
             facts=facts,
             provenance=self._provenance,
         )
+
+    def _checked(self, load: Array) -> list[Flag | None]:
+        """What a sensor finds in a map beyond what all of them do."""
+        return []
 
     @property
     def _labels(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
