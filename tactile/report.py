@@ -139,9 +139,16 @@ def _about(force: ForceMap, about: Iterable[tuple[str, str]]) -> str:
         ("frames", "1" if force.single else str(len(force.load))),
         ("lambda", f"{facts['lambda']:.3g} by {facts['lambda_rule']}" if "lambda" in facts else ""),
         ("readings and loads", f"{facts.get('m', '?')} and {facts.get('n', '?')}" if "n" in facts else ""),
-        ("solved by", str(facts.get("path", ""))),
+        ("solved by", _path(facts.get("path"))),
     ]
     rows += [(name, text) for name, text in own if text and name not in said]
     prior = force.provenance.get("prior")
     said_prior = f"<p>What the data do not determine is filled by the prior: {escape(str(prior))}.</p>" if prior else ""
     return parts._table(rows) + said_prior
+
+
+def _path(path: object) -> str:
+    """How the frames were solved; what counts the steps of each is cut."""
+    if isinstance(path, list):
+        return "; ".join(dict.fromkeys(str(p).rpartition(", ")[0] or str(p) for p in path))
+    return "" if path is None else str(path)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loadid.families.calibration import Calibration
 from loadid.flags.base import collect
 from structures.errors import InputError
 from structures.flags import Flag
 
 from .. import padfile
+from ..choosing import RULES
 from ._eyes import Seen, look
 from ._inputs import DepthMaps, depth_maps
 
@@ -25,7 +29,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 STRONGEST = 3  # frames on which lambda is chosen
-RULE = "discrepancy"  # the noise is that of the unloaded sensor
+SEARCHED = 30  # strongest frames among which whole ones are looked for
+BOTH = f", the larger of {' and '.join(RULES)},"
 
 
 @dataclass(frozen=True)
@@ -159,8 +164,8 @@ def _sensor(
         return GelSlim(pad, **given), None
     from ..multilayer import MultilayerPad
 
-    choice = contact.get("lam", RULE)
-    fixed = None if isinstance(choice, str) else float(choice)
+    choice = contact.get("lam")
+    fixed = None if choice is None or isinstance(choice, str) else float(choice)
     source = seen.noise_words.rpartition(", ")[2].removeprefix("measured on ")
     built = MultilayerPad(
         pad, choice=choice if fixed is None else fixed, penalty=contact.get("penalty", "identity"),
@@ -202,27 +207,41 @@ def _tracked(
 
 
 def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None) -> str:
-    """Lambda by the discrepancy rule on the strongest frames together, frozen; in words."""
+    """Lambda on the strongest frames together, frozen; in words.
+
+    Without a rule of the user the larger of two, as `tactile.choosing`, from one factorisation.
+    """
+    readings, used = _strongest(built, tracked, maps)
+    family, ruled = built.family, built.family.choice
+    family.choice = ruled or RULES[0]
+    choice = family.estimate(readings).choice
+    family.choice = ruled
+    asked = {rule.rule: rule.lam for rule in choice.rules if rule.lam is not None}
+    rule = choice.rule if ruled else max((r for r in RULES if r in asked), key=lambda r: asked[r], default=choice.rule)
+    lam = float(choice.lam if ruled else asked.get(rule, choice.lam))
+    family.calibration = Calibration(
+        lam=lam, rule=rule, records=(used,), alone=(lam,), spread=0.0, verdict=choice.verdict,
+        sigma_source=choice.sigma_source, date=datetime.now(UTC).isoformat(timespec="seconds"),
+    )  # fmt: skip
+    return f"{lam:.3g} by {rule}{'' if ruled else BOTH} on {used}; {choice.verdict}"
+
+
+def _strongest(built: Any, tracked: _Tracked, maps: DepthMaps | None) -> tuple[Any, str]:
+    """Readings of the strongest frames in which everything is seen, or of the strongest one; and which they are."""
     strength = [float(np.sqrt(np.nanmean(m**2))) if np.isfinite(m).any() else 0.0 for m in tracked.motions]
-    order = np.argsort(strength)[::-1]
-    readings, used = [], []
-    for i in order[: 10 * STRONGEST]:
-        y = built.readings(tracked.motions[i], None if maps is None else maps[tracked.numbers[i]])
-        if np.all(np.isfinite(y)):
-            readings.append(y)
-            used.append(tracked.numbers[i] + 1)
-        if len(used) == STRONGEST:
-            break
-    if readings:
-        found = built.family.calibrate([np.array(readings)])
-        named = ", ".join(map(str, sorted(used)))
-        return f"{found.lam:.3g} by {found.rule} on the strongest whole frames ({named}) together, {found.verdict}"
-    i = int(order[0])  # no frame in which every marker is seen: one frame speaks, with what is seen in it
-    labels = [s.label for s in built.model.sensors]
-    y = built.readings(tracked.motions[i], None if maps is None else maps[tracked.numbers[i]])
-    choice = built.family.estimate({n: float(v) for n, v in zip(labels, y, strict=True) if np.isfinite(v)}).choice
-    built.family.choice = float(choice.lam)
-    return f"{choice.lam:.3g} by {choice.rule} on frame {tracked.numbers[i] + 1}, {choice.verdict}"
+    order = [int(i) for i in np.argsort(strength)[::-1]]
+    read: Callable[[int], Array] = lambda i: built.readings(  # noqa: E731
+        tracked.motions[i], None if maps is None else maps[tracked.numbers[i]]
+    )
+    whole = ((i, y) for i in order[:SEARCHED] for y in [read(i)] if np.all(np.isfinite(y)))
+    chosen = list(itertools.islice(whole, STRONGEST))
+    if chosen:
+        names = ", ".join(str(k) for k in sorted(tracked.numbers[i] + 1 for i, _ in chosen))
+        return np.array([y for _, y in chosen]), f"the strongest whole frames ({names})"
+    labels = [s.label for s in built.model.sensors]  # in no frame is every marker seen: one speaks with what it has
+    y = read(order[0])
+    seen = {name: float(v) for name, v in zip(labels, y, strict=True) if np.isfinite(v)}
+    return seen, f"frame {tracked.numbers[order[0]] + 1}"
 
 
 def _inverted(
@@ -235,9 +254,7 @@ def _inverted(
     found, seconds = _maps(built, tracked, maps, tell)
     times = None if rate is None else np.array(tracked.numbers) / rate
     whole = record(found, numbers=[k + 1 for k in tracked.numbers], times=times)
-    strongest = int(np.argmax(np.linalg.norm(whole.resultant().value, axis=1)))
-    strained = pad.strained(whole.frame(strongest).forces())
-    whole = replace(whole, flags=collect([*whole.flags, strained, *seen.flags]))
+    whole = replace(whole, flags=collect([*whole.flags, *seen.flags]))
     lost = [int(np.isnan(m[:, 0]).sum()) for m in tracked.motions]
     each = tracked.seconds / tracked.read + seconds / len(found)
     return Reconstruction(whole, pad, seen, lost, words, whole.provided["z"], 1 / max(each, 1e-9))
