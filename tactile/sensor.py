@@ -271,7 +271,10 @@ class LinearSensor:
             solver = f"active sets on the contact region, {found.steps} steps"
             flags = [*flags, guards.stopped(found.converged, found.steps)]
         else:
-            flags = [*flags, guards.taken(inverse.hidden(load), inverse.resultant @ load, covariance)]
+            hidden = inverse.hidden(load)
+            flags = [*flags, guards.taken(hidden, inverse.resultant @ load, covariance)]
+            if wrench is None:  # what the penalty takes is in the band of the resultant
+                covariance = covariance + np.outer(hidden, hidden)
         flags = [*flags, self._unseen(inverse)]
         lost = int(np.sum(~np.isfinite(used)))
         facts = {
