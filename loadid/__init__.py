@@ -26,6 +26,7 @@ _PUBLIC = {
     "StaticInversion": "loadid.families.static",
     "compare_domains": "loadid.families.domains",
     "load": "loadid.estimate",
+    "q_sweep": "loadid.families.tracking.sweep",
     "read": "loadid.readers",
     "read_all": "loadid.readers",
     "recommend": "loadid.families.recommend",

@@ -36,6 +36,7 @@ _MODULES = (
     "flags",
     "frames",
     "loads",
+    "modelfile",
     "motion",
     "plates",
     "reduction",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -354,6 +355,12 @@ class ForwardModel(Model):
         return digest("ForwardModel", self.structure.digest, *parts, self.sensors, self.loads, *settings)
 
     # -- inside ---------------------------------------------------------------------------------------------------
+    def save(self, path: str | os.PathLike) -> None:
+        """Write the model to HDF5, whole or not at all, with checksums; `modelfile.load` reads it."""
+        from .modelfile import save
+
+        save(self, path)
+
     def _fixed(self, method: str) -> None:
         if self.moving:
             names = [load.label for load in self.loads if hasattr(load, "columns")]

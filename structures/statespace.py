@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -281,6 +282,12 @@ class StateSpace(Model):
     def fingerprint(self) -> str:
         """Sha256 of the matrices, the step, the hold and the channels."""
         return digest("StateSpace", self.A, self.B, self.C, self.D, self.dt, self.hold, self.sensors, self.loads)
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write the model to HDF5, whole or not at all, with checksums; `modelfile.load` reads it."""
+        from .modelfile import save
+
+        save(self, path)
 
     def _own(self, dt: float, hold: str | None, method: str) -> None:
         same = np.ndim(dt) == 0 and np.isfinite(dt) and abs(dt - self.dt) <= 1e-9 * self.dt

@@ -144,11 +144,10 @@ def test_the_tracking_example(tmp_path, monkeypatch, capsys):
 def _the_tracking_commands(scope, force):
     """The two command lines below the example, on the files of the example."""
     from loadid import cli
-    from structures import modelfile
 
-    saving, *others = re.findall(r"`(structures\.modelfile\.save\([^`]*\))`", README)
+    saving, *others = re.findall(r"`(model\.save\([^`]*\))`", README)
     assert not others
-    exec(saving.removeprefix("structures."), {"modelfile": modelfile, "model": scope["model"]})
+    exec(saving, {"model": scope["model"]})
     commands = [line.split() for line in re.findall(r"`loadid (track [^`]*)`", README)]
     assert len(commands) == 2
     for words in commands:

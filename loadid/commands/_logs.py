@@ -13,7 +13,9 @@ from . import _arguments as arguments
 
 if TYPE_CHECKING:
     from loadid.record import Record
+    from structures.forward import ForwardModel
     from structures.measured import MeasuredModel
+    from structures.statespace import StateSpace
     from structures.tabulated import FrfModel
 
 
@@ -102,7 +104,7 @@ def read_records(path: str | Path, chosen: list[str] | None, settings: dict[str,
     return list(read_all(path, **settings))
 
 
-def load_model(path: str | Path) -> MeasuredModel | FrfModel:
+def load_model(path: str | Path) -> MeasuredModel | FrfModel | ForwardModel | StateSpace:
     """Model of a file: one that was saved here, or the FRFs of a universal file that states what they are.
 
     Raises
@@ -111,6 +113,7 @@ def load_model(path: str | Path) -> MeasuredModel | FrfModel:
         If the file is missing, damaged, or no model.
     """
     from structures.files.uff import SUFFIXES
+    from structures import modelfile
     from structures.measured import MeasuredModel
     from structures.storage import kind_of
     from structures.tabulated import FILE, FrfModel
@@ -119,7 +122,10 @@ def load_model(path: str | Path) -> MeasuredModel | FrfModel:
         from structures.files import read_frfs
 
         return read_frfs(path)
-    return FrfModel.load(path) if Path(path).is_file() and kind_of(path) == FILE else MeasuredModel.load(path)
+    kind = kind_of(path) if Path(path).is_file() else None
+    if kind in modelfile.KINDS:
+        return modelfile.load(path)
+    return FrfModel.load(path) if kind == FILE else MeasuredModel.load(path)
 
 
 def resolved(record: Record, channels: Sequence[str | int], *, where: str) -> list[str]:

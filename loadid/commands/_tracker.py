@@ -112,7 +112,7 @@ def _fitted(args: Namespace, progress: Any) -> Tracker:
     from structures.model import Model
 
     made = _made(args)
-    model = model_of(args.model)
+    model = load_model(args.model)
     if type(model).state_space is Model.state_space:
         model.state_space(1.0)  # refuses, and says what runs on it
     given: dict[str, Any] = {name: value for name in OPTIONS if (value := getattr(args, name)) is not None}
@@ -127,24 +127,9 @@ def _fitted(args: Namespace, progress: Any) -> Tracker:
     family = LoadTracker(model, **given, progress=progress)
     found = family.fit(read(args.fit, record=one_record(args), **settings(args)))
     told = replace(found.fitted, settings={**found.fitted.settings, COMMAND: made})
-    return Tracker(told, found.gate, found.lag, replay=found.replay, engine=found.engine)
-
-
-def model_of(path: str) -> Any:
-    """Model of a file of any kind.
-
-    Raises
-    ------
-    InputError
-        A file that is missing, damaged, or no model.
-    """
-    from structures import modelfile
-    from structures.files.uff import SUFFIXES
-    from structures.storage import kind_of
-
-    if Path(path).suffix.lower() in SUFFIXES or kind_of(path) not in modelfile.KINDS:
-        return load_model(path)
-    return modelfile.load(path)
+    tracker = Tracker(told, found.gate, found.lag, replay=found.replay, engine=found.engine)
+    tracker.made_of(found.origin)
+    return tracker
 
 
 # -- is it the same fit? ----------------------------------------------------------------------------------------------
@@ -163,7 +148,7 @@ def _require_same(args: Namespace, tracker: Tracker) -> None:
         return
     made = tracker.fitted.settings.get(COMMAND)
     if made is None:  # fitted in Python
-        if model_of(args.model).fingerprint != tracker.fitted.fingerprint:
+        if load_model(args.model).fingerprint != tracker.fitted.fingerprint:
             raise InputError("the state belongs to another model", where=where, expected=f"a state of {args.model}",
                              hint="name a new file with --state")  # fmt: skip
         return
@@ -234,8 +219,7 @@ def _is_tracker(path: str) -> bool:
     if kind is not None and kind not in (KIND, *modelfile.KINDS, FILE, "measured model"):
         raise InputError("this file holds no tracker, and no model to tune", where=path, found=kind,
                          expected=f"{KIND}, or {', '.join(modelfile.KINDS)}",
-                         hint="in Python: LoadTracker(model).fit(record).save(file), or "
-                         "structures.modelfile.save(model, file)")  # fmt: skip
+                         hint="in Python: LoadTracker(model).fit(record).save(file), or model.save(file)")  # fmt: skip
     if kind is None:
         read(path, KIND)  # refuses what is no file of ours
     return kind == KIND

@@ -97,7 +97,7 @@ def _configure(parser: ArgumentParser) -> None:
     parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument(
         "--model", metavar="MODEL.h5",
-        help="a tracker as it was fitted (Tracker.save); or, with --fit, a model of a structure (structures.modelfile)",
+        help="a tracker as it was fitted (Tracker.save); or, with --fit, a model of a structure (model.save)",
     )  # fmt: skip
     parser.add_argument(
         "--fit", metavar="RECORD", help="log to tune the model on: noise, prior and gain are found, and tested"

@@ -276,13 +276,13 @@ class LoadTracker:
     def _recipe(self, posing: Posing, x: NDArray, scale: float) -> Recipe | None:
         """How the filter is made of a model; None where that cannot be kept."""
         priors = posing.priors(x)
-        if self.around["ambient"] is not None or self.around["dummy"] is not None or not storable(priors):
+        if self.around["ambient"] is not None or not storable(priors):
             return None
         noise = np.ones(len(self.model.sensors))
         noise[posing.rows] = posing.factor(x) * posing.noise
         return Recipe(
             priors, noise, posing.rows, posing.hold, self.state_noise, self.around["bias"], self.around["start"],
-            scale, dict(self.errors),
+            scale, dict(self.errors), self.around["dummy"],
         )  # fmt: skip
 
     def _lag(self, settled: Steady | None) -> int:

@@ -22,6 +22,9 @@ def test_a_belief_in_small_displacements_is_offered_as_what_it_is():
     assert "a belief, not measured" in found.provenance["prior"]
     assert found.provenance["settings"]["dummy"] == 1.0
     assert found.std[-1, 0] == pytest.approx(tracker.fitted.settled.std[0])
+    before = tracker.fitted.settled
+    tracker.update_model(building())  # the belief goes on with another model
+    assert tracker.fitted.settled.std == pytest.approx(before.std, rel=1e-9)
     assert "LID-W525" not in {f.code for f in fitted(c, building(), prior=MATERN, hold="zoh").flags}
     with pytest.raises(InputError, match="dummy"):
         LoadTracker(building(), dummy=-1.0, **settings).fit(c.y, c.dt)

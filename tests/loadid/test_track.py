@@ -194,7 +194,7 @@ def test_a_new_start_loads_nothing_that_it_does_not_need(made, tmp_path):
     log.write_bytes(b"".join(made[2]))
     code = (
         f"import sys; from loadid import cli; done = cli.main({argv!r}); "
-        "print(done, *({'numba', 'matplotlib'} & set(sys.modules)))"
+        "print(done, *({'numba', 'matplotlib', 'filterpy', 'scipy.stats'} & set(sys.modules)))"
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert ran.stdout.splitlines()[-1] == "0"

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from loadid import cli, read
+from loadid.commands.check import check
+from loadid.commands.identify import identify
 from loadid.families import kalman
 from loadid.families.tracking.tracker import Tracker
-from structures import ForwardModel, MeasuredModel, beams, damping, loads, modelfile, sensors, storage
+from structures import ForwardModel, MeasuredModel, beams, damping, loads, sensors, storage
 from structures.errors import NotIdentifiable
 
 DT = 0.005
@@ -29,7 +31,7 @@ def folder(tmp_path_factory):
     force = np.convolve(rng.standard_normal(1200), np.hanning(60))[:1200, None] * 100
     y = model.predict(force, DT)
     y += 0.02 * y.std(axis=0) * rng.standard_normal(y.shape)
-    modelfile.save(model, where / "model.h5")
+    model.save(where / "model.h5")
     head = ",".join(["time [s]", *(f"{c.label} [{c.unit}]" for c in model.sensors)])
     for name, part in (("record.csv", slice(0, 700)), ("stream.csv", slice(700, None))):
         table = np.column_stack([np.arange(len(y[part])) * DT, y[part]])
@@ -64,6 +66,15 @@ def first(folder):
         )  # fmt: skip
         words = "--model model.h5 --fit record.csv --prior ou --state s.h5 --in stream.csv --out out.csv --idle 0"
         assert cli.main(["track", *words.split()]) == 0
+
+
+def test_other_commands_take_the_same_model(folder):
+    """A model that was saved, in the place of a measured one."""
+    found = identify(folder / "record.csv", folder / "model.h5", family="deconvolution")
+    expected = identify(folder / "record.csv", made(), family="deconvolution")
+    assert np.array_equal(found.load, expected.load)
+    assert found.provenance["model"] == expected.provenance["model"]
+    assert check(model=folder / "model.h5").layout
 
 
 @pytest.mark.usefixtures("first")
@@ -144,7 +155,7 @@ def test_every_setting_reaches_the_tracker(run, monkeypatch):
     )
     model = made()
     named = [model.sensors[0], model.sensors[1], sensors.StrainGauge(at=0.5, fibre=0.1, label="gauge")]
-    modelfile.save(ForwardModel(model.structure, named, model.loads, modes=4), "named.h5")
+    ForwardModel(model.structure, named, model.loads, modes=4).save("named.h5")
     code, _, err = run(words)
     assert code == cli.REFUSED, err
     del given["progress"]

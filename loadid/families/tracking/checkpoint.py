@@ -55,7 +55,7 @@ def save(tracker: Tracker, path: str | os.PathLike, stream: dict[str, Any] | Non
 
 
 def load(path: str | os.PathLike, model: Any = None) -> Tracker:
-    """Tracker of a file, at the sample at which it was saved.
+    """Tracker of a file, at the sample at which it was saved, and ready: its first sample waits for no compiler.
 
     Parameters
     ----------
@@ -68,11 +68,13 @@ def load(path: str | os.PathLike, model: Any = None) -> Tracker:
     InputError
         A file that is missing, damaged, cut short, of another kind, format or model.
     """
-    return read(path, model)[0]
+    tracker = read(path, model)[0]
+    tracker.compile()
+    return tracker
 
 
 def read(path: str | os.PathLike, model: Any = None) -> tuple[Tracker, dict[str, Any] | None]:
-    """Tracker of a file, and where its stream stood; None where it was saved without one.
+    """Tracker of a file, and where its stream stood; None where it was saved without one. No compiler is loaded.
 
     Raises
     ------

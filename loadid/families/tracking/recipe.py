@@ -47,6 +47,8 @@ class Recipe:
         Variance that multiplies all noises (`posed.rescaled`).
     errors : mapping of str to float
         Relative std of parameters of the model.
+    dummy : float, optional
+        Std of displacements at the loads that are believed to stay near zero.
     """
 
     priors: tuple[Any, ...]
@@ -58,12 +60,13 @@ class Recipe:
     start: Any
     scale: float
     errors: Mapping[str, float]
+    dummy: float | None = None
 
     def build(self, model: Any, dt: float) -> FilterModel:
         """Filter of a model."""
         made = augment(
             model, dt, list(self.priors), noise=self.noise, hold=self.hold, state_noise=self.state_noise,
-            bias=self.bias, start=self.start,
+            bias=self.bias, start=self.start, dummy=self.dummy,
         )  # fmt: skip
         return rescaled(restricted(made, self.rows), self.scale)
 

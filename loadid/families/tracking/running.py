@@ -17,10 +17,9 @@ from .engine import Engine
 from .fitted import Fitted
 from .late import Late
 from .limits import inside
-from .peer import Peer
 from .replay import Replay
 
-ENGINES = {"own": Engine, "filterpy": Peer}
+ENGINES = ("own", "filterpy")
 
 
 class Running:
@@ -51,6 +50,11 @@ class Running:
         self._origin = model
 
     @property
+    def origin(self) -> Any:
+        """The model of the structure, where it is at hand."""
+        return self._origin
+
+    @property
     def phase(self) -> str:
         """``"warm-up"``, ``"steady"``, ``"periodic"`` (channels of several rates) or ``"transient"``."""
         return self._engine.phase
@@ -75,13 +79,25 @@ class Running:
     def _made(self) -> None:
         """Engines of the fit, before their first sample."""
         f = self.fitted
-        self._engine: Any = Peer(f.model)
-        if self.engine == "own":
-            self._engine = Engine(f.model, f.settled, self.gate, self._width())
+        self._engine: Any = self._filter()
         prior = f.model.Cp @ f.model.x0, np.linalg.norm(f.model.Cp @ f.model.L0, axis=1)
         fixed = None if not self.lag or f.settled is None else fixed_lag(f.settled, self.lag)
         self._late = Late(self.lag, fixed, *prior) if self.lag else None
         self._bank = [(weight, Engine(model, settled, None)) for weight, model, settled in f.bank]
+
+    def _filter(self) -> Any:
+        f = self.fitted
+        if self.engine == "own":
+            return Engine(f.model, f.settled, self.gate, self._width())
+        from .peer import Peer  # opens filterpy, which takes longer than a start
+
+        return Peer(f.model)
+
+    def compile(self) -> None:
+        """Load the compiler of the settled gains now, where there is one, so that no sample waits for it."""
+        for engine in (self._engine, *(engine for _, engine in self._bank)):
+            if engine.loop is not None:
+                engine.loop.compile()
 
     def step(self, sample: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Loads and their std (loads,) after one sample (sensors,); NaN marks a channel that is missing.
