@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 STRONGEST = 3  # frames on which lambda is chosen
+HALF = 0.5  # of the largest motion, that a frame must show to be asked
 SEARCHED = 30  # strongest frames among which whole ones are looked for
 BOTH = f", the larger of {' and '.join(RULES)},"
 
@@ -229,7 +230,7 @@ def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None) -> str:
 def _strongest(built: Any, tracked: _Tracked, maps: DepthMaps | None) -> tuple[Any, str]:
     """Readings of the strongest frames in which everything is seen, or of the strongest one; and which they are."""
     strength = [float(np.sqrt(np.nanmean(m**2))) if np.isfinite(m).any() else 0.0 for m in tracked.motions]
-    order = [int(i) for i in np.argsort(strength)[::-1]]
+    order = [int(i) for i in np.argsort(strength)[::-1] if strength[i] >= HALF * max(strength)]
     read: Callable[[int], Array] = lambda i: built.readings(  # noqa: E731
         tracked.motions[i], None if maps is None else maps[tracked.numbers[i]]
     )
@@ -254,7 +255,10 @@ def _inverted(
     found, seconds = _maps(built, tracked, maps, tell)
     times = None if rate is None else np.array(tracked.numbers) / rate
     whole = record(found, numbers=[k + 1 for k in tracked.numbers], times=times)
-    whole = replace(whole, flags=collect([*whole.flags, *seen.flags]))
+    largest = whole.frame(int(np.argmax(np.abs(whole.load).max(axis=1))))
+    strained = pad.strained(largest.forces())  # solved for: that of the single frames is read off earlier ones
+    others = [flag for flag in whole.flags if flag.code != "LID-W112"]
+    whole = replace(whole, flags=collect([*others, strained, *seen.flags]))
     lost = [int(np.isnan(m[:, 0]).sum()) for m in tracked.motions]
     each = tracked.seconds / tracked.read + seconds / len(found)
     return Reconstruction(whole, pad, seen, lost, words, whole.provided["z"], 1 / max(each, 1e-9))
