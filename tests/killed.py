@@ -48,13 +48,15 @@ def troubled(tracker: Tracker, Y: np.ndarray, seed: int = 0) -> bytes:
     Y[n // 2, 0] += 1e3
     lines = text(tracker, Y)
     for k in sorted(rng.choice(np.arange(60, n - 60), n // 60, replace=False), reverse=True):
-        kind = int(rng.integers(6))
+        kind = int(rng.integers(7))
         if kind == 0:
             del lines[k : k + int(rng.integers(1, 20))]
         elif kind == 1:
             lines.insert(k, lines[k - 1])
         elif kind == 2:
             lines.insert(k, lines[k - 5])
+        elif kind == 6:
+            lines.insert(k + 4, lines.pop(k))  # comes late
         else:
             lines.insert(k, [b"1,2\n", b"# a word\n", b"x,y,z,u,v\n"][kind - 3])
     return b"".join(lines)

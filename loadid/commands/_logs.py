@@ -112,8 +112,8 @@ def load_model(path: str | Path) -> MeasuredModel | FrfModel | ForwardModel | St
     InputError
         If the file is missing, damaged, or no model.
     """
-    from structures.files.uff import SUFFIXES
     from structures import modelfile
+    from structures.files.uff import SUFFIXES
     from structures.measured import MeasuredModel
     from structures.storage import kind_of
     from structures.tabulated import FILE, FrfModel

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 COMMAND = "command"  # among the settings of a fit: what it was made from here
 PIECE = 1 << 20
-OPTIONS = ("prior", "noise", "lag", "scales", "model_error", "start", "gate", "allow_drift")
+OPTIONS = ("prior", "noise", "lag", "replay", "scales", "model_error", "start", "gate", "allow_drift")
 
 
 def add_fit_options(parser: ArgumentParser) -> None:
@@ -35,6 +35,12 @@ def add_fit_options(parser: ArgumentParser) -> None:
         help="noise std of each sensor, in its SI unit: numbers in the order of the model, or CH=STD",
     )
     group.add_argument("--lag", type=_lag, metavar="N", help="answer N samples late, with what came meanwhile; or auto")
+    group.add_argument(
+        "--replay",
+        type=_samples,
+        metavar="N",
+        help="rows up to N samples late are put in their place (as --lag)",
+    )
     group.add_argument("--scales", type=names, metavar="NAME,...", help="tune the model too: stiffness, mass, damping")
     group.add_argument(
         "--model-error",
@@ -247,10 +253,12 @@ def _refuse_fit(args: Namespace) -> None:
 
 # -- values -----------------------------------------------------------------------------------------------------------
 def _lag(text: str) -> int | str:
-    if text == "auto":
-        return text
+    return text if text == "auto" else _samples(text, ", nor auto")
+
+
+def _samples(text: str, more: str = "") -> int:
     if not (text.isascii() and text.isdecimal()):
-        raise ArgumentTypeError(f"{text!r} is no number of samples >= 0, nor auto")
+        raise ArgumentTypeError(f"{text!r} is no number of samples >= 0{more}")
     return int(text)
 
 

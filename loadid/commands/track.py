@@ -43,7 +43,7 @@ WORDS = {
     "filled": "samples without data put in",
     "gaps": "gaps",
     "duplicated": "samples sent twice, left out",
-    "late": "samples that came late, left out",
+    "late": "samples that came late for their place, left out",
     "again": "samples sent again after a new start, left out",
     "jitter": "time stamps off the grid by more than a tenth of a step",
     "jumps": "jumps of the clock",

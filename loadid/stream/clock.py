@@ -2,14 +2,14 @@
 
 A grid follows the stamps slowly, so that neither jitter nor a clock that runs a little fast adds up. A sample belongs
 to the nearest point of the grid; points that nothing belongs to are samples without data, which the filter takes
-exactly.
+exactly. A row that comes after its time, for a point where channels are still missing, is handed over as late.
 """
 
 from __future__ import annotations
 
 import logging
-from collections import Counter
-from typing import Any
+from collections import Counter, deque
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,14 @@ REGULAR = 20  # late samples in a row, a step apart from each other, that show a
 log = logging.getLogger(__name__)
 
 
+class Behind(NamedTuple):
+    """A row (sensors,) of an earlier time: `ago` samples before the last one, after `after` samples of its block."""
+
+    after: int
+    row: NDArray[np.float64]
+    ago: int
+
+
 class Clock:
     """Places rows in time.
 
@@ -32,16 +40,22 @@ class Clock:
     ----------
     dt : float
         Step of the tracker in s.
+    window : int
+        Samples by which a row may come late and still be put in its place.
 
     Attributes
     ----------
+    behind : list of Behind
+        Rows of the last `place` that are to be put in their place.
     counts : Counter
-        ``filled`` (samples without data put in), ``gaps``, ``duplicated``, ``late``, ``again`` (sent again after a new
-        start), ``jitter``, ``jumps``.
+        ``filled`` (samples without data put in), ``gaps``, ``duplicated``, ``late`` (left out, as their place is taken
+        or too far back), ``again`` (sent again after a new start), ``jitter``, ``jumps``.
     """
 
-    def __init__(self, dt: float) -> None:
+    def __init__(self, dt: float, window: int = 0) -> None:
         self.dt = dt
+        self.there: deque[NDArray[np.bool_]] = deque(maxlen=window)  # channels of the last samples
+        self.behind: list[Behind] = []
         self.grid: float | None = None  # time of the last sample
         self.samples = 0
         self.again = False  # the source was opened anew and may repeat itself
@@ -50,13 +64,14 @@ class Clock:
         self.counts: Counter[str] = Counter()
 
     def place(self, stamps: NDArray | None, values: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Times (samples,) and values (samples, sensors) of rows, NaN where there are no data.
+        """Times (samples,) and values (samples, sensors) of rows, NaN where there are no data; `behind` has the late.
 
         Raises
         ------
         InputError
             A stream that comes at another step than the tracker's, or whose stamps do not rise.
         """
+        self.behind = []
         if stamps is None:
             times = np.asarray((self.samples + np.arange(len(values))) * self.dt, float)
             self.samples += len(values)
@@ -66,6 +81,7 @@ class Clock:
         self._times: list[float] = []
         self._rows: list[int] = []  # of the values; -1 without data, -2 and on those that were held
         self._late: list[NDArray[np.float64]] = []
+        self._seen = np.isfinite(values)
         for k, t in enumerate(stamps.tolist()):
             self._one(t, k, values)
         if not self._rows:
@@ -82,6 +98,7 @@ class Clock:
             "grid": self.grid,
             "samples": self.samples,
             "held": [[t, row.tolist()] for t, row in self.held],
+            "there": [mask.tolist() for mask in self.there],
             "counts": dict(self.counts),
         }
 
@@ -89,6 +106,7 @@ class Clock:
         """Go on from what `to_tree` gave."""
         self.grid, self.samples = tree["grid"], int(tree["samples"])
         self.held = [(t, np.array(row, float)) for t, row in tree["held"]]
+        self.there.extend(np.array(mask, bool) for mask in tree.get("there", []))
         self.counts = Counter(tree["counts"])
 
     def _look(self, stamps: NDArray) -> None:
@@ -118,26 +136,32 @@ class Clock:
     def _one(self, t: float, k: int, values: NDArray) -> None:
         if self.grid is None:
             self.grid = t
-            self._put(t, k)
+            self._put(t, k, self._seen[k])
             return
         off = (t - self.grid) / self.dt - 1
         if off < -0.5:
-            self._behind(t, off, values[k])
+            self._back(t, off, values[k], self._seen[k])
             return
         self.again = False
         self.held.clear()
         jumped = off > LONGEST + 0.5
         skipped = LONGEST if jumped else int(np.floor(off + 0.5))
-        self._fill(skipped)
+        self._fill(skipped, values.shape[1])
         self.counts["jumps"] += jumped
         self.counts["gaps"] += skipped > 0 and not jumped
         self._moved(t, jumped)
-        self._put(t, k)
+        self._put(t, k, self._seen[k])
 
-    def _behind(self, t: float, off: float, row: NDArray) -> None:
-        """A sample whose place is taken: sent twice, late, or of a clock that was put back."""
+    def _back(self, t: float, off: float, row: NDArray, seen: NDArray[np.bool_]) -> None:
+        """A sample of an earlier time: late, sent twice, or of a clock that was put back."""
         if self.again:
             self.counts["again"] += 1
+            return
+        ago = int(np.floor(-off - 0.5))
+        if ago < len(self.there) and np.any(seen & ~self.there[-1 - ago]):
+            self.there[-1 - ago] = seen | self.there[-1 - ago]
+            self.held.clear()
+            self.behind.append(Behind(len(self._rows), row.copy(), ago))
             return
         if off > -1.5:
             self.counts["duplicated"] += 1
@@ -153,7 +177,7 @@ class Clock:
         for i, (stamp, late) in enumerate(self.held):
             self._moved(stamp, i == 0)
             self._late.append(late)
-            self._put(stamp, -1 - len(self._late))
+            self._put(stamp, -1 - len(self._late), np.isfinite(late))
         self.held.clear()
 
     def _moved(self, t: float, jumped: bool) -> None:
@@ -162,16 +186,19 @@ class Clock:
         self.grid += self.dt
         if jumped:
             self.grid = t
+            self.there.clear()  # they stand at times of another clock
         self.counts["jitter"] += abs(t - self.grid) > JITTER * self.dt
         self.grid += FOLLOW * (t - self.grid)
 
-    def _fill(self, count: int) -> None:
+    def _fill(self, count: int, width: int) -> None:
         assert self.grid is not None
+        nothing = np.zeros(width, bool)
         for _ in range(count):
             self.grid += self.dt
-            self._put(self.grid, -1)
+            self._put(self.grid, -1, nothing)
         self.counts["filled"] += count
 
-    def _put(self, t: float, row: int) -> None:
+    def _put(self, t: float, row: int, seen: NDArray[np.bool_]) -> None:
+        self.there.append(seen)
         self._times.append(t)
         self._rows.append(row)

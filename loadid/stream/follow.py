@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from loadid.families.tracking import checkpoint
 from loadid.families.tracking.tracker import Tracker
 
-from .clock import Clock
+from .clock import Behind, Clock
 from .framing import Layout, Lines
 from .output import Output
 from .sources import Source, open_source
@@ -114,7 +114,7 @@ class _Run:
         before = stream or {}
         layout = before.get("layout")
         self.lines = Lines(f.sensors, None if layout is None else Layout.from_tree(layout))
-        self.clock = Clock(f.dt)
+        self.clock = Clock(f.dt, tracker.replay)
         self.waiting = np.array(before.get("waiting", []), float)  # times of samples that are answered later
         same = before.get("source") == _identity(source)
         if stream is not None:
@@ -199,15 +199,27 @@ class _Run:
         for k in range(0, len(values), ROWS):
             part = slice(k, k + ROWS)
             times, Y = self.clock.place(None if stamps is None else stamps[part], values[part])
+            load, std = self._tracked(Y, self.clock.behind)
             if not len(Y):
                 continue
-            load, std, _ = self.tracker.run(Y)
             answers = self._answered(times, load, std)
             self.output.write(*answers)
             if len(answers[0]):
                 watch(*answers)
             count += len(Y)
         return count
+
+    def _tracked(self, Y: NDArray, behind: list[Behind]) -> tuple[NDArray, NDArray]:
+        """Loads and stds of samples, each late row put in its place when it comes: answers that are out stay."""
+        p, k = len(self.tracker.fitted.loads), 0
+        load, std = np.empty((len(Y), p)), np.empty((len(Y), p))
+        for after, row, ago in [*behind, Behind(len(Y), np.empty(0), -1)]:
+            if after > k:
+                load[k:after], std[k:after], _ = self.tracker.run(Y[k:after])
+            if ago >= 0:
+                self.tracker.insert(row, ago)
+            k = after
+        return load, std
 
     def _answered(self, times: NDArray, load: NDArray, std: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Answers with their own times: a tracker with a lag speaks of samples that lie back, at first of none."""

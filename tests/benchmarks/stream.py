@@ -136,7 +136,7 @@ def words(samples: int = 100_000) -> dict[str, float]:
 
 def killed(kills: int) -> dict[str, float]:
     """Killed runs beside an undisturbed one."""
-    t, Y = fitted(max(20 * kills, 600))
+    t, Y = fitted(max(20 * kills, 600), lag=6, replay=12)
     nursery = Nursery()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

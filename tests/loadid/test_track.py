@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 
 from loadid import cli
+from loadid.families.tracking import checkpoint
 from loadid.families.tracking.tracker import Tracker
+from loadid.stream import follow
 from structures import storage
 from tests.killed import fitted, text
 
@@ -121,6 +123,32 @@ def test_a_tracker_with_a_lag_answers_with_the_times_of_its_answers(run, tmp_pat
     found = table(out)
     assert np.allclose(found[:, 0], np.arange(395) * tracker.fitted.dt, atol=1e-9)
     assert np.array_equal(found[:, 1:], np.column_stack([load, std])[5:])
+
+
+@pytest.mark.parametrize("every", [10**6, 7])
+def test_late_rows_are_put_in_their_place_and_beyond_the_window_counted(made, tmp_path, every):
+    """Rows and single channels that come late: the answers that are still to come are those of the log in order."""
+    f, gate = made[0].fitted, made[0].gate
+    Y, state = made[1].copy(), tmp_path / "s.h5"
+    Y[300, 1:] = np.nan
+    lines, split = text(made[0], Y), f"{300 * f.dt:.6f},,"  # the channels of sample 300 that come after it
+    lines[301 + 4] += (split + ",".join(map(repr, made[1][300, 1:].tolist())) + "\n").encode()
+    for k, by in ((100, 5), (102, 1), (200, 3), (201, 5), (400, 9)):
+        lines[k + 1 + by] += lines[k + 1]
+        lines[k + 1] = b""
+    (tmp_path / "log").write_bytes(b"")
+    for part in np.array_split(np.array(lines, object), 600 // every + 1):  # started again and again
+        with (tmp_path / "log").open("ab") as file:
+            file.write(b"".join(part))
+        tracker, stream = checkpoint.read(state) if state.exists() else (Tracker(f, gate, 6), None)
+        done = follow(tracker, str(tmp_path / "log"), str(tmp_path / "o"), state=state, stream=stream, idle=0)
+    assert (done.counts["replayed"], done.counts["late"]) == (5, 1)  # 9 is more than the lag
+    in_order = made[1].copy()
+    in_order[400] = np.nan
+    load, std, _ = Tracker(f, gate, 6).run(in_order)
+    away = np.abs(table(tmp_path / "o")[:, 1:] - np.column_stack([load, std])[6:]).max(axis=1)
+    out = [k - 6 + i for k, by in ((100, 5), (102, 1), (200, 3), (201, 5), (300, 4)) for i in range(by + 1)]
+    assert set(np.flatnonzero(away > 1e-10 * np.abs(load).max())) == set(out)  # were out when the row came
 
 
 def test_a_signal_ends_a_run_after_its_checkpoint(made, run, tmp_path):

@@ -124,6 +124,7 @@ def test_the_command_tunes_as_python_does_and_is_not_tuned_again(folder, run, mo
         ("--fit record.csv --state new.h5", cli.USAGE, "--model"),
         ("--model s.h5 --prior ou", cli.USAGE, "--fit"),
         ("--model model.h5 --fit record.csv --lag -1", cli.USAGE, "number of samples"),
+        ("--model model.h5 --fit record.csv --replay some", cli.USAGE, "number of samples"),
         ("--model model.h5 --fit record.csv --model-error stiffness", cli.USAGE, "stiffness=0.02"),
         ("--model model.h5 --fit record.csv --gate no", cli.USAGE, "--gate"),
     ],

@@ -28,9 +28,9 @@ class Replay:
         self.samples: list[NDArray[np.float64]] = []  # since the older anchor
 
     def cuts(self, more: int) -> list[int]:
-        """Where a block of `more` samples is cut: at the anchors that will matter at its end, and there."""
+        """Where a block of `more` samples is cut: at the anchors that single samples would leave behind, and there."""
         stop = self.count + more
-        last = stop - stop % self.window
+        last = stop - 1 - (stop - 1) % self.window
         wanted = [k for k in (last - self.window, last) if self.count <= k < stop]
         if not self.anchors:
             wanted.append(self.count)
