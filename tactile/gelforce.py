@@ -9,7 +9,7 @@ is the half-space on a thin pad, so the kernels of a bonded layer stand beside t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +25,7 @@ from .inversion import prepare
 from .layer import HalfSpace, Layer
 from .observation import Markers
 from .radial import matrices, unit_point
-from .sensor import LinearSensor
+from .sensor import LinearSensor, Settings
 from .surface import of_points
 
 Array = NDArray[np.float64]
@@ -53,8 +53,8 @@ class GelForce(LinearSensor):
     size : (a, b), optional
         Sides of the pad (m): forces nearer to its edge than four thicknesses are flagged (W601), as neither ground
         knows an edge.
-    penalty, choice, no_pull, friction, allow
-        As in `MultilayerPad`. ``choice=0`` is the pseudo-inverse of the publication, by SVD.
+    penalty, choice, noise_source, no_pull, friction, support, allow
+        See `tactile.sensor.Settings`. ``choice=0`` is the pseudo-inverse of the publication, by SVD.
 
     Raises
     ------
@@ -75,13 +75,7 @@ class GelForce(LinearSensor):
         thickness: float | None = None,
         contact_radius: float | None = None,
         size: tuple[float, float] | None = None,
-        penalty: Any = "identity",
-        choice: Any = None,
-        noise_source: str | None = None,
-        no_pull: bool = False,
-        friction: float | None = None,
-        support: ArrayLike | None = None,
-        allow: Sequence[str] = (),
+        **settings: Unpack[Settings],
     ) -> None:
         self.ground = ground
         places = _grid(forces)
@@ -92,7 +86,7 @@ class GelForce(LinearSensor):
                 expected="(N, 3) with z below the surface", hint="a point force moves its own point without bound",
             )  # fmt: skip
         area = _cell(places)
-        flags = _valid(ground, places, thickness, contact_radius, size, allow)
+        flags = _valid(ground, places, thickness, contact_radius, size, settings.get("allow", ()))
         surface = np.column_stack([places, np.full(len(places), ground.top)])
 
         def transfer(points: Array, pick: Callable[[Any], Any]) -> Array:
@@ -102,15 +96,10 @@ class GelForce(LinearSensor):
             seen,
             transfer,
             of_points(surface, area, (0.0, 0.0, ground.top)),
-            penalty=penalty,
-            choice=choice,
-            noise_source=noise_source,
-            no_pull=no_pull,
-            friction=friction,
-            support=support,
-            allow=allow,
             flags=flags,
-            settings={"ground": repr(ground), "forces": len(places), "markers": len(seen)},
+            body=ground,
+            about={"ground": repr(ground), "forces": len(places), "markers": len(seen)},
+            **settings,
         )
 
     def expected_error(self, forces: ArrayLike) -> float:

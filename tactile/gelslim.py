@@ -30,9 +30,9 @@ from .indenters import Indenter
 from .interpolation import Interpolation
 from .inversion import Answer, fused
 from .multilayer import observed, windows
+from .quick import CLEAR, TOUCH
 from .reading import DepthMap, Wrench
 from .region import RegionSolver
-from .sensor import CLEAR, TOUCH
 from .straining import StrainWatch
 from .surface import channels, neighbours, of_pad
 

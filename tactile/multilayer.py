@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from structures.flags import Flag
 
 from .observation import Depths, Markers
 from .reading import DepthMap
-from .sensor import LinearSensor
+from .sensor import LinearSensor, Settings
 from .straining import StrainWatch
 from .surface import of_pad
 
@@ -48,21 +48,10 @@ class MultilayerPad(LinearSensor):
         Side of the windows about the surface nodes over which depth is averaged (m); the pitch of the mesh.
     slope : array (N, 2), optional
         Apparent in-plane motion per unit of normal motion, where the readings are apparent; of the `eye` otherwise.
-    penalty : str or matrix
-        ``identity`` (ridge; point-like contacts), ``gradient`` or ``laplacian`` (smooth ones), as `StaticInversion`.
-    choice : str, float or None
-        Rule for lambda, or a relative lambda; `calibrate` freezes it. None takes the larger of
-        discrepancy and robust GCV: the noise of a camera at rest is not the error of the mesh.
-    no_pull : bool
-        Pressures are not negative.
-    friction : float, optional
-        Coefficient of friction: tractions stay in their cone.
-    support : array, optional
-        Nodes of the surface that may be loaded: a mask (P,) or their numbers. The others carry nothing.
-    allow : sequence of str
-        Guard codes whose refusal is overridden.
     eye : Eye, optional
         Turns images into motion.
+    penalty, choice, noise_source, no_pull, friction, support, allow
+        See `tactile.sensor.Settings`.
 
     Raises
     ------
@@ -82,16 +71,12 @@ class MultilayerPad(LinearSensor):
         depth: DepthMap | None = None,
         depth_width: float | None = None,
         slope: ArrayLike | None = None,
-        penalty: Any = "identity",
-        choice: Any = None,
-        noise_source: str | None = None,
-        no_pull: bool = False,
-        friction: float | None = None,
-        support: ArrayLike | None = None,
-        allow: Sequence[str] = (),
         eye: Eye | None = None,
+        **settings: Unpack[Settings],
     ) -> None:
         self.pad, self._strain = pad, StrainWatch(pad)
+        if eye is not None:
+            settings.setdefault("noise_source", "unloaded frames")
         seen = observed(markers, noise, axes, slope, eye)
         mass = sparse.kron(pad.surface.mass, sparse.eye_array(3)).tocsr()
 
@@ -105,16 +90,11 @@ class MultilayerPad(LinearSensor):
             of_pad(pad),
             basis=bases.hats(pad.structure, region=pad.surface, components=("+X", "+Y", "+Z")),
             depth=None if depth is None else windows(pad, depth, depth_width),
-            penalty=penalty,
-            choice=choice,
-            noise_source=noise_source or (None if eye is None else "unloaded frames"),
-            no_pull=no_pull,
-            friction=friction,
-            support=support,
-            allow=allow,
             flags=pad.flags,
             eye=eye,
-            settings={"pad": repr(pad), "markers": len(seen)},
+            body=pad,
+            about={"pad": repr(pad), "markers": len(seen)},
+            **settings,
         )
 
     def _checked(self, load: Array) -> list[Flag | None]:

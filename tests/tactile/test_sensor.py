@@ -141,7 +141,7 @@ def test_the_constrained_answer_is_that_of_an_interior_point_solver() -> None:
 
     s = sensor(no_pull=True)
     found = s.estimate(motion(1))
-    region = s._solver._last  # type: ignore[union-attr]
+    region = s._quick[True]._region._last
     assert region is not None
     noise, lam = NOISE, s.inverse.lam * s.inverse.scale
     A = np.vstack([s.model.H[:, region.columns] / noise, lam * np.eye(len(region.columns))])
