@@ -77,7 +77,7 @@ def page(
     one = force if force.single else force.frame(k)
     name = "" if force.single else f", {named(force, k)}"
     sections = [
-        (f"Result{name}", _result(one) + _picture(force, truth, wrenches, frame)),
+        (f"Result{name}", _result(one) + _picture(force, one, truth, wrenches, frame)),
         ("Against the truth", _compared(compared)),
         ("Flags", parts._flags(force)),
         ("How it came about", _about(force, about)),
@@ -117,12 +117,14 @@ def _result(one: ForceMap) -> str:
     return f'<ul class="results">{cards}</ul><p class="quiet">± one standard deviation</p>'
 
 
-def _picture(force: ForceMap, truth: ArrayLike | None, wrenches: ArrayLike | None, frame: int | None) -> str:
+def _picture(
+    force: ForceMap, one: ForceMap, truth: ArrayLike | None, wrenches: ArrayLike | None, frame: int | None
+) -> str:
     from .plots.maps import sequence_figure
 
-    words = "; ".join(f"{name} {value}" for name, value, _ in numbers(force if force.single else force.frame(0))[:1])
+    name, value, _ = numbers(one)[0]
     draw = partial(sequence_figure, force, truth=truth, wrenches=wrenches, frame=frame)
-    return parts._image(draw, f"map of pressure and shear with its std: {words}", BITMAP)
+    return parts._image(draw, f"map of pressure and shear with its std: {name} {value}", BITMAP)
 
 
 def _compared(rows: Iterable[tuple[str, ...]]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import time
 from collections.abc import Callable, Iterable
@@ -123,13 +124,18 @@ def reconstruct(
     maps = None if depth is None else depth_maps(Path(depth), settings.depth, settings.path).zeroed(seen.inside)
     contact = {**settings.contact, **({"no_pull": True} if no_pull else {})}
     contact |= {name: v for name, v in (("friction", friction), ("lam", lam)) if v is not None}
+    if pad.surface.cells.shape[1] != 4:
+        raise InputError("the surface of this mesh is of triangles", where=f"{settings.path}: [pad] mesh",
+                         found=repr(pad), expected="quadrilaterals",
+                         hint='pitch = "1 mm" rebuilds the body from bricks')  # fmt: skip
     built, fixed = _sensor(sensor, pad, seen, maps, contact, codes)
     tracked = _tracked(seen, maps, frames, tell)
     words = "no lambda: F = K U is a product"
     if sensor == "multilayer":
         tell(0.45, "choosing lambda")
-        words = f"{fixed:g}, as stated" if fixed is not None else _choose(built, tracked, maps)
-    return _inverted(built, pad, seen, tracked, maps, words, rate, tell)
+        words = f"{fixed:g}, as stated" if fixed is not None else _choose(built, tracked, maps, seen.noise_source)
+    found = _inverted(built, pad, seen, tracked, maps, words, rate, tell)
+    return _traced(found, [settings.path, Path(source), *([] if depth is None else [Path(depth)])])
 
 
 # -- steps ------------------------------------------------------------------------------------------------------------
@@ -167,10 +173,8 @@ def _sensor(
 
     choice = contact.get("lam")
     fixed = None if choice is None or isinstance(choice, str) else float(choice)
-    source = seen.noise_words.rpartition(", ")[2].removeprefix("measured on ")
     built = MultilayerPad(
-        pad, choice=choice if fixed is None else fixed, penalty=contact.get("penalty", "identity"),
-        noise_source="stated" if source == "as stated" else source, **given,
+        pad, choice=choice if fixed is None else fixed, penalty=contact.get("penalty", "identity"), **given,
     )  # fmt: skip
     return built, fixed
 
@@ -207,7 +211,7 @@ def _tracked(
     return _Tracked(numbers, motions, flags, seconds, read)
 
 
-def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None) -> str:
+def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None, source: str) -> str:
     """Lambda on the strongest frames together, frozen; in words.
 
     Without a rule of the user the larger of two, as `tactile.choosing`, from one factorisation.
@@ -222,7 +226,7 @@ def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None) -> str:
     lam = float(choice.lam if ruled else asked.get(rule, choice.lam))
     family.calibration = Calibration(
         lam=lam, rule=rule, records=(used,), alone=(lam,), spread=0.0, verdict=choice.verdict,
-        sigma_source=choice.sigma_source, date=datetime.now(UTC).isoformat(timespec="seconds"),
+        sigma_source=source, date=datetime.now(UTC).isoformat(timespec="seconds"),
     )  # fmt: skip
     return f"{lam:.3g} by {rule}{'' if ruled else BOTH} on {used}; {choice.verdict}"
 
@@ -280,3 +284,23 @@ def _maps(
         found.append(replace(one, flags=flags, posterior=None, diagnosis=None))
         tell(0.7 + 0.25 * (i + 1) / len(tracked.numbers), f"map of frame {k + 1}")
     return found, seconds
+
+
+def _traced(found: Reconstruction, paths: list[Path]) -> Reconstruction:
+    """The same with the digests of what was read and how the maps came about in their provenance."""
+    from ._words import about
+
+    inputs = {str(path): _digest(path) for path in paths}
+    notes = [f"{name}: {said}" for name, said in about(found)]
+    whole = replace(found.map, provenance={**found.map.provenance, "inputs": inputs, "notes": notes})
+    return replace(found, map=whole)
+
+
+def _digest(path: Path) -> str:
+    """sha256 of a file, or of the files of a folder in the order of their names."""
+    digest = hashlib.sha256()
+    for file in sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]:
+        with file.open("rb") as content:
+            while block := content.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()

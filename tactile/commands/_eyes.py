@@ -70,6 +70,11 @@ class Seen:
     flags: tuple[Flag, ...] = ()
     notes: list[str] = field(default_factory=list)
 
+    @property
+    def noise_source(self) -> str:
+        """Where the noise comes from."""
+        return self.noise_words.rpartition(", ")[2]
+
 
 def look(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, allow: tuple[str, ...]) -> Seen:
     """Motion of the markers of an input.

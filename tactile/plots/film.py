@@ -15,7 +15,6 @@ from structures.errors import InputError
 from structures.values import reals
 
 from .maps import (
-    ARROWS,
     COLOURS,
     KPA,
     LONGEST,
@@ -104,12 +103,11 @@ class _Panel:
         bar = ax.figure.colorbar(self.image, ax=ax, shrink=0.85, pad=0.02)
         bar.set_label("pressure [kPa]", fontsize=8)
         bar.ax.tick_params(labelsize=8)
-        self.at = spread_evenly(one.nodes[:, :2])
+        self.at, step = spread_evenly(one.nodes[:, :2])
         xy = MM * one.nodes[self.at, :2]
-        step = MM * float(np.ptp(one.nodes[:, :2], axis=0).max()) / ARROWS
         size = shear if shear > 0 else 1.0
         zero = np.zeros(len(xy))
-        self.arrows = ax.quiver(*xy.T, zero, zero, angles="xy", scale_units="xy", scale=size / (LONGEST * step),
+        self.arrows = ax.quiver(*xy.T, zero, zero, angles="xy", scale_units="xy", scale=size / (LONGEST * MM * step),
                                 units="width", width=0.004, minlength=0.0, color=INK)  # fmt: skip
         if shear > QUIET * top:
             length = nice(shear)

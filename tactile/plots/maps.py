@@ -222,25 +222,28 @@ def draw_shear(ax: Axes, one: ForceMap, t: Array, shear: float, top: float) -> Q
     """Arrows of the shear on the pad at nodes spread evenly; None where there is none to see."""
     if not shear > QUIET * top:
         return None
-    at = spread_evenly(one.nodes[:, :2])
+    at, step = spread_evenly(one.nodes[:, :2])
     tx, ty = KPA * t[at, 0], KPA * t[at, 1]
     tx, ty = (np.where(np.hypot(tx, ty) > max(QUIET * top, QUIET * shear), v, 0.0) for v in (tx, ty))
-    step = MM * float(np.ptp(one.nodes[:, :2], axis=0).max()) / ARROWS
     x, y = MM * one.nodes[at, 0], MM * one.nodes[at, 1]
-    return ax.quiver(x, y, tx, ty, angles="xy", scale_units="xy", scale=shear / (LONGEST * step), units="width",
+    return ax.quiver(x, y, tx, ty, angles="xy", scale_units="xy", scale=shear / (LONGEST * MM * step), units="width",
                      width=0.004, minlength=0.0, color=INK)  # fmt: skip
 
 
-def spread_evenly(xy: Array) -> NDArray[np.intp]:
-    """Nodes at most `ARROWS` along the longer side: the nearest to the middle of every square that holds any."""
-    span = np.ptp(xy, axis=0)
-    step = float(span.max()) / (ARROWS - 1)
+def spread_evenly(xy: Array) -> tuple[NDArray[np.intp], float]:
+    """Nodes at most about `ARROWS` along the longer side, in whole steps of their pitch, and that step."""
+    from scipy.spatial import cKDTree
+
+    pitch = float(np.median(cKDTree(xy).query(xy, k=2)[0][:, 1]))
+    step = pitch * max(1, round(float(np.ptp(xy, axis=0).max()) / (ARROWS - 1) / pitch))
+    if step == pitch:
+        return np.arange(len(xy)), pitch
     cell = np.round((xy - xy.min(axis=0)) / step)
     off = np.linalg.norm((xy - xy.min(axis=0)) / step - cell, axis=1)
-    order = np.lexsort((off, cell[:, 0], cell[:, 1]))
+    order = np.lexsort((off, cell[:, 0], cell[:, 1]))  # of every square, the node nearest to its middle
     first = np.ones(len(order), bool)
     first[1:] = np.any(np.diff(cell[order], axis=0) != 0, axis=1)
-    return np.sort(order[first])
+    return np.sort(order[first]), step
 
 
 def draw_contact(ax: Axes, one: ForceMap) -> None:
