@@ -1,8 +1,8 @@
 """From image to force map: time of every stage, with and without friction cones, beside what else a user might take.
 
-Run ``python -m tests.benchmarks.tactile_rate``. Images of 640 x 480 with 520 markers (blur, perspective, refraction, noise
-of 2 grey levels) of a press that slides; a pad of 24 x 24 x 3 mm with 42 x 42 x 4 bricks, 1849 nodes on its surface, 5547
-unknown tractions. Wall and CPU milliseconds per frame, medians over the frames; frames per second of the whole chain.
+Run ``python -m tests.benchmarks.tactile_rate``. Images of 640 x 480 with 520 markers (blur, perspective, refraction,
+noise of 2 grey levels) of a press that slides; a pad of 24 x 24 x 3 mm with 42 x 42 x 4 bricks, 1849 nodes on its
+surface, 5547 unknown tractions. Median wall and mean CPU milliseconds per frame; frames per second of the chain.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def table(elements: int = 42, count: int = FRAMES) -> dict[str, tuple[float, flo
     cones.inverse  # noqa: B018
     row("image and depth to map, friction cones", lambda k: cones.estimate(r.images[k], r.depths[k]))
     _alternatives(r, deep, row)
-    for name in [n for n in found if n.startswith("image and") or n.startswith("image to map")]:
+    for name in [n for n in found if n.startswith(("image and", "image to map"))]:
         print(f"{name}: {1e3 / found[name][0]:.0f} frames/s")
     return found
 
