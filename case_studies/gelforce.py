@@ -166,7 +166,7 @@ def bonded(ratio: float, side: int = SIDE, seed: int = 0) -> tuple[Reading, Read
     near = np.hypot(*(places - PRESS.at).T) < 1.5 * PRESS.radius
     found = []
     for name, ground in (("half-space", layer.half_space), ("layer", layer)):
-        settings: dict[str, Any] = {"choice": None, "thickness": layer.h, "contact_radius": PRESS.radius}
+        settings: dict[str, Any] = {"thickness": layer.h, "contact_radius": PRESS.radius}
         one = sensor(ground, places, DEEP, noise=QUIET, allow=("E602",), **settings)
         at = one.markers.points + np.array([0.0, 0.0, layer.h - ground.top])
         u = PRESS.displacement(layer, at)

@@ -4,7 +4,9 @@
   published, and of the bonded layer.
 * GelSlim (after Ma et al. 2019): F = K U on one layer of standard bricks, in-plane markers, normal motion measured.
 * Multilayer pad (in the style of Zhao, Liu & Ma 2025, whose formulas are not reproduced): four layers of B-bar bricks,
-  ridge on the tractions, lambda by the discrepancy rule over calibration presses; also without pulling.
+  ridge on the tractions; also without pulling.
+
+Where there is a lambda it is chosen over calibration presses, by the rule that force maps take unless told otherwise.
 
 None of the three papers reports these presses; everything here is rebuilt, and no figure of theirs is compared. The gel
 is 28 x 28 x 3 mm, of which 20 x 20 mm are seen and may be loaded; E = 0.147 MPa, nu = 0.3223. The truth comes from the
@@ -19,10 +21,10 @@ at this pressure a real gel is strained by a quarter, beyond its range.
 Measured here, at a/t = 0.5 and 1: one layer gets the resultant within 2 % (a resultant alone would pass it) and a map
 that is wrong by more than half; four layers get both, the map within 5 % at a/t = 1 and 10 % at 0.5. The half-space
 finds place and shape of the contact, and a tenth of its force. In-plane motion at two depths under a bonded layer tells
-shear to a per cent, and loses two thirds of the normal force to the prior: normal motion has to be measured there too.
-At a/t = 0.1 the contact is smaller than a cell and presses with 10 mN: its place and, within the band, its force are
-what remains. Forbidding to pull sharpens the map there, and adds to the force the noise that it rectifies, of which its
-std does not know.
+shear to a per cent, and loses two thirds of the normal force to the prior; with the normal motion of each marker to
+10 um four fifths are found. At a/t = 0.1 the contact is smaller than a cell and presses with 10 mN: its place and,
+within the band, its force are what remains. Forbidding to pull sharpens the map there, and adds to the force the noise
+that it rectifies, of which its std does not know.
 
 Run ``python -m case_studies.three_routes``: prints the table and saves ``three_routes.png``.
 """
@@ -143,8 +145,7 @@ def _point_forces(rig: Rig, known: Sequence[Frame], ground: Layer | HalfSpace, a
     """GelForce on a ground, with lambda over the known presses."""
     under = rig.body - [0.0, 0.0, H - ground.top]
     noise = np.array([MARKER, MARKER, DEEP])[: len(axes)]
-    # no lambda brings the residual of a half-space on a bonded pad down to the noise: the discrepancy rule is no use
-    sensor = GelForce(ground, rig.places, under, noise=noise, axes=axes, choice=None)
+    sensor = GelForce(ground, rig.places, under, noise=noise, axes=axes)
     sensor.calibrate([f.body[:, : len(axes)] for f in known])
     return lambda f: sensor.estimate(f.body[:, : len(axes)])
 
