@@ -219,8 +219,21 @@ def _body(t: Table) -> dict[str, Any]:
         "material": t.text("material", None),
         "allow": t.words("allow", None),
     }
+    _counted(t, found["layers"] or 1)
     t.end()
     return {name: value for name, value in found.items() if value is not None}
+
+
+def _counted(t: Table, layers: int) -> None:
+    """Counts of a mesh that somebody published: held against Euler's formula, never built from."""
+    cells, nodes = t.count("cells", None), t.count("nodes", None)
+    if cells is None and nodes is None:
+        return
+    if cells is None or nodes is None:
+        raise t.refused("cells" if cells is None else "nodes", "counts belong together", "one", "cells and nodes")
+    from .guards.pad import counts
+
+    counts(cells, nodes, layers=layers, where=f"{t.file}: [pad]")
 
 
 def _outline(t: Table) -> Any:

@@ -309,7 +309,8 @@ def test_the_demonstration_and_the_examples_of_the_help_work(
     monkeypatch.chdir(tmp_path)
     coarse = padfile.EXAMPLE.replace('"1 mm"', '"1.5 mm"').replace('"0.1 mm"', '"0.2 mm"').replace('"10 um"', '"5 um"')
     monkeypatch.setattr(padfile, "EXAMPLE", coarse)
-    monkeypatch.setattr(demo, "LOADED", 2)
+    for name, value in (("LOADED", 2), ("ROWS", 16), ("COLUMNS", 16)):
+        monkeypatch.setattr(demo, name, value)
     monkeypatch.setattr(film, "DPI", 40)
     lines = EXAMPLES.replace("\\\n", " ").splitlines()
     commands = [shlex.split(line)[1:] for line in lines if line.strip().startswith("loadid tactile")]

@@ -123,6 +123,8 @@ def test_depth_of_the_other_sign_and_unit(tmp_path: Path) -> None:
         ("layers = 3", "layers = 3.5", "[pad] layers: no whole number"),
         ("[pad]", "[pads]", "pads: unknown table ... did you mean pad"),
         ("[pad]", "pad = 3 #", "[pad] is no table"),
+        ("layers = 3", "layers = 1\ncells = 1964\nnodes = 3698", "[pad]: these element and node counts ... (Euler's"),
+        ("layers = 3", "layers = 1\ncells = 1964", "[pad] nodes: counts belong together"),
         ("nu = 0.3", "nu =", "the pad file cannot be read"),
         ("[pad]", "[contact]\nfriction = true\n[pad]", "[contact] friction: no number"),
         ("[pad]", "[contact]\nlam = 'best'\n[pad]", "[contact] lam: unknown word"),
