@@ -166,7 +166,7 @@ class ForceMap(LoadEstimate):
         spread = spread / areas if self._geometry["kind"] == "nodal" else spread
         peak = float(p.max())
         threshold = share * max(peak, 0.0)
-        mask = (p > threshold) & (p > CLEAR * spread * share) & (peak > CLEAR * spread[int(np.argmax(p))])
+        mask = (p > threshold) & (p > CLEAR * spread)
         weight = np.where(mask, p, 0.0) * areas
         total = float(weight.sum())
         xy = self.nodes[:, :2]

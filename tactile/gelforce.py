@@ -8,7 +8,7 @@ is the half-space on a thin pad, so the kernels of a bonded layer stand beside t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Unpack
 
 import numpy as np
@@ -29,6 +29,7 @@ from .sensor import LinearSensor, Settings
 from .surface import of_points
 
 Array = NDArray[np.float64]
+TOUCHED = 0.2  # of the largest force, from which a point counts as touched
 
 
 class GelForce(LinearSensor):
@@ -51,7 +52,7 @@ class GelForce(LinearSensor):
         Of the pad and of the contacts expected (m): a half-space is flagged above a/t = 0.1 (W601) and refused above
         0.3 (E602). A layer needs neither.
     size : (a, b), optional
-        Sides of the pad (m): forces nearer to its edge than four thicknesses are flagged (W601), as neither ground
+        Sides of the pad (m): contacts nearer to its edge than four thicknesses are flagged (W601), as neither ground
         knows an edge.
     penalty, choice, noise_source, no_pull, friction, support, allow
         See `tactile.sensor.Settings`. ``choice=0`` is the pseudo-inverse of the publication, by SVD.
@@ -86,7 +87,10 @@ class GelForce(LinearSensor):
                 expected="(N, 3) with z below the surface", hint="a point force moves its own point without bound",
             )  # fmt: skip
         area = _cell(places)
-        flags = _valid(ground, places, thickness, contact_radius, size, settings.get("allow", ()))
+        self._size, self._h = size, _thickness(ground, thickness, size)
+        thin = None
+        if isinstance(ground, HalfSpace) and thickness is not None and contact_radius is not None:
+            thin = closed.thin_pad(contact_radius, thickness, ground.nu, allow=settings.get("allow", ()))
         surface = np.column_stack([places, np.full(len(places), ground.top)])
 
         def transfer(points: Array, pick: Callable[[Any], Any]) -> Array:
@@ -96,7 +100,7 @@ class GelForce(LinearSensor):
             seen,
             transfer,
             of_points(surface, area, (0.0, 0.0, ground.top)),
-            flags=flags,
+            flags=() if thin is None else (thin,),
             body=ground,
             about={"ground": repr(ground), "forces": len(places), "markers": len(seen)},
             **settings,
@@ -115,6 +119,16 @@ class GelForce(LinearSensor):
     def flagged(self, forces: ArrayLike) -> Any:
         """W304 where noise alone would make more than 30 % error of these forces."""
         return guards.too_deep(self.expected_error(forces))
+
+    def _checked(self, load: Array) -> list[Flag | None]:
+        """W601 where the contact is near an edge."""
+        pressure = -load[2::3]
+        touched = pressure > TOUCHED * pressure.max(initial=0.0)
+        if self._size is None or self._h is None or not touched.any():
+            return []
+        places = self.geometry["coordinates"][touched, :2]
+        distance = float(np.min(np.asarray(self._size) / 2 - np.abs(places)))
+        return [closed.near_edge(max(distance, 0.0), self._h)]
 
     @property
     def condition(self) -> float:
@@ -140,20 +154,15 @@ def influence(ground: HalfSpace | Layer, points: Array, forces: Array) -> Array:
     return blocks.transpose(0, 2, 1, 3).reshape(3 * len(points), 3 * len(forces))
 
 
-def _valid(
-    ground: HalfSpace | Layer, places: Array, thickness: float | None, radius: float | None,
-    size: tuple[float, float] | None, allow: Sequence[str],
-) -> list[Flag]:  # fmt: skip
-    """What speaks against the kernels on this pad: a thin one, edges that are near."""
+def _thickness(ground: HalfSpace | Layer, thickness: float | None, size: tuple[float, float] | None) -> float | None:
+    """Thickness of the pad (m), where it is known."""
     h = ground.h if isinstance(ground, Layer) else thickness
-    found: list[Flag | None] = []
-    if isinstance(ground, HalfSpace) and h is not None and radius is not None:
-        found.append(closed.thin_pad(radius, h, ground.nu, allow=allow))
-    if size is not None and h is not None:
-        reach = 0.0 if radius is None else radius
-        distance = float(np.min(np.asarray(size) / 2 - np.abs(places))) - reach
-        found.append(closed.near_edge(max(distance, 0.0), h))
-    return [flag for flag in found if flag is not None]
+    if size is not None and h is None:
+        raise InputError(
+            "how near an edge is depends on the thickness of the pad", where="GelForce, size", found="no thickness",
+            expected="thickness= in m beside size=",
+        )  # fmt: skip
+    return h
 
 
 def _grid(forces: ArrayLike) -> Array:

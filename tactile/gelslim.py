@@ -185,7 +185,7 @@ class GelSlim:
             if self.depth is None:
                 raise not_built_for_depth()
             z = np.full(self.pad.points, np.nan)
-            z[~self.pad.edge] = self.depth.readings(depth)
+            z[self._deep] = self.depth.readings(depth)
             return z, "measured"
         if self.markers.axes == "XYZ":
             return np.where(field.inside, field.W @ motion[seen, 2], np.nan), "tracked"
@@ -228,6 +228,12 @@ class GelSlim:
         """Where the normal motion may be let go: only an indenter's."""
         return np.isfinite(z) if not (self.depth is not None or self.markers.axes == "XYZ") else np.zeros(len(z), bool)
 
+    @property
+    def _deep(self) -> NDArray[np.intp]:
+        """Nodes at which depth is measured."""
+        assert self.depth is not None
+        return np.flatnonzero(~self.pad.edge)[self.depth.seen]
+
     @cached_property
     def _at_markers(self) -> Any:
         """Rows of the normal motion of the markers from that of the nodes."""
@@ -260,7 +266,7 @@ class GelSlim:
         parts = [sparse.kron(field.W @ sparse.diags_array(noise[:, k]), unit[:, [k]]) for k in range(len(axes))]
         if how == "measured" and self.depth is not None:
             spread = np.zeros(self.pad.points)
-            spread[~self.pad.edge] = self.depth.averaging.std(self.depth.template.noise)
+            spread[self._deep] = self.depth.averaging.std(self.depth.template.noise)
             parts.append(sparse.kron(sparse.diags_array(spread), unit[:, [2]]))
         return sparse.hstack(parts).tocsr()
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from loadid.families.static import StaticInversion
 
 Array = NDArray[np.float64]
-STRAY, PART = 10.0, 0.25
+STRAY, PART, FREE = 10.0, 0.6, 0.02
 NORMAL = 1.4826  # standard deviation over median absolute value of a normal law
 LARGE = 4_000_000  # entries from which the products run in single precision: 1e-6 of the load, half the memory traffic
 
@@ -114,7 +114,8 @@ class Inverse:
         gone[lost] = True
         rest = z[:rows] - self._of_markers(rows) @ z.astype(self.matrix.dtype, copy=False)
         free = np.maximum(1 - np.diagonal(self.influence)[:rows], 1e-3)
-        rest = np.where(gone[:rows], 0.0, rest / free)
+        told = ~gone[:rows] & np.repeat((free.reshape(markers, axes) > FREE).all(axis=1), axes)
+        rest = np.where(told, rest / free, 0.0)  # a reading that explains itself (A_ii near one) is told by no other
         size = np.linalg.norm(rest.reshape(markers, axes), axis=1)
         size = size / np.sqrt(np.sum(1 / free.reshape(markers, axes), axis=1))
         scale = max(1.0, NORMAL * float(np.median(size)))

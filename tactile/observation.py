@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -19,6 +19,7 @@ from .reading import Averaging, DepthMap
 
 Array = NDArray[np.float64]
 FEWEST = 3  # markers
+COVERED = 0.999  # share of a window that a depth map must cover: a part of it lies beside its node
 QUARTERS = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]]) / 4
 
 
@@ -140,21 +141,28 @@ class Depths:
     template : DepthMap
         A map of the size, pixel and noise of those to come; its values do not matter.
     points : array (n, 2)
-        Centres of the windows (m).
+        Centres of the windows (m); those that the map does not cover are dropped.
     width : float
         Side of the windows (m).
+
+    Attributes
+    ----------
+    seen : array of bool
+        Which of the points that were given are covered.
     """
 
     template: DepthMap
     points: Array
     width: float
+    seen: NDArray[np.bool_] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        seen = Averaging.over(self.template, self.points, self.width).share >= 1
+        seen = Averaging.over(self.template, self.points, self.width).covered > COVERED
         if not seen.any():
             raise InputError("the depth map does not lie on the pad", where="depth", found=f"{self.template.axes}",
                              expected="pixels over the surface", hint="centre= places it")  # fmt: skip
         object.__setattr__(self, "points", np.asarray(self.points, float)[seen])
+        object.__setattr__(self, "seen", seen)
 
     @cached_property
     def averaging(self) -> Averaging:

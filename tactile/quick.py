@@ -93,7 +93,7 @@ class QuickMap:
         inverse, (y, strays) = self.inverse, self._without_strays(y)
         answer = inverse(y, None if self.constrained else wrench)
         load, std, covariance, path = answer.load, answer.std, answer.wrench, "frozen inverse"
-        flags: list[Flag | None] = [self.unseen]
+        flags: list[Flag | None] = [self.unseen, guards.strays(strays)]
         if self.constrained:
             found = self.pressed(y, wrench, load, std)
             load, std, covariance = found.load, found.std, found.wrench

@@ -68,39 +68,53 @@ class Averaging:
     Parameters
     ----------
     weights : sparse (n, H W)
-        Rows sum to one; a point without pixels has an empty row.
-    share : array (n,)
-        Number of pixels of each window.
+        Share of each pixel in each window, by the area that they have in common: rows sum to one.
+    covered : array (n,)
+        Share of each window that the map covers.
     """
 
     weights: sparse.csr_array
-    share: Array
+    covered: Array
 
     @classmethod
     def over(cls, depth: DepthMap, points: ArrayLike, width: float) -> Averaging:
-        """Windows of `width` (m) about `points` (n, 2): disjoint where the points are a grid of that pitch."""
-        y, x = depth.axes
+        """Windows of `width` (m) about `points` (n, 2)."""
         points = np.asarray(points, float)
-        rows, columns, count = [], [], np.zeros(len(points))
-        edges = (np.searchsorted(a, points[:, k] + s * width / 2) for k, a in ((1, y), (0, x)) for s in (-1, 1))
-        for i, (j0, j1, k0, k1) in enumerate(zip(*edges, strict=True)):
-            here = (np.arange(j0, j1)[:, None] * len(x) + np.arange(k0, k1)).ravel()
-            count[i] = len(here)
-            rows.append(np.full(len(here), i))
-            columns.append(here)
-        owner = np.concatenate(rows)
-        data = 1 / np.maximum(count, 1)[owner]
+        y, x = depth.axes
+        along = [_overlap(a, points[:, k], width, depth.pixel) for k, a in ((1, y), (0, x))]
+        rows, columns, data = [], [], []
+        for i, ((j, v), (k, w)) in enumerate(zip(*along, strict=True)):
+            weight = np.outer(v, w).ravel()
+            rows.append(np.full(weight.size, i))
+            columns.append((j[:, None] * len(x) + k).ravel())
+            data.append(weight)
+        owner, values = np.concatenate(rows), np.concatenate(data)
+        area = np.bincount(owner, values, minlength=len(points))
+        values = values / np.where(area > 0, area, 1.0)[owner]
         shape = (len(points), depth.values.size)
-        return cls(sparse.csr_array((data, (owner, np.concatenate(columns))), shape=shape), count)
+        return cls(sparse.csr_array((values, (owner, np.concatenate(columns))), shape=shape), area / width**2)
 
     def means(self, depth: DepthMap) -> Array:
-        """Mean motion in each window (n,); NaN where it has no pixel, or one is missing."""
-        found = self.weights @ depth.values.ravel()
-        return np.where(self.share > 0, found, np.nan)
+        """Mean motion in each window (n,); NaN where the map does not reach, or a pixel is missing."""
+        return np.where(self.covered > 0, self.weights @ depth.values.ravel(), np.nan)
 
     def std(self, noise: float) -> Array:
-        """Std of the means (n,) for independent pixels."""
-        return noise / np.sqrt(np.maximum(self.share, 1))
+        """Std of the means (n,) for independent pixels; windows that share pixels at their rims count as apart."""
+        return noise * np.sqrt(np.asarray(self.weights.multiply(self.weights).sum(axis=1)).ravel())
+
+
+def _overlap(pixels: Array, centres: Array, width: float, pixel: float) -> list[tuple[NDArray[np.intp], Array]]:
+    """Pixels of a line that each window touches, and by how much (m)."""
+    half, own = width / 2, pixel / 2
+    first = np.searchsorted(pixels + own, centres - half, side="right")
+    last = np.searchsorted(pixels - own, centres + half, side="left")
+    out = []
+    for a, b, c in zip(first, last, centres, strict=True):
+        here = np.arange(a, b)
+        common = np.minimum(pixels[here] + own, c + half) - np.maximum(pixels[here] - own, c - half)
+        keep = common > 1e-9 * pixel
+        out.append((here[keep], common[keep]))
+    return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,18 @@ def lost(rows: int, total: int) -> Flag | None:
     )
 
 
+def strays(count: int) -> Flag | None:
+    """W604: markers that contradict all others were left out."""
+    if count == 0:
+        return None
+    return Flag(
+        "W604",
+        Evidence("markers that contradict all others", count, 0),
+        f"{count} markers moved as no load moves them beside the others: they were left out, as other dots",
+        "look at the frame; from frame to frame markers must move by less than half their pitch",
+    )
+
+
 def taken(hidden: NDArray, resultant: NDArray, covariance: NDArray) -> Flag | None:
     """W608: regularisation is expected to have lowered the resultant by more than 2 % and more than its noise."""
     size = float(np.linalg.norm(resultant[:3]))

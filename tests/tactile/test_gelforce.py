@@ -97,9 +97,14 @@ def test_a_thin_pad_is_flagged_then_refused() -> None:
     assert "E602" in rig((0.5, 1), thickness=3e-3, contact_radius=1e-3, count=5, allow=("E602",)).codes
 
 
-def test_an_edge_nearby_is_flagged() -> None:
-    assert "W601" in rig((0.5, 1), thickness=3e-3, size=(20e-3, 20e-3), count=5).codes
-    assert not rig((0.5, 1), thickness=3e-3, size=(60e-3, 60e-3), count=5).codes
+def test_a_contact_near_an_edge_is_flagged() -> None:
+    s = rig((0.5, 1), thickness=3e-3, size=(20e-3, 20e-3), count=7)
+    wide = rig((0.5, 1), thickness=3e-3, size=(60e-3, 60e-3), count=7)
+    u = (s.model.H @ truth(7).ravel()).reshape(-1, 3)
+    assert "W601" in s.estimate(u).codes
+    assert "W601" not in wide.estimate(u).codes
+    with pytest.raises(InputError, match="thickness"):
+        rig((0.5, 1), size=(20e-3, 20e-3), count=5)
 
 
 @pytest.mark.parametrize("depth", [0.0, -1e-3])
