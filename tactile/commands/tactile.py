@@ -66,7 +66,10 @@ def _configure(parser: ArgumentParser) -> None:
 
 
 def _run(args: Namespace) -> int:
-    return _demo(args) if args.input == DEMO else _map(args)
+    from ._spoken import plainly
+
+    with plainly():
+        return _demo(args) if args.input == DEMO else _map(args)
 
 
 def _demo(args: Namespace) -> int:
