@@ -2,12 +2,13 @@
 
 Two hypotheses on the innovations e of one sample, each with its most likely size:
 
-    an event      e ~ N(0, S + c^2 (H LQ)(H LQ)^T + rough),  once as rare as one wrong channel
+    an event      e ~ N(0, S + c^2 (H G)(H G)^T + rough),  once as rare as one wrong channel
     wrong ones    the rest ~ N(0, S), each wrong channel as large as it is and as rare as an event
 
-`rough` is what a model that is a tenth off leaves of an event of this size. One sample seldom decides (an event of one
-sample and a wrong channel beside the load look alike): the odds only say which of two filters speaks until later
-samples have decided (`loadid.families.tracking.engine`).
+G is the root of what a sample adds to the states, and of when within it the event began (`onset`); `rough` is what a
+model that is a tenth off leaves of an event of this size. One sample seldom decides (an event of one sample and a wrong
+channel beside the load look alike): the odds only say which of two filters speaks until later samples have decided
+(`loadid.families.tracking.engine`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from ...inverse.kalman.roots import forward, lower
 
 RARE = float(np.log(1000.0))  # a channel that is wrong, and an event: one sample of a thousand
 ROUGH = 0.1  # of an event, that the model may get wrong
+UNEVEN = float(1 / np.sqrt(12.0))  # of what a load does to a structure in a step: std of a start at any time within
 SCALES = 80  # sizes of an event that are tried
 HORIZON = 12  # doublings: samples after which a structure has forgotten its start, or a walk gone far enough
 LOG2PI = float(np.log(2 * np.pi))
@@ -48,6 +50,19 @@ def missed(e: NDArray, wrong: NDArray) -> float:
     """Log density of channels that are wrong, each with the variance that makes it most likely."""
     there = np.abs(e[wrong & np.isfinite(e)])
     return float(-np.sum(np.log(np.maximum(there, np.finfo(float).tiny)) + 0.5 * (LOG2PI + 1) + RARE))
+
+
+def onset(model: FilterModel) -> NDArray[np.float64]:
+    """What an event of size 1 does to the states (n, any): as what a sample adds, with a load that sets in at any time.
+
+    A load that is not held may step at any time between two samples: the structure has felt all of it or nothing, which
+    no straight line or smooth process expects.
+    """
+    nx, LQ = model.nx, model.LQ
+    if model.held:
+        return LQ
+    kick = UNEVEN * (model.F[:nx, nx:] @ LQ[nx:, np.any(LQ[nx:] != 0, axis=0)])
+    return np.hstack([LQ, np.vstack([kick, np.zeros((len(LQ) - nx, kick.shape[1]))])])
 
 
 def reach(model: FilterModel) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.squareroot import Innovation, SquareRoot, State
-from .gate import RARE, missed, reach, weighed
+from .gate import RARE, missed, onset, reach, weighed
 
 GATE = 6.0  # std of an innovation beyond which a sample is looked at
 PATIENCE = 20  # samples: of good behaviour at most, until a channel is believed again; of a lost state, that it is held
@@ -63,6 +63,7 @@ class Judge:
         self.events, self.out = 0, 0  # taken up by the one, channel samples kept out by the other
         self.young = True  # never settled
         self._moves: NDArray[np.float64] | None = None
+        self._ways = onset(model)
 
     def judge(self, y: NDArray, before: State) -> None:
         """Take a sample up, from the prediction of the filter that speaks."""
@@ -136,13 +137,13 @@ class Judge:
         """Odds of wrong channels against an event, the prediction that expects it, and whether the state was lost."""
         H, LR = self.model.H, self.model.LR
         root = self.width[:, None] * np.hstack([H @ before.L, LR])
-        odds, size = weighed(e, root, H @ self.model.LQ, wrong)
+        odds, size = weighed(e, root, H @ self._ways, wrong)
         if odds > DECISIVE and self.young:
             ways = self._reach()
             other, far = weighed(e, root, H @ ways, wrong)
             if other < odds:
                 return other, wider(before, far * ways), True
-        return odds, wider(before, size * self.model.LQ), False
+        return odds, wider(before, size * self._ways), False
 
     def _held(self, y: NDArray, beyond: NDArray) -> tuple[NDArray[np.bool_], bool]:
         """Which channels are kept out of this sample, and whether it is the state that is wrong and not they."""

@@ -136,6 +136,7 @@ def augment(
         L0=diagonal([np.block([[states, carried], [np.zeros((len(Lz), states.shape[1])), Lz]]), drift.L0]),
         nx=nx,
         S=None if S is None else np.vstack([S, np.zeros((n - nx, m))]),
+        held=structure.hold == "zoh",
     )
     if dummy is None:
         return made

@@ -32,6 +32,8 @@ class FilterModel:
         States of the structure; the rest belongs to the priors of the loads.
     S : array, shape (n, m), optional
         ``E[w_k v_k^T]``.
+    held : bool
+        Loads change with a sample, not between two.
 
     Raises
     ------
@@ -48,6 +50,7 @@ class FilterModel:
     L0: NDArray[np.float64]
     nx: int
     S: NDArray[np.float64] | None = None
+    held: bool = True
 
     def __post_init__(self) -> None:
         n, m = len(self.F), len(self.H)
