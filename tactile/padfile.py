@@ -66,7 +66,7 @@ pressed = "negative"            # sign of a pressed place
 [contact]
 no_pull = false
 # friction = 0.8
-# lam = 0.007                   # relative lambda, or a rule; "discrepancy" on the strongest frames if left out
+# lam = 0.007                   # relative lambda, or its rule; chosen on the strongest frames if left out
 # penalty = "identity"
 """
 TABLES = ("pad", "camera", "markers", "depth", "contact")

@@ -54,7 +54,10 @@ def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("--friction", type=positive, metavar="MU", help="tractions stay in their friction cone")
     parser.add_argument("--no-pull", action="store_true", help="pressures are not negative")
     parser.add_argument(
-        "--lam", type=choice, metavar="LAMBDA|RULE", help="relative lambda, or the rule that chooses it (discrepancy)"
+        "--lam",
+        type=choice,
+        metavar="LAMBDA|RULE",
+        help="relative lambda, or its rule; default the larger of discrepancy and robust_gcv on the strongest frames",
     )
     parser.add_argument("--frames", type=span, metavar="A:B", help="frames to invert, from 1; all before are tracked")
     parser.add_argument("--rate", type=positive, metavar="HZ", help="frames a second of the camera")
