@@ -295,6 +295,7 @@ def picture(run: Run, path: Path) -> None:
                 ax.plot(k, scale * row.found[:, i], color=colour, lw=1.4, label=row.sensor if i == axes[0] else None)
             ax.annotate(run.rows[0].errors.labels[i], (k[-1], scale * run.true[-1, i]), (4, -3),
                         textcoords="offset points", fontsize=9)  # fmt: skip
+        ax.set_xlim(right=k[-1] + 3)
         ax.set_xlabel("frame: push, then slide")
         ax.set_ylabel(label)
     nodes, areas = run.rows[0].last.nodes, run.rows[0].last.areas
@@ -307,7 +308,7 @@ def picture(run: Run, path: Path) -> None:
     cut.set_xlabel("x through the contact, last frame (mm)")
     cut.set_ylabel("mean pressure about a node (kPa)")
     cut.set_ylim(top=1.35 * cut.get_ylim()[1])
-    force.legend(fontsize=8, loc="center left")
+    force.legend(fontsize=8, loc="center right")
     cut.legend(fontsize=8, loc="upper left")
     fig.savefig(path, dpi=130)
 

@@ -87,7 +87,8 @@ def rules(
             best = np.argmin(np.linalg.norm(tried - truth[:, None], axis=0))
             for name in RULES:
                 rule = said.get(name)
-                lam = {"naive": 0.0, "oracle": sweep[best]}.get(name) if rule is None else rule.lam
+                lam = {"naive": 0.0, "oracle": float(sweep[best])}.get(name) if rule is None else rule.lam
+                assert lam is not None
                 edge = float(rule is not None and rule.edge)
                 found[name].append((*_judged(shapes @ one.gains(lam), truth), edge))
         tables.append({name: Rule(*np.median(rows, axis=0).tolist()) for name, rows in found.items()})
