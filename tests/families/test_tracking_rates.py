@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from loadid.families.kalman import LoadTracker
+from loadid.families.tracking.patchy import Patchy
+from loadid.families.tracking.posed import rescaled
 from loadid.families.tracking.rhythm import Listener
 from loadid.families.tracking.tracker import Fitted, Tracker
 from loadid.inverse.kalman import priors
@@ -126,3 +128,33 @@ def test_sets_of_channels_are_forgotten(monkeypatch):
     other.restore(listener.to_tree())
     assert np.array_equal(other.past(128), listener.past(128))
     assert np.array_equal(other.runs, listener.runs)
+
+
+# -- the fit ----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("every", [1, 4])
+def test_the_likelihood_of_a_record_with_gaps_is_that_of_the_square_root_filter(every):
+    """By the gains of a period, and sample by sample; of a complete record it is the one that is known."""
+    y = (sampled(every) if every > 1 else case().y)[:900]
+    model, use = fit().model, np.arange(900) >= 800
+    points = [Patchy(lambda x: model, y, use, False, lambda share: None)]
+    points.append(Patchy(lambda x: model, y, use, False, lambda share: None))
+    points[1].masks = None
+    by_period, by_sample = (point(np.zeros(0)).cost for point in points)
+    assert points[0].masks.shape == (every, 4)
+    assert by_sample == pytest.approx(-np.sum(recursive(model, y).loglik[use]), rel=1e-12)
+    assert by_period == pytest.approx(by_sample, abs=1e-6 * abs(by_sample))
+    scaled = Patchy(lambda x: rescaled(model, 4.0), y, use, True, lambda share: None)(np.zeros(0))
+    assert scaled.scale == pytest.approx(np.sum(recursive(model, y).nis[use]) / np.isfinite(y[use]).sum() / 4, rel=1e-5)
+
+
+def test_a_slow_channel_is_tuned_on():
+    """No stretch is complete: the numbers come near those that made the load, and the band holds."""
+    c, y = case(), sampled(10)
+    tracker = LoadTracker(c.setup.space(), prior="matern32", noise=c.noise).fit(y, c.dt)
+    sd, length = (tracker.fitted.numbers[f"{name} of load 1"] for name in ("sd", "length"))
+    assert 60 < sd < 160
+    assert 0.05 < length < 0.12
+    found = tracker.track(y)
+    off = np.abs(found.load - c.load)
+    assert np.linalg.norm(off) < 0.05 * np.linalg.norm(c.load)
+    assert np.mean(off < 1.96 * found.std) > 0.92

@@ -18,7 +18,8 @@ from .posed import Posing
 from .tuning import tune
 
 LONGEST = 60_000  # samples that a fit is tuned on
-SHORTEST = 50
+PATCHY = 2000  # of a record with gaps everywhere
+SHORTEST, ENOUGH = 50, 500  # samples without a gap: that a fit takes, and that it prefers to all with gaps
 FACTORS = (0.3, 1.0, 3.0, 10.0)  # on a noise that is to be found beside priors that are given
 
 
@@ -62,11 +63,11 @@ def numbers_of(
     Raises
     ------
     InputError
-        No stretch of the record is complete and long enough; no filter exists for any numbers.
+        The record is too short; no filter exists for any numbers.
     """
     if posing.shared is None and not posing.scales and known:
         return Numbers(np.zeros(0), 1.0, {}, ())
-    Y = complete(data)
+    Y = stretch(data)
     own = [g.starts(size, data.dt, len(data.values)) for g in posing.given if isinstance(g, Named)]
     starts = [np.concatenate(parts) for parts in zip(*own, strict=False)] or [np.zeros(0)]
     factors = np.log(FACTORS)[:, None] if posing.free_noise else np.zeros((1, 0))
@@ -83,6 +84,24 @@ def numbers_of(
         spoilt(found.wrong, labels) if found.wrong else None,
     )
     return Numbers(found.parameters, found.scale, words, tuple(flag for flag in said if flag is not None))
+
+
+def stretch(data: Data) -> NDArray[np.float64]:
+    """What a fit is tuned on: a complete stretch where there is a long one, else the record with its gaps (NaN).
+
+    Raises
+    ------
+    InputError
+        Too few samples.
+    """
+    if np.any(data.missing.all(axis=0)) or not (tail := ~data.missing.all(axis=1)).any():
+        return complete(data)  # refuses, and says why
+    runs = np.diff(np.flatnonzero(np.r_[True, data.missing.any(axis=1), True])) - 1
+    if runs.max(initial=0) >= min(ENOUGH, len(data.values) // 2):
+        return complete(data)
+    start, stop = np.flatnonzero(tail)[[0, -1]]
+    Y = np.where(data.missing, np.nan, data.values)[start : min(stop + 1, start + PATCHY)]
+    return np.ascontiguousarray(Y) if len(Y) >= SHORTEST else complete(data)
 
 
 def complete(data: Data) -> NDArray[np.float64]:

@@ -19,6 +19,7 @@ from structures.errors import InputError, NotIdentifiable
 
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.steady import Steady, steady
+from .patchy import Patchy
 from .posed import rescaled
 from .search import Point, climb
 from .wrong import wrong_samples
@@ -75,7 +76,7 @@ def tune(
         Model of logarithms of the parameters.
     starts : list of array
     Y : array, shape (samples, sensors)
-        Without gaps.
+        NaN where a channel is missing; wrong samples are looked for where nothing is.
     free_scale : bool
         The noise level is not known: the common scale is at its optimum everywhere.
 
@@ -86,7 +87,10 @@ def tune(
     """
     grid = np.array(starts, float)
     low, high = grid.min(axis=0) - np.log(REACH), grid.max(axis=0) + np.log(REACH)
-    likely = Likelihood(build, Y, free_scale, progress)
+    whole = bool(np.isfinite(Y).all())
+    likely: Likelihood | Patchy = Likelihood(build, Y, free_scale, progress)
+    if not whole:
+        likely = Patchy(build, Y, settled_samples(len(Y)), free_scale, progress)
     points = sorted((p for p in map(likely, grid) if p is not None), key=lambda p: p.cost)
     if not points:
         raise InputError("no steady filter exists for any numbers of this prior", where="fit",
@@ -97,7 +101,7 @@ def tune(
     for point in points[1:STARTS]:
         best = min(best, climb(likely, point, low, high, best), key=lambda p: p.cost)
     count, wrong = likely.count, None
-    for _ in range(PASSES):
+    for _ in range(PASSES if whole else 0):
         found = wrong_samples(steady(rescaled(build(best.x), best.scale)), Y)
         if found.count == 0 or (wrong is not None and np.array_equal(found.mask, wrong.mask)):
             break
