@@ -4,7 +4,8 @@ The steady filter predicts every sample; the density of what the samples said be
 factor on process and measurement noise leaves the gain alone: its optimum is the mean NIS, in closed form, where the
 noise level is not known. The search stays within `REACH` of where it starts, and the starts follow from step and length
 of the record: a correlation length of ten records is not told from an endless one, nor one of a hundredth of a step
-from none. Single wrong samples, which no load explains, are left out in a second pass.
+from none. Single wrong samples, which no load explains, are left out in a second pass. A record with gaps everywhere
+has its likelihood in `patchy`.
 """
 
 from __future__ import annotations
