@@ -57,6 +57,7 @@ def polygon_means(profile: Profile, corners: Array) -> Array:
         )
     low, high = _inside(start, end)
     first, last = start + low[..., None] * (end - start), start + high[..., None] * (end - start)
+    last = np.where((high == 1)[..., None], end, last)  # rounding at the axis of the press would be an angle of its own
     outside = _angle(start, first) + _angle(last, end)
     t, dt = drawn(NODES)
     at = first[..., None, :] + t[:, None] * (last - first)[..., None, :]

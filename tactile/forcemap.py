@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,10 @@ from scipy import sparse
 
 from loadid.estimate import LoadEstimate
 from structures.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 PROVIDED = ("tracked", "measured", "completed")
@@ -142,7 +146,10 @@ class ForceMap(LoadEstimate):
         """Moment of the load, (..., 3) in N m, about the centre of the loaded surface or another point (x, y, z)."""
         if about is None:
             return self._wrench(slice(3, 6), "N m")
-        arm = np.asarray(self._geometry["about"], float) - np.asarray(about, float)
+        point = np.asarray(about, float)
+        if point.shape != (3,) or not np.all(np.isfinite(point)):
+            raise InputError("no point", where="torque, about", found=repr(about), expected="(x, y, z) in m")
+        arm = np.asarray(self._geometry["about"], float) - point
         cross = np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
         turn = np.hstack([cross, np.eye(3)])
         values = self._rows() @ turn.T
@@ -175,6 +182,44 @@ class ForceMap(LoadEstimate):
         slip = np.full(len(p), np.nan)
         slip[mask] = np.hypot(t[mask, 0], t[mask, 1]) / p[mask]
         return Contact(mask, float(areas[mask].sum()), centre, radius, max(peak, 0.0), slip, threshold)
+
+    def plot(
+        self,
+        kind: str = "map",
+        *,
+        truth: ArrayLike | None = None,
+        ax: Axes | None = None,
+        path: str | os.PathLike | None = None,
+        show: bool = False,
+    ) -> Figure:
+        """Picture: ``"map"`` (pressure, shear, std; force and torque of a sequence below), or as `LoadEstimate.plot`.
+
+        Parameters
+        ----------
+        kind : str
+        truth : array (P, 3) or (frames, P, 3), optional
+            Known tractions (Pa), for ``"map"``.
+        ax, path, show
+            As `LoadEstimate.plot`.
+        """
+        if kind != "map":
+            return super().plot(kind, truth=truth, ax=ax, path=path, show=show)
+        from .plots.maps import map_figure, sequence_figure
+
+        figure = map_figure(self, truth=truth) if self.single else sequence_figure(self, truth=truth)
+        if path is not None:
+            figure.savefig(path)
+        if show:
+            from matplotlib import pyplot
+
+            pyplot.show()
+        return figure
+
+    def report(self, path: str | os.PathLike, *, truth: ArrayLike | None = None) -> None:
+        """Write one self-contained HTML page."""
+        from .report import write_report
+
+        write_report(self, path, truth=truth)
 
     @classmethod
     def read(cls, path: str | os.PathLike) -> Self:

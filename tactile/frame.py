@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,6 +38,7 @@ def readings_of(
     """
     seen: Any = np.asarray(found)
     flags: list[Flag | None] = []
+    _refuse_turned(seen, len(markers))
     if is_image(seen, len(markers)):
         if eye is None:
             raise InputError(
@@ -47,6 +50,36 @@ def readings_of(
             )
         seen, flags = eye.read(seen, depth)
     return markers.readings(seen), flags
+
+
+def paired(frames: Iterable[Any], depths: Iterable[DepthMap]) -> Iterator[tuple[Any, DepthMap]]:
+    """Frames with their depth maps.
+
+    Raises
+    ------
+    InputError
+        When one of them ends before the other.
+    """
+    end = object()
+    for i, (frame, depth) in enumerate(zip_longest(frames, depths, fillvalue=end)):
+        if frame is end or depth is end:
+            raise InputError(
+                "frames and depth maps do not go together", where=f"frame {i}",
+                found=f"no {'frame' if frame is end else 'depth map'} {i}", expected="one depth map for each frame",
+            )  # fmt: skip
+        yield frame, depth  # type: ignore[misc]
+
+
+def _refuse_turned(seen: NDArray, markers: int) -> None:
+    """Many frames at once, and motions with rows and columns swapped, are no images."""
+    if seen.dtype == np.uint8:
+        return
+    if seen.ndim == 3 and seen.shape[1:] in ((markers, 2), (markers, 3)):
+        raise InputError("many frames at once", where="frame", found=f"shape {seen.shape}",
+                         expected=f"({markers}, 2 or 3)", hint="sensor.stream(frames)")  # fmt: skip
+    if seen.ndim == 2 and seen.shape in ((2, markers), (3, markers)) and seen.shape[0] != markers:
+        raise InputError("rows and columns are swapped", where="displacements", found=f"shape {seen.shape}",
+                         expected=f"({markers}, {seen.shape[0]})", hint="motion.T")  # fmt: skip
 
 
 def not_built_for_depth() -> InputError:

@@ -23,7 +23,7 @@ from structures.flags import Flag
 
 from .completion import Completion, surface_stiffness
 from .forcemap import ForceMap
-from .frame import not_built_for_depth, readings_of
+from .frame import not_built_for_depth, paired, readings_of
 from .guards import maps as guards
 from .guards.labels import completed
 from .indenters import Indenter
@@ -89,11 +89,18 @@ class GelSlim:
         self.pad, self.eye, self.allow, self.interpolation = pad, eye, tuple(allow), interpolation
         self.no_pull, self.friction = bool(no_pull), friction
         self.markers = observed(markers, noise, axes, slope, eye)
+        places = self.markers.points
+        if places.shape[1] == 3 and np.any(places[:, 2] < pad.thickness * (1 - 1e-6)):
+            raise InputError(
+                "F = K U takes markers on the surface", where="GelSlim, markers", found="markers under it",
+                expected="(N, 2), or z = the thickness", hint="MultilayerPad and GelForce take markers at any depth",
+            )  # fmt: skip
         self.depth = None if depth is None else windows(pad, depth, None)
         self.geometry = of_pad(pad, "nodal")
         self.K = surface_stiffness(pad)
         self._loads = channels(pad.points, "nodal")
         self._offset = np.zeros((len(self.markers), len(axes)))
+        self._rest: Any = 0.0
         self._completions: dict[bytes, Completion] = {}
         self._noted: dict[int, Flag | None] = {}
         self._interpolations: dict[bytes, Interpolation] = {}
@@ -140,7 +147,7 @@ class GelSlim:
         seen = np.asarray(np.isfinite(motion).all(axis=1))
         field = self._interpolation(seen)
         z, how = self._normal(motion, seen, field, depth, indenter)
-        known, U, completion = self._solved(motion, seen, field, z)
+        known, U, completion = self._solved(motion, seen, field, z, how)
         answer = self._answer(known, U, completion, field, seen, how)
         return self._map(answer, U, completion, flags, seen, field, how, wrench)
 
@@ -149,7 +156,7 @@ class GelSlim:
         if depths is None:
             yield from (self.estimate(frame) for frame in frames)
         else:
-            yield from (self.estimate(f, d) for f, d in zip(frames, depths, strict=False))
+            yield from (self.estimate(f, d) for f, d in paired(frames, depths))
 
     def zero(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Self:
         """Take the mean motion of unloaded frames as zero. Returns the sensor."""
@@ -158,8 +165,9 @@ class GelSlim:
         if not listed:
             raise InputError("no frames to take zero from", where="zero", found="none", expected="unloaded frames")
         stack = np.array(listed)
-        count = np.isfinite(stack).sum(axis=0)
-        self._offset = np.where(np.isfinite(stack), stack, 0.0).sum(axis=0) / np.maximum(count, 1)
+        self._offset = _mean(stack)
+        if self.depth is not None and depths is not None:
+            self._rest = _mean(np.array([self.depth.readings(d) for d in depths]))
         return self
 
     # -- steps --------------------------------------------------------------------------------------------------------
@@ -185,7 +193,7 @@ class GelSlim:
             if self.depth is None:
                 raise not_built_for_depth()
             z = np.full(self.pad.points, np.nan)
-            z[self._deep] = self.depth.readings(depth)
+            z[self._deep] = self.depth.readings(depth) - self._rest
             return z, "measured"
         if self.markers.axes == "XYZ":
             return np.where(field.inside, field.W @ motion[seen, 2], np.nan), "tracked"
@@ -199,7 +207,7 @@ class GelSlim:
         )  # fmt: skip
 
     def _solved(
-        self, motion: Array, seen: NDArray, field: Interpolation, z: Array
+        self, motion: Array, seen: NDArray, field: Interpolation, z: Array, how: str
     ) -> tuple[NDArray, Array, Completion]:
         """What is known (P, 3), its values, and the completion; nodes that an indenter would pull are let go."""
         known = np.column_stack([field.inside, field.inside, np.isfinite(z)])
@@ -218,15 +226,11 @@ class GelSlim:
                 U = values[known]
             force = completion.forces(U).reshape(-1, 3)[:, 2]
             partial = known[:, 2] & ~known[:, 2].all()
-            pulled = partial & (force > 1e-9 * np.abs(force).max()) & self._completed(z)
+            pulled = partial & (force > 1e-9 * np.abs(force).max()) & (how == "completed")
             if not pulled.any():
                 break
             known[pulled, 2] = False
         return known, U, completion
-
-    def _completed(self, z: Array) -> NDArray[np.bool_]:
-        """Where the normal motion may be let go: only an indenter's."""
-        return np.isfinite(z) if not (self.depth is not None or self.markers.axes == "XYZ") else np.zeros(len(z), bool)
 
     @property
     def _deep(self) -> NDArray[np.intp]:
@@ -290,7 +294,7 @@ class GelSlim:
             )
         pressure, std = -answer.load[2::3], answer.std[2::3]
         touched = (pressure > TOUCH * pressure.max()) & (pressure > CLEAR * std)
-        found = self._solver.solve(completion.displacements(U) / spread, touched, wrench)
+        found = self._solver.solve(completion.displacements(U) / spread, touched, wrench, answer)
         return Answer(found.load, found.std, found.wrench, answer.reach), guards.stopped(found.converged, found.steps)
 
     def _correlated(self, field: Interpolation) -> Flag | None:
@@ -352,3 +356,9 @@ class GelSlim:
                 prior="none: the map is a product of the stiffness with what was observed",
             ),
         )
+
+
+def _mean(values: Array) -> Array:
+    """Mean over the first axis of what is finite; zero where nothing is."""
+    known = np.isfinite(values)
+    return np.asarray(np.where(known, values, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))

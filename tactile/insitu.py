@@ -125,10 +125,12 @@ def poisson(
     force_std: float = 0.01,
     progress: Callable[[float, str], None] | None = None,
 ) -> Shape:
-    """Poisson's ratio and modulus from presses with known forces.
+    """Poisson's ratio and modulus from presses with known forces, where the contact is known.
 
     For every nu the sensor explains the motion as well as it can (residual and penalty of its own inversion) and its
-    forces are scaled onto the known ones; what is left of both is the misfit. A resultant alone does not tell nu.
+    forces are scaled onto the known ones; what is left of both is the misfit. A resultant alone does not tell nu, nor
+    does motion in the plane. Say where the contact is (``support=`` of the sensor): on a mesh that is not that of the
+    gel a contact that is only found biases nu by several hundredths. The std is that of the noise, not of the mesh.
 
     Parameters
     ----------

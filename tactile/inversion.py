@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from structures.errors import InputError
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from loadid.families.static import StaticInversion
 
 Array = NDArray[np.float64]
-STRAY, PART, FREE = 10.0, 0.6, 0.02
-NORMAL = 1.4826  # standard deviation over median absolute value of a normal law
 LARGE = 4_000_000  # entries from which the products run in single precision: 1e-6 of the load, half the memory traffic
 
 
@@ -87,7 +85,7 @@ class Inverse:
         InputError
             If no reading is left.
         """
-        z, lost = self._filled(y / self.spread)
+        z, lost = self.filled(y)
         plain = Answer(self._times(z), self.std, self.resultant @ self.reach, self.reach) if lost.size == 0 else None
         answer = self._widened(z, lost) if plain is None else plain
         return answer if wrench is None else fused(answer, self.resultant, wrench)
@@ -101,40 +99,12 @@ class Inverse:
         """What regularisation is expected to have taken from the resultant of this load (6,)."""
         return self.loss @ load
 
-    def stray(self, y: Array, markers: int, axes: int) -> int | None:
-        """The marker whose motion most contradicts what all others and the mechanics say, if one does by far.
-
-        It does where its distance from what the others predict for it (``r / (1 - A_ii)``, leave-one-out) is `STRAY`
-        times its std or the typical one, and a good part of the largest motion: errors of the model stay below the one
-        or the other. One at a time, as a stray marker pulls its neighbours' predictions with it.
-        """
-        z, lost = self._filled(y / self.spread)
-        rows = markers * axes
-        gone = np.zeros(len(z), bool)
-        gone[lost] = True
-        rest = z[:rows] - self._of_markers(rows) @ z.astype(self.matrix.dtype, copy=False)
-        free = np.maximum(1 - np.diagonal(self.influence)[:rows], 1e-3)
-        told = ~gone[:rows] & np.repeat((free.reshape(markers, axes) > FREE).all(axis=1), axes)
-        rest = np.where(told, rest / free, 0.0)  # a reading that explains itself (A_ii near one) is told by no other
-        size = np.linalg.norm(rest.reshape(markers, axes), axis=1)
-        size = size / np.sqrt(np.sum(1 / free.reshape(markers, axes), axis=1))
-        scale = max(1.0, NORMAL * float(np.median(size)))
-        worst = int(np.argmax(size))
-        moved = np.linalg.norm(z[:rows].reshape(markers, axes), axis=1).max(initial=0.0)
-        apart = float(np.linalg.norm(rest.reshape(markers, axes)[worst]))
-        return worst if size[worst] > STRAY * scale and apart > PART * moved else None
-
-    def _of_markers(self, rows: int) -> NDArray:
-        """Rows of the influence matrix that are markers, in the precision of the products."""
-        if "_marked" not in self.__dict__:
-            object.__setattr__(self, "_marked", np.ascontiguousarray(self.influence[:rows], self.matrix.dtype))
-        return self.__dict__["_marked"]
-
     def _times(self, z: Array) -> Array:
         return np.asarray(self.matrix @ z.astype(self.matrix.dtype, copy=False), float)
 
-    def _filled(self, z: Array) -> tuple[Array, NDArray[np.intp]]:
+    def filled(self, y: Array) -> tuple[Array, NDArray[np.intp]]:
         """Whitened readings with the lost ones as the others predict them, and which those are."""
+        z = y / self.spread
         lost = np.flatnonzero(~np.isfinite(z))
         if lost.size == len(z):
             raise InputError("no reading is left in this frame", where="frame", found="all markers lost",
@@ -147,7 +117,14 @@ class Inverse:
     def _left(self, lost: NDArray[np.intp]) -> Any:
         """Cholesky factor of I - A_MM."""
         left = np.eye(lost.size) - self.influence[np.ix_(lost, lost)]
-        return cho_factor((left + left.T) / 2)
+        try:
+            return cho_factor((left + left.T) / 2)
+        except LinAlgError:
+            raise InputError(
+                "too few readings are left for this lambda", where="frame",
+                found=f"{lost.size} of {len(self.spread)} lost", expected="readings that determine the map",
+                hint="a larger lambda, or a look at the image: light, focus, occlusion",
+            ) from None  # fmt: skip
 
     def _widened(self, z: Array, lost: NDArray[np.intp]) -> Answer:
         """The answer of filled readings, with the std of those that were read."""
@@ -176,7 +153,8 @@ def fused(answer: Answer, resultant: Array, wrench: Wrench) -> Answer:
 def _gain(S: Array, P: Array) -> Array:
     """P S^-1, scaled so that forces and moments do not drown each other."""
     size = np.sqrt(np.diag(S))
-    return np.linalg.solve(S / size[:, None] / size, (P / size).T).T / size
+    size = np.where(size > 0, size, 1.0)
+    return np.linalg.lstsq(S / size[:, None] / size, (P / size).T, rcond=1e-12)[0].T / size
 
 
 def prepare(family: StaticInversion, resultant: Array, lam: float, rule: str = "given") -> Inverse:

@@ -171,9 +171,18 @@ class Depths:
 
     @cached_property
     def channels(self) -> list[Channel]:
-        """A sensor for each window."""
-        spread = self.averaging.std(self.template.noise)
+        """A sensor for each window; those that overlap share pixels, and count for less."""
+        spread = self.averaging.std(self.template.noise) * self.overlap
         return [Channel(label=f"z{i}", quantity="displacement", unit="m", noise=float(s)) for i, s in enumerate(spread)]
+
+    @cached_property
+    def overlap(self) -> float:
+        """How many windows share a pixel, along a line: their side over the distance of their centres."""
+        from scipy.spatial import cKDTree
+
+        if len(self.points) < 2:
+            return 1.0
+        return max(1.0, self.width / float(np.median(cKDTree(self.points).query(self.points, k=2)[0][:, 1])))
 
     @property
     def samples(self) -> Array:

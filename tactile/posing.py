@@ -56,7 +56,12 @@ def cut(penalty: Any, basis: Any, kept: NDArray[np.intp]) -> Any:
 
     if penalty is None or (isinstance(penalty, str) and penalty == "identity"):
         return penalty
-    L: Any = smoothness.matrix(penalty, len(basis), basis)
+    if basis is None and isinstance(penalty, str):
+        raise InputError(
+            "this penalty needs to know which loads are neighbours", where="penalty", found=penalty,
+            expected="'identity', or a matrix",
+        )  # fmt: skip
+    L: Any = smoothness.matrix(penalty, np.shape(penalty)[-1] if basis is None else len(basis), basis)
     dense = np.asarray(L.toarray() if hasattr(L, "toarray") else L)[:, kept]
     return dense[np.any(dense != 0, axis=1)]
 
@@ -84,7 +89,7 @@ def constrained(family: StaticInversion, found: list[Any]) -> StaticInversion:
 
 def fewer(family: StaticInversion, sensors: list[str]) -> StaticInversion:
     """The same family on fewer sensors, at the same relative lambda."""
-    other = StaticInversion(family.model, sensors=sensors, **_settings(family))
+    other = StaticInversion(family.model, **{**_settings(family), "sensors": sensors})
     other.calibration = family.calibration
     return other
 
@@ -112,4 +117,5 @@ def _settings(family: StaticInversion) -> dict[str, Any]:
         "noise": family.noise,
         "noise_source": family.noise_source,
         "allow": list(family.allow),
+        "sensors": family.sensors,
     }

@@ -12,16 +12,15 @@ from loadid.families.static import StaticInversion
 from structures.errors import InputError
 from structures.flags import Flag
 
+from .consistency import Consistency
 from .guards import maps as guards
-from .inversion import Inverse, prepare
+from .inversion import Answer, Inverse, prepare
 from .reading import Wrench
-from .region import Pressed, RegionSolver
+from .region import Pressed, RegionSolver, carried
 
 Array = NDArray[np.float64]
 TOUCH = 0.05  # of the peak pressure of the unconstrained map: where the constrained one looks for contact
 CLEAR = 2.0  # stds of the unconstrained map
-MANY = 12  # markers from which one can be told to contradict the others
-STRAYS = 20  # of them that are left out, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +47,10 @@ class QuickMap:
         Nodes that may be loaded (m).
     neighbours : sparse (n / 3, n / 3)
         Which of them share a cell.
-    markers, axes : int
-        How many, and how many readings each has; these come first.
+    markers : array (N, 2)
+        Their places (m); their readings come first.
+    axes : int
+        Readings of each marker.
     reach : float
         Radius (m) of the press whose recovery is told.
     about : array (3,)
@@ -63,7 +64,7 @@ class QuickMap:
     resultant: Array
     places: Array
     neighbours: Any
-    markers: int
+    markers: Array
     axes: int
     reach: float
     about: Array
@@ -81,7 +82,8 @@ class QuickMap:
             )  # fmt: skip
         rule = "given" if family.calibration is None else family.calibration.rule
         self.inverse: Inverse = prepare(family, self.resultant, float(lam), rule)
-        self.unseen = guards.unseen(self.inverse.recovery(self._press()))
+        self.consistency = Consistency(self.inverse, self.markers, self.axes)
+        self.recovery = self.inverse.recovery(self._press())
 
     @property
     def constrained(self) -> bool:
@@ -90,19 +92,24 @@ class QuickMap:
 
     def __call__(self, y: Array, wrench: Wrench | None = None) -> Found:
         """Map of readings (m,), NaN where one is lost."""
-        inverse, (y, strays) = self.inverse, self._without_strays(y)
+        inverse = self.inverse
+        y, strays = self.consistency.without_strays(y)
+        misfit = self.consistency.misfit(y)
         answer = inverse(y, None if self.constrained else wrench)
         load, std, covariance, path = answer.load, answer.std, answer.wrench, "frozen inverse"
-        flags: list[Flag | None] = [self.unseen, guards.strays(strays)]
+        flags: list[Flag | None] = [guards.strays(strays), guards.misfit(misfit)]
+        if wrench is None:
+            hidden = inverse.hidden(load)
+            flags += [guards.unseen(self.recovery), guards.taken(hidden, inverse.resultant @ load, covariance)]
+            covariance = covariance + np.outer(hidden, hidden) + self._blind(inverse.resultant @ load)
         if self.constrained:
-            found = self.pressed(y, wrench, load, std)
-            load, std, covariance = found.load, found.std, found.wrench
+            found = self.pressed(y, wrench, answer)
+            load, std = found.load, found.std
+            covariance = found.wrench if wrench is not None or found.touched else covariance
             path = f"active sets on the contact region, {found.steps} steps"
             flags.append(guards.stopped(found.converged, found.steps))
-        elif wrench is None:
-            hidden = inverse.hidden(load)
-            flags.append(guards.taken(hidden, inverse.resultant @ load, covariance))
-            covariance = covariance + np.outer(hidden, hidden)  # what the penalty takes is in the band
+        wide = max(1.0, misfit)  # as far as the markers contradict their noise, so does the map
+        std, covariance = wide * std, wide**2 * covariance
         lost = int(np.sum(~np.isfinite(y)))
         facts = {
             "path": path,
@@ -110,27 +117,35 @@ class QuickMap:
             "n": len(load),
             "lost": lost,
             "strays": strays,
+            "misfit": misfit,
             "lambda": inverse.lam,
             "lambda_rule": inverse.rule,
         }
         return Found(load, std, covariance, facts, flags)
 
-    def pressed(
-        self, y: Array, wrench: Wrench | None = None, load: Array | None = None, std: Array | None = None
-    ) -> Pressed:
-        """The map that only presses, looked for where the unconstrained one (load, std) does.
+    def pressed(self, y: Array, wrench: Wrench | None = None, answer: Answer | None = None) -> Pressed:
+        """The map that only presses, looked for where the unconstrained answer does.
 
         Raises
         ------
         InputError
-            For penalties that couple loads.
+            For penalties that couple loads; a resultant that no contact of this friction carries.
         """
-        if load is None or std is None:
-            answer = self.inverse(y)
-            load, std = answer.load, answer.std
-        pressure, spread = -load[2::3], std[2::3]
-        touched = (pressure > TOUCH * pressure.max()) & (pressure > CLEAR * spread)
-        return self._region.solve(y / self.inverse.spread, touched, wrench)
+        if wrench is not None:
+            carried(wrench, self.friction)
+        answer = self.inverse(y) if answer is None else answer
+        pressure, spread = -answer.load[2::3], answer.std[2::3]
+        touched = pressure > TOUCH * pressure.max()
+        if wrench is None:
+            touched &= pressure > CLEAR * spread
+        return self._region.solve(y / self.inverse.spread, touched, wrench, answer)
+
+    def _blind(self, resultant: Array) -> Array:
+        """Variance of a normal force that the readings hardly see: as large as what they may hide."""
+        out = np.zeros((6, 6))
+        if self.recovery < guards.SEEN:
+            out[2, 2] = (resultant[2] * (1 / max(self.recovery, 1e-3) - 1)) ** 2
+        return out
 
     @property
     def _region(self) -> RegionSolver:
@@ -146,17 +161,6 @@ class QuickMap:
             H = self.family.H[: inverse.shape[1]] / inverse.spread[:, None]  # markers first, depth after them
             self._solver = RegionSolver(H, prior, inverse.resultant, self.neighbours, self.friction)
         return self._solver
-
-    def _without_strays(self, y: Array) -> tuple[Array, int]:
-        """Readings without those of markers that contradict all others: a dot taken for its neighbour."""
-        if self.markers < MANY:
-            return y, 0
-        found = 0
-        while found < STRAYS and (stray := self.inverse.stray(y, self.markers, self.axes)) is not None:
-            found += 1
-            y = y.copy()
-            y[stray * self.axes : (stray + 1) * self.axes] = np.nan
-        return y, found
 
     def _press(self) -> Array:
         """A plain press in the middle of the surface (n,), of no particular size."""

@@ -12,6 +12,7 @@ from structures.errors import InputError
 from structures.values import positive, reals
 
 Array = NDArray[np.float64]
+HALF = 0.5  # share of a window's pixels that must be there
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +96,14 @@ class Averaging:
         return cls(sparse.csr_array((values, (owner, np.concatenate(columns))), shape=shape), area / width**2)
 
     def means(self, depth: DepthMap) -> Array:
-        """Mean motion in each window (n,); NaN where the map does not reach, or a pixel is missing."""
-        return np.where(self.covered > 0, self.weights @ depth.values.ravel(), np.nan)
+        """Mean motion in each window (n,) over the pixels that are there; NaN where less than half of them are."""
+        values = depth.values.ravel()
+        known = np.isfinite(values)
+        if known.all():
+            return np.where(self.covered > 0, self.weights @ values, np.nan)
+        got = self.weights @ known
+        mean = (self.weights @ np.where(known, values, 0.0)) / np.maximum(got, HALF)
+        return np.where((got >= HALF) & (self.covered > 0), mean, np.nan)
 
     def std(self, noise: float) -> Array:
         """Std of the means (n,) for independent pixels; windows that share pixels at their rims count as apart."""

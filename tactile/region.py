@@ -18,7 +18,9 @@ from loadid.inverse.activeset import Point
 from loadid.inverse.constraints import Constraint, FrictionCone, NonNegative, Resultant
 from loadid.inverse.feasible import Feasible, compile_
 from loadid.inverse.quadratic import Quadratic, gram_of
+from structures.errors import InputError
 
+from .inversion import Answer, fused
 from .reading import Wrench
 
 Array = NDArray[np.float64]
@@ -28,13 +30,32 @@ FLIP = np.array([1.0, 1.0, -1.0])  # pressures are unknowns, not normal traction
 
 @dataclass(frozen=True, eq=False)
 class Pressed:
-    """Load (n,), its std (n,), covariance of its resultant (6, 6), Newton steps, and whether they ended."""
+    """Load (n,), its std (n,), covariance of its resultant (6, 6), Newton steps, whether they ended, any contact."""
 
     load: Array
     std: Array
     wrench: Array
     steps: int
     converged: bool
+    touched: bool = True
+
+
+def carried(wrench: Wrench, friction: float | None) -> None:
+    """Refuse a resultant that no contact can carry that only presses, with this friction.
+
+    Raises
+    ------
+    InputError
+        An exact resultant that pulls, or shears more than friction allows.
+    """
+    pull, shear = float(wrench.force[2]), float(np.hypot(*wrench.force[:2]))
+    if wrench.std is None and (pull > 0 or (friction is not None and shear > -friction * pull)):
+        raise InputError(
+            "the force sensor says what this contact cannot carry", where="wrench",
+            found=f"shear {shear:.4g} N, Fz {pull:.4g} N",
+            expected="Fz <= 0" + ("" if friction is None else f", shear at most {friction:g} times the pressing force"),
+            hint="state the std of the force sensor (Wrench(..., std=)), or another friction",
+        )  # fmt: skip
 
 
 class _Region:
@@ -51,7 +72,7 @@ class _Region:
         self.Q = np.asfortranarray(self.Q[: len(H)])
         self.gram = gram_of(self.A)
         self.R = owner.resultant[:, self.columns] * self.flip
-        self._spread: tuple[Array, Array] | None = None
+        self._spread: Answer | None = None
         self._free: tuple[Quadratic, Feasible] | None = None
 
     def problem(self, mu: float | None) -> tuple[Quadratic, Feasible]:
@@ -69,14 +90,15 @@ class _Region:
         constraints = [first] if equal is None else [first, Resultant(equal[0], equal[1])]
         return compile_(constraints, n)
 
-    def spread(self) -> tuple[Array, Array]:
-        """Std of the load on the region without constraints, and the covariance of its resultant."""
+    def spread(self, wrench: Wrench | None) -> Answer:
+        """Std of the load on the region without constraints, covariance of its resultant, conditioned on a wrench."""
         if self._spread is None:
             from structures.condensation import compliance
 
             C = compliance(np.asfortranarray(self.gram.copy()))
-            self._spread = np.sqrt(np.diag(C)), self.R @ C @ self.R.T
-        return self._spread
+            reach = C @ self.R.T
+            self._spread = Answer(np.zeros(len(C)), np.sqrt(np.diag(C)), self.R @ reach, reach)
+        return self._spread if wrench is None else fused(self._spread, self.R, wrench)
 
 
 class RegionSolver:
@@ -103,22 +125,23 @@ class RegionSolver:
         self._last: _Region | None = None
         self._point: Point | None = None
 
-    def solve(self, z: Array, touched: NDArray[np.bool_], wrench: Wrench | None = None) -> Pressed:
+    def solve(self, z: Array, touched: NDArray[np.bool_], wrench: Wrench | None, free: Answer) -> Pressed:
         """Load for whitened readings; `touched` (P,) says where contact is, a ring about it is added.
 
-        The ring makes room for what a first guess misses; where nothing is touched the load is zero.
+        The ring makes room for what a first guess misses; where nothing is touched the load is zero, with the std
+        of the answer without constraints.
         """
         n = self.H.shape[1]
         wanted = self._grown(touched)
         if not wanted.any():
-            return Pressed(np.zeros(n), np.zeros(n), np.zeros((6, 6)), 0, True)
+            return Pressed(np.zeros(n), free.std, free.wrench, 0, True, touched=False)
         lost = np.flatnonzero(~np.isfinite(z))
         region = self._region(wanted, lost)
         point = self._solve(region, np.where(np.isfinite(z), z, 0.0), wrench)
         load, std = np.zeros(n), np.zeros(n)
-        spread, covariance = region.spread()
-        load[region.columns], std[region.columns] = point.h * region.flip, spread
-        return Pressed(load, std, covariance, point.steps, point.converged)
+        spread = region.spread(wrench)
+        load[region.columns], std[region.columns] = point.h * region.flip, spread.std
+        return Pressed(load, std, spread.wrench, point.steps, point.converged)
 
     def _grown(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         return np.asarray(self.neighbours @ mask, bool) | mask
@@ -129,7 +152,7 @@ class RegionSolver:
         if last is not None and np.array_equal(last.lost, lost):
             inside = np.zeros(len(wanted), bool)
             inside[last.nodes] = True
-            if not np.any(wanted & ~inside) and inside.sum() <= GROWTH * wanted.sum():
+            if not np.any(wanted & ~inside) and inside.sum() <= GROWTH * self._grown(wanted).sum():
                 return last
         self._point = None if last is None else self._point
         region = _Region(self, np.flatnonzero(self._grown(wanted)), lost)

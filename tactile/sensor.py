@@ -20,7 +20,7 @@ from structures.values import positive
 
 from .choosing import calibrated, estimated
 from .forcemap import ForceMap
-from .frame import not_built_for_depth, readings_of
+from .frame import not_built_for_depth, paired, readings_of
 from .guards import maps as guards
 from .guards.labels import completed
 from .inversion import Inverse
@@ -195,7 +195,7 @@ class LinearSensor:
         if depths is None:
             yield from (self.estimate(frame) for frame in frames)
         else:
-            yield from (self.estimate(frame, depth) for frame, depth in zip(frames, depths, strict=False))
+            yield from (self.estimate(frame, depth) for frame, depth in paired(frames, depths))
 
     def zero(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Self:
         """Take the mean of unloaded frames as zero. Returns the sensor.
@@ -216,25 +216,37 @@ class LinearSensor:
         return self
 
     def calibrate(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Calibration:
-        """Choose one lambda over calibration presses, and freeze it; frames with lost readings are left out.
+        """Choose one lambda over calibration presses, and freeze it.
+
+        Where no frame is whole, what is seen in all of them decides: a dot that is broken for good costs that dot.
 
         Raises
         ------
         InputError
-            If none of the frames is whole.
+            Without frames, or if too few markers are seen in all of them.
         """
         listed = [self.readings(f, None if depths is None else depths[i]) for i, f in enumerate(frames)]
         whole = [y for y in listed if np.all(np.isfinite(y))]
-        if not whole:
+        listed = whole or listed
+        seen: NDArray[np.bool_] = np.zeros(len(self.model.sensors), bool)
+        if listed:
+            seen = np.asarray(np.isfinite(np.array(listed)).all(axis=0))
+        if np.sum(seen[: self.markers.readings_count]) < FEWEST * len(self.markers.axes):
             raise InputError(
-                "no whole frame to calibrate with", where="calibrate",
-                found=f"{len(listed)} frames, each with lost readings",
-                expected="a press in which every marker is seen",
-                hint="press where no marker vanishes; with depth maps give depths=",
-            )  # fmt: skip
+                "no frames to calibrate with",
+                where="calibrate",
+                found=f"{len(listed)} frames",
+                expected="presses in which the same markers are seen",
+                hint="press where few markers vanish",
+            )
         self._quick = {}
         self.__dict__.pop("_provenance", None)
-        return calibrated(self.family, whole)
+        self.family.calibration = None
+        if isinstance(self.family.choice, int | float):
+            self.family.choice = None  # presses tell more than the number that was given
+        family = self.family if whole else fewer(self.family, self._named(seen))
+        self.family.calibration = calibrated(family, [y[seen] for y in listed])
+        return self.family.calibration
 
     def readings(self, found: ArrayLike, depth: DepthMap | None = None) -> Array:
         """Readings (m,) of a frame in the order of ``sensor.model.sensors``, zero taken off; NaN where lost."""
@@ -314,7 +326,7 @@ class LinearSensor:
                 self.resultant,
                 places[nodes],
                 linked[nodes][:, nodes],
-                len(self.markers),
+                self.markers.points[:, :2],
                 len(self.markers.axes),
                 self.thickness or float(np.ptp(places[:, :2])) / 6,
                 np.asarray(self.geometry["about"], float),
@@ -347,15 +359,18 @@ class LinearSensor:
         """The map at a lambda that is chosen on this frame, with everything that the static family tells."""
         seen = np.isfinite(y)
         held = constraints(len(self.kept), self.no_pull, self.friction, self.resultant, wrench)
-        names = [s.label for s in self.model.sensors]
-        readings = {name: float(v) for name, v, s in zip(names, y, seen, strict=True) if s}
-        found = estimated(constrained(self.family, held), y if seen.all() else readings)
+        family = self.family if seen.all() else fewer(self.family, self._named(seen))
+        found = estimated(constrained(family, held), y[seen])
         measured = self.depth is not None and bool(seen[self.markers.readings_count :].any())
         facts = {**found.facts, "lost": int(np.sum(~seen)), "provided": self.provided(measured)}
         kept = {f.name: getattr(found, f.name) for f in fields(LoadEstimate)}
         if not self._whole:  # posterior and diagnosis are those of the loads that may act
             kept |= {"posterior": None, "bias": None, "diagnosis": None}
         load = self._scattered(found.load)
+        covariance = resultant_covariance(found.posterior, self.resultant)
+        if found.bias is not None and wrench is None:  # what the penalty takes is in the band
+            taken = self.resultant @ found.bias
+            covariance = covariance + np.outer(taken, taken)
         own = {
             "load": load,
             "std": self._scattered(found.std),
@@ -364,11 +379,15 @@ class LinearSensor:
             "flags": collect([*found.flags, *flags, *self._own(load, facts)]),
             "geometry": {
                 **self.geometry,
-                "resultant_covariance": resultant_covariance(found.posterior, self.resultant),
+                "resultant_covariance": covariance,
             },
             "facts": facts,
         }
         return ForceMap(**{**kept, **own})
+
+    def _named(self, seen: NDArray) -> list[str]:
+        """Labels of the readings that are there."""
+        return [s.label for s, there in zip(self.model.sensors, seen, strict=True) if there]
 
     def _own(self, load: Array, facts: dict[str, Any]) -> list[Flag | None]:
         """What is found in every map."""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .pad import Pad
 
 LIKE = 1.2  # by how much a peak may change until its ratio to the strain is found anew
+GROWN = 3.0  # by how much it may grow, however recent that was: what came before may have been noise
 REST = 25  # frames between two solves, at least: a solve costs as much as many maps
 
 
@@ -36,7 +37,8 @@ class StrainWatch:
         if peak == 0:
             return None
         self._rested += 1
-        if self._rested > REST and not self._peak / LIKE < peak < self._peak * LIKE:
+        other = not self._peak / LIKE < peak < self._peak * LIKE
+        if (other and self._rested > REST) or peak > GROWN * self._peak:
             self._peak, self._ratio = peak, float(np.abs(self.pad.strain(forces)).max()) / peak
             self._rested = 0
         return large_strain(self._ratio * peak)

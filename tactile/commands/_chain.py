@@ -20,7 +20,7 @@ from structures.errors import InputError
 from structures.flags import Flag
 
 from .. import padfile
-from ..choosing import RULES
+from ..choosing import RULES, larger
 from ._eyes import Seen, look
 from ._inputs import DepthMaps, depth_maps
 
@@ -222,7 +222,8 @@ def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None, source: str) 
     choice = family.estimate(readings).choice
     family.choice = ruled
     asked = {rule.rule: rule.lam for rule in choice.rules if rule.lam is not None}
-    rule = choice.rule if ruled else max((r for r in RULES if r in asked), key=lambda r: asked[r], default=choice.rule)
+    heard = [r for r in RULES if r in asked]
+    rule = choice.rule if ruled or not heard else heard[larger([asked[r] for r in heard])]
     lam = float(choice.lam if ruled else asked.get(rule, choice.lam))
     family.calibration = Calibration(
         lam=lam, rule=rule, records=(used,), alone=(lam,), spread=0.0, verdict=choice.verdict,

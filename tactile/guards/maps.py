@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from structures.flags import Evidence, Flag
 
 BIAS, SHARE = 0.02, 0.02
+SEEN = 0.8  # share of a normal force that must be found
+MISFIT = 5.0  # rms residual of the markers over their noise
 
 
 def lost(rows: int, total: int) -> Flag | None:
@@ -35,6 +37,18 @@ def strays(count: int) -> Flag | None:
     )
 
 
+def misfit(ratio: float) -> Flag | None:
+    """W406: what is left of the motion is far above the noise of the markers."""
+    if not ratio > MISFIT:
+        return None
+    return Flag(
+        "W406",
+        Evidence("rms residual of the markers over their noise", ratio, MISFIT),
+        f"the map leaves {ratio:.1f} times the noise of the markers unexplained; bands are widened by as much",
+        "look at the order of the markers, the zero, thickness and nu, a lambda that is too large, or the noise stated",
+    )
+
+
 def taken(hidden: NDArray, resultant: NDArray, covariance: NDArray) -> Flag | None:
     """W608: regularisation is expected to have lowered the resultant by more than 2 % and more than its noise."""
     size = float(np.linalg.norm(resultant[:3]))
@@ -53,7 +67,7 @@ def taken(hidden: NDArray, resultant: NDArray, covariance: NDArray) -> Flag | No
     )
 
 
-def unseen(share: float, limit: float = 0.8) -> Flag | None:
+def unseen(share: float, limit: float = SEEN) -> Flag | None:
     """W608: of a plain press in the middle of the pad a good part of its force would not be found.
 
     Parameters

@@ -82,6 +82,15 @@ def test_files_give_the_same_map_back(found: ForceMap, tmp_path: Path) -> None:
     assert np.allclose(ForceMap.read(tmp_path / "slim.h5").traction(), slim.traction())
 
 
+def test_its_pictures_and_page_are_those_of_a_map(found: ForceMap, tmp_path: Path) -> None:
+    figure = found.plot(path=tmp_path / "map.png")
+    assert any("pressure" in ax.get_ylabel() for ax in figure.axes)
+    found.report(tmp_path / "map.html")
+    assert "peak pressure" in (tmp_path / "map.html").read_text("utf-8")
+    assert (tmp_path / "map.png").stat().st_size > 10_000
+    assert found.plot("load") is not figure
+
+
 def test_another_result_is_no_force_map(tmp_path: Path) -> None:
     plain = LoadEstimate(load=np.ones(2), std=np.ones(2), labels=["a", "b"], units=["N", "N"])
     plain.save(tmp_path / "plain.h5")

@@ -12,6 +12,7 @@ from structures.errors import InputError
 from tactile.forcemap import ForceMap
 from tactile.multilayer import MultilayerPad
 from tactile.observation import Depths, Markers
+from tactile.presses import Press
 from tactile.reading import DepthMap, Wrench
 
 from .rigs import NOISE, PRESS, depth, markers, motion, nodal, pad, sensor
@@ -74,10 +75,58 @@ def test_lost_markers_cost_themselves_and_nothing_else() -> None:
     assert found.facts["lost"] == 12
 
 
+def test_lost_markers_where_lambda_is_chosen_on_the_frame() -> None:
+    y = motion(1).copy()
+    y[[40, 41, 97, 100]] = np.nan
+    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ")
+    found = s.estimate(y)
+    assert found.choice is not None
+    keep = np.isfinite(y.ravel())
+    lam = found.choice.lam * found.choice.scale
+    A = np.vstack([s.model.H[keep] / NOISE, lam * np.eye(s.model.H.shape[1])])
+    b = np.concatenate([y.ravel()[keep] / NOISE, np.zeros(s.model.H.shape[1])])
+    assert relative(found.load, np.linalg.lstsq(A, b, rcond=None)[0]) < 1e-7
+    assert found.facts["lost"] == 12
+
+
+def test_calibration_that_is_refused_changes_nothing() -> None:
+    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ", choice=0.02)
+    with pytest.raises(InputError):
+        s.calibrate([np.full((195, 3), np.nan)])
+    assert s.inverse.lam == 0.02
+    assert s.calibrate([motion(1)]).lam != 0.02
+
+
 def test_a_lost_axis_loses_the_marker() -> None:
     y = motion(1).copy()
     y[7, 1] = np.nan
     assert sensor().estimate(y).facts["lost"] == 3
+
+
+@pytest.mark.parametrize("radius", [1e-3, 1.5e-3, 3e-3])
+def test_the_markers_of_a_real_contact_are_no_strays(radius: float) -> None:
+    press = Press(at=PRESS.at, radius=radius, force=1.0, shear=(0.25, 0.0))
+    u = press.displacement(pad().layer, markers())
+    u *= 0.3e-3 / np.abs(u).max()
+    y = u + NOISE * np.random.default_rng(0).standard_normal(u.shape)
+    for lam in (0.003, 0.03):
+        assert sensor(lam).estimate(y).facts["strays"] <= (1 if radius < 1.5e-3 else 0)
+
+
+def test_two_dots_that_were_swapped_are_both_left_out() -> None:
+    y = motion(1).copy()
+    places = markers()
+    apart = np.append(places[101] - places[100], 0.0)
+    y[100], y[101] = y[101] + apart, y[100] - apart  # each is where the other is
+    assert sensor().estimate(y).facts["strays"] == 2
+
+
+def test_rows_in_another_order_are_said_and_widen_the_band() -> None:
+    y = motion(1)[np.random.default_rng(0).permutation(195)]
+    found = sensor().estimate(y)
+    assert "W406" in found.codes
+    assert found.std.mean() > 3 * sensor().estimate(motion(1)).std.mean()
+    assert "W406" not in sensor().estimate(motion(1)).codes
 
 
 def test_a_dot_taken_for_its_neighbour_is_left_out() -> None:
@@ -229,6 +278,51 @@ def test_windows_lie_on_their_nodes_whatever_the_pixels(count: int) -> None:
     assert np.std(drawn, axis=0) == pytest.approx(window.averaging.std(1e-6), rel=0.15)
 
 
+def test_missing_pixels_cost_themselves() -> None:
+    full, rng = depth(), np.random.default_rng(0)
+    y = motion(1)[:, :2]
+    s = MultilayerPad(pad(), markers(), noise=NOISE, depth=full, choice=0.003)
+    z = full.values.copy()
+    z[rng.random(z.shape) < 0.03] = np.nan
+    holed = s.estimate(y, DepthMap(z, full.pixel, full.noise))
+    whole = s.estimate(y, full)
+    assert holed.facts["lost"] == 0
+    assert holed.resultant().value == pytest.approx(whole.resultant().value, abs=0.03)
+    z[20:40, 20:40] = np.nan
+    assert s.estimate(y, DepthMap(z, full.pixel, full.noise)).facts["lost"] > 5
+
+
+def test_a_dot_that_is_broken_for_good_costs_that_dot() -> None:
+    y = [motion(k).copy() for k in (1, 2)]
+    for frame in y:
+        frame[3] = np.nan
+    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ")
+    lam = s.calibrate(y).lam
+    whole = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ").calibrate([motion(1), motion(2)]).lam
+    assert lam == pytest.approx(whole, rel=0.1)
+    assert s.estimate(y[0]).facts["lost"] == 3
+
+
+def test_what_a_contact_cannot_carry_is_refused() -> None:
+    with pytest.raises(InputError, match="cannot carry"):
+        sensor(friction=0.5).estimate(motion(1), wrench=Wrench([1.0, 0.0, -1.0]))
+    with pytest.raises(InputError, match="cannot carry"):
+        sensor(no_pull=True).estimate(motion(1), wrench=Wrench([0.0, 0.0, 1.0]))
+
+
+def test_no_contact_is_not_known_to_be_none() -> None:
+    found = sensor(no_pull=True).estimate(0 * motion())
+    assert not np.any(found.load)
+    assert np.all(found.resultant().std > 0)
+
+
+def test_a_constrained_band_knows_the_force_sensor() -> None:
+    s = sensor(no_pull=True)
+    given = Wrench([0.25, 0.0, -1.0])
+    assert np.all(s.estimate(motion(1), wrench=given).resultant().std < 1e-6)
+    assert np.all(s.estimate(motion(1)).resultant().std > 1e-4)
+
+
 def test_zero_takes_a_constant_off() -> None:
     s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ", choice=0.01)
     offset = 1e-5 * np.random.default_rng(3).standard_normal((len(markers()), 3))
@@ -298,6 +392,13 @@ BAD = {
     "wrench": lambda: Wrench([1.0, 2.0]),
     "wrench std": lambda: Wrench([1.0, 2.0, 3.0], std=[1.0] * 6),
     "no frames": lambda: sensor().zero([]),
+    "many frames": lambda: sensor().estimate(np.stack([motion()] * 4)),
+    "turned": lambda: sensor().estimate(motion().T),
+    "too few left": lambda: sensor(1e-8).estimate(np.where((np.arange(195) % 90 == 0)[:, None], motion(1), np.nan)),
+    "depth maps end": lambda: list(sensor().stream([motion()] * 2, [depth()])),
+    "negative node": lambda: MultilayerPad(pad(), markers(), noise=NOISE, support=[-1, 3]),
+    "nothing to calibrate": lambda: sensor().calibrate([]),
+    "no point": lambda: sensor().estimate(motion()).torque((0.0, 0.0)),
     "depth map": lambda: DepthMap(np.zeros(5), 1e-4, 1e-5),
     "pixel": lambda: DepthMap(np.zeros((5, 5)), 0.0, 1e-5),
 }
