@@ -181,7 +181,7 @@ def bonded(ratio: float, side: int = SIDE, seed: int = 0) -> tuple[Reading, Read
 
 
 def refused(ratio: float, size: float | None = None) -> str:
-    """What the sensor on a half-space says of a contact of that radius over thickness, and of a pad of that size."""
+    """What the sensor on a half-space says of a contact of that radius over thickness, in a pad of that size."""
     settings: dict[str, Any] = {"noise": NOISE, "contact_radius": 1e-3, "thickness": 1e-3 / ratio}
     if size is not None:
         settings["size"] = (size, size)
@@ -189,7 +189,12 @@ def refused(ratio: float, size: float | None = None) -> str:
         one = sensor(HalfSpace(E=E, nu=GEL), grid(5), DEPTHS[0], **settings)
     except NotIdentifiable as caught:
         return f"refused, {caught}"
-    return "; ".join(str(f) for f in one.model.flags) or "nothing"
+    found = list(one.model.flags)
+    if size is not None:  # how near an edge is, is a matter of the contact
+        press = np.zeros(one.model.H.shape[1])
+        press[-1] = -1.0  # at the corner of the grid
+        found = [f for f in one.estimate((one.model.H @ press).reshape(-1, 3)).flags if f.code == "LID-W601"]
+    return "; ".join(str(f) for f in found) or "nothing"
 
 
 # -- showing ----------------------------------------------------------------------------------------------------------
@@ -231,7 +236,7 @@ def show(depths: Sequence[Depth], readings: Sequence[Reading]) -> str:
     ]
     lines += ["", "guards: contact radius over thickness of a half-space, and a pad of 12 mm about a grid of 8 mm"]
     lines += [f"  a/t {r:g}: {refused(r)}" for r in (0.05, 0.2, 0.5)]
-    return "\n".join([*lines, f"  edge: {refused(0.05, 12e-3)}"])
+    return "\n".join([*lines, f"  edge: {refused(0.05, 24e-3)}"])
 
 
 def figure(depths: Sequence[Depth], readings: Sequence[Reading], path: Path) -> None:

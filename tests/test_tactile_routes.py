@@ -46,7 +46,7 @@ class TestGelForce:
         assert "W601" in gelforce.refused(0.2)
         assert "12 % too soft" in gelforce.refused(0.2)
         assert gelforce.refused(0.5).startswith("refused, [LID-E602]")
-        assert "knows no edge" in gelforce.refused(0.05, 12e-3)
+        assert "knows no edge" in gelforce.refused(0.05, 24e-3)
         assert gelforce.refused(0.05, 0.2) == "nothing"
 
     def test_softness_is_that_of_the_reference(self):
