@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -60,6 +62,16 @@ def troubled(tracker: Tracker, Y: np.ndarray, seed: int = 0) -> bytes:
         else:
             lines.insert(k, [b"1,2\n", b"# a word\n", b"x,y,z,u,v\n"][kind - 3])
     return b"".join(lines)
+
+
+def leaves(tree: Any) -> Iterator[Any]:
+    """Names and values of a tree, arrays by their bytes."""
+    if isinstance(tree, dict | list | tuple):
+        for name, inner in tree.items() if isinstance(tree, dict) else enumerate(tree):
+            yield name
+            yield from leaves(inner)
+    else:
+        yield tree.tobytes() if isinstance(tree, np.ndarray) else tree
 
 
 class Nursery:

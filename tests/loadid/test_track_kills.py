@@ -2,12 +2,11 @@
 
 import os
 
-import numpy as np
 import pytest
 
 from loadid.families.tracking import checkpoint
 from loadid.stream import follow
-from tests.killed import Nursery, fitted, tortured, troubled
+from tests.killed import Nursery, fitted, leaves, tortured, troubled
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and SIGKILL")
 
@@ -17,16 +16,6 @@ def nursery():
     found = Nursery()
     yield found
     found.close()
-
-
-def leaves(tree):
-    """Names and values of a tree, arrays by their bytes."""
-    if isinstance(tree, dict | list | tuple):
-        for name, inner in tree.items() if isinstance(tree, dict) else enumerate(tree):
-            yield name
-            yield from leaves(inner)
-    else:
-        yield tree.tobytes() if isinstance(tree, np.ndarray) else tree
 
 
 def test_killed_and_undisturbed_runs_write_the_same_bytes(nursery, tmp_path):
