@@ -51,18 +51,20 @@ class Consistency:
         # single precision where the products of the map are: it is asked for every frame
         self.rows = np.ascontiguousarray(self.inverse.influence[:rows], self.inverse.matrix.dtype)
 
-    def without_strays(self, y: Array) -> tuple[Array, int]:
-        """Readings without those of markers that contradict all others, and how many these are.
+    def checked(self, y: Array) -> tuple[Array, int, float]:
+        """Readings without those of markers that contradict all others, how many these are, and the misfit left.
 
-        One at a time, the worst first, as a stray marker pulls the predictions of its neighbours with it.
+        One at a time, the worst first, as a stray marker pulls the predictions of its neighbours with it. The misfit is
+        the rms residual of the markers over what their noise lets expect: 1 where model and noise are right.
         """
-        found = 0
-        while len(self.places) >= MANY and found < STRAYS and (worst := self._stray(y)) is not None:
+        found, rest = 0, self._rest(y)
+        while len(self.places) >= MANY and found < STRAYS and (worst := self._stray(y, *rest)) is not None:
             before, y = y, self._left_out(y, worst)
             partner = self._partner(before, y, worst)
             y = y if partner is None else self._left_out(y, partner)
             found += 1 if partner is None else 2
-        return y, found
+            rest = self._rest(y)
+        return y, found, self._misfit(*rest[1:])
 
     def _partner(self, before: Array, y: Array, stray: int) -> int | None:
         """The neighbour that was taken for the stray marker in turn: as far from its place, if there is one.
@@ -79,23 +81,21 @@ class Consistency:
         here = slice(marker * self.axes, (marker + 1) * self.axes)
         return float(np.linalg.norm(before[here] / self.inverse.spread[here] - self.inverse.filled(y)[0][here]))
 
-    def misfit(self, y: Array) -> float:
-        """Rms residual of the markers over what their noise lets expect: 1 where model and noise are right."""
-        _, gone, rest = self._rest(y)
+    def _misfit(self, gone: NDArray[np.bool_], rest: Array) -> float:
         kept = ~gone & self.told
         return float(np.sqrt(np.sum(rest[kept] ** 2) / max(np.sum(self.free[kept]), 1.0))) if kept.any() else 0.0
 
-    def _stray(self, y: Array) -> int | None:
-        apart, z = self._apart(y)
+    def _stray(self, y: Array, z: Array, gone: NDArray[np.bool_], rest: Array) -> int | None:
+        apart = self._apart(gone, rest)
         free = self.free.reshape(-1, self.axes)
         size = np.linalg.norm(apart, axis=1)
         scaled = size / np.sqrt(np.sum(1 / free, axis=1))
         worst = int(np.argmax(scaled))
         moved = np.linalg.norm(z.reshape(-1, self.axes), axis=1).max(initial=0.0)
-        scale = max(1.0, NORMAL * float(np.median(scaled)))
-        if not (scaled[worst] > STRAY * scale and size[worst] > PART * moved):
+        if not size[worst] > PART * moved or not scaled[worst] > STRAY * max(1.0, NORMAL * float(np.median(scaled))):
             return None
-        beside = np.sort(np.linalg.norm(self._apart(self._left_out(y, worst))[0][self.near[worst]], axis=1))
+        others = self._apart(*self._rest(self._left_out(y, worst))[1:])[self.near[worst]]
+        beside = np.sort(np.linalg.norm(others, axis=1))
         # the second largest: two dots that were swapped are each other's neighbours
         return worst if size[worst] > BESIDE * beside[-2] else None
 
@@ -104,10 +104,9 @@ class Consistency:
         y[marker * self.axes : (marker + 1) * self.axes] = np.nan
         return y
 
-    def _apart(self, y: Array) -> tuple[Array, Array]:
-        """Whitened distance (markers, axes) from what the others predict, and the whitened motion."""
-        z, gone, rest = self._rest(y)
-        return np.where(self.told & ~gone, rest / self.free, 0.0).reshape(-1, self.axes), z
+    def _apart(self, gone: NDArray[np.bool_], rest: Array) -> Array:
+        """Whitened distance (markers, axes) from what the others predict."""
+        return np.where(self.told & ~gone, rest / self.free, 0.0).reshape(-1, self.axes)
 
     def _rest(self, y: Array) -> tuple[Array, NDArray[np.bool_], Array]:
         """Whitened motion of the markers, which are lost, and the residual."""

@@ -93,8 +93,7 @@ class QuickMap:
     def __call__(self, y: Array, wrench: Wrench | None = None) -> Found:
         """Map of readings (m,), NaN where one is lost."""
         inverse = self.inverse
-        y, strays = self.consistency.without_strays(y)
-        misfit = self.consistency.misfit(y)
+        y, strays, misfit = self.consistency.checked(y)
         answer = inverse(y, None if self.constrained else wrench)
         load, std, covariance, path = answer.load, answer.std, answer.wrench, "frozen inverse"
         flags: list[Flag | None] = [guards.strays(strays), guards.misfit(misfit)]
