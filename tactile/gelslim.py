@@ -30,6 +30,7 @@ from .indenters import Indenter
 from .interpolation import Interpolation
 from .inversion import Answer, fused
 from .multilayer import observed, windows
+from .posing import supported
 from .quick import CLEAR, TOUCH
 from .reading import DepthMap, Wrench
 from .region import RegionSolver
@@ -60,6 +61,8 @@ class GelSlim:
         Of markers onto nodes, as `tactile.Interpolation`.
     no_pull, friction
         Constraints: least squares on K^-1 F = U under them, in the region of contact.
+    support : array, optional
+        Nodes of the surface that may be loaded: a mask (P,) or their numbers. The others carry nothing, whatever moves.
     allow : sequence of str
         ``("E603",)``: take apparent motion for tangential motion.
 
@@ -83,6 +86,7 @@ class GelSlim:
         interpolation: str = "local",
         no_pull: bool = False,
         friction: float | None = None,
+        support: ArrayLike | None = None,
         allow: Sequence[str] = (),
         eye: Eye | None = None,
     ) -> None:
@@ -101,6 +105,10 @@ class GelSlim:
         self._loads = channels(pad.points, "nodal")
         self._offset = np.zeros((len(self.markers), len(axes)))
         self._rest: Any = 0.0
+        kept = supported(support, pad.points)
+        self._may = np.ones(pad.points, bool)
+        if kept is not None:
+            self._may = np.isin(np.arange(pad.points), kept // 3)
         self._completions: dict[bytes, Completion] = {}
         self._noted: dict[int, Flag | None] = {}
         self._interpolations: dict[bytes, Interpolation] = {}
@@ -210,7 +218,7 @@ class GelSlim:
         self, motion: Array, seen: NDArray, field: Interpolation, z: Array, how: str
     ) -> tuple[NDArray, Array, Completion]:
         """What is known (P, 3), its values, and the completion; nodes that an indenter would pull are let go."""
-        known = np.column_stack([field.inside, field.inside, np.isfinite(z)])
+        known = np.column_stack([field.inside, field.inside, np.isfinite(z)]) & self._may[:, None]
         values = np.column_stack([field.W @ motion[seen, 0], field.W @ motion[seen, 1], np.where(known[:, 2], z, 0.0)])
         slope = self.markers.slope
         for _ in range(ROUNDS):
@@ -283,7 +291,8 @@ class GelSlim:
     def _pressed(self, answer: Answer, U: Array, completion: Completion, wrench: Wrench | None) -> tuple[Answer, Any]:
         spread = np.sqrt(np.median(self.markers.noise**2))
         if self._solver is None:
-            order = neighbours(self.geometry["cells"], self.geometry["coordinates"])
+            inside = sparse.diags_array(self._may.astype(float))
+            order = inside @ neighbours(self.geometry["cells"], self.geometry["coordinates"]).astype(float) @ inside
             n = 3 * self.pad.points
             self._solver = RegionSolver(
                 self.pad.compliance / spread,
@@ -293,7 +302,7 @@ class GelSlim:
                 self.friction,
             )
         pressure, std = -answer.load[2::3], answer.std[2::3]
-        touched = (pressure > TOUCH * pressure.max()) & (pressure > CLEAR * std)
+        touched = (pressure > TOUCH * pressure.max()) & (pressure > CLEAR * std) & self._may
         found = self._solver.solve(completion.displacements(U) / spread, touched, wrench, answer)
         return Answer(found.load, found.std, found.wrench, answer.reach), guards.stopped(found.converged, found.steps)
 

@@ -51,6 +51,22 @@ def test_what_the_markers_do_not_reach_carries_nothing() -> None:
     assert found.facts["outside_hull"] == int(np.sum(~inner))
 
 
+def test_a_support_carries_all_and_less_noise() -> None:
+    here, f = pad(1, "standard"), bump()
+    near = np.hypot(*here.nodes2d.T) < 4e-3
+    free = GelSlim(here, here.nodes2d, noise=NOISE, axes="XYZ", interpolation="linear")
+    s = GelSlim(here, here.nodes2d, noise=NOISE, axes="XYZ", interpolation="linear", support=near)
+    u = here.displacements(f)
+    assert relative(s.estimate(u).forces(), f) < 1e-9
+    y = u + NOISE * np.random.default_rng(0).standard_normal(u.shape)
+    assert not np.any(s.estimate(y).forces()[~near])
+    assert relative(s.estimate(y).forces(), f) < 0.7 * relative(free.estimate(y).forces(), f)
+    held = GelSlim(here, here.nodes2d, noise=NOISE, axes="XYZ", interpolation="linear", support=near, no_pull=True)
+    assert not np.any(held.estimate(y).forces()[~near])
+    with pytest.raises(InputError, match="support"):
+        GelSlim(here, here.nodes2d, noise=NOISE, axes="XYZ", support=[-1])
+
+
 def test_completion_is_condensation() -> None:
     here = pad(1, "standard")
     known = np.random.default_rng(0).random((here.points, 3)) < 0.5
