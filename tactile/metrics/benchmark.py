@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from structures.errors import InputError
 
+from ..forcemap import ForceMap
 from .mapped import MapMetrics, compare
 from .settled import Array, field, finite, places
 from .slope import DRAWS, LEVELS, NoiseSlope, noise_slope
@@ -184,8 +185,8 @@ def benchmark(
     Parameters
     ----------
     sensors : mapping of name to callable
-        Each takes displacements (N, 3) in m and returns a map (P, 3), nodal forces (N) or tractions (Pa), or an
-        estimate whose `load` is one: ``sensor.estimate`` as it stands.
+        Each takes displacements (N, 3) in m and returns a `ForceMap` (``sensor.estimate`` as it stands), a map (P, 3) of
+        nodal forces (N) or tractions (Pa), or an estimate whose `load` is one.
     presses : sequence of Case
         `cases` makes them from presses on an exact layer.
     areas : array (P,)
@@ -201,7 +202,7 @@ def benchmark(
     theta : float
         Share of the peak from which a point counts as contact.
     quantity : {"forces", "tractions"}
-        What the sensors return.
+        What sensors return that give no force map.
     progress : callable, optional
         Called as ``progress(fraction, text)``.
 
@@ -256,8 +257,13 @@ def _one(
     """One press with one draw of noise."""
     u = finite(case.displacements, "displacements")
     answer = sensor(u + level * rng.standard_normal(u.shape))
-    found = field(np.reshape(answer.load, (-1, 3)) if hasattr(answer, "load") else answer, "the sensor's map")
-    tractions = found / w[:, None] if quantity == "forces" and len(found) == len(w) else found
+    # a force map knows its forces, and over the areas they are the means that the truth is
+    forces = answer.forces() if isinstance(answer, ForceMap) else None
+    if forces is None:
+        found = field(np.reshape(answer.load, (-1, 3)) if hasattr(answer, "load") else answer, "the sensor's map")
+        tractions = found / w[:, None] if quantity == "forces" and len(found) == len(w) else found
+    else:
+        tractions = forces / w[:, None]
     return compare(tractions, case.tractions, areas=w, points=x, theta=theta)
 
 

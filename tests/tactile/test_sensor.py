@@ -416,3 +416,16 @@ def test_what_the_penalty_takes_is_in_the_band_of_the_resultant() -> None:
     for lam in (0.01, 0.03, 0.05):
         found = sensor(lam).estimate(motion(1)).resultant()
         assert np.all(np.abs(found.value - truth) < 3 * found.std)
+
+
+def test_a_benchmark_takes_sensors_as_they_stand() -> None:
+    from tactile import metrics
+
+    here = pad()
+    presses = metrics.cases([PRESS], here.layer, markers(), here.nodes2d, pitch=1e-3)
+    s = sensor(0.003)
+    ways = {"as it stands": s.estimate, "forces": lambda u: s.estimate(u).forces()}
+    table = metrics.benchmark(ways, presses, areas=here.surface.areas, points=here.nodes2d, noise=(2e-6,), draws=2)
+    rows = {row.sensor: row for row in table.rows}
+    assert rows["as it stands"].metrics.error == pytest.approx(rows["forces"].metrics.error, rel=1e-9)
+    assert rows["as it stands"].metrics.error < 0.3
