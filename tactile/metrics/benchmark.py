@@ -185,8 +185,8 @@ def benchmark(
     Parameters
     ----------
     sensors : mapping of name to callable
-        Each takes displacements (N, 3) in m and returns a `ForceMap` (``sensor.estimate`` as it stands), a map (P, 3) of
-        nodal forces (N) or tractions (Pa), or an estimate whose `load` is one.
+        Each takes displacements (N, 3) in m and returns a `ForceMap` (``sensor.estimate`` as it stands), a map (P, 3)
+        of nodal forces (N) or tractions (Pa), or an estimate whose `load` is one.
     presses : sequence of Case
         `cases` makes them from presses on an exact layer.
     areas : array (P,)
