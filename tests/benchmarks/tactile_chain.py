@@ -3,7 +3,7 @@
 Run ``python -m tests.benchmarks.tactile_chain [--elements 24]``. Pad 24 x 24 x 3 mm, E = 0.147 MPa, nu = 0.3223; a
 Hertz press of 2.5 mm radius to 1 N, sliding to 0.25 N; 520 markers, 640 x 480, 2 grey levels of noise, blur,
 perspective and refraction; normal motion from a depth map with 10 um noise. Truth from the kernels of the layer; the
-inversion knows a finite-element pad. Lambda is chosen over four presses, then frozen. Printed are the last frame and the
+inversion knows a finite-element pad. Lambda is chosen over four presses, then frozen. Printed: the last frame and the
 worst of the second half of the frames.
 """
 
