@@ -137,8 +137,10 @@ class LagLine:
         loads, es = np.concatenate([old, load]), np.concatenate([told, e])
         due = max(len(loads) - self.lag, 0)
         late = loads[:due].copy()
+        # channel by channel: a product of matrices would round by how many samples come at once
         for j in range(1, self.lag + 1):
-            late += es[j : j + due] @ self._fixed.taps[j - 1].T
+            for c in range(self._m):
+                late += es[j : j + due, c, None] * self._fixed.taps[j - 1][:, c]
         for k in range(max(len(loads) - self.lag, len(old)), len(loads)):
             self._put(self.count + k - len(old), loads[k], es[k])
         self.count += len(load)

@@ -131,6 +131,17 @@ def test_covariance_form_is_the_conditional_gaussian(correlated: bool) -> None:
     assert len(found.load) == lag + 1
 
 
+def test_a_block_of_any_length_gives_the_same_bits() -> None:
+    model = away()
+    fixed, rng = fixed_lag(steady(model), 6), np.random.default_rng(0)
+    load, e = 100 * rng.standard_normal((400, model.p)), rng.standard_normal((400, model.m))
+    whole = LagLine(fixed).block(load, e)
+    for seed in range(4):
+        line, cuts = LagLine(fixed), np.sort(np.random.default_rng(seed).integers(0, 400, 60))
+        parts = [line.block(a, b) for a, b in zip(np.split(load, cuts), np.split(e, cuts), strict=True)]
+        assert np.array_equal(np.concatenate(parts), whole)
+
+
 def test_lags_of_a_periodic_filter() -> None:
     model, lag = away(), 6
     masks = np.array([[True, True, True], [True, True, False], [True, False, False]])
