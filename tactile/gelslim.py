@@ -20,6 +20,7 @@ from loadid.flags import collect
 from loadid.provenance import provenance
 from structures.errors import InputError
 from structures.flags import Flag
+from structures.values import positive
 
 from .completion import Completion, surface_stiffness
 from .forcemap import ForceMap
@@ -64,7 +65,7 @@ class GelSlim:
     support : array, optional
         Nodes of the surface that may be loaded: a mask (P,) or their numbers. The others carry nothing, whatever moves.
     allow : sequence of str
-        ``("E603",)``: take apparent motion for tangential motion.
+        Guard codes whose refusal was overridden on the way here (that of the eye); they stand in every result.
 
     Raises
     ------
@@ -91,7 +92,8 @@ class GelSlim:
         eye: Eye | None = None,
     ) -> None:
         self.pad, self.eye, self.allow, self.interpolation = pad, eye, tuple(allow), interpolation
-        self.no_pull, self.friction = bool(no_pull), friction
+        self.no_pull = bool(no_pull)
+        self.friction = None if friction is None else positive("the friction coefficient", friction, where="friction")
         self.markers = observed(markers, noise, axes, slope, eye)
         places = self.markers.points
         if places.shape[1] == 3 and np.any(places[:, 2] < pad.thickness * (1 - 1e-6)):
@@ -273,9 +275,9 @@ class GelSlim:
 
     def _half(self, field: Interpolation, seen: NDArray, how: str) -> sparse.csr_array:
         """Factor (3 P, r) of the covariance of the motion of the nodes."""
-        noise, axes = self.markers.noise[seen], self.markers.axes
-        unit = np.eye(3)
-        parts = [sparse.kron(field.W @ sparse.diags_array(noise[:, k]), unit[:, [k]]) for k in range(len(axes))]
+        noise, unit = self.markers.noise[seen], np.eye(3)
+        tracked = range(3 if how == "tracked" else 2)  # a measured normal motion brings its own noise, not the markers'
+        parts = [sparse.kron(field.W @ sparse.diags_array(noise[:, k]), unit[:, [k]]) for k in tracked]
         if how == "measured" and self.depth is not None:
             spread = np.zeros(self.pad.points)
             spread[self._deep] = self.depth.averaging.std(self.depth.template.noise)

@@ -141,6 +141,15 @@ def test_measured_depth_counts_with_its_noise() -> None:
     assert found.resultant().std[2] > 0
 
 
+def test_measured_depth_brings_its_own_noise_whatever_the_markers_track() -> None:
+    plane = GelSlim(pad(), markers(), noise=NOISE, depth=depth())
+    space = GelSlim(pad(), markers(), noise=[NOISE, NOISE, 1e-4], axes="XYZ", depth=depth())
+    a, b = plane.estimate(motion(1)[:, :2], depth()), space.estimate(motion(1), depth())
+    assert np.allclose(a.std, b.std, rtol=1e-9, atol=0)
+    with pytest.raises(InputError, match="friction"):
+        GelSlim(pad(), markers(), noise=NOISE, friction=-1.0)
+
+
 def test_projection_is_taken_off_with_the_normal_motion() -> None:
     here = pad()
     slope = np.tile([0.3, -0.2], (len(markers()), 1))
