@@ -57,6 +57,7 @@ GUARDS = {
     "W410": "a solver stopped by its iteration cap",
     "E410": "a sparse problem that was not solved",
     "W411": "lambda at an end of its range",
+    "W412": "a load that does not explain its data",
     "E501": "a load that drifts because no sensor sees its constant part",
     "W502": "variance of a tracked load that was not tuned",
     "W503": "state noise that is not balanced over the modes",

@@ -42,6 +42,7 @@ FACTS = {
 }
 _SAID = {"resolution_unit", "noise_level", "noise_source", "guards_checked", "band"}
 _MANY = 8
+UNEXPLAINED = "LID-W412"  # the load does not explain its data: said before all else
 
 
 def plus_minus(value: float, std: float | None) -> str:
@@ -261,6 +262,11 @@ def rules(choice: Choice) -> list[tuple[str, str, str]]:
     return rows
 
 
+def refusals(estimate: LoadEstimate) -> list[str]:
+    """Why the answer is not to be used, in one line; nothing where it may be."""
+    return [f"NOT TO BE USED: {f.message}" for f in estimate.flags if f.code == UNEXPLAINED]
+
+
 def headline(choice: Choice) -> str:
     """Which lambda was used, and what the agreement of the rules is worth."""
     text = f"relative lambda {choice.lam:.3g} ({choice.rule})"
@@ -277,7 +283,7 @@ def noise(choice: Choice) -> str:
 
 def summary(estimate: LoadEstimate) -> str:
     """All that a user must read, as text of a few lines."""
-    lines = [_shape(estimate)]
+    lines = [*refusals(estimate), _shape(estimate)]
     for key, word in (("family", "family"), ("prior", "prior")):
         if estimate.provenance.get(key):
             lines.append(f"  {word}: {estimate.provenance[key]}")

@@ -18,14 +18,14 @@ from ..estimate import Axis, LoadEstimate
 from ..flags import sparsity as told
 from ..flags.pieces import windows_apart
 from ..inverse import diagnose, rules
-from ..inverse.choice import Choice, choose, given, residual_level
+from ..inverse.choice import Choice, choose, given, residual_level, unexplained
 from ..inverse.confirm import confirm
 from ..inverse.toeplitz import SpectralPath
 from ..inverse.windowed import WindowedPath
 from ..provenance import provenance
 from . import histories
 from .data import Data, gather, health
-from .level import noise_level
+from .level import graded, noise_level, unexplained_by
 from .posing import UNUSABLE, Posed, Settings, diagonal, pose
 from .pushing import facts as pushing_facts
 from .pushing import flags as pushing_flags
@@ -195,7 +195,7 @@ class Deconvolution:
             own_flags = guards.collect([*own_flags, windows_apart(facts["window_bound"])])
         bias = diagnose.hidden(posed.path, choice.lam, load, std)
         self._progress(1.0, "done")
-        return LoadEstimate(
+        estimate = LoadEstimate(
             load=load,
             # the posterior holds the bias of an average sample; where more is expected to be hidden, that counts
             std=np.maximum(std, np.abs(bias)),
@@ -221,9 +221,12 @@ class Deconvolution:
                 prior=_prior(self.settings) + ("" if pushed is None else "; it only pushes"),
             ),
         )
+        if pushed is None or posed.noise.sigma is None:
+            return graded(estimate, unexplained_by(posed.path, choice.lam, posed.noise))
+        return graded(estimate, unexplained(pushed.residual2, posed.path.m, posed.noise.sigma))
 
     def _choose(self, posed: Posed) -> Choice:
-        """Lambda by the rules: of a long record on windows first, then confirmed on the whole."""
+        """Lambda by the rules: of a long record on windows first, then on the whole."""
         sigma, source = posed.noise.sigma, posed.noise.source
         if not isinstance(self.choice, str | bool | None) and posed.path.coefficients is None:
             return given(posed.path, self.choice, sigma=sigma, source=source)
@@ -231,7 +234,7 @@ class Deconvolution:
         if posed.judged is posed.path:
             return choice
         self._progress(0.6, "confirming lambda on the whole record")
-        return confirm(posed.path, choice, sigma)
+        return confirm(posed.path, choice, self.choice, sigma=sigma, source=source)
 
     # -- saying -----------------------------------------------------------------------------------------------------
     def _refuse_undetermined(self, posed: Posed) -> None:

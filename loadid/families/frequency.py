@@ -17,12 +17,13 @@ from structures.values import real
 from .. import flags as guards
 from ..estimate import Axis, LoadEstimate
 from ..flags import frequency as told
-from ..inverse.choice import Choice
+from ..inverse.choice import CLEARLY, Choice
 from ..inverse.posterior import SpectralPosterior
 from ..inverse.spectral.zeros import nearest_zeros
 from ..provenance import provenance
 from ..spectrum import LEVEL, Spectrum
 from .data import rows_of
+from .level import graded
 from .spectral.agreement import judged
 from .spectral.fitting import Fit, Rule, fit
 from .spectral.gathered import SIGNALS, LineData, Settings, lines_of, response
@@ -173,7 +174,7 @@ class FrequencyInversion:
         held = _held_out(answer, kept_out, H)
         self._progress(1.0, "done")
         facts = self._facts(solved, line, H, held, spectrum)
-        return LoadEstimate(
+        estimate = LoadEstimate(
             load=answer.load,
             std=answer.std,
             posterior=answer.posterior,
@@ -199,6 +200,8 @@ class FrequencyInversion:
                 prior=self._prior(),
             ),
         )
+        excess = float(np.sqrt(solved.excess))
+        return graded(estimate, excess if excess > CLEARLY else None)
 
     # -- saying -----------------------------------------------------------------------------------------------------
     def _refuse_undetermined(self, solved: Fit) -> None:

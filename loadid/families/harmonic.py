@@ -24,7 +24,7 @@ from . import spatial
 from .data import rows_of
 from .field import told_apart
 from .geometry import geometry
-from .level import noise_level
+from .level import graded, noise_level, unexplained_by
 from .noise import Noise
 
 Complex = NDArray[np.complex128]
@@ -127,7 +127,7 @@ class HarmonicInversion:
         channels = [self.model.sensors[i] for i in self.rows]
         facts = self._facts(posed, choice.lam, sigma, parts)
         self._progress(1.0, "done")
-        return LoadEstimate(
+        estimate = LoadEstimate(
             load=parts,
             std=np.maximum(assumed.std, np.abs(bias)),
             bias=bias,
@@ -165,6 +165,7 @@ class HarmonicInversion:
                 prior=f"in space {spatial.words(self.space, self.length)}",
             ),
         )  # fmt: skip
+        return graded(estimate, unexplained_by(posed.path, choice.lam, posed.noise))
 
     # -- inside -----------------------------------------------------------------------------------------------------
     @property

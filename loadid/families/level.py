@@ -1,10 +1,14 @@
-"""The noise level with which a band is made."""
+"""The noise level: with which a band is made, and above which a residual says that the load explains nothing."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from ..inverse.choice import Choice, residual_level
+from .. import flags as guards
+from ..estimate import LoadEstimate
+from ..inverse.choice import Choice, residual_level, unexplained, ungraded
 from ..inverse.path import RegularizationPath
 from .noise import Noise
 
@@ -19,6 +23,19 @@ def noise_level(path: RegularizationPath, choice: Choice, noise: Noise) -> float
     if seen is None or seen <= noise.sigma * _margin(path, choice.lam):
         return noise.sigma
     return seen
+
+
+def graded(estimate: LoadEstimate, level: float | None) -> LoadEstimate:
+    """The estimate; with the worst grade and W412 first where its residual is `level` times what noise leaves."""
+    if level is None or estimate.choice is None:
+        return estimate
+    flag = guards.unexplained(estimate.choice, level)
+    return replace(estimate, choice=ungraded(estimate.choice), flags=(flag, *estimate.flags))
+
+
+def unexplained_by(path: RegularizationPath, lam: float, noise: Noise) -> float | None:
+    """Residual at one lambda over the stated noise, where noise alone never leaves so much."""
+    return None if noise.sigma is None else unexplained(float(path.at(lam).residual2), path.m, noise.sigma)
 
 
 def _margin(path: RegularizationPath, lam: float) -> float:

@@ -15,7 +15,7 @@ from structures.model import Model
 from .. import flags as guards
 from ..estimate import Axis, LoadEstimate
 from ..flags import sparsity as told
-from ..inverse.choice import Choice, Sweep
+from ..inverse.choice import Choice, Sweep, unexplained
 from ..inverse.convolution import Convolution
 from ..inverse.rules import RuleResult
 from ..inverse.sparse.path import TOLERANCE
@@ -23,6 +23,7 @@ from ..inverse.sparse.posterior import SupportPosterior
 from ..provenance import provenance
 from . import histories
 from .data import Data, gather, health
+from .level import graded
 from .sparsity import Chosen, Wanted, amplitude_share, choose, pose, posing
 
 DICTIONARIES = ("dirac", "bspline", "wavelet")
@@ -147,7 +148,7 @@ class SparseDeconvolution:
         share = amplitude_share(chosen)
         facts, choice = self._facts(chosen, share), self._choice(chosen)
         self._progress(1.0, "done")
-        return LoadEstimate(
+        estimate = LoadEstimate(
             load=load,
             std=posterior.std,
             labels=[c.label for c in self.model.loads],
@@ -171,6 +172,8 @@ class SparseDeconvolution:
                 prior=self._prior(chosen),
             ),
         )
+        sigma = problem.noise.sigma
+        return graded(estimate, None if sigma is None else unexplained(chosen.fit.residual2, problem.data, sigma))
 
     # -- numbers ----------------------------------------------------------------------------------------------------
     def _load(self, chosen: Chosen, samples: int) -> tuple[NDArray[np.float64], SupportPosterior]:

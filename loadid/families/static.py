@@ -25,7 +25,7 @@ from .data import rows_of
 from .determined import refuse_undetermined
 from .frozen import Frozen, freeze
 from .geometry import geometry
-from .level import noise_level
+from .level import graded, noise_level, unexplained_by
 from .readings import Readings, readings
 from .sampling import drawn
 from .steady import Absolute, Steady, pose, transfer
@@ -239,7 +239,7 @@ class StaticInversion:
         )
         facts = telling.facts(posed, choice, sigma, solution, diagnosis)
         self._progress(1.0, "done")
-        return LoadEstimate(
+        estimate = LoadEstimate(
             load=load,
             std=std if bias is None else np.maximum(std, np.abs(bias)),
             bias=bias,
@@ -266,6 +266,7 @@ class StaticInversion:
                 prior=smoothness.words(self.penalty, self.basis),
             ),
         )
+        return graded(estimate, unexplained_by(path, choice.lam, posed.noise))
 
     def at_rest(self) -> Steady:
         """The problem without readings: what a frozen inverse is made of.

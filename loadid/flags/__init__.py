@@ -14,6 +14,7 @@ from .choice import (
     noise_source,
     not_testable,
     parameter,
+    unexplained,
 )
 from .constraints import fighting, pulling, stopped
 from .dynamics import aliased, drifting, in_motion, memory, unfinished
@@ -72,6 +73,7 @@ __all__ = [
     "resolution_law",
     "resultant_only",
     "stopped",
+    "unexplained",
     "unfinished",
     "used_for_training",
 ]

@@ -102,9 +102,10 @@ ORDERS = {
     False: ("predicted_error", "robust_gcv", "gcv", "l_curve"),
     True: ("predicted_error", "discrepancy", "upre", "gcv", "l_curve"),
 }
-WIDE, NEAR = 0.2, 1.0  # share of the data that a wide-band load spends; decades within which UPRE then refines it
+WIDE = 0.2  # share of the data that a wide-band load spends
 BELOW = 0.7  # decades by which a whiteness rule lies below quasi-optimality where it may follow correlated noise
 CHANCE, CLEARLY = 1e-2, 1.3  # of a residual so far above the stated noise; and how far at least
+EXCESS = 1e-3  # chance of a residual so far above the noise that the load does not explain its data
 CORNER = 1.5  # decades by which the corner of the L-curve lies below the lambda in use where it has a voice
 SPARE = 0.2  # share of the data that a fit leaves for the test of the stated noise level
 ESTIMATED = ("roughness", "residual power")  # sources of a level that the misfit of the model made
@@ -124,10 +125,9 @@ def choose(
     ----------
     path : RegularizationPath
     choice : str, float or None
-        Rule, or relative lambda. None: the smallest predicted error of the load (`rules.predicted_error`), one step
-        from the discrepancy solution where the noise level is known, else from robust GCV; where it cannot run or ends
-        at an edge, discrepancy and UPRE (noise level known) or robust GCV, then GCV and the L-curve. Noise level known
-        and more than a fifth of the data spent: UPRE, if it is not more than a decade below. Noise level not known
+        Rule, or relative lambda. None: the smallest predicted error of the load (`rules.predicted_error`), from the
+        discrepancy solution where the noise level is known, else from robust GCV; where it cannot run or ends at an
+        edge, discrepancy and UPRE (noise level known) or robust GCV, then GCV and the L-curve. Noise level not known
         and the noise shows itself as correlated (`whiteness_of`): quasi-optimality, which does not ask for white noise.
         A noise level that the data contradict (`contradicted`) is set aside, and robust GCV decides: a level far below
         the true one would let the noise through.
@@ -345,11 +345,7 @@ def _pick(
             expected="a relative lambda",
             hint="pass choice=<relative lambda>",
         )
-    first, upre = running[0], asked["upre"]
-    refined = first.rule == "predicted_error" and upre.lam is not None and not (upre.edge or first.edge)
-    if refined and _spends(path, _given(first)) and _given(upre) > 10**-NEAR * _given(first):
-        first = upre
-    return _given(first), first.rule
+    return _given(running[0]), running[0].rule
 
 
 def _spends(path: RegularizationPath, lam: float) -> bool:
@@ -367,6 +363,23 @@ def _with_sensitivity(found: RuleResult, sweep: rules.Sweep) -> RuleResult:
     text = " / ".join("none" if x is None else f"{x:.2g}" for x in values)
     note = f"at half, once and twice the noise level: {text}"
     return replace(found, note=f"{found.note}; {note}" if found.note else note)
+
+
+def unexplained(residual2: float, m: float, sigma: float) -> float | None:
+    """Residual over the noise, where no noise of that level leaves so much; None where it may.
+
+    The rms of all m data counts, whatever the fit has spent: noise alone leaves less. A chi-square test at `EXCESS`, and
+    a factor of at least `CLEARLY`, as noise levels are stated.
+    """
+    from scipy.special import gammaincinv
+
+    level = float(np.sqrt(residual2 / m)) / sigma
+    return level if level > max(CLEARLY, float(np.sqrt(2 * gammaincinv(m / 2, 1 - EXCESS) / m))) else None
+
+
+def ungraded(choice: Choice) -> Choice:
+    """The choice with the worst grade: of a load that does not explain its data."""
+    return replace(choice, verdict=GRADES[-1], odds="the load does not explain its data: no agreement of rules counts")
 
 
 def residual_level(path: RegularizationPath, lam: float) -> float | None:

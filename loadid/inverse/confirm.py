@@ -1,55 +1,87 @@
-"""Lambda of a long record: found on its windows, confirmed on the whole."""
+"""Lambda of a long record: its windows say where to look, the whole record decides."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import rules
-from .choice import Choice
+from .choice import ORDERS, Choice, decide
 from .path import RegularizationPath
-from .sweeping import Sweep
+from .sweeping import LARGEST, RuleResult, Sweep
 
-REACH = 0.5  # decades to either side of what the windows chose
-TRIES = 4  # times that the whole may send the search further
+REACH = 0.5  # decades to either side of what the windows' rules chose
+WIDER = 1.0  # decades by which the search goes on beyond a wall
+POINTS = 15  # in a decade
+_MIDDLE = 1e-2  # relative lambda that tells the lower end of a range from the upper one
+SHARED = ("discrepancy", "upre", "gcv", "robust_gcv", "predicted_error", "evidence")  # of one sweep, at no further cost
 
 
-def confirm(path: RegularizationPath, choice: Choice, sigma: float | None) -> Choice:
-    """The same rule on the whole record, near the lambda that its windows chose.
+def confirm(
+    path: RegularizationPath, guess: Choice, choice: str | float | None, *, sigma: float | None, source: str
+) -> Choice:
+    """Choose on the whole record, near the lambdas that the rules chose on its windows (`guess`).
 
-    Where its optimum lies at an end of the searched part the search goes on from there. A lambda that was given is
-    kept; so is the one of the windows where the rule finds no optimum on the whole, and the rule's note says so.
+    Parameters are those of `choose`. The search goes on beyond every wall that a rule of the sweep ends at, but for
+    those that ended at the lower end of the range on the windows: what it ends with are optima inside what was searched,
+    or an end of the whole range, which then has been searched from end to end. Rules that cost more than the sweep keep
+    what they said on the windows. A lambda that was given is kept.
     """
-    if choice.rule == "given":
-        return choice
-    middle, found = choice.lam, None
-    low, high = path.range
-    for _ in range(TRIES):
-        ends = np.clip([middle * 10**-REACH, middle * 10**REACH], low, high)
-        lam = np.geomspace(float(ends[0]), float(ends[1]), 15)
-        found = rules.run(choice.rule, Sweep(path, lam, path.at(lam), sigma))
-        if found.lam is None or not found.edge or (ends[0] <= low if found.lam < middle else high <= ends[1]):
-            break
-        middle = found.lam
-    assert found is not None
-    if found.lam is None or found.edge:
-        note = f"chosen on windows; on the whole record: {found.note or 'no optimum near it'}"
-        return replace(choice, rules=_noted(choice, None, note))
-    note = f"chosen on windows ({choice.lam:.3g}), confirmed on the whole record"
-    return replace(choice, lam=found.lam, edf=_edf(path, found.lam), rules=_noted(choice, found.lam, note))
+    if guess.rule == "given":
+        return guess
+    on_windows = {r.rule: r for r in guess.rules}
+    first = choice if isinstance(choice, str) else ORDERS[sigma is not None][0]
+    wanted = {first if on_windows[first].lam is not None else guess.rule}
+    wanted |= {r.rule for r in guess.rules if r.rule in SHARED and r.lam is not None and (not r.edge or r.lam > _MIDDLE)}
+    search = _Search.around(path, guess, sigma)
+    while True:
+        asked = {r: rules.run(r, search.sweep) if r in wanted | {*SHARED} else on_windows[r] for r in on_windows}
+        wider = next((w for r in wanted if (w := search.beyond(asked[r])) is not None), None)
+        if wider is None:
+            found = decide(search.sweep, choice, asked, source)
+            wider = search.beyond(asked[found.rule]) if found.rule in SHARED else None
+            if wider is None:
+                return found
+        search = wider
 
 
-def _edf(path: RegularizationPath, lam: float) -> float | None:
-    edf = path.at(lam).edf
-    return None if edf is None else float(edf)
+@dataclass(frozen=True)
+class _Search:
+    """A sweep over a part of the range from `low` to `high`."""
 
+    sweep: Sweep
+    low: float
+    high: float
 
-def _noted(choice: Choice, lam: float | None, note: str) -> tuple[rules.RuleResult, ...]:
-    """The rules, the one in use with its lambda of the whole record and a note."""
-    return tuple(
-        replace(r, lam=r.lam if lam is None else lam, note=f"{r.note}; {note}" if r.note else note)
-        if r.rule == choice.rule
-        else r
-        for r in choice.rules
-    )
+    @classmethod
+    def around(cls, path: RegularizationPath, guess: Choice, sigma: float | None) -> _Search:
+        """Over what the rules chose that have a say."""
+        low, high = path.range
+        high = LARGEST if path.null else high
+        lams = [r.lam for r in guess.rules if r.rule in SHARED and r.lam is not None and not r.edge]
+        near = np.clip([guess.lam, *lams], low, high)
+        return cls._over(path, sigma, near.min() * 10**-REACH, near.max() * 10**REACH, low, high)
+
+    @classmethod
+    def _over(
+        cls, path: RegularizationPath, sigma: float | None, first: float, last: float, low: float, high: float
+    ) -> _Search:
+        first, last = max(first, low), min(last, high)
+        lam: NDArray[np.float64] = np.geomspace(first, last, max(int(POINTS * np.log10(last / first)), 3) + 1)
+        return cls(Sweep(path, lam, path.at(lam), sigma), low, high)
+
+    def beyond(self, found: RuleResult) -> _Search | None:
+        """The wider search after a rule that ended at a wall; None after an optimum, or where nothing is left."""
+        first, last = float(self.sweep.lam[0]), float(self.sweep.lam[-1])
+        if (found.lam is not None and not found.edge) or (first, last) == (self.low, self.high):
+            return None
+        downwards = first > self.low and (found.lam is None or found.lam <= first * (1 + 1e-9))
+        upwards = last < self.high and (found.lam is None or found.lam >= last * (1 - 1e-9))
+        if not (downwards or upwards):  # a wall of the range itself: the rest of it may hold something better
+            downwards = upwards = True
+        return self._over(
+            self.sweep.path, self.sweep.sigma, first * 10 ** (-WIDER * downwards), last * 10 ** (WIDER * upwards),
+            self.low, self.high,
+        )  # fmt: skip

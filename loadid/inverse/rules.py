@@ -36,6 +36,8 @@ __all__ = ["NULL_SPACE", "RULES", "Refusal", "RuleResult", "Sweep", "ncp_statist
 
 SAFE = 0.99  # margin of a pilot: too smooth a one costs little, one that follows the noise much
 CHANCE = 1e-3  # a residual that is smaller than this share of all noise would leave is not believed to be chance
+CLOSE = 0.93  # a step of a pilot that is nearer to one than this has arrived
+SLOWEST = 0.6  # shrinkage of such steps beyond which the limit is not extrapolated further
 EDGE = 3  # points of the sweep that count as its end
 SHORT_NCP = 4000  # data up to which every point of the sweep is asked
 LONGEST_NCP = 300_000  # data; beyond, one transform for each lambda costs more than all other rules together
@@ -114,12 +116,13 @@ def evidence(sweep: Sweep) -> RuleResult:
 
 
 def predicted_error(sweep: Sweep) -> RuleResult:
-    """Smallest predicted error of the load itself: one parametric-bootstrap step from a pilot.
+    """Smallest predicted error of the load itself: parametric-bootstrap steps from a pilot, to their fixed point.
 
     The other rules aim at the response; the load wants more regularisation where its fine detail costs much noise. The
     pilot is the discrepancy solution where the noise level is known, which needs no white noise, else the minimum of
-    robust GCV or GCV that is no stroke of chance. Faraway & Jhun, J. Am. Stat. Assoc. 85 (1990) 1119, for the bootstrap
-    choice of a smoothing parameter.
+    robust GCV or GCV that is no stroke of chance. A pilot that is too smooth hides what a smaller lambda would bring
+    back, so that its answer is the next pilot (`_settled`). Faraway & Jhun, J. Am. Stat. Assoc. 85 (1990) 1119, for the
+    bootstrap choice of a smoothing parameter.
     """
     path, sigma = sweep.path, sweep.sigma
     if path.predicted_error(sweep.lam[-1:], float(sweep.lam[-1]), 1.0) is None:
@@ -139,14 +142,34 @@ def predicted_error(sweep: Sweep) -> RuleResult:
         start = float(sweep.lam[k])
         sigma = sigma or float(np.sqrt(sweep.point.residual2[k] / need(sweep.point, "left", "predicted_error")[k]))
     assert sigma is not None
-    pilot, level = start, sigma
+    level = sigma
 
-    def error(lam: NDArray) -> NDArray:
-        value = path.predicted_error(lam, pilot, level)
-        assert value is not None
-        return value
+    def best(pilot: float) -> RuleResult:
+        def error(lam: NDArray) -> NDArray:
+            value = path.predicted_error(lam, pilot, level)
+            assert value is not None
+            return value
 
-    return search("predicted_error", sweep, error)
+        return search("predicted_error", sweep, error)
+
+    return _settled(best, start)
+
+
+def _settled(best: Callable[[float], RuleResult], pilot: float) -> RuleResult:
+    """Fixed point of steps from one pilot to the next, which shrink by about the same factor: two, and Aitken's limit.
+
+    Only towards smaller lambdas: from a pilot that follows the noise the first step leads back, and it is enough.
+    """
+    first = best(pilot)
+    if first.edge or first.lam is None or first.lam > CLOSE * pilot:
+        return first
+    second = best(first.lam)
+    if second.edge or second.lam is None or second.lam > CLOSE * first.lam:
+        return second if not second.edge else first
+    one, two = np.log(first.lam / pilot), np.log(second.lam / first.lam)
+    shrink = min(two / one, SLOWEST)
+    third = best(float(pilot * np.exp(one / (1 - shrink))))
+    return second if third.edge else third
 
 
 def _pilot(sweep: Sweep) -> int:

@@ -25,7 +25,8 @@ LOWEST = 1e-8  # relative lambda below which the square-root recursion loses its
 SMALL = 1e-3  # relative lambda below which the solution of a long record, too, is worth a step of refinement
 TINY = np.finfo(float).tiny
 MEMORY = 8192  # samples of tail that cost digits as a small lambda does: gradient 3e-10 for 24000, refined 1e-15
-KEPT = 20_000  # samples up to which gains and residuals of all nodes are kept
+KEPT = 20_000  # samples up to which residuals of all nodes are used
+STORED = 3 << 26  # bytes of gains and solutions of nodes that are kept
 WIDE = 0.25  # decades between the nodes of a quick path
 FIELDS = ("residual2", "penalty2", "edf", "left", "ratio", "trace", "change2", "bend")
 
@@ -85,6 +86,7 @@ class StateSpacePath:
                              found=f"largest generalised singular value {float(self.scale):.2g}",
                              expected="between 1e-140 and 1e140",
                              hint="check the sensors, the loads and the units")  # fmt: skip
+        self._own: dict[float, Scalars] = {}
         self._table = self._new_table(lambda lam: self.scalars(lam).array())
         self._kept: dict[float, tuple[Gains, Solved]] = {}
         self._errors: dict[float, Table] = {}
@@ -139,7 +141,8 @@ class StateSpacePath:
 
     def _alone(self, lam: NDArray) -> PathPoint:
         """Exact scalars at one lambda, without those that need its neighbours."""
-        own = self.scalars(float(lam.reshape(-1)[0]))
+        at = float(lam.reshape(-1)[0])
+        own = self._own[at] = self._own.get(at) or self.scalars(at)
 
         def shaped(x: float) -> NDArray:
             return np.full(lam.shape, x)
@@ -282,13 +285,14 @@ class StateSpacePath:
         return self._kept[lam][0] if lam in self._kept else gains(self._system(lam), lam * float(self.scale))
 
     def _solved(self, lam: float) -> tuple[Gains, Solved]:
-        """Gains and solution at a relative lambda: of a short record all that were asked for, of a long one one."""
+        """Gains and solution at a relative lambda; those that were asked for are kept as far as memory allows."""
         lam = float(lam)
         if lam not in self._kept:
             held = gains(self._system(lam), lam * float(self.scale))
-            if self.record.samples > KEPT:
+            solved = self._again(lam, held, self.record.y)
+            if sum(_bytes(*kept) for kept in self._kept.values()) + _bytes(held, solved) > STORED:
                 self._kept.clear()
-            self._kept[lam] = held, self._again(lam, held, self.record.y)
+            self._kept[lam] = held, solved
         return self._kept[lam]
 
     @staticmethod
@@ -299,3 +303,8 @@ class StateSpacePath:
                 expected=f"a relative lambda of at least {LOWEST:g}",
                 hint="below that the recursion loses all digits: use the dense path (path='dense') on a window",
             )  # fmt: skip
+
+
+def _bytes(held: Gains, solved: Solved) -> int:
+    """Memory of gains and a solution."""
+    return sum(a.nbytes for a in (held.K, held.R, held.which, solved.inputs, solved.load, solved.response))

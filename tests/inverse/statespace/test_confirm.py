@@ -1,11 +1,13 @@
 """Lambda that windows chose and the whole record confirms, against the rule run on the whole record directly."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from loadid.inverse.choice import Choice, choose
+from loadid.inverse.choice import DEFAULT_RULES, Choice, choose
 from loadid.inverse.confirm import confirm
-from loadid.inverse.rules import run
+from loadid.inverse.rules import NULL_SPACE, RuleResult, run
 from loadid.inverse.statespace.coarse import windows_of
 from loadid.inverse.statespace.path import StateSpacePath
 from loadid.inverse.sweeping import Sweep
@@ -40,7 +42,7 @@ def test_lambda_is_that_of_the_whole_record(
     windows = windows_of(cornered)
     assert windows is not None
     guess = choose(windows, rule, sigma=sigma)
-    found = confirm(quick, guess, sigma)
+    found = confirm(quick, guess, rule, sigma=sigma, source="stated")
     lam = np.geomspace(1e-3, 1, 45)
     direct = run(rule, Sweep(quick, lam, quick.at(lam), sigma))
     assert direct.lam is not None
@@ -51,25 +53,38 @@ def test_lambda_is_that_of_the_whole_record(
     fine = run(rule, Sweep(cornered, lam, cornered.at(lam), sigma)).lam
     assert fine is not None
     assert abs(np.log(found.lam / fine)) < 0.02
-    assert "confirmed on the whole record" in next(r.note for r in found.rules if r.rule == rule)
+
+
+@pytest.mark.parametrize(("rule", "sigma"), [("robust_gcv", None), ("discrepancy", 1.0)])
+def guess(lam: float, rule: str) -> Choice:
+    """What windows might say, that know nothing of the other rules."""
+    silent = tuple(RuleResult(name, None) for name in DEFAULT_RULES if name != rule)
+    return Choice(lam, 1.0, rule, rules=(RuleResult(rule, lam), *silent))
 
 
 @pytest.mark.parametrize(("rule", "sigma"), [("robust_gcv", None), ("discrepancy", 1.0)])
 def test_a_first_guess_far_off_is_left(rule: str, sigma: float | None, quick: StateSpacePath) -> None:
-    at = [confirm(quick, Choice(lam, 1.0, rule), sigma).lam for lam in (1e-3, 0.5)]
+    at = [confirm(quick, guess(lam, rule), rule, sigma=sigma, source="stated").lam for lam in (1e-3, 1.0)]
     assert abs(np.log(at[0] / at[1])) < 0.02
+
+
+def test_a_wall_is_looked_behind(quick: StateSpacePath) -> None:
+    """From the end of the range, where the windows saw no load at all, the default finds the one of the whole."""
+    nothing = replace(guess(1e3, "predicted_error"), rules=[RuleResult(r, 1e3, True, NULL_SPACE) for r in DEFAULT_RULES])
+    found = confirm(quick, nothing, None, sigma=1.0, source="stated")
+    direct = choose(quick, None, sigma=1.0)
+    assert found.rule == direct.rule
+    assert abs(np.log(found.lam / direct.lam)) < 0.02
 
 
 def test_a_given_lambda_is_kept(quick: StateSpacePath) -> None:
     given = Choice(0.01, 1.0, "given")
-    assert confirm(quick, given, 1.0) is given
+    assert confirm(quick, given, 0.01, sigma=1.0, source="stated") is given
 
 
-def test_a_rule_that_finds_nothing_leaves_the_lambda_of_the_windows(quick: StateSpacePath) -> None:
+def test_a_rule_that_finds_nothing_has_searched_the_whole_range(quick: StateSpacePath) -> None:
     """No lambda leaves a residual of a millionth of the noise."""
-    from loadid.inverse.rules import RuleResult
-
-    guess = Choice(0.02, 1.0, "discrepancy", rules=(RuleResult("discrepancy", 0.02),))
-    found = confirm(quick, guess, 1e-6)
-    assert found.lam == 0.02
-    assert "whole record" in found.rules[0].note
+    found = confirm(quick, guess(0.02, "discrepancy"), "discrepancy", sigma=1e-6, source="stated")
+    assert found.sweep is not None
+    assert (found.sweep.lam[0], found.sweep.lam[-1]) == quick.range
+    assert next(r for r in found.rules if r.rule == "discrepancy").edge

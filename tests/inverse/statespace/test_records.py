@@ -55,19 +55,19 @@ def test_solutions_add_up() -> None:
     assert off(2 * parts[0] - 3 * parts[1], parts[2]) < 1e-11
 
 
-def test_windows_are_the_sum_of_their_dense_problems() -> None:
+def test_windows_are_the_weighted_sum_of_their_dense_problems() -> None:
     record = case(beam("ds", "foh", 1), LENGTH * COUNT)
     path = record.path("identity")
     windows, lam = windows_of(path), 1e-2
     assert windows is not None
-    assert len(windows.windows) == COUNT
+    assert list(windows.weights) == [1, 1, 2, 2]
     dense: Dense = problem(record.system, record.y[:LENGTH], record.noise, "identity", unknown_start=True)
     at = dense.at(lam * float(path.scale))
     point, residual2, penalty2 = windows.exact(lam), 0.0, 0.0
-    for y in windows.windows:
+    for weight, y in zip(windows.weights, windows.windows, strict=True):
         one = Dense(dense.H, y.reshape(-1), dense.L, dense.shape).at(at.lam)
-        residual2 += float(np.sum(one.residual**2))
-        penalty2 += float(np.sum((dense.L @ one.whole) ** 2))
+        residual2 += weight * float(np.sum(one.residual**2))
+        penalty2 += weight * float(np.sum((dense.L @ one.whole) ** 2))
     assert off(point.residual2, residual2) < 1e-9
     assert off(point.penalty2, penalty2) < 1e-9
     assert off(point.edf, COUNT * np.trace(at.influence)) < 1e-9

@@ -1,0 +1,164 @@
+"""Lambda of long records with few hits: load error of the default over that of the best lambda.
+
+Two set-ups, both with the exact model. ``six``: six modes from 62 to 1158 Hz, one sensor (displacement or acceleration)
+under a zero-order hold, half sines of 41 samples, 5 % noise. ``cantilever``: a steel beam of 0.6 m with 14 modes of 1 %
+damping, three accelerometers, half sines of 1000 N over 20 samples, 1.5 % noise. The hits are one, a few, twenty, early,
+late or in pairs; the noise level is stated or not. Responses are made by `scipy.signal.lfilter` on the impulse response
+poles (modal recursions), not by the solver's passes. The best lambda is sought on a grid of a tenth of a decade, truth
+known.
+
+Run ``python -m tests.benchmarks.long_lambda [--samples 4000 10000 ...] [--seeds 5] [--first 0]``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loadid import Deconvolution
+from loadid.families.data import gather
+from loadid.families.posing import pose
+from structures import ForwardModel, beams, damping, loads, sensors
+from structures.model import Model
+from structures.statespace import StateSpace
+from tests.halfsine import DAMPING, FREQUENCIES, RATE, SIGNS
+
+LAYOUTS = ("one early", "one late", "pair", "few", "twenty")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A model with a record of (samples, sensors), the load (samples,) behind it, and the noise std (sensors,)."""
+
+    model: Model
+    dt: float
+    record: NDArray[np.float64]
+    load: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+
+
+def six(kind: str) -> StateSpace:
+    """Six modes with one sensor of ``displacement`` or ``acceleration``, zero-order hold."""
+    from scipy.signal import cont2discrete
+
+    omega = 2 * np.pi * FREQUENCIES
+    A, B, C = np.zeros((12, 12)), np.zeros((12, 1)), np.zeros((1, 12))
+    D = np.zeros((1, 1))
+    for k, (w, z, s) in enumerate(zip(omega, DAMPING, SIGNS, strict=True)):
+        A[2 * k, 2 * k + 1], A[2 * k + 1, 2 * k : 2 * k + 2] = 1.0, (-(w**2), -2 * z * w)
+        B[2 * k + 1] = 1.0
+        C[0, 2 * k : 2 * k + 2] = (s, 0.0) if kind == "displacement" else (-s * w**2, -2 * s * z * w)
+        D += 0.0 if kind == "displacement" else s
+    A, B, C, D, _ = cont2discrete((A, B, C, D), 1 / RATE, "zoh")
+    return StateSpace(A, B, C, D, 1 / RATE, "zoh")
+
+
+def cantilever() -> ForwardModel:
+    """The steel beam with three accelerometers."""
+    beam = beams.cantilever(
+        length=0.6,
+        section=beams.Section.rectangle(width=0.04, height=0.01),
+        material=beams.materials.steel,
+        elements=40,
+        damping=damping.Modal(0.01),
+    )
+    gauges = [sensors.Accelerometer(at=x, direction="Z") for x in (0.2, 0.35, 0.5)]
+    return ForwardModel(beam, gauges, [loads.Point(at=0.45, direction="Z")], modes=14)
+
+
+def starts(layout: str, samples: int, width: int, rng: np.random.Generator) -> NDArray[np.int_]:
+    """First samples of the hits."""
+    end = samples - 3 * width
+    if layout == "one early":
+        return np.array([int(rng.integers(samples // 20, samples // 8))])
+    if layout == "one late":
+        return np.array([int(rng.integers(samples * 9 // 10, end))])
+    if layout == "pair":
+        first = int(rng.integers(samples // 10, end - 4 * width))
+        return np.array([first, first + int(rng.integers(width, 3 * width))])
+    count = 20 if layout == "twenty" else max(samples // 4000, 2)
+    return np.sort(rng.integers(width, end, count))
+
+
+def problem(setup: str, layout: str, samples: int, seed: int) -> Problem:
+    """One random record."""
+    rng = np.random.default_rng([seed, samples, LAYOUTS.index(layout), len(setup)])
+    model = cantilever() if setup == "cantilever" else six(setup.split()[1])
+    dt, width, height, noise = (1e-4, 20, 1000.0, 0.015) if setup == "cantilever" else (1 / RATE, 41, 1.0, 0.05)
+    load = np.zeros(samples)
+    for k in starts(layout, samples, width, rng):
+        size = height * (1.0 if layout.startswith("one") else rng.uniform(0.3, 1.0))
+        load[k : k + width] += size * np.sin(np.pi * (np.arange(width) + 0.5) / width)
+    clean = respond(model, dt, load)
+    sigma = noise * clean.std(axis=0)
+    return Problem(model, dt, clean + sigma * rng.standard_normal(clean.shape), load, sigma)
+
+
+def respond(model: Model, dt: float, load: NDArray) -> NDArray[np.float64]:
+    """Response (samples, sensors) by the poles and residues of the discrete system, one filter for each mode."""
+    from scipy.signal import lfilter
+
+    system = model if isinstance(model, StateSpace) else model.state_space(dt, model.default_hold)
+    poles, V = np.linalg.eig(system.A)
+    residues = (system.C @ V) * np.linalg.solve(V, system.B.astype(complex))[:, 0]
+    out = system.D[:, 0] * load[:, None]
+    delayed = np.concatenate([[0.0], load[:-1]]).astype(complex)
+    for pole, r in zip(poles, residues.T, strict=True):
+        out = out + np.real(lfilter([1.0], [1.0, -pole], delayed)[:, None] * r)
+    return out
+
+
+def error(load: NDArray, truth: NDArray) -> float:
+    """Relative error of a load history; without a direct term the last sample is not seen."""
+    truth = truth[: len(load)]
+    return float(np.linalg.norm(load - truth) / np.linalg.norm(truth))
+
+
+def oracle(p: Problem, sigma: NDArray | None) -> float:
+    """Smallest error over lambda, of the same problem as posed by the family."""
+    family = Deconvolution(p.model, noise=sigma)
+    path = pose(p.model, gather(p.record, p.dt, p.model, None, allow_missing=True), family.settings).path
+    grid = {k: error(path.solution(10**k, None).load[:, 0], p.load) for k in np.arange(-6.0, 0.1, 0.5)}
+    best = min(grid, key=grid.__getitem__)
+    return min(error(path.solution(10**k, None).load[:, 0], p.load) for k in best + np.arange(-0.4, 0.41, 0.1))
+
+
+def judged(setup: str, layout: str, samples: int, seed: int, stated: bool) -> tuple[float, float, str, float]:
+    """Error of the default, of the best lambda, what was chosen, and CPU seconds of the public call."""
+    p = problem(setup, layout, samples, seed)
+    sigma = p.sigma if stated else None
+    begun = time.process_time()
+    found = Deconvolution(p.model, noise=sigma, noise_source="data sheet" if stated else None).estimate(p.record, p.dt)
+    spent = time.process_time() - begun
+    text = f"{found.choice.rule} {found.choice.lam:.2g}, {found.choice.verdict}"
+    return error(found.load[:, 0], p.load), oracle(p, sigma), text, spent
+
+
+def main() -> None:
+    """Print a line for every record, and the worst ratio."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--samples", type=int, nargs="+", default=[4000, 10_000, 30_000, 100_000])
+    parser.add_argument("--setups", nargs="+", default=["six displacement", "six acceleration", "cantilever"])
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first", type=int, default=0)
+    asked = parser.parse_args()
+    ratios = []
+    print(f"{'set-up':18s}{'samples':>8s} {'hits':10s}{'seed':>5s} {'sigma':7s}{'error':>8s}{'best':>8s}{'ratio':>7s}{'CPU s':>7s}")
+    for setup in asked.setups:
+        for samples in asked.samples:
+            for layout in LAYOUTS:
+                for seed in range(asked.first, asked.first + asked.seeds):
+                    stated = bool((seed + LAYOUTS.index(layout)) % 2)
+                    found, best, text, spent = judged(setup, layout, samples, seed, stated)
+                    ratios.append(found / best)
+                    print(f"{setup:18s}{samples:8d} {layout:10s}{seed:5d} {'stated' if stated else 'unknown':7s}"
+                          f"{found:8.4f}{best:8.4f}{found / best:7.3f}{spent:7.1f}  {text}", flush=True)  # fmt: skip
+    print(f"worst {max(ratios):.3f}, median {np.median(ratios):.3f}, {np.mean(np.array(ratios) <= 1.2):.1%} within 1.2")
+
+
+if __name__ == "__main__":
+    main()
