@@ -19,6 +19,7 @@ from structures.flags import Flag
 
 from .numbers import rows_of
 from .registry import register
+from .settle import distinct
 from .source import COLUMNS, Options, Source, Table, truncated
 
 END = "***End_of_Header***"
@@ -151,7 +152,8 @@ def _names(
         source.refuse("column names do not fit the channels", names, f"{channels} names")
     if channels > COLUMNS:
         source.refuse("too many channels", channels, f"at most {COLUMNS}")
-    return names, width, np.array(read)
+    labels = distinct(cells)  # by their places in the line
+    return [labels[k] if cells[k] else "" for k in read[-channels:]], width, np.array(read)
 
 
 def _cut_into_records(

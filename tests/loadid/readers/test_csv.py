@@ -172,4 +172,7 @@ def test_rounded_stamps_give_the_step_of_the_instrument(tmp_path):
 
 def test_doubled_and_empty_names_are_numbered(tmp_path):
     text = "a [N],a [N], [N]\n" + "\n".join("1,2,3.5" for _ in range(5)) + "\n"
-    assert read(write(tmp_path, text), fs=1, units={2: "N"}).labels == ("a", "a_2", "[N]")
+    found = read(write(tmp_path, text), fs=1, units={2: "N"})
+    assert found.labels == ("a (column 1)", "a (column 2)", "[N]")
+    text = "ch1 [N],[N],\n" + "\n".join("1,2,3.5" for _ in range(5)) + "\n"
+    assert len(set(read(write(tmp_path, text), fs=1, units={1: "N", 2: "N"}).labels)) == 3
