@@ -119,7 +119,7 @@ def test_a_doubled_name_names_no_column(run, tmp_path):
         lambda: read(path, columns=["acc1"]),
         lambda: read(path, units={"acc1": "N"}),
     ):
-        with pytest.raises(InputError, match="columns 2 and 3.*rename.*0 .index. or 'acc1 .column 2.'"):
+        with pytest.raises(InputError, match=r"columns 2 and 3.*rename.*0 .index. or 'acc1 .column 2.'"):
             use()
     code, _, err = run("calibrate", path, "--force", "acc1", "--response", "acc2", "-o", tmp_path / "m.h5")
     assert code == 3
@@ -142,7 +142,7 @@ def test_two_time_columns(tmp_path):
     t = np.arange(9) / 10
     for second, times in (("Time [s]", 2.0), (" time [s]", 0.5)):
         path = table(tmp_path / "d.csv", f"time [s],a [g],{second}", np.column_stack([t, np.ones(9), times * t]))
-        with pytest.raises(InputError, match="named as time.*columns 1, 3"):
+        with pytest.raises(InputError, match=r"named as time.*columns 1, 3"):
             read(path)
     path = table(tmp_path / "d.csv", "time [s],a [g],time [s],b [g]", np.column_stack([t, np.ones(9), t, t]))
     assert read(path).labels == ("a", "time (column 3)", "b")
