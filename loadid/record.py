@@ -17,6 +17,7 @@ from structures import units as _units
 from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Flag
+from structures.values import plain
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -268,7 +269,7 @@ def refuse_copies(name: str, names: Sequence[str], *, what: str, where: str) -> 
 
 def _table(values: ArrayLike) -> NDArray[np.float64]:
     try:
-        raw = np.asarray(values)
+        raw = np.asarray(plain(values))
         if raw.dtype.kind not in "fiub":
             raise TypeError(f"numbers of type {raw.dtype}")
         table = np.array(raw, dtype=np.float64, order="C")  # a copy: the caller's array stays writable, ours does not
