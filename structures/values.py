@@ -40,7 +40,7 @@ def plain(value: Any) -> Any:
         return value
     if not np.ma.getmaskarray(value).any() or value.dtype.kind not in "fiubc":
         return value.data
-    return value.astype(complex if value.dtype.kind == "c" else float).filled(np.nan)
+    return np.ma.filled(value.astype(complex if value.dtype.kind == "c" else float), np.nan)
 
 
 def reals(value: Any, *, where: str, what: str = "no real numbers", hint: str = "") -> NDArray[np.float64]:
