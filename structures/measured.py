@@ -19,7 +19,7 @@ from .hits import Hit
 from .hits import digests as digests
 from .model import Certificate, Model
 from .spectra import resample_lines
-from .values import plain
+from .values import as_array, plain
 
 ARRAYS = ("frequencies", "H", "variance", "noise_power", "coherence")
 PARTS = (*ARRAYS, "sensors", "loads", "hits", "samples")
@@ -191,9 +191,9 @@ class MeasuredModel(Model):
             Kind missing (LID-W208), wrong shapes, a grid that is not uniform.
         """
         kind = kinds.check(kind, "from_frf")
-        f = np.atleast_1d(np.asarray(plain(frequencies), float))
-        H = _cube(np.asarray(plain(H), complex))
-        spread = None if variance is None else _cube(np.asarray(plain(variance), float))
+        f = np.atleast_1d(as_array(frequencies, where="from_frf, frequencies", dtype=float))
+        H = _cube(as_array(H, where="from_frf, H", dtype=complex))
+        spread = None if variance is None else _cube(as_array(variance, where="from_frf, variance", dtype=float))
         if len(f) > 1 and 0.5 < f[0] / (f[1] - f[0]) < 1.5:
             first = H[:1].real if kind == "receptance" else np.zeros_like(H[:1])
             f, H = np.concatenate([[0.0], f]), np.concatenate([first, H])

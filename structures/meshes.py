@@ -18,7 +18,7 @@ from .locking import ADVICE, PAD, REFUSE, WARN
 from .materials import Material
 from .meshfield import MeshField
 from .structure import Structure
-from .values import plain, reals, shown
+from .values import as_array, plain, reals, shown
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -108,7 +108,7 @@ def _kind(kind: Any, element: Any, where: str) -> Cell:
 def _checked(nodes: Any, cells: Any, cell: Cell, where: str) -> tuple[Array, Index]:
     """Nodes and cells as arrays, every index in range, every node used."""
     places = reals(nodes, where=f"{where}, nodes", hint="an array (nodes, 3) in m")
-    table = np.asarray(plain(cells))
+    table = as_array(cells, where=f"{where}, cells")
     if places.ndim != 2 or places.shape[1] != 3 or not np.all(np.isfinite(places)):
         bad = np.flatnonzero(~np.isfinite(places).all(axis=1)) if places.ndim == 2 else np.empty(0, int)
         raise InputError(

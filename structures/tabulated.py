@@ -17,7 +17,7 @@ from .flags import Evidence, Flag
 from .measured import CHANNEL, tuples
 from .model import Certificate, Model
 from .statespace import digest, lines
-from .values import plain
+from .values import as_array, plain
 
 if TYPE_CHECKING:
     from .welch import CrossSpectra
@@ -119,7 +119,7 @@ class FrfModel(Model):
             Kind missing (LID-W208), shapes that do not fit, NaN, lines that do not ascend.
         """
         kind = kinds.check(kind, "from_frf")
-        H = _cube(np.asarray(plain(H)))
+        H = _cube(as_array(H, where="from_frf, H"))
         rows, flags = kinds.rows(sensors, H.shape[1], kind)
         columns = [
             c if isinstance(c, Channel) else Channel(label=str(c), quantity="force", unit="N")
@@ -130,7 +130,7 @@ class FrfModel(Model):
             H,
             sensors=rows,
             loads=columns,
-            variance=None if variance is None else _cube(np.asarray(plain(variance))),
+            variance=None if variance is None else _cube(as_array(variance, where="from_frf, variance")),
             coherence=coherence,
             flags=flags,
             interpolate=interpolate,

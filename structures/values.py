@@ -43,6 +43,26 @@ def plain(value: Any) -> Any:
     return np.ma.filled(value.astype(complex if value.dtype.kind == "c" else float), np.nan)
 
 
+def as_array(value: Any, *, where: str, dtype: type | None = None) -> NDArray[Any]:
+    """An array of anything, or of `dtype`; masked entries become NaN.
+
+    Raises
+    ------
+    InputError
+        Rows of different lengths, or what is no number.
+    """
+    try:
+        return np.asarray(plain(value), dtype)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            "no array of numbers",
+            where=where,
+            found=str(error)[:200],
+            expected="numbers, in rows of one length",
+            hint="pass an array",
+        ) from None
+
+
 def reals(value: Any, *, where: str, what: str = "no real numbers", hint: str = "") -> NDArray[np.float64]:
     """Real numbers of any shape, as a new array; infinity and NaN may be among them, masked entries become NaN.
 

@@ -15,7 +15,7 @@ from .flags import Flag
 from .statespace import channels as named
 from .statespace import frozen
 from .statespace import lines as checked_lines
-from .values import plain
+from .values import as_array, plain
 
 SKEW = 1e-6  # of the two autospectra: rounding of single precision that a Hermitian matrix may show
 ABOVE_ONE = 1e-4  # by how much rounding may lift a coherence above one
@@ -154,7 +154,7 @@ class CrossSpectra:
         InputError
             A mask that does not fit, or that leaves no line.
         """
-        keep = np.asarray(plain(mask))
+        keep = as_array(mask, where="mask")
         if keep.dtype != bool or keep.shape != self.frequencies.shape or not keep.any():
             raise InputError(
                 "no mask of the lines",

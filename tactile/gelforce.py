@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.flags import Flag
-from structures.values import plain, reals
+from structures.values import as_array, plain, reals
 
 from .guards import closed
 from .guards import maps as guards
@@ -80,7 +80,7 @@ class GelForce(LinearSensor):
     ) -> None:
         self.ground = ground
         places = _grid(forces)
-        seen = Markers(np.asarray(plain(markers)), noise, axes)
+        seen = Markers(as_array(markers, where="markers"), noise, axes)
         if seen.points.shape[1] != 3 or np.any(seen.points[:, 2] >= ground.top):
             raise InputError(
                 "markers must lie under the surface", where="GelForce, markers", found="markers on or above it",

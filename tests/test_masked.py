@@ -152,6 +152,13 @@ def test_what_is_masked_is_refused(name):
         call(hidden(array))
 
 
+@pytest.mark.parametrize("name", REFUSING)
+@pytest.mark.parametrize("bad", [[[1.0], [1.0, 2.0]], "x", [["a"]]], ids=["rows of different lengths", "text", "texts"])
+def test_what_is_no_array_of_numbers_is_refused(name, bad):
+    with pytest.raises(InputError):
+        REFUSING[name][0](bad)
+
+
 def test_a_masked_sample_of_a_record_is_missing():
     values = np.cos(np.arange(40.0))[:, None] * [1.0, 2.0]
     record = Record(hidden(values, at=9), DT, ["a", "b"])
