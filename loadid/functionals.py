@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import real
+from structures.values import plain, real
 
 if TYPE_CHECKING:
     from loadid.estimate import LoadEstimate
@@ -206,7 +206,7 @@ def _own(e: LoadEstimate, w: ArrayLike, load: int | str | None, window: Window |
 
 def _weights(w: ArrayLike) -> NDArray[np.float64]:
     try:
-        own = np.asarray(w, float)
+        own = np.asarray(plain(w), float)
     except (TypeError, ValueError) as error:
         raise InputError("the weights are no numbers", where="w", found=str(error), expected="real numbers") from None
     if not np.all(np.isfinite(own)):

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
+from structures.values import plain
 
 from .record import Record
 
@@ -63,7 +64,7 @@ def quiet_segment(values: ArrayLike, dt: float) -> slice | None:
         None when nothing starts within the record, when fewer than 64 samples lead, or when the leading part is not the
         quietest one (the record began after the response did).
     """
-    table = np.asarray(values, dtype=float)
+    table = np.asarray(plain(values), dtype=float)
     table = table[:, None] if table.ndim == 1 else table
     if table.ndim != 2 or not dt > 0:
         raise InputError("no record to search", where="quiet_segment", found=f"shape {table.shape}, dt {dt}")

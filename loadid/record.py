@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,6 +17,7 @@ from structures import units as _units
 from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Flag
+from structures.values import plain
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -216,11 +218,12 @@ def find(key: str | int, names: Sequence[str], *, what: str, where: str) -> int:
     Raises
     ------
     InputError
-        If there is none; the message lists the names and the nearest one.
+        If there is none; the message lists the names and the nearest one. A name that several columns of a file carry.
     """
     if isinstance(key, str):
         if key in names:
             return list(names).index(key)
+        refuse_copies(key, names, what=what, where=where)
         if key.strip().isascii() and key.strip().isdecimal() and len(key) < 9:
             key = int(key)
     if isinstance(key, int | np.integer) and not isinstance(key, bool) and -len(names) <= key < len(names):
@@ -237,9 +240,36 @@ def find(key: str | int, names: Sequence[str], *, what: str, where: str) -> int:
     )
 
 
+def copy_of(name: str, column: int) -> str:
+    """Label of one of several columns (counted from 1) over which a file writes the same name."""
+    return f"{name} (column {column})"
+
+
+def refuse_copies(name: str, names: Sequence[str], *, what: str, where: str) -> None:
+    """Nothing, unless several columns of a file carry the name: it says which of them is meant nowhere.
+
+    Raises
+    ------
+    InputError
+        The columns, and how one of them is named.
+    """
+    label = re.compile(re.escape(name.strip()) + r" \(column (\d+)\)")
+    alike = {i: match[1] for i, n in enumerate(names) if (match := label.fullmatch(n))}
+    if alike:
+        raise InputError(
+            f"the {what} {name!r} could be several columns",
+            where=where,
+            found=f"the name over {'columns' if len(alike) > 1 else 'another column, and over column'} "
+            f"{' and '.join(alike.values())}",
+            expected="a name of its own for every column that is used",
+            hint="rename the columns in the file, or name the one that is meant: "
+            + " or ".join(f"{i} (index) or {names[i]!r}" for i in alike),
+        )
+
+
 def _table(values: ArrayLike) -> NDArray[np.float64]:
     try:
-        raw = np.asarray(values)
+        raw = np.asarray(plain(values))
         if raw.dtype.kind not in "fiub":
             raise TypeError(f"numbers of type {raw.dtype}")
         table = np.array(raw, dtype=np.float64, order="C")  # a copy: the caller's array stays writable, ours does not
@@ -293,10 +323,11 @@ def _channels(given: Sequence[Channel | str] | Channel | str | None, columns: in
             found=f"{len(labels)} labels: {labels}",
             expected=f"{columns}",
         )
-    double = sorted({n for n in labels if labels.count(n) > 1})
+    double = {n: [i + 1 for i, m in enumerate(labels) if m == n] for n in labels if labels.count(n) > 1}
     if double or not all(n.strip() for n in labels):
         what = "labels are doubled" if double else "a label is empty"
-        raise InputError(what, where="record", found=double or labels, expected="unique names")
+        found = "; ".join(f"{n!r} over columns {', '.join(map(str, at))}" for n, at in double.items())
+        raise InputError(what, where="record", found=found or labels, expected="unique names")
     return channels
 
 

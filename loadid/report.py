@@ -31,6 +31,7 @@ from loadid.summary import (
     sort,
 )
 from structures.errors import InputError
+from structures.values import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -147,7 +148,7 @@ def _known(e: LoadEstimate, truth: ArrayLike | None) -> str:
         return ""
     import numpy as np
 
-    known = np.asarray(truth, complex if e.load.dtype.kind == "c" else float)
+    known = np.asarray(plain(truth), complex if e.load.dtype.kind == "c" else float)
     known = known.reshape(e.load.shape) if known.size == e.load.size else known
     if known.shape != e.load.shape:
         return ""  # the picture refuses it in words

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.channels import Channel
 from structures.errors import InputError
-from structures.values import reals
+from structures.values import plain, reals
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def _lines(frequencies: ArrayLike) -> NDArray[np.float64]:
 
 def _values(values: ArrayLike, lines: int) -> NDArray[np.complex128]:
     try:
-        x = np.array(values, complex)
+        x = np.array(plain(values), complex)
     except (TypeError, ValueError):
         raise InputError("these are no numbers", where="Spectra, values", expected="complex amplitudes") from None
     x = x[:, None] if x.ndim == 1 else x

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from structures.errors import InputError
+from structures.values import plain
 
 if TYPE_CHECKING:
     from loadid.estimate import Axis, LoadEstimate
@@ -127,7 +128,7 @@ def against(estimate: LoadEstimate, truth: Any, load: int = 0) -> dict[str, Any]
         95 % band) and, where the load is one short pulse, ``window`` and ``coverage_95_peak`` of it; else None.
     """
     amplitudes = estimate.load.dtype.kind == "c"
-    found, known = estimate.load[:, load], np.asarray(truth, complex if amplitudes else float)
+    found, known = estimate.load[:, load], np.asarray(plain(truth), complex if amplitudes else float)
     lower, upper = (edge[:, load] for edge in estimate.band())
     disc = np.abs(known - found) <= upper - np.abs(found)  # of complex amplitudes
     inside = disc if amplitudes else (known >= lower) & (known <= upper)

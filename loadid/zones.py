@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import positive
+from structures.values import as_array, positive
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ def harmonic_power(load: ArrayLike, velocity: ArrayLike) -> Array:
     InputError
         If the two do not fit each other.
     """
-    q, v = np.asarray(load, complex), np.asarray(velocity, complex)
+    q, v = (as_array(x, where="harmonic_power", dtype=complex) for x in (load, velocity))
     _fit(q, v)
     return np.asarray(0.5 * np.real(q * np.conj(v)), float)
 
@@ -51,7 +51,7 @@ def mean_power(load: ArrayLike, velocity: ArrayLike, dt: float, window: float) -
     """
     from scipy.signal import fftconvolve
 
-    q, v = np.asarray(load, float), np.asarray(velocity, float)
+    q, v = (as_array(x, where="mean_power", dtype=float) for x in (load, velocity))
     _fit(q, v)
     step = positive("dt", dt, where="mean_power", unit="s")
     half = round(positive("window", window, where="mean_power", unit="s") / step / 2)

@@ -13,7 +13,7 @@ from .dofs import Dof, direction_code, direction_label
 from .errors import InputError
 from .fields import Lumped
 from .structure import Structure
-from .values import shown
+from .values import plain, shown
 
 ENDS = ("fixed", "free")
 
@@ -134,7 +134,7 @@ def oscillator(
 def _values(name: str, values: ArrayLike, count: int | None, zero: bool = False) -> NDArray[np.float64]:
     """Finite positive values; a scalar is repeated `count` times."""
     try:
-        x = np.asarray(values, float)
+        x = np.asarray(plain(values), float)
     except (TypeError, ValueError):
         x = np.empty((0, 0))
     if isinstance(values, str) or x.ndim == 2:

@@ -12,6 +12,7 @@ from scipy import sparse
 from .damping import Modal, Rayleigh
 from .dofs import Dof, direction_label
 from .errors import InputError
+from .values import plain
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -33,7 +34,7 @@ def matrix(name: str, value: Any, size: int | None = None) -> sparse.csr_array:
     where = f"matrix {name}"
     if not sparse.issparse(value):
         try:
-            value = np.asarray(value, None if np.iscomplexobj(value) else float)
+            value = np.asarray(plain(value), None if np.iscomplexobj(value) else float)
         except (TypeError, ValueError):
             raise InputError(
                 "not a matrix of numbers",
@@ -126,7 +127,7 @@ def places(coordinates: Any, nodes: int) -> NDArray[np.float64] | None:
     if coordinates is None:
         return None
     try:
-        x = np.array(coordinates, float)
+        x = np.array(plain(coordinates), float)
     except (TypeError, ValueError):
         x = np.empty(0)
     x = x[:, None] if x.ndim == 1 else x

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from .errors import InputError
-from .values import number, real, shown
+from .values import number, plain, real, shown
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Rayleigh:
         InputError
             If a frequency is not positive.
         """
-        omega = np.asarray(omega, float)
+        omega = np.asarray(plain(omega), float)
         if np.any(omega <= 0):
             raise InputError(
                 "a ratio needs a positive frequency",
@@ -114,7 +114,7 @@ class Rayleigh:
 
     def coefficient(self, omega: ArrayLike) -> NDArray[np.float64]:
         """Modal damping coefficient 2 zeta omega = alpha + beta omega^2 (1/s) of each mode, same shape as `omega`."""
-        return self.alpha + self.beta * np.asarray(omega, float) ** 2
+        return self.alpha + self.beta * np.asarray(plain(omega), float) ** 2
 
     def matrix(self, K: sparse.csr_array, M: sparse.csr_array) -> sparse.csr_array:
         """The damping matrix alpha M + beta K (n, n), N s/m."""
@@ -150,7 +150,7 @@ class Modal:
 
     def __post_init__(self) -> None:
         try:
-            values = tuple(np.atleast_1d(np.asarray(self.ratios, float)).ravel().tolist())
+            values = tuple(np.atleast_1d(np.asarray(plain(self.ratios), float)).ravel().tolist())
         except (TypeError, ValueError):
             values = ()
         if not values or isinstance(self.ratios, str | bytes) or np.ndim(self.ratios) > 1:
@@ -166,13 +166,13 @@ class Modal:
 
     def ratio(self, omega: ArrayLike) -> NDArray[np.float64]:
         """Damping ratio of the modes with frequencies `omega` (rad/s, ascending from the first mode), same shape."""
-        omega = np.asarray(omega, float)
-        values = np.atleast_1d(np.asarray(self.ratios, float))
+        omega = np.asarray(plain(omega), float)
+        values = np.atleast_1d(np.asarray(plain(self.ratios), float))
         return values[np.minimum(np.arange(omega.size), values.size - 1)].reshape(omega.shape)
 
     def coefficient(self, omega: ArrayLike) -> NDArray[np.float64]:
         """Modal damping coefficient 2 zeta omega (1/s) of the modes with frequencies `omega`, same shape."""
-        return 2 * self.ratio(omega) * np.asarray(omega, float)
+        return 2 * self.ratio(omega) * np.asarray(plain(omega), float)
 
     def scaled(self, factor: float) -> Modal:
         """Damping multiplied by `factor`."""

@@ -14,6 +14,7 @@ from .errors import InputError
 from .hits import Hit, digests, judge, unusable
 from .model import Certificate
 from .spectra import padded_length, smooth_lines
+from .values import as_array
 from .windows import checked_decay, exponential, gate, taken_out
 
 FORCES = ("force", "moment", "pressure", "line_load", "arbitrary")
@@ -219,7 +220,7 @@ def _gather(
 
 
 def _test(record: Any, dt: float | None, wanted: list[str | int], i: int) -> Impact:
-    values = np.asarray(getattr(record, "values", record), float)
+    values = as_array(getattr(record, "values", record), where=f"hit {i + 1}", dtype=float)
     name = str(getattr(record, "name", "") or f"hit {i + 1}")
     if values.ndim != 2 or len(values) < 4:
         raise InputError(

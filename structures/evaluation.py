@@ -15,7 +15,7 @@ from .errors import InputError
 from .fields import field_of
 from .hexfield import HexField
 from .structure import Structure
-from .values import reals
+from .values import plain, reals
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -130,7 +130,7 @@ def strains(structure: Structure, u: ArrayLike) -> Array:
         xx, yy, zz, yz, xz, xy; shear as angles, that is twice the tensor's component.
     """
     field: Any = field_of(structure, "strains of a solid")
-    u = np.asarray(u, float)
+    u = np.asarray(plain(u), float)
     if u.shape != (structure.n,) or not np.all(np.isfinite(u)):
         raise InputError(
             "the motion does not fit",
@@ -148,7 +148,7 @@ def strains(structure: Structure, u: ArrayLike) -> Array:
 
 def largest_strain(strain: ArrayLike) -> Array:
     """Largest principal strain by size, with its sign, of strains (cells, 6) as `strains` gives them."""
-    e = np.asarray(strain, float)
+    e = np.asarray(plain(strain), float)
     xx, yy, zz, yz, xz, xy = e.T
     tensor = np.stack([xx, xy / 2, xz / 2, xy / 2, yy, yz / 2, xz / 2, yz / 2, zz], axis=1).reshape(-1, 3, 3)
     values = np.linalg.eigvalsh(tensor)

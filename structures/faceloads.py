@@ -14,7 +14,7 @@ from .errors import InputError
 from .fields import Span, field_of
 from .loads import Load
 from .sensors import fixed_quantity
-from .values import shown
+from .values import plain, shown
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -98,7 +98,7 @@ class FacePatch(Load):
 def _rectangle(spans: Any) -> tuple[Span, Span]:
     """Two spans, checked."""
     try:
-        found = np.asarray(spans, float)
+        found = np.asarray(plain(spans), float)
     except (TypeError, ValueError):
         found = np.empty(0)
     if found.shape != (2, 2) or not np.all(np.isfinite(found)) or np.any(found[:, 0] >= found[:, 1]):

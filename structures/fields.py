@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError
+from .values import plain
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -117,7 +118,7 @@ def point(at: ArrayLike, names: Sequence[str]) -> tuple[float, ...]:
         If their number or a value is wrong.
     """
     try:
-        values = np.atleast_1d(np.asarray(at, float)).ravel()
+        values = np.atleast_1d(np.asarray(plain(at), float)).ravel()
     except (TypeError, ValueError):
         values = np.empty(0)
     if values.size != len(names) or not np.all(np.isfinite(values)):

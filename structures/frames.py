@@ -24,7 +24,7 @@ from .lineloads import LineLoad
 from .materials import Material
 from .sections import Section
 from .structure import Structure
-from .values import integer, positive, real, shown
+from .values import integer, plain, positive, real, shown
 
 __all__ = ["SUPPORTS", "At", "FrameField", "LineLoad", "Material", "Member", "Section", "frame", "portal"]
 
@@ -187,7 +187,7 @@ def _joints(nodes: Any) -> dict[int, Array]:
                 expected="finite (x, z) or (x, y, z) in m",
                 hint="a plane frame lies in X-Z; a space frame has three coordinates at every node",
             )
-        out[Dof(key, 0).node] = np.array(values, float)
+        out[Dof(key, 0).node] = np.array(plain(values), float)
     if len({len(place) for place in out.values()}) != 1:
         raise InputError(
             "nodes must all have two or all have three coordinates",

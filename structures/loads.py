@@ -17,7 +17,7 @@ from .errors import InputError
 from .fields import Span, field_of
 from .flags import Evidence, Flag
 from .sensors import Place, fixed_quantity, spot, words
-from .values import real, shown
+from .values import plain, real, shown
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -248,7 +248,7 @@ class MovingPoint(Load):
 
     def __post_init__(self) -> None:
         try:
-            path = np.array(self.path, float)
+            path = np.array(plain(self.path), float)
         except (TypeError, ValueError):
             path = np.empty(0)
         path = path[:, None] if path.ndim == 1 else path

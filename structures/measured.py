@@ -19,6 +19,7 @@ from .hits import Hit
 from .hits import digests as digests
 from .model import Certificate, Model
 from .spectra import resample_lines
+from .values import as_array, plain
 
 ARRAYS = ("frequencies", "H", "variance", "noise_power", "coherence")
 PARTS = (*ARRAYS, "sensors", "loads", "hits", "samples")
@@ -64,11 +65,11 @@ class MeasuredModel(Model):
         certificate: Certificate | None = None,
         flags: Sequence[Flag] = (),
     ) -> None:
-        self.frequencies, self.H = np.asarray(frequencies, float), np.asarray(H, complex)
+        self.frequencies, self.H = np.asarray(plain(frequencies), float), np.asarray(plain(H), complex)
         self.sensors, self.loads, self.hits = tuple(sensors), tuple(loads), tuple(hits)
-        self.variance = None if variance is None else np.asarray(variance, float)
-        self.noise_power = None if noise_power is None else np.asarray(noise_power, float)
-        self.coherence = None if coherence is None else np.asarray(coherence, float)
+        self.variance = None if variance is None else np.asarray(plain(variance), float)
+        self.noise_power = None if noise_power is None else np.asarray(plain(noise_power), float)
+        self.coherence = None if coherence is None else np.asarray(plain(coherence), float)
         self.samples = samples or len(self.frequencies) - 1
         self.certificate = certificate
         _check(self)
@@ -190,9 +191,9 @@ class MeasuredModel(Model):
             Kind missing (LID-W208), wrong shapes, a grid that is not uniform.
         """
         kind = kinds.check(kind, "from_frf")
-        f = np.atleast_1d(np.asarray(frequencies, float))
-        H = _cube(np.asarray(H, complex))
-        spread = None if variance is None else _cube(np.asarray(variance, float))
+        f = np.atleast_1d(as_array(frequencies, where="from_frf, frequencies", dtype=float))
+        H = _cube(as_array(H, where="from_frf, H", dtype=complex))
+        spread = None if variance is None else _cube(as_array(variance, where="from_frf, variance", dtype=float))
         if len(f) > 1 and 0.5 < f[0] / (f[1] - f[0]) < 1.5:
             first = H[:1].real if kind == "receptance" else np.zeros_like(H[:1])
             f, H = np.concatenate([[0.0], f]), np.concatenate([first, H])
@@ -297,7 +298,7 @@ class MeasuredModel(Model):
         InputError
             A frequency outside the measured range.
         """
-        f = np.atleast_1d(np.asarray(frequencies, float))
+        f = np.atleast_1d(np.asarray(plain(frequencies), float))
         own, top = self.frequencies, self.frequencies[-1]
         if not np.all((f >= 0) & (f <= top * (1 + 1e-9))):
             raise InputError(

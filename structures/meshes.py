@@ -18,7 +18,7 @@ from .locking import ADVICE, PAD, REFUSE, WARN
 from .materials import Material
 from .meshfield import MeshField
 from .structure import Structure
-from .values import reals, shown
+from .values import as_array, plain, reals, shown
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -108,7 +108,7 @@ def _kind(kind: Any, element: Any, where: str) -> Cell:
 def _checked(nodes: Any, cells: Any, cell: Cell, where: str) -> tuple[Array, Index]:
     """Nodes and cells as arrays, every index in range, every node used."""
     places = reals(nodes, where=f"{where}, nodes", hint="an array (nodes, 3) in m")
-    table = np.asarray(cells)
+    table = as_array(cells, where=f"{where}, cells")
     if places.ndim != 2 or places.shape[1] != 3 or not np.all(np.isfinite(places)):
         bad = np.flatnonzero(~np.isfinite(places).all(axis=1)) if places.ndim == 2 else np.empty(0, int)
         raise InputError(
@@ -208,7 +208,7 @@ def held_nodes(field: MeshField, fixed: Any, where: str) -> Index:
         faces = field.facing((0, 0, -1 if fixed == "bottom" else 1)) if fixed in ("bottom", "top") else np.empty(0, int)
         nodes = np.unique(field.boundary[faces])
     else:
-        nodes = np.unique(np.asarray(fixed))
+        nodes = np.unique(np.asarray(plain(fixed)))
     if not nodes.size or nodes.dtype.kind not in "iu" or nodes.min() < 0 or nodes.max() >= len(field.coordinates):
         raise InputError(
             "the mesh has no such base",

@@ -19,6 +19,7 @@ from .flags import Flag
 from .hermite import gauss
 from .isoparametric import Cell, gradients, strain_matrices
 from .surfaces import Surface
+from .values import plain
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -69,7 +70,7 @@ class MeshField:
         InputError
             If a point lies outside.
         """
-        places = np.asarray(points, float)
+        places = np.asarray(plain(points), float)
         cell, xi, beyond = self._located(places)
         outside(beyond > reach, places, self.coordinates.min(axis=0), self.coordinates.max(axis=0))
         return self.cells[cell], self.cell.shape(xi)
@@ -226,7 +227,7 @@ class MeshField:
 
     def facing(self, direction: ArrayLike, cosine: float = FLAT) -> Index:
         """Boundary faces whose outward normal lies nearest to `direction`: tilted by less than ``acos(cosine)``."""
-        d = np.asarray(direction, float)
+        d = np.asarray(plain(direction), float)
         return np.flatnonzero(self.face_normals @ (d / np.linalg.norm(d)) > cosine)
 
     def surface(self, name: str, faces: Index | None = None) -> Surface:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .channels import Channel
 from .errors import InputError
 from .flags import Flag
+from .values import plain
 
 WRONG = 0.5  # residual over response of a check from which on a model does not predict a sensor
 LOUD = 3.0  # times the noise below which a residual may be noise
@@ -323,7 +324,7 @@ class Model:
 
 def _finite(values: ArrayLike, name: str) -> NDArray[np.float64]:
     try:
-        array = np.asarray(values, float)
+        array = np.asarray(plain(values), float)
     except (TypeError, ValueError):
         raise InputError(
             "not a real array", where=name, found=repr(values)[:60], expected="numbers", hint="pass an array of numbers"

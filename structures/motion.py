@@ -13,7 +13,7 @@ from .errors import InputError
 from .factor import Factor
 from .forward import ForwardModel
 from .structure import Structure
-from .values import positive, reals
+from .values import plain, positive, reals
 
 Array = NDArray[np.float64]
 
@@ -202,7 +202,7 @@ def harmonic_motion(model: ForwardModel, load: ArrayLike, frequency: float) -> H
         If the load does not fit, a load moves over the structure, or its damping is no matrix.
     """
     f, s = positive("frequency", frequency, where="harmonic_motion", unit="Hz"), model.structure
-    g = np.asarray(load, complex).reshape(-1)
+    g = np.asarray(plain(load), complex).reshape(-1)
     if model.moving or s.M_free is None or isinstance(s.damping, Modal):
         raise InputError("one solve needs matrices that stay", where="harmonic_motion",
                          found="a load that moves, no mass, or modal damping",

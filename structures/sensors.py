@@ -14,7 +14,7 @@ from .channels import ARBITRARY, Channel
 from .dofs import TWIST, Dof, direction_code, direction_label
 from .errors import InputError
 from .fields import field_of
-from .values import number, pair, positive, real, shown
+from .values import number, pair, plain, positive, real, shown
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -39,7 +39,7 @@ def fixed_quantity(channel: Channel, quantity: str) -> None:
 def settled(who: str, at: Any) -> Place:
     """A place as a number or a tuple of numbers, checked to be finite."""
     try:
-        values = np.asarray(at, float)
+        values = np.asarray(plain(at), float)
     except (TypeError, ValueError):
         values = np.array(np.nan)
     if values.size not in (1, 2, 3) or not np.all(np.isfinite(values)):
@@ -305,7 +305,7 @@ def _unit_vector(direction: Any) -> tuple[float, float, float]:
         code = direction_code(direction)
         direction = math.copysign(1.0, code) * np.eye(3)[abs(code) - 1]
     try:
-        d = np.asarray(direction, float)
+        d = np.asarray(plain(direction), float)
     except (TypeError, ValueError):
         d = np.empty(0)
     size = float(np.linalg.norm(d))

@@ -16,6 +16,7 @@ from .discretise import check
 from .errors import InputError, NotIdentifiable
 from .factor import MECHANISM
 from .model import Model
+from .values import plain
 
 BLOCK = 64  # Markov parameters per matrix product
 ON_POLE = 1e-13  # distance of a line from an eigenvalue, on the unit circle, that is rounding
@@ -335,7 +336,7 @@ class StateSpace(Model):
 def frozen(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """Read-only float copy; refuses NaN, infinity, complex numbers and text."""
     try:
-        raw = np.asarray(values)
+        raw = np.asarray(plain(values))
         if np.iscomplexobj(raw):
             raise TypeError("complex")
         array = np.array(raw, dtype=float)

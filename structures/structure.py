@@ -17,7 +17,7 @@ from . import checks
 from .damping import Damping, Rayleigh, settled
 from .dofs import Dof
 from .errors import InputError
-from .values import positive
+from .values import plain, positive
 
 if TYPE_CHECKING:
     from .fields import Field
@@ -197,7 +197,7 @@ class Structure:
 
     def expand(self, u: ArrayLike) -> Array:
         """Motion of all DOFs, zero at the supports, from that of the free ones; (free, ...) -> (n, ...)."""
-        u = np.asarray(u)
+        u = np.asarray(plain(u))
         if u.shape[:1] != (self.free.size,):
             raise InputError(
                 "wrong number of DOFs",
@@ -225,9 +225,9 @@ class Structure:
         InputError
             If a shape is wrong or a value is not finite.
         """
-        u = np.asarray(u, float)
+        u = np.asarray(plain(u), float)
         u = self.expand(u) if u.shape[:1] == (self.free.size,) else u
-        f = np.zeros_like(u) if load is None else np.asarray(load, float)
+        f = np.zeros_like(u) if load is None else np.asarray(plain(load), float)
         if u.shape[:1] != (self.n,) or f.shape != u.shape:
             raise InputError(
                 "wrong shape",

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from .errors import InputError
+from .values import plain
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ class Surface:
 
     def _on_nodes(self, values: ArrayLike, what: str) -> Array:
         try:
-            found = np.asarray(values, float)
+            found = np.asarray(plain(values), float)
         except (TypeError, ValueError):
             found = np.empty(0)
         if found.shape != (len(self.nodes), 3) or not np.all(np.isfinite(found)):
@@ -101,7 +102,7 @@ class Surface:
             If the tractions or the point do not fit or are not finite.
         """
         f = self.forces(tractions)
-        place = np.zeros(3) if about is None else np.asarray(about, float)
+        place = np.zeros(3) if about is None else np.asarray(plain(about), float)
         if place.shape != (3,) or not np.all(np.isfinite(place)):
             raise InputError(
                 "no point",

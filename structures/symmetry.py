@@ -12,6 +12,7 @@ from scipy import sparse
 
 from .factor import Factor
 from .structure import Structure
+from .values import plain
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -148,7 +149,7 @@ class SymmetricFactor:
         InputError, NotIdentifiable
             As `Factor`.
         """
-        B = B.toarray() if sparse.issparse(B) else np.asarray(B, float)
+        B = B.toarray() if sparse.issparse(B) else np.asarray(plain(B), float)
         X, size = np.zeros_like(B), np.abs(B).max(initial=0.0)
         for i, T in enumerate(self._motions):
             part = T.T @ B

@@ -17,6 +17,7 @@ from .flags import Evidence, Flag
 from .measured import CHANNEL, tuples
 from .model import Certificate, Model
 from .statespace import digest, lines
+from .values import as_array, plain
 
 if TYPE_CHECKING:
     from .welch import CrossSpectra
@@ -118,7 +119,7 @@ class FrfModel(Model):
             Kind missing (LID-W208), shapes that do not fit, NaN, lines that do not ascend.
         """
         kind = kinds.check(kind, "from_frf")
-        H = _cube(np.asarray(H))
+        H = _cube(as_array(H, where="from_frf, H"))
         rows, flags = kinds.rows(sensors, H.shape[1], kind)
         columns = [
             c if isinstance(c, Channel) else Channel(label=str(c), quantity="force", unit="N")
@@ -129,7 +130,7 @@ class FrfModel(Model):
             H,
             sensors=rows,
             loads=columns,
-            variance=None if variance is None else _cube(np.asarray(variance)),
+            variance=None if variance is None else _cube(as_array(variance, where="from_frf, variance")),
             coherence=coherence,
             flags=flags,
             interpolate=interpolate,
@@ -282,7 +283,7 @@ class FrfModel(Model):
         InputError
             A mask of another length, no line at all, or a frequency that is no line.
         """
-        wanted = np.asarray(lines)
+        wanted = np.asarray(plain(lines))
         if wanted.dtype == bool:
             if wanted.shape != self.frequencies.shape:
                 raise InputError(
@@ -470,7 +471,7 @@ def _table(name: str, values: ArrayLike, shape: tuple[int, ...], kind: type = fl
     """Read-only finite copy of this shape; powers are not negative."""
     where = f"FrfModel, {name}"
     try:
-        raw = np.asarray(values)
+        raw = np.asarray(plain(values))
         if kind is float and np.iscomplexobj(raw):
             raise TypeError("complex numbers")
         found: NDArray[Any] = np.array(raw, kind)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError
+from .values import plain
 
 STANDARD_GRAVITY = 9.80665
 ARBITRARY = "arbitrary"
@@ -195,12 +196,12 @@ def to_si(
     unit = parse(unit, channel=channel)
     if quantity is not None:
         check(unit, quantity, channel=channel)
-    return np.asarray(values, dtype=float) * unit.factor
+    return np.asarray(plain(values), dtype=float) * unit.factor
 
 
 def from_si(values: ArrayLike, unit: str | Unit) -> NDArray[np.float64]:
     """Inverse of `to_si`."""
-    return np.asarray(values, dtype=float) / parse(unit).factor
+    return np.asarray(plain(values), dtype=float) / parse(unit).factor
 
 
 def check(unit: str | Unit, quantity: str, *, channel: str = "") -> Unit:

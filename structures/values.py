@@ -26,6 +26,43 @@ def real(value: Any) -> float | None:
     return number if math.isfinite(number) else None
 
 
+def plain(value: Any) -> Any:
+    """`value` without a mask: NaN where a masked array, or one within a list, hides an entry; anything else as it is.
+
+    Every door that takes an array looks at it through this, as numpy's own conversions uncover what is hidden.
+    """
+    if isinstance(value, list | tuple) and any(np.ma.isMaskedArray(one) for one in value):
+        try:
+            value = np.ma.array([np.ma.getdata(v) for v in value], mask=[np.ma.getmaskarray(v) for v in value])
+        except ValueError:  # rows of different lengths, which the door refuses
+            return value
+    if not np.ma.isMaskedArray(value):
+        return value
+    if not np.ma.getmaskarray(value).any() or value.dtype.kind not in "fiubc":
+        return value.data
+    return np.ma.filled(value.astype(complex if value.dtype.kind == "c" else float), np.nan)
+
+
+def as_array(value: Any, *, where: str, dtype: type | None = None) -> NDArray[Any]:
+    """An array of anything, or of `dtype`; masked entries become NaN.
+
+    Raises
+    ------
+    InputError
+        Rows of different lengths, or what is no number.
+    """
+    try:
+        return np.asarray(plain(value), dtype)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            "no array of numbers",
+            where=where,
+            found=str(error)[:200],
+            expected="numbers, in rows of one length",
+            hint="pass an array",
+        ) from None
+
+
 def reals(value: Any, *, where: str, what: str = "no real numbers", hint: str = "") -> NDArray[np.float64]:
     """Real numbers of any shape, as a new array; infinity and NaN may be among them, masked entries become NaN.
 
@@ -36,15 +73,12 @@ def reals(value: Any, *, where: str, what: str = "no real numbers", hint: str = 
     """
     value = value.toarray() if hasattr(value, "toarray") else value
     try:
-        array = value if np.ma.isMaskedArray(value) else np.asarray(value)
+        array = np.asarray(plain(value))
         if array.dtype.kind in "bc":
             raise TypeError("truth values" if array.dtype.kind == "b" else "complex numbers")
-        found = np.array(array, float)
+        return np.array(array, float)
     except (TypeError, ValueError) as error:
         raise InputError(what, where=where, found=str(error)[:200], expected="real numbers", hint=hint) from None
-    if np.ma.isMaskedArray(value):
-        found[np.ma.getmaskarray(value)] = np.nan
-    return found
 
 
 def shown(value: Any) -> str:

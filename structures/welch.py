@@ -15,6 +15,7 @@ from .flags import Flag
 from .statespace import channels as named
 from .statespace import frozen
 from .statespace import lines as checked_lines
+from .values import as_array, plain
 
 SKEW = 1e-6  # of the two autospectra: rounding of single precision that a Hermitian matrix may show
 ABOVE_ONE = 1e-4  # by how much rounding may lift a coherence above one
@@ -153,7 +154,7 @@ class CrossSpectra:
         InputError
             A mask that does not fit, or that leaves no line.
         """
-        keep = np.asarray(mask)
+        keep = as_array(mask, where="mask")
         if keep.dtype != bool or keep.shape != self.frequencies.shape or not keep.any():
             raise InputError(
                 "no mask of the lines",
@@ -400,7 +401,7 @@ def _overlap(overlap: float, n: int) -> int:
 # -- what a matrix of spectra must be ---------------------------------------------------------------------------------
 def _finite(matrix: Any) -> NDArray[np.complex128]:
     try:
-        S = np.array(matrix, complex)
+        S = np.array(plain(matrix), complex)
     except (TypeError, ValueError) as error:
         raise InputError(
             "no numbers", where="CrossSpectra", found=str(error)[:200], expected="complex numbers"

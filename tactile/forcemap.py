@@ -14,6 +14,7 @@ from scipy import sparse
 
 from loadid.estimate import LoadEstimate
 from structures.errors import InputError
+from structures.values import plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -146,7 +147,7 @@ class ForceMap(LoadEstimate):
         """Moment of the load, (..., 3) in N m, about the centre of the loaded surface or another point (x, y, z)."""
         if about is None:
             return self._wrench(slice(3, 6), "N m")
-        point = np.asarray(about, float)
+        point = np.asarray(plain(about), float)
         if point.shape != (3,) or not np.all(np.isfinite(point)):
             raise InputError("no point", where="torque, about", found=repr(about), expected="(x, y, z) in m")
         arm = np.asarray(self._geometry["about"], float) - point

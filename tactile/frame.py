@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.flags import Flag
+from structures.values import plain
 
 from .observation import Markers
 
@@ -36,7 +37,7 @@ def readings_of(
     InputError
         An image for a sensor without an eye; displacements that do not fit.
     """
-    seen: Any = np.asarray(found)
+    seen: Any = np.asarray(plain(found))
     flags: list[Flag | None] = []
     _refuse_turned(seen, len(markers))
     if is_image(seen, len(markers)):

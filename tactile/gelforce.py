@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.flags import Flag
-from structures.values import reals
+from structures.values import as_array, plain, reals
 
 from .guards import closed
 from .guards import maps as guards
@@ -80,7 +80,7 @@ class GelForce(LinearSensor):
     ) -> None:
         self.ground = ground
         places = _grid(forces)
-        seen = Markers(np.asarray(markers), noise, axes)
+        seen = Markers(as_array(markers, where="markers"), noise, axes)
         if seen.points.shape[1] != 3 or np.any(seen.points[:, 2] >= ground.top):
             raise InputError(
                 "markers must lie under the surface", where="GelForce, markers", found="markers on or above it",
@@ -112,7 +112,7 @@ class GelForce(LinearSensor):
         ``|H^+ R^(1/2)|_F / |f|``: what decides is the depth of the markers in units of the pitch of the forces.
         """
         spread = np.array([c.noise for c in self.model.sensors])
-        f = np.asarray(forces, float).ravel()
+        f = np.asarray(plain(forces), float).ravel()
         values = np.linalg.svd(self.model.H / spread[:, None], compute_uv=False)
         return float(np.sqrt(np.sum(1 / values**2)) / np.linalg.norm(f))
 

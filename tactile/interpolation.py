@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.flags import Flag
-from structures.values import reals
+from structures.values import plain, reals
 
 from .guards.vision import interpolation_noise
 from .localfit import fitted_weights
@@ -112,7 +112,7 @@ class Interpolation:
         ----------
         lost : array of bool, shape (N,)
         """
-        gone = np.asarray(lost, bool)
+        gone = np.asarray(plain(lost), bool)
         if gone.shape != self.used.shape:
             raise InputError("lost does not fit the markers", where="lost", found=gone.shape, expected=self.used.shape)
         if not (gone & self.used).any():

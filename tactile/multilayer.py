@@ -12,6 +12,7 @@ from scipy import sparse
 from structures import bases
 from structures.errors import InputError
 from structures.flags import Flag
+from structures.values import as_array
 
 from .observation import Depths, Markers
 from .reading import DepthMap
@@ -120,7 +121,12 @@ def observed(markers: ArrayLike | None, noise: Any, axes: str, slope: ArrayLike 
             expected="markers=(N, 2) in m and noise= their std in m, or an eye that knows both",
             hint="the std of the motion of markers of the unloaded sensor",
         )  # fmt: skip
-    return Markers(np.asarray(markers), noise, axes, None if slope is None else np.asarray(slope))
+    return Markers(
+        as_array(markers, where="markers"),
+        noise,
+        axes,
+        None if slope is None else as_array(slope, where="markers, slope"),
+    )
 
 
 def windows(pad: Pad, depth: DepthMap, width: float | None) -> Depths:

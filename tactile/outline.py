@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import positive, reals
+from structures.values import plain, positive, reals
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -125,7 +125,7 @@ def mask(cells: Any) -> Outline:
     InputError
         If it is no table of truth values.
     """
-    found = np.asarray(cells)
+    found = np.asarray(plain(cells))
     if found.ndim != 2 or found.dtype != bool:
         raise InputError(
             "no mask of cells",

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
+from structures.values import plain
 
 from .padtable import Table
 
@@ -101,7 +102,7 @@ class DepthKind:
         """Depth map of the numbers of a file, less `zero` (m)."""
         from .reading import DepthMap
 
-        return DepthMap(self.factor * np.asarray(values, float) - zero, self.pixel, self.noise, self.centre)
+        return DepthMap(self.factor * np.asarray(plain(values), float) - zero, self.pixel, self.noise, self.centre)
 
 
 @dataclass(frozen=True, kw_only=True)

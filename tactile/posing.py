@@ -12,6 +12,7 @@ from loadid.families.static import StaticInversion
 from structures.arrays import MatrixModel
 from structures.errors import InputError
 from structures.flags import Flag
+from structures.values import plain
 
 from .reading import Wrench
 
@@ -38,7 +39,7 @@ def supported(support: ArrayLike | None, points: int) -> NDArray[np.intp] | None
     """
     if support is None:
         return None
-    given = np.asarray(support)
+    given = np.asarray(plain(support))
     mask = given.dtype == bool
     nodes = np.flatnonzero(given) if mask else np.unique(given)
     fits = given.shape == (points,) if mask else given.dtype.kind in "iu" and np.all((nodes >= 0) & (nodes < points))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import positive, reals
+from structures.values import plain, positive, reals
 
 from .layer import HalfSpace, Layer
 from .profiles import Profile, profile
@@ -68,7 +68,7 @@ def unit_point(layer: Layer, r: ArrayLike, z: ArrayLike | None = None) -> Array:
 
 def moved(functions: Array, offsets: Array, force: ArrayLike) -> Array:
     """Displacements (points, 3) at horizontal offsets (points, 2) from the axis of a load of resultant (X, Y, Z)."""
-    return np.einsum("pij,j->pi", matrices(functions, offsets), np.asarray(force, float))
+    return np.einsum("pij,j->pi", matrices(functions, offsets), np.asarray(plain(force), float))
 
 
 def matrices(functions: Array, offsets: Array) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from structures.errors import InputError
-from structures.values import positive, reals
+from structures.values import plain, positive, reals
 
 Array = NDArray[np.float64]
 HALF = 0.5  # share of a window's pixels that must be there
@@ -56,7 +56,7 @@ class DepthMap:
         """Motion at points (n, 2), bilinear; NaN outside and beside missing pixels."""
         from scipy.ndimage import map_coordinates
 
-        points = np.asarray(points, float)
+        points = np.asarray(plain(points), float)
         y, x = self.axes
         where = np.array([(points[:, 1] - y[0]) / self.pixel, (points[:, 0] - x[0]) / self.pixel])
         return np.asarray(map_coordinates(self.values, where, order=1, mode="constant", cval=np.nan))
@@ -80,7 +80,7 @@ class Averaging:
     @classmethod
     def over(cls, depth: DepthMap, points: ArrayLike, width: float) -> Averaging:
         """Windows of `width` (m) about `points` (n, 2)."""
-        points = np.asarray(points, float)
+        points = np.asarray(plain(points), float)
         y, x = depth.axes
         along = [_overlap(a, points[:, k], width, depth.pixel) for k, a in ((1, y), (0, x))]
         rows, columns, data = [], [], []

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import number, positive, reals
+from structures.values import number, plain, positive, reals
 
 if TYPE_CHECKING:
     from .optics import View
@@ -132,7 +132,7 @@ def grid(rows: int, columns: int, pitch: float, *, centre: tuple[float, float] =
     """Places of a regular pattern, shape (rows * columns, 2), row by row, x first."""
     y, x = np.mgrid[:rows, :columns]
     places = np.column_stack([x.ravel() - (columns - 1) / 2, y.ravel() - (rows - 1) / 2])
-    return pitch * places + np.asarray(centre, float)
+    return pitch * places + np.asarray(plain(centre), float)
 
 
 def _seen(points: ArrayLike, columns: int | None) -> NDArray[np.float64]:

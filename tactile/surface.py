@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from structures.channels import Channel
+from structures.values import plain
 
 if TYPE_CHECKING:
     from .pad import Pad
@@ -54,13 +55,13 @@ def of_points(places: Array, area: float, about: Any) -> dict[str, Any]:
         "resultant": wrenches(places, about),
         "resultant_labels": list(RESULTANTS),
         "traction": None,
-        "about": np.asarray(about, float),
+        "about": np.asarray(plain(about), float),
     }
 
 
 def wrenches(places: Array, about: Any) -> Array:
     """Force and moment (6, 3 n) of unit forces at places (n, 3)."""
-    arms = places - np.asarray(about, float)
+    arms = places - np.asarray(plain(about), float)
     out = np.zeros((6, len(places), 3))
     for k, unit in enumerate(np.eye(3)):
         out[k, :, k] = 1.0

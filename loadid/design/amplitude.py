@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import plain
 
 from .candidates import Candidates
 
@@ -47,7 +48,7 @@ def expected(sets: Sequence[Candidates], amplitude: ArrayLike | None, snr: float
                 hint="give noise= (std per sensor), or state snr= alone",
             )  # fmt: skip
         try:
-            level = np.broadcast_to(np.asarray(amplitude, float), (n,))
+            level = np.broadcast_to(np.asarray(plain(amplitude), float), (n,))
         except (TypeError, ValueError):
             level = np.zeros(1)
         if not np.all(np.isfinite(level)) or np.any(level <= 0):

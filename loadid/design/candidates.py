@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.model import Model
-from structures.values import reals
+from structures.values import plain, reals
 
 Array = NDArray[np.float64]
 
@@ -153,7 +153,7 @@ def settle(
 
 def _matrix(given: Any, where: str) -> Array:
     try:
-        array = np.asarray(given)
+        array = np.asarray(plain(given))
     except ValueError:  # rows of different lengths
         array = np.empty(0)
     if np.iscomplexobj(array):
@@ -220,7 +220,7 @@ def _loads(loads: Sequence[str | int], names: tuple[str, ...], where: str) -> ND
 
 
 def _places(at: ArrayLike, count: int, name: str) -> Array:
-    x = np.asarray(at, float)
+    x = np.asarray(plain(at), float)
     x = x[:, None] if x.ndim == 1 else x
     if x.ndim != 2 or len(x) != count or not 1 <= x.shape[1] <= 3 or not np.all(np.isfinite(x)):
         raise InputError(

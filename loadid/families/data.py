@@ -19,7 +19,7 @@ from structures.model import Model
 from structures.statespace import STABLE, StateSpace
 from structures.values import real, reals, shown
 
-from ..record import Record
+from ..record import Record, refuse_copies
 
 SHORTEST = 4  # samples
 LARGEST = 1e100  # of a reading, in any unit: its square must stay a number
@@ -287,6 +287,7 @@ def _row(sensor: str | int, model: Model) -> int:
 def _column(sensor: Channel, record: Record) -> str:
     if sensor.label in record.labels:
         return sensor.label
+    refuse_copies(sensor.label, record.labels, what="sensor", where=record.source or "record")
     near = difflib.get_close_matches(sensor.label, record.labels, 1)
     raise InputError(
         "the record has no channel for a sensor of the model",

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from structures.errors import InputError
 from structures.model import Model
+from structures.values import as_array
 
 from ..estimate import LoadEstimate
 from .deconvolution import Deconvolution
@@ -104,7 +105,7 @@ def compare_domains(
     told = progress or (lambda fraction, text: None)
     both: dict[str, Any] = {"noise": noise, "noise_source": noise_source}
     told(0.0, "in time")
-    values = np.asarray(getattr(record, "values", record))
+    values = as_array(getattr(record, "values", record), where="compare_domains")
     if values.dtype.kind == "f" and np.isnan(values).any():
         raise InputError("a record with gaps has no spectrum to compare with", where="compare_domains",
                          found=f"{int(np.isnan(values).sum())} missing samples", expected="complete channels",

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
 from structures.model import Model
-from structures.values import positive
+from structures.values import plain, positive
 
 from .. import flags as guards
 from ..estimate import Axis, LoadEstimate
@@ -181,7 +181,7 @@ class HarmonicInversion:
                                  expected=f"amplitudes of {missing}", hint="or leave out: sensors=[...]")  # fmt: skip
             given = [given[x] for x in labels]
         try:
-            Y = np.array(given, complex)
+            Y = np.array(plain(given), complex)
         except (TypeError, ValueError) as error:
             raise InputError("the amplitudes are no numbers", where="estimate", found=str(error)[:200],
                              expected="complex numbers") from None  # fmt: skip
@@ -208,7 +208,7 @@ class HarmonicInversion:
         count = len(self.rows)
         if self.noise is not None:
             try:
-                level = np.broadcast_to(np.asarray(self.noise, float), (count,))
+                level = np.broadcast_to(np.asarray(plain(self.noise), float), (count,))
             except (TypeError, ValueError):
                 level = np.full(count, np.nan)
             if not np.all(np.isfinite(level)) or np.any(level <= 0):

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.model import Model
+from structures.values import as_array
 
 from .. import flags as guards
 from ..estimate import Axis, LoadEstimate
@@ -110,7 +111,7 @@ class SparseDeconvolution:
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
         if not isinstance(dictionary, str):
-            dictionary = np.asarray(dictionary, float)
+            dictionary = as_array(dictionary, where="dictionary", dtype=float)
         self.wanted = Wanted(dictionary, knots, nonnegative, groups, reweighted, debias, choice, tol)
         _check(self.wanted, load_class)
         self.posing = posing(hold, noise, noise_source, guards.allowed(allow))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import reals
+from structures.values import as_array, reals
 
 __all__ = ["Bounds", "Constraint", "FrictionCone", "NonNegative", "Resultant", "Support"]
 
@@ -168,7 +168,7 @@ class FrictionCone:
     inner: bool = False
 
     def __post_init__(self) -> None:
-        contacts = np.atleast_2d(np.asarray(self.contacts))
+        contacts = np.atleast_2d(as_array(self.contacts, where="FrictionCone"))
         if contacts.ndim != 2 or contacts.shape[1] not in (2, 3) or not np.issubdtype(contacts.dtype, np.integer):
             raise InputError(
                 "contacts are numbers of loads", where="FrictionCone", found=f"{contacts.dtype} {contacts.shape}",
@@ -225,7 +225,7 @@ def _numbers(loads: ArrayLike | None, where: str) -> NDArray | None:
     """Distinct load numbers, or None for all."""
     if loads is None:
         return None
-    found = np.atleast_1d(np.asarray(loads))
+    found = np.atleast_1d(as_array(loads, where=where))
     if found.dtype == bool:
         found = np.flatnonzero(found)
     if found.ndim != 1 or (len(found) and not np.issubdtype(found.dtype, np.integer)):
@@ -237,7 +237,7 @@ def _numbers(loads: ArrayLike | None, where: str) -> NDArray | None:
 
 def _masked(loads: ArrayLike | None) -> int | None:
     """How many loads a mask speaks of; None of numbers."""
-    mask = np.asarray(loads)
+    mask = as_array(loads, where="loads")
     return mask.size if loads is not None and mask.dtype == bool else None
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import as_array
 
 LAWS = ("gaussian", "exponential", "algebraic")
 DEEPEST = 1e-6  # of the largest singular value: no sensor resolves 120 dB, and below it kinks and the grid rule
@@ -90,7 +91,7 @@ def decay(singular_values: ArrayLike, dimension: int = 1, unknowns: int | None =
     InputError
         If they are no finite numbers.
     """
-    s = np.sort(np.abs(np.asarray(singular_values, float)))[::-1]
+    s = np.sort(np.abs(as_array(singular_values, where="decay", dtype=float)))[::-1]
     if s.ndim != 1 or not np.all(np.isfinite(s)):
         raise InputError("no singular values", where="decay", found=f"shape {s.shape}, or NaN", expected="finite, (r,)")
     tol = 10 * max(unknowns or 0, len(s)) * np.finfo(float).eps  # ten times: values near rounding are no longer true

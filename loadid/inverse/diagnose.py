@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import NotIdentifiable
+from structures.values import plain
 
 from .decay import Decay, decay
 from .path import RegularizationPath
@@ -195,7 +196,7 @@ def diagnose(
     components = path.problem.shape[1] if len(path.problem.shape) == 2 else 1
     where = Layout.of(n, components, geometry)
     heights = np.einsum("ik,k,ik->i", path.X, path.filter_factors(lam), path.Y)
-    candidate = None if load is None else np.asarray(load, float).ravel()
+    candidate = None if load is None else np.asarray(plain(load), float).ravel()
     peak = n // 2 if candidate is None or not np.any(candidate) else int(np.argmax(np.abs(candidate)))
     bias = float(1 - heights[peak])
     worst, best = int(np.argmin(heights)), int(np.argmax(heights))
@@ -263,7 +264,7 @@ def _columns(path: SVDPath, lam: float, loads: NDArray[np.int64]) -> NDArray[np.
 
 def layout(singular_values: NDArray, n: int) -> tuple[float, int, int]:
     """Conditioning of the observed subspace with its rank and nullity: (kappa, rank, nullity)."""
-    s = np.sort(np.asarray(singular_values, float))[::-1]
+    s = np.sort(np.asarray(plain(singular_values), float))[::-1]
     tol = max(len(s), n) * np.finfo(float).eps * s[0]
     rank = int(np.sum(s > tol))
     return float(s[0] / s[rank - 1]), rank, max(n - rank, 0)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import plain
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -114,7 +115,7 @@ def grid(shape: Sequence[int], kind: int | str = "gradient", spacing: Any = 1.0)
 
 
 def _steps(spacing: float | ArrayLike, n: int) -> NDArray[np.float64]:
-    h = np.asarray(spacing, float)
+    h = np.asarray(plain(spacing), float)
     if h.shape not in {(), (n - 1,)} or not np.all(np.isfinite(h)) or np.any(h <= 0):
         raise InputError("no spacing of points", where="penalty", found=f"shape {h.shape}, or not > 0",
                          expected=f"a positive distance, or {n - 1} of them")  # fmt: skip

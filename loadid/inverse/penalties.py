@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import reals
+from structures.values import plain, reals
 
 from .lines import degree, grid, line
 from .surface import surface
@@ -105,7 +105,7 @@ def graph(n: int, edges: ArrayLike, weights: ArrayLike | None = None, kind: int 
     from scipy.sparse import coo_array, csr_array
 
     ends, order = np.asarray(edges, int).reshape(-1, 2), degree(kind)
-    w = np.ones(len(ends)) if weights is None else np.asarray(weights, float)
+    w = np.ones(len(ends)) if weights is None else np.asarray(plain(weights), float)
     if len(ends) == 0 or ends.min() < 0 or ends.max() >= n or np.any(ends[:, 0] == ends[:, 1]):
         raise InputError("these are no edges of the graph", where="penalty", found=f"{len(ends)} edges",
                          expected=f"pairs of different points from 0 to {n - 1}")  # fmt: skip

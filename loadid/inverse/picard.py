@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import as_array
 
 # how signals fall with the index of the mode; each has a rate that is fitted
 LAWS: dict[str, Callable[[NDArray], NDArray]] = {
@@ -69,7 +70,7 @@ def plateau(coefficients: ArrayLike, *, frames: int = 1, rest: tuple[float, int]
     InputError
         If they are no finite numbers.
     """
-    b = np.abs(np.asarray(coefficients, float))
+    b = np.abs(as_array(coefficients, where="plateau", dtype=float))
     if b.ndim != 1 or not np.all(np.isfinite(b)):
         raise InputError(
             "no data coefficients", where="plateau", found=f"shape {b.shape}, or NaN", expected="finite, (modes,)"

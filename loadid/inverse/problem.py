@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import plain
 
 from .whitening import LEAVES, Cholesky, Noise, Whitener, whiten, whitener
 
@@ -82,7 +83,7 @@ class LinearProblem:
         InputError
             Shapes that do not fit, NaN, noise that is no covariance, or data outside the range of a singular one.
         """
-        H, y = np.asarray(H), np.asarray(y)
+        H, y = np.asarray(plain(H)), np.asarray(plain(y))
         framed = H.ndim >= 2 and y.ndim == H.ndim and y.shape[1:] == H.shape[:-1]
         if not framed and (H.ndim < 2 or H.shape[:-1] != y.shape):
             raise InputError(
@@ -117,7 +118,7 @@ def _penalty(L: Any, n: int) -> NDArray[np.float64] | None:
     """Penalty as a dense matrix that fits."""
     if L is None:
         return None
-    L = np.asarray(L.toarray() if hasattr(L, "toarray") else L, float)
+    L = np.asarray(plain(L.toarray() if hasattr(L, "toarray") else L), float)
     if not (L.ndim == 2 and L.shape[1] == n and np.all(np.isfinite(L))):
         raise InputError(
             "the penalty matrix does not fit the unknowns",

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import plain
 
 from .constraints import Constraint, Resultant
 from .feasible import Feasible
@@ -32,7 +33,7 @@ def resultants_of(constraints: Sequence[Constraint], new: Sequence[ArrayLike] | 
     own = [np.asarray(c.value) for c in constraints if isinstance(c, Resultant)]
     if new is None:
         return own
-    values = [np.atleast_1d(np.asarray(v, float)) for v in new]
+    values = [np.atleast_1d(np.asarray(plain(v), float)) for v in new]
     sizes = [len(v) for v in values] == [len(v) for v in own]
     if not sizes or not all(np.all(np.isfinite(v)) for v in values):
         raise InputError("the resultants do not fit", where="resultants", found=[v.shape for v in values],

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import plain
 
 from .lines import degree
 
@@ -152,7 +153,7 @@ def _from_differences(slopes: NDArray) -> NDArray[np.float64]:
 
 def _checked(coordinates: ArrayLike, cells: ArrayLike | Sequence[Sequence[int]]) -> tuple[NDArray, list[NDArray]]:
     """Places, and the cells in groups of equal kind."""
-    places = np.asarray(coordinates, float)
+    places = np.asarray(plain(coordinates), float)
     if places.ndim != 2 or places.shape[1] not in (2, 3) or not np.all(np.isfinite(places)):
         raise InputError("no places of a surface", where="penalty", found=f"shape {places.shape}, or NaN",
                          expected="finite, shape (points, 2) or (points, 3)")  # fmt: skip

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import plain
 
 from .path import FactoredPath, RegularizationPath
 from .sweeping import Refusal
@@ -230,7 +231,7 @@ def effective_number(W: ArrayLike, noise: ArrayLike | float = 1.0) -> Effective:
     InputError
         Shapes that do not fit, NaN, or an interpolation that keeps nothing.
     """
-    W, noise = np.asarray(W, float), np.asarray(noise, float)
+    W, noise = np.asarray(plain(W), float), np.asarray(plain(noise), float)
     if W.ndim != 2 or noise.shape not in {(), W.shape[1:], (*W.shape[1:], *W.shape[1:])}:
         raise InputError(
             "the interpolation does not fit the noise", where="interpolation",

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import plain
 
 LEAVES = 1e-6  # share of the data outside the range of a singular covariance that is more than rounding
 
@@ -112,7 +113,7 @@ def whiten(values: NDArray, noise: Noise | None, axis: int) -> NDArray:
 
 
 def _checked(noise: ArrayLike, sensors: int, matrices_only: bool = False) -> NDArray[np.float64]:
-    values = np.asarray(noise, float)
+    values = np.asarray(plain(noise), float)
     shapes = {(sensors, sensors)} if matrices_only else {(sensors,), (sensors, sensors)}
     if values.shape not in shapes or not np.all(np.isfinite(values)):
         raise InputError(

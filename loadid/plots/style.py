@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from loadid.estimate import NOT_VERIFIED
 from loadid.summary import allowed, overridden, sort
 from structures.errors import InputError
-from structures.values import reals
+from structures.values import plain, reals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,7 +90,7 @@ def known_numbers(truth: ArrayLike) -> NDArray[np.float64]:
 def known_amplitudes(truth: ArrayLike) -> NDArray[np.complex128]:
     """Known complex amplitudes as finite numbers."""
     try:
-        array = np.asarray(truth, complex)
+        array = np.asarray(plain(truth), complex)
     except (TypeError, ValueError):
         array = np.array([np.nan])
     if not np.all(np.isfinite(array)):

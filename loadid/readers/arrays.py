@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .settle import TIME_NAMES
+from .settle import TIME_NAMES, distinct
 from .source import COLUMNS, Options, Source, Table, time_first
 
 RATES = ("fs", "sampling_rate", "sample_rate", "sampling_frequency")
@@ -104,7 +104,7 @@ def texts_of(values: dict[str, Any], keys: tuple[str, ...], source: Source) -> t
 def _with_clock(table: Table, clock: NDArray[Any] | None) -> Table:
     if clock is None or len(clock) != len(table.values):
         return table
-    columns = table.columns or tuple(f"ch{i + 1}" for i in range(table.values.shape[1]))
+    columns = distinct(table.columns or ("",) * table.values.shape[1])  # counted before time comes to stand first
     return replace(
         table,
         values=np.column_stack((clock, table.values)),

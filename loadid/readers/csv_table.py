@@ -14,7 +14,7 @@ import numpy as np
 from structures import units as _units
 from structures.flags import Flag
 
-from .numbers import number_of, rows_of, split
+from .numbers import number_of, rows_of, split, whole
 from .registry import register
 from .source import COLUMNS, Options, Source, Table, truncated
 
@@ -50,15 +50,10 @@ def load(source: Source, options: Options) -> list[Table]:
     lines = text.splitlines()
     while lines and not lines[-1].strip(" \t;,"):
         lines.pop()
+        ended = True
     layout = _layout(lines, source)
     body = [(i + 1, line) for i, line in enumerate(lines) if i >= layout.first and line.strip()]
-    flags: tuple[Flag, ...] = ()
-    if len(body) > 1 and len(_cells(body[-1][1], layout)) < layout.width and not ended:
-        body.pop()
-        flags = (truncated(len(body), len(body) + 1, "rows (the last line is cut)"),)
-    elif not ended and len(body) > 2 and _cut_number(body, layout):
-        body.pop()
-        flags = (truncated(len(body), len(body) + 1, "rows (the last number is cut)"),)
+    body, flags = (body, ()) if ended else _unended(body, layout)
     for number, line in body:
         if len(_cells(line, layout)) != layout.width:
             source.refuse(
@@ -165,14 +160,14 @@ def _numeric(line: str, separator: str | None, decimal: str, width: int = 0) -> 
     return bool(filled) and len(cells) >= width and all(number_of(c, decimal) is not None for c in filled)
 
 
-def _cut_number(body: list[tuple[int, str]], layout: _Layout) -> bool:
-    """Whether the last number has fewer digits than every number of its column: a file cut in the middle of it."""
-
-    def digits(line: str) -> int:
-        return len(_cells(line, layout)[-1].strip())
-
-    lengths = {digits(line) for _, line in body[:-1][-1000:]}
-    return digits(body[-1][1]) < min(lengths)
+def _unended(body: list[tuple[int, str]], layout: _Layout) -> tuple[list[tuple[int, str]], tuple[Flag, ...]]:
+    """Rows of a file whose last line has no end: without the last one, and said, unless it is sure to be whole."""
+    *others, (_, line) = body
+    cells, before = _cells(line, layout), [_cells(row, layout)[-1] for _, row in others[-1000:]]
+    if len(cells) > layout.width or (len(cells) == layout.width and whole(cells[-1], before, layout.decimal)):
+        return body, ()
+    known = "rows are sure to be whole (the last line has no end: give it a line break if nothing of it is lost)"
+    return others or body, (truncated(len(others), len(body), known),)
 
 
 def _heading(lines: list[str], layout: _Layout) -> tuple[tuple[str, ...] | None, tuple[str | None, ...] | None]:

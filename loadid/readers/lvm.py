@@ -19,9 +19,11 @@ from structures.flags import Flag
 
 from .numbers import rows_of
 from .registry import register
+from .settle import distinct
 from .source import COLUMNS, Options, Source, Table, truncated
 
 END = "***End_of_Header***"
+OF_A_SEGMENT = ("Channels", "Samples")  # entries of every segment header, and of no file header
 RECORDS = 10_000
 
 
@@ -36,6 +38,7 @@ def load(source: Source, options: Options) -> list[Table]:
     ended = text.endswith(("\n", "\r"))
     lines = text.splitlines()
     header, at = _header(lines, 0, source)
+    _require_file_header(header, at, source)
     separator = {"Comma": ",", "Tab": "\t"}.get(header.get("Separator", ["Tab"])[0].strip(), "\t")
     if separator == ",":
         header, at = _header(lines, 0, source, ",")
@@ -70,18 +73,32 @@ def _header(lines: list[str], at: int, source: Source, separator: str = "\t") ->
         key, _, rest = lines[i].partition(separator)
         if key.strip() == END:
             return entries, i + 1
+        beyond = key.startswith("X_Value") or (key.strip() in entries and key.strip() in OF_A_SEGMENT)
+        if beyond or i - at > 10_000:  # the names of the columns, or a second header: the end of this one is passed
+            break
         if key.strip() and not skipping:
             entries[key.strip()] = rest.split(separator)
-        if i - at > 10_000:
-            break
-    if not entries:
-        return {}, len(lines)
+    else:
+        if not entries:
+            return {}, len(lines)
     return source.refuse(
         "a header does not end",
         f"from line {at + 1}",
         END,
         "the file is cut in its header: transfer or export it again",
     )
+
+
+def _require_file_header(header: dict[str, list[str]], end: int, source: Source) -> None:
+    """Nothing, unless the header of the file holds what stands in that of a segment: its own end was passed."""
+    taken = [key for key in OF_A_SEGMENT if any(re.split(r"[\t,]", entry)[0] == key for entry in header)]
+    if taken:
+        source.refuse(
+            "the header of the file does not end before that of its first segment",
+            f"{', '.join(taken)} in lines 1 to {end}",
+            END,
+            "that line is damaged: transfer or export the file again",
+        )
 
 
 def _decimal(header: dict[str, list[str]], separator: str, source: Source) -> str:
@@ -149,9 +166,14 @@ def _names(
         width = channels + 1
     if len(names) < channels or (names[-1] == "Comment" and len(cells) == max(read) + 1):
         source.refuse("column names do not fit the channels", names, f"{channels} names")
+    if "X_Value" in names:
+        source.refuse(
+            "more time columns than X_Columns says", repr(line[:60]), "one for each channel in Multi, else one"
+        )
     if channels > COLUMNS:
         source.refuse("too many channels", channels, f"at most {COLUMNS}")
-    return names, width, np.array(read)
+    labels = distinct(cells)  # by their places in the line
+    return [labels[k] if cells[k] else "" for k in read[-channels:]], width, np.array(read)
 
 
 def _cut_into_records(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +12,10 @@ from numpy.typing import NDArray
 from .source import Source
 
 NUMBER = re.compile(
-    r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,3})?|[+-]?(?:nan|inf|infinity)", re.ASCII | re.IGNORECASE
+    r"[+-]?(?=\.?\d)\d*\.?(?P<decimals>(?<=\.)\d*)?(?:[eEdD][+-]?(?P<exponent>\d{1,3}))?|[+-]?(?:nan|inf|infinity)",
+    re.ASCII | re.IGNORECASE,
 )
+ALIKE = 2  # numbers of one form that a column must show before a last one is compared with them
 
 
 def rows_of(
@@ -119,3 +122,21 @@ def number_of(cell: str, decimal: str) -> float | None:
     if not NUMBER.fullmatch(text):
         return None
     return float(text.replace("d", "e").replace("D", "e") if "n" not in text.lower() else text)
+
+
+def whole(last: str, others: Sequence[str], decimal: str = ".") -> bool:
+    """Whether the very last number of a text without a final line end has lost none of its digits.
+
+    That can be told where the other numbers of its column were written with so many decimals, or digits of an
+    exponent, and it has as many. A cut integer is an integer.
+    """
+    forms = [_form(cell, decimal) for cell in others if cell.strip() and cell.strip().lower() != "nan"]
+    if last.strip().lower() == "nan":
+        return True
+    return len(forms) >= ALIKE and len(set(forms)) == 1 and any(forms[0]) and _form(last, decimal) == forms[0]
+
+
+def _form(cell: str, decimal: str) -> tuple[int, int]:
+    """Decimals and digits of the exponent of a number; (0, 0) where there are none."""
+    match = NUMBER.fullmatch(cell.strip().replace(decimal, "."))
+    return (len(match["decimals"] or ""), len(match["exponent"] or "")) if match else (0, 0)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +16,7 @@ from structures import units as _units
 from structures.channels import Channel
 from structures.errors import InputError
 
-from ..record import Record, find
+from ..record import Record, copy_of, find
 from .source import COLUMNS, NotStated, Options, Outline, Source, Table
 from .timebase import fill, timebase
 
@@ -63,7 +65,7 @@ def settle(table: Table, source: Source, options: Options) -> Record:
 
 def _refuse_missing_units(missing: list[str], source: Source) -> None:
     if missing:
-        command = " ".join(f"--unit {n}=UNIT" for n in missing[:12])
+        command = " ".join(f"--unit {shlex.quote(n)}=UNIT" for n in missing[:12])
         python = ", ".join(f'"{n}": "UNIT"' for n in missing[:12])
         source.refuse(
             "the file does not state the unit of " + ("a channel" if len(missing) == 1 else f"{len(missing)} channels"),
@@ -176,8 +178,9 @@ def _named(table: Table, source: Source, options: Options) -> Table:
             likely = [i for i, n in enumerate(written) if n.lower() in TIME_NAMES]
             nearly = [i for i, n in enumerate(written) if TIME_LIKE.match(n) and _looks_like_time(table.values[:, i])]
             time = next(iter(likely + nearly), None)
-        labels = _unique(written, time)
-        changed = [f"{n!r} is read as {x}" for n, x in zip(written, labels, strict=True) if n != x]
+            _refuse_two_clocks(table, written, time, source)
+        labels = distinct(written, time)
+        changed = [f"{n!r} is read as {x!r}" for n, x in zip(written, labels, strict=True) if n != x]
         notes = (f"names that are empty or doubled: {', '.join(changed[:8])}",) if changed else ()
         return replace(table, columns=labels, time=time, notes=(*table.notes, *notes))
     columns = table.values.shape[1]
@@ -301,16 +304,33 @@ def _selection(names: tuple[str, ...], source: Source, options: Options) -> list
     return found
 
 
-def _unique(names: tuple[str, ...], time: int | None) -> tuple[str, ...]:
-    """Names with empty ones numbered as channels (ch1, ch2, ...) and doubled ones counted: acc and acc_2."""
-    taken: set[str] = set()
-    result = []
-    for i, name in enumerate(names):
-        base = name or ("time" if i == time else f"ch{i + 1 - (time is not None and time < i)}")
-        label, count = base, 1
-        while label in taken:
-            count += 1
-            label = f"{base}_{count}"
-        taken.add(label)
-        result.append(label)
-    return tuple(result)
+def distinct(names: Sequence[str], time: int | None = None) -> tuple[str, ...]:
+    """Names of columns with empty ones numbered as channels (ch1, ch2, ...).
+
+    A name that stands over several columns names none of them: each is called by its place, ``acc (column 2)``. Only
+    the time column keeps its own.
+    """
+    bases = [n or f"ch{i + 1 - (time is not None and time < i)}" for i, n in enumerate(names)]
+    if time is not None:
+        bases[time] = names[time] or "time"
+    labels = [b if i == time or bases.count(b) == 1 else copy_of(b, i + 1) for i, b in enumerate(bases)]
+    for i in range(len(labels)):  # a name that was written in just that form
+        while labels.count(labels[i]) > 1:
+            labels[i] = copy_of(labels[i], i + 1)
+    return tuple(labels)
+
+
+def _refuse_two_clocks(table: Table, names: tuple[str, ...], time: int | None, source: Source) -> None:
+    """Nothing, unless the name of the time column stands over other numbers too, in whatever case."""
+    if time is None:
+        return
+    own = table.values[:, time]
+    same = [i for i, n in enumerate(names) if n.casefold() == names[time].casefold() and i != time]
+    other = [i for i in same if not np.array_equal(own, table.values[:, i], equal_nan=own.dtype.kind == "f")]
+    if names[time] and other:
+        source.refuse(
+            "several columns with different numbers are named as time",
+            f"{names[time]!r} over columns {', '.join(str(i + 1) for i in (time, *other))}",
+            "one time column",
+            "rename those that are no time of this record, or delete them",
+        )

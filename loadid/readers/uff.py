@@ -17,6 +17,7 @@ from structures.files.uff_functions import TIME, Function
 from structures.files.uff_units import Said, unit_of
 
 from .registry import register
+from .settle import distinct
 from .source import COLUMNS, Options, Source, Table
 
 _BEGIN = re.compile(rb"\s*^ {4}-1[ \t]*\r?\n {0,5}\d{1,6}", re.MULTILINE)
@@ -63,11 +64,10 @@ def _table(run: list[Function], name: str, file: UffFile, source: Source) -> Tab
     if len(run) > COLUMNS:
         source.refuse("too many channels", len(run), f"at most {COLUMNS}")
     source.allow(8 * len(run) * len(run[0].values), "the record")
-    labels = [f.response or f.head.axes[1].label for f in run]
+    labels = distinct([(f.response or f.head.axes[1].label).strip() for f in run])
     notes = [*filter(None, [file.title]), *file.notes, *dict.fromkeys(note for f in run for note in f.notes)]
     said = [unit_of(f.head.axes[1], f.head.response[2], file.system) for f in run]
-    named = [label or f"channel {k + 1}" for k, label in enumerate(labels)]
-    notes += [f"{name}: {s.why}" for name, s in zip(named, said, strict=True) if s.why]
+    notes += [f"{label}: {s.why}" for label, s in zip(labels, said, strict=True) if s.why]
     columns = [_real(f, source) * _scale(s) for f, s in zip(run, said, strict=True)]
     texts: list[str | None] = [_text(s) for s in said]
     scale = _seconds(run[0], source)

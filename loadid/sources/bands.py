@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import integer, pair
+from structures.values import as_array, integer, pair
 
 Vector = NDArray[np.float64]
 RATIO = 10.0**0.3  # octave ratio G of base ten
@@ -109,7 +109,7 @@ def bands_of(frequencies: ArrayLike, fraction: int = 3) -> Bands:
     InputError
         No line above 0 Hz.
     """
-    f = np.asarray(frequencies, float)
+    f = as_array(frequencies, where="bands_of", dtype=float)
     f = f[f > 0]
     if not f.size:
         raise InputError("no line above 0 Hz", where="octave bands", found="lines at 0 Hz", expected="lines in Hz")
@@ -135,7 +135,7 @@ def band_power(frequencies: ArrayLike, power: ArrayLike, bands: Bands, *, densit
     InputError
         Lines that do not ascend or do not fit; one line of a density, which has no width.
     """
-    f, p = np.asarray(frequencies, float), np.asarray(power, float)
+    f, p = (as_array(x, where="band_power", dtype=float) for x in (frequencies, power))
     if f.ndim != 1 or not len(f) or len(p) != len(f) or np.any(np.diff(f) <= 0) or not np.all(np.isfinite(p)):
         raise InputError(
             "lines and powers do not fit", where="band_power", found=f"{f.shape} lines, {p.shape} powers",

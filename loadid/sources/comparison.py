@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.spectra import multiplicity
-from structures.values import positive
+from structures.values import plain, positive
 
 from ..estimate import Axis, LoadEstimate
 from . import levels
@@ -295,7 +295,7 @@ def compare(
     InputError
         Shapes that differ, NaN, neither or both of `frequencies` and `dt`, a sensor measured as zero throughout.
     """
-    m, s = (np.asarray(x) for x in (measured, synthesised))
+    m, s = (np.asarray(plain(x)) for x in (measured, synthesised))
     m, s = (x[:, None] if x.ndim == 1 else x for x in (m, s))
     if m.shape != s.shape or m.ndim != 2 or not m.size or not (np.all(np.isfinite(m)) and np.all(np.isfinite(s))):
         raise InputError(

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import as_array
 
 Array = NDArray[np.float64]
 
@@ -175,7 +176,7 @@ def lac(responses: ArrayLike, others: ArrayLike) -> Array:
 
 # -- helpers -----------------------------------------------------------------------------------------------------------
 def _numbers(values: ArrayLike, where: str) -> NDArray:
-    array = np.asarray(values)
+    array = as_array(values, where=where)
     if array.dtype.kind not in "biufc" or not array.size or not np.all(np.isfinite(array)):
         raise InputError(
             "no finite numbers", where=where, found=f"{array.dtype} of shape {array.shape}",
@@ -199,7 +200,7 @@ def _pair(one: ArrayLike, other: ArrayLike, where: str) -> tuple[NDArray, NDArra
 
 
 def _weights(weights: ArrayLike, places: int) -> Array:
-    w = np.asarray(weights, float)
+    w = as_array(weights, where="mac, weights", dtype=float)
     if w.shape != (places,) or not np.all(np.isfinite(w)) or not np.all(w > 0):
         raise _misfit("mac, weights", w.shape, "", f"({places},) positive numbers")
     return w

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import positive
+from structures.values import as_array, positive
 
 Array = NDArray[np.float64]
 FLOOR = 1e-20  # of the largest measured power of a channel: 200 dB below it a power is taken for that floor
@@ -69,7 +69,7 @@ def decibels(synthesised: ArrayLike, measured: ArrayLike) -> Array:
     InputError
         Shapes that differ, powers that are negative or not finite, a channel measured as zero throughout.
     """
-    s, m = np.asarray(synthesised, float), np.asarray(measured, float)
+    s, m = (as_array(x, where="decibels", dtype=float) for x in (synthesised, measured))
     if s.shape != m.shape or not m.size or not (np.all(np.isfinite(s)) and np.all(np.isfinite(m))):
         raise InputError(
             "powers do not fit", where="decibels", found=f"shapes {s.shape} and {m.shape}",
@@ -187,7 +187,7 @@ def _moving_sum(x: Array, half: int) -> Array:
 
 
 def _samples(values: ArrayLike, where: str) -> Array:
-    x = np.asarray(values)
+    x = as_array(values, where=where)
     if x.dtype.kind not in "iuf" or x.ndim == 0 or not x.size or not np.all(np.isfinite(x)):
         raise InputError(
             "no finite samples", where=where, found=f"{x.dtype} of shape {x.shape}",

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.channels import ARBITRARY, Channel
 from structures.errors import InputError
 from structures.model import Model
-from structures.values import positive
+from structures.values import plain, positive
 
 from ..estimate import Axis, LoadEstimate
 
@@ -333,7 +333,7 @@ def _density_variance(p: Paths, seen: NDArray) -> Real:
 
 
 def _matrices(given: Any, shape: tuple[int, ...], where: str) -> NDArray[np.complex128]:
-    found = np.asarray(given, complex)
+    found = np.asarray(plain(given), complex)
     if found.shape != shape or not np.all(np.isfinite(found)):
         raise InputError(
             "no matrix for each line", where=where, found=f"shape {found.shape}",

@@ -17,6 +17,7 @@ from structures.errors import InputError
 from structures.flags import Flag
 from structures.hits import digests
 from structures.model import Model
+from structures.values import plain
 
 from .. import flags as guards
 from ..estimate import Axis, LoadEstimate
@@ -289,7 +290,7 @@ def _columns(channels: Sequence[Any], model: Model, count: int) -> list[int]:
 
 
 def _table(values: Any, shape: tuple[int, int], density: bool) -> NDArray:
-    table = np.asarray(values)
+    table = np.asarray(plain(values))
     if table.dtype.kind not in "iufc" or table.shape != shape or not np.all(np.isfinite(table)):
         raise InputError(
             "the measured responses do not fit the estimate and the model", where="validate_on",
@@ -312,7 +313,7 @@ def _noise(given: Any, model: Model, kind: str, lines: int) -> Real | None:
     if given is None:  # the noise of a channel is that of its samples, and no spectrum's
         stated = model.noise if kind == HISTORIES else None
         return None if stated is None else stated if stated.ndim == 1 else np.sqrt(np.diagonal(stated))
-    array, count = np.asarray(given, float), len(model.sensors)
+    array, count = np.asarray(plain(given), float), len(model.sensors)
     fits = array.shape in ((), (1,), (count,), (lines, count))
     if not fits or not np.all(np.isfinite(array)) or np.any(array <= 0):
         raise InputError(

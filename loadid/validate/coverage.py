@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.model import Model
+from structures.values import plain
 
 from .references import numbers
 
@@ -138,7 +139,7 @@ def _histories(loads: ArrayLike | Sequence[ArrayLike] | Draw) -> Shapes:
     if callable(loads):
         return loads
     several = isinstance(loads, list | tuple) and any(np.ndim(g) > 0 for g in loads)
-    arrays = [np.asarray(g, float) for g in loads] if several else [np.asarray(loads, float)]  # type: ignore[union-attr]
+    arrays = [np.asarray(plain(g), float) for g in loads] if several else [np.asarray(plain(loads), float)]  # type: ignore[union-attr]
     for g in arrays:
         if g.ndim not in (1, 2) or not g.size:
             raise InputError(

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures import units
 from structures.errors import InputError
+from structures.values import plain
 
 Values = ArrayLike | Callable[[NDArray], ArrayLike]
 
@@ -112,7 +113,7 @@ def numbers(values: Any, what: str, hint: str = "", where: str = "validate") -> 
     try:
         if np.iscomplexobj(values):
             raise TypeError("complex numbers")
-        array = np.asarray(values, float)
+        array = np.asarray(plain(values), float)
     except (TypeError, ValueError) as error:
         raise InputError(
             f"{what}: no real numbers",

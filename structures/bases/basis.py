@@ -13,7 +13,7 @@ from scipy import sparse
 
 from ..errors import InputError
 from ..loads import Load, refuse_supported
-from ..values import shown
+from ..values import plain, shown
 
 if TYPE_CHECKING:
     from ..structure import Structure
@@ -314,7 +314,7 @@ class Basis(Sequence[Load]):
         if at is None and self.kind != "polynomials":
             return each
         try:
-            places = np.asarray(self.coordinates if at is None else at, float)
+            places = np.asarray(plain(self.coordinates if at is None else at), float)
         except (TypeError, ValueError):
             places = np.empty(0)
         places = places[:, None] if places.ndim == 1 and dim == 1 else places
@@ -340,7 +340,7 @@ class Basis(Sequence[Load]):
 
     def _fitting(self, loads: ArrayLike, where: str) -> Array:
         try:
-            values = np.asarray(loads, float)
+            values = np.asarray(plain(loads), float)
         except (TypeError, ValueError):
             values = np.empty(0)
         if values.ndim == 0 or values.shape[-1] != len(self) or not np.all(np.isfinite(values)):
@@ -360,7 +360,7 @@ def _same(a: Array | None, b: Array | None) -> bool:
 
 def _point(about: ArrayLike, dim: int) -> Array:
     try:
-        x = np.atleast_1d(np.asarray(about, float))
+        x = np.atleast_1d(np.asarray(plain(about), float))
     except (TypeError, ValueError):
         x = np.empty(0)
     if x.shape != (dim,) or not np.all(np.isfinite(x)):

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ..errors import InputError
-from ..values import shown
+from ..values import plain, shown
 
 Array = NDArray[np.float64]
 SNAP = 1e-9  # of the region's side: breaks closer than this are one
@@ -20,7 +20,7 @@ PAIRS = 4000  # rectangles of a list: all pairs are compared
 
 def merged(values: ArrayLike, size: float) -> Array:
     """Sorted values (k,), those within rounding of each other (1e-9 of `size`) taken once."""
-    x = np.unique(np.asarray(values, float))
+    x = np.unique(np.asarray(plain(values), float))
     return x[np.concatenate([[True], np.diff(x) > SNAP * size])]
 
 
@@ -48,7 +48,7 @@ def _axis(one: Any, span: Array, name: str, where: str) -> Array:
             raise _no_grid(one, (name,), where)
         return np.linspace(span[0], span[1], int(one) + 1)
     try:
-        x = np.asarray(one, float)
+        x = np.asarray(plain(one), float)
     except (TypeError, ValueError):
         x = np.empty(0)
     slack = SNAP * (span[1] - span[0])

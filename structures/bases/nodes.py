@@ -12,7 +12,7 @@ from scipy import sparse
 
 from ..errors import InputError
 from ..fields import Lumped
-from ..values import shown
+from ..values import plain, shown
 from .basis import Basis
 from .builders import Components, _sides, interleaved, labelled, parsed
 from .domains import Domain, Face, domain_of, selector
@@ -176,7 +176,7 @@ def _kept(
 
 def _named(nodes: Any, numbers: Index, kept: Index, where: str) -> Index:
     try:
-        wanted = np.atleast_1d(np.asarray(nodes))
+        wanted = np.atleast_1d(np.asarray(plain(nodes)))
     except ValueError:
         wanted = np.empty(0)
     known = {int(numbers[k]): int(k) for k in kept}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..values import shown
+from ..values import plain, shown
 from .domains import Domain, Face, domain_of, frames
 from .grids import PAIRS, SNAP, merged
 
@@ -74,7 +74,7 @@ class Region:
         axes = len(self.window)
         form = "(x0, x1)" if axes == 1 else "((x0, x1), (y0, y1))"
         try:
-            boxes = np.array([np.asarray(one, float) for one in given], float)
+            boxes = np.array([np.asarray(plain(one), float) for one in given], float)
         except (TypeError, ValueError):
             boxes = np.empty(0)
         boxes = boxes[:, None] if axes == 1 and boxes.ndim == 2 else boxes
@@ -178,7 +178,7 @@ def split(structure: Structure, region: Any) -> tuple[Any, Any]:
 def _window(domain: Domain, window: Any, where: str) -> Array:
     bounds = domain.bounds
     try:
-        box = np.asarray(window, float)
+        box = np.asarray(plain(window), float)
     except (TypeError, ValueError):
         box = np.empty(0)
     box = box[None] if len(bounds) == 1 and box.shape == (2,) else box

@@ -12,7 +12,7 @@ from .. import storage
 from ..damping import Modal, Rayleigh, Structural
 from ..errors import InputError
 from ..structure import Structure
-from ..values import shown
+from ..values import plain, shown
 from .hdf5 import KIND
 
 
@@ -68,7 +68,7 @@ def _arrays(structure: Structure, mark: str) -> dict[str, np.ndarray]:
         A = getattr(structure, name)
         if A is not None:
             parts = {"data": A.data, "indices": A.indices, "indptr": A.indptr, "shape": np.array(A.shape)}
-            out |= {f"{name}{mark}{part}": np.asarray(value) for part, value in parts.items()}
+            out |= {f"{name}{mark}{part}": np.asarray(plain(value)) for part, value in parts.items()}
     out["dofs"] = np.array([str(d) for d in structure.dofs], dtype=str)
     if structure.supports:
         out["supports"] = np.array([str(d) for d in structure.supports], dtype=str)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import number
+from structures.values import number, plain
 
 from .settled import Array, field, pair, places, size, weights
 
@@ -184,7 +184,7 @@ Split = tuple[Array, Array, Array, list[NDArray[np.bool_]], NDArray[np.bool_]]
 def _split(found: Any, truth: Any, labels: ArrayLike | None, areas: ArrayLike | None) -> Split:
     """Estimate, truth, weights, the patches, and what lies outside."""
     a, b = pair(found, truth)
-    own = patches(b) if labels is None else np.asarray(labels)
+    own = patches(b) if labels is None else np.asarray(plain(labels))
     if own.shape != (len(a),) or own.dtype.kind not in "iub" or (own < 0).any():
         raise InputError(
             "labels of the patches do not fit the map",

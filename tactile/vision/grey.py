@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
+from structures.values import as_array
 
 Grey = NDArray[np.uint8]
 SMALLEST = 8  # px along an axis, below which there is no image
@@ -29,7 +30,7 @@ def grey(image: Any, *, where: str = "image") -> Grey:
     InputError
         No array of this kind, NaN or infinity in it, values out of range.
     """
-    array = np.asarray(image)
+    array = as_array(image, where=where)
     if array.dtype.kind not in "uifb":
         raise InputError("an image holds no numbers", where=where, found=f"dtype {array.dtype}", expected="uint8")
     if not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (1, 3, 4))) or min(array.shape[:2]) < SMALLEST:

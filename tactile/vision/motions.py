@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from loadid.readers.numbers import whole
+from loadid.readers.source import truncated
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.values import reals
@@ -37,7 +39,7 @@ class Motions:
     numbers : tuple of int
         Number of each frame in the file.
     flags : tuple of Flag
-        Frames missing.
+        Frames missing; a last row that may be cut.
     notes : tuple of str
         What was decided in reading.
     """
@@ -90,11 +92,14 @@ def read_motions(source: str | Path | ArrayLike, *, rest: int = 0) -> Motions:
         from .stacks import read_stack
 
         return _from_array(reals(read_stack(path), where=str(path)), rest, str(path))
-    header, table = _table(path)
-    if header in GENERIC:
-        return _generic(table, rest, str(path))
-    if not header and table.shape[1] == GSROBOTICS:
-        return _gsrobotics(table, str(path))
+    header, table, flags = _table(path)
+    found = None
+    if header in GENERIC and len(header) == table.shape[1]:
+        found = _generic(table, rest, str(path))
+    elif not header and table.shape[1] == GSROBOTICS:
+        found = _gsrobotics(table, str(path))
+    if found is not None:
+        return replace(found, flags=(*flags, *found.flags))
     raise InputError(
         "no marker motion",
         where=str(path),
@@ -161,22 +166,33 @@ def _spread(k: NDArray, i: NDArray, values: NDArray[np.float64], where: str) -> 
     return x
 
 
-def _table(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64]]:
-    """Header, empty where there is none, and numbers of a CSV file; empty cells are NaN."""
+def _table(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64], tuple[Flag, ...]]:
+    """Header, empty where there is none, and numbers of a CSV file; empty cells are NaN.
+
+    The last row of a file that does not end with a line end is left out, and said, unless it is sure to be whole.
+    """
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+        text = path.read_text(encoding="utf-8-sig")
+        rows = [row for row in csv.reader(text.splitlines()) if any(cell.strip() for cell in row)]
     except (UnicodeDecodeError, csv.Error, OSError) as error:
         raise InputError("the file cannot be read", where=str(path), found=str(error)[:200], expected="CSV") from None
     header = tuple(cell.strip().lower() for cell in rows[0]) if rows and not _is_number(rows[0][0]) else ()
     body = rows[1:] if header else rows
+    flags: tuple[Flag, ...] = ()
+    if len(body) > 1 and not text.endswith(("\n", "\r")):
+        *others, last = body
+        if len(last) < len(others[0]) or not whole(last[-1], [row[-1] for row in others[-1000:]]):
+            body, flags = (
+                others,
+                (truncated(len(others), len(body), "rows are sure to be whole (the last has no end)"),),
+            )
     widths = {len(row) for row in body}
     if not body or len(widths) != 1:
         raise InputError(
             "no table", where=str(path), found=f"rows of {sorted(widths)} columns", expected="rows of one length"
         )
     try:
-        return header, np.array([[float(cell) if cell.strip() else np.nan for cell in row] for row in body])
+        return header, np.array([[float(c) if c.strip() else np.nan for c in row] for row in body]), flags
     except ValueError as error:
         raise InputError("a cell is no number", where=str(path), found=str(error)[:100]) from None
 

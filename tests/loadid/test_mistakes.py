@@ -2,17 +2,20 @@
 
 import json
 
+import h5py
 import numpy as np
 import pytest
 
 import loadid
-from loadid import Record, cli, read
+from loadid import Record, StaticInversion, cli, read, read_all
 from loadid.commands._spoken import spoken
 from loadid.commands.identify import known_load
 from loadid.readers import outline
+from structures import Channel, MatrixModel
 from structures.errors import InputError
 from structures.measured import MeasuredModel
 from tests.loadid.made import impact
+from tests.loadid.readers.files import small_files
 from tests.loadid.test_cli import RATE, hit, installed, logs, model, run
 
 __all__ = ["installed", "logs", "model", "run"]
@@ -102,9 +105,69 @@ def test_one_channel_has_one_unit(run, plain):
         assert "two units" in err or "twice" in err
 
 
-def test_doubled_names_are_noted(tmp_path):
-    path = table(tmp_path / "d.csv", "time [s],a [g],a [g]", np.column_stack([np.arange(9) / 10, np.ones((9, 2))]))
-    assert any("'a' is read as a_2" in n for n in read(path).notes)
+def test_a_doubled_name_names_no_column(run, tmp_path):
+    numbers = np.column_stack([np.arange(9) / 10, np.arange(9.0) ** 2, np.ones(9), 3 * np.ones(9)])
+    path = table(tmp_path / "d.csv", "time [s],acc1 [g], acc1 [g],acc2 [g]", numbers)
+    one = MatrixModel([[2.0]], sensors=[Channel(label="acc1", quantity="acceleration", unit="m/s^2")])
+    found = read(path)
+    assert any("'acc1' is read as 'acc1 (column 2)'" in n for n in found.notes)
+    assert "acc1 (column 3)" in run("info", path)[1]
+    for use in (
+        lambda: found["acc1"],
+        lambda: found.select(["acc2", "acc1"]),
+        lambda: StaticInversion(one).estimate(found),
+        lambda: read(path, columns=["acc1"]),
+        lambda: read(path, units={"acc1": "N"}),
+    ):
+        with pytest.raises(InputError, match=r"columns 2 and 3.*rename.*0 .index. or 'acc1 .column 2.'"):
+            use()
+    code, _, err = run("calibrate", path, "--force", "acc1", "--response", "acc2", "-o", tmp_path / "m.h5")
+    assert code == 3
+    assert "columns 2 and 3" in err
+    np.testing.assert_array_equal(found["acc2"], 3 * 9.80665)  # what is not asked for does not stand in the way
+    np.testing.assert_allclose(found["acc1 (column 2)"], numbers[:, 1] * 9.80665)
+    assert read(path, columns=[1]).labels == ("acc1 (column 3)",)
+    other = MatrixModel([[2.0]], sensors=[Channel(label="acc2", quantity="acceleration", unit="m/s^2")])
+    np.testing.assert_allclose(StaticInversion(other, choice=0.0).estimate(found).load, 3 * 9.80665 / 2)
+
+
+def test_a_doubled_number_is_no_index(tmp_path):
+    path = table(tmp_path / "d.csv", "time [s],1 [g],1 [g]", np.column_stack([np.arange(9) / 10, np.ones((9, 2))]))
+    with pytest.raises(InputError, match="columns 2 and 3"):
+        read(path)["1"]
+    assert read(path)[1].shape == (9,)
+
+
+def test_two_time_columns(tmp_path):
+    t = np.arange(9) / 10
+    for second, times in (("Time [s]", 2.0), (" time [s]", 0.5)):
+        path = table(tmp_path / "d.csv", f"time [s],a [g],{second}", np.column_stack([t, np.ones(9), times * t]))
+        with pytest.raises(InputError, match=r"named as time.*columns 1, 3"):
+            read(path)
+    path = table(tmp_path / "d.csv", "time [s],a [g],time [s],b [g]", np.column_stack([t, np.ones(9), t, t]))
+    assert read(path).labels == ("a", "time (column 3)", "b")
+    assert read(path).dt == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("form", ["h5", "lvm", "npz"])
+def test_doubled_names_in_other_forms(form, tmp_path):
+    path = small_files(tmp_path)[form]
+    if form == "lvm":
+        path.write_text(path.read_text().replace("\tF\ta\tComment", "\ta\ta\tComment"))
+    elif form == "npz":
+        np.savez(path, x=np.ones((9, 2)), time=np.arange(9) / 10, channels=["a", "a"], units=["N", "g"])
+    else:
+        with h5py.File(path, "r+") as file:
+            file["run"].attrs["channels"] = ["a", "a"]
+    found = read_all(path)[0]
+    assert len(found.labels) == 2
+    with pytest.raises(InputError, match="columns 2 and 3" if form == "lvm" else "columns 1 and 2"):
+        found.index("a")
+
+
+def test_doubled_labels_of_a_record_are_told_by_their_columns():
+    with pytest.raises(InputError, match="'a' over columns 1, 3"):
+        Record(np.ones((4, 3)), 1.0, ["a", "b", "a"])
 
 
 # -- a stated frequency that contradicts the file ---------------------------------------------------------------------

@@ -223,6 +223,8 @@ def test_the_file_of_gsrobotics_is_read(tmp_path: Path) -> None:
         ("frame,id,x,y\n1,1.5,2,3\n", "whole numbers"),
         ("frame,id,x,y\n1,1,2,three\n", "no number"),
         ("t,u,v\n1,1,2\n", "no marker motion"),
+        ("frame,id,x,y\n1", "no marker motion"),
+        ("frame,id,x,y\n1,2\n2,3\n", "no marker motion"),
         ("1,2,3\n", "no marker motion"),
         ("", "no table"),
     ],
@@ -231,6 +233,32 @@ def test_a_marker_file_that_is_none(text: str, message: str, tmp_path: Path) -> 
     (tmp_path / "x.csv").write_text(text)
     with pytest.raises(InputError, match=message):
         read_motions(tmp_path / "x.csv")
+
+
+@pytest.mark.parametrize("form", ["{:.4f}", "{!r}", "{:.0f}", "{:.6e}"])
+@pytest.mark.parametrize("header", ["frame,id,x,y", ""])
+def test_a_marker_file_cut_at_any_byte_gives_no_wrong_place(form: str, header: str, tmp_path: Path) -> None:
+    x = 100 * places()[:2, :4]
+    lines = [header] if header else []
+    for k in range(2):
+        for i in range(4):
+            rest = () if header else (i, 30 * i, 20)
+            lines.append(f"{k + 1},{i}," + ",".join([*map(str, rest), *(form.format(float(v)) for v in x[k, i, :2])]))
+    data, path, flagged = ("\n".join(lines) + "\n").encode(), tmp_path / "x.csv", 0
+    path.write_bytes(data)
+    whole = read_motions(path)
+    for size in range(len(data)):
+        path.write_bytes(data[:size])
+        try:
+            found = read_motions(path)
+        except InputError:
+            continue
+        at = np.isfinite(found.places)
+        np.testing.assert_array_equal(found.places[at], whole.places[: len(found), : found.places.shape[1]][at])
+        if not found.flags:
+            assert np.isfinite(found.places[..., 0]).sum() >= data[:size].count(b"\n") - bool(header), data[:size]
+        flagged += "LID-W209" in {flag.code for flag in found.flags}
+    assert flagged > 20
 
 
 def test_an_array_that_is_no_motion() -> None:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 from structures.model import Model
 from structures.statespace import StateSpace
+from structures.values import plain
 
 from ...inverse.nonnegative.solver import NonNegativeRecord
 from ...inverse.statespace.augmented import Augmented, augment
@@ -127,7 +128,7 @@ def _advanced(system: StateSpace, late: int) -> tuple[NDArray, NDArray]:
 def _start(system: StateSpace, settings: Settings) -> str | NDArray[np.float64]:
     if isinstance(settings.initial, str):
         return settings.initial
-    x0 = np.asarray(settings.initial, float)
+    x0 = np.asarray(plain(settings.initial), float)
     if x0.shape != (len(system.A),) or not np.all(np.isfinite(x0)):
         raise InputError("the initial state does not fit the model", where="initial", found=f"shape {x0.shape}, or NaN",
                          expected=f"({len(system.A)},), 'rest' or 'unknown'")  # fmt: skip

@@ -16,7 +16,7 @@ from structures.model import Model
 from structures.spectra import padded_length
 from structures.statespace import digest
 from structures.tabulated import FrfModel
-from structures.values import reals
+from structures.values import plain, reals
 from structures.welch import CrossSpectra, cross_spectra
 
 from ...record import Record
@@ -308,8 +308,8 @@ def _levels(noise: ArrayLike, count: int) -> NDArray[np.float64]:
 def _stated(noise: Any, keep: NDArray, columns: NDArray) -> NDArray[np.float64] | None:
     """Levels that the spectra carry, for the lines and columns that are used."""
     if noise is None or np.ndim(noise) == 0:
-        return None if noise is None else np.asarray(noise, float)
-    level = np.asarray(noise, float)[..., columns]
+        return None if noise is None else np.asarray(plain(noise), float)
+    level = np.asarray(plain(noise), float)[..., columns]
     return level[keep] if level.ndim == 2 else level
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.values import reals
+from structures.values import plain, reals
 
 from ...inverse.kalman.lag import fixed_lag
 from .engine import Engine
@@ -116,7 +116,7 @@ class Running:
         if self._ring.count % self.replay == 0 or not self._ring.anchors:
             self._ring.anchor(self._changing())
         answer = self._one(sample)
-        self._ring.push(np.asarray(sample, float)[None])
+        self._ring.push(np.asarray(plain(sample), float)[None])
         return answer
 
     def _one(self, sample: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -241,7 +241,7 @@ class Running:
     def _believable(self, Y: Any) -> Any:
         """Samples without those at the end of the range of their sensor, which are counted."""
         try:
-            given = np.asarray(Y, float)
+            given = np.asarray(plain(Y), float)
             found = inside(given, self.fitted.limits)
         except (TypeError, ValueError):
             return Y  # the engine says what is wrong with it

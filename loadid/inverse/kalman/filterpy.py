@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import plain
 
 from .model import FilterModel
 from .present import Present, present
@@ -60,7 +61,7 @@ class FilterpyEngine:
         InputError
             A sample of another width, or infinite.
         """
-        y = np.asarray(sample, float)
+        y = np.asarray(plain(sample), float)
         if y.shape != (self.model.m,) or np.any(np.isinf(y)):
             raise InputError(
                 "the sample does not fit the model", where="sample", found=f"shape {y.shape}, or infinity in it",
@@ -90,7 +91,7 @@ class FilterpyEngine:
         InputError
             As `step`.
         """
-        Y = np.asarray(Y, float)
+        Y = np.asarray(plain(Y), float)
         p, N = self.model.p, len(Y)
         load, std, nis, loglik = np.empty((N, p)), np.empty((N, p)), np.zeros(N), np.zeros(N)
         for k, y in enumerate(Y):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
+from structures.values import plain
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,7 @@ class FilterModel:
             value = getattr(self, name)
             if value is None:
                 continue
-            array = np.array(value, float)  # float32 is raised: filters lose their sign in it
+            array = np.array(plain(value), float)  # float32 is raised: filters lose their sign in it
             if array.shape != shape or not np.all(np.isfinite(array)):
                 raise InputError("the filter's matrices do not fit", where=f"FilterModel.{name}",
                                  found=f"shape {array.shape}, or NaN in it", expected=f"finite, {shape}")  # fmt: skip

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.values import plain
 
 from .model import FilterModel
 from .present import Present, present
@@ -170,7 +171,7 @@ class SquareRoot:
         InputError
             Another width, or an infinite number; NaN is a missing channel.
         """
-        y = np.asarray(y, float)
+        y = np.asarray(plain(y), float)
         if y.shape != (self.model.m,):
             raise InputError("a sample of the wrong width", where="sample", found=f"shape {y.shape}",
                              expected=f"({self.model.m},)")  # fmt: skip
@@ -283,7 +284,7 @@ def checked(model: FilterModel, Y: ArrayLike) -> NDArray[np.float64]:
     InputError
         Another shape, or infinite numbers.
     """
-    Y = np.asarray(Y, float)
+    Y = np.asarray(plain(Y), float)
     if Y.ndim != 2 or Y.shape[1] != model.m or not len(Y):
         raise InputError("the record does not fit the model", where="record", found=f"shape {Y.shape}",
                          expected=f"(samples, {model.m}), at least one sample")  # fmt: skip

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from loadid.readers import read
+from loadid.readers import read, scan
 from structures.errors import InputError
 from structures.flags import codes
 
@@ -127,6 +127,61 @@ def test_a_cut_last_line_is_said(tmp_path):
         np.testing.assert_array_equal(r.values, whole.values[:-1])
 
 
+RNG = np.random.default_rng(5)
+LAST = {  # how a program may write the numbers of the last column
+    "exponents": [f"{x:.6e}" for x in -6e-5 * RNG.random(9)],
+    "long exponents": [f"{x:.18e}" for x in RNG.standard_normal(9) * 10.0 ** np.arange(-99, 18, 13)],
+    "decimals": [f"{x:.3f}" for x in 100 * RNG.standard_normal(9)],
+    "shortest": [repr(float(x)) for x in RNG.standard_normal(9) * 10.0 ** RNG.integers(-7, 3, 9)],
+    "six digits": [f"{x:g}" for x in RNG.standard_normal(9) * 10.0 ** RNG.integers(-7, 3, 9)],
+    "integers": [str(x) for x in RNG.integers(-4000, 4000, 9)],
+    "gaps": ["1.250", "", "nan", "2.500", "3.125", "", "-1.000", "0.125", ""],
+}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt"])
+@pytest.mark.parametrize("form", LAST)
+def test_a_table_cut_at_any_byte_gives_no_wrong_number(tmp_path, form, suffix):
+    mark, name = {".csv": (",", "log.csv"), ".tsv": ("\t", "log.tsv"), ".txt": (";", "log.txt")}[suffix]
+    rows = [mark.join((f"{0.001 * i:.3f}", f"{i}", x)) for i, x in enumerate(LAST[form])]
+    data = "\n".join([mark.join(("time [s]", "n [1]", "acc [m/s^2]")), *rows, ""]).encode()
+    whole, flagged = scan(write(tmp_path, data.decode(), name))[0].values, 0
+    path = tmp_path / name
+    for size in range(len(data)):
+        path.write_bytes(data[:size])
+        try:
+            (found,) = scan(path)
+        except InputError:
+            continue
+        flagged += bool(found.flags)
+        if not found.flags:
+            assert found.values.shape[1] == 3, data[:size]
+            np.testing.assert_array_equal(found.values, whole[: len(found.values)], err_msg=str(data[:size][-30:]))
+            assert len(found.values) >= data[:size].count(b"\n") - 1
+    assert flagged > 80  # most cuts leave a table that can be used
+
+
+@pytest.mark.parametrize(("form", "rows"), [("exponents", 9), ("decimals", 9), ("decimals", 3), ("long exponents", 9)])
+def test_a_table_without_a_last_line_end_is_whole_where_its_last_number_is(tmp_path, form, rows):
+    text = "\n".join(["time [s],acc [m/s^2]", *(f"{i / 10},{x}" for i, x in enumerate(LAST[form][:rows]))])
+    for one in (text, text.replace(",", "\t"), text.replace(",", ";").replace(".", ",")):
+        found = read(write(tmp_path, one))
+        assert not found.flags
+        np.testing.assert_array_equal(found["acc"], np.array(LAST[form][:rows], float))
+
+
+def test_a_last_line_that_was_blank_had_an_end(tmp_path):
+    for tail in ("\n", "\n ", "\n,", "\n\n,,"):
+        found = read(write(tmp_path, "n [V],m [V]\n" + "\n".join(f"{i},{2 * i}" for i in range(12)) + tail), fs=1)
+        assert (len(found), found.flags) == (12, ())
+
+
+def test_one_row_without_an_end_is_kept_and_said(tmp_path):
+    (found,) = scan(write(tmp_path, "12;13"))
+    np.testing.assert_array_equal(found.values, [[12, 13]])
+    assert codes(found.flags) == {"W209"}
+
+
 def test_gaps(tmp_path):
     lines = csv().splitlines()
     r = read(write(tmp_path, "\n".join(lines[:6] + lines[7:]) + "\n"))
@@ -172,4 +227,7 @@ def test_rounded_stamps_give_the_step_of_the_instrument(tmp_path):
 
 def test_doubled_and_empty_names_are_numbered(tmp_path):
     text = "a [N],a [N], [N]\n" + "\n".join("1,2,3.5" for _ in range(5)) + "\n"
-    assert read(write(tmp_path, text), fs=1, units={2: "N"}).labels == ("a", "a_2", "[N]")
+    found = read(write(tmp_path, text), fs=1, units={2: "N"})
+    assert found.labels == ("a (column 1)", "a (column 2)", "[N]")
+    text = "ch1 [N],[N],\n" + "\n".join("1,2,3.5" for _ in range(5)) + "\n"
+    assert len(set(read(write(tmp_path, text), fs=1, units={1: "N", 2: "N"}).labels)) == 3

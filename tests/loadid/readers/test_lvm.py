@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from loadid.readers import read, read_all
+from loadid.readers import read, read_all, scan
 from structures.errors import InputError
 from structures.flags import codes
 from tests.data import measured
@@ -82,6 +82,52 @@ def test_truncation_at_every_byte_is_said(tmp_path, multi):
             silent.append(size)
     # A file cut exactly after a whole record is a valid file with fewer records: nothing in it says otherwise.
     assert len(silent) <= (3 if multi else 1)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        {"columns": "No", "multi": True},
+        {"columns": "One", "multi": True, "records": 3},
+        {"columns": "Multi"},
+        {"columns": "No", "decimal": ","},
+    ],
+    ids=str,
+)
+def test_a_damaged_header_gives_no_other_record(tmp_path, form):
+    """One flipped bit: the same numbers, or it is refused, or flagged."""
+    path, data = write(tmp_path, lvm(**form)), lvm(**form).encode()
+    whole, at, refused = scan(path), 0, 0
+    for line in data.splitlines(keepends=True):
+        header = line[:1] not in b"\t-0123456789"
+        for place in range(at, at + len(line)) if header else ():
+            for bit in range(8) if line.startswith(b"***") else [(place * 5) % 8]:
+                mutant = bytearray(data)
+                mutant[place] ^= 1 << bit
+                path.write_bytes(mutant)
+                try:
+                    found = scan(path)
+                except InputError:
+                    refused += 1
+                    continue
+                if not any(t.flags for t in found):
+                    assert [t.values.shape for t in found] == [t.values.shape for t in whole], bytes(mutant)
+                    for one, own in zip(found, whole, strict=True):
+                        np.testing.assert_array_equal(one.values, own.values)
+        at += len(line)
+    assert refused > 300
+
+
+def test_the_end_of_the_first_header_is_missed(tmp_path):
+    for k in range(2):
+        parts = lvm(multi=True).split("***End_of_Header***")
+        text = (
+            "***End_of_Header***".join(parts[: k + 1])
+            + "***End_of_Heades***"
+            + "***End_of_Header***".join(parts[k + 1 :])
+        )
+        with pytest.raises(InputError, match="does not end"):
+            read_all(write(tmp_path, text))
 
 
 def test_measured_log_is_the_same_as_its_npz():
