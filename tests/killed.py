@@ -32,7 +32,7 @@ def fitted(samples: int = 1500, **settings: object) -> tuple[Tracker, np.ndarray
 
 def text(tracker: Tracker, Y: np.ndarray, *, stamps: bool = True, header: bool = True) -> list[bytes]:
     """Lines of a record."""
-    names = [c.label for c in tracker.fitted.sensors]
+    names = [f"{c.label} [{c.unit}]" for c in tracker.fitted.sensors]
     lines = [",".join(["time", *names] if stamps else names)] if header else []
     for k, row in enumerate(Y.tolist()):
         cells = [f"{k * tracker.fitted.dt:.6f}"] * stamps + ["" if v != v else repr(v) for v in row]
