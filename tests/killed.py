@@ -61,7 +61,13 @@ def troubled(tracker: Tracker, Y: np.ndarray, seed: int = 0) -> bytes:
             lines.insert(k + 4, lines.pop(k))  # comes late
         else:
             lines.insert(k, [b"1,2\n", b"# a word\n", b"x,y,z,u,v\n"][kind - 3])
-    return b"".join(lines)
+    half, end = n // 2, 2 * n // 3
+    return b"".join([*lines[:half], lines[0], *lines[half:end], *turned(lines[0], *lines[end:])])
+
+
+def turned(*lines: bytes) -> list[bytes]:
+    """Lines of a logger that was started again, with its columns in the other order."""
+    return [b",".join(reversed(line.strip().split(b","))) + b"\n" for line in lines]
 
 
 def leaves(tree: Any) -> Iterator[Any]:

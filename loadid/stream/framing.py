@@ -180,14 +180,15 @@ class Lines:
         return lines
 
     def _content(self, line: bytes) -> bytes:
-        """The line; nothing of one that is blank, too long, or a comment, unless that names all sensors."""
+        """The line; nothing of one that is blank, too long, or a comment, unless that names all sensors and no more."""
         bare = line.lstrip()
         if not bare or len(line) > LONGEST:
             return b""
         if not bare.startswith(b"#"):
             return line
-        names = [_titled(cell, self._labels)[0] for cell in _cells(bare.lstrip(b"# "))]
-        return bare.lstrip(b"# ") if self._labels <= set(names) else b""
+        titles = [_titled(cell, self._labels) for cell in _cells(bare.lstrip(b"# "))]
+        named = all(self._is_name(name) or _known(unit) for name, unit in titles)
+        return bare.lstrip(b"# ") if named and self._labels <= {name for name, _ in titles} else b""
 
     def _require_any(self) -> None:
         c = self.counts
