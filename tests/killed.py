@@ -61,8 +61,8 @@ def troubled(tracker: Tracker, Y: np.ndarray, seed: int = 0) -> bytes:
             lines.insert(k + 4, lines.pop(k))  # comes late
         else:
             lines.insert(k, [b"1,2\n", b"# a word\n", b"x,y,z,u,v\n"][kind - 3])
-    half, end = n // 2, 2 * n // 3
-    return b"".join([*lines[:half], lines[0], *lines[half:end], *turned(lines[0], *lines[end:])])
+    a, b, c = n // 2, 2 * n // 3, 5 * n // 6
+    return b"".join([*lines[:a], lines[0], *lines[a:b], *turned(lines[0], *lines[b:c]), lines[0], *lines[c:]])
 
 
 def turned(*lines: bytes) -> list[bytes]:

@@ -58,7 +58,7 @@ class Output:
             self._file: BinaryIO = where if not isinstance(where, str) else _opened(Path(where), "wb")
             return
         self.path = path = Path(where)
-        if place is not None and not _holds(path, place):
+        if place is not None and not (_holds(path, place) and not Path(place["where"]).exists()):  # else it was moved
             _require_same(str(path.resolve()), place)
         self._made = not path.exists()
         if place is not None and self.at and self._made:

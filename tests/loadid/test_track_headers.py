@@ -50,11 +50,12 @@ def read(data, sizes=(10**9,), lines=None):
     """Stamps and values of bytes that come in pieces, until they end or are refused; what was refused."""
     lines, stamps, values, k, i = lines or Lines(SENSORS), [], [], 0, 0
     try:
-        while k < len(data) or i == 0 or lines.refused:
+        while k < len(data):
             t, y = lines.push(data[k : k + sizes[i % len(sizes)]])
             stamps += [] if t is None else t.tolist()
             values += y.tolist()
             k, i = k + sizes[i % len(sizes)], i + 1
+        lines.push(b"")
     except InputError as error:
         return stamps, values, str(error)
     return stamps, values, ""
