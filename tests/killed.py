@@ -32,7 +32,7 @@ def fitted(samples: int = 1500, **settings: object) -> tuple[Tracker, np.ndarray
 
 def text(tracker: Tracker, Y: np.ndarray, *, stamps: bool = True, header: bool = True) -> list[bytes]:
     """Lines of a record."""
-    names = [c.label for c in tracker.fitted.sensors]
+    names = [f"{c.label} [{c.unit}]" for c in tracker.fitted.sensors]
     lines = [",".join(["time", *names] if stamps else names)] if header else []
     for k, row in enumerate(Y.tolist()):
         cells = [f"{k * tracker.fitted.dt:.6f}"] * stamps + ["" if v != v else repr(v) for v in row]
@@ -61,7 +61,13 @@ def troubled(tracker: Tracker, Y: np.ndarray, seed: int = 0) -> bytes:
             lines.insert(k + 4, lines.pop(k))  # comes late
         else:
             lines.insert(k, [b"1,2\n", b"# a word\n", b"x,y,z,u,v\n"][kind - 3])
-    return b"".join(lines)
+    a, b, c = n // 2, 2 * n // 3, 5 * n // 6
+    return b"".join([*lines[:a], lines[0], *lines[a:b], *turned(lines[0], *lines[b:c]), lines[0], *lines[c:]])
+
+
+def turned(*lines: bytes) -> list[bytes]:
+    """Lines of a logger that was started again, with its columns in the other order."""
+    return [b",".join(reversed(line.strip().split(b","))) + b"\n" for line in lines]
 
 
 def leaves(tree: Any) -> Iterator[Any]:

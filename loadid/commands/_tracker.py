@@ -69,7 +69,7 @@ def require_fit_options(args: Namespace) -> None:
                          "--fit, or a state with --state")  # fmt: skip
     if args.fit is not None and args.model is None:
         raise UsageError("--fit tunes a model: name its file with --model")
-    given = [f"--{name.replace('_', '-')}" for name in (*OPTIONS, "fs", "columns", "axis", "record", "unit")
+    given = [f"--{name.replace('_', '-')}" for name in (*OPTIONS, "fs", "columns", "axis", "record")
              if getattr(args, name) not in (None, [])]  # fmt: skip
     if args.fit is None and given:
         raise UsageError(f"{given[0]} is a setting of a fit: name its record with --fit, or leave it out")

@@ -7,7 +7,7 @@ import sys
 import threading
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 from . import Command, emit
@@ -18,6 +18,7 @@ from ._tracker import add_fit_options, require_fit_options, started
 if TYPE_CHECKING:
     from loadid.families.tracking.tracker import Tracker
     from loadid.stream import Followed
+    from loadid.stream.lock import StateLock
 
 EXAMPLES = """\
 examples:
@@ -29,8 +30,16 @@ examples:
   in a pipe:
     acquire | loadid track --model tracker.h5 --in - --out - | alarm
 
-A stream is lines of comma-separated numbers under a line of names, which are those of the sensors in any order;
-without that line the order of the sensors, with a time stamp first or without. Empty cells are lost channels.
+A stream is lines of comma-separated numbers under a line of names with their units, "time [s],top [g]", which are
+those of the sensors in any order; a unit that it does not state is stated with --unit. Without that line the numbers
+come in the order of the sensors and in their SI units, with a time stamp first or without. Empty cells are lost
+channels. The line of names may come again, as a logger that was restarted writes it: with other columns or units the
+stream is read by it, with a sensor or a unit missing it ends there (exit 3).
+
+A state belongs to one run at a time and to one output, and no answer is ever taken away. Started again after it was
+killed, a run makes the last answers again from a file, byte for byte. Where it cannot, as their samples do not come
+again (socket, pipe, another log), the answers stay, and a row follows them whose loads and stds are all nan: its time
+is that from which the run went on, without the samples of the rows before it that are later.
 """
 WORDS = {
     "lines": "lines",
@@ -39,6 +48,7 @@ WORDS = {
     "unreadable": "lines that cannot be read, left out",
     "endless": "lines without an end, left out",
     "unfinished": "line whose end has not come",
+    "headers": "lines of names that came again",
     "infinite": "lines with infinite numbers, taken as missing",
     "filled": "samples without data put in",
     "gaps": "gaps",
@@ -108,7 +118,10 @@ def _configure(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--in", dest="source", required=True, metavar="SOURCE", help="file, - (standard input) or tcp://HOST:PORT"
     )
-    parser.add_argument("--out", required=True, metavar="OUT", help="table of loads and stds, or - (standard output)")
+    parser.add_argument(
+        "--out", required=True, metavar="OUT",
+        help="table of loads and stds, new or that of the state; or - (standard output)",
+    )  # fmt: skip
     parser.add_argument(
         "--plot", nargs="?", const="", metavar="PICTURE",
         help="draw load and band in the terminal while samples come, and write a picture at the end where one is named",
@@ -133,6 +146,7 @@ def _seconds(text: str) -> float:
 
 
 def _run(args: Namespace) -> int:
+    from ._logs import units
     from ._outputs import require_outputs
 
     require_fit_options(args)
@@ -140,15 +154,27 @@ def _run(args: Namespace) -> int:
     outputs = {"--out": None if args.out == "-" else args.out, "--state": args.state, "--plot": args.plot or None}
     require_outputs(outputs, [source, args.model, args.fit])
 
-    from loadid.progress import Bar
-    from loadid.stream import follow
-    from loadid.stream.history import History
+    from loadid.stream.lock import StateLock
     from loadid.stream.sources import require_source
-    from loadid.stream.terminal import Screen
 
     require_source(args.source)
+    stated = units(args.unit)
+    with nullcontext() if args.state is None else StateLock(args.state) as state:  # from before it is read
+        return _tracked(args, state, stated)
+
+
+def _tracked(args: Namespace, state: StateLock | None, units: dict[str, str]) -> int:
+    from loadid.progress import Bar
+    from loadid.stream import follow
+    from loadid.stream.framing import TIME
+    from loadid.stream.history import History
+    from loadid.stream.terminal import Screen
+
     with Bar() as bar:
         tracker, stream, fitted = started(args, bar)
+    if args.fit is not None:  # its record may have other channels
+        known = {c.label for c in tracker.fitted.sensors}
+        units = {name: unit for name, unit in units.items() if name in known or name.lower() in TIME}
     if fitted and not args.json:
         sys.stderr.write(show_fit(args.fit, tracker))
     names = [c.label for c in tracker.fitted.loads], [c.unit for c in tracker.fitted.loads]
@@ -161,8 +187,8 @@ def _run(args: Namespace) -> int:
     out = sys.stdout.buffer if args.out == "-" else args.out
     with _until_told() as stop:
         done = follow(
-            tracker, args.source, out, state=args.state, stream=stream, every=args.every, idle=args.idle,
-            stop=stop, watch=None if args.plot is None else watch,
+            tracker, args.source, out, state=state, stream=stream, every=args.every, idle=args.idle,
+            stop=stop, watch=None if args.plot is None else watch, units=units,
         )  # fmt: skip
     if args.plot is not None:
         screen.draw()

@@ -59,6 +59,7 @@ class Clock:
         self.grid: float | None = None  # time of the last sample
         self.samples = 0
         self.again = False  # the source was opened anew and may repeat itself
+        self.begun = False  # a header came again: its clock may have been put back
         self.first: list[float] = []  # stamps of this run, until its step is known
         self.held: list[tuple[float, NDArray[np.float64]]] = []  # late ones that may be a clock put back
         self.counts: Counter[str] = Counter()
@@ -92,10 +93,15 @@ class Clock:
         self.samples += len(rows)
         return np.array(self._times), np.ascontiguousarray(pool[rows])
 
+    def anew(self) -> None:
+        """A logger that began again: at what step it comes is looked at again, and it may count from another time."""
+        self.first, self.begun = [], True
+
     def to_tree(self) -> dict[str, Any]:
         """Plain values."""
         return {
             "grid": self.grid,
+            "begun": self.begun,
             "samples": self.samples,
             "held": [[t, row.tolist()] for t, row in self.held],
             "there": [mask.tolist() for mask in self.there],
@@ -105,12 +111,13 @@ class Clock:
     def restore(self, tree: dict[str, Any]) -> None:
         """Go on from what `to_tree` gave."""
         self.grid, self.samples = tree["grid"], int(tree["samples"])
+        self.begun = bool(tree.get("begun", False))
         self.held = [(t, np.array(row, float)) for t, row in tree["held"]]
         self.there.extend(np.array(mask, bool) for mask in tree.get("there", []))
         self.counts = Counter(tree["counts"])
 
     def _look(self, stamps: NDArray) -> None:
-        """At what step the stream comes, once in a run."""
+        """At what step the stream comes, once in a run and after each header."""
         if len(self.first) > SEEN:
             return
         self.first += stamps[: SEEN + 1 - len(self.first)].tolist()
@@ -140,9 +147,9 @@ class Clock:
             return
         off = (t - self.grid) / self.dt - 1
         if off < -0.5:
-            self._back(t, off, values[k], self._seen[k])
+            self._back(t, off, k, values[k])
             return
-        self.again = False
+        self.again = self.begun = False
         self.held.clear()
         jumped = off > LONGEST + 0.5
         skipped = LONGEST if jumped else int(np.floor(off + 0.5))
@@ -152,9 +159,13 @@ class Clock:
         self._moved(t, jumped)
         self._put(t, k, self._seen[k])
 
-    def _back(self, t: float, off: float, row: NDArray, seen: NDArray[np.bool_]) -> None:
+    def _back(self, t: float, off: float, k: int, row: NDArray) -> None:
         """A sample of an earlier time: late, sent twice, or of a clock that was put back."""
+        seen = self._seen[k]
         if self.again:
+            if not self.counts["again"]:
+                log.warning("a sender that begins again at %.6g s: what lies before %.6g s is taken as sent twice and "
+                            "left out; if its clock was put back, begin with a new state", t, self.grid)  # fmt: skip
             self.counts["again"] += 1
             return
         ago = int(np.floor(-off - 0.5))
@@ -165,6 +176,12 @@ class Clock:
             return
         if off > -1.5:
             self.counts["duplicated"] += 1
+            return
+        if self.begun:
+            self.begun = False
+            self.counts["jumps"] += 1
+            self._moved(t, True)
+            self._put(t, k, seen)
             return
         self.counts["late"] += 1
         if self.held and abs((t - self.held[-1][0]) / self.dt - 1) > 0.5:

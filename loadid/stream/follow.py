@@ -1,7 +1,8 @@
 """A tracker on a stream: reads, tracks, writes, and can be killed at any moment.
 
 A checkpoint holds the filter, the place in the source and the length of the output, and is written after all of that
-output is on the disk. What was written later is cut off at the next start and made again, bit for bit.
+output is on the disk. What was written later is made again at the next start, bit for bit; where its samples do not
+come again it stays, and a mark follows it (`output`). A state is held by one run, and knows its output.
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ import glob
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,9 +23,11 @@ from numpy.typing import NDArray
 
 from loadid.families.tracking import checkpoint
 from loadid.families.tracking.tracker import Tracker
+from structures.errors import InputError
 
 from .clock import Behind, Clock
 from .framing import Layout, Lines
+from .lock import StateLock
 from .output import Output
 from .sources import Source, open_source
 
@@ -69,6 +74,7 @@ def follow(
     idle: float | None = None,
     stop: threading.Event | None = None,
     watch: Watch | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Followed:
     """Track a stream until it ends.
 
@@ -78,8 +84,9 @@ def follow(
     source : str
         A file that grows, ``-``, or ``tcp://HOST:PORT``.
     out : str or binary file
-        Name of a file, or an open pipe: a line a sample with time, loads and stds.
-    state : path, optional
+        Name of a file that is new, empty or that of the state, or an open pipe: a line a sample with time, loads and
+        stds.
+    state : path or StateLock, optional
         File of the checkpoints; none are written where it is left out.
     stream : dict, optional
         Where an earlier run stood (`loadid.families.tracking.checkpoint.read`).
@@ -91,41 +98,48 @@ def follow(
         Ends the run from outside.
     watch : callable, optional
         Called with times, loads and stds of every piece.
+    units : mapping of str to str, optional
+        Units of columns, by the names of their sensors, where a header does not state them or states wrong ones.
 
     Raises
     ------
     InputError
-        A source or an output that cannot be used, a header without a sensor of the tracker.
+        A source, a state or an output that cannot be used, a header without a sensor of the tracker or its unit, a
+        connection that broke off. What came before is answered and in the state.
     """
-    run = _Run(tracker, source, out, state, stream)
-    try:
+    with ExitStack() as held:
+        if state is not None and not isinstance(state, StateLock):
+            state = held.enter_context(StateLock(state))
+        run = held.enter_context(closing(_Run(tracker, source, out, state, stream, units)))
         return run.go(every, idle, stop or threading.Event(), watch or (lambda times, load, std: None))
-    finally:
-        run.close()
 
 
 class _Run:
     def __init__(
         self, tracker: Tracker, source: str, out: str | BinaryIO, state: str | os.PathLike | None,
-        stream: dict[str, Any] | None,
+        stream: dict[str, Any] | None, units: Mapping[str, str] | None,
     ) -> None:  # fmt: skip
-        self.tracker, self.state, self.resumed, self.name = tracker, state, stream is not None, source
+        self.tracker, self.state, self.name = tracker, state, source
+        self.claimed = state is None or stream is not None
         f = tracker.fitted
         before = stream or {}
+        self.resumed = "clock" in before  # else it says only which output it belongs to
         layout = before.get("layout")
-        self.lines = Lines(f.sensors, None if layout is None else Layout.from_tree(layout))
+        self.lines = Lines(f.sensors, None if layout is None else Layout.from_tree(layout), units)
         self.clock = Clock(f.dt, tracker.replay)
         self.waiting = np.array(before.get("waiting", []), float)  # times of samples that are answered later
         same = before.get("source") == _identity(source)
-        if stream is not None:
-            self.lines.counts.update(stream["lines"])
-            self.lines.skipping = bool(stream["skipping"]) and same
-            self.clock.restore(stream["clock"])
-        if not same:
+        heading = before.get("heading")  # of a line whose units may still come
+        if not same or heading:
             self.lines.another()
+        if self.resumed:
+            self.lines.counts.update(before["lines"])
+            self.lines.skipping = bool(before["skipping"]) and same
+            self.lines.heading = list(heading) if same and heading else None
+            self.clock.restore(before["clock"])
         self.source: Source = open_source(source, before.get("place") if same else None, self.lines.another)
         self.source.counts.update(before.get("waits") or {})
-        self.clock.again = stream is not None and not (same and self.source.seekable)
+        self.clock.again = self.resumed and not (same and self.source.seekable)
         if self.clock.again:
             self.lines.another()
         head = [
@@ -144,15 +158,20 @@ class _Run:
     def go(self, every: int, idle: float | None, stop: threading.Event, watch: Watch) -> Followed:
         begun = told = last = time.monotonic()
         samples = fresh = 0
-        ended = "stopped"
+        ended, broken = "stopped", None
         while not stop.is_set():
-            data = self.source.read(LOOK if idle is None else min(LOOK, idle))
+            try:
+                data = self.source.read(LOOK if idle is None else min(LOOK, idle))
+                stamps, values = self.lines.push(data or b"")
+            except InputError as error:
+                broken = error
+                break
             now = time.monotonic()
             if data is None:
                 ended = "the source has ended"
                 break
             if data:
-                count = self._taken(data, watch)
+                count = self._taken(stamps, values, watch)
                 samples, fresh, last = samples + count, fresh + count, now
             elif idle is not None and now - last >= idle:
                 ended = f"nothing has come for {idle:g} s"
@@ -160,7 +179,10 @@ class _Run:
             if fresh >= every or (fresh and now - told >= SECONDS):
                 self.save()
                 fresh, told = 0, now
-        self.save()
+        if samples or broken is None:
+            self.save()
+        if broken is not None:
+            raise broken
         counts = self.counts | ({"unfinished": 1} if self.lines.rest.strip() else {})
         return Followed(samples, time.monotonic() - begun, self.resumed, ended, counts, self.tracker.phase)
 
@@ -176,6 +198,7 @@ class _Run:
 
     def save(self) -> None:
         """A checkpoint, after the output is on the disk."""
+        self._claim()
         self.output.sync()
         if self.state is None:
             return
@@ -185,6 +208,7 @@ class _Run:
             "place": self.source.place(len(self.lines.rest)),
             "layout": None if layout is None else layout.to_tree(),
             "skipping": self.lines.skipping,
+            "heading": self.lines.heading,
             "lines": dict(self.lines.counts),
             "clock": self.clock.to_tree(),
             "waiting": self.waiting,
@@ -193,21 +217,34 @@ class _Run:
         }
         checkpoint.save(self.tracker, self.state, stream)
 
-    def _taken(self, data: bytes, watch: Watch) -> int:
-        stamps, values = self.lines.push(data)
+    def _claim(self) -> None:
+        """Before the first answer the state says which output is its own: what stands there is then known as such."""
+        if not self.claimed:
+            assert self.state is not None
+            checkpoint.save(self.tracker, self.state, {"output": self.output.place()})
+            self.claimed = True
+
+    def _taken(self, stamps: NDArray | None, values: NDArray, watch: Watch) -> int:
+        if len(values):
+            self._claim()
         count = 0
-        for k in range(0, len(values), ROWS):
-            part = slice(k, k + ROWS)
-            times, Y = self.clock.place(None if stamps is None else stamps[part], values[part])
-            load, std = self._tracked(Y, self.clock.behind)
-            if not len(Y):
-                continue
+        for k, (begin, end) in enumerate(pairwise([0, *self.lines.headings, len(values)])):
+            if k:
+                self.clock.anew()
+            for a in range(begin, end, ROWS):
+                part = slice(a, min(a + ROWS, end))
+                count += self._placed(None if stamps is None else stamps[part], values[part], watch)
+        return count
+
+    def _placed(self, stamps: NDArray | None, values: NDArray, watch: Watch) -> int:
+        times, Y = self.clock.place(stamps, values)
+        load, std = self._tracked(Y, self.clock.behind)
+        if len(Y):
             answers = self._answered(times, load, std)
             self.output.write(*answers)
             if len(answers[0]):
                 watch(*answers)
-            count += len(Y)
-        return count
+        return len(Y)
 
     def _tracked(self, Y: NDArray, behind: list[Behind]) -> tuple[NDArray, NDArray]:
         """Loads and stds of samples, each late row put in its place when it comes: answers that are out stay."""

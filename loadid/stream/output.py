@@ -1,12 +1,15 @@
-"""The table that a stream of loads is written to: it only grows, and is cut back to where a checkpoint saw it.
+"""The table that a stream of loads is written to: it only grows, and no whole line of it is ever cut off.
 
-An old file under its name is replaced when the first answer comes, not before: a stream that cannot be read costs none.
+What stands behind the place where a checkpoint saw it was written by a run that was killed. It stays where the run that
+goes on makes it again; from the first line that it does not make again it stays too, and a `mark` follows it.
 """
 
 from __future__ import annotations
 
 import hashlib
+import io
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -16,7 +19,11 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
+from .lock import taken
+
 TAIL = 256  # bytes before the end by which an output is known again
+LINE = 1 << 20  # bytes within which a line ends
+NUMBERS = re.compile(rb"[-+.,einfa\d]*")  # of a row, whole or not
 
 
 class Output:
@@ -25,37 +32,66 @@ class Output:
     Parameters
     ----------
     where : str or binary file
-        An open file is taken for a pipe, which cannot be cut back and is left open; so is the name of a device or of a
-        named pipe.
+        An open file is taken for a pipe, which cannot be read again and is left open; so is the name of a device or of
+        a named pipe.
     head : sequence of str
         Names of the columns.
     place : dict, optional
-        Where a checkpoint saw it (`place`): what was written later is cut off.
+        Where a checkpoint saw it (`place`).
 
     Raises
     ------
     InputError
-        A file that is not, or no longer, what the checkpoint saw; that cannot be written; that another run writes.
+        A file with a content that no checkpoint saw, or that is not, or no longer, what the checkpoint saw; that cannot
+        be written; that another run writes.
     """
 
     def __init__(self, where: str | BinaryIO, head: Sequence[str], place: dict[str, Any] | None = None) -> None:
         self.path: Path | None = None
-        self.at, self._tail, self._made = 0, b"", False
-        self._own = isinstance(where, str)
-        self._first = b"" if place is not None else ",".join(map(_quoted, head)).encode() + b"\n"
+        self.at, self._tail, self._made = 0 if place is None else int(place["at"]), b"", False
+        self._own, self._width = isinstance(where, str), len(head)
+        self._first = b"" if self.at else ",".join(map(_quoted, head)).encode() + b"\n"
+        self._ahead: BinaryIO | None = None  # what an earlier run wrote behind the place
         if not isinstance(where, str) or (Path(where).exists() and not Path(where).is_file()):
+            if place is not None:
+                _require_same("-", place)
             self._file: BinaryIO = where if not isinstance(where, str) else _opened(Path(where), "wb")
             return
         self.path = path = Path(where)
-        if place is not None and place["where"] == str(path.resolve()):
-            self._file = _reopened(path, int(place["at"]), str(place["tail"]))
-            self.at = int(place["at"])
-            self._file.seek(max(self.at - TAIL, 0))
-            self._tail = self._file.read()
-            return
-        self._first = ",".join(map(_quoted, head)).encode() + b"\n"
+        if place is not None and not (_holds(path, place) and not Path(place["where"]).exists()):  # else it was moved
+            _require_same(str(path.resolve()), place)
         self._made = not path.exists()
-        self._file = _opened(path, "ab")
+        if place is not None and self.at and self._made:
+            raise InputError("the output of the checkpoint is gone", where=str(path), expected=f"{self.at} bytes of it",
+                             hint="put it back, or name the file that it was moved to")  # fmt: skip
+        self._file = _opened(path, "ab" if self._made else "r+b")
+        try:
+            self._go_on(path, place)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _go_on(self, path: Path, place: dict[str, Any] | None) -> None:
+        """From where the checkpoint saw the file; refuses another content."""
+        size = path.stat().st_size
+        if place is None and size:
+            raise InputError("the output exists, and no state says that this run wrote it", where=str(path),
+                             found=f"{size} bytes", expected="a new or an empty file",
+                             hint="move it away, or name another file with --out")  # fmt: skip
+        begin = self._read(0, len(self._first))
+        if not self._first.startswith(begin) or (self.at and not _holds(path, place or {})):
+            raise InputError("the output is not the one that the checkpoint saw", where=str(path),
+                             found=f"{size} bytes", expected=f"at least {self.at}, as they were written",
+                             hint="put it back, or name the file that it was moved to")  # fmt: skip
+        self._tail = self._read(max(self.at - TAIL, 0), self.at)
+        if not NUMBERS.fullmatch(self._unfinished()) and size > len(begin):
+            raise InputError("the output ends in a line that no run has written", where=str(path),
+                             found="no row, and no end of a line", expected="rows of numbers",
+                             hint="end that line, or take it out")  # fmt: skip
+        if size > self.at:
+            self._ahead = path.open("rb")
+            self._ahead.seek(self.at)
+        self._file.seek(self.at)
 
     def write(self, times: NDArray, load: NDArray, std: NDArray) -> None:
         """One line a sample: time, loads, stds, with all their digits."""
@@ -79,6 +115,8 @@ class Output:
 
     def close(self) -> None:
         """Close the file; one that nothing was written to, and that was not there before, is taken away."""
+        if self._ahead is not None:
+            self._ahead.close()
         if self._first and self._made and self.path is not None:
             self.path.unlink(missing_ok=True)
         if self._own:
@@ -90,11 +128,11 @@ class Output:
         """The names of the columns, where they are not written yet."""
         first, self._first = self._first, b""
         if first:
-            if self.path is not None:
-                self._file.truncate(0)
             self._put(first)
 
     def _put(self, data: bytes) -> None:
+        if self._ahead is not None:
+            data = self._beyond(data)
         left = memoryview(data)
         try:
             while left:  # a raw file may take less than it is given
@@ -107,24 +145,95 @@ class Output:
                              hint="make room and start again: a state goes on where it was") from None  # fmt: skip
         if self.path is None:
             self._file.flush()
+        self._passed(data)
+
+    def _passed(self, data: bytes) -> None:
         self.at += len(data)
         self._tail = (self._tail + data[-TAIL:])[-TAIL:]
 
+    # -- what an earlier run wrote ----------------------------------------------------------------------------------
+    def _beyond(self, data: bytes) -> bytes:
+        """Lines less those that stand in the file already; from the first that does not on, with a mark before it."""
+        assert self._ahead is not None
+        lines = io.BytesIO(data)
+        for line in lines:
+            old = self._ahead.readline()
+            if old == line:
+                self._passed(line)
+                continue
+            kept = b""
+            if old.endswith(b"\n"):
+                kept = mark(_last_time(self._read(max(self.at - LINE, 0), self.at)), self._width)
+                self.at = os.fstat(self._file.fileno()).st_size - len(self._unfinished())
+                self._tail = self._read(max(self.at - TAIL, 0), self.at)
+            self._ahead.close()
+            self._ahead = None
+            self._file.truncate(self.at)  # the begin of a row that was broken off is none
+            self._file.seek(self.at)
+            return kept + line + lines.read()
+        return b""
 
-def _reopened(path: Path, at: int, tail: str) -> BinaryIO:
-    if not path.exists():
-        raise InputError("the output of the checkpoint is gone", where=str(path), expected=f"{at} bytes of it",
-                         hint="put it back, or write to a file of another name") from None  # fmt: skip
-    file = _opened(path, "r+b")
-    file.seek(max(at - TAIL, 0))
-    found = file.read(min(at, TAIL))
-    if len(found) < min(at, TAIL) or _digest(found) != tail:
-        file.close()
-        raise InputError("the output is not the one that the checkpoint saw", where=str(path),
-                         found=f"{path.stat().st_size} bytes", expected=f"at least {at}, as they were written",
-                         hint="put it back, or write to a file of another name")  # fmt: skip
-    file.truncate(at)
-    return file
+    def _unfinished(self) -> bytes:
+        """What stands behind the last end of a line."""
+        size = os.fstat(self._file.fileno()).st_size
+        return self._read(max(size - LINE, 0), size).rpartition(b"\n")[2]
+
+    def _read(self, begin: int, end: int) -> bytes:
+        """Bytes of the file."""
+        assert self.path is not None
+        with self.path.open("rb") as file:
+            file.seek(begin)
+            return file.read(end - begin)
+
+
+def mark(time: float, width: int) -> bytes:
+    """Row without answers: a run went on from its state at this time; the rows before the mark that are later stay.
+
+    The run that went on did not make them again alike, as it did not get their samples.
+
+    Parameters
+    ----------
+    time : float
+        Of the last answer that both runs share; NaN where there is none.
+    width : int
+        Columns of the table.
+    """
+    return (",".join([repr(time), *["nan"] * (width - 1)]) + "\n").encode()
+
+
+def _last_time(rows: bytes) -> float:
+    """First number of the last line; NaN where that is the head."""
+    try:
+        return float(rows.rstrip(b"\n").rpartition(b"\n")[2].partition(b",")[0])
+    except ValueError:
+        return float("nan")
+
+
+def _holds(path: Path, place: dict[str, Any]) -> bool:
+    """Whether a file holds what a checkpoint has written, wherever it lies now."""
+    at = int(place["at"])
+    if not at or not path.is_file() or path.stat().st_size < at:
+        return False
+    with path.open("rb") as file:
+        file.seek(max(at - TAIL, 0))
+        return _digest(file.read(min(at, TAIL))) == place["tail"]
+
+
+def _require_same(where: str, place: dict[str, Any]) -> None:
+    """The output is the one of the state.
+
+    Raises
+    ------
+    InputError
+        It is another one, in which the answers of the state would not stand together.
+    """
+    own = place["where"]
+    if where == own:
+        return
+    name, words = ("- or another pipe", "standard output or another pipe") if own == "-" else (own, own)
+    raise InputError("the state belongs to another output", where=f"--out {where}", expected=words,
+                     hint=f"name {name} with --out (a file that was moved is known by its content), or begin a new "
+                     "output with a new --state")  # fmt: skip
 
 
 def _opened(path: Path, mode: str) -> BinaryIO:
@@ -140,17 +249,10 @@ def _opened(path: Path, mode: str) -> BinaryIO:
     except OSError as error:
         raise InputError("the output cannot be written", where=str(path), found=error.strerror or str(error),
                          hint="check the path") from None  # fmt: skip
-    if os.name == "posix" and path.is_file():
-        import fcntl
-
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # let go of by the system, whatever ends the process
-        except BlockingIOError:
-            file.close()
-            raise InputError("another run writes to this file", where=str(path), expected="one run for each output",
-                             hint="end that run first, or name another file with --out") from None  # fmt: skip
-        except OSError:  # a file system without locks
-            pass
+    if os.name == "posix" and path.is_file() and not taken(file):  # elsewhere a lock would keep readers out
+        file.close()
+        raise InputError("another run writes to this file", where=str(path), expected="one run for each output",
+                         hint="end that run first, or name another file with --out")  # fmt: skip
     return file
 
 

@@ -42,7 +42,13 @@ class Source(Protocol):
     seekable: bool
 
     def read(self, timeout: float) -> bytes | None:
-        """What has come, ``b""`` where nothing has within `timeout` s, None after the end."""
+        """What has come, ``b""`` where nothing has within `timeout` s, None after the end.
+
+        Raises
+        ------
+        InputError
+            The source broke off; all that had come before was given.
+        """
 
     def place(self, unread: int) -> dict[str, Any] | None:
         """Where it stands, less the bytes that were not used; None where that means nothing."""
@@ -69,11 +75,11 @@ def open_source(where: str, place: dict[str, Any] | None = None, fresh: Callable
     """
     if where == "-":
         pipe = _standard_input()
-        return Pumped(lambda: os.read(pipe, PIECE), lambda: None)
+        return Pumped(lambda: os.read(pipe, PIECE), lambda: None, where=where)
     if where.startswith("tcp://"):
         return connected(where)
     if _is_pipe(Path(where)):
-        return Pumped(_received(Path(where)), lambda: None)
+        return Pumped(_received(Path(where)), lambda: None, where=where)
     return GrowingFile(Path(where), place, fresh)
 
 
@@ -218,8 +224,11 @@ class Pumped:
 
     seekable = False
 
-    def __init__(self, receive: Callable[[], bytes], close: Callable[[], None], size: int = QUEUED) -> None:
+    def __init__(
+        self, receive: Callable[[], bytes], close: Callable[[], None], size: int = QUEUED, where: str = "stream"
+    ) -> None:
         self.counts: Counter[str] = Counter()
+        self.where, self._broken = where, ""
         self._receive, self._close = receive, close
         self._queue: queue.Queue[bytes | None] = queue.Queue(size)
         self._stop = threading.Event()
@@ -234,6 +243,10 @@ class Pumped:
             return b""
         if data is None:
             self._queue.put(None)  # for the next call
+            if self._broken:
+                raise InputError("the stream broke off", where=self.where, found=self._broken,
+                                 hint="start the sender again, and then this command: a run with a state goes on "
+                                 "where it was")  # fmt: skip
         return data
 
     def place(self, unread: int) -> dict[str, Any] | None:
@@ -250,8 +263,7 @@ class Pumped:
             try:
                 data = self._receive()
             except OSError as error:
-                if not self._stop.is_set():
-                    log.warning("the stream broke off: %s", error)
+                self._broken = error.strerror or str(error)
                 data = b""
             self._put(data or None)
             if not data:
@@ -294,7 +306,7 @@ def connected(where: str) -> Pumped:
             made.shutdown(socket.SHUT_RDWR)
         made.close()
 
-    return Pumped(lambda: made.recv(PIECE), close)
+    return Pumped(lambda: made.recv(PIECE), close, where=where)
 
 
 def _address(where: str) -> tuple[str, int]:

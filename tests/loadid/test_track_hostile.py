@@ -123,11 +123,13 @@ def test_one_run_for_each_output(tmp_path):
     Output(path, ["t", "p"], first.place()).close()
 
 
-def test_an_old_output_stays_until_the_first_answer(tmp_path):
+def test_an_old_output_stays_and_a_new_one_comes_with_the_first_answer(tmp_path):
     path = tmp_path / "out"
     path.write_text("old\n")
-    Output(str(path), ["t"]).close()
+    with pytest.raises(InputError, match="the output exists"):
+        Output(str(path), ["t"])
     assert path.read_text() == "old\n"
+    path.write_text("")
     Output(str(tmp_path / "new"), ["t"]).close()
     assert not (tmp_path / "new").exists()
     output = Output(str(path), ["t"])

@@ -37,7 +37,8 @@ def rows(data, sizes=(10**9,), sensors=SENSORS):
 
 # -- lines ------------------------------------------------------------------------------------------------------------
 MESSY = (
-    b"# log\ntime,a,d\n0.0,1.5,2\n0.1,,3\n\n0.2,nan,4\n0.3,inf,5\n0.4,1\n0.5,1,2,3\n0.6,x,2\n0.7,1e200,-1e-3\r\n"
+    b"# log\ntime,a [m/s^2],d [m]\n"
+    b"0.0,1.5,2\n0.1,,3\n\n0.2,nan,4\n0.3,inf,5\n0.4,1\n0.5,1,2,3\n0.6,x,2\n0.7,1e200,-1e-3\r\n"
     b"0.8," + b"9" * (LINE + 5) + b",1\n# end\n0.9,7,8\n1.0,1,2"
 )  # fmt: skip
 
@@ -65,18 +66,18 @@ def test_a_header_puts_the_columns_in_order_and_converts_units():
     with pytest.raises(InputError, match="channel d"):
         rows(b"time,a,b\n0,1,2\n")
     with pytest.raises(InputError, match="another quantity"):
-        rows(b"time,a [mm],d\n0,1,2\n")
+        rows(b"time,a [mm],d [m]\n0,1,2\n")
     with pytest.raises(InputError, match="first line"):
         rows(b"0,1,2,3,4\n")
 
 
 def test_another_file_may_begin_with_a_header_or_without():
     lines = Lines(SENSORS)
-    lines.push(b"d,a\n1,2\n3")
+    lines.push(b"d [m],a [m/s^2]\n1,2\n3")
     lines.another()
     assert np.array_equal(lines.push(b"5,6\n")[1], [[6, 5]])  # as before, and without the begin that was left
     lines.another()
-    assert np.array_equal(lines.push(b"a,d\n5,6\n")[1], [[5, 6]])
+    assert np.array_equal(lines.push(b"a [m/s^2],d [m]\n5,6\n")[1], [[5, 6]])
 
 
 # -- time stamps ------------------------------------------------------------------------------------------------------
@@ -259,19 +260,22 @@ def test_sources_that_are_not_there_are_named(tmp_path):
 
 
 # -- output and pictures ----------------------------------------------------------------------------------------------
-def test_an_output_is_cut_back_to_its_checkpoint_and_a_changed_one_refused(tmp_path):
+def test_an_output_goes_on_from_its_checkpoint_and_a_changed_one_is_refused(tmp_path):
     path = str(tmp_path / "out.csv")
     output, one = Output(path, ["t", "p", "s"]), np.ones((1, 1))
     output.write(np.array([0.1]), 2 * one, one / 3)
     place = output.place()
     output.write(np.array([0.2]), one, one)
     output.close()
+    with open(path, "ab") as file:
+        file.write(b"0.3,5.")  # killed in the middle of a row
     again = Output(path, ["t", "p", "s"], place)
+    again.write(np.array([0.2]), one, one)
     again.write(np.array([0.3]), one, one)
     assert again.place()["at"] == os.path.getsize(path)
     again.close()
     text = (tmp_path / "out.csv").read_text()
-    assert text == "t,p,s\n0.1,2.0,0.3333333333333333\n0.3,1.0,1.0\n"
+    assert text == "t,p,s\n0.1,2.0,0.3333333333333333\n0.2,1.0,1.0\n0.3,1.0,1.0\n"
     for wrong in (text[:20], text.replace("2.0", "3.0")):
         (tmp_path / "out.csv").write_text(wrong)
         with pytest.raises(InputError, match="not the one"):
