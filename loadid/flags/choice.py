@@ -163,10 +163,9 @@ def unexplained(choice: Choice, level: float) -> Flag:
     return Flag(
         "W412",
         Evidence("residual over the noise level", level, 1.0),
-        f"the load does not explain its data: the residual is {level:.3g} times the noise ({choice.sigma_source}){wall}; "
-        "do not use it",
-        "look at the residual: where it is as large as the response, another load acts, or lambda is wrong (give choice=); "
-        "else verify the model with a known load, and measure the noise of the unloaded sensors",
+        f"the load does not explain its data: the residual is {level:.3g} times the noise ({choice.sigma_source}){wall}",
+        "look at the residual: where it is as large as the response, another load acts, or lambda is wrong (give "
+        "choice=); else verify the model with a known load, and measure the noise of the unloaded sensors",
     )
 
 

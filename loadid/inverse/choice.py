@@ -368,8 +368,8 @@ def _with_sensitivity(found: RuleResult, sweep: rules.Sweep) -> RuleResult:
 def unexplained(residual2: float, m: float, sigma: float) -> float | None:
     """Residual over the noise, where no noise of that level leaves so much; None where it may.
 
-    The rms of all m data counts, whatever the fit has spent: noise alone leaves less. A chi-square test at `EXCESS`, and
-    a factor of at least `CLEARLY`, as noise levels are stated.
+    The rms of all m data counts, whatever the fit has spent: noise alone leaves less. A chi-square test at `EXCESS`,
+    and a factor of at least `CLEARLY`, as stated noise levels are rough.
     """
     from scipy.special import gammaincinv
 

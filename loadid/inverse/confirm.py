@@ -25,16 +25,17 @@ def confirm(
     """Choose on the whole record, near the lambdas that the rules chose on its windows (`guess`).
 
     Parameters are those of `choose`. The search goes on beyond every wall that a rule of the sweep ends at, but for
-    those that ended at the lower end of the range on the windows: what it ends with are optima inside what was searched,
-    or an end of the whole range, which then has been searched from end to end. Rules that cost more than the sweep keep
-    what they said on the windows. A lambda that was given is kept.
+    those that ended at the lower end of the range on the windows: what it ends with are optima inside what was
+    searched, or an end of the whole range, which then has been searched from end to end. Rules that cost more than the
+    sweep keep what they said on the windows. A lambda that was given is kept.
     """
     if guess.rule == "given":
         return guess
     on_windows = {r.rule: r for r in guess.rules}
     first = choice if isinstance(choice, str) else ORDERS[sigma is not None][0]
     wanted = {first if on_windows[first].lam is not None else guess.rule}
-    wanted |= {r.rule for r in guess.rules if r.rule in SHARED and r.lam is not None and (not r.edge or r.lam > _MIDDLE)}
+    asking = [r for r in guess.rules if r.rule in SHARED and r.lam is not None]
+    wanted |= {r.rule for r in asking if not r.edge or (r.lam or 0.0) > _MIDDLE}
     search = _Search.around(path, guess, sigma)
     while True:
         asked = {r: rules.run(r, search.sweep) if r in wanted | {*SHARED} else on_windows[r] for r in on_windows}

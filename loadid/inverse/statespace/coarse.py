@@ -121,8 +121,9 @@ def windows_of(path: StateSpacePath) -> WindowsPath | None:
     )  # fmt: skip
     ranked = starts[np.argsort(-_forced_energy(one, record.y, starts), kind="stable")]
     picked, weights = _representatives(len(ranked))
+    data = np.array([record.y[k : k + LENGTH] for k in ranked[picked]])
     try:
-        return WindowsPath(one, np.array([record.y[k : k + LENGTH] for k in ranked[picked]]), weights, float(path.scale))
+        return WindowsPath(one, data, weights, float(path.scale))
     except NotIdentifiable:
         return None
 

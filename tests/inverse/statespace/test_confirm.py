@@ -1,7 +1,5 @@
 """Lambda that windows chose and the whole record confirms, against the rule run on the whole record directly."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -70,8 +68,8 @@ def test_a_first_guess_far_off_is_left(rule: str, sigma: float | None, quick: St
 
 def test_a_wall_is_looked_behind(quick: StateSpacePath) -> None:
     """From the end of the range, where the windows saw no load at all, the default finds the one of the whole."""
-    nothing = replace(guess(1e3, "predicted_error"), rules=[RuleResult(r, 1e3, True, NULL_SPACE) for r in DEFAULT_RULES])
-    found = confirm(quick, nothing, None, sigma=1.0, source="stated")
+    silent = tuple(RuleResult(r, 1e3, True, NULL_SPACE) for r in DEFAULT_RULES)
+    found = confirm(quick, Choice(1e3, 1.0, "predicted_error", silent), None, sigma=1.0, source="stated")
     direct = choose(quick, None, sigma=1.0)
     assert found.rule == direct.rule
     assert abs(np.log(found.lam / direct.lam)) < 0.02
