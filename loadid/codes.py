@@ -36,6 +36,7 @@ GUARDS = {
     "W211": "lines of an FRF that were not measured",
     "W212": "forces of a test that move together",
     "E212": "forces of a test that are one",
+    "E213": "an offset that cannot be told from a constant load",
     "N303": "what regularisation did",
     "W304": "more detail than the data hold",
     "W305": "a gain of resolution promised by the wrong law",

@@ -91,7 +91,7 @@ def noise_std(record: Record) -> tuple[Vector, str] | None:
     stated = [c.noise for c in record.channels]
     if all(s is not None for s in stated):
         return np.array(stated, dtype=float), "stated with the channels"
-    parts = [_calm(record, i) for i in range(len(record.channels))]
+    parts = [quiet_part(record, i) for i in range(len(record.channels))]
     calm = [part for part in parts if part is not None]
     if len(calm) < len(parts):
         return None
@@ -166,7 +166,7 @@ def describe(record: Record) -> dict[str, Any]:
     for i, channel in enumerate(record.channels):
         x = record.values[:, i]
         x = x[~np.isnan(x)]
-        calm, quiet = _calm(record, i), quiet_segment(record.values[:, i], record.dt)
+        calm, quiet = quiet_part(record, i), quiet_segment(record.values[:, i], record.dt)
         rows.append(
             {
                 "label": channel.label,
@@ -239,13 +239,13 @@ def _findings(record: Record, column: int) -> list[Flag]:
         a, b = tail[0]
         text = f"dead from sample {number[a]} to the end, {b - a} equal samples (likely)"
         found.append(flag("dead", float(b - a), 8, text, "use the window before, or leave the channel out"))
-    calm = _calm(record, column)
-    if calm is not None:
-        mean, std = float(calm.mean()), float(calm.std(ddof=1))
+    part = quiet_part(record, column)
+    if part is not None:
+        mean, std = float(part.mean()), float(part.std(ddof=1))
         if abs(mean) > OFFSET * std and abs(mean) > 1e-9 * np.abs(y).max():
             unit = record.channels[column].unit
             unit = "" if unit == "arbitrary" else f" {unit}"
-            text = f"note: offset {mean:.4g}{unit} in the quiet part ({len(calm)} samples, noise {std:.3g}; certain)"
+            text = f"note: offset {mean:.4g}{unit} in the quiet part ({len(part)} samples, noise {std:.3g}; certain)"
             ratio = abs(mean) / std if std > 0 else float("inf")
             found.append(flag("offset", min(ratio, 1e300), OFFSET, text, "subtract it if the sensor cannot measure it"))
     return found
@@ -388,7 +388,8 @@ def _last_bit(y: Vector) -> float:
     return float(gaps.min()) if gaps.size else 0.0
 
 
-def _calm(record: Record, column: int) -> Vector | None:
+def quiet_part(record: Record, column: int) -> Vector | None:
+    """Samples of a channel before its own response, without gaps; None where fewer than 32 lead."""
     quiet = quiet_segment(record.values[:, column], record.dt)
     if quiet is None:
         return None

@@ -46,6 +46,10 @@ class Data:
         All channels of the record.
     missing : array of bool, shape (samples, used sensors)
         Samples that were not recorded (NaN in the record); all False unless the family takes gaps.
+    offsets : tuple of float
+        What was subtracted from each channel; empty where nothing was.
+    flags : tuple of Flag
+        What was done to the values.
     """
 
     values: NDArray[np.float64]
@@ -54,6 +58,8 @@ class Data:
     channels: tuple[Channel, ...]
     record: Record
     missing: NDArray[np.bool_]
+    offsets: tuple[float, ...] = ()
+    flags: tuple[Flag, ...] = ()
 
     @property
     def duration(self) -> float:
@@ -232,7 +238,9 @@ def rows_of(sensors: Sequence[str | int] | None, model: Model) -> NDArray[np.int
 def health(data: Data) -> tuple[Flag, ...]:
     """What reading found, and the health of the channels that are used."""
     used = data.record.select([c.label for c in data.channels])
-    found = used.health()
+    if data.offsets:
+        used = replace(used, values=used.values - data.offsets)
+    found = (*data.flags, *used.health())
     if data.missing.any():  # what is refused elsewhere has been dealt with
         found = tuple(replace(f, advice=LEFT_OUT) if f.evidence.name == "missing" else f for f in found)
     return (*data.record.flags, *found)

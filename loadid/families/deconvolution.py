@@ -26,6 +26,7 @@ from ..provenance import provenance
 from . import histories
 from .data import Data, gather, health
 from .level import graded, noise_level, unexplained_by
+from .offsets import without_offsets
 from .posing import UNUSABLE, Posed, Settings, diagonal, pose
 from .pushing import facts as pushing_facts
 from .pushing import flags as pushing_flags
@@ -162,6 +163,7 @@ class Deconvolution:
             Without regularisation, where the data do not determine the load (LID-E306).
         """
         data = gather(record, dt, self.model, self.sensors, allow_missing=True)
+        data = without_offsets(data, self.model, at_rest=self.settings.resting, allow=self.settings.allow)
         self._progress(0.1, "posing the problem")
         posed = pose(self.model, data, self.settings)
         self._refuse_undetermined(posed)

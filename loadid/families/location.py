@@ -29,6 +29,7 @@ from .locating.candidates import Candidates
 from .locating.grid import grid_of
 from .locating.posed import DENSE, Factored, Posed
 from .locating.verdict import Said, Solution, basins, noise_level, rivals_of, said
+from .offsets import without_offsets
 
 Array = NDArray[np.float64]
 MEMORY = 1.5e9  # bytes of all factors together, up to which they are kept
@@ -175,7 +176,7 @@ class LocationSearch:
 
     # -- steps --------------------------------------------------------------------------------------------------------
     def _locate(self, record: Any, dt: float | None) -> tuple[LocationResult, Posed]:
-        data = gather(record, dt, self.model, self.sensors)
+        data = without_offsets(gather(record, dt, self.model, self.sensors), self.model, at_rest=True, allow=self.allow)
         posed = self._pose(data)
         self._progress(0.6, "comparing candidates")
         chosen = self._choose(posed)

@@ -25,6 +25,7 @@ from ..provenance import provenance
 from . import histories
 from .data import Data, gather, health
 from .level import graded
+from .offsets import without_offsets
 from .sparsity import Chosen, Wanted, amplitude_share, choose, pose, posing
 
 DICTIONARIES = ("dirac", "bspline", "wavelet")
@@ -141,6 +142,7 @@ class SparseDeconvolution:
             Where nothing but noise is in the record, or the problem cannot be solved to a gap of 1e-5.
         """
         data = gather(record, dt, self.model, self.sensors, allow_missing=True)
+        data = without_offsets(data, self.model, at_rest=True, allow=self.posing.allow)
         problem = pose(self.model, data, self.posing)
         chosen = choose(problem, self.wanted, self._progress)
         load, posterior = self._load(chosen, problem.samples)

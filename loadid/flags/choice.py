@@ -159,11 +159,12 @@ def at_the_end(choice: Choice) -> Flag | None:
 def unexplained(choice: Choice, level: float) -> Flag:
     """W412: the residual is `level` times the noise, more than chance allows."""
     found = next((r for r in choice.rules if r.rule == choice.rule), None)
-    wall = f", and lambda stands at an end of its range ({choice.lam:.3g})" if found is not None and found.edge else ""
+    wall = f", and lambda ends its range ({choice.lam:.3g})" if found is not None and found.edge else ""
+    said = f"the residual is {level:.3g} times the noise ({choice.sigma_source}){wall}"
     return Flag(
         "W412",
         Evidence("residual over the noise level", level, 1.0),
-        f"the load does not explain its data: the residual is {level:.3g} times the noise ({choice.sigma_source}){wall}",
+        f"the load does not explain its data: {said}",
         "look at the residual: where it is as large as the response, another load acts, or lambda is wrong (give "
         "choice=); else verify the model with a known load, and measure the noise of the unloaded sensors",
     )

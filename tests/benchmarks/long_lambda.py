@@ -181,9 +181,9 @@ def main() -> None:
                     stated = bool((seed + LAYOUTS.index(layout)) % 2)
                     j = judged(setup, layout, samples, seed, stated)
                     ratios.append((j.error / j.best, j.expected))
+                    numbers = f"{j.error:7.4f}{j.best:8.4f}{ratios[-1][0]:7.3f}{j.expected:9.3f}{j.seconds:7.1f}"
                     print(f"{setup:18s}{samples:8d} {layout:10s}{seed:5d} {'stated' if stated else 'unknown':8s}"
-                          f"{j.error:7.4f}{j.best:8.4f}{ratios[-1][0]:7.3f}{j.expected:9.3f}{j.seconds:7.1f}  {j.words}",
-                          flush=True)  # fmt: skip
+                          f"{numbers}  {j.words}", flush=True)  # fmt: skip
     for name, x in zip(("of this draw", "in expectation"), np.array(ratios).T, strict=True):
         print(f"{name}: worst {x.max():.3f}, median {np.median(x):.3f}, {np.mean(x <= 1.2):.1%} within 1.2")
 

@@ -1,0 +1,94 @@
+"""Offsets of sensors: accelerometers lose theirs, what a constant load may have made is refused."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from loadid import Deconvolution, SparseDeconvolution
+from structures import ForwardModel, beams, damping, loads, sensors
+from structures.errors import NotIdentifiable
+
+DT, SAMPLES = 2e-4, 1500
+
+
+def model(gauges: Sequence[sensors.Sensor], modes: int) -> ForwardModel:
+    """A steel cantilever struck near its tip."""
+    beam = beams.cantilever(
+        length=0.6,
+        section=beams.Section.rectangle(width=0.04, height=0.01),
+        material=beams.materials.steel,
+        elements=20,
+        damping=damping.Modal(0.01),
+    )
+    return ForwardModel(beam, gauges, [loads.Point(at=0.5, direction="Z")], modes=modes)
+
+
+ACCELEROMETERS = [sensors.Accelerometer(at=x, direction="Z") for x in (0.3, 0.6)]
+LASERS = [sensors.Displacement(at=x, direction="Z") for x in (0.3, 0.6)]
+
+
+def hit(quiet: int = 300) -> NDArray[np.float64]:
+    """Half sine of 2 ms."""
+    load = np.zeros((SAMPLES, 1))
+    load[quiet : quiet + 10, 0] = 50 * np.sin(np.pi * (np.arange(10) + 0.5) / 10)
+    return load
+
+
+def measured(gauges: Sequence[sensors.Sensor], load: NDArray, offset: float = 0.0) -> tuple[NDArray, NDArray]:
+    """Response of more modes than the inversion has, 1 % noise, an offset as a share of the rms; noise std."""
+    clean = model(gauges, 8).state_space(DT).simulate(load)
+    rms = np.sqrt(np.mean(clean**2, axis=0))
+    noise = 0.01 * rms * np.random.default_rng(3).standard_normal(clean.shape)
+    return clean + noise + offset * rms * np.array([1.0, -0.7]), 0.01 * rms
+
+
+def off(found: NDArray, load: NDArray) -> float:
+    """Relative error."""
+    return float(np.linalg.norm(found - load[: len(found)]) / np.linalg.norm(load))
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.5])
+def test_an_accelerometer_loses_its_offset(share: float) -> None:
+    load = hit()
+    clean, sigma = measured(ACCELEROMETERS, load)
+    shifted, _ = measured(ACCELEROMETERS, load, share)
+    family = Deconvolution(model(ACCELEROMETERS, 6), noise=sigma)
+    best, found = family.estimate(clean, DT), family.estimate(shifted, DT)
+    assert off(found.load, load) < 2 * off(best.load, load)  # the mean of 270 noisy samples is not quite the offset
+    said = [f for f in found.flags if f.code == "LID-W206"]
+    assert ["subtracted" in f.message for f in said] == [True, True]
+    assert not [f for f in best.flags if f.code == "LID-W206"]
+
+
+def test_without_a_quiet_part_the_velocity_tells() -> None:
+    """Random loads from the first sample: an offset of a tenth of the rms would carry the velocity away."""
+    load = np.random.default_rng(0).standard_normal((SAMPLES, 1))
+    clean, sigma = measured(ACCELEROMETERS, load)
+    shifted, _ = measured(ACCELEROMETERS, load, 0.1)
+    family = Deconvolution(model(ACCELEROMETERS, 8), noise=sigma)
+    best, found = family.estimate(clean, DT), family.estimate(shifted, DT)
+    assert off(found.load, load) < 2 * off(best.load, load)
+    assert not [f for f in best.flags if f.code == "LID-W206"]
+
+
+def test_other_families_take_it_out_too() -> None:
+    load = hit()
+    (clean, sigma), (shifted, _) = measured(ACCELEROMETERS, load), measured(ACCELEROMETERS, load, 0.3)
+    family = SparseDeconvolution(model(ACCELEROMETERS, 6), noise=sigma)
+    best, found = (family.estimate(y, DT) for y in (clean, shifted))
+    assert off(found.load, load) < 2 * off(best.load, load)
+
+
+def test_a_constant_that_a_load_may_have_made_is_refused() -> None:
+    load = hit()
+    shifted, sigma = measured(LASERS, load, 0.3)
+    family = Deconvolution(model(LASERS, 6), noise=sigma)
+    with pytest.raises(NotIdentifiable, match="off zero before the response") as refused:
+        family.estimate(shifted, DT)
+    assert refused.value.code == "LID-E213"
+    assert 'initial="unknown"' in str(refused.value)
+    family.estimate(measured(LASERS, load)[0], DT)
+    Deconvolution(model(LASERS, 6), noise=sigma, initial="unknown").estimate(shifted, DT)
+    Deconvolution(model(LASERS, 6), noise=sigma, allow=["E213"]).estimate(shifted, DT)
