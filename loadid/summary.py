@@ -43,6 +43,7 @@ FACTS = {
 }
 _SAID = {"resolution_unit", "noise_level", "noise_source", "guards_checked", "band"}
 _MANY = 8
+NARROW = 0.9  # share of a pulse inside its 95 % band below which the band is called too narrow there
 UNEXPLAINED = "LID-W412"  # the load does not explain its data: said before all else
 
 
@@ -155,7 +156,13 @@ def comparison(error: dict[str, Any]) -> str:
     if error.get("window") is None:
         return text
     start, stop = (quantity(t, "s") for t in error["window"])
-    return f"{text} and {share(error['coverage_95_peak'])} of those around the peak ({start} to {stop})"
+    text += f" and {share(error['coverage_95_peak'])} of those around the peak ({start} to {stop})"
+    if error["coverage_95_peak"] >= NARROW:
+        return text
+    return (
+        f"{text}\ncaution: do not read the band as 95 % around the peak: it is that of a load of one variance "
+        "throughout, and a hit is none"
+    )
 
 
 def share(part: float) -> str:

@@ -32,6 +32,8 @@ def test_the_coverage_around_the_peak_stands_beside_that_of_the_record():
     assert found["coverage_95_peak"] < found["coverage_95"]
     assert "around the peak" in comparison(found)
     assert "around the peak" not in comparison(found | {"window": None})
+    assert "caution: do not read the band as 95 %" in comparison(found | {"coverage_95_peak": 0.82})
+    assert "caution" not in comparison(found | {"coverage_95_peak": 0.93})
 
 
 def test_the_report_holds_the_comparison_with_the_known_load():
