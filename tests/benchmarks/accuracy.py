@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from loadid.inverse import penalties
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
+from tests.inverse.reference import attainable, rounding
 
 LAMBDAS = (1e-2, 1e-5, 1e-8)  # absolute
 KAPPA, SHAPE = 1e10, (150, 120)
@@ -45,19 +46,11 @@ def extended(H: NDArray, y: NDArray, L: NDArray, lam: float) -> NDArray[np.longd
     return g
 
 
-def attainable(H: NDArray, y: NDArray, L: NDArray, lam: float, exact: NDArray) -> tuple[float, float]:
-    """Relative error that a backward stable method may make, and the one that normal equations may.
-
-    Wedin's bound of the least-squares problem [H; lam L] (Bjorck, SIAM 1996, eq. 1.4.16) for a relative perturbation
-    ``sqrt(n) u``, as rounding errors of n operations add up (Higham & Mary, SIAM J. Sci. Comput. 41 (2019) A2815), and
-    the same perturbation times the condition number squared.
-    """
-    A, b, g = np.vstack([H, lam * L]), np.concatenate([y, np.zeros(len(L))]), exact.astype(float)
-    s = np.linalg.svd(A, compute_uv=False)
-    kappa, size = s[0] / s[-1], s[0] * np.linalg.norm(g)
-    perturbed = 0.5 * np.finfo(float).eps * np.sqrt(A.shape[1])
-    relative = np.linalg.norm(b) / size, np.linalg.norm(b - A @ g) / size
-    return float(perturbed * kappa * (1 + relative[0] + kappa * relative[1])), float(perturbed * kappa**2)
+def bounds(H: NDArray, y: NDArray, L: NDArray, lam: float, exact: NDArray) -> tuple[float, float]:
+    """Relative error that a backward stable method may make, and the one that normal equations may."""
+    A = np.vstack([H, lam * L])
+    stable = attainable(A, np.concatenate([y, np.zeros(len(L))]), exact.astype(float))
+    return stable, rounding(A.shape[1]) * float(np.linalg.cond(A)) ** 2
 
 
 def ours(H: NDArray, y: NDArray, L: NDArray, lam: float) -> NDArray:
@@ -125,7 +118,7 @@ def case(seed: int) -> tuple[NDArray, NDArray, NDArray]:
 
 
 def errors(routes: dict[str, Route], seeds: int) -> dict[str, NDArray[np.float64]]:
-    """Largest relative error of each route at each lambda over the draws, and the `BOUND` of `attainable`."""
+    """Largest relative error of each route at each lambda over the draws, and the `BOUND` of `bounds`."""
     worst = {name: np.zeros(len(LAMBDAS)) for name in (*routes, BOUND)}
     for seed in range(seeds):
         H, y, L = case(seed)
@@ -134,14 +127,14 @@ def errors(routes: dict[str, Route], seeds: int) -> dict[str, NDArray[np.float64
             for name, route in routes.items():
                 error = float(np.linalg.norm(route(H, y, L, lam) - exact) / np.linalg.norm(exact))
                 worst[name][k] = max(worst[name][k], error)
-            worst[BOUND][k] = max(worst[BOUND][k], attainable(H, y, L, lam, exact)[0])
+            worst[BOUND][k] = max(worst[BOUND][k], bounds(H, y, L, lam, exact)[0])
     return worst
 
 
 def long_errors(samples: int) -> dict[str, dict[str, NDArray[np.float64]]]:
     """Relative errors of a record over a state space, for each penalty, route and relative lambda of `RELATIVE`.
 
-    With both figures of `attainable`, `BOUND` and `SQUARED`.
+    With both figures of `bounds`, `BOUND` and `SQUARED`.
 
     Displacement of the half-sine benchmark in advance form (the data of the next sample beside the load of this one).
     """
@@ -173,7 +166,7 @@ def long_errors(samples: int) -> dict[str, dict[str, NDArray[np.float64]]]:
             }
             for name, load in routes.items():
                 found[penalty][name][k] = float(np.linalg.norm(load - exact) / np.linalg.norm(exact))
-            found[penalty][BOUND][k], found[penalty][SQUARED][k] = attainable(H, y, L, lam, exact)
+            found[penalty][BOUND][k], found[penalty][SQUARED][k] = bounds(H, y, L, lam, exact)
     return found
 
 
