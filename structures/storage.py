@@ -320,7 +320,7 @@ def _decode(data: bytes, where: str) -> dict[str, Any]:
 
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
-            return _get(file, where, set())
+            return _get(file["/"], where, set())  # the file itself lists its members by name in h5py 3.11
     except InputError:
         raise
     except Exception as error:  # HDF5 raises OSError, KeyError, RuntimeError, ValueError, ... on what it cannot read

@@ -188,15 +188,17 @@ def newton(
     best, halved, steps = None, (np.inf, 0), 0
     pull = np.zeros(q.n) if prox is None else prox.weight / q.tau
     tau = q.tau if prox is None else q.tau / (1 + prox.weight)
+    corrected = q.fair or not q.well or prox is not None  # else the last step is repeated from its own residual
     while True:
         at = _look(q, b, s, h, nu, kappa, prox)
-        if best is None or at.error < best[0]:
+        if best is None or at.error < best[0] or (corrected and at.error <= tight):
             best = (at.error, at.face.point, nu, kappa, at.aim)
         settled = at.error >= 0.1 * halved[0] and best[0] < GOOD  # rounding lets it fall no further
         if at.error < 0.5 * halved[0]:
             halved = (at.error, steps)
+        solved = at.error <= tight
         if (
-            at.error <= tight
+            (solved and corrected)
             or settled
             or start.steps + steps >= cap
             or steps - halved[1] > PATIENCE
@@ -207,7 +209,7 @@ def newton(
         rows, short = _rows(s, at.active, h)
         offset = np.zeros(q.n) if prox is None else h - prox.centre
         moved = q.step(h, b, at.gradient, face, tau, pull, offset, rows, short)
-        steps += 1
+        steps, corrected = steps + 1, corrected or solved
         if moved is None:
             break
         h, multipliers = moved

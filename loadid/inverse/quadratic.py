@@ -9,6 +9,7 @@ from .face import Face
 from .feasible import Feasible
 
 WELL = 1e-11  # reciprocal condition of the Gram matrix above which it may direct the steps
+FAIR = 1e-3  # and above which one step has the digits that A tells
 EPS = float(np.finfo(float).eps)
 
 
@@ -38,7 +39,8 @@ class Quadratic:
         top = float(d.max(initial=0.0)) or 1.0
         self.tau = 1 / np.maximum(d, 1e-12 * top)  # step lengths: one per interval or contact
         self._factor: NDArray | None = None
-        self.well = self._condition() > WELL
+        condition = self._condition()
+        self.well, self.fair = condition > WELL, condition > FAIR
         self._triangle: NDArray | None = None
 
     def _condition(self) -> float:

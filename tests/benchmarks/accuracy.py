@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 from loadid.inverse import penalties
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
+from tests.inverse.reference import attainable, rounding
 
 LAMBDAS = (1e-2, 1e-5, 1e-8)  # absolute
 KAPPA, SHAPE = 1e10, (150, 120)
 RELATIVE = (1e-2, 1e-4, 1e-6, 1e-8)  # of records over a state space
 SQUARE_ROOT = (2e-14, 6e-13, 1e-11, 1e-8)  # what the square-root recursion is known to reach there, L = I, 600 samples
+BOUND, SQUARED = "bound", "condition squared"
 Route = Callable[[NDArray, NDArray, NDArray, float], NDArray]
 
 
@@ -42,6 +44,13 @@ def extended(H: NDArray, y: NDArray, L: NDArray, lam: float) -> NDArray[np.longd
     for k in range(n - 1, -1, -1):
         g[k] = (b[k] - A[k, k + 1 :] @ g[k + 1 :]) / A[k, k]
     return g
+
+
+def bounds(H: NDArray, y: NDArray, L: NDArray, lam: float, exact: NDArray) -> tuple[float, float]:
+    """Relative error that a backward stable method may make, and the one that normal equations may."""
+    A = np.vstack([H, lam * L])
+    stable = attainable(A, np.concatenate([y, np.zeros(len(L))]), exact.astype(float))
+    return stable, rounding(A.shape[1]) * float(np.linalg.cond(A)) ** 2
 
 
 def ours(H: NDArray, y: NDArray, L: NDArray, lam: float) -> NDArray:
@@ -109,8 +118,8 @@ def case(seed: int) -> tuple[NDArray, NDArray, NDArray]:
 
 
 def errors(routes: dict[str, Route], seeds: int) -> dict[str, NDArray[np.float64]]:
-    """Largest relative error of each route at each lambda over the draws."""
-    worst = {name: np.zeros(len(LAMBDAS)) for name in routes}
+    """Largest relative error of each route at each lambda over the draws, and the `BOUND` of `bounds`."""
+    worst = {name: np.zeros(len(LAMBDAS)) for name in (*routes, BOUND)}
     for seed in range(seeds):
         H, y, L = case(seed)
         for k, lam in enumerate(LAMBDAS):
@@ -118,11 +127,14 @@ def errors(routes: dict[str, Route], seeds: int) -> dict[str, NDArray[np.float64
             for name, route in routes.items():
                 error = float(np.linalg.norm(route(H, y, L, lam) - exact) / np.linalg.norm(exact))
                 worst[name][k] = max(worst[name][k], error)
+            worst[BOUND][k] = max(worst[BOUND][k], bounds(H, y, L, lam, exact)[0])
     return worst
 
 
 def long_errors(samples: int) -> dict[str, dict[str, NDArray[np.float64]]]:
     """Relative errors of a record over a state space, for each penalty, route and relative lambda of `RELATIVE`.
+
+    With both figures of `bounds`, `BOUND` and `SQUARED`.
 
     Displacement of the half-sine benchmark in advance form (the data of the next sample beside the load of this one).
     """
@@ -142,7 +154,8 @@ def long_errors(samples: int) -> dict[str, dict[str, NDArray[np.float64]]]:
         L = penalties.matrix(penalty, samples)
         L = np.eye(samples) if L is None else L
         path = StateSpacePath(record(augment(s.A, s.B, C, D, penalty), y[:, None]))
-        found[penalty] = {name: np.zeros(len(RELATIVE)) for name in ("state space", "augmented QR", "normal equations")}
+        names = ("state space", "augmented QR", "normal equations", BOUND, SQUARED)
+        found[penalty] = {name: np.zeros(len(RELATIVE)) for name in names}
         for k, relative in enumerate(RELATIVE):
             lam = relative * float(path.scale)
             exact = extended(H, y, L, lam)
@@ -153,6 +166,7 @@ def long_errors(samples: int) -> dict[str, dict[str, NDArray[np.float64]]]:
             }
             for name, load in routes.items():
                 found[penalty][name][k] = float(np.linalg.norm(load - exact) / np.linalg.norm(exact))
+            found[penalty][BOUND][k], found[penalty][SQUARED][k] = bounds(H, y, L, lam, exact)
     return found
 
 

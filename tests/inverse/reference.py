@@ -26,6 +26,23 @@ def augmented(H: NDArray, y: NDArray, L: NDArray, lam: float) -> Augmented:
     return Augmented(load, y - H @ load, float(np.linalg.norm(L @ load) ** 2), Q[:m] @ Q[:m].conj().T)
 
 
+def attainable(A: NDArray, b: NDArray, x: NDArray) -> float:
+    """Relative error that a backward stable method may make in the least-squares solution x of A x = b.
+
+    Wedin's bound (Bjorck, SIAM 1996, eq. 1.4.16) for a relative perturbation ``sqrt(n) u``: rounding errors of n
+    operations add up like that (Higham & Mary, SIAM J. Sci. Comput. 41 (2019) A2815).
+    """
+    s = np.linalg.svd(A, compute_uv=False)
+    kappa, size = s[0] / s[-1], s[0] * np.linalg.norm(x)
+    relative = np.linalg.norm(b) / size, np.linalg.norm(b - A @ x) / size
+    return float(rounding(len(x)) * kappa * (1 + relative[0] + kappa * relative[1]))
+
+
+def rounding(n: int) -> float:
+    """Rounding errors of n operations, relative to the size of what goes in."""
+    return float(0.5 * np.finfo(float).eps * np.sqrt(n))
+
+
 def ill_conditioned(m: int, n: int, kappa: float, seed: int = 0) -> NDArray:
     """Random matrix with singular values in geometric progression."""
     rng = np.random.default_rng(seed)

@@ -15,10 +15,10 @@ def frequencies(structure: Structure, modes: int) -> np.ndarray:
     """First natural frequencies (rad/s) that are not rigid, from SciPy alone."""
     K, M = structure.K_free, structure.M_free
     rigid = len(structure.rigid_body_motions())
-    if K.shape[0] <= 250:
-        values = scipy.linalg.eigh(K.toarray(), M.toarray(), eigvals_only=True)
+    shift = -1e-3 * K.diagonal().min() / M.diagonal().max() if rigid else 0.0
+    if K.shape[0] <= 250:  # of the inverse, whose largest eigenvalues keep their digits
+        values = shift + 1 / scipy.linalg.eigh(M.toarray(), (K - shift * M).toarray(), eigvals_only=True)
     else:
-        shift = -1e-3 * K.diagonal().min() / M.diagonal().max() if rigid else 0.0
         values = eigsh(K.tocsc(), modes + rigid, M.tocsc(), sigma=shift, which="LM", return_eigenvectors=False)
     return np.sqrt(np.sort(values)[rigid : rigid + modes])
 

@@ -18,6 +18,7 @@ from .circulant import Circulant
 from .operator import Operator
 from .pcg import Reached, Sides, solve
 
+TOLERANCE = 1e-13  # of the columns: the differences of their products lose digits
 SWEPT, MANY = 12, 24  # columns beyond which probes cost less: at each node of a path, and at one lambda
 SHORTEST = 2048  # samples of the first record that is tried in place of a long one
 FLAT = 1e-6  # relative change of a plateau over a quarter of the record
@@ -88,7 +89,7 @@ def columns(operator: Operator) -> int:
     return len(edges(operator)) + (2 + min(operator.order, 2)) * operator.loads
 
 
-def diagonals(operator: Operator, circulant: Circulant, tolerance: float = 1e-12) -> Diagonals:
+def diagonals(operator: Operator, circulant: Circulant, tolerance: float = TOLERANCE) -> Diagonals:
     """Diagonals of B and of the roughness covariance at the lambda of the preconditioner."""
     p, N, o = operator.loads, operator.samples, operator.order
     made = _generators(operator, circulant.lam)
@@ -122,7 +123,7 @@ def diagonals(operator: Operator, circulant: Circulant, tolerance: float = 1e-12
     return Diagonals(variance, _from_end(tail, rows), mismatch)
 
 
-def profile(operator: Operator, lam: float, tolerance: float = 1e-12) -> Diagonals:
+def profile(operator: Operator, lam: float, tolerance: float = TOLERANCE) -> Diagonals:
     """`diagonals` of a record of any length: beyond the memory of the problem they do not change along the record.
 
     Records of 2048, 8192, ... samples are tried; where both diagonals are level over the middle quarter of one, what

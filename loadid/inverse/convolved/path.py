@@ -20,7 +20,7 @@ from .pcg import Reached, refined
 from .posterior import ConvolvedPosterior
 from .scale import largest
 
-SCALARS, TIGHT = 1e-8, 1e-11  # tolerance of solves whose answers are only sums; the second one below `WEAK`
+SCALARS, TIGHT = 1e-9, 1e-11  # tolerance of solves whose answers are only sums; the second one below `WEAK`
 WEAK = 100.0  # times the smallest lambda
 TRACES = 1e-9
 KEPT = 200_000  # data up to which the residuals of all nodes are kept

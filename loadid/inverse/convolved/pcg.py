@@ -21,8 +21,8 @@ from .operator import Operator
 
 TOLERANCE = 1e-12
 MOST = 4000  # iterations
-STALLED, FINE = 300, 20  # iterations without a smaller gradient that end it, and those once it is below `SMALL`
-SMALL = 1e-10
+STALLED = 300  # iterations without a smaller gradient that end it
+SMALL, FINE, SHARE = 1e-10, 20, 4  # below this gradient: a quarter of those so far (harder, longer swings), 20 or more
 ROUNDING = 1e-9  # gradient beyond which a stalled iteration is no solution
 HARD = 60  # iterations beyond which the solution is checked by a correction
 CORRECTED = 1e-4  # tolerance of a correction
@@ -108,7 +108,7 @@ def solve(
     z = circulant.solve(s)
     zero, first = _dot(s, s), _dot(s, z)  # of x = 0: what all gradients are measured by
     energy, plain = first.copy(), zero.copy()
-    best, since = energy.copy(), np.zeros(k, int)
+    best, since, stalled = energy.copy(), np.zeros(k, int), STALLED if strict else STALLED // 3
     iterations, d = 0, z
     keep = energy > tolerance**2 * first
     while True:
@@ -128,7 +128,7 @@ def solve(
         energy, plain[live], iterations = now, _dot(s, s), iterations + 1
         since[live] = np.where(now < best[live], 0, since[live] + 1)
         best[live] = np.minimum(best[live], now)
-        patience = np.where(best[live] < SMALL**2 * first[live], FINE, STALLED if strict else STALLED // 3)
+        patience = np.where(best[live] < SMALL**2 * first[live], np.clip(iterations // SHARE, FINE, stalled), stalled)
         keep = (now > tolerance**2 * first[live]) & (since[live] < patience)
     reached = float(np.sqrt(np.max(plain / np.where(zero > 0, zero, 1.0), initial=0.0)))
     if not np.isfinite(reached) or (strict and np.any(best > max(tolerance, ROUNDING) ** 2 * first)):

@@ -109,7 +109,8 @@ def test_a_static_start_carries_the_first_load(hold: str) -> None:
     """Its covariance is that of loads that have been constant: sensors read the static response, and it stays."""
     source = beam("da")
     model = augment(source, 1e-3, RandomWalk(1.0, start=3.0), noise=np.ones(2), hold=hold, start="static")
-    np.testing.assert_allclose(model.H @ model.L0, 3.0 * source.static(), rtol=1e-9, atol=1e-14)
+    rounded = 2 * model.n * np.finfo(float).eps * (np.abs(model.H) @ np.abs(model.L0)).max()  # of L0 and of the product
+    np.testing.assert_allclose(model.H @ model.L0, 3.0 * source.static(), rtol=1e-9, atol=rounded)
     np.testing.assert_allclose(model.F @ model.L0, model.L0, atol=1e-12 * np.abs(model.L0).max())
     free = augment(source, 1e-3, RandomWalk(1.0, start=3.0), noise=np.ones(2), hold=hold)
     assert not (free.L0[: free.nx]).any()
@@ -408,7 +409,9 @@ def test_the_smoother_of_a_walk_is_tikhonov_of_first_differences(penalty: str, h
     got = smooth(filter(model, np.where(missing, np.nan, y), keep=True))
     assert want.posterior is not None
     np.testing.assert_allclose(got.load, want.load, rtol=0, atol=1e-9 * np.abs(want.load).max())
-    np.testing.assert_allclose(got.std, want.posterior.std, rtol=1e-8)
+    np.testing.assert_allclose(got.std[1:], want.posterior.std[1:], rtol=1e-8)
+    spread = 1e6 * step * float(path.scale)  # of the first data before they come, over their noise: what roots lose
+    np.testing.assert_allclose(got.std[0], want.posterior.std[0], rtol=4 * np.finfo(float).eps * spread)
 
 
 def test_loads_that_no_sample_tells_need_a_prior() -> None:

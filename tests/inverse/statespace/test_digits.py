@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.benchmarks.accuracy import SQUARE_ROOT, long_errors
+from tests.benchmarks.accuracy import BOUND, SQUARED, long_errors
 
 
 @pytest.fixture(scope="module")
@@ -14,6 +14,5 @@ def worst() -> dict[str, dict[str, np.ndarray]]:
 @pytest.mark.parametrize("penalty", ["identity", "first_difference", "second_difference"])
 def test_the_digits_of_the_square_root_recursion(penalty: str, worst: dict[str, dict[str, np.ndarray]]) -> None:
     errors = worst[penalty]
-    assert np.all(errors["state space"] <= 4 * np.array(SQUARE_ROOT))
-    # what normal equations lose, at the two smallest lambdas
-    assert np.all(errors["state space"][2:] <= 1e-3 * errors["normal equations"][2:])
+    assert np.all(errors["state space"] <= errors[BOUND])
+    assert np.all(errors["state space"][2:] <= 1e-3 * errors[SQUARED][2:])  # what normal equations may lose
