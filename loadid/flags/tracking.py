@@ -23,8 +23,10 @@ HIDING = 1.0  # noise sds that the state noise of one mode may be worth at a sen
 SHARE = 0.2  # of a record that the filter may take to settle
 FEW, OFTEN = 10, 2e-3  # channel samples beyond a gate before it is said, and their share
 MOST = 4  # channels that are named with them
-FAR = 100.0  # times the load of the fit that an event may be unsaid: tuned in the wind, then hit with a hammer (40 dB)
-SHIFTED = 8.0  # standard errors of a mean in service: asked at every block, so that 4 would come by chance in a long day
+FAR = 100.0  # times the load of the fit (40 dB) of an event: tuned in the wind and then hit with a hammer is less
+SHIFTED = (
+    8.0  # standard errors of a mean in service: asked at every block, so that 4 would come by chance in a long day
+)
 LONG = 40  # samples below which a mean of innovations is not judged
 
 

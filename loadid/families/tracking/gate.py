@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...inverse.kalman.model import FilterModel
-from ...inverse.kalman.steady import Steady
 from ...inverse.kalman.roots import forward, lower
+from ...inverse.kalman.steady import Steady
 
 RARE = float(np.log(1000.0))  # a channel that is wrong, and an event: one sample of a thousand
 ROUGH = 0.1  # of an event, that the model may get wrong

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...flags.tracking import FAR
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.squareroot import Innovation, SquareRoot, State
 from .gate import RARE, missed, onset, reach, usual, weighed
@@ -95,11 +96,12 @@ class Judge:
         """Loads and their std (p,) after it; in doubt the std of both filters together."""
         assert self.state is not None
         Cp = self.model.Cp
-        load, std = Cp @ self.state.x, np.linalg.norm(Cp @ self.state.L, axis=1)
+        load: NDArray = Cp @ self.state.x
+        std: NDArray = np.linalg.norm(Cp @ self.state.L, axis=1)
         if self.plain is not None and (self.believing if self.rival is not None else self.plain.event):
             other = Cp @ self.plain.state.x
             if np.all(np.abs(load - other) < TOLD * std):  # the event does not tell the load yet
-                return other, np.hypot(std, load - other)
+                load, std = other, np.hypot(std, load - other)
         if self.rival is None:
             return load, std
         odds = self.doubt - min(self.lean, 0.0)  # that no load explains a sample may be believed at once
@@ -130,13 +132,13 @@ class Judge:
         plain = Plain(ahead) if plain is None else plain
         against = plain.contradicts(decided)
         out = np.isfinite(y) & ~np.isfinite(self.taken)
+        few = 2 * out.sum() < np.isfinite(y).sum()  # as many channels as one can do without: they do not count
         sizes = self._sizes(y, ahead, ahead), self._sizes(y, before, ahead)
-        state, said = self.core.update(ahead, y)
-        plain = plain.after(state, said, sizes, self.gate, whole=not out.any(), decided=decided)
+        plain = plain.after(*self.core.update(ahead, y), sizes, self.gate, out=out, few=bool(few), decided=decided)
         self.plain = plain
         failed = against or plain.behind > self.gate**2
         if failed or (plain.whole and plain.calm >= CALM):
-            self.state, self.said, self.taken = plain.state, said, y
+            self.state, self.said, self.taken = plain.state, plain.said, y
             self.rival = self.pair = self.plain = None
             self.wrong[:], self.good[:] = 0, 0
             self.fell = True
@@ -232,6 +234,8 @@ class Judge:
             other, far = weighed(e, root, H @ reached, wrong)
             if other < odds:
                 return other, wider(before, far * reached), True, far
+        if size > FAR * self._usual:  # not before later samples have confirmed it
+            odds = max(odds, 2 * DECISIVE)
         return odds, wider(before, size * ways), False, size / self._usual
 
     def _held(self, y: NDArray, beyond: NDArray) -> tuple[NDArray[np.bool_], bool]:

@@ -1,7 +1,7 @@
 """The judge of the gate: the same filter without one, run beside it from the sample at which the gate opened.
 
-A gate that takes up an event or keeps a channel out supposes more than the filter without one, and where it supposes the
-wrong thing each mistake asks for the next: a sensor with an offset is explained by a load, the load by another one.
+A gate that takes up an event or keeps a channel out supposes more than the filter without one, and where it supposes
+the wrong thing each mistake asks for the next: a sensor with an offset is explained by a load, the load by another one.
 So it has to be right by the data. It is set aside, and the filter without a gate goes on in its place, where that one
 has come to predict the samples better, or where events and wrong channels contradict each other within a few samples;
 and where nothing was kept out, also as soon as it predicts them as well. What is still beyond the gate then is
@@ -10,7 +10,7 @@ believed, until the samples have been calm for a while, twice as long each time 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -55,18 +55,31 @@ class Plain:
     age: int = 0
 
     def after(
-        self, state: State, said: Innovation, sizes: tuple[NDArray, NDArray], gate: float, *, whole: bool,
-        decided: bool | None,
+        self, state: State, said: Innovation, sizes: tuple[NDArray, NDArray], gate: float, *, out: NDArray[np.bool_],
+        few: bool, decided: bool | None,
     ) -> Plain:  # fmt: skip
-        """One sample later; sizes (m,) of the normalised innovations of this filter and of that with the gate.
+        """One sample later.
 
-        Both in units of what this filter expects; `decided` is what the gate has decided now, if anything.
+        Parameters
+        ----------
+        state : State
+        said : Innovation
+        sizes : (array (m,), array (m,))
+            Of the innovations of this filter and of that with the gate, both over the std that this one expects; NaN
+            where a channel is missing.
+        gate : float
+        out : array of bool (m,)
+            Channels that the gate has kept out.
+        few : bool
+            So few that those that are left are to judge: this filter bends the load to a broken sensor.
+        decided : bool or None
+            What the gate has decided now, if anything: an event, or wrong channels.
         """
-        own, other = (np.minimum(size[np.isfinite(size)], gate) ** 2 for size in sizes)
+        own, other = (np.minimum(np.where(np.isfinite(size), size, 0.0), gate) ** 2 for size in sizes)
         calm = self.calm + 1 if np.all(own < gate**2) else 0
-        behind = max(0.0, self.behind + float(np.sum(other) - np.sum(own)))
+        behind = max(0.0, self.behind + float(np.sum((other - own)[~out if few else slice(None)])))
         last = (self.event, self.age + 1) if decided is None else (decided, 0)
-        return Plain(state, said, behind, calm, self.whole and whole, *last)
+        return Plain(state, said, behind, calm, self.whole and not out.any(), *last)
 
     def contradicts(self, decided: bool | None) -> bool:
         """Whether the gate decides otherwise than it did a few samples ago."""
@@ -88,5 +101,7 @@ def plain_of(tree: dict[str, Any] | None) -> Plain | None:
     y = None if tree["y"] is None else np.asarray(tree["y"], float)
     state = State(np.asarray(tree["x"], float), np.asarray(tree["L"], float), y)
     event = None if tree["event"] is None else bool(tree["event"])
-    rest = {"behind": float(tree["behind"]), "calm": int(tree["calm"]), "age": int(tree["age"])}
-    return replace(Plain(state), whole=bool(tree["whole"]), event=event, **rest)
+    return Plain(
+        state, behind=float(tree["behind"]), calm=int(tree["calm"]), whole=bool(tree["whole"]), event=event,
+        age=int(tree["age"]),
+    )  # fmt: skip
