@@ -3,8 +3,8 @@
 UPRE takes the noise of the unloaded camera for all there is. Where that level is far too low, or the errors of the mesh
 are larger, its lambda is far too small; GCV does not ask for a level, and stands in wherever its lambda is larger.
 With few markers, or axes of unequal noise, GCV in turn may smooth the load away. So its lambda does not count at the
-end of the range, nor where its residual lies above a noise level that the data confirm. And where both lie far below
-the discrepancy, so that hardly any data are left to tell noise from load, robust GCV decides.
+end of the range, nor where its residual lies above a noise level that the data confirm; where they leave that open, the
+discrepancy bounds it. Where both lie far below the discrepancy, they follow an error of the mesh: robust GCV decides.
 """
 
 from __future__ import annotations
@@ -69,18 +69,21 @@ def chosen(choice: Choice, count: int) -> str:
         return best
     if lam[best] < BELOW * met:  # both follow what is left of an error of the mesh
         return LAST[-2] if met < lam.get(LAST[-2], 1.0) < END else LAST[-1]
-    return RULES[0] if best == RULES[1] and _contradicted(choice, count, met, lam[best]) else best
+    if best == RULES[0] or lam[best] <= met or lam[RULES[0]] < BELOW * met:
+        return best
+    return _smooth(choice, count, met, lam[best])
 
 
-def _contradicted(choice: Choice, count: int, met: float, lam: float) -> bool:
-    """Whether the residual at `lam` is above the noise level, which the data confirm by what `met` leaves free."""
+def _smooth(choice: Choice, count: int, met: float, lam: float) -> str:
+    """Which rule to take where GCV at `lam` leaves more than the stated noise, which is left at `met`."""
     sweep, sigma = choice.sweep, choice.sigma
     if sweep is None or sweep.edf is None or sigma is None:
-        return False
+        return RULES[1]
     at = np.log(sweep.lam)
-    confirmed = count - np.interp(np.log(met), at, sweep.edf) >= SPARE * count
+    if count - np.interp(np.log(met), at, sweep.edf) < SPARE * count:
+        return LAST[-1]  # the level is neither confirmed nor refuted: no more than what it leaves
     residual = float(np.interp(np.log(lam), at, sweep.residual_norm))
-    return bool(confirmed and residual**2 > discrepancy_level(count, sigma, 1 - CHANCE))
+    return RULES[0] if residual**2 > discrepancy_level(count, sigma, 1 - CHANCE) else RULES[1]
 
 
 def _asked(family: StaticInversion, found: Any) -> tuple[LoadEstimate, str]:

@@ -50,7 +50,8 @@ def test_which_of_two_stands() -> None:
     assert chosen(asked(0.02, 1.0, 0.03, rms=3.0), 1000) == "upre"  # the end of a range is no choice
     assert chosen(asked(0.02, 0.04, 0.03, rms=1.01), 1000) == "gcv"
     assert chosen(asked(0.02, 0.2, 0.03, rms=1.5), 1000) == "upre"  # its residual is no noise
-    assert chosen(asked(1e-5, 0.04, 2e-4, rms=1.5, spent=0.9), 1000) == "gcv"  # but here the level is not confirmed
+    assert chosen(asked(0.02, 0.2, 0.03, rms=1.5, spent=0.9), 1000) == "discrepancy"  # where that level is open
+    assert chosen(asked(1e-6, 0.04, 2e-4, rms=1.5, spent=0.9), 1000) == "gcv"  # far from any fit to that level
     assert chosen(asked(1e-9, 1e-5, 1e-3, rms=0.1, spent=0.9), 1000) == "robust_gcv"  # both follow everything
     assert chosen(asked(1e-5, 0.04, None, rms=10.0), 1000) == "gcv"
     assert chosen(asked(1e-5, 0.04, 1e-6, rms=10.0), 1000) == "gcv"  # the stated level is nowhere met
