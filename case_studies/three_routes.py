@@ -142,10 +142,10 @@ def routes(rig: Rig, known: Sequence[Frame]) -> dict[str, Reader]:
 
 
 def _point_forces(rig: Rig, known: Sequence[Frame], ground: Layer | HalfSpace, axes: str) -> Reader:
-    """GelForce on a ground, with lambda over the known presses."""
+    """GelForce on a ground, with lambda by the discrepancy over the known presses."""
     under = rig.body - [0.0, 0.0, H - ground.top]
     noise = np.array([MARKER, MARKER, DEEP])[: len(axes)]
-    sensor = GelForce(ground, rig.places, under, noise=noise, axes=axes)
+    sensor = GelForce(ground, rig.places, under, noise=noise, axes=axes, choice="discrepancy")
     sensor.calibrate([f.body[:, : len(axes)] for f in known])
     return lambda f: sensor.estimate(f.body[:, : len(axes)])
 

@@ -94,6 +94,7 @@ GUARDS = {
     "W607": "drift of a gel, or an old calibration",
     "W608": "regularisation that costs the resultant",
     "N610": "an output of resultants, not a map",
+    "W611": "a camera or a gel that moved as a whole",
     "N701": "resultants alone were compared",
     "W702": "data simulated by the model that inverts them",
     "W703": "coverage of the band",

@@ -81,6 +81,11 @@ class Eye:
         return self.view.to_pad(self.tracker.points[self.kept])
 
     @property
+    def pixel(self) -> float:
+        """Side of a pixel on the pad (m)."""
+        return float(np.median(self._in_metres(np.ones(2))))
+
+    @property
     def slope(self) -> Array | None:
         """Apparent motion per unit of normal motion (N, 2); None where the rays are not known."""
         return None if self.view.rays is None else -self.view.rays.slope(self.markers, np.zeros(len(self.kept)))

@@ -35,6 +35,7 @@ from .posing import supported
 from .quick import CLEAR, TOUCH
 from .reading import DepthMap, Wrench
 from .region import RegionSolver
+from .rigid import away, contact, typical
 from .straining import StrainWatch
 from .surface import channels, neighbours, of_pad
 
@@ -159,6 +160,7 @@ class GelSlim:
         z, how = self._normal(motion, seen, field, depth, indenter)
         known, U, completion = self._solved(motion, seen, field, z, how)
         answer = self._answer(known, U, completion, field, seen, how)
+        flags = [*flags, self._moved(motion, answer, completion)]
         return self._map(answer, U, completion, flags, seen, field, how, wrench)
 
     def stream(self, frames: Iterable[Any], depths: Iterable[DepthMap] | None = None) -> Iterator[ForceMap]:
@@ -307,6 +309,31 @@ class GelSlim:
         touched = (pressure > TOUCH * pressure.max()) & (pressure > CLEAR * std) & self._may
         found = self._solver.solve(completion.displacements(U) / spread, touched, wrench, answer)
         return Answer(found.load, found.std, found.wrench, answer.reach), guards.stopped(found.converged, found.steps)
+
+    def _moved(self, motion: Array, answer: Answer, completion: Completion) -> Flag | None:
+        """W611 of the motion of the markers and the forces found."""
+        places, noise, nodes = self.markers.points[:, :2], self.markers.noise[:, :2], self.pad.nodes2d
+
+        def alone(field: Array) -> Array:
+            moved = np.column_stack([np.broadcast_to(field, nodes.shape), np.zeros(len(nodes))])
+            return completion.forces(moved.ravel()[completion.known])
+
+        shift = typical(motion[:, :2], noise)
+        local = answer.load - alone(shift) if shift.any() else answer.load
+
+        def explained(near: NDArray[np.bool_]) -> Array:
+            U = self.pad.displacements(local * np.repeat(near, 3)).ravel()
+            return np.asarray(self._seen @ U).reshape(len(places), -1)[:, :2]
+
+        touched = contact(local, answer.std)
+        found = away(motion[:, :2], explained, touched, nodes, places, noise, self.pad.thickness)
+        force = np.zeros(3) if found is None else self.geometry["resultant"][:3] @ alone(found.field(nodes))
+        return guards.moved(found, force, None if self.eye is None else self.eye.pixel)
+
+    @cached_property
+    def _seen(self) -> Any:
+        """Rows of what is read of the markers from the motion of the nodes."""
+        return self.markers.rows(sparse.csr_array(self.pad.from_surface(self.markers.points)))
 
     def _correlated(self, field: Interpolation) -> Flag | None:
         """W605, found once for every set of markers that are seen."""

@@ -23,12 +23,13 @@ from .forcemap import ForceMap
 from .frame import not_built_for_depth, paired, readings_of
 from .guards import maps as guards
 from .guards.labels import completed
-from .inversion import Inverse
+from .inversion import Inverse, prepare
 from .observation import Depths, Markers, stacked
 from .posing import PadModel, constrained, constraints, cut, fewer, resultant_covariance, supported
 from .quick import QuickMap
 from .reading import DepthMap, Wrench
 from .region import Pressed
+from .rigid import away, contact, typical
 from .surface import channels, neighbours
 
 if TYPE_CHECKING:
@@ -49,8 +50,8 @@ class Settings(TypedDict, total=False):
         ``identity`` (ridge; point-like contacts), ``gradient`` or ``laplacian`` (smooth ones), as `StaticInversion`;
         None for plain least squares.
     choice : str, float or None
-        Rule for lambda, or a relative lambda; `calibrate` freezes it. None takes the larger of discrepancy and robust
-        GCV: the noise of a camera at rest is not the error of the mesh.
+        Rule for lambda, or a relative lambda; `calibrate` freezes it. None takes UPRE at the noise of the markers, or
+        GCV where the data show that this is not all there is (errors of the mesh, a level that is too low).
     noise_source : str
         Where the noise level comes from.
     no_pull : bool
@@ -328,7 +329,7 @@ class LinearSensor:
                 linked[nodes][:, nodes],
                 self.markers.points[:, :2],
                 len(self.markers.axes),
-                self.thickness or float(np.ptp(places[:, :2])) / 6,
+                self._thick,
                 np.asarray(self.geometry["about"], float),
                 self.no_pull,
                 self.friction,
@@ -339,15 +340,18 @@ class LinearSensor:
         """The map at the frozen lambda."""
         count = self.markers.readings_count
         depth = self.depth is None or bool(np.isfinite(y[count:]).any())
-        found = self._quick_map(depth)(y if depth else y[:count], wrench)
+        quick = self._quick_map(depth)
+        found = quick(y if depth else y[:count], wrench)
         facts = {**found.facts, "provided": self.provided(depth and self.depth is not None)}
+        spread = found.std / max(1.0, found.facts["misfit"])  # a motion of all markers widens the band
+        moved = self._moved(y, found.load, spread, slice(None) if depth else slice(count), lambda: quick.inverse)
         load, std = self._scattered(found.load), self._scattered(found.std)
         return ForceMap(
             load=load,
             std=std,
             labels=self._labels,
             units=self._units,
-            flags=collect([*self.model.flags, *flags, *found.flags, *self._own(load, facts)]),
+            flags=collect([*self.model.flags, *flags, *found.flags, moved, *self._own(load, facts)]),
             allowed=self.family.allow,
             certificate=self.model.certificate,
             geometry={**self.geometry, "resultant_covariance": found.wrench},
@@ -371,12 +375,15 @@ class LinearSensor:
         if found.bias is not None and wrench is None:  # what the penalty takes is in the band
             taken = self.resultant @ found.bias
             covariance = covariance + np.outer(taken, taken)
+        assert found.choice is not None
+        lam = found.choice.lam
+        moved = self._moved(y, found.load, found.std, seen, lambda: prepare(family, self.resultant, lam))
         own = {
             "load": load,
             "std": self._scattered(found.std),
             "labels": self._labels,
             "units": self._units,
-            "flags": collect([*found.flags, *flags, *self._own(load, facts)]),
+            "flags": collect([*found.flags, *flags, moved, *self._own(load, facts)]),
             "geometry": {
                 **self.geometry,
                 "resultant_covariance": covariance,
@@ -384,6 +391,34 @@ class LinearSensor:
             "facts": facts,
         }
         return ForceMap(**{**kept, **own})
+
+    def _moved(self, y: Array, load: Array, std: Array, rows: Any, inverse: Callable[[], Inverse]) -> Flag | None:
+        """W611 of readings (m,) and the loads (n,) found; `inverse`, of `rows`, is asked where most markers moved."""
+        markers, count = self.markers, self.markers.readings_count
+        places, noise, shape = markers.points[:, :2], markers.noise[:, :2], (len(markers), len(markers.axes))
+        motion = y[:count].reshape(shape)[:, :2]
+
+        def alone(field: Array) -> Array:
+            only = np.zeros(len(y))
+            only[:count].reshape(shape)[:, :2] = field
+            maps = inverse()
+            return np.asarray(maps.matrix @ (only[rows] / maps.spread))
+
+        shift = typical(motion, noise)
+        local = load - alone(shift) if shift.any() else load
+
+        def explained(near: NDArray[np.bool_]) -> Array:
+            return np.asarray(self.model.H[:count] @ (local * np.repeat(near, 3))).reshape(shape)[:, :2]
+
+        nodes = self.geometry["coordinates"][self.kept[::3] // 3, :2]
+        found = away(motion, explained, contact(local, std), nodes, places, noise, self._thick)
+        force = np.zeros(3) if found is None else self.resultant[:3] @ alone(found.field(places))
+        return guards.moved(found, force, None if self.eye is None else self.eye.pixel)
+
+    @cached_property
+    def _thick(self) -> float:
+        """Thickness (m); of a half-space a sixth of the side."""
+        return self.thickness or float(np.ptp(self.geometry["coordinates"][:, :2])) / 6
 
     def _named(self, seen: NDArray) -> list[str]:
         """Labels of the readings that are there."""

@@ -20,7 +20,7 @@ from structures.errors import InputError
 from structures.flags import Flag
 
 from .. import padfile
-from ..choosing import RULES, larger
+from ..choosing import RULES, chosen
 from ._eyes import Seen, look
 from ._inputs import DepthMaps, depth_maps
 
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 STRONGEST = 3  # frames on which lambda is chosen
 HALF = 0.5  # of the largest motion, that a frame must show to be asked
 SEARCHED = 30  # strongest frames among which whole ones are looked for
-BOTH = f", the larger of {' and '.join(RULES)},"
+DEFAULT = ", by default,"
 
 
 @dataclass(frozen=True)
@@ -214,22 +214,21 @@ def _tracked(
 def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None, source: str) -> str:
     """Lambda on the strongest frames together, frozen; in words.
 
-    Without a rule of the user the larger of two, as `tactile.choosing`, from one factorisation.
+    Without a rule of the user as `tactile.choosing`, from one factorisation.
     """
     readings, used = _strongest(built, tracked, maps)
     family, ruled = built.family, built.family.choice
     family.choice = ruled or RULES[0]
-    choice = family.estimate(readings).choice
+    found = family.estimate(readings)
     family.choice = ruled
-    asked = {rule.rule: rule.lam for rule in choice.rules if rule.lam is not None}
-    heard = [r for r in RULES if r in asked]
-    rule = choice.rule if ruled or not heard else heard[larger([asked[r] for r in heard])]
-    lam = float(choice.lam if ruled else asked.get(rule, choice.lam))
+    choice = found.choice
+    rule = choice.rule if ruled else chosen(choice, np.size(found.response))
+    lam = float(choice.lam if ruled else next(r.lam for r in choice.rules if r.rule == rule))
     family.calibration = Calibration(
         lam=lam, rule=rule, records=(used,), alone=(lam,), spread=0.0, verdict=choice.verdict,
         sigma_source=source, date=datetime.now(UTC).isoformat(timespec="seconds"),
     )  # fmt: skip
-    return f"{lam:.3g} by {rule}{'' if ruled else BOTH} on {used}; {choice.verdict}"
+    return f"{lam:.3g} by {rule}{'' if ruled else DEFAULT} on {used}; {choice.verdict}"
 
 
 def _strongest(built: Any, tracked: _Tracked, maps: DepthMaps | None) -> tuple[Any, str]:

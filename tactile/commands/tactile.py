@@ -57,7 +57,7 @@ def _configure(parser: ArgumentParser) -> None:
         "--lam",
         type=choice,
         metavar="LAMBDA|RULE",
-        help="relative lambda, or its rule; default the larger of discrepancy and robust_gcv on the strongest frames",
+        help="relative lambda, or its rule; default upre, or gcv where the noise is above, on the strongest frames",
     )
     parser.add_argument("--frames", type=span, metavar="A:B", help="frames to invert, from 1; all before are tracked")
     parser.add_argument("--rate", type=positive, metavar="HZ", help="frames a second of the camera")

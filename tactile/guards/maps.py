@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from structures.flags import Evidence, Flag
 
+from ..rigid import RigidMotion
+
 BIAS, SHARE = 0.02, 0.02
 SEEN = 0.8  # share of a normal force that must be found
 MISFIT = 5.0  # rms residual of the markers over their noise
@@ -46,6 +48,32 @@ def misfit(ratio: float) -> Flag | None:
         Evidence("rms residual of the markers over their noise", ratio, MISFIT),
         f"the map leaves {ratio:.1f} times the noise of the markers unexplained; bands are widened by as much",
         "look at the order of the markers, the zero, thickness and nu, a lambda that is too large, or the noise stated",
+    )
+
+
+def moved(found: RigidMotion | None, force: NDArray, pixel: float | None) -> Flag | None:
+    """W611: markers that no contact reaches moved together.
+
+    Parameters
+    ----------
+    found : RigidMotion or None
+    force : array (3,)
+        What the map makes of this motion alone (N).
+    pixel : float or None
+        Side of a pixel on the pad (m).
+    """
+    if found is None:
+        return None
+    x, y = 1e6 * found.shift
+    px = "" if pixel is None else f" ({np.linalg.norm(found.shift) / pixel:.2g} px)"
+    fx, fy, fz = force
+    return Flag(
+        "W611",
+        Evidence("F statistic of a rigid motion of the far markers", found.ratio, found.threshold),
+        f"the markers that no contact reaches moved together by ({x:.3g}, {y:.3g}) um{px} and turned by "
+        f"{np.degrees(found.turn):.2g} degrees: the force may be wrong by ({fx:.2g}, {fy:.2g}, {fz:.2g}) N, which is "
+        "what this motion alone gives; no band shows it",
+        "unload the sensor and zero() it again; fasten the camera and the gel",
     )
 
 

@@ -50,6 +50,12 @@ def lost(count: int) -> tuple[Flag, ...]:
     return rigs.sensor().estimate(y).flags
 
 
+def slid(shift: float) -> tuple[Flag, ...]:
+    """Flags of an untouched pad whose image is shifted (m)."""
+    still = rigs.NOISE * np.random.default_rng(1).standard_normal((len(rigs.markers()), 3))
+    return rigs.sensor().estimate(still + np.array([shift, 0.0, 0.0])).flags
+
+
 def slim(spread: bool, indenter: bool = False) -> tuple[Flag, ...]:
     """Flags of F = K U, on markers that are the nodes or coarser than them."""
     here = rigs.pad(1, "standard")
@@ -98,6 +104,7 @@ CASES = [
     Case("W608", lambda: mapped(choice=0.06).flags, lambda: mapped(choice=1e-3).flags, "lowers the resultant by"),
     Case("W608", lambda: mapped(choice=0.2).flags, lambda: mapped(choice=1e-3).flags, "would be found", "unseen"),
     Case("N610", lambda: one(labels.resultant_output("a net", 6)), lambda: (), "no map"),
+    Case("W611", lambda: slid(18e-6), lambda: slid(0.0), "moved together by .1[78].*fasten"),
     Case("W705", lambda: one(monitor.gain_or_shape(0.8, 0.999, 0.01, 0.5)),
          lambda: one(monitor.gain_or_shape(1.01, 0.9999, 0.001, 0.5)), "0.8"),
     Case("W706", lambda: one(monitor.other_calibration(OLD, NEW)), lambda: one(monitor.other_calibration(NEW, OLD)),

@@ -135,7 +135,7 @@ def test_the_answer_holds_what_a_user_must_know(made: Path, whole: dict[str, Any
     assert whole["lost"] == [0] * 7
     assert whole["reference"] == "first 4 frames of frames"
     assert "measured on 4 unloaded frames" in whole["noise"]
-    assert "the larger of discrepancy and robust_gcv, on the strongest whole frames" in whole["lambda_words"]
+    assert ", by default, on the strongest whole frames" in whole["lambda_words"]
     assert whole["strongest"]["frame"] == pytest.approx(0.6)
     assert whole["strongest"]["force"] == pytest.approx(ForceMap.read(made / "a.h5").resultant().value[6])
     assert whole["written"] == [str(made / "a.h5")]

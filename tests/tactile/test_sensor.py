@@ -347,7 +347,7 @@ def test_lambda_is_chosen_over_presses_and_kept() -> None:
     assert not s.frozen
     first = s.estimate(motion(1))
     assert first.choice is not None
-    assert first.choice.rule == "discrepancy"  # noise is all there is here
+    assert first.choice.rule == "upre"  # noise is all there is here
     found = s.calibrate([motion(1), motion(2)])
     assert s.frozen
     assert s.estimate(motion(3)).facts["lambda"] == found.lam
