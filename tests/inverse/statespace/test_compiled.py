@@ -33,7 +33,7 @@ def numbers() -> dict[str, list[float]]:
 def test_compiled_loops_change_no_number() -> None:
     code = "import json; from tests.inverse.statespace.test_compiled import numbers; print(json.dumps(numbers()))"
     ran = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, env=os.environ | {"LOADID_COMPILED": "0"},
+        [sys.executable, "-c", code], cwd=ROOT, env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
         capture_output=True, text=True, check=True, timeout=120,
     )  # fmt: skip
     plain, own = json.loads(ran.stdout), numbers()
