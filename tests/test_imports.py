@@ -12,7 +12,7 @@ import pytest
 
 from .sources import ROOT
 
-HEAVY = ("scipy", "matplotlib", "casadi", "filterpy", "h5py", "skfem", "clarabel")
+HEAVY = ("scipy", "matplotlib", "casadi", "filterpy", "h5py", "skfem", "clarabel", "numba")
 QUIET = (
     "import contextlib, io\n"
     "with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):\n    "

@@ -1,24 +1,23 @@
-"""Loops that numba compiles where it is installed (extra ``fast``); without it the same loops run as Python.
+"""Loops over arrays that numba compiles.
 
 Numba is imported when the first loop is called, not when it is defined: the import takes longer than most problems that
-never need a loop. Set the environment variable ``LOADID_COMPILED=0`` before the first import to run them as Python all
-the same.
+never need a loop. What it compiles is kept on disk for the next process. Numba's own ``NUMBA_DISABLE_JIT=1`` in the
+environment runs the loops as Python, to debug them.
 """
 
 from __future__ import annotations
 
-import os
+import logging
 from collections.abc import Callable
-from functools import update_wrapper
-from importlib.util import find_spec
+from functools import cache, update_wrapper
 from types import FunctionType
 from typing import Any
 
-AVAILABLE = find_spec("numba") is not None and os.environ.get("LOADID_COMPILED", "1") != "0"
+log = logging.getLogger(__name__)
 
 
 class Compiled:
-    """A loop over arrays that is compiled at its first call.
+    """Decorator of a loop over arrays, which is compiled at its first call.
 
     Parameters
     ----------
@@ -53,14 +52,6 @@ class Compiled:
         return (self._fast or self.build())(*args)
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorate a loop over arrays; ``plain`` of the result is the function as written."""
-    if not AVAILABLE:
-        function.plain = function  # type: ignore[attr-defined]
-        return function
-    return Compiled(function)
-
-
 def _njit(function: FunctionType) -> Callable[..., Any]:
     """Compile a function whose names of other loops stand for what these are compiled to."""
     from numba import njit
@@ -71,5 +62,16 @@ def _njit(function: FunctionType) -> Callable[..., Any]:
         known = {**names, **{name: loop.build() for name, loop in called.items()}}
         twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, function.__closure__)
         function = update_wrapper(twin, function)  # type: ignore[assignment]
-    fast: Callable[..., Any] = njit(cache=True, nogil=True, error_model="numpy")(function)
+    options = {"nogil": True, "error_model": "numpy"}
+    fast: Callable[..., Any]
+    try:
+        fast = njit(cache=True, **options)(function)
+    except RuntimeError:  # no folder that numba may write to
+        _warn_of_no_cache()
+        fast = njit(**options)(function)
     return fast
+
+
+@cache
+def _warn_of_no_cache() -> None:
+    log.warning("every process compiles its loops anew: set NUMBA_CACHE_DIR to a folder that can be written")

@@ -1,7 +1,7 @@
 """Loads that only push: accuracy on the half-sine benchmark, and cost over the length of the record.
 
 Run as ``python -m tests.benchmarks.nonnegative [accuracy|cost|long]``. CPU seconds of the process, one thread, medians
-of three runs (one run beyond 1e5 samples). Nothing here is compiled: the extra ``fast`` changes no figure.
+of three runs (one run beyond 1e5 samples). Nothing here is compiled.
 """
 
 from __future__ import annotations

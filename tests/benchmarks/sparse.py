@@ -2,8 +2,7 @@
 
 ``python -m tests.benchmarks.sparse [--quick]``. Half-sine pulses of 11 samples on the benchmark beam
 (tests/halfsine.py), 5 % noise, spikes of one sample, mu = 0.02 of the smallest at which everything is zero. celer works
-on the dense matrix, whose making is not counted. Medians of several runs, one thread; no figure needs the extra
-``fast``.
+on the dense matrix, whose making is not counted. Medians of several runs, one thread.
 """
 
 from __future__ import annotations

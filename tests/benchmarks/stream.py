@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from loadid.families.tracking import checkpoint
 from loadid.families.tracking.tracker import Fitted, Tracker
-from loadid.inverse.compiled import AVAILABLE
 from loadid.inverse.kalman.augment import augment
 from loadid.inverse.kalman.priors import OU, Matern32, Sum
 from loadid.inverse.kalman.steady import steady
@@ -268,7 +267,6 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--only", choices=("soak", "text", "latency", "kills", "restart"))
     args = parser.parse_args()
-    print(f"compiled loops: {'yes (extra fast)' if AVAILABLE else 'no'}")
     found: dict[str, float] = {}
     if args.only in (None, "soak"):
         found |= soak(86_400_000 if args.day else args.samples)

@@ -7,7 +7,6 @@ from structures.measured import MeasuredModel
 from structures.model import Model
 from structures.statespace import StateSpace
 
-from ...inverse.compiled import AVAILABLE
 from .. import noise as noises
 from ..data import Data
 from .convolved import convolved, convolved_measured
@@ -18,8 +17,7 @@ from .states import MOST, TAPS, at_rest_in_place, state_space_of, states
 
 __all__ = ["PATHS", "UNUSABLE", "Posed", "Settings", "diagonal", "pose"]
 
-SMALL = 1000 if AVAILABLE else DENSE  # unknowns up to which a factorisation, which tells more, is about as quick
-UNCOMPILED = 20_000  # unknowns up to which convolution is quicker than the state space without the extra ``fast``
+SMALL = 1000  # unknowns up to which a factorisation, which tells more, is about as quick
 
 
 def pose(model: Model, data: Data, settings: Settings) -> Posed:
@@ -77,8 +75,6 @@ def _kind(model: Model, data: Data, settings: Settings) -> tuple[str, StateSpace
         return ("dense" if unknowns <= DENSE else "fft"), None
     if not settings.named or settings.free or (unknowns <= SMALL and not gaps and not settings.special):
         return "dense", None
-    if not AVAILABLE and not settings.special and settings.size is None and unknowns <= UNCOMPILED:
-        return "toeplitz", None  # the same load, quicker than loops that are not compiled
     system = state_space_of(model, data.dt, settings.hold)
     if system is not None and (len(system.A) <= MOST or settings.special or settings.size is not None):
         return "statespace", system

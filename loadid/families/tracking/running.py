@@ -114,7 +114,7 @@ class Running:
         return Peer(f.model)
 
     def compile(self) -> None:
-        """Load the compiler of the settled gains now, where there is one, so that no sample waits for it."""
+        """Load the compiler of the settled gains now, so that no sample waits for it."""
         for engine in (self._engine, *(engine for _, engine in self._bank)):
             if engine.loop is not None:
                 engine.loop.compile()

@@ -1,11 +1,11 @@
-"""A settled filter as one product a sample: compiled, or numpy's where nothing compiles.
+"""A settled filter as one product a sample.
 
     [load; e; x-]  <-  M [x-; y]
 
 A sample that is not finite, or whose innovation leaves its limits, is not taken: the state stays as it was, and the
 caller decides. Sample by sample and block are the same recursion.
 
-Where loops compile, short blocks run in numpy first, with the same sums in the same order, bit for bit: a process that
+Short blocks run in numpy first, with the same sums in the same order, bit for bit: a process that
 starts anew answers before the compiler is loaded, and a stream goes on as if it had never been interrupted.
 """
 
@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 
-from ..compiled import AVAILABLE, Compiled, compiled
+from ..compiled import Compiled
 
 LARGE = 40_000  # entries of M from which BLAS is faster than the loop, call and all
 COLD = 10**8  # products from which the compiler is worth its load
@@ -68,7 +68,7 @@ class Loop:
 
         n = rows.shape[1] - m
         self.p, self.m, self.n = p, m, n
-        self._single = AVAILABLE and rows.size <= LARGE
+        self._single = rows.size <= LARGE
         limits = np.minimum(np.full(m, np.inf) if limit is None else np.asarray(limit, float), np.finfo(float).max)
         # one array, as each one that is handed to a compiled function costs a tenth of a microsecond
         matrix = rows.T if self._single else rows
@@ -81,7 +81,7 @@ class Loop:
         self._fast: tuple[Callable[..., Any], Callable[..., Any]] | None = None
         self._cold: _Plain | None = None
         self._done = 0  # products without the compiler
-        if self._single and isinstance(_block, Compiled) and _block.built:
+        if self._single and _block.built:
             self.compile()  # it is there
 
     @property
@@ -94,11 +94,9 @@ class Loop:
         self._x[:] = value
 
     def compile(self) -> None:
-        """Load the compiler now, where there is one, and not within a sample; `step` asks for it at its first call."""
+        """Load the compiler of the loop now, and not within a sample; `step` asks for it at its first call."""
         if not self._single or self._fast is not None:
             return
-        assert isinstance(_block, Compiled)
-        assert isinstance(_step, Compiled)
         self._fast = _step.build(), _block.build()
         n, m, p, state = self.n, self.m, self.p, self._all.copy()
         self._fast[1](state, n, m, p, np.full((1, m), np.nan), np.empty((1, p)), np.empty((1, m)))
@@ -218,7 +216,7 @@ def _width(y: ArrayLike, m: int) -> InputError:
     return InputError("a sample of the wrong width", where="sample", found=f"shape {np.shape(y)}", expected=f"({m},)")
 
 
-@compiled
+@Compiled
 def _step(a: NDArray, n: int, m: int, p: int) -> bool:
     """Overwrite out = M^T v; the prediction in v too where every innovation is within its limit.
 
@@ -248,7 +246,7 @@ def _step(a: NDArray, n: int, m: int, p: int) -> bool:
     return True
 
 
-@compiled
+@Compiled
 def _block(a: NDArray, n: int, m: int, p: int, Y: NDArray, load: NDArray, e: NDArray) -> int:
     """Samples taken before the first that is not."""
     y, out = a[m + n : m + n + m], a[m + n + m : m + n + m + p + m]

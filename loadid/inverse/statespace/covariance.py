@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import AVAILABLE, compiled
+from ..compiled import Compiled
 from .record import Record
 from .riccati import Gains
 from .settling import NEAR, NEVER, SETTLED, SHARE, STALLED, STRIDE, arrival, decay
@@ -51,6 +51,7 @@ def spread(record: Record, gains: Gains, every_sample: bool = True) -> Spread:
     return Spread(variance if every_sample else None, float(trace), float(gains.lam**2 * penalty))
 
 
+@Compiled
 def _recursion(
     F: NDArray, G: NDArray, E: NDArray, kind: NDArray, K: NDArray, R: NDArray, which: NDArray, X: NDArray,
     variance: NDArray, every: bool, stride: int,
@@ -127,7 +128,3 @@ def _recursion(
         multiply_by_transposed(moved, closed, X)
         X += fed
     return trace, penalty
-
-
-if AVAILABLE:
-    _recursion = compiled(_recursion)

@@ -1,11 +1,11 @@
-"""The passes sample by sample, where gains or matrices change: compiled, or in numpy where nothing compiles."""
+"""The passes sample by sample, where gains or matrices change."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import AVAILABLE, compiled
+from ..compiled import Compiled
 from .record import Record
 from .riccati import Gains
 
@@ -15,8 +15,6 @@ def backward(
 ) -> tuple[NDArray[np.float64], float]:
     """Fill u of some samples; v before them, and the sum of s^T u."""
     kind, which = record.kind[part], gains.which[part]
-    if not AVAILABLE:
-        return _numpy_backward(record, gains, kind, which, y, a, u, v)
     v, linear = np.array(v), a is not None
     value = _backward(*record.entries, record.G, record.C, record.D, record.E, kind, gains.K, gains.R, which, y,
                       y[:0] if a is None else a, linear, u, v)  # fmt: skip
@@ -28,56 +26,12 @@ def forward(
 ) -> NDArray[np.float64]:
     """Fill inputs, load and response of some samples; the state after them."""
     kind, which = record.kind[part], gains.which[part]
-    if not AVAILABLE:
-        return _numpy_forward(record, gains, kind, which, u, x, w, g, r)
     x = np.array(x)
     _forward(*record.entries, record.G, record.C, record.D, record.E, kind, gains.K, which, u, x, w, g, r)
     return x
 
 
-def _numpy_backward(
-    record: Record, gains: Gains, kind: NDArray, which: NDArray, y: NDArray, a: NDArray | None, u: NDArray, v: NDArray
-) -> tuple[NDArray[np.float64], float]:
-    sources = _by_kind(kind, y, record.C)
-    direct = _by_kind(kind, y, record.D)
-    if a is not None:
-        sources, direct = sources + a @ record.E, direct + a
-    F, G, K, s = record.F, record.G, gains.K, np.empty_like(direct)
-    for k in range(len(kind) - 1, -1, -1):
-        j = kind[k]
-        s[k] = v @ G[j] + direct[k]
-        v = v @ F[j] + sources[k] - s[k] @ K[which[k]]
-    R = gains.R[which]
-    z = np.linalg.solve(R.transpose(0, 2, 1), s[:, :, None])
-    u[:] = np.linalg.solve(R, z)[:, :, 0]
-    return v, float(np.vdot(z, z))
-
-
-def _numpy_forward(
-    record: Record, gains: Gains, kind: NDArray, which: NDArray, u: NDArray, x: NDArray, w: NDArray, g: NDArray,
-    r: NDArray,
-) -> NDArray[np.float64]:  # fmt: skip
-    F, G, K, states = record.F, record.G, gains.K, np.empty((len(kind), record.n))
-    for k in range(len(kind)):
-        j = kind[k]
-        states[k] = x
-        w[k] = u[k] - K[which[k]] @ x
-        x = F[j] @ x + G[j] @ w[k]
-    g[:] = states @ record.E.T + w
-    r[:] = _by_kind(kind, states, record.C.transpose(0, 2, 1)) + _by_kind(kind, w, record.D.transpose(0, 2, 1))
-    return x
-
-
-def _by_kind(kind: NDArray, rows: NDArray, matrices: NDArray) -> NDArray[np.float64]:
-    """``rows[k] @ matrices[kind[k]]`` for every sample."""
-    out = np.empty((len(rows), matrices.shape[2]))
-    for j in np.unique(kind):
-        here = kind == j
-        out[here] = rows[here] @ matrices[j]
-    return out
-
-
-@compiled
+@Compiled
 def _backward(
     at: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, E: NDArray, kind: NDArray, K: NDArray, R: NDArray,
     which: NDArray, y: NDArray, a: NDArray, linear: bool, u: NDArray, v: NDArray,
@@ -122,7 +76,7 @@ def _backward(
     return value
 
 
-@compiled
+@Compiled
 def _forward(
     at: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, E: NDArray, kind: NDArray, K: NDArray,
     which: NDArray, u: NDArray, x: NDArray, w: NDArray, g: NDArray, r: NDArray,

@@ -16,12 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import AVAILABLE
 from . import blocks, loops
 from .record import Record
 from .riccati import Gains
 
-STEADY = 4096 if AVAILABLE else 64  # samples with one gain from which blocks pay
+STEADY = 4096  # samples with one gain from which blocks pay
 PART = 1 << 14  # samples of a temporary
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import AVAILABLE, compiled
+from ..compiled import Compiled
 from .record import Record
 from .rooted import spare, step
 from .settling import NEAR, NEVER, SETTLED, SHARE, STALLED, STRIDE, arrival, decay
@@ -89,6 +89,7 @@ def feedback(record: Record, K: NDArray | None = None) -> Gains:
     return Gains(0.0, K[None], np.eye(p)[None], np.zeros(record.samples, np.int32), np.empty(0), 0.0, np.zeros((0, 0)))
 
 
+@Compiled
 def _recursion(
     at: NDArray, entries: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, kind: NDArray, lam: float,
     K: NDArray, R: NDArray, which: NDArray, stride: int, spare: int,
@@ -140,7 +141,3 @@ def _recursion(
         else:
             steady = change <= SETTLED * size or 0 <= until <= since
     return row + 1, root[:, :height].T, logdet
-
-
-if AVAILABLE:
-    _recursion = compiled(_recursion)

@@ -1,8 +1,8 @@
-"""One step of the square-root recursion: the stack of `riccati` made triangular, as loops or by numpy.
+"""One step of the square-root recursion: the stack of `riccati` made triangular.
 
-Where it is compiled, columns lie contiguous (arrays are transposed), only the columns of the inputs are eliminated at
-every step, and the root of the cost is allowed some rows more than columns until all of it is made triangular. Its
-product with F takes the entries that are not zero: few in modal form.
+Columns lie contiguous (arrays are transposed), only the columns of the inputs are eliminated at every step, and the
+root of the cost is allowed some rows more than columns until all of it is made triangular. Its product with F takes the
+entries that are not zero: few in modal form.
 """
 
 from __future__ import annotations
@@ -10,17 +10,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import AVAILABLE, compiled
+from ..compiled import Compiled
 
 SPARE = 4  # rows by which a root may grow
 
 
 def spare(m: int) -> int:
     """Rows of a root beyond its columns, for m data in a sample."""
-    return m * max(SPARE // max(m, 1), 1) if AVAILABLE else 0
+    return m * max(SPARE // max(m, 1), 1)
 
 
-def _step(
+@Compiled
+def step(
     at: NDArray, entries: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, lam: float,
     root: NDArray, height: int, stack: NDArray, K: NDArray, R: NDArray,
 ) -> int:  # fmt: skip
@@ -74,6 +75,7 @@ def _step(
     return height
 
 
+@Compiled
 def _eliminate(A: NDArray, rows: int, steps: int) -> None:
     """Householder reflections of the first `rows` rows of a matrix whose transpose is A, for its first columns."""
     for j in range(steps):
@@ -109,24 +111,3 @@ def _eliminate(A: NDArray, rows: int, steps: int) -> None:
         A[j, j] = alpha
         for i in range(j + 1, rows):
             A[j, i] = 0.0
-
-
-def _numpy_step(
-    at: NDArray, entries: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, lam: float,
-    root: NDArray, height: int, stack: NDArray, K: NDArray, R: NDArray,
-) -> int:  # fmt: skip
-    n, p = G.shape
-    whole = np.block([[D, C], [lam * np.eye(p), np.zeros((p, n))], [root[:, :n].T @ G, root[:, :n].T @ F]])
-    made = np.asarray(np.linalg.qr(whole, mode="r"))
-    R[:] = made[:p, :p]
-    K[:] = np.linalg.solve(R, made[:p, p:])
-    root[:, :n] = 0.0
-    root[:, : len(made) - p] = made[p:, p:].T
-    return n
-
-
-if AVAILABLE:
-    _eliminate = compiled(_eliminate)
-    step = compiled(_step)
-else:
-    step = _numpy_step

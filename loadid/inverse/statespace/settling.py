@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import AVAILABLE, compiled
+from ..compiled import Compiled
 from .small import multiply
 
 STRIDE = 32  # samples between two looks
@@ -21,7 +21,8 @@ STALLED, SHARE = 1e-12, 0.5  # change of such a loop that no longer falls by thi
 NEVER = 1 << 62
 
 
-def _decay(M: NDArray, a: NDArray, b: NDArray) -> float:
+@Compiled
+def decay(M: NDArray, a: NDArray, b: NDArray) -> float:
     """Decay per sample, -ln of the spectral radius of M; two matrices to work in.
 
     From norms of M^k and M^2k, whose ratio is rho^k however far M is from normal.
@@ -44,7 +45,8 @@ def _decay(M: NDArray, a: NDArray, b: NDArray) -> float:
     return -(log + np.log(size) - before) / (1 << (SQUARINGS - 1))
 
 
-def _arrival(since: int, change: float, size: float, decay: float, samples: int) -> int:
+@Compiled
+def arrival(since: int, change: float, size: float, decay: float, samples: int) -> int:
     """Sample at which rounding is all that is left, for a change over the last stride."""
     if decay * samples < MARGINAL:
         return NEVER
@@ -53,9 +55,3 @@ def _arrival(since: int, change: float, size: float, decay: float, samples: int)
         return since
     wait = np.log(left / rounding) / (2.0 * decay) if rounding > 0.0 else np.inf
     return since + int(min(wait, float(samples))) + 1
-
-
-if AVAILABLE:
-    decay, arrival = compiled(_decay), compiled(_arrival)
-else:
-    decay, arrival = _decay, _arrival

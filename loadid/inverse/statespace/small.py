@@ -1,14 +1,14 @@
-"""Products and triangular solves of matrices of a dozen rows: compiled loops, or numpy where nothing compiles."""
+"""Products and triangular solves of matrices of a dozen rows."""
 
 from __future__ import annotations
 
-import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import AVAILABLE, compiled
+from ..compiled import Compiled
 
 
-def _multiply(A: NDArray, B: NDArray, out: NDArray) -> None:
+@Compiled
+def multiply(A: NDArray, B: NDArray, out: NDArray) -> None:
     """Put A B into `out`."""
     for i in range(A.shape[0]):
         for j in range(B.shape[1]):
@@ -20,7 +20,8 @@ def _multiply(A: NDArray, B: NDArray, out: NDArray) -> None:
                     out[i, j] += a * B[k, j]
 
 
-def _multiply_by_transposed(A: NDArray, B: NDArray, out: NDArray) -> None:
+@Compiled
+def multiply_by_transposed(A: NDArray, B: NDArray, out: NDArray) -> None:
     """Put A B^T into `out`."""
     for i in range(A.shape[0]):
         for j in range(B.shape[0]):
@@ -30,7 +31,8 @@ def _multiply_by_transposed(A: NDArray, B: NDArray, out: NDArray) -> None:
             out[i, j] = total
 
 
-def _solve_upper(R: NDArray, B: NDArray, out: NDArray) -> None:
+@Compiled
+def solve_upper(R: NDArray, B: NDArray, out: NDArray) -> None:
     """Put R^-1 B into `out`, R upper triangular."""
     p = R.shape[0]
     for i in range(p - 1, -1, -1):
@@ -39,24 +41,3 @@ def _solve_upper(R: NDArray, B: NDArray, out: NDArray) -> None:
             for k in range(i + 1, p):
                 total -= R[i, k] * out[k, j]
             out[i, j] = total / R[i, i]
-
-
-def _numpy_multiply(A: NDArray, B: NDArray, out: NDArray) -> None:
-    np.matmul(A, B, out=out)
-
-
-def _numpy_multiply_by_transposed(A: NDArray, B: NDArray, out: NDArray) -> None:
-    np.matmul(A, B.T, out=out)
-
-
-def _numpy_solve_upper(R: NDArray, B: NDArray, out: NDArray) -> None:
-    out[:] = np.linalg.solve(R, B)
-
-
-if AVAILABLE:
-    multiply = compiled(_multiply)
-    multiply_by_transposed = compiled(_multiply_by_transposed)
-    solve_upper = compiled(_solve_upper)
-else:
-    multiply, multiply_by_transposed = _numpy_multiply, _numpy_multiply_by_transposed
-    solve_upper = _numpy_solve_upper
