@@ -102,7 +102,7 @@ ORDERS = {
     False: ("predicted_error", "robust_gcv", "gcv", "l_curve"),
     True: ("predicted_error", "discrepancy", "upre", "gcv", "l_curve"),
 }
-WIDE = 0.2  # share of the data that a wide-band load spends
+WIDE, NEAR = 0.2, 1.0  # share of the data that a wide-band load spends; decades within which UPRE then refines it
 BELOW = 0.7  # decades by which a whiteness rule lies below quasi-optimality where it may follow correlated noise
 CHANCE, CLEARLY = 1e-2, 1.3  # of a residual so far above the stated noise; and how far at least
 EXCESS = 1e-3  # chance of a residual so far above the noise that the load does not explain its data
@@ -127,7 +127,8 @@ def choose(
     choice : str, float or None
         Rule, or relative lambda. None: the smallest predicted error of the load (`rules.predicted_error`), from the
         discrepancy solution where the noise level is known, else from robust GCV; where it cannot run or ends at an
-        edge, discrepancy and UPRE (noise level known) or robust GCV, then GCV and the L-curve. Noise level not known
+        edge, discrepancy and UPRE (noise level known) or robust GCV, then GCV and the L-curve. Noise level known and
+        more than a fifth of the data spent: UPRE, if it is not more than a decade below. Noise level not known
         and the noise shows itself as correlated (`whiteness_of`): quasi-optimality, which does not ask for white noise.
         A noise level that the data contradict (`contradicted`) is set aside, and robust GCV decides: a level far below
         the true one would let the noise through.
@@ -345,7 +346,11 @@ def _pick(
             expected="a relative lambda",
             hint="pass choice=<relative lambda>",
         )
-    return _given(running[0]), running[0].rule
+    first, upre = running[0], asked["upre"]
+    refined = first.rule == "predicted_error" and upre.lam is not None and not (upre.edge or first.edge)
+    if refined and _spends(path, _given(first)) and _given(upre) > 10**-NEAR * _given(first):
+        first = upre
+    return _given(first), first.rule
 
 
 def _spends(path: RegularizationPath, lam: float) -> bool:

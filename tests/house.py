@@ -1,0 +1,247 @@
+"""How large the house is and how it hangs together: `python -m tests.house` prints the table.
+
+Everything but the files that are entered is read with ast; those are counted while a short record is inverted, and while
+``loadid identify`` makes a report of it.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import io
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from .sources import PACKAGES, ROOT, imports, modules, within
+
+MOST_FILES, MOST_PARAMETERS = 20, 10
+HEAVY = ("numpy", "scipy", "matplotlib", "h5py", "numba", "casadi", "filterpy", "clarabel", "cv2", "pyuff", "skfem")
+PROBES = {"getattr", "hasattr", "isinstance"}
+
+
+def trees() -> dict[str, ast.Module]:
+    """Module name -> its tree."""
+    return {name: ast.parse(path.read_text("utf-8")) for name, path in modules(*PACKAGES)}
+
+
+def lines() -> int:
+    """Source lines of the three packages, blank ones and comments included."""
+    return sum(len(path.read_text("utf-8").splitlines()) for _, path in modules(*PACKAGES))
+
+
+def crowded() -> dict[str, int]:
+    """Folders with more files than `MOST_FILES`."""
+    count = Counter(str(path.parent.relative_to(ROOT)) for _, path in modules(*PACKAGES))
+    return {folder: n for folder, n in count.most_common() if n > MOST_FILES}
+
+
+def graph() -> dict[str, set[str]]:
+    """Module -> modules of the house that it loads, at its top or inside a function, for types too."""
+    names = {name for name, _ in modules(*PACKAGES)}
+    found = {}
+    for name, path in modules(*PACKAGES):
+        loaded = imports(path.read_text("utf-8"), name)
+        found[name] = {m for x in loaded for m in (x, f"{x}.__init__") if m in names} - {name}
+    return found
+
+
+def circles() -> list[set[str]]:
+    """Groups of modules that load each other, directly or not (strongly connected components)."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    edges = graph()
+    names = sorted(edges)
+    place = {name: i for i, name in enumerate(names)}
+    pairs = [(place[a], place[b]) for a in names for b in edges[a]]
+    rows, columns = zip(*pairs, strict=True)
+    matrix = csr_array((np.ones(len(pairs)), (rows, columns)), shape=(len(names), len(names)))
+    _, label = connected_components(matrix, connection="strong")
+    groups = [{names[i] for i in np.flatnonzero(label == k)} for k in range(label.max() + 1)]
+    return sorted((g for g in groups if len(g) > 1), key=len, reverse=True)
+
+
+def lazy() -> int:
+    """Imports of the house's own modules inside functions."""
+    inside = 0
+    for tree in trees().values():
+        for function in _functions(tree):
+            for node in ast.walk(function):
+                own = isinstance(node, ast.ImportFrom) and (
+                    node.level > 0 or (node.module or "").split(".")[0] in PACKAGES
+                )
+                inside += own or (
+                    isinstance(node, ast.Import) and any(within(a.name, p) for a in node.names for p in PACKAGES)
+                )
+    return inside
+
+
+def public_names() -> int:
+    """Names without an underscore that modules without one define at their top level."""
+    return sum(
+        isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
+        for name, tree in trees().items()
+        if not any(part.startswith("_") and part != "__init__" for part in name.split("."))
+        for node in tree.body
+    )
+
+
+def repeated_classes() -> dict[str, int]:
+    """Class names that are defined more than once."""
+    count = Counter(n.name for tree in trees().values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef))
+    return {name: n for name, n in count.most_common() if n > 1}
+
+
+def probes() -> int:
+    """Calls of `getattr`, `hasattr` and `isinstance` on something called a model or a path."""
+    return sum(
+        isinstance(node.func, ast.Name)
+        and node.func.id in PROBES
+        and bool(node.args)
+        and _last(node.args[0]) in ("model", "path")
+        for tree in trees().values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+    )
+
+
+def trespasses() -> int:
+    """Private attributes of another object than `self` or `cls`, or a module's own class."""
+    return sum(
+        node.attr.startswith("_") and not node.attr.startswith("__") and _last(node.value) not in ("self", "cls")
+        and not (_last(node.value) or "x")[0].isupper()
+        for tree in trees().values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute)
+    )  # fmt: skip
+
+
+def long_constructors() -> dict[str, int]:
+    """Public classes whose constructor takes more than `MOST_PARAMETERS`."""
+    found = {}
+    for tree in trees().values():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                for made in node.body:
+                    if isinstance(made, ast.FunctionDef) and made.name == "__init__":
+                        count = len(made.args.args) + len(made.args.kwonlyargs) - 1
+                        if count > MOST_PARAMETERS:
+                            found[node.name] = count
+    return found
+
+
+def single_importers() -> int:
+    """Modules that exactly one other loads."""
+    count = Counter(b for loaded in graph().values() for b in loaded)
+    return sum(n == 1 and not name.endswith("__init__") for name, n in count.items())
+
+
+def entered(work: Callable[[], object]) -> tuple[int, int]:
+    """Files and functions of the house that some work enters, the second time it runs."""
+    work()
+    files: set[str] = set()
+    functions: set[tuple[str, int]] = set()
+
+    def watch(frame, event, argument):  # type: ignore[no-untyped-def]
+        name = frame.f_code.co_filename
+        if event == "call" and any(name.startswith(str(ROOT / package)) for package in PACKAGES):
+            files.add(name)
+            functions.add((name, frame.f_code.co_firstlineno))
+
+    sys.setprofile(watch)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return len(files), len(functions)
+
+
+def deconvolution() -> Callable[[], object]:
+    """One estimate of 300 samples."""
+    from loadid import Deconvolution
+
+    model, record = _simulated()
+    return lambda: Deconvolution(model).estimate(record, dt=1e-3)
+
+
+def identify() -> Callable[[], object]:
+    """`loadid identify` from a CSV to a report."""
+    from loadid.cli import main
+
+    folder = Path(tempfile.mkdtemp())
+    model, record = _simulated()
+    model.save(folder / "model.h5")
+    label = model.sensors[0].label
+    table = np.column_stack([np.arange(len(record)) * 1e-3, record])
+    np.savetxt(folder / "log.csv", table, delimiter=",", header=f"time [s],{label} [m]", comments="")
+    words = ["identify", str(folder / "log.csv"), "--model", str(folder / "model.h5"), "-o", str(folder / "out.h5"),
+             "--report", str(folder / "out.html")]  # fmt: skip
+
+    def run() -> None:
+        for name in ("out.h5", "out.html"):
+            (folder / name).unlink(missing_ok=True)
+        with contextlib.redirect_stdout(io.StringIO()):
+            code = main(words)
+        if code:
+            raise RuntimeError(f"loadid {' '.join(words)} ended with {code}")
+
+    return run
+
+
+def _simulated():  # type: ignore[no-untyped-def]
+    from structures import ForwardModel, beams, damping, loads, sensors
+
+    beam = beams.cantilever(
+        length=0.6, section=beams.Section.rectangle(width=0.04, height=0.01), material=beams.materials.steel,
+        elements=10, damping=damping.Modal(0.02),
+    )  # fmt: skip
+    model = ForwardModel(
+        beam, [sensors.Displacement(at=0.6, direction="Z")], [loads.Point(at=0.5, direction="Z")], modes=3
+    )
+    load = np.zeros((300, 1))
+    load[100:120] = np.sin(np.pi * (np.arange(20)[:, None] + 0.5) / 20)
+    clean = model.state_space(1e-3).simulate(load)
+    return model, clean + 0.01 * clean.std() * np.random.default_rng(0).standard_normal(clean.shape)
+
+
+def _functions(tree: ast.Module) -> Iterator[ast.AST]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node
+
+
+def _last(node: ast.expr) -> str | None:
+    if isinstance(node, ast.Attribute):
+        return node.attr
+    return node.id if isinstance(node, ast.Name) else None
+
+
+def main() -> None:
+    """Print the table."""
+    rings, folders, twice, long = circles(), crowded(), repeated_classes(), long_constructors()
+    rows = [
+        ("modules of the three packages", len(list(modules(*PACKAGES)))),
+        ("source lines", lines()),
+        (f"folders with more than {MOST_FILES} files", f"{len(folders)}: {folders}"),
+        ("files / functions entered, Deconvolution.estimate", "{} / {}".format(*entered(deconvolution()))),
+        ("files / functions entered, identify CSV to report", "{} / {}".format(*entered(identify()))),
+        ("import circles, lazy ones included / modules in them", f"{len(rings)} / {sum(map(len, rings))}"),
+        ("imports of own modules inside functions", lazy()),
+        ("modules with one importer", single_importers()),
+        ("public top-level names", public_names()),
+        ("getattr, hasattr, isinstance on models and paths", probes()),
+        ("private attributes of another object", trespasses()),
+        ("class names defined more than once", f"{len(twice)}: {', '.join(twice)}"),
+        (f"constructors above {MOST_PARAMETERS} parameters", f"{len(long)}: {long}"),
+    ]
+    for name, value in rows:
+        print(f"{name:56s}{value}")
+
+
+if __name__ == "__main__":
+    main()
