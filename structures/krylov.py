@@ -151,10 +151,10 @@ def krylov(structure: Any, S: Any, B: Any, band: float, tolerance: float = TOLER
             continue
         found = project(pencil, images)
         H, truncation, rounding = found.errors(omega)
-        estimate, floor = worst(H, truncation), worst(H, rounding)
+        estimate, floor = worst(H, truncation, rounding), worst(H, rounding, rounding)
         log.debug("krylov: depth %d, %d vectors, truncation %.1e, rounding %.1e", depth, size, estimate, floor)
         if estimate <= max(tolerance, floor) or size == before:  # below its rounding nothing is gained
-            return Krylov(found, band, depth, worst(H, truncation + rounding))
+            return Krylov(found, band, depth, worst(H, truncation + rounding, rounding))
         if size > LARGEST:
             raise InputError(
                 "the Krylov reduction does not reach its tolerance",
@@ -165,11 +165,14 @@ def krylov(structure: Any, S: Any, B: Any, band: float, tolerance: float = TOLER
             )
 
 
-def worst(H: NDArray, bound: NDArray) -> float:
-    """Largest error of an entry over its response, down to a millionth of its peak; entries of zeros are left out."""
+def worst(H: NDArray, bound: NDArray, rounding: NDArray) -> float:
+    """Largest error of an entry over its response, down to a millionth of its peak.
+
+    Entries of zeros are left out: those that are nowhere above their rounding, or tiny beside their row and column.
+    """
     size = np.abs(H)
     peak = size.max(axis=0)
-    seen = peak > 1e-12 * np.sqrt(np.outer(peak.max(axis=1), peak.max(axis=0)))
+    seen = peak > np.maximum(1e-12 * np.sqrt(np.outer(peak.max(axis=1), peak.max(axis=0))), rounding.max(axis=0))
     return float(np.max((bound / np.maximum(size, ZERO * peak))[:, seen], initial=0.0))
 
 

@@ -279,6 +279,17 @@ def test_loads_that_repeat_and_entries_that_are_zero():
     assert model.krylov.estimate < 1e-5
 
 
+def test_an_entry_that_is_rounding_is_a_zero_whatever_it_rounds_to():
+    """A symmetric structure has entries that are zero; what comes in their place differs between processors."""
+    H, truncation = np.array([[[1.0, 0.0], [0.1, 1.0]]] * 2), np.full((2, 2, 2), 1e-9)
+    rounding = np.full(H.shape, 1e-10)
+    for noise in (1e-14, 1e-12, 5e-12, 9e-11):
+        H[:, 0, 1] = noise
+        assert reduction.worst(H, truncation, rounding) == pytest.approx(1e-8)
+    H[1, 0, 1] = 1e-9  # seen on a line: an entry
+    assert reduction.worst(H, truncation, rounding) == pytest.approx(1e-9 / 9e-11)
+
+
 def test_a_shift_on_a_natural_frequency_gives_way():
     f = 4.0
     structure = chains.oscillator(mass=1.0, stiffness=(2 * np.pi * f) ** 2)

@@ -25,7 +25,8 @@ from .plain import CALM, DOUBLINGS, OVER, Plain, plain_of
 GATE = 6.0  # std of an innovation beyond which a sample is looked at
 PATIENCE = 20  # samples: of good behaviour at most, until a channel is believed again; of a lost state, that it is held
 DECISIVE = 3.0  # logarithm of the odds between an event and wrong channels
-TOLD = 3.0  # stds by which an event must change a load, before the filter without a gate is answered otherwise
+TOLD = 3.0  # stds that a load after an event must have; before, the filter without a gate is answered where it has less
+WORSE = 2  # channels beyond the gate for one sample (of two channels one): so much worse may the gate predict
 OPEN = 2.0  # of them at most, that the first sample may say: later ones decide
 
 Updated = tuple[State, Innovation]
@@ -99,9 +100,10 @@ class Judge:
         load: NDArray = Cp @ self.state.x
         std: NDArray = np.linalg.norm(Cp @ self.state.L, axis=1)
         if self.plain is not None and (self.believing if self.rival is not None else self.plain.event):
-            other = Cp @ self.plain.state.x
-            if np.all(np.abs(load - other) < TOLD * std):  # the event does not tell the load yet
-                load, std = other, np.hypot(std, load - other)
+            off = Cp @ self.plain.state.x - load
+            untold = np.maximum(np.abs(off), np.abs(load)) < TOLD * std  # by the event, so far
+            if np.all(untold & (np.abs(load + off) < np.abs(load))):
+                load, std = load + off, np.sqrt(std**2 + off**2)
         if self.rival is None:
             return load, std
         odds = self.doubt - min(self.lean, 0.0)  # that no load explains a sample may be believed at once
@@ -136,7 +138,7 @@ class Judge:
         sizes = self._sizes(y, ahead, ahead), self._sizes(y, before, ahead)
         plain = plain.after(*self.core.update(ahead, y), sizes, self.gate, out=out, few=bool(few), decided=decided)
         self.plain = plain
-        failed = against or plain.behind > self.gate**2
+        failed = against or plain.behind > min(max(len(y) - 1, 1), WORSE) * self.gate**2
         if failed or (plain.whole and plain.calm >= CALM):
             self.state, self.said, self.taken = plain.state, plain.said, y
             self.rival = self.pair = self.plain = None
