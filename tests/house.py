@@ -1,7 +1,7 @@
 """How large the house is and how it hangs together: `python -m tests.house` prints the table.
 
-Everything but the files that are entered is read with ast; those are counted while a short record is inverted, and while
-``loadid identify`` makes a report of it.
+Everything but the files that are entered is read with ast; those are counted while a short record is inverted, and
+while ``loadid identify`` makes a report of it.
 """
 
 from __future__ import annotations

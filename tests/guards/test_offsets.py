@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from loadid import Deconvolution, SparseDeconvolution
 from structures import ForwardModel, beams, damping, loads, sensors
 from structures.errors import NotIdentifiable
+from structures.flags import Flag
+
+from .cases import Case, refused
 
 DT, SAMPLES = 2e-4, 1500
 
@@ -92,3 +95,12 @@ def test_a_constant_that_a_load_may_have_made_is_refused() -> None:
     family.estimate(measured(LASERS, load)[0], DT)
     Deconvolution(model(LASERS, 6), noise=sigma, initial="unknown").estimate(shifted, DT)
     Deconvolution(model(LASERS, 6), noise=sigma, allow=["E213"]).estimate(shifted, DT)
+
+
+def lasers(offset: float) -> tuple[Flag, ...]:
+    """Refusal of lasers with an offset."""
+    y, sigma = measured(LASERS, hit(), offset)
+    return refused(lambda: Deconvolution(model(LASERS, 6), noise=sigma).estimate(y, DT))
+
+
+CASES = [Case("E213", lambda: lasers(0.3), lambda: lasers(0.0), r"off zero before the response \(\d+ quiet samples\)")]
