@@ -13,6 +13,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ HEAVY = ("numpy", "scipy", "matplotlib", "h5py", "numba", "casadi", "filterpy", 
 PROBES = {"getattr", "hasattr", "isinstance"}
 
 
+@cache
 def trees() -> dict[str, ast.Module]:
     """Module name -> its tree."""
     return {name: ast.parse(path.read_text("utf-8")) for name, path in modules(*PACKAGES)}
@@ -40,11 +42,17 @@ def crowded() -> dict[str, int]:
     return {folder: n for folder, n in count.most_common() if n > MOST_FILES}
 
 
+@cache
 def graph() -> dict[str, set[str]]:
-    """Module -> modules of the house that it loads, at its top or inside a function, for types too."""
-    names = {name for name, _ in modules(*PACKAGES)}
+    """Module -> modules of the house that it loads, at its top or inside a function, for types too.
+
+    The doors of the three packages are left out: they name what they offer, and load it when it is asked for.
+    """
+    names = {name for name, _ in modules(*PACKAGES)} - {f"{package}.__init__" for package in PACKAGES}
     found = {}
     for name, path in modules(*PACKAGES):
+        if name not in names:
+            continue
         loaded = imports(path.read_text("utf-8"), name)
         found[name] = {m for x in loaded for m in (x, f"{x}.__init__") if m in names} - {name}
     return found
