@@ -62,7 +62,7 @@ def _njit(function: FunctionType) -> Callable[..., Any]:
         known = {**names, **{name: loop.build() for name, loop in called.items()}}
         twin = FunctionType(function.__code__, known, function.__name__, function.__defaults__, function.__closure__)
         function = update_wrapper(twin, function)  # type: ignore[assignment]
-    options = {"nogil": True, "error_model": "numpy"}
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     fast: Callable[..., Any]
     try:
         fast = njit(cache=True, **options)(function)

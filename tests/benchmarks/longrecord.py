@@ -1,9 +1,8 @@
 """Long records by the state-space path beside what users would take. `python -m tests.benchmarks.longrecord [--quick]`.
 
 Six modes from 62 to 1158 Hz (12 states), damping 1 to 1.5 %, 10240 Hz, displacement in advance form, a half sine of 41
-samples in every 1500, 1 % noise. CPU seconds of one thread, medians of some runs; `LOADID_COMPILED=0` is the package
-without its extra ``fast``. "Job": lambda by robust GCV and by discrepancy on windows, both confirmed on the whole
-record, the solution, and the std of every sample.
+samples in every 1500, 1 % noise. CPU seconds of one thread, medians of some runs. "Job": lambda by robust GCV and by
+discrepancy on windows, both confirmed on the whole record, the solution, and the std of every sample.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from scipy.sparse.linalg import LinearOperator
 
 from loadid import Deconvolution
 from loadid.inverse.choice import choose
-from loadid.inverse.compiled import AVAILABLE
 from loadid.inverse.confirm import confirm
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.statespace.augmented import Augmented, augment
@@ -316,32 +314,16 @@ def several(repeat: int) -> dict[str, float]:
     return {"MIMO, s": single, "MIMO with choice, s": whole}
 
 
-def uncompiled() -> None:
-    """One solve and the job of 1e5 samples where nothing compiles."""
-    run = [sys.executable, "-m", "tests.benchmarks.longrecord", "--plain"]
-    env = os.environ | {"LOADID_COMPILED": "0"}
-    print(subprocess.run(run, check=True, capture_output=True, text=True, env=env).stdout, end="")
-
-
-def _plain() -> None:
-    for n in (2000, 100_000):
-        c = case(n)
-        single, whole = cpu(lambda c=c: one(c)), cpu(lambda c=c: job(c), 1)
-        print(f"without the extra fast, {n} samples: one lambda {single:.3f} s, job {whole:.2f} s")
-
-
 def main(quick: bool = False) -> int:
     """Print all tables; 1 where a figure is missed."""
-    print(f"compiled loops: {'yes (extra fast)' if AVAILABLE else 'no'}; {os.cpu_count()} cores; "
-          f"threads of the linear algebra: {os.environ.get('OPENBLAS_NUM_THREADS', 'not limited')}")  # fmt: skip
+    threads = os.environ.get("OPENBLAS_NUM_THREADS", "not limited")
+    print(f"{os.cpu_count()} cores; threads of the linear algebra: {threads}")
     repeat = 1 if quick else 3
     job(case(2_000))
     job(case(30_000))
     found = one_lambda((2000, 10_000) if quick else (2000, 10_000, 100_000, 1_000_000), repeat)
     found |= growth((10_000, 100_000) if quick else (10_000, 100_000, 1_000_000, 10_000_000), repeat)
     found |= several(repeat) | short(repeat)
-    print()
-    uncompiled()
     print("\nFigures (limit)")
     missed = 0
     for name, value in found.items():
@@ -356,7 +338,5 @@ def main(quick: bool = False) -> int:
 if __name__ == "__main__":
     if "--memory" in sys.argv:
         _memory(int(sys.argv[-1]))
-    elif "--plain" in sys.argv:
-        _plain()
     else:
         sys.exit(main("--quick" in sys.argv[1:]))

@@ -1,17 +1,14 @@
 """Time of one sample through the tracker's core. `python -m tests.benchmarks.tracker [BATCHES]`.
 
 A stable model with 20, 60 and 200 states (one load, random walk) and 10 sensors. Microseconds of CPU a sample, median
-of BATCHES (15) batches: the settled filter sample by sample (load, std, innovation, NaN test) and in blocks, compiled
-and in numpy; the same with a delay of 20 samples, and with a channel that comes ten times more slowly; the square-root
-step for gaps; filterpy's `predict` + `update` in the same run, with the ratio. Then milliseconds of the steady gain,
-and of scipy's Riccati solver.
+of BATCHES (15) batches: the settled filter sample by sample (load, std, innovation, NaN test) and in blocks; the same
+with a delay of 20 samples, and with a channel that comes ten times more slowly; the square-root step for gaps;
+filterpy's `predict` + `update` in the same run, with the ratio. Then milliseconds of the steady gain, and of scipy's
+Riccati solver.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -20,7 +17,6 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from scipy.linalg import solve_discrete_are
 
-from loadid.inverse.compiled import AVAILABLE
 from loadid.inverse.kalman.lag import LagLine, fixed_lag
 from loadid.inverse.kalman.loops import Loop
 from loadid.inverse.kalman.model import FilterModel
@@ -34,7 +30,7 @@ OWN = {
     "step": "step", "late": f"step + lag {LAG}", "block": "block of 4096", "rates": f"block, a channel each {EVERY}th",
     "root": "square-root step",
 }  # fmt: skip
-LIMITS = {"step": 2.5, "plain step": 5.0, "root": 150.0, "ratio": 12.0}  # at 60 states
+LIMITS = {"step": 2.5, "root": 150.0, "ratio": 12.0}  # at 60 states
 
 
 def model(states: int, seed: int = 0) -> FilterModel:
@@ -71,7 +67,7 @@ def median(work: Callable[[], object], samples: int, batches: int) -> float:
 
 
 def own(states: int, batches: int) -> dict[str, float]:
-    """Our ways in this process, compiled or not."""
+    """Our ways."""
     system = model(states)
     gain, Y = steady(system, DT), np.random.default_rng(1).standard_normal((4096, SENSORS))
     rows = list(Y[:500])
@@ -151,39 +147,20 @@ def gains(states: int) -> tuple[float, float]:
             median(lambda: solve_discrete_are(system.F.T, system.H.T, Q, R), 1, 5) / 1e3)  # fmt: skip
 
 
-def plain(batches: int) -> dict[str, dict[str, float]]:
-    """`own` of every size in a process that compiles nothing."""
-    code = ("import json; from tests.benchmarks.tracker import own, SIZES; "
-            f"print(json.dumps({{n: own(n, {batches}) for n in SIZES}}))")  # fmt: skip
-    ran = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ | {"LOADID_COMPILED": "0"}, capture_output=True, text=True,
-        check=True,
-    )  # fmt: skip
-    return json.loads(ran.stdout)
-
-
 def main(batches: int = 15) -> None:
     """Print the tables."""
-    slow = plain(batches)
-    print(f"us of CPU a sample, {SENSORS} sensors, median of {batches} batches"
-          + ("" if AVAILABLE else " (numba is not here: nothing is compiled)"))  # fmt: skip
+    print(f"us of CPU a sample, {SENSORS} sensors, median of {batches} batches")
     print(f"{'':28}" + "".join(f"{n:>10}" for n in SIZES) + "   states")
     fast = {n: own(n, batches) for n in SIZES}
     for key, name in OWN.items():
         print(f"{name:28}" + "".join(f"{fast[n][key]:10.2f}" for n in SIZES))
-        if key != "root":
-            print(f"{name + ', numpy':28}" + "".join(f"{slow[str(n)][key]:10.2f}" for n in SIZES))
     other = {n: filterpys(n, batches) for n in SIZES}
     print(f"{'filterpy predict + update':28}" + "".join(f"{other[n]:10.2f}" for n in SIZES))
     print(f"{'  over step':28}" + "".join(f"{other[n] / fast[n]['step']:9.1f}x" for n in SIZES))
-    print(f"{'  over step, numpy':28}" + "".join(f"{other[n] / slow[str(n)]['step']:9.1f}x" for n in SIZES))
     held = {n: gains(n) for n in SIZES}
     print(f"{'steady gain, ms':28}" + "".join(f"{held[n][0]:10.2f}" for n in SIZES))
     print(f"{'scipy DARE, ms':28}" + "".join(f"{held[n][1]:10.2f}" for n in SIZES))
-    reached = {
-        "step": fast[60]["step"], "plain step": slow["60"]["step"], "root": fast[60]["root"],
-        "ratio": other[60] / slow["60"]["step"],
-    }  # fmt: skip
+    reached = {"step": fast[60]["step"], "root": fast[60]["root"], "ratio": other[60] / fast[60]["step"]}
     for key, limit in LIMITS.items():
         good = reached[key] >= limit if key == "ratio" else reached[key] <= limit
         print(f"60 states, {key}: {reached[key]:.2f} ({'at least' if key == 'ratio' else 'at most'} {limit:g})"

@@ -14,6 +14,8 @@ from structures.errors import InputError
 from structures.spectra import padded_length
 
 from .. import penalties
+from ..gsvd import Factors, paired, plain
+from ..toeplitz import toeplitz
 
 
 class Operator:
@@ -52,6 +54,18 @@ class Operator:
     def rows(self) -> int:
         """Rows of the penalty for one load."""
         return self.samples - self.order
+
+    @cached_property
+    def modes(self) -> Factors:
+        """Factorisation of the pair (H, L) written out, unknowns flattened as (samples, loads)."""
+        h = np.zeros((self.samples, self.sensors, self.loads))
+        h[: self.h.shape[-1]] = np.moveaxis(self.h, -1, 0)
+        H = toeplitz(h)
+        if self.weight is not None:
+            H *= self.weight.T[:, :, None]
+        R = np.asarray(np.linalg.qr(H.reshape(-1, H.shape[-1]), mode="r"))
+        L = penalties.matrix(self.penalty, self.samples, self.loads)
+        return plain(R) if L is None else paired(R, L)
 
     def cut(self, samples: int) -> Operator:
         """The same for the first samples alone."""

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
+from structures.errors import InputError, NotIdentifiable
 
 from ..path import PathPoint, Solution
 from . import probes
@@ -128,7 +128,7 @@ class ConvolvedPath:
         part = self.operator if self.samples <= TRIED else self.operator.cut(TRIED)
         try:
             chain(part, Circulant(part, lam * float(self.scale)), self.y[..., : part.samples], 3, self._tolerance(lam))
-        except InputError:
+        except NotIdentifiable:
             return False
         return True
 

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.errors import InputError
+from structures.errors import NotIdentifiable
 
 from .circulant import Circulant
+from .factored import Factored
 from .operator import Operator
 
 TOLERANCE = 1e-12
@@ -28,6 +29,7 @@ HARD = 60  # iterations beyond which the solution is checked by a correction
 CORRECTED = 1e-4  # tolerance of a correction
 CHANGED = 1e-8  # change of the load that calls for one more
 PASSES = 6
+FACTORED = 4000  # unknowns up to which a factorisation takes over from an iteration that does not settle
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Reached:
 
 
 def solve(
-    operator: Operator, circulant: Circulant, sides: Sides, tolerance: float = TOLERANCE, most: int = MOST,
+    operator: Operator, circulant: Circulant | Factored, sides: Sides, tolerance: float = TOLERANCE, most: int = MOST,
     strict: bool = True,
 ) -> Reached:  # fmt: skip
     """Solve for all right sides at the lambda of the preconditioner.
@@ -90,9 +92,12 @@ def solve(
 
     Raises
     ------
-    InputError
-        If it ends above `ROUNDING` times the first gradient and above the tolerance.
+    NotIdentifiable
+        If it ends above `ROUNDING` times the first gradient and above the tolerance, with more than `FACTORED` unknowns
+        or with the preconditioner of a factorisation too (LID-E306).
     """
+    if "modes" in vars(operator):
+        circulant = Factored(operator, circulant.lam)  # it is there, and takes fewer steps
     lam, N, k = circulant.lam, operator.samples, sides.count
     x = np.zeros((k, operator.loads, N))
     r = np.zeros((k, operator.sensors, N)) if sides.y is None else np.array(sides.y, float)
@@ -132,7 +137,9 @@ def solve(
         keep = (now > tolerance**2 * first[live]) & (since[live] < patience)
     reached = float(np.sqrt(np.max(plain / np.where(zero > 0, zero, 1.0), initial=0.0)))
     if not np.isfinite(reached) or (strict and np.any(best > max(tolerance, ROUNDING) ** 2 * first)):
-        raise unsettled(f"gradient {reached:.2g} times the first after {iterations} steps")
+        if isinstance(circulant, Factored) or operator.loads * N > FACTORED:
+            raise unsettled(f"gradient {reached:.2g} times the first after {iterations} steps")
+        return solve(operator, Factored(operator, lam), sides, tolerance, strict=strict)
     return Reached(x, r, q, reached, iterations)
 
 
@@ -144,7 +151,7 @@ def refined(operator: Operator, circulant: Circulant, y: NDArray) -> Reached:
 
     Raises
     ------
-    InputError
+    NotIdentifiable
         If the load still changes by more than `CHANGED` after `PASSES` corrections.
     """
     found = solve(operator, circulant, Sides(y=y))
@@ -171,11 +178,12 @@ def refined(operator: Operator, circulant: Circulant, y: NDArray) -> Reached:
     raise unsettled(f"the load still changes by {change:.2g} of its size after {found.iterations} steps")
 
 
-def unsettled(found: str) -> InputError:
+def unsettled(found: str) -> NotIdentifiable:
     """What is raised in place of an answer that is not one."""
-    return InputError("the iteration does not settle at this lambda", where="convolved path", found=found,
-                      expected="a lambda at which data and penalty determine the load to some digits",
-                      hint="a larger lambda, or a shorter record on the dense path")  # fmt: skip
+    return NotIdentifiable(
+        f"data and penalty do not determine the load to some digits at this lambda: {found}",
+        advice="take a larger lambda, or a shorter record", code="LID-E306",
+    )  # fmt: skip
 
 
 def _dot(a: NDArray, b: NDArray) -> NDArray[np.float64]:

@@ -82,6 +82,23 @@ def test_a_loop_that_calls_another_is_compiled_with_it():
     assert _double.built
 
 
+def test_loops_are_compiled_where_no_folder_can_keep_them(tmp_path):
+    """A file stands in the way of every folder that numba would make."""
+    (tmp_path / "__pycache__").write_text("")
+    (tmp_path / "own.py").write_text(
+        "import logging\nfrom loadid.inverse.compiled import Compiled\nlogging.basicConfig()\n"
+        "@Compiled\ndef double(x):\n    return 2 * x\n"
+        "@Compiled\ndef more(x):\n    return double(x) + 1.0\n"
+        "print(more(3.0), type(more.build()).__module__)\n"
+    )
+    nowhere = str(tmp_path / "own.py" / "in it")
+    env = os.environ | {"HOME": nowhere, "XDG_CACHE_HOME": nowhere, "NUMBA_CACHE_DIR": nowhere, "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run([sys.executable, "-B", "-c", "import own"], cwd=tmp_path, env=env, capture_output=True,
+                         text=True, timeout=120)  # fmt: skip
+    assert ran.stdout.split() == ["7.0", "numba.core.registry"], ran.stderr
+    assert ran.stderr.count("set NUMBA_CACHE_DIR") == 1
+
+
 def test_nothing_is_compiled_where_a_module_is_only_imported():
     code = (
         "import sys; import loadid.stream, loadid.families.kalman, loadid.inverse.statespace.passes; "
