@@ -81,6 +81,8 @@ GUARDS = {
     "W523": "numbers of a prior that the record does not tell",
     "W524": "wrong samples in the record of a fit",
     "W525": "displacements that are believed, not measured",
+    "W526": "an event of a tracked load far beyond the loads of the fit",
+    "W527": "innovations in service whose mean is off: an offset",
     "W601": "a half-space formula on a pad that is not thick, or near its edge",
     "E602": "a half-space formula on a thin pad",
     "E603": "tangential motion from images without viewing angle and index",

@@ -54,6 +54,7 @@ WORDS = {
     "replayed": "late samples put in their place",
     "expired": "samples that came too late to be put in their place",
     "gated": "channel samples kept out",
+    "believed": "channel samples beyond the gate, believed as it was set aside",
     "steps": "steps of a load taken up",
     "lost": "times that the state was lost, and found again",
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,12 @@ BIASED = 4.0  # standard errors (19 degrees) by which a mean innovation may leav
 PIECES = 20  # of a record, whose means tell the standard error of the whole where innovations are correlated
 HIDING = 1.0  # noise sds that the state noise of one mode may be worth at a sensor
 SHARE = 0.2  # of a record that the filter may take to settle
-FEW, OFTEN = 10, 2e-3  # channel samples that a gate may keep out before it is said, and their share
+FEW, OFTEN = 10, 2e-3  # channel samples beyond a gate before it is said, and their share
+MOST = 4  # channels that are named with them
+FAR = 100.0  # times the load of the fit (40 dB) of an event: tuned in the wind and then hit with a hammer is less
+SHIFTED = (
+    8.0  # standard errors of a mean in service: asked at every block, so that 4 would come by chance in a long day
+)
 LONG = 40  # samples below which a mean of innovations is not judged
 
 
@@ -93,8 +98,10 @@ def slow(time_constant: float, duration: float) -> Flag | None:
     )
 
 
-def kept_out(gated: int, taken: int, steps: int) -> Flag | None:
-    """W521: the gate keeps out more than single samples: a sensor is broken, or the load is none that the prior knows.
+def kept_out(
+    gated: int, taken: int, steps: int, believed: int = 0, channels: Mapping[str, int] | None = None
+) -> Flag | None:
+    """W521: more than single samples are beyond the gate: a sensor is off, or the load is none that the prior knows.
 
     Parameters
     ----------
@@ -102,16 +109,58 @@ def kept_out(gated: int, taken: int, steps: int) -> Flag | None:
         Channel samples that were kept out, and all.
     steps : int
         Events of the load that were taken up: steps, impacts.
+    believed : int
+        Channel samples beyond the gate that were not kept out, as it had been set aside.
+    channels : mapping of str to int, optional
+        Samples beyond the gate of each channel.
     """
-    share = gated / max(taken, 1)
-    if gated < FEW or share <= OFTEN:
+    share = (gated + believed) / max(taken, 1)
+    if gated + believed < FEW or share <= OFTEN:
         return None
+    most = sorted((n, name) for name, n in (channels or {}).items() if n)[::-1]
+    named = f" ({', '.join(f'{n} of {name}' for n, name in most[:MOST])})" if most else ""
+    aside = f", set itself aside and believed {believed}" if believed else ""
     return Flag(
         "W521",
-        Evidence("share of the channel samples that were kept out", share, OFTEN),
-        f"the gate kept {gated} of {taken} channel samples out and took {steps} events of the load up: a sensor is "
-        "broken, or the model does not fit where the load moves in ways that its prior does not know",
-        "look at the sensors named by the certificate, and at the model; gate=None believes every number",
+        Evidence("share of the channel samples beyond the gate", share, OFTEN),
+        f"the gate kept {gated} of {taken} channel samples out and took {steps} events of the load up{aside}{named}: "
+        "a sensor is broken or has an offset, or the model does not fit where the load moves in ways that its prior "
+        "does not know",
+        "look at the sensors that are named, and at the model; fit again on a record with such loads; gate=None "
+        "believes every number",
+    )
+
+
+def beyond_the_fit(size: float) -> Flag | None:
+    """W526: an event of the load was taken up that is far beyond what the fit saw.
+
+    Parameters
+    ----------
+    size : float
+        Largest event that was taken up, over the one that makes the load as large as its prior says.
+    """
+    if size <= FAR:
+        return None
+    return Flag(
+        "W526",
+        Evidence("largest event over the load of the fit", float(size), FAR),
+        f"the gate took up an event that moves the load by {size:.3g} times the std that it had at the fit",
+        "check the sensors around that time; where the load is real, fit again on a record with such loads",
+    )
+
+
+def moved_off(errors: Array, sensors: Sequence[str]) -> Flag | None:
+    """W527: innovations in service have a mean; `errors` (sensors,) are its standard errors."""
+    wrong = [i for i in np.argsort(-np.abs(errors)) if abs(errors[i]) > SHIFTED]
+    if not wrong:
+        return None
+    listed = ", ".join(f"{sensors[i]} ({errors[i]:+.3g})" for i in wrong)
+    return Flag(
+        "W527",
+        Evidence("standard errors of the mean innovation in service", float(errors[wrong[0]]), SHIFTED),
+        f"the innovations of channel {listed} lie so many standard errors off zero in service: an offset?",
+        "check these channels for an offset that they did not have at the fit, and the sensors beside the load (which "
+        "takes up their offset, so that it shows in the others); state bias= for a sensor that drifts, and fit again",
     )
 
 

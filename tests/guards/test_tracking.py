@@ -6,9 +6,11 @@ import numpy as np
 
 from loadid.flags.tracking import (
     believed,
+    beyond_the_fit,
     biases,
     drifting,
     kept_out,
+    moved_off,
     other_model,
     overconfident,
     refused,
@@ -83,6 +85,11 @@ CASES = [
     Case("W519", lambda: one(supposed(observed((), matern32(100.0, 0.08, 0.01)))),
          lambda: one(supposed(observed((10,), matern32(100.0, 0.08, 0.01)))), "0 of 1.*prior"),
     Case("W521", lambda: one(kept_out(67, 3600, 4)), lambda: one(kept_out(3, 60, 0)), "67 of 3600.*gate=None"),
+    Case("W521", lambda: one(kept_out(2, 3600, 1, 90, {"a3": 5, "d10": 87})),
+         lambda: one(kept_out(2, 3600, 1, 3, {"d10": 5})), "believed 90.*87 of d10, 5 of a3", "set aside"),
+    Case("W526", lambda: one(beyond_the_fit(455.0)), lambda: one(beyond_the_fit(30.0)), "455 times"),
+    Case("W527", lambda: one(moved_off(np.array([0.3, -93.0]), ["a", "b"])),
+         lambda: one(moved_off(np.array([0.3, -3.0]), ["a", "b"])), r"channel b \(-93\).*offset"),
     Case("W522", lambda: one(other_model("a" * 64, "b" * 64)), lambda: one(other_model("a" * 64, "a" * 64)),
          "certificate is not of this model"),
     Case("W523", lambda: one(undetermined(["length of load 1"])), lambda: one(undetermined([])), "length of load 1"),

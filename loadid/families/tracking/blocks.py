@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
+from structures.flags import Flag
 from structures.values import number
 
 from ... import flags as guards
 from ...estimate import Axis, LoadEstimate
-from ...flags.tracking import kept_out
 from ...provenance import provenance
 from ...record import Record
 from ..data import numbers
@@ -60,10 +60,9 @@ def values(f: Fitted, block: Any, dt: float | None) -> tuple[NDArray[np.float64]
 
 def estimate(
     f: Fitted, counts: Mapping[str, int], load: NDArray, std: NDArray, Y: NDArray | None, rest: NDArray | None,
-    inputs: dict[str, str], first: int, path: str,
+    inputs: dict[str, str], first: int, path: str, flags: Iterable[Flag],
 ) -> LoadEstimate:  # fmt: skip
     """Estimate of a block from sample `first` on; Y, rest (samples, sensors): data and what is left of them."""
-    m = len(f.sensors)
     there = np.ones((len(load), len(f.sensors)), bool) if Y is None else np.isfinite(Y)
     facts: dict[str, Any] = {
         "path": path, "m": int(there.sum()), "n": int(load.size), "noise_source": f.noise_source,
@@ -83,7 +82,7 @@ def estimate(
         residual=None if rest is None else np.where(there & np.isfinite(rest), rest, 0.0),
         sensors=[c.label for c in f.sensors],
         sensor_units=[c.unit for c in f.sensors],
-        flags=guards.collect([*f.flags, kept_out(counts["gated"], counts["samples"] * m, counts["steps"])]),
+        flags=guards.collect(flags),
         facts=facts,
         provenance=provenance(
             "load tracking", settings=dict(f.settings), inputs={**f.inputs, **inputs}, model=f.fingerprint,

@@ -15,7 +15,8 @@ from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.periodic import PeriodicLoop
 from ...inverse.kalman.squareroot import Innovation, State
 from ...inverse.kalman.steady import Steady
-from .judging import GATE, Heard, Judge, arrays, state_of, wider
+from .gate import recent
+from .judging import GATE, PATIENCE, Heard, Judge, arrays, state_of, wider
 from .late import Late, Move
 from .rhythm import Listener, Rhythm
 
@@ -42,7 +43,7 @@ class Engine(Judge):
     ----------
     phase : {"warm-up", "steady", "transient", "periodic"}
     counts : Counter
-        ``samples, missing, gated, steps, lost``.
+        ``samples, missing, gated, believed, steps, lost``.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class Engine(Judge):
         if settled is not None:
             limit = None if gate is None else gate * self.width * settled.innovation_std
             self.loop = Loop(settled.rows(), model.p, model.m, model.x0, limit)
+            self._ways = recent(settled, PATIENCE)
             self._variance = np.sum(settled.L**2, axis=1)
             self._std = settled.std.copy()
             self._std.setflags(write=False)  # one array for all samples
@@ -158,6 +160,8 @@ class Engine(Judge):
 
     def _follow(self, late: Late, before: tuple[State | None, State | None], load: NDArray, std: NDArray) -> None:
         """Loads and std of a sample off the settled gain, as they are some samples late."""
+        if self.fell:
+            late.cut(0 if self.believing else 1)
         if self.pair is None:
             assert self.state is not None
             assert isinstance(self.said, Innovation)
@@ -223,6 +227,7 @@ class Engine(Judge):
             assert self.loop is not None
             self.loop.x = self.core.predict(self.state).x
             self.phase, self.young = "steady", False
+            self._agreed()
             self.listener.clear()
             return
         found = self.listener.found()
@@ -232,6 +237,7 @@ class Engine(Judge):
         if np.all(np.abs(now - rhythm.variances[phase]) <= REPEATS * rhythm.variances[phase]):
             self._beat(rhythm, self.core.predict(self.state).x, (phase + 1) % rhythm.period)
             self.young = False
+            self._agreed()
 
     def _beat(self, rhythm: Rhythm, x: NDArray, phase: int) -> None:
         """To the gains of a rhythm, from the prediction of a sample of this phase."""
@@ -244,6 +250,7 @@ class Engine(Judge):
     def succeed(self, old: Engine, T: NDArray | None) -> None:
         """Go on where the engine of another model stands: states T times its own, or, without T, anywhere in reach."""
         self.counts, self.wrong, self.good = old.counts.copy(), old.wrong.copy(), old.good.copy()
+        self.beyond, self.largest = old.beyond.copy(), old.largest
         if old.state is None and old.phase != "steady" and old.ready is None:
             return
         before = old._predicted()

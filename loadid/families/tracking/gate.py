@@ -5,8 +5,11 @@ Two hypotheses on the innovations e of one sample, each with its most likely siz
     an event      e ~ N(0, S + c^2 (H G)(H G)^T + rough),  once as rare as one wrong channel
     wrong ones    the rest ~ N(0, S), each wrong channel as large as it is and as rare as an event
 
-G is the root of what a sample adds to the states, and of when within it the event began (`onset`); `rough` is what a
-model that is a tenth off leaves of an event of this size. One sample seldom decides (an event of one sample and a wrong
+G is the root of what a sample adds to the states, and of when within it the event began (`onset`); an event that shows
+late, as far from the load, may have begun some samples ago (`recent`): a source of its own for each of them, as in the
+generalised likelihood ratio of A. S. Willsky & H. L. Jones (IEEE Trans. Automatic Control 21 (1976) 108-112). Taken for
+one that has just begun, it would have to be as many times larger as it shows less. `rough` is what a model that is a
+tenth off leaves of an event of this size. One sample seldom decides (an event of one sample and a wrong
 channel beside the load look alike): the odds only say which of two filters speaks until later samples have decided
 (`loadid.families.tracking.engine`).
 """
@@ -18,6 +21,7 @@ from numpy.typing import NDArray
 
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.roots import forward, lower
+from ...inverse.kalman.steady import Steady
 
 RARE = float(np.log(1000.0))  # a channel that is wrong, and an event: one sample of a thousand
 ROUGH = 0.1  # of an event, that the model may get wrong
@@ -63,6 +67,31 @@ def onset(model: FilterModel) -> NDArray[np.float64]:
         return LQ
     kick = UNEVEN * (model.F[:nx, nx:] @ LQ[nx:, np.any(LQ[nx:] != 0, axis=0)])
     return np.hstack([LQ, np.vstack([kick, np.zeros((len(LQ) - nx, kick.shape[1]))])])
+
+
+def recent(settled: Steady, most: int) -> NDArray[np.float64]:
+    """What events of size 1 do to a prediction (n, any), this sample's first, then those of samples before it.
+
+    As many as it takes until an event shows most in the innovations, at most so many before.
+    """
+    model = settled.model
+    closed = model.F @ (np.eye(model.n) - settled.K @ model.H)
+    ways = [onset(model)]
+    for _ in range(most):
+        ways.append(closed @ ways[-1])
+    shown = [float(np.linalg.norm(forward(settled.Se_root, model.H @ way))) for way in ways]
+    return np.hstack(ways[: 1 + int(np.argmax(shown))])
+
+
+def usual(model: FilterModel) -> float:
+    """Size of an event after which the loads are as large as they are in the long run, by their prior."""
+    F, Cp, new = model.F[model.nx :, model.nx :], model.Cp[:, model.nx :], model.LQ[model.nx :]
+    L, size = new, np.linalg.norm(Cp @ new, axis=1)
+    for _ in range(HORIZON):
+        size = np.maximum(size, np.linalg.norm(Cp @ F @ new, axis=1))
+        F, L = F @ F, lower(L, F @ L)
+    there = size > 0
+    return float(np.max(np.linalg.norm(Cp @ L, axis=1)[there] / size[there], initial=1.0))
 
 
 def reach(model: FilterModel) -> NDArray[np.float64]:

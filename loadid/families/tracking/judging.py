@@ -5,7 +5,7 @@ has settled once, a structure that moved already (`gate.weighed`). The likelier 
 follows the other, and what later samples say decides between them. One channel that no event explains is kept out
 without a rival, for as long as it is beyond and as many samples longer as it was (at most `PATIENCE`): a sensor that is
 stuck passes the right value now and then. Where half of the channels have been beyond for more than `PATIENCE` samples,
-the state is wrong and not they: it is looked for anew.
+the state is wrong and not they: it is looked for anew. The filter without a gate judges all of it (`plain`).
 """
 
 from __future__ import annotations
@@ -16,13 +16,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...flags.tracking import FAR
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.squareroot import Innovation, SquareRoot, State
-from .gate import RARE, missed, onset, reach, weighed
+from .gate import RARE, missed, onset, reach, usual, weighed
+from .plain import CALM, DOUBLINGS, OVER, Plain, plain_of
 
 GATE = 6.0  # std of an innovation beyond which a sample is looked at
 PATIENCE = 20  # samples: of good behaviour at most, until a channel is believed again; of a lost state, that it is held
 DECISIVE = 3.0  # logarithm of the odds between an event and wrong channels
+TOLD = 3.0  # stds that a load after an event must have; before, the filter without a gate is answered where it has less
+WORSE = 2  # channels beyond the gate for one sample (of two channels one): so much worse may the gate predict
 OPEN = 2.0  # of them at most, that the first sample may say: later ones decide
 
 Updated = tuple[State, Innovation]
@@ -63,25 +67,100 @@ class Judge:
         self.events, self.out = 0, 0  # taken up by the one, channel samples kept out by the other
         self.young = True  # never settled
         self._moves: NDArray[np.float64] | None = None
-        self._ways = onset(model)
+        self.plain: Plain | None = None  # the filter without a gate, since the gate opened
+        self.fell = False  # with the last sample, to that filter
+        self.failed, self.loud = 0, 0  # times that the gate was set aside; last sample beyond it since
+        self.beyond = np.zeros(model.m, int)  # samples of each channel beyond the gate: kept out, or believed after all
+        self.largest, self.size = 0.0, 0.0  # event that was taken up, and that of the doubt: over what the prior knows
+        self._usual: float | None = None
+        self._ways = onset(model)  # of an event in this sample, then in the samples before
 
     def judge(self, y: NDArray, before: State) -> None:
         """Take a sample up, from the prediction of the filter that speaks."""
+        self.fell = False
+        if self._aside(y, before):
+            self._take(before, y)
+            return
+        events, barred = self.counts["steps"] + self.counts["lost"], self.wrong > 0
         if self.rival is None:
             self._judged(y, before)
         else:
             self._compared(y, before, self.core.predict(self.rival))
+        if self.plain is None and self.rival is None and not self.wrong.any():
+            return
+        decided = True if self.counts["steps"] + self.counts["lost"] > events else None
+        if decided is None and np.any((self.wrong > 0) & ~barred):
+            decided = False
+        self._overseen(y, before, decided)
 
     def answer(self) -> tuple[NDArray, NDArray]:
         """Loads and their std (p,) after it; in doubt the std of both filters together."""
         assert self.state is not None
         Cp = self.model.Cp
-        load, std = Cp @ self.state.x, np.linalg.norm(Cp @ self.state.L, axis=1)
+        load: NDArray = Cp @ self.state.x
+        std: NDArray = np.linalg.norm(Cp @ self.state.L, axis=1)
+        if self.plain is not None and (self.believing if self.rival is not None else self.plain.event):
+            off = Cp @ self.plain.state.x - load
+            untold = np.maximum(np.abs(off), np.abs(load)) < TOLD * std  # by the event, so far
+            if np.all(untold & (np.abs(load + off) < np.abs(load))):
+                load, std = load + off, np.sqrt(std**2 + off**2)
         if self.rival is None:
             return load, std
         odds = self.doubt - min(self.lean, 0.0)  # that no load explains a sample may be believed at once
         other = _share(odds if self.believing else -odds)
         return load, np.sqrt(std**2 + other * (1 - other) * (load - Cp @ self.rival.x) ** 2)
+
+    # -- the filter without a gate ------------------------------------------------------------------------------------
+    def _aside(self, y: NDArray, before: State) -> bool:
+        """Whether a sample is believed although it is beyond the gate: that has failed, and nothing was calm since."""
+        if not self.failed or self.gate is None or self.plain is not None:
+            return False
+        beyond = self._beyond(y, before)[1]
+        if not beyond.any():
+            return False
+        now = self.counts["samples"]
+        calm, self.loud = now - self.loud, now
+        if calm > CALM * 2 ** min(self.failed, DOUBLINGS):
+            return False
+        self.beyond += beyond
+        self.counts["believed"] += int(beyond.sum())
+        return True
+
+    def _overseen(self, y: NDArray, before: State, decided: bool | None) -> None:
+        """A sample to the filter without a gate, which goes on in place of the other where that is no better."""
+        assert self.gate is not None
+        plain = self.plain
+        ahead = before if plain is None else self.core.predict(plain.state)
+        plain = Plain(ahead) if plain is None else plain
+        against = plain.contradicts(decided)
+        out = np.isfinite(y) & ~np.isfinite(self.taken)
+        few = 2 * out.sum() < np.isfinite(y).sum()  # as many channels as one can do without: they do not count
+        sizes = self._sizes(y, ahead, ahead), self._sizes(y, before, ahead)
+        plain = plain.after(*self.core.update(ahead, y), sizes, self.gate, out=out, few=bool(few), decided=decided)
+        self.plain = plain
+        failed = against or plain.behind > min(max(len(y) - 1, 1), WORSE) * self.gate**2
+        if failed or (plain.whole and plain.calm >= CALM):
+            self.state, self.said, self.taken = plain.state, plain.said, y
+            self.rival = self.pair = self.plain = None
+            self.wrong[:], self.good[:] = 0, 0
+            self.fell = True
+            if failed:
+                self.failed, self.loud = self.failed + 1, self.counts["samples"]
+            return
+        self.beyond += out
+        if plain.age >= OVER and self.rival is None and not self.wrong.any():
+            self._agreed()
+
+    def _agreed(self) -> None:
+        """The gate was right."""
+        if self.plain is not None:
+            self.plain, self.failed = None, max(self.failed - 1, 0)
+
+    def _sizes(self, y: NDArray, before: State, ahead: State) -> NDArray[np.float64]:
+        """Of the innovations (m,) after the prediction `before`, over the std that `ahead` expects."""
+        H = self.model.H
+        spread = self.width * np.sqrt(np.sum((H @ ahead.L) ** 2, axis=1) + np.sum(self.model.LR**2, axis=1))
+        return np.abs(y - H @ before.x) / spread
 
     # -- inside -----------------------------------------------------------------------------------------------------
     def _beyond(self, y: NDArray, before: State) -> tuple[NDArray, NDArray[np.bool_]]:
@@ -103,9 +182,9 @@ class Judge:
             self._take(before, y)
             return
         fresh = beyond & ~barred
-        odds, wider, lost = np.inf, before, False
+        odds, wider, lost, size = np.inf, before, False, 0.0
         if fresh.any():
-            odds, wider, lost = self._event(np.where(barred, np.nan, e), before, fresh)
+            odds, wider, lost, size = self._event(np.where(barred, np.nan, e), before, fresh)
         if np.isinf(odds) or (odds > DECISIVE and fresh.sum() == 1):
             held, state_lost = self._held(y, beyond)
             self._take(self._found(before) if state_lost else before, np.where(held, np.nan, y))
@@ -115,6 +194,7 @@ class Judge:
         without = np.where(fresh, np.nan, y)
         believed, doubted = self.core.update(wider, y), self.core.update(before, without)
         self.suspects, self.age, self.events, self.out = fresh, 0, 1, int(fresh.sum())
+        self.size = size
         self.counts["lost"] += lost
         self.doubt, self.lean = odds, odds - float(np.clip(odds, -OPEN, OPEN))
         self._speak(believed, doubted, y, without, believing=odds <= DECISIVE)
@@ -133,17 +213,32 @@ class Judge:
         self.state, self.said = self.core.update(before, y)
         self.taken, self.pair = y, None
 
-    def _event(self, e: NDArray, before: State, wrong: NDArray) -> tuple[float, State, bool]:
-        """Odds of wrong channels against an event, the prediction that expects it, and whether the state was lost."""
+    def _event(self, e: NDArray, before: State, wrong: NDArray) -> tuple[float, State, bool, float]:
+        """Odds of wrong channels against an event, and the prediction that expects it.
+
+        Then whether the state was lost, and the size of the event over that which makes the load as large as its prior.
+        Of the samples in which it may have begun those are taken that make it likely; of two that are alike the smaller
+        event (half-Cauchy sizes).
+        """
         H, LR = self.model.H, self.model.LR
+        if self._usual is None:
+            self._usual = usual(self.model)
         root = self.width[:, None] * np.hstack([H @ before.L, LR])
-        odds, size = weighed(e, root, H @ self._ways, wrong)
+        step, best = onset(self.model).shape[1], np.inf
+        odds, size, ways = np.inf, 0.0, self._ways
+        for stop in range(step, self._ways.shape[1] + 1, step):
+            found, c = weighed(e, root, H @ self._ways[:, :stop], wrong)
+            cost = found + float(np.log(max(c / self._usual, 1.0)))
+            if cost < best:
+                best, odds, size, ways = cost, found, c, self._ways[:, :stop]
         if odds > DECISIVE and self.young:
-            ways = self._reach()
-            other, far = weighed(e, root, H @ ways, wrong)
+            reached = self._reach()
+            other, far = weighed(e, root, H @ reached, wrong)
             if other < odds:
-                return other, wider(before, far * ways), True
-        return odds, wider(before, size * self._ways), False
+                return other, wider(before, far * reached), True, far
+        if size > FAR * self._usual:  # not before later samples have confirmed it
+            odds = max(odds, 2 * DECISIVE)
+        return odds, wider(before, size * ways), False, size / self._usual
 
     def _held(self, y: NDArray, beyond: NDArray) -> tuple[NDArray[np.bool_], bool]:
         """Which channels are kept out of this sample, and whether it is the state that is wrong and not they."""
@@ -192,9 +287,10 @@ class Judge:
         e, beyond = self._beyond(y, before)
         density, again = 0.0, False
         if beyond.any():
-            odds, wider, _ = self._event(e, before, beyond)
+            odds, wider, _, size = self._event(e, before, beyond)
             if odds <= DECISIVE:
                 before, density, again = wider, -RARE, True
+                self.size = max(self.size, size)
             else:
                 y, density = np.where(beyond, np.nan, y), missed(e, beyond)
         found = self.core.update(before, y)
@@ -213,6 +309,7 @@ class Judge:
         self.rival = None
         if event:
             self.counts["steps"] += self.events
+            self.largest = max(self.largest, self.size)
             return
         self.counts["gated"] += self.out
         self.wrong[wrong] = self.age + 1
@@ -238,6 +335,12 @@ class Judge:
             "events": self.events,
             "out": self.out,
             "young": self.young,
+            "plain": None if self.plain is None else self.plain.to_tree(),
+            "failed": self.failed,
+            "loud": self.loud,
+            "beyond": self.beyond.copy(),
+            "largest": self.largest,
+            "size": self.size,
             "counts": dict(self.counts),
         }
 
@@ -249,6 +352,10 @@ class Judge:
         self.suspects = np.array(tree["suspects"], bool)
         self.doubt, self.lean = float(tree["doubt"]), float(tree["lean"])
         self.age, self.events, self.out = int(tree["age"]), int(tree["events"]), int(tree["out"])
+        self.plain = plain_of(tree.get("plain"))  # what files of 0.1 do not hold has its first value
+        self.beyond = np.array(tree.get("beyond", np.zeros(self.model.m)), int)
+        self.failed, self.loud = int(tree.get("failed", 0)), int(tree.get("loud", 0))
+        self.largest, self.size = float(tree.get("largest", 0.0)), float(tree.get("size", 0.0))
         self.counts = Counter({str(k): int(v) for k, v in tree["counts"].items()})
 
 

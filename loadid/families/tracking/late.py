@@ -90,10 +90,15 @@ class Late:
         """A doubt has ended."""
         self.forms = [self.forms[winner]]
 
+    def cut(self, speaker: int) -> None:
+        """Go on with another filter: nothing later is added to the loads before it."""
+        self._open()
+        self.forms = [_frozen(form) for form in self.forms[speaker : speaker + 1] or self.forms[:1]]
+
     def succeed(self, old: Late) -> None:
         """Go on with the loads of another model as they stand; nothing later is added to them."""
         old._open()
-        self.forms = [Delayed(f.load, f.variance, np.zeros_like(f.cross), f.lag) for f in old.forms[:1]]
+        self.forms = [_frozen(form) for form in old.forms[:1]]
 
     def to_tree(self) -> dict[str, Any]:
         """Everything that changes, as plain arrays."""
@@ -122,3 +127,8 @@ class Late:
         if len(form.load) <= self.lag:
             return self.prior
         return form.load[self.lag], form.std[self.lag]
+
+
+def _frozen(form: Delayed) -> Delayed:
+    """Loads as they stand, of which no later sample tells any more."""
+    return Delayed(form.load, form.variance, np.zeros_like(form.cross), form.lag)

@@ -10,16 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.flags import Flag
 from structures.values import reals
 
+from ...flags.tracking import beyond_the_fit, kept_out, moved_off
 from ...inverse.kalman.lag import fixed_lag
 from .engine import Engine
 from .fitted import Fitted
 from .late import Late
 from .limits import inside
+from .means import Means
 from .replay import Replay
 
 ENGINES = ("own", "filterpy")
+ENGINE_COUNTS = ("samples", "missing", "gated", "believed", "steps", "lost")
 
 
 class Running:
@@ -65,14 +69,30 @@ class Running:
 
         ``samples``; channel samples ``missing``, at the end of a range among them (``saturated``), or ``gated``;
         events of the load taken up (``steps``); times that the state was ``lost`` and found; late samples put in their
-        place (``replayed``), or come too late (``expired``).
+        place (``replayed``), or come too late (``expired``). Channel samples beyond the gate that were ``believed``,
+        as it had been set aside.
         """
-        found = {name: self._engine.counts[name] for name in ("samples", "missing", "gated", "steps", "lost")}
+        found = {name: self._engine.counts[name] for name in ENGINE_COUNTS}
         return found | {name: self._tally[name] for name in ("saturated", "replayed", "expired")}
+
+    @property
+    def alarms(self) -> tuple[Flag, ...]:
+        """What the guards found since the start: the gate, and means of the innovations of what came in blocks."""
+        f, engine, counts = self.fitted, self._engine, self.counts
+        labels = [c.label for c in f.sensors]
+        beyond = getattr(engine, "beyond", np.zeros(len(labels), int))
+        found = (
+            kept_out(counts["gated"], counts["samples"] * len(labels), counts["steps"], counts["believed"],
+                     dict(zip(labels, beyond.tolist(), strict=True))),
+            beyond_the_fit(getattr(engine, "largest", 0.0)),
+            moved_off(self._means.errors(), labels),
+        )  # fmt: skip
+        return tuple(flag for flag in found if flag is not None)
 
     def reset(self) -> None:
         """Back before the first sample."""
         self._tally: Counter[str] = Counter()
+        self._means = Means(self.fitted.model.m)
         self._ring = Replay(self.replay) if self.replay else None
         self._made()
 
@@ -157,6 +177,7 @@ class Running:
             Y = self._believable(Y)
         if self._ring is None:
             self._run(Y, load, std, e, progress)
+            self._means.add(e)
             return load, std, e
         cuts = self._ring.cuts(len(Y))
         for start, stop in zip([0, *cuts], cuts, strict=False):
@@ -165,6 +186,7 @@ class Running:
                 self._ring.anchor(self._changing())
             self._run(Y[part], load[part], std[part], e[part], progress)
             self._ring.push(Y[part])
+        self._means.add(e)
         return load, std, e
 
     def _run(
@@ -251,12 +273,14 @@ class Running:
     def to_tree(self) -> dict[str, Any]:
         """Everything that changes from sample to sample, as plain arrays and numbers."""
         ring = None if self._ring is None else self._ring.to_tree()
-        return self._changing() | {"ring": ring, "tally": dict(self._tally)}
+        return self._changing() | {"ring": ring, "tally": dict(self._tally), "means": self._means.to_tree()}
 
     def restore(self, tree: dict[str, Any]) -> None:
         """Go on from what `to_tree` gave."""
         self._restored(tree)
         self._tally = Counter({str(k): int(v) for k, v in tree["tally"].items()})
+        if (means := tree.get("means")) is not None:  # files of 0.1 hold none
+            self._means.restore(means)
         if self._ring is not None:
             self._ring.restore(tree["ring"])
 

@@ -60,8 +60,8 @@ class Tracker(Running):
 
     @property
     def flags(self) -> tuple[Flag, ...]:
-        """What the guards found at the fit."""
-        return self.fitted.flags
+        """What the guards found at the fit, and since the first sample (`alarms`)."""
+        return (*self.fitted.flags, *self.alarms)
 
     # -- samples ----------------------------------------------------------------------------------------------------
 
@@ -92,9 +92,10 @@ class Tracker(Running):
         load, std, e = self.run(Y, progress)
         if self.lag:
             return blocks.estimate(self.fitted, self.counts, load[skip:], std[skip:], None, None, inputs,
-                                   first - self.lag + skip, f"{PATH}, {self.lag} samples late")  # fmt: skip
+                                   first - self.lag + skip, f"{PATH}, {self.lag} samples late", self.flags)  # fmt: skip
         Y, path = inside(Y, self.fitted.limits), PATH if self.engine == "own" else "filterpy, full covariance"
-        return blocks.estimate(self.fitted, self.counts, load, std, Y, e * self._spread(), inputs, first, path)
+        return blocks.estimate(self.fitted, self.counts, load, std, Y, e * self._spread(), inputs, first, path,
+                               self.flags)  # fmt: skip
 
     def smooth(
         self, record: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None
@@ -118,7 +119,7 @@ class Tracker(Running):
             found = smooth_settling(filter_settling(settled, Y, progress=lambda f, t: told(0.5 * f, t)),
                                     progress=lambda f, t: told(0.5 + 0.5 * f, t))  # fmt: skip
             load, std, rest = found.load, found.std, found.residual
-        return blocks.estimate(self.fitted, self.counts, load, std, Y, rest, inputs, 0, path)
+        return blocks.estimate(self.fitted, self.counts, load, std, Y, rest, inputs, 0, path, self.flags)
 
     def _kept(self, Y: NDArray, told: Callable[[float, str], None]) -> tuple[NDArray, NDArray, NDArray]:
         """Smoothed loads, std and residual by a filter that keeps the states of all samples."""
@@ -217,7 +218,7 @@ class Tracker(Running):
         Y = inside(Y, self.fitted.limits)
         found = FilterpyEngine(self.fitted.model).track(Y, progress)
         return blocks.estimate(self.fitted, self.counts, found.load, found.std, Y, None, inputs, 0,
-                               "filterpy, full covariance")  # fmt: skip
+                               "filterpy, full covariance", self.flags)  # fmt: skip
 
     # -- files ------------------------------------------------------------------------------------------------------
 
