@@ -89,8 +89,14 @@ def test_a_quiet_beginning_does_not_stand_for_the_record():
     assert beginning_of(WindowedPath(h, y)) is None
 
 
-def test_the_sweep_begins_where_the_iteration_settles():
-    """A response with a tail of noise, as measured ones have: the scalars are those of a dense SVD."""
+@pytest.mark.parametrize("factored", [True, False])
+def test_the_sweep_begins_where_the_iteration_settles(factored, monkeypatch):
+    """A response with a tail of noise, as measured ones have: the scalars are those of a dense SVD.
+
+    Where a factorisation takes over the sweep covers the whole range.
+    """
+    if not factored:
+        monkeypatch.setattr("loadid.inverse.convolved.pcg.FACTORED", 0)
     n, rng = 600, np.random.default_rng(0)
     t = np.arange(n)
     h = np.diff(np.exp(-0.002 * t) * np.sin(0.3 * (t + 1)), prepend=0.0) + 0.015 * rng.standard_normal(n)
@@ -98,7 +104,10 @@ def test_the_sweep_begins_where_the_iteration_settles():
     sigma = 0.01 * y.std()
     h, y = (h / sigma)[:, None, None], (y / sigma + rng.standard_normal(n))[:, None]
     path, dense = ConvolvedPath(h, y), SVDPath(LinearProblem.whitened(toeplitz(h), y, noise=[1.0]))
-    assert 1e-4 <= path.range[0] < 0.05  # below, the iteration does not settle
+    if factored:
+        assert path.range[0] == pytest.approx(path.lowest)
+    else:
+        assert 1e-4 <= path.range[0] < 0.05  # below, the iteration does not settle
     lams = np.geomspace(*path.range, 7)
     assert path.at(lams).residual2 == pytest.approx(dense.at(lams).residual2, rel=1e-4)
     assert path.at(lams).edf == pytest.approx(dense.at(lams).edf, rel=1e-3)

@@ -114,8 +114,8 @@ class ConvolvedPath:
     def range(self) -> tuple[float, float]:
         """Relative lambda from below the smallest singular value of the lines, as far as digits allow, up to 1.
 
-        Where the beginning of the record shows that the iteration does not settle there (measured responses that end in
-        noise), from the first half decade at which it does.
+        Where the beginning of a long record shows that the iteration does not settle there (measured responses that
+        end in noise), from the first half decade at which it does.
         """
         low = float(max(self.lowest, min(1e-3 * self.seen, 0.1)))
         tried = low

@@ -99,6 +99,9 @@ def solve(
     if "modes" in vars(operator):
         circulant = Factored(operator, circulant.lam)  # it is there, and takes fewer steps
     lam, N, k = circulant.lam, operator.samples, sides.count
+    another = strict and operator.loads * N <= FACTORED and not isinstance(circulant, Factored)
+    if another:
+        most = min(most, operator.loads * N)  # steps after which it had ended but for rounding
     x = np.zeros((k, operator.loads, N))
     r = np.zeros((k, operator.sensors, N)) if sides.y is None else np.array(sides.y, float)
     q = np.zeros((k, operator.loads, operator.rows)) if sides.c is None else np.array(sides.c, float)
@@ -136,10 +139,11 @@ def solve(
         patience = np.where(best[live] < SMALL**2 * first[live], np.clip(iterations // SHARE, FINE, stalled), stalled)
         keep = (now > tolerance**2 * first[live]) & (since[live] < patience)
     reached = float(np.sqrt(np.max(plain / np.where(zero > 0, zero, 1.0), initial=0.0)))
-    if not np.isfinite(reached) or (strict and np.any(best > max(tolerance, ROUNDING) ** 2 * first)):
-        if isinstance(circulant, Factored) or operator.loads * N > FACTORED:
-            raise unsettled(f"gradient {reached:.2g} times the first after {iterations} steps")
-        return solve(operator, Factored(operator, lam), sides, tolerance, strict=strict)
+    failed = not np.isfinite(reached) or (strict and np.any(best > max(tolerance, ROUNDING) ** 2 * first))
+    if another and (failed or (len(live) and iterations == most)):
+        return solve(operator, Factored(operator, lam), sides, tolerance)
+    if failed:
+        raise unsettled(f"gradient {reached:.2g} times the first after {iterations} steps")
     return Reached(x, r, q, reached, iterations)
 
 
