@@ -27,6 +27,7 @@ from loadid.summary import (
     notes,
     number,
     plus_minus,
+    refusals,
     rules,
     sort,
 )
@@ -122,7 +123,8 @@ def fragment(estimate: LoadEstimate) -> str:
 # -- sections ---------------------------------------------------------------------------------------------------------
 def _notices(e: LoadEstimate) -> str:
     good = " good" if e.certificate is not None else ""
-    text = f'<p class="notice{good}" role="note">{escape(e.verified)}</p>'
+    text = "".join(f'<p class="notice" role="alert">{escape(line)}</p>' for line in refusals(e))
+    text += f'<p class="notice{good}" role="note">{escape(e.verified)}</p>'
     if e.allowed:
         text += f'<p class="notice" role="note">{escape(allowed(e))}</p>'
     return text
