@@ -11,9 +11,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...inverse.kalman.steady import Steady
+
 PIECES = 40  # at most, then half as many, twice as long
 SHORTEST = 10  # samples of a piece
 FEWEST = 16  # pieces, from which a mean is judged
+ROUNDING = 1e-9  # of a number, below which it is none
+SHOWN = 1e-3  # stds of an innovation that a load as large as its prior must add to the mean, to be taken for a mean
+
+
+def constant(settled: Steady) -> NDArray[np.float64]:
+    """Mean normalised innovations (m, p) of loads that stay, as large as their prior says.
+
+    A prior that returns to zero predicts less of them.
+    """
+    model = settled.model
+    nx, n = model.nx, model.n
+    z = np.linalg.lstsq(model.Cp[:, nx:], np.eye(model.p), rcond=None)[0]
+    x = np.linalg.lstsq(np.eye(nx) - model.F[:nx, :nx], model.F[:nx, nx:] @ z, rcond=None)[0]
+    y = model.H @ np.vstack([x, z])
+    ahead = np.linalg.lstsq(np.eye(n) - model.F @ (np.eye(n) - settled.K @ model.H), model.F @ settled.K @ y,
+                            rcond=None)[0]  # fmt: skip
+    size = np.linalg.norm(model.Cp @ model.L0, axis=1)
+    return np.asarray((y - model.H @ ahead) * size / settled.innovation_std[:, None], float)
 
 
 class Means:
@@ -49,16 +69,27 @@ class Means:
         self.filled, none = 0, np.zeros((1, self.sums.shape[1]))
         self.sums, self.counts = np.vstack([self.sums, none]), np.vstack([self.counts, none])
 
-    def errors(self) -> NDArray[np.float64]:
-        """Standard errors by which the mean of each channel lies off zero (m,); 0 where there are too few pieces."""
-        out = np.zeros(self.sums.shape[1])
-        for i, (sums, counts) in enumerate(zip(self.sums[:-1].T, self.counts[:-1].T, strict=True)):
-            there = counts > 0
-            if there.sum() < FEWEST:
-                continue
-            means = sums[there] / counts[there]
-            error = max(float(means.std(ddof=1)), np.finfo(float).tiny) / np.sqrt(len(means))
-            out[i] = float(means.mean()) / error
+    def errors(self, loads: NDArray | None = None) -> NDArray[np.float64]:
+        """Standard errors by which the mean of each channel lies off zero (m,); 0 where there are too few pieces.
+
+        `loads` (m, any): means that are no offset but a load (`constant`); what is left beside them is judged.
+        """
+        out, there = np.zeros(self.sums.shape[1]), self.counts[:-1] > 0
+        seen = there.sum(axis=0) >= FEWEST
+        whole = there[:, seen].all(axis=1)
+        if not seen.any() or whole.sum() < FEWEST:
+            return out
+        means = self.sums[:-1][np.ix_(whole, seen)] / self.counts[:-1][np.ix_(whole, seen)]
+        if loads is not None:
+            U, s, _ = np.linalg.svd(loads[seen], full_matrices=False)
+            U = U[:, s > SHOWN]
+            means = means - means @ U @ U.T
+        off = means - means.mean(axis=0)
+        power = np.maximum(np.sum(off**2, axis=0), np.finfo(float).tiny)
+        alike = np.clip(np.sum(off[1:] * off[:-1], axis=0) / power, 0.0, 0.99)  # neighbours, of a filter that is slow
+        error = np.sqrt((1 + alike) / (1 - alike)) * means.std(axis=0, ddof=1) / np.sqrt(len(means))
+        told = error > ROUNDING * np.abs(self.sums[:-1]).max(initial=1.0)
+        out[seen] = np.where(told, means.mean(axis=0) / np.where(told, error, 1.0), 0.0)
         return out
 
     def to_tree(self) -> dict[str, Any]:

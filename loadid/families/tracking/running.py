@@ -19,7 +19,7 @@ from .engine import Engine
 from .fitted import Fitted
 from .late import Late
 from .limits import inside
-from .means import Means
+from .means import Means, constant
 from .replay import Replay
 
 ENGINES = ("own", "filterpy")
@@ -85,7 +85,7 @@ class Running:
             kept_out(counts["gated"], counts["samples"] * len(labels), counts["steps"], counts["believed"],
                      dict(zip(labels, beyond.tolist(), strict=True))),
             beyond_the_fit(getattr(engine, "largest", 0.0)),
-            moved_off(self._means.errors(), labels),
+            moved_off(self._means.errors(None if f.settled is None else constant(f.settled)), labels),
         )  # fmt: skip
         return tuple(flag for flag in found if flag is not None)
 
