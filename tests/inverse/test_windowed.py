@@ -91,10 +91,7 @@ def test_a_quiet_beginning_does_not_stand_for_the_record():
 
 @pytest.mark.parametrize("factored", [True, False])
 def test_the_sweep_begins_where_the_iteration_settles(factored, monkeypatch):
-    """A response with a tail of noise, as measured ones have: the scalars are those of a dense SVD.
-
-    Where a factorisation takes over the sweep covers the whole range.
-    """
+    """A response with a tail of noise, as measured ones have: the scalars are those of a dense SVD."""
     if not factored:
         monkeypatch.setattr("loadid.inverse.convolved.pcg.FACTORED", 0)
     n, rng = 600, np.random.default_rng(0)
@@ -104,10 +101,7 @@ def test_the_sweep_begins_where_the_iteration_settles(factored, monkeypatch):
     sigma = 0.01 * y.std()
     h, y = (h / sigma)[:, None, None], (y / sigma + rng.standard_normal(n))[:, None]
     path, dense = ConvolvedPath(h, y), SVDPath(LinearProblem.whitened(toeplitz(h), y, noise=[1.0]))
-    if factored:
-        assert path.range[0] == pytest.approx(path.lowest)
-    else:
-        assert 1e-4 <= path.range[0] < 0.05  # below, the iteration does not settle
+    assert 1e-4 <= path.range[0] < 0.05  # below, the iteration does not settle, whether or not another takes over
     lams = np.geomspace(*path.range, 7)
     assert path.at(lams).residual2 == pytest.approx(dense.at(lams).residual2, rel=1e-4)
     assert path.at(lams).edf == pytest.approx(dense.at(lams).edf, rel=1e-3)

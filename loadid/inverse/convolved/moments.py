@@ -46,13 +46,13 @@ class Moments:
 
 
 def chain(
-    operator: Operator, circulant: Circulant, y: NDArray, solves: int, tolerance: float
+    operator: Operator, circulant: Circulant, y: NDArray, solves: int, tolerance: float, takeover: bool = True
 ) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
     """g_1, g_2, ... for data y (k, sensors, samples), with their responses H g_j and roughnesses lambda L g_j."""
     loads, responses, roughs = [], [], []
     sides = Sides(y=y)
     for _ in range(solves):
-        found = solve(operator, circulant, sides, tolerance)
+        found = solve(operator, circulant, sides, tolerance, takeover=takeover)
         rough = -found.q if sides.c is None else sides.c - found.q
         loads.append(found.x)
         responses.append((sides.y - found.r) if sides.y is not None else -found.r)

@@ -114,8 +114,8 @@ class ConvolvedPath:
     def range(self) -> tuple[float, float]:
         """Relative lambda from below the smallest singular value of the lines, as far as digits allow, up to 1.
 
-        Where the beginning of a long record shows that the iteration does not settle there (measured responses that
-        end in noise), from the first half decade at which it does.
+        Where the beginning of the record shows that the iteration does not settle there (measured responses that end in
+        noise), from the first half decade at which it does: below, such responses say nothing that a rule could use.
         """
         low = float(max(self.lowest, min(1e-3 * self.seen, 0.1)))
         tried = low
@@ -124,10 +124,11 @@ class ConvolvedPath:
         return low if tried == low else tried * 10**STEP, 1.0  # the node below the first lambda is one that settles
 
     def _settles(self, lam: float) -> bool:
-        """Whether what the scalars of a node ask for is solved, on the beginning of the record."""
+        """Whether the iteration solves what the scalars of a node ask for, on the beginning of the record."""
         part = self.operator if self.samples <= TRIED else self.operator.cut(TRIED)
+        circulant, y = Circulant(part, lam * float(self.scale)), self.y[..., : part.samples]
         try:
-            chain(part, Circulant(part, lam * float(self.scale)), self.y[..., : part.samples], 3, self._tolerance(lam))
+            chain(part, circulant, y, 3, self._tolerance(lam), takeover=False)
         except NotIdentifiable:
             return False
         return True

@@ -79,7 +79,7 @@ class Reached:
 
 def solve(
     operator: Operator, circulant: Circulant | Factored, sides: Sides, tolerance: float = TOLERANCE, most: int = MOST,
-    strict: bool = True,
+    strict: bool = True, takeover: bool = True,
 ) -> Reached:  # fmt: skip
     """Solve for all right sides at the lambda of the preconditioner.
 
@@ -89,6 +89,8 @@ def solve(
         Gradient in the norm of the preconditioner, relative to that at x = 0.
     strict : bool
         Whether to refuse an answer that is neither within the tolerance nor at the level of rounding.
+    takeover : bool
+        Whether a factorisation takes over where the iteration does not settle.
 
     Raises
     ------
@@ -96,10 +98,10 @@ def solve(
         If it ends above `ROUNDING` times the first gradient and above the tolerance, with more than `FACTORED` unknowns
         or with the preconditioner of a factorisation too (LID-E306).
     """
-    if "modes" in vars(operator):
+    if takeover and "modes" in vars(operator):
         circulant = Factored(operator, circulant.lam)  # it is there, and takes fewer steps
     lam, N, k = circulant.lam, operator.samples, sides.count
-    another = strict and operator.loads * N <= FACTORED and not isinstance(circulant, Factored)
+    another = takeover and strict and operator.loads * N <= FACTORED and not isinstance(circulant, Factored)
     if another:
         most = min(most, operator.loads * N)  # steps after which it had ended but for rounding
     x = np.zeros((k, operator.loads, N))
