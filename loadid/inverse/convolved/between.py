@@ -15,6 +15,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
+ROUNDED = 1e-15  # part of the modes that rounding leaves
 TINY = np.finfo(float).tiny
 STEP, CLOSE = 0.5, 0.25  # decades between nodes with derivatives, and between those of a spline
 WIDE = 1.0  # relative lambda above which nodes are twice as far apart
@@ -118,7 +119,8 @@ class Traces:
         from scipy.interpolate import make_interp_spline
 
         t, found = self._nodes
-        part, rest, trace = np.maximum(found, TINY).T
+        least = ROUNDED * np.sum(found[-1, :2])  # a part that is nothing beside all modes is rounding, of either sign
+        part, rest, trace = np.maximum(found, [least, least, TINY]).T
         # beyond the largest mode the odds fall as 1 / lambda^2: taken out, little is left to interpolate
         return make_interp_spline(t, np.array([np.log(part / rest) + t, np.log(trace)]).T, k=5)
 
