@@ -209,7 +209,7 @@ def newton(
         rows, short = _rows(s, at.active, h)
         offset = np.zeros(q.n) if prox is None else h - prox.centre
         moved = q.step(h, b, at.gradient, face, tau, pull, offset, rows, short)
-        steps, corrected = steps + 1, corrected or solved
+        steps, corrected = steps + (not solved), corrected or solved
         if moved is None:
             break
         h, multipliers = moved

@@ -177,14 +177,15 @@ def given(path: RegularizationPath, lam: float, *, sigma: float | None = None, s
 
 
 def decide(
-    sweep: rules.Sweep, choice: str | float | None, asked: dict[str, RuleResult], source: str = "not known"
-) -> Choice:
-    """As `choose`, from a sweep and the rules that were asked already."""
+    sweep: rules.Sweep, choice: str | float | None, asked: dict[str, RuleResult], source: str = "not known",
+    refine: bool = True,
+) -> Choice:  # fmt: skip
+    """As `choose`, from a sweep and the rules that were asked already; `refine`: UPRE may step in, as said there."""
     path, sigma = sweep.path, sweep.sigma
     if isinstance(choice, str) and choice not in asked:
         asked[choice] = rules.run(choice, sweep)
     shown = contradicted(sweep, asked, source) if choice is None else None
-    lam, rule = _pick(path, "robust_gcv" if shown is not None else choice, asked, sigma)
+    lam, rule = _pick(path, "robust_gcv" if shown is not None else choice, asked, sigma, refine)
     evidence = whiteness_of(path, asked, lam)
     correlated = is_correlated(evidence)
     quasi = asked["quasi_optimality"]
@@ -321,8 +322,9 @@ def _cornered(asked: dict[str, RuleResult], used: float) -> bool:
 
 
 def _pick(
-    path: RegularizationPath, choice: str | float | None, asked: dict[str, RuleResult], sigma: float | None
-) -> tuple[float, str]:
+    path: RegularizationPath, choice: str | float | None, asked: dict[str, RuleResult], sigma: float | None,
+    refine: bool = True,
+) -> tuple[float, str]:  # fmt: skip
     if isinstance(choice, str):
         return _given(asked[choice]), choice
     if choice is not None:
@@ -347,7 +349,7 @@ def _pick(
             hint="pass choice=<relative lambda>",
         )
     first, upre = running[0], asked["upre"]
-    refined = first.rule == "predicted_error" and upre.lam is not None and not (upre.edge or first.edge)
+    refined = refine and first.rule == "predicted_error" and upre.lam is not None and not (upre.edge or first.edge)
     if refined and _spends(path, _given(first)) and _given(upre) > 10**-NEAR * _given(first):
         first = upre
     return _given(first), first.rule

@@ -41,7 +41,8 @@ def confirm(
         asked = {r: rules.run(r, search.sweep) if r in wanted | {*SHARED} else on_windows[r] for r in on_windows}
         wider = next((w for r in wanted if (w := search.beyond(asked[r])) is not None), None)
         if wider is None:
-            found = decide(search.sweep, choice, asked, source)
+            # a long record leaves data enough for the predicted error, whose band holds more than that of UPRE
+            found = decide(search.sweep, choice, asked, source, refine=False)
             wider = search.beyond(asked[found.rule]) if found.rule in SHARED else None
             if wider is None:
                 return found

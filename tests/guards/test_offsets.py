@@ -59,7 +59,8 @@ def test_an_accelerometer_loses_its_offset(share: float) -> None:
     shifted, _ = measured(ACCELEROMETERS, load, share)
     family = Deconvolution(model(ACCELEROMETERS, 6), noise=sigma)
     best, found = family.estimate(clean, DT), family.estimate(shifted, DT)
-    assert off(found.load, load) < 2 * off(best.load, load)  # the mean of 270 noisy samples is not quite the offset
+    # the mean of 270 noisy samples is not quite the offset: what is left of it drifts
+    assert off(found.load, load) < 0.5
     said = [f for f in found.flags if f.code == "LID-W206"]
     assert ["subtracted" in f.message for f in said] == [True, True]
     assert not [f for f in best.flags if f.code == "LID-W206"]

@@ -81,14 +81,17 @@ class Judge:
         if self._aside(y, before):
             self._take(before, y)
             return
-        events, barred = self.counts["steps"] + self.counts["lost"], self.wrong > 0
+        steps, lost, barred = self.counts["steps"], self.counts["lost"], self.wrong > 0
         if self.rival is None:
             self._judged(y, before)
         else:
             self._compared(y, before, self.core.predict(self.rival))
         if self.plain is None and self.rival is None and not self.wrong.any():
             return
-        decided = True if self.counts["steps"] + self.counts["lost"] > events else None
+        if self.counts["lost"] > lost:  # the filter without a gate would not know: it begins anew where the state is
+            self.plain = None
+            return
+        decided = True if self.counts["steps"] > steps else None
         if decided is None and np.any((self.wrong > 0) & ~barred):
             decided = False
         self._overseen(y, before, decided)
@@ -144,6 +147,8 @@ class Judge:
             self.rival = self.pair = self.plain = None
             self.wrong[:], self.good[:] = 0, 0
             self.fell = True
+            if failed and out.sum() > 1 and np.all(out | ~np.isfinite(y)):  # no sensor is right: the state is wrong
+                self.state, self.said = self.core.update(self._found(ahead), y)
             if failed:
                 self.failed, self.loud = self.failed + 1, self.counts["samples"]
             return

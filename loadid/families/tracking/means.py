@@ -55,7 +55,8 @@ class Means:
         while k < len(e):
             part = e[k : k + self.length - self.filled]
             there = np.isfinite(part)
-            self.sums[-1] += np.where(there, part, 0.0).sum(axis=0)
+            # one after the other: blocks of any length give the same bits
+            self.sums[-1] = np.add.accumulate(np.vstack([self.sums[-1], np.where(there, part, 0.0)]))[-1]
             self.counts[-1] += there.sum(axis=0)
             self.filled, k = self.filled + len(part), k + len(part)
             if self.filled == self.length:
