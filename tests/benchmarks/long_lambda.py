@@ -11,7 +11,8 @@ Two references, both on a grid of a tenth of a decade with the truth known: the 
 smallest mean square error over `DRAWS` draws. ``expected`` is the root mean square error over these draws at the chosen
 lambda over that at the latter: what the choice is worth.
 
-Run ``python -m tests.benchmarks.long_lambda [--samples 4000 10000 ...] [--seeds 5] [--first 0]``.
+Run ``python -m tests.benchmarks.long_lambda [--samples 4000 10000 ...] [--seeds 5] [--first 0] [--turns]``;
+with ``--turns`` each seed takes one layout of the hits, in turn.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,20 +172,23 @@ def main() -> None:
     parser.add_argument("--setups", nargs="+", default=["six displacement", "six acceleration", "cantilever"])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--turns", action="store_true", help="one layout of the hits a seed, in turn")
     asked = parser.parse_args()
     ratios = []
     print(f"{'set-up':18s}{'samples':>8s} {'hits':10s}{'seed':>5s} {'sigma':8s}{'error':>7s}{'best':>8s}{'ratio':>7s}"
           f"{'expected':>9s}{'CPU s':>7s}")  # fmt: skip
     for setup in asked.setups:
         for samples in asked.samples:
-            for layout in LAYOUTS:
-                for seed in range(asked.first, asked.first + asked.seeds):
-                    stated = bool((seed + LAYOUTS.index(layout)) % 2)
-                    j = judged(setup, layout, samples, seed, stated)
-                    ratios.append((j.error / j.best, j.expected))
-                    numbers = f"{j.error:7.4f}{j.best:8.4f}{ratios[-1][0]:7.3f}{j.expected:9.3f}{j.seconds:7.1f}"
-                    print(f"{setup:18s}{samples:8d} {layout:10s}{seed:5d} {'stated' if stated else 'unknown':8s}"
-                          f"{numbers}  {j.words}", flush=True)  # fmt: skip
+            for i, seed in product(range(len(LAYOUTS)), range(asked.first, asked.first + asked.seeds)):
+                if asked.turns and seed % len(LAYOUTS) != i:
+                    continue
+                # with turns, every other round of layouts has its noise stated
+                stated = bool((seed // len(LAYOUTS) + i if asked.turns else seed + i) % 2)
+                j = judged(setup, LAYOUTS[i], samples, seed, stated)
+                ratios.append((j.error / j.best, j.expected))
+                numbers = f"{j.error:7.4f}{j.best:8.4f}{ratios[-1][0]:7.3f}{j.expected:9.3f}{j.seconds:7.1f}"
+                print(f"{setup:18s}{samples:8d} {LAYOUTS[i]:10s}{seed:5d} {'stated' if stated else 'unknown':8s}"
+                      f"{numbers}  {j.words}", flush=True)  # fmt: skip
     for name, x in zip(("of this draw", "in expectation"), np.array(ratios).T, strict=True):
         print(f"{name}: worst {x.max():.3f}, median {np.median(x):.3f}, {np.mean(x <= 1.2):.1%} within 1.2")
 

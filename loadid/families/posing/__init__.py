@@ -24,8 +24,8 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
     """Problem of a record, on the path that was asked for or that fits.
 
     ``auto``: dense up to some thousand unknowns, where penalties are matrices, and without regularisation; beyond, and
-    for missing samples or an initial state, the state-space path of a model with a few dozen states, else convolution,
-    of a long record in windows.
+    for missing samples, offsets of channels or an initial state, the state-space path of a model with a few dozen
+    states, else convolution, of a long record in windows.
     Measured models go by lines, which carry the errors of their FRFs; the truncated SVD by dense matrix or by lines.
 
     Raises
@@ -64,7 +64,7 @@ def _kind(model: Model, data: Data, settings: Settings) -> tuple[str, StateSpace
     if getattr(model, "moving", False) and settings.path in ("auto", "statespace"):
         return "statespace", state_space_of(model, data.dt, settings.hold)
     unknowns = len(data.values) * len(model.loads)
-    gaps = bool(data.missing.any())
+    gaps, floating = bool(data.missing.any()), any(data.offsets)
     if settings.path != "auto":
         system = state_space_of(model, data.dt, settings.hold) if settings.path == "statespace" else None
         if settings.path == "statespace" and system is None:
@@ -73,7 +73,7 @@ def _kind(model: Model, data: Data, settings: Settings) -> tuple[str, StateSpace
         return settings.path, system
     if settings.truncated:
         return ("dense" if unknowns <= DENSE else "fft"), None
-    if not settings.named or settings.free or (unknowns <= SMALL and not gaps and not settings.special):
+    if not settings.named or settings.free or (unknowns <= SMALL and not (gaps or floating or settings.special)):
         return "dense", None
     system = state_space_of(model, data.dt, settings.hold)
     if system is not None and (len(system.A) <= MOST or settings.special or settings.size is not None):

@@ -70,7 +70,14 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
         level = noise.level if np.ndim(noise.level) == 1 else np.sqrt(np.diag(noise.level))
         A, B, back, seen = observed_first(A, B, C[rows] / level[:, None], len(values))
         C = C @ back
-    rest = np.zeros(len(system.A))
+    sizes = settings.sizes(D.shape[-1])
+    constants = _constants(data, len(C)) if sizes is None else np.zeros((len(C), 0))
+    if count := constants.shape[1]:
+        # what is left of an offset, however small, is a load that drifts: it is an unknown of the problem
+        A, B, C = _with_constants(A, B, C, constants)
+        start = np.r_[np.zeros(count), start] if isinstance(start, np.ndarray) else start
+        unknown, seen = True, seen + count
+    rest = np.zeros(len(A))
 
     def respond(load: NDArray, first: NDArray) -> NDArray:
         """Response (samples, sensors) of the used sensors to a load, from a state at the first sample."""
@@ -81,7 +88,7 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     extra = {"leak": settings.leak, "from_zero": settings.from_zero, "unknown_start": seen}
     systems = _systems(A, B, C[rows], D[..., rows, :], len(values), settings.penalty, **extra)
     own = measured(systems, np.where(missing, np.nan, values - known), noise.level)
-    long, sizes = len(values) > WHOLE, settings.sizes(own.p)
+    long = len(values) > WHOLE
     if sizes is not None and unknown:
         raise InputError("with a weight of the size the start of the structure is known", where="initial",
                          found="'unknown'", expected="'rest' or a state", hint="leave out size=")  # fmt: skip
@@ -106,6 +113,22 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
 
     name, visible = "state space, O(N)", layout(own)
     return Posed(path, noise, compare, values, name, h[:, rows], visible, full, path.unknowns, judged, pushing)
+
+
+def _constants(data: Data, sensors: int) -> NDArray[np.float64]:
+    """Columns (sensors, offsets), a constant in one channel each: those whose offset was subtracted."""
+    floating = np.flatnonzero(data.offsets)
+    columns = np.zeros((sensors, len(floating)))
+    columns[data.rows[floating], np.arange(len(floating))] = data.rms[floating]
+    return columns
+
+
+def _with_constants(A: NDArray, B: NDArray, C: NDArray, constants: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """The system with states in front that never change and that the sensors see as `constants` (sensors, states)."""
+    count, n = constants.shape[1], len(A)
+    A = np.block([[np.eye(count), np.zeros((count, n))], [np.zeros((n, count)), A]])
+    B = np.concatenate([np.zeros((*B.shape[:-2], count, B.shape[-1])), B], axis=-2)
+    return A, B, np.hstack([constants, C])
 
 
 def _systems(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..compiled import Compiled
 from .record import Record
 from .riccati import Gains
-from .settling import NEAR, NEVER, SETTLED, SHARE, STALLED, STRIDE, arrival, decay
+from .settling import NEAR, NEVER, SETTLED, SHARE, STALLED, arrival, decay
 from .small import multiply, multiply_by_transposed, solve_upper
 
 
@@ -46,7 +46,17 @@ def spread(record: Record, gains: Gains, every_sample: bool = True) -> Spread:
         X[np.ix_(record.free, record.free)] = gains.start @ gains.start.T
     variance = np.empty((record.samples if every_sample else 1, record.p))
     trace, penalty = _recursion(
-        record.F, record.G, record.E, record.kind, gains.K, gains.R, gains.which, X, variance, every_sample, STRIDE
+        record.F,
+        record.G,
+        record.E,
+        record.kind,
+        gains.K,
+        gains.R,
+        gains.which,
+        X,
+        variance,
+        every_sample,
+        record.stride,
     )
     return Spread(variance if every_sample else None, float(trace), float(gains.lam**2 * penalty))
 

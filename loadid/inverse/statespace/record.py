@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from structures.errors import InputError
 
 from .augmented import Augmented
+from .settling import STRIDE
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,17 @@ class Record:
     def unknowns(self) -> int:
         """Inputs of all samples and free states."""
         return self.samples * self.p
+
+    @cached_property
+    def settles(self) -> bool:
+        """No free state stays for ever whatever the inputs are: of such a one every sample tells more."""
+        one = np.eye(self.n)
+        return not any(np.all(self.F[:, i] == one[i]) and not self.G[:, i].any() for i in self.free)
+
+    @property
+    def stride(self) -> int:
+        """Samples between two looks at whether a recursion has settled; beyond the record where it does not."""
+        return STRIDE if self.settles else self.samples + 1
 
     @cached_property
     def entries(self) -> tuple[NDArray[np.int_], NDArray[np.float64]]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..compiled import Compiled
 from .record import Record
 from .rooted import spare, step
-from .settling import NEAR, NEVER, SETTLED, SHARE, STALLED, STRIDE, arrival, decay
+from .settling import NEAR, NEVER, SETTLED, SHARE, STALLED, arrival, decay
 from .small import multiply
 
 
@@ -65,7 +65,7 @@ def gains(record: Record, lam: float) -> Gains:
         which = np.empty(record.samples, np.int32)
         used, root, logdet = _recursion(
             *record.entries, record.F, record.G, record.C, record.D, record.kind, float(lam), K, R, which,
-            STRIDE, spare(record.m),
+            record.stride, spare(record.m),
         )  # fmt: skip
         if used <= rows:
             break
