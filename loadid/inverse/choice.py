@@ -145,22 +145,21 @@ def choose(
     Notes
     -----
     Load error over the smallest error of all lambdas, median / 90 % quantile / share above 3, on 9450 cases of seven
-    discrete ill-posed problems for each kind of noise (``python -m tests.benchmarks.rules``); the defaults as measured
-    with one step of the predicted error, before its fixed point was taken:
+    discrete ill-posed problems for each kind of noise (``python -m tests.benchmarks.rules``):
 
     ==========================  ====================  ====================  ====================
     rule                        white                 AR(1), 0.9            interpolated
     ==========================  ====================  ====================  ====================
-    default, level not known    1.07 / 1.8 / 3.2 %    1.19 / 5.3 / 15.8 %   1.15 / 4.1 / 13.3 %
+    default, level not known    1.07 / 1.8 / 3.2 %    1.19 / 5.4 / 15.9 %   1.15 / 4.1 / 13.3 %
     robust GCV                  1.10 / 2.1 / 5.3 %    7.34 / 9e7 / 57.5 %   4.63 / 1e6 / 53.2 %
     GCV                         1.23 / 132 / 23.4 %   1e3 / 2e10 / 79.8 %   5e3 / 2e10 / 84.2 %
-    default, level known        1.15 / 2.1 / 3.7 %    1.13 / 2.1 / 3.5 %    1.10 / 2.1 / 3.8 %
+    default, level known        1.08 / 2.0 / 3.3 %    1.11 / 2.1 / 5.3 %    1.08 / 2.0 / 4.2 %
     discrepancy                 1.41 / 2.8 / 8.8 %    1.66 / 3.4 / 12.4 %   1.40 / 3.2 / 11.2 %
     UPRE                        1.17 / 19 / 18.1 %    1.54 / 6e6 / 39.0 %   7.25 / 5e7 / 57.1 %
     ==========================  ====================  ====================  ====================
 
-    ``rules disagree`` or worse: 31 % of the white cases (38 % with the level known), 90 % (92 %) of the correlated
-    ones, 96 % (91 %) of those in which the default is off by more than 3.
+    ``rules disagree`` or worse: 39 % of the white cases (39 % with the level known), 91 % (92 %) of the correlated
+    ones, 96 % (94 %) of those in which the default is off by more than 3.
     """
     sweep = rules.Sweep.over(path, sigma)
     return decide(sweep, choice, {name: rules.run(name, sweep) for name in DEFAULT_RULES}, source)
