@@ -72,7 +72,7 @@ class _Search:
     ) -> _Search:
         first, last = max(first, low), min(last, high)
         lam: NDArray[np.float64] = np.geomspace(first, last, max(int(POINTS * np.log10(last / first)), 3) + 1)
-        return cls(Sweep(path, lam, path.at(lam), sigma), low, high)
+        return cls(Sweep(path, lam, path.at(lam), sigma, whole=(first, last) == (low, high)), low, high)
 
     def beyond(self, found: RuleResult) -> _Search | None:
         """The wider search after a rule that ended at a wall; None after an optimum, or where nothing is left."""

@@ -152,24 +152,25 @@ def predicted_error(sweep: Sweep) -> RuleResult:
 
         return search("predicted_error", sweep, error)
 
-    return _settled(best, start)
+    return _settled(best, start, sweep.whole)
 
 
-def _settled(best: Callable[[float], RuleResult], pilot: float) -> RuleResult:
+def _settled(best: Callable[[float], RuleResult], pilot: float, whole: bool) -> RuleResult:
     """Fixed point of steps from one pilot to the next, which shrink by about the same factor: two, and Aitken's limit.
 
-    Only towards smaller lambdas: from a pilot that follows the noise the first step leads back, and it is enough.
+    Only towards smaller lambdas: from a pilot that follows the noise the first step leads back, and it is enough. A
+    step to the wall of the `whole` range is none; one to the wall of a part is the answer that asks for a wider part.
     """
     first = best(pilot)
     if first.edge or first.lam is None or first.lam > CLOSE * pilot:
         return first
     second = best(first.lam)
     if second.edge or second.lam is None or second.lam > CLOSE * first.lam:
-        return second if not second.edge else first
+        return first if second.edge and whole else second
     one, two = np.log(first.lam / pilot), np.log(second.lam / first.lam)
     shrink = min(two / one, SLOWEST)
     third = best(float(pilot * np.exp(one / (1 - shrink))))
-    return second if third.edge else third
+    return second if third.edge and whole else third
 
 
 def _pilot(sweep: Sweep) -> int:

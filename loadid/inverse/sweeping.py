@@ -48,12 +48,16 @@ class Refusal(Exception):
 
 @dataclass(frozen=True)
 class Sweep:
-    """A path evaluated over a grid of relative lambdas (one problem, not a stack)."""
+    """A path evaluated over a grid of relative lambdas (one problem, not a stack).
+
+    Where it is not the `whole` of the range, a search that ends at a wall goes on in a wider one.
+    """
 
     path: RegularizationPath
     lam: NDArray[np.float64]
     point: PathPoint
     sigma: float | None
+    whole: bool = True
 
     @classmethod
     def over(cls, path: RegularizationPath, sigma: float | None, points: int = 121) -> Sweep:
@@ -71,7 +75,7 @@ class Sweep:
         given: dict[str, Any] = {f.name: getattr(self.point, f.name) for f in fields(self.point)}
         kept: dict[str, Any] = {name: None if value is None else value[keep] for name, value in given.items()}
         point = PathPoint(**kept)
-        return Sweep(self.path, self.lam[keep], point, self.sigma)
+        return Sweep(self.path, self.lam[keep], point, self.sigma, self.whole)
 
     @property
     def ends_free(self) -> bool:
