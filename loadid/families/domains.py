@@ -14,6 +14,7 @@ from structures.model import Model
 from structures.values import as_array
 
 from ..estimate import LoadEstimate
+from ..inverse.noise_source import NoiseSourceLike
 from .deconvolution import Deconvolution
 from .frequency import FrequencyInversion
 
@@ -71,7 +72,7 @@ def compare_domains(
     dt: float | None = None,
     *,
     noise: ArrayLike | None = None,
-    noise_source: str | None = None,
+    noise_source: NoiseSourceLike = None,
     frequency: Mapping[str, Any] | None = None,
     time: Mapping[str, Any] | None = None,
     progress: Callable[[float, str], None] | None = None,

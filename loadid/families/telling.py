@@ -42,7 +42,7 @@ def facts(
         "residual_to_noise": residual_level(path, choice.lam) if posed.noise.known else None,
         "noise_share": _noise_share(posterior, load),
         "noise_level": float(sigma),
-        "noise_source": posed.noise.source,
+        **posed.noise.source.facts,
         "band": posed.band,
         "resolution": diagnosis.width,
         "resolution_unit": diagnosis.width_unit,
@@ -101,7 +101,7 @@ def settings(family: StaticInversion, posed: Steady) -> dict[str, Any]:
         "calibration": None if family.calibration is None else str(family.calibration),
         "constraints": [str(c) for c in family.constraints],
         "path": posed.solved_by,
-        "noise_source": posed.noise.source,
+        "noise_source": posed.noise.source.text,
         "interpolated": family.interpolation is not None,
         "sensors": None if family.sensors is None else [str(s) for s in family.sensors],
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from typing import Any
 
+from structures.advice import Advice, Spelling
 from structures.flags import Evidence, Flag
 
 COVERED = 0.05  # how far the share inside a band may lie below its level
@@ -42,7 +43,11 @@ def no_coverage(coverage: Any) -> Flag | None:
             "W703",
             Evidence("coverage tests", 0, 1),
             "the std covers noise and prior as assumed; its coverage was not tested on this set-up",
-            "run loadid.validate.coverage(...) with loads like yours and pass coverage=",
+            Advice(
+                Spelling("run", "test it in Python:"),
+                " loadid.validate.coverage(...) with loads like yours",
+                Spelling(" and pass coverage=", ""),
+            ),
         )
     if share >= level - COVERED:
         return None

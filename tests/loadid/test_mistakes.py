@@ -5,10 +5,10 @@ import json
 import h5py
 import numpy as np
 import pytest
+from loadid.commands._spoken import spoken
 
 import loadid
 from loadid import Record, StaticInversion, cli, read, read_all
-from loadid.commands._spoken import spoken
 from loadid.commands.identify import known_load
 from loadid.readers import outline
 from structures import Channel, MatrixModel

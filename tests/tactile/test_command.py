@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tactile.commands._spoken import PLAIN
 
 from loadid.cli import main
 from structures.errors import InputError
 from tactile import padfile
 from tactile.commands import _eyes, demo
 from tactile.commands._inputs import depth_maps, is_motion
-from tactile.commands._spoken import PLAIN
 from tactile.commands.tactile import EXAMPLES, span
 from tactile.forcemap import ForceMap
 from tactile.plots import film

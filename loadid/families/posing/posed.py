@@ -14,6 +14,7 @@ from structures.model import Model
 from structures.values import number, reals
 
 from ... import flags as guards
+from ...inverse.noise_source import NoiseSource
 from ...inverse.nonnegative.solver import NonNegativeRecord
 from ...inverse.path import RegularizationPath
 from ...inverse.penalties import order
@@ -38,7 +39,7 @@ class Settings:
     penalty: str | ArrayLike | None
     hold: str | None
     noise: ArrayLike | None
-    noise_source: str | None
+    noise_source: NoiseSource | None
     allow: tuple[str, ...]
     path: str = "auto"
     initial: str | ArrayLike = "rest"
