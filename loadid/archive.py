@@ -18,6 +18,11 @@ from structures.flags import Flag
 from structures.model import Certificate
 
 KIND = "load estimate"
+# first words of the constraints in files of release 0.1, and their kinds
+_WRITTEN = {
+    "non-negative": "NonNegative", "bounds": "Bounds", "support": "Support", "resultant": "Resultant",
+    "friction": "FrictionCone",
+}  # fmt: skip
 
 
 def read(path: str | os.PathLike) -> LoadEstimate:
@@ -92,6 +97,9 @@ def to_tree(e: LoadEstimate) -> dict[str, Any]:
 
 def from_tree(tree: dict[str, Any]) -> LoadEstimate:
     """Inverse of `to_tree`."""
+    settings = (tree.get("provenance") or {}).get("settings") or {}
+    if settings.get("constraints") and "constraint_kinds" not in settings:  # a file of release 0.1
+        settings["constraint_kinds"] = [_WRITTEN.get(str(c).split(" ")[0], "") for c in settings["constraints"]]
     if tree["axis"] is not None:
         tree["axis"] = Axis(**tree["axis"])
     if (choice := tree["choice"]) is not None:

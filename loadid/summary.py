@@ -173,11 +173,11 @@ def share(part: float) -> str:
     return f"{math.floor(part * 10 ** (2 + places) + 1e-9) / 10**places:.{places}f} %"
 
 
-def allowed(estimate: LoadEstimate) -> str:
+def allowed(estimate: LoadEstimate, word: str = "overridden refusals") -> str:
     """The codes of ``allow=`` in words: refusals that were overridden, apart from what was allowed without need."""
     done = overridden(estimate)
     idle = [code for code in estimate.allowed if code not in done]
-    texts = [f"overridden refusals: {', '.join(done)}"] if done else []
+    texts = [f"{word}: {', '.join(done)}"] if done else []
     return "; ".join([*texts, f"allowed: {', '.join(idle)}"] if idle else texts)
 
 

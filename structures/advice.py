@@ -44,6 +44,11 @@ class Option:
         return option if self.value is None else f"{option} {self.value}"
 
 
+def either(python: str, command: str) -> Spelling:
+    """What errors of readers say in both spellings, as a file is read from both; the command line has its own alone."""
+    return Spelling(f"{command} on the command line, {python} in Python", command)
+
+
 class Advice(str):
     """Text for people that knows both spellings of the settings that it names; as a string it is that of Python.
 

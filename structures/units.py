@@ -16,7 +16,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .advice import Advice, Spelling
+from .advice import Advice, either
 from .errors import InputError
 from .values import plain
 
@@ -328,7 +328,7 @@ def _nearest(text: str) -> str:
 
 def _how_to_state(channel: str) -> Advice:
     name = channel or "CH"
-    stated = Spelling(f'units={{"{name}": "UNIT"}}', f"--unit {name}=UNIT")
+    stated = either(f'units={{"{name}": "UNIT"}}', f"--unit {name}=UNIT")
     return Advice("state it: ", stated, '; "arbitrary" is a unit')
 
 

@@ -19,7 +19,7 @@ from ..inverse import diagnose, penalties
 from ..inverse.choice import Choice, choose
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.sweeping import LARGEST
-from ..provenance import provenance
+from ..provenance import STATIC, provenance
 from . import smoothness, telling
 from .calibration import Calibration, calibrate
 from .data import rows_of
@@ -77,7 +77,7 @@ class StaticInversion:
         Unknown settings, a model without ``static()``, or a transfer matrix without any coupling (LID-E102).
     """
 
-    name = "static inversion"
+    name = STATIC
 
     def __init__(
         self,

@@ -100,6 +100,7 @@ def settings(family: StaticInversion, posed: Steady) -> dict[str, Any]:
         "choice": given,
         "calibration": None if family.calibration is None else str(family.calibration),
         "constraints": [str(c) for c in family.constraints],
+        "constraint_kinds": [type(c).__name__ for c in family.constraints],
         "path": posed.solved_by,
         "noise_source": posed.noise.source.text,
         "interpolated": family.interpolation is not None,

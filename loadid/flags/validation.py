@@ -9,6 +9,7 @@ from structures.advice import Advice, Spelling
 from structures.flags import Evidence, Flag
 
 COVERED = 0.05  # how far the share inside a band may lie below its level
+NECESSARY = "Necessary, not sufficient: infinitely many maps share this resultant"
 
 
 def resultant_only(levels: Collection[str], numbers: int, loads: int) -> Flag | None:
@@ -18,7 +19,7 @@ def resultant_only(levels: Collection[str], numbers: int, loads: int) -> Flag | 
     return Flag(
         "N701",
         Evidence("independent numbers compared", numbers, loads),
-        "level: resultant. Necessary, not sufficient: infinitely many maps share this resultant",
+        f"level: resultant. {NECESSARY}",
         "compare the distribution: a known indenter or load, an FE truth, or a pressure mat",
     )
 

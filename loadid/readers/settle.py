@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures import units as _units
-from structures.advice import Advice, Option, Spelling
+from structures.advice import Advice, Option, either
 from structures.channels import Channel
 from structures.errors import InputError
 
@@ -73,7 +73,7 @@ def _refuse_missing_units(missing: list[str], source: Source) -> None:
             "the file does not state the unit of " + ("a channel" if len(missing) == 1 else f"{len(missing)} channels"),
             ", ".join(missing[:50]),
             "a unit such as m/s^2, g, N, kN, mm, um/m, Pa, V",
-            Advice("state it: ", Spelling(f"units={{{python}}}", command), '; "arbitrary" is a unit'),
+            Advice("state it: ", either(f"units={{{python}}}", command), '; "arbitrary" is a unit'),
             NotStated,
         )
 

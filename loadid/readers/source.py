@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.advice import Advice, Spelling
+from structures.advice import Advice, either
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
 
@@ -20,7 +20,7 @@ FREE = 2**26  # ... once it takes more than this many bytes
 COLUMNS = 4096
 
 
-RATE = Advice("state it: ", Spelling("fs=HZ", "--fs HZ"))
+RATE = Advice("state it: ", either("fs=HZ", "--fs HZ"))
 
 
 class NotStated(InputError):

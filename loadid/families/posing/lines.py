@@ -16,7 +16,7 @@ from ...inverse.toeplitz import SpectralPath
 from ...inverse.weights import roughness
 from .. import noise as noises
 from ..data import AS_RECORDED, Data
-from .posed import Posed, Settings, by_prediction, shift
+from .posed import PADDED, Posed, Settings, by_prediction, shift
 
 SILENT = 0.01  # share of the lines on which an FRF may be zero
 ROUGH = 0.5  # relative error of the best sensor above which the load fills the record and roughness tells nothing
@@ -121,9 +121,7 @@ def _lines(
     kappa, _, _ = diagnose.layout(path.c, path.unknowns)
     layout = kappa, path.rank, max(path.unknowns - path.rank, 0)
     compare = by_prediction(values, predict)
-    return Posed(
-        path, noise.noise, compare, values, "zero-padded FFT", h[:, data.rows], layout, full, path.unknowns, path
-    )
+    return Posed(path, noise.noise, compare, values, PADDED, h[:, data.rows], layout, full, path.unknowns, path)
 
 
 def _measured_noise(

@@ -21,6 +21,7 @@ from ...inverse.penalties import order
 from .. import noise as noises
 
 PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
+PADDED = "zero-padded FFT"  # name of the path that goes line by line
 WHOLE = 50_000  # samples up to which a record is convolved in one piece: `python -m tests.benchmarks.windows`
 UNUSABLE = 1e-12  # |h(0)| over max |h| below which the diagonal is zero
 
