@@ -19,6 +19,7 @@ _PUBLIC = {
     "LoadTracker": "loadid.families.kalman",
     "LocationResult": "loadid.location",
     "LocationSearch": "loadid.families.location",
+    "NoiseSource": "loadid.inverse.noise_source",
     "NotIdentifiable": "structures.errors",
     "Record": "loadid.record",
     "Spectra": "loadid.spectra",

@@ -11,12 +11,18 @@ import numpy as np
 
 from loadid.estimate import Axis, LoadEstimate
 from loadid.inverse.choice import Choice, RuleResult, Sweep
+from loadid.inverse.noise_source import NOT_KNOWN, NoiseSource
 from structures import storage
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.model import Certificate
 
 KIND = "load estimate"
+# first words of the constraints in files of release 0.1, and their kinds
+_WRITTEN = {
+    "non-negative": "NonNegative", "bounds": "Bounds", "support": "Support", "resultant": "Resultant",
+    "friction": "FrictionCone",
+}  # fmt: skip
 
 
 def read(path: str | os.PathLike) -> LoadEstimate:
@@ -78,7 +84,7 @@ def to_tree(e: LoadEstimate) -> dict[str, Any]:
     """Nested dictionary of everything, as `structures.storage` takes it."""
     tree: dict[str, Any] = {f.name: getattr(e, f.name) for f in fields(e)}
     tree["axis"] = e.axis and asdict(e.axis)
-    tree["choice"] = e.choice and asdict(e.choice)
+    tree["choice"] = e.choice and {**asdict(e.choice), "sigma_source": e.choice.sigma_source}
     tree["certificate"] = e.certificate and asdict(e.certificate)
     tree["flags"] = [f.to_dict() for f in e.flags]
     tree["posterior"] = None if e.posterior is None else e.posterior.to_arrays()
@@ -91,10 +97,16 @@ def to_tree(e: LoadEstimate) -> dict[str, Any]:
 
 def from_tree(tree: dict[str, Any]) -> LoadEstimate:
     """Inverse of `to_tree`."""
+    settings = (tree.get("provenance") or {}).get("settings") or {}
+    if settings.get("constraints") and "constraint_kinds" not in settings:  # a file of release 0.1
+        settings["constraint_kinds"] = [_WRITTEN.get(str(c).split(" ")[0], "") for c in settings["constraints"]]
     if tree["axis"] is not None:
         tree["axis"] = Axis(**tree["axis"])
     if (choice := tree["choice"]) is not None:
         choice["rules"] = tuple(RuleResult(**r) for r in choice["rules"])
+        said, source = choice.pop("sigma_source", None), choice.pop("source", None)
+        origin = NoiseSource(**source) if source else NoiseSource.of(said)  # files of release 0.1 have the text only
+        choice["source"] = origin or NOT_KNOWN
         choice["sweep"] = choice["sweep"] and Sweep(**choice["sweep"])
         tree["choice"] = Choice(**choice)
     if (certificate := tree["certificate"]) is not None:

@@ -12,12 +12,12 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any, NoReturn
 
+from structures.advice import on_command_line
 from structures.errors import InputError, NotIdentifiable
 
 from . import __version__
 from .commands import Command
 from .commands._arguments import UsageError
-from .commands._spoken import spoken
 
 GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
@@ -52,9 +52,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return error.code if isinstance(error.code, int) else DONE
     except InputError as error:
         fields = {k: getattr(error, k) for k in ("what", "where", "found", "expected", "hint", "code")}
-        return _fail(as_json, BAD_INPUT, fields, str(error))
+        return _fail(as_json, BAD_INPUT, fields, error.command)
     except NotIdentifiable as error:
-        return _fail(as_json, REFUSED, {k: getattr(error, k) for k in ("what", "advice", "code")}, str(error))
+        return _fail(as_json, REFUSED, {k: getattr(error, k) for k in ("what", "advice", "code")}, error.command)
     except BrokenPipeError:  # the reader of a pipe has gone; nothing more can be said to it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
@@ -125,11 +125,11 @@ class _Log:
 def _fail(as_json: bool, code: int, fields: dict[str, Any], text: str) -> int:
     if as_json:
         given = {k: v for k, v in fields.items() if v is not None and str(v) != ""}
-        known = {k: spoken(str(v)) if not isinstance(v, int | float) else v for k, v in given.items()}
+        known = {k: on_command_line(v) if not isinstance(v, int | float) else v for k, v in given.items()}
         kind = {USAGE: "usage", BAD_INPUT: "bad input", REFUSED: "not identifiable"}.get(code, "interrupted")
         print(json.dumps({"error": {"kind": kind, "exit": code, **known}}, ensure_ascii=False), file=sys.stderr)
     else:
-        print(f"loadid: {' '.join(spoken(text).split())}", file=sys.stderr)
+        print(f"loadid: {' '.join(text.split())}", file=sys.stderr)
     return code
 
 

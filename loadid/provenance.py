@@ -9,6 +9,8 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+STATIC = "static inversion"  # name of the family whose loads are of readings, whatever their axis
+
 
 def provenance(
     family: str, *, settings: Mapping[str, Any], inputs: Mapping[str, str], model: str, prior: str

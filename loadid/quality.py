@@ -13,15 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.advice import Advice, Spelling
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
 from structures.values import plain
 
+from .inverse.noise_source import NoiseSource
 from .record import Record
 
 Runs = list[tuple[int, int]]  # half-open sample ranges
 Vector = NDArray[np.float64]
 
+WITHOUT_GAPS = Advice(
+    Spelling("select channels or a window without the gap", "record again, or cut the gap out of the file")
+)
 RAIL_RUN = 3  # equal samples at the rail that make a clip
 QUIET_MIN = 64  # samples below which a noise level is not worth stating
 ONSET = 6.0  # threshold of the onset in robust standard deviations
@@ -78,7 +83,7 @@ def quiet_segment(values: ArrayLike, dt: float) -> slice | None:
     return slice(0, stop) if stop >= QUIET_MIN else None
 
 
-def noise_std(record: Record) -> tuple[Vector, str] | None:
+def noise_std(record: Record) -> tuple[Vector, NoiseSource] | None:
     """Standard deviation of the noise of every channel, and where it comes from.
 
     Stated noise (``Channel.noise``) comes first, then the quiet part of each channel before its own response.
@@ -90,7 +95,7 @@ def noise_std(record: Record) -> tuple[Vector, str] | None:
     """
     stated = [c.noise for c in record.channels]
     if all(s is not None for s in stated):
-        return np.array(stated, dtype=float), "stated with the channels"
+        return np.array(stated, dtype=float), NoiseSource("datasheet", "data sheet (stated with the channels)")
     parts = [quiet_part(record, i) for i in range(len(record.channels))]
     calm = [part for part in parts if part is not None]
     if len(calm) < len(parts):
@@ -99,10 +104,11 @@ def noise_std(record: Record) -> tuple[Vector, str] | None:
     if np.any(std <= 1e-12 * np.nanmax(np.abs(record.values), axis=0)):
         return None
     shortest = min(len(part) for part in calm)
-    return std, f"quiet part before the response: {shortest} samples ({shortest * record.dt:.4g} s)"
+    said = f"quiet segment (quiet part before the response: {shortest} samples ({shortest * record.dt:.4g} s))"
+    return std, NoiseSource("pre_trigger", said)
 
 
-def require_finite(record: Record, *, hint: str = "select channels or a window without the gap") -> None:
+def require_finite(record: Record, *, hint: str = WITHOUT_GAPS) -> None:
     """Nothing, if the record has no gap; `hint` says what to do otherwise.
 
     Raises

@@ -43,6 +43,8 @@ class Record:
         What was found while reading.
     notes : tuple of str
         What was decided while reading (which axis is time, where the step comes from).
+    file_dt : float, optional
+        Step in s that the file states, where another one was stated in its place.
 
     Raises
     ------
@@ -59,6 +61,7 @@ class Record:
     simulated_by: str
     flags: tuple[Flag, ...]
     notes: tuple[str, ...]
+    file_dt: float | None
 
     def __init__(
         self,
@@ -72,6 +75,7 @@ class Record:
         simulated_by: str = "",
         flags: Sequence[Flag] = (),
         notes: Sequence[str] = (),
+        file_dt: float | None = None,
     ) -> None:
         table = _table(values)
         if channels is None:
@@ -86,6 +90,7 @@ class Record:
         settled: dict[str, Any] = {
             "values": table, "dt": _step(dt), "channels": described, "units": recorded, "name": str(name),
             "source": str(source), "simulated_by": str(simulated_by), "flags": tuple(flags), "notes": tuple(notes),
+            "file_dt": None if file_dt is None else _step(file_dt),
         }  # fmt: skip
         for key, value in settled.items():
             object.__setattr__(self, key, value)

@@ -12,6 +12,8 @@ from structures.channels import Channel
 from structures.errors import InputError
 from structures.values import plain, reals
 
+from .inverse.noise_source import NoiseSource, NoiseSourceLike
+
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
@@ -27,7 +29,7 @@ class Spectra:
         Names of the columns; without them the columns are the sensors of the model in its order.
     noise : float, array (sensors,) or (lines, sensors), optional
         Standard deviation of the amplitudes, ``sqrt(E|error|^2)``.
-    noise_source : str, optional
+    noise_source : NoiseSource, str or (str, str), optional
         Where that level comes from.
     name : str
 
@@ -41,7 +43,7 @@ class Spectra:
     values: NDArray[np.complex128]
     channels: Sequence[str | Channel] = ()
     noise: ArrayLike | None = None
-    noise_source: str | None = None
+    noise_source: NoiseSourceLike = None
     name: str = "spectra"
     labels: tuple[str, ...] = field(init=False, default=())
 
@@ -56,6 +58,7 @@ class Spectra:
             raise InputError("the channels do not fit the spectra", where="Spectra", found=labels,
                              expected=f"{count} different names")  # fmt: skip
         put(self, "labels", labels)
+        put(self, "noise_source", NoiseSource.of(self.noise_source))
         if self.noise is not None:
             put(self, "noise", _noise(self.noise, self.values.shape))
 

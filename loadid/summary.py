@@ -41,7 +41,7 @@ FACTS = {
     "path": "solved by",
     "window_bound": "bound on the error of solving in windows / std",
 }
-_SAID = {"resolution_unit", "noise_level", "noise_source", "guards_checked", "band"}
+_SAID = {"resolution_unit", "noise_level", "noise_source", "noise_kind", "guards_checked", "band"}
 _MANY = 8
 NARROW = 0.9  # share of a pulse inside its 95 % band below which the band is called too narrow there
 UNEXPLAINED = "LID-W412"  # the load does not explain its data: said before all else
@@ -173,11 +173,11 @@ def share(part: float) -> str:
     return f"{math.floor(part * 10 ** (2 + places) + 1e-9) / 10**places:.{places}f} %"
 
 
-def allowed(estimate: LoadEstimate) -> str:
+def allowed(estimate: LoadEstimate, word: str = "overridden refusals") -> str:
     """The codes of ``allow=`` in words: refusals that were overridden, apart from what was allowed without need."""
     done = overridden(estimate)
     idle = [code for code in estimate.allowed if code not in done]
-    texts = [f"overridden refusals: {', '.join(done)}"] if done else []
+    texts = [f"{word}: {', '.join(done)}"] if done else []
     return "; ".join([*texts, f"allowed: {', '.join(idle)}"] if idle else texts)
 
 
@@ -289,8 +289,8 @@ def noise(choice: Choice) -> str:
     return choice.sigma_source if plain else f"sigma {choice.sigma:.3g} ({choice.sigma_source})"
 
 
-def summary(estimate: LoadEstimate) -> str:
-    """All that a user must read, as text of a few lines."""
+def summary(estimate: LoadEstimate, *, command: bool = False) -> str:
+    """All that a user must read, as text of a few lines; `command`: advice in the words of the command line."""
     lines = [*refusals(estimate), _shape(estimate)]
     for key, word in (("family", "family"), ("prior", "prior")):
         if estimate.provenance.get(key):
@@ -315,7 +315,7 @@ def summary(estimate: LoadEstimate) -> str:
         lines.append(f"  {allowed(estimate)}")
     lines += [f"  note: {note}" for note in notes(estimate)]
     lines.append(f"  flags: {len(estimate.flags) or 'none'}")
-    lines += [f"    {flag}" for flag in sort(estimate.flags)]
+    lines += [f"    {flag.command if command else flag}" for flag in sort(estimate.flags)]
     return "\n".join(lines)
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+from .advice import on_command_line
+
 
 class InputError(ValueError):
     """Wrong input: what is wrong, where, what was found, what was expected, and what to do.
@@ -38,14 +42,23 @@ class InputError(ValueError):
             hint,
             code,
         )
-        parts = [f"{where}: {what}" if where else what]
-        if found is not None:
-            parts.append(f"found: {found}")
-        if expected is not None:
-            parts.append(f"expected: {expected}")
-        if hint:
-            parts.append(f"what to do: {hint}")
-        super().__init__((f"[{code}] " if code else "") + "; ".join(parts))
+        super().__init__(self._told(str))
+
+    @property
+    def command(self) -> str:
+        """The text in the words of the command line."""
+        return self._told(on_command_line)
+
+    def _told(self, said: Callable[[object], str]) -> str:
+        what = said(self.what)
+        parts = [f"{self.where}: {what}" if self.where else what]
+        if self.found is not None:
+            parts.append(f"found: {said(self.found)}")
+        if self.expected is not None:
+            parts.append(f"expected: {said(self.expected)}")
+        if self.hint:
+            parts.append(f"what to do: {said(self.hint)}")
+        return (f"[{self.code}] " if self.code else "") + "; ".join(parts)
 
 
 class NotIdentifiable(Exception):
@@ -64,3 +77,8 @@ class NotIdentifiable(Exception):
     def __init__(self, what: str, *, advice: str, code: str) -> None:
         self.what, self.advice, self.code = what, advice, code
         super().__init__(f"[{code}] {what}; what to do: {advice}")
+
+    @property
+    def command(self) -> str:
+        """The text in the words of the command line."""
+        return f"[{self.code}] {on_command_line(self.what)}; what to do: {on_command_line(self.advice)}"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .advice import Advice, Spelling
 from .channels import Channel
 from .errors import InputError
 from .hits import Hit, digests, judge, unusable
@@ -58,7 +59,7 @@ def from_hits(
             where="from_hits",
             found="; ".join(f"{h.name}: {h.reason}" for h in hits),
             expected="at least one clean hit",
-            hint="repeat the hits, or pass reject=False where a rejected one is good enough",
+            hint=Advice("repeat the hits", Spelling(", or pass reject=False where a rejected one is good enough", "")),
         )
     longest = max(len(t.values) for t in used)
     stack = np.zeros((len(used), longest, used[0].values.shape[1]))

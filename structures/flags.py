@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from .advice import Advice, Spelling, on_command_line
 from .errors import InputError
 
 LEVELS = {"E": "refused", "W": "warning", "N": "note"}
@@ -58,7 +59,7 @@ class Flag:
     evidence : Evidence
         The number that triggered it and the threshold.
     message, advice : str
-        What was found; what to do next.
+        What was found; what to do next (`structures.advice.Advice` where Python and the command line differ).
     """
 
     code: str
@@ -77,8 +78,15 @@ class Flag:
     def __str__(self) -> str:
         return f"{self.code} {self.level}: {self.message} [{self.evidence}] -> {self.advice}"
 
+    @property
+    def command(self) -> str:
+        """The line in the words of the command line."""
+        message, advice = on_command_line(self.message), on_command_line(self.advice)
+        return f"{self.code} {self.level}: {message} [{self.evidence}] -> {advice}"
+
     def to_dict(self) -> dict[str, object]:
         """Plain dictionary, for JSON and for result files."""
+        spelt = {"command": self.advice.command} if isinstance(self.advice, Advice) else {}
         return {
             "code": self.code,
             "level": self.level,
@@ -87,14 +95,18 @@ class Flag:
                 "value": self.evidence.value,
                 "threshold": self.evidence.threshold,
             },
-            "message": self.message,
-            "advice": self.advice,
+            "message": str(self.message),
+            "advice": str(self.advice),
+            **spelt,
         }
 
     @classmethod
     def from_dict(cls, data: dict) -> Flag:
         """Inverse of `to_dict`."""
-        return cls(data["code"], Evidence(**data["evidence"]), data["message"], data["advice"])
+        advice = data["advice"]
+        if "command" in data:
+            advice = Advice(Spelling(advice, data["command"]))
+        return cls(data["code"], Evidence(**data["evidence"]), data["message"], advice)
 
 
 def codes(flags: Iterable[Flag]) -> set[str]:

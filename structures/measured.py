@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import causality, kinds
+from .advice import Advice, Option
 from .channels import Channel
 from .errors import InputError
 from .flags import Flag
@@ -337,7 +338,7 @@ class MeasuredModel(Model):
                 where="impulse_response",
                 found=f"dt = {dt:.9g} s",
                 expected=f"dt = {self.dt:.9g} s",
-                hint="resample the record, or give --fs / dt= as recorded",
+                hint=Advice("resample the record, or give ", Option("dt", flag="fs"), " as recorded"),
             )
         from scipy import fft
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import causality, kinds
+from .advice import Advice
 from .channels import Channel
 from .errors import InputError
 from .flags import Evidence, Flag
@@ -435,7 +436,7 @@ class FrfModel(Model):
                 where=error.where,
                 found=error.found,
                 expected=error.expected,
-                hint="; ".join(filter(None, [error.hint, ADVICE.get(method, "")])),
+                hint=Advice(error.hint, "; " if error.hint and ADVICE.get(method) else "", ADVICE.get(method, "")),
             ) from None
 
 

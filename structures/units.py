@@ -16,6 +16,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .advice import Advice, either
 from .errors import InputError
 from .values import plain
 
@@ -325,11 +326,10 @@ def _nearest(text: str) -> str:
     return " or ".join(near)
 
 
-def _how_to_state(channel: str) -> str:
+def _how_to_state(channel: str) -> Advice:
     name = channel or "CH"
-    return (
-        f'state it: --unit {name}=UNIT on the command line, units={{"{name}": "UNIT"}} in Python; "arbitrary" is a unit'
-    )
+    stated = either(f'units={{"{name}": "UNIT"}}', f"--unit {name}=UNIT")
+    return Advice("state it: ", stated, '; "arbitrary" is a unit')
 
 
 def _refuse(what: str, found: object, channel: str, where: str) -> NoReturn:

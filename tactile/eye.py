@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice, Spelling
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.values import positive
@@ -114,7 +115,10 @@ class Eye:
         if unloaded is None:
             raise InputError(
                 "the noise of the markers is not known", where="Eye", found="neither unloaded frames nor noise",
-                expected="unloaded=[frame, frame, frame, ...] or noise= in px",
+                expected=Advice(
+                    Spelling("unloaded=[frame, frame, frame, ...] or noise= in px",
+                             'unloaded frames (--unloaded), or [markers] noise = "0.02 px" in the pad file')
+                ),
                 hint="record a second of the sensor while nothing touches it",
             )  # fmt: skip
         frames = list(unloaded)
@@ -124,7 +128,10 @@ class Eye:
         if not np.all(found.std > 0):
             raise InputError("the unloaded frames show no noise at all", where="Eye, unloaded", found="repeated frames",
                              expected="frames as the camera gives them",
-                             hint="a lossy video freezes still areas; state noise= in px")  # fmt: skip
+                             hint=Advice(
+                                 "a lossy video freezes still areas; state ",
+                                 Spelling("noise= in px", '[markers] noise = "0.02 px" in the pad file'),
+                             ))  # fmt: skip
         return found.std
 
     def _in_metres(self, px: Array) -> Array:

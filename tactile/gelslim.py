@@ -18,6 +18,7 @@ from scipy import sparse
 
 from loadid.flags import collect
 from loadid.provenance import provenance
+from structures.advice import Advice, Spelling
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.values import positive
@@ -214,8 +215,11 @@ class GelSlim:
             return np.where(inside, z, np.nan), "completed"
         raise InputError(
             "the normal motion is not known", where="estimate", found="in-plane markers alone",
-            expected="depth= a measured map, indenter= a known shape, or markers tracked along X, Y and Z",
-            hint="MultilayerPad inverts in-plane markers alone",
+            expected=Advice(
+                Spelling("depth= a measured map, indenter= a known shape", "depth maps (--depth)"),
+                ", or markers tracked along ", Spelling("X, Y and Z", "x, y and z"),
+            ),
+            hint=Advice(Spelling("MultilayerPad", "--sensor multilayer"), " inverts in-plane markers alone"),
         )  # fmt: skip
 
     def _solved(

@@ -186,7 +186,7 @@ class GelMonitor:
             guards.age(days, self.period, calibrated),
             None if validated is None else guards.other_calibration(_date(validated, "validated"), calibrated),
         ]
-        verdict = "unchanged" if changed is None else "shape" if "shape wrong" in changed.message else "gain"
+        verdict = guards.change(gain, correlation, share, significance)
         return GelCheck(gain, std, gains, correlation, share, significance, offset, verdict,
                         tuple(f for f in flags if f is not None), shifts)  # fmt: skip
 

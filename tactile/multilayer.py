@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from loadid.inverse.noise_source import NoiseSource
 from structures import bases
 from structures.errors import InputError
 from structures.flags import Flag
@@ -77,7 +78,7 @@ class MultilayerPad(LinearSensor):
     ) -> None:
         self.pad, self._strain = pad, StrainWatch(pad)
         if eye is not None:
-            settings.setdefault("noise_source", "unloaded frames")
+            settings.setdefault("noise_source", NoiseSource("quiet", "unloaded frames"))
         seen = observed(markers, noise, axes, slope, eye)
         mass = sparse.kron(pad.surface.mass, sparse.eye_array(3)).tocsr()
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from structures.advice import Advice, Spelling
 from structures.channels import Channel
 from structures.errors import InputError
 from structures.values import reals
@@ -159,8 +160,13 @@ class Depths:
     def __post_init__(self) -> None:
         seen = Averaging.over(self.template, self.points, self.width).covered > COVERED
         if not seen.any():
-            raise InputError("the depth map does not lie on the pad", where="depth", found=f"{self.template.axes}",
-                             expected="pixels over the surface", hint="centre= places it")  # fmt: skip
+            raise InputError(
+                "the depth map does not lie on the pad",
+                where="depth",
+                found=f"{self.template.axes}",
+                expected="pixels over the surface",
+                hint=Advice(Spelling("centre=", "in the pad file, [depth] centre"), " places it"),
+            )
         object.__setattr__(self, "points", np.asarray(self.points, float)[seen])
         object.__setattr__(self, "seen", seen)
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from loadid.estimate import LoadEstimate
 from loadid.families.static import StaticInversion
 from loadid.flags import collect
+from loadid.inverse.noise_source import NoiseSourceLike
 from loadid.provenance import provenance
 from structures.errors import InputError
 from structures.flags import Flag, codes
@@ -52,8 +53,8 @@ class Settings(TypedDict, total=False):
     choice : str, float or None
         Rule for lambda, or a relative lambda; `calibrate` freezes it. None takes UPRE at the noise of the markers, or
         GCV where the data show that this is not all there is (errors of the mesh, a level that is too low).
-    noise_source : str
-        Where the noise level comes from.
+    noise_source : NoiseSource, str or (str, str)
+        Where the noise level comes from, as in `loadid.StaticInversion`.
     no_pull : bool
         Pressures are not negative.
     friction : float
@@ -66,7 +67,7 @@ class Settings(TypedDict, total=False):
 
     penalty: Any
     choice: Any
-    noise_source: str | None
+    noise_source: NoiseSourceLike
     no_pull: bool
     friction: float | None
     support: ArrayLike | None
@@ -117,7 +118,7 @@ class LinearSensor:
         about: dict[str, Any] | None = None,
         penalty: Any = "identity",
         choice: Any = None,
-        noise_source: str | None = None,
+        noise_source: NoiseSourceLike = None,
         no_pull: bool = False,
         friction: float | None = None,
         support: ArrayLike | None = None,

@@ -39,10 +39,6 @@ def emit(args: Namespace, data: Any, text: str) -> None:
         from loadid.archive import plain
 
         text = json.dumps(plain(data), allow_nan=False, ensure_ascii=False)
-    else:
-        from ._spoken import spoken
-
-        text = spoken(text)
     print(text)
 
 

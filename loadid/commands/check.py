@@ -205,7 +205,7 @@ def show(findings: Findings) -> str:
             + ", ".join(f"{w} {number(findings.layout[k])}" for k, w in words.items() if k in findings.layout)
         )
     lines.append(f"fired: {len(findings.flags) or 'none'}")
-    lines += [f"  {where}: {flag}" for where, flag in findings.flags]
+    lines += [f"  {where}: {flag.command}" for where, flag in findings.flags]
     lines += [f"note: {where}: {note}" for where, note in findings.notes]
     lines.append("checked and silent:" + ("" if findings.silent else " none"))
     lines += [f"  {code} {NAMES.get(code, '')}".rstrip() for code in findings.silent]

@@ -123,10 +123,12 @@ def _run(args: Namespace) -> int:
 
     with Bar() as bar:
         estimate, simulated, written = demo(args.out, seed=args.seed, progress=bar)
+    from loadid.summary import summary
+
     error = relative_error(estimate, simulated.force)
     lines = [
         f"A simulated hit of {PEAK:g} N on a steel beam, three accelerometers, {NOISE:.1%} noise.",
-        estimate.summary(),
+        summary(estimate, command=True),
         show_error(error),
         f"flags: {', '.join(sorted(estimate.codes)) or 'none'}",
         f"written: {', '.join(written)}",
@@ -134,7 +136,7 @@ def _run(args: Namespace) -> int:
     answer = {
         "against_known": error,
         "flags": sorted(estimate.codes),
-        "summary": estimate.summary(),
+        "summary": summary(estimate, command=True),
         "written": written,
     }
     emit(args, answer, "\n".join(lines))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from structures.advice import Advice
 from structures.errors import InputError
 
 from . import Command, emit, names
@@ -115,10 +116,11 @@ def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
 
 def _with_contradiction(error: InputError, record: Record) -> InputError:
     """The error; where the stated step contradicts that of the file, this is said too: it is the likely cause."""
-    said = next((note for note in record.notes if "contradict" in note), None)
-    if said is None:
+    from loadid.readers.settle import contradict, replaced
+
+    if record.file_dt is None or not contradict(record.file_dt, record.dt):
         return error
-    hint = "; ".join(filter(None, (error.hint, said)))
+    hint = Advice(error.hint, "; " if error.hint else "", replaced(record.file_dt, record.dt))
     parts = {k: getattr(error, k) for k in ("where", "found", "expected", "code")}
     return InputError(error.what, hint=hint, **parts)
 
@@ -304,9 +306,11 @@ def _run(args: Namespace) -> int:
     if truth is not None and (estimate.axis is None or estimate.axis.name != "time"):
         raise InputError("a history cannot be compared with spectra", where="--truth", found="--signal stationary",
                          expected="a load over time", hint="leave --truth out")  # fmt: skip
+    from loadid.summary import summary
+
     error = None if truth is None else relative_error(estimate, truth)
     written = write_all(estimate, args.output, report=args.report, plot=args.plot, truth=truth)
-    lines = [estimate.summary(), *([show_error(error)] if error else []), f"written: {', '.join(written)}"]
+    lines = [summary(estimate, command=True), *([show_error(error)] if error else []), f"written: {', '.join(written)}"]
     answer = {**estimate.to_dict(arrays=args.json_full), "against_known": error, "written": written}
     emit(args, answer, "\n".join(lines))
     return 0

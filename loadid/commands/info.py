@@ -46,9 +46,11 @@ def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = T
         return {"kind": "log", "file": str(path), **_log(path, records, reading)}
     if kind == "load estimate":
         from loadid.estimate import LoadEstimate
+        from loadid.summary import summary
 
         estimate = LoadEstimate.read(path)
-        return {"kind": kind, "file": str(path), "summary": estimate.summary(), **estimate.to_dict(arrays=arrays)}
+        said = summary(estimate, command=True)
+        return {"kind": kind, "file": str(path), "summary": said, **estimate.to_dict(arrays=arrays)}
     if kind == "measured model":
         return {"kind": kind, "file": str(path), **_model(path)}
     if kind == "table of FRFs":
@@ -65,7 +67,7 @@ def _log(path: str | Path, records: list[str] | None, reading: dict[str, Any]) -
     try:
         return {"records": [describe(r) for r in read_records(path, records, reading)]}
     except NotStated as error:
-        return {"tables": [asdict(table) for table in outline(path, **reading)], "to_read_it": str(error)}
+        return {"tables": [asdict(table) for table in outline(path, **reading)], "to_read_it": error.command}
 
 
 def _model(path: str | Path) -> dict[str, Any]:

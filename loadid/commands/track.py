@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from . import Command, emit
 from ._arguments import count
-from ._spoken import spoken
 from ._tracker import add_fit_options, require_fit_options, started
 
 if TYPE_CHECKING:
@@ -91,7 +90,7 @@ def show(tracker: Tracker, done: Followed) -> str:
         f"{done.samples} samples in {done.seconds:.3g} s: {done.ended}" + (", gone on from a state" * done.resumed),
         f"{tracker.fitted.words}; {done.phase}",
         *(f"  {WORDS.get(name, name)}: {value}" for name, value in done.counts.items()),
-        *(str(flag) for flag in tracker.flags if flag.level != "note"),
+        *(flag.command for flag in tracker.flags if flag.level != "note"),
     ]
     return "\n".join(lines)
 
@@ -101,7 +100,7 @@ def show_fit(record: str, tracker: Tracker) -> str:
     f = tracker.fitted
     tuned = ", ".join(f"{name} {value:.4g}" for name, value in f.numbers.items())
     lines = [f"tuned on {record}: {f.words}", f"{tuned}; noise: {f.noise_source}", str(f.certificate), ""]
-    return spoken("\n".join(lines))
+    return "\n".join(lines)
 
 
 def _configure(parser: ArgumentParser) -> None:

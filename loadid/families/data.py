@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice, Option, Spelling
 from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Flag
@@ -24,8 +25,9 @@ from ..record import Record, refuse_copies
 SHORTEST = 4  # samples
 LARGEST = 1e100  # of a reading, in any unit: its square must stay a number
 SAME = 1e-6  # relative difference of two steps that is rounding of a file
-WITHOUT_GAPS = "select channels or a window without the gap"
 WITH_GAPS = "Deconvolution of a model with state_space() or impulse_response() takes records with gaps"
+WITHOUT_SENSOR = Spelling("leave the sensor out (sensors=[...])", "calibrate a model without this sensor")
+AS_RECORDED = Spelling("give the step as recorded (dt=)", "give the sampling rate as recorded (--fs)")
 LEFT_OUT = "nothing to do: they are left out of the fit, not filled in, and the std of the load shows what that costs"
 
 
@@ -152,7 +154,7 @@ def gather(
 
 def _settled(picked: Record, rows: NDArray[np.int_], record: Record, allow_missing: bool) -> Data:
     """The picked channels, with their gaps marked or refused."""
-    from ..quality import require_finite
+    from ..quality import WITHOUT_GAPS, require_finite
 
     missing = np.isnan(picked.values)
     empty = [c.label for c, lost in zip(picked.channels, missing.T, strict=True) if lost.all()]
@@ -162,7 +164,12 @@ def _settled(picked: Record, rows: NDArray[np.int_], record: Record, allow_missi
             where=record.source or "record",
             found=", ".join(empty),
             expected="samples on every channel that is inverted",
-            hint="leave the channel out (sensors=[...] with the others), or repair the record",
+            hint=Advice(
+                Spelling(
+                    "leave the channel out (sensors=[...] with the others)", "calibrate a model without this channel"
+                ),
+                ", or repair the record",
+            ),
         )
     if np.nanmax(np.abs(picked.values)) > LARGEST:
         raise InputError(
@@ -173,7 +180,7 @@ def _settled(picked: Record, rows: NDArray[np.int_], record: Record, allow_missi
             hint="check the units",
         )
     if not allow_missing:
-        require_finite(picked, hint=f"{WITHOUT_GAPS}; {WITH_GAPS}")
+        require_finite(picked, hint=Advice(WITHOUT_GAPS, "; ", WITH_GAPS))
     values = np.where(missing, 0.0, picked.values) if missing.any() else np.asarray(picked.values)
     return Data(values, record.dt, rows, picked.channels, record, missing)
 
@@ -211,7 +218,7 @@ def require_step(model: Model, dt: float) -> None:
             where="estimate",
             found=f"dt = {dt:.9g} s",
             expected=f"dt = {own:.9g} s",
-            hint="give the sampling rate as recorded (--fs, dt=), resample, or make the model for this step",
+            hint=Advice(AS_RECORDED, ", resample, or make the model for this step"),
         )
 
 
@@ -302,6 +309,11 @@ def _column(sensor: Channel, record: Record) -> str:
         where=record.source or "record",
         found=f"channels {list(record.labels)}",
         expected=f"a channel {sensor.label!r}",
-        hint=(f"did you mean {near[0]!r}? " if near else "")
-        + "name the columns (--columns), or leave the sensor out (sensors=[...])",
+        hint=Advice(
+            f"did you mean {near[0]!r}? " if near else "",
+            "name the columns (",
+            Option("columns"),
+            "), or ",
+            WITHOUT_SENSOR,
+        ),
     )

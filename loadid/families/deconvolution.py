@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 from structures.flags import Flag, codes
 from structures.model import Model
@@ -20,6 +21,7 @@ from ..flags.pieces import windows_apart
 from ..inverse import diagnose, rules
 from ..inverse.choice import Choice, choose, given, residual_level, unexplained
 from ..inverse.confirm import confirm
+from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.toeplitz import SpectralPath
 from ..inverse.windowed import WindowedPath
 from ..provenance import provenance
@@ -84,8 +86,10 @@ class Deconvolution:
         Impacts that the prior smears are said in any case.
     noise : float or array, optional
         Noise std of the sensors, (sensors,) or a covariance (sensors, sensors).
-    noise_source : str, optional
-        Where that level comes from; without it flag W406 is raised when the level decides.
+    noise_source : NoiseSource, str or (str, str), optional
+        Where that level comes from: a kind (``"datasheet"``, ``"repeatability"``, ``"quiet"``, ...), a kind and a text,
+        or a `loadid.NoiseSource`; a text of another wording states no origin. Without an origin flag W406 is raised
+        when the level decides.
     sensors : sequence of str or int, optional
         Sensors of the model to use; default all.
     allow : sequence of str
@@ -114,7 +118,7 @@ class Deconvolution:
         load_class: str | None = None,
         hold: str | None = None,
         noise: ArrayLike | None = None,
-        noise_source: str | None = None,
+        noise_source: NoiseSourceLike = None,
         sensors: Sequence[str | int] | None = None,
         allow: Sequence[str] = (),
         coverage: Any = None,
@@ -135,8 +139,8 @@ class Deconvolution:
         self.load_class = load_class
         free = not isinstance(choice, str | None) and choice == 0
         self.settings = Settings(
-            method, penalty, hold, noise, noise_source, guards.allowed(allow), path, initial, leak, from_zero, free,
-            signs(constraints), size,
+            method, penalty, hold, noise, NoiseSource.of(noise_source), guards.allowed(allow), path, initial, leak,
+            from_zero, free, signs(constraints), size,
         )  # fmt: skip
         self.model, self.choice, self.sensors, self.coverage = model, choice, sensors, coverage
         self._progress = progress or (lambda fraction, text: None)
@@ -244,7 +248,7 @@ class Deconvolution:
             raise NotIdentifiable(
                 f"without regularisation the load is not determined: rank {posed.rank} of {posed.unknowns} "
                 f"unknowns from {posed.path.m} data",
-                advice="add sensors, use a penalty (penalty='identity'), or give lambda > 0",
+                advice=Advice("add sensors, use a penalty (", Option("penalty", "identity"), "), or give lambda > 0"),
                 code="LID-E306",
             )
 
@@ -285,7 +289,7 @@ class Deconvolution:
             "edf": None if point.edf is None else float(point.edf),
             "residual_to_noise": residual_level(path, choice.lam) if posed.noise.known else None,
             "noise_level": float(sigma),
-            "noise_source": posed.noise.source,
+            **posed.noise.source.facts,
             "resolution": width * dt,
             "resolution_unit": "s",
             "peak_bias": bias,
@@ -341,7 +345,7 @@ class Deconvolution:
             "choice": self.choice,
             "hold": s.hold,
             "path": posed.name,
-            "noise_source": posed.noise.source,
+            "noise_source": posed.noise.source.text,
             "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
         }
 

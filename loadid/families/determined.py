@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from structures.advice import Advice, Option
 from structures.errors import NotIdentifiable
 
 from ..inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
@@ -53,7 +54,11 @@ def refuse_undetermined(family: StaticInversion, posed: Steady) -> None:
         raise NotIdentifiable(
             "the null spaces of the sensors and of the penalty nearly meet: the smallest singular value of "
             f"[H/|H|; L/|L|] is {posed.base.meeting:.2g}, below {MEETING:.2g}",
-            advice="add another sensor, or use penalty='identity' (with a resultant as a constraint, if known)",
+            advice=Advice(
+                "add another sensor, or use ",
+                Option("penalty", "identity"),
+                " (with a resultant as a constraint, if known)",
+            ),
             code="LID-E306",
         )
     if family.free and posed.constrained and posed.rank < n and "LID-E306" not in family.allow:
@@ -62,13 +67,15 @@ def refuse_undetermined(family: StaticInversion, posed: Steady) -> None:
             raise NotIdentifiable(
                 f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns, and the "
                 f"constraints leave {lacking} load pattern{'s' if lacking > 1 else ''} free to move",
-                advice="add sensors or a resultant, use a penalty (penalty='identity'), or fewer loads",
+                advice=Advice(
+                    "add sensors or a resultant, use a penalty (", Option("penalty", "identity"), "), or fewer loads"
+                ),
                 code="LID-E306",
             )
     if family.free and not family.constraints and posed.rank < n and "LID-E306" not in family.allow:
         raise NotIdentifiable(
             f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns "
             f"from {len(posed.H)} sensors",
-            advice="add sensors, use a penalty (penalty='identity'), or fewer loads",
+            advice=Advice("add sensors, use a penalty (", Option("penalty", "identity"), "), or fewer loads"),
             code="LID-E306",
         )

@@ -14,8 +14,10 @@ from structures.model import Model
 from structures.values import as_array
 
 from ..estimate import LoadEstimate
+from ..inverse.noise_source import NoiseSourceLike
 from .deconvolution import Deconvolution
 from .frequency import FrequencyInversion
+from .posing.posed import PADDED
 
 APART = 3.0  # standard deviations of a difference beyond which the two contradict each other
 LONG = 20_000  # unknowns
@@ -71,7 +73,7 @@ def compare_domains(
     dt: float | None = None,
     *,
     noise: ArrayLike | None = None,
-    noise_source: str | None = None,
+    noise_source: NoiseSourceLike = None,
     frequency: Mapping[str, Any] | None = None,
     time: Mapping[str, Any] | None = None,
     progress: Callable[[float, str], None] | None = None,
@@ -145,6 +147,6 @@ def _judge(lines: LoadEstimate, timed: LoadEstimate, stated: tuple[float, float]
             f"the record is complete, and its prior, which follows the spectrum of each load, leaves an error of "
             f"{stated[0]:.1%} against {stated[1]:.1%}"
         )
-    if timed.facts.get("path") == "zero-padded FFT":
+    if timed.facts.get("path") == PADDED:
         return "frequency", "both go line by line here and state the same error; the prior of each load decides"
     return "time", "both state the same error, and the solution in time is exact at the ends of the record"

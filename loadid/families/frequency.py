@@ -18,6 +18,7 @@ from .. import flags as guards
 from ..estimate import Axis, LoadEstimate
 from ..flags import frequency as told
 from ..inverse.choice import CLEARLY, Choice
+from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.posterior import SpectralPosterior
 from ..inverse.spectral.zeros import nearest_zeros
 from ..provenance import provenance
@@ -69,7 +70,7 @@ class FrequencyInversion:
     noise : float or array, optional
         Noise std of the sensors: of the amplitudes for spectra, of the samples for records, the root of the density
         (unit/sqrt(Hz)) for cross spectra. In the order of the model, or of `sensors` and then `validation`.
-    noise_source : str, optional
+    noise_source : NoiseSource, str or (str, str), optional
         Where that level comes from.
     sensors, validation : sequence of str or int, optional
         Sensors to invert, default all; sensors that are kept out and predicted.
@@ -105,7 +106,7 @@ class FrequencyInversion:
         segment: int | None = None,
         overlap: float = 0.5,
         noise: ArrayLike | None = None,
-        noise_source: str | None = None,
+        noise_source: NoiseSourceLike = None,
         sensors: Sequence[str | int] | None = None,
         validation: Sequence[str | int] = (),
         allow: Sequence[str] = (),
@@ -127,7 +128,7 @@ class FrequencyInversion:
                              found=[model.sensors[i].label for i in self.held], expected="other sensors for training",
                              hint="leave sensors= out: all others train")  # fmt: skip
         noise = noise if sensors is not None else _in_order(noise, np.concatenate([self.rows, self.held]))
-        self.settings = Settings(noise, noise_source, signal, band, window, segment, overlap)
+        self.settings = Settings(noise, NoiseSource.of(noise_source), signal, band, window, segment, overlap)
         self.allow = guards.allowed(allow)
         self._progress = progress or (lambda fraction, text: None)
 
@@ -229,7 +230,7 @@ class FrequencyInversion:
             "method": rule.method, "choice": rule.choice, "over": rule.over, "neighbours": rule.neighbours,
             "count": rule.count, "level": self.level, "kind": line.kind, "signal": s.signal,
             "band": None if s.band is None else list(s.band), "window": s.window, "segment": s.segment,
-            "overlap": s.overlap, "noise_source": line.source,
+            "overlap": s.overlap, "noise_source": line.source.text,
             "validation": [self.model.sensors[i].label for i in self.held],
         }  # fmt: skip
 
@@ -249,7 +250,7 @@ class FrequencyInversion:
             "edf": float(np.sum(solved.edf)),
             "residual_to_noise": float(np.sqrt(np.median(solved.noise))) if line.known else None,
             "noise_level": float(np.sqrt(np.median(solved.noise))),
-            "noise_source": line.source,
+            **line.source.facts,
             "trusted_lines": float(np.mean(spectrum.trust().all(axis=1))),
             "trust_level": self.level,
             "frf_errors": "none stated" if solved.errors is None else

@@ -182,7 +182,7 @@ def freeze(family: StaticInversion) -> Frozen:
         scale=float(posed.base.scale),
         rule="given" if family.calibration is None else family.calibration.rule,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
-        delta_source=posed.noise.source if family.calibration is None else family.calibration.sigma_source,
+        delta_source=posed.noise.source.text if family.calibration is None else family.calibration.sigma_source,
         sensors=tuple(c.label for c in posed.channels),
         loads=tuple(c.label for c in family.model.loads),
         units=tuple(c.unit for c in family.model.loads),

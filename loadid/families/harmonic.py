@@ -17,6 +17,7 @@ from .. import flags as guards
 from ..estimate import Axis, LoadEstimate
 from ..inverse import diagnose, rules
 from ..inverse.choice import choose, residual_level
+from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource, NoiseSourceLike
 from ..inverse.problem import LinearProblem
 from ..inverse.svd import SVDPath
 from ..provenance import provenance
@@ -52,7 +53,7 @@ class HarmonicInversion:
         Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
     noise : float or array (sensors,), optional
         Standard deviation of the complex amplitudes, ``sqrt(mean |error|^2)``.
-    noise_source : str, optional
+    noise_source : NoiseSource, str or (str, str), optional
         Where that level comes from.
     sensors, allow, coverage, progress
         As in `Deconvolution`.
@@ -74,7 +75,7 @@ class HarmonicInversion:
         length: float | None = None,
         choice: str | float | None = None,
         noise: ArrayLike | None = None,
-        noise_source: str | None = None,
+        noise_source: NoiseSourceLike = None,
         sensors: Sequence[str | int] | None = None,
         allow: Sequence[str] = (),
         coverage: Any = None,
@@ -82,7 +83,7 @@ class HarmonicInversion:
     ) -> None:
         self.model, self.frequency = model, positive("frequency", frequency, where="HarmonicInversion", unit="Hz")
         self.space, self.length, self.choice = space, length, choice
-        self.noise, self.noise_source, self.sensors = noise, noise_source, sensors
+        self.noise, self.noise_source, self.sensors = noise, NoiseSource.of(noise_source), sensors
         self.allow, self.coverage = guards.allowed(allow), coverage
         self._progress = progress or (lambda fraction, text: None)
         self.basis = getattr(model, "basis", None)
@@ -158,7 +159,7 @@ class HarmonicInversion:
             provenance=provenance(
                 self.name,
                 settings={"frequency": self.frequency, "space": self._said, "length": self.length,
-                          "choice": self.choice, "noise_source": posed.noise.source,
+                          "choice": self.choice, "noise_source": posed.noise.source.text,
                           "sensors": None if self.sensors is None else [str(s) for s in self.sensors]},
                 inputs={},
                 model=self.model.fingerprint,
@@ -214,14 +215,14 @@ class HarmonicInversion:
             if not np.all(np.isfinite(level)) or np.any(level <= 0):
                 raise InputError("the noise does not fit the sensors", where="noise", found=str(self.noise)[:80],
                                  expected=f"a positive number, or ({count},)")  # fmt: skip
-            return Noise(level / np.sqrt(2), True, self.noise_source or "a guess of the user")
+            return Noise(level / np.sqrt(2), True, self.noise_source or STATED)
         units = [self.model.sensors[i].unit for i in self.rows]
         size = {u: np.sqrt(np.mean([abs(y) ** 2 for y, v in zip(Y, units, strict=True) if v == u])) for u in units}
         if not all(size.values()):
             raise InputError("all amplitudes of a kind are zero", where="estimate",
                              found=[u for u, s in size.items() if s == 0], expected="a response",
                              hint="state the noise of the amplitudes (noise=)")  # fmt: skip
-        return Noise(np.array([size[u] for u in units]), False, "not known")
+        return Noise(np.array([size[u] for u in units]), False, NOT_KNOWN)
 
     @property
     def _free(self) -> bool:
@@ -258,7 +259,7 @@ class HarmonicInversion:
             "edf": None if point.edf is None else float(point.edf),
             "residual_to_noise": residual_level(path, lam) if posed.noise.known else None,
             "noise_level": float(sigma),
-            "noise_source": posed.noise.source,
+            **posed.noise.source.facts,
         }
 
 

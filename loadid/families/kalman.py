@@ -23,6 +23,7 @@ from ..inverse.kalman.lag import fixed_lag
 from ..inverse.kalman.observe import Observability, observability
 from ..inverse.kalman.priors import OU, Matern32, Matern52
 from ..inverse.kalman.steady import Steady, steady
+from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..record import Record
 from . import noise as noises
 from .data import Data, gather, health
@@ -39,6 +40,7 @@ from .tracking.tracker import ENGINES, Tracker
 PARAMETERS = ("stiffness", "mass", "damping")
 MOST, FAR, NEARLY = 1000, 50, 1.05  # of a lag; where it is judged, and how near to that is near enough
 JOINT = ("ou", "matern32", "matern52")
+INNOVATIONS = NoiseSource("residual", "likelihood of the innovations")
 UNKNOWN = 0.01  # of the rms of a channel: its noise, to begin with, where nobody states it
 
 
@@ -59,7 +61,8 @@ class LoadTracker:
         likelihood. A prior of `loadid.inverse.kalman.priors` is taken as it is.
     noise : float or array (sensors,), optional
         Noise std of the sensors. Where nobody states it, it is found with the prior.
-    noise_source : str, optional
+    noise_source : NoiseSource, str or (str, str), optional
+        As in `Deconvolution`.
     hold : {"joint", "foh", "zoh"}, optional
         How the load runs between samples. By default as its prior says (joint), where that has a length and the model
         has modes; else that of the model.
@@ -113,7 +116,7 @@ class LoadTracker:
         *,
         prior: Any = "matern32",
         noise: ArrayLike | None = None,
-        noise_source: str | None = None,
+        noise_source: NoiseSourceLike = None,
         hold: str | None = None,
         scales: Sequence[str] = (),
         model_error: Mapping[str, float] | None = None,
@@ -171,7 +174,7 @@ class LoadTracker:
         self.limits, self.replay, self.engine = limits, replay, engine
         if gate is not None and not (real(gate) or 0) > 0:
             raise InputError("no gate", where="gate", found=repr(gate), expected="a number of stds > 0, or None")
-        self.model, self.noise, self.noise_source, self.hold = model, noise, noise_source, hold
+        self.model, self.noise, self.noise_source, self.hold = model, noise, NoiseSource.of(noise_source), hold
         self.scales, self.errors = tuple(scales), errors
         self.state_noise = number("state_noise", state_noise, where="LoadTracker")
         self.around = {"ambient": ambient, "bias": bias, "start": start, "dummy": dummy}
@@ -239,7 +242,7 @@ class LoadTracker:
             loads=tuple(self.model.loads),
             words="; ".join([*(p.words for p in posing.priors(x, scale)), *self._beliefs()]),
             numbers=tuned.words,
-            noise_source=noise.source if noise.known else "likelihood of the innovations",
+            noise_source=noise.source if noise.known else INNOVATIONS,
             certificate=certificate,
             flags=self._flags(data, seen, model, settled, certificate, e, tuned.flags),
             fingerprint=getattr(self.model, "fingerprint", "unknown"),

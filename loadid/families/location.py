@@ -19,6 +19,7 @@ from ..estimate import LoadEstimate
 from ..flags import location as found_flags
 from ..inverse.locating import alike, fits, scan, several
 from ..inverse.locating.refine import refine
+from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.whitening import whiten
 from ..location import LocationResult, Rival
 from ..provenance import provenance
@@ -104,7 +105,7 @@ class LocationSearch:
         method: str = "tikhonov",
         hold: str | None = None,
         noise: ArrayLike | None = None,
-        noise_source: str | None = None,
+        noise_source: NoiseSourceLike = None,
         sensors: Sequence[str | int] | None = None,
         settings: Mapping[str, Any] | None = None,
         allow: Sequence[str] = (),
@@ -122,7 +123,7 @@ class LocationSearch:
             raise InputError("no number of threads", where="workers", found=repr(workers), expected="an integer >= 1",
                              hint="leave it out")  # fmt: skip
         self.model, self.family, self.refine = model, family, bool(refine)
-        self.noise, self.noise_source, self.sensors, self.hold = noise, noise_source, sensors, hold
+        self.noise, self.noise_source, self.sensors, self.hold = noise, NoiseSource.of(noise_source), sensors, hold
         self.settings, self.workers = dict(settings or {}), workers
         self.grid = grid_of(model, places)
         self._progress = progress or (lambda fraction, text: None)
@@ -294,7 +295,7 @@ class LocationSearch:
             "edf": sum(posed.fits[j].edf for j in chosen.indices),
             "residual_to_noise": level,
             "noise_level": sigma,
-            "noise_source": posed.noise.source,
+            **posed.noise.source.facts,
             "path": posed.fits[0].name,
             "exact": bool(exact),
             "responses": posed.candidates.how if solutions else "candidates only",

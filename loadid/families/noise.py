@@ -8,13 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.advice import Advice, Spelling
 from structures.errors import InputError
 from structures.model import Model
 from structures.values import reals
 
+from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
 from ..inverse.problem import Cholesky
 from .data import Data
 from .readings import Readings
+
+COVARIANCE = NoiseSource("repeatability", "covariance")
+DECLARED = NoiseSource("datasheet", "data sheet (declared with the sensors)")
 
 
 @dataclass(frozen=True)
@@ -28,12 +33,12 @@ class Noise:
         channel.
     known : bool
         Whether `level` is the noise, or only a scale.
-    source : str
+    source : NoiseSource
     """
 
     level: Any
     known: bool
-    source: str
+    source: NoiseSource
 
     @property
     def sigma(self) -> float | None:
@@ -41,7 +46,7 @@ class Noise:
         return 1.0 if self.known else None
 
 
-def resolve(given: ArrayLike | None, source: str | None, model: Model, data: Data) -> Noise:
+def resolve(given: ArrayLike | None, source: NoiseSource | None, model: Model, data: Data) -> Noise:
     """Noise level by the first that tells: the user, the model, the record's channels, its quiet segment; else a scale.
 
     Raises
@@ -52,19 +57,16 @@ def resolve(given: ArrayLike | None, source: str | None, model: Model, data: Dat
     count = len(data.rows)
     if given is not None:
         level = _level(given, count, "sensors")
-        return Noise(level, True, source or ("covariance" if level.ndim == 2 else "a guess of the user"))
+        return Noise(level, True, source or (COVARIANCE if level.ndim == 2 else STATED))
     declared = model.noise
     if declared is not None:
         pick = declared[data.rows] if declared.ndim == 1 else declared[np.ix_(data.rows, data.rows)]
-        return Noise(pick, True, "data sheet (declared with the sensors)")
+        return Noise(pick, True, DECLARED)
     from ..quality import noise_std
 
     found = noise_std(data.record.select([c.label for c in data.channels]))
     if found is not None and np.all(found[0] > 0):
-        stated = found[1].startswith("stated")
-        return Noise(
-            found[0], True, "data sheet (stated with the channels)" if stated else f"quiet segment ({found[1]})"
-        )
+        return Noise(found[0], True, found[1])
     scale = data.rms
     if len({c.unit for c in data.channels}) < 2:
         scale = np.full(count, float(np.sqrt(np.mean(scale**2))))
@@ -74,12 +76,14 @@ def resolve(given: ArrayLike | None, source: str | None, model: Model, data: Dat
             where="record",
             found=[c.label for c, s in zip(data.channels, scale, strict=True) if s == 0],
             expected="a response",
-            hint="leave the channel out (sensors=[...])",
+            hint=Advice(Spelling("leave the channel out (sensors=[...])", "calibrate a model without this channel")),
         )
-    return Noise(scale, False, "not known")
+    return Noise(scale, False, NOT_KNOWN)
 
 
-def steady(given: Any, source: str | None, interpolation: ArrayLike | None, model: Model, found: Readings) -> Noise:
+def steady(
+    given: Any, source: NoiseSource | None, interpolation: ArrayLike | None, model: Model, found: Readings
+) -> Noise:
     """Noise of static readings, by the first that tells: the user, the model, the record's quiet segment; else a scale.
 
     Parameters
@@ -98,17 +102,17 @@ def steady(given: Any, source: str | None, interpolation: ArrayLike | None, mode
     if interpolation is not None:
         return _interpolated(given, source, interpolation, count)
     if isinstance(given, Cholesky):
-        return Noise(given, True, source or "covariance")
+        return Noise(given, True, source or COVARIANCE)
     if given is not None:
         level = _level(given, count, "sensors")
-        return Noise(level, True, source or ("covariance" if level.ndim == 2 else "a guess of the user"))
+        return Noise(level, True, source or (COVARIANCE if level.ndim == 2 else STATED))
     if found.data is not None:
         return resolve(None, source, model, found.data)
     declared = model.noise
     if declared is not None:
         pick = declared[found.rows] if declared.ndim == 1 else declared[np.ix_(found.rows, found.rows)]
-        return Noise(pick, True, "data sheet (declared with the sensors)")
-    return Noise(_scales(found), False, "not known")
+        return Noise(pick, True, DECLARED)
+    return Noise(_scales(found), False, NOT_KNOWN)
 
 
 def _level(given: Any, count: int, what: str) -> NDArray[np.float64]:
@@ -124,7 +128,7 @@ def _level(given: Any, count: int, what: str) -> NDArray[np.float64]:
     return level
 
 
-def _interpolated(given: Any, source: str | None, interpolation: ArrayLike, count: int) -> Noise:
+def _interpolated(given: Any, source: NoiseSource | None, interpolation: ArrayLike, count: int) -> Noise:
     """Covariance of readings that were interpolated from markers."""
     W = reals(interpolation, what="the interpolation is no matrix of real numbers", where="interpolation")
     if W.ndim != 2 or W.shape[0] != count or not np.all(np.isfinite(W)) or given is None:
@@ -137,7 +141,7 @@ def _interpolated(given: Any, source: str | None, interpolation: ArrayLike, coun
         )
     level = _level(given, W.shape[1], "markers")
     half = W * level if level.ndim == 1 else W @ np.linalg.cholesky(level)
-    return Noise(half @ half.T, True, source or "covariance of the interpolated markers")
+    return Noise(half @ half.T, True, source or NoiseSource("repeatability", "covariance of the interpolated markers"))
 
 
 def _scales(found: Readings) -> NDArray[np.float64]:
@@ -165,13 +169,13 @@ class LineNoise:
         Expected energy of the noise in the transform of each channel.
     excess : array, shape (lines, sensors), or None
         Energy beyond `power` on single lines, for the band only.
-    source : str
+    source : NoiseSource
     known : bool
     """
 
     power: NDArray[np.float64]
     excess: NDArray[np.float64] | None
-    source: str
+    source: NoiseSource
     known: bool = True
 
     @property

@@ -19,6 +19,7 @@ from structures.model import Model
 
 from ..estimate import LoadEstimate
 from ..flags import sparsity as told
+from ..inverse.noise_source import NoiseSourceLike
 from ..inverse.sparse import dictionaries
 from ..record import Record
 from .data import gather
@@ -115,7 +116,7 @@ def recommend(
     load_class: str | None = None,
     hold: str | None = None,
     noise: ArrayLike | None = None,
-    noise_source: str | None = None,
+    noise_source: NoiseSourceLike = None,
     sensors: Sequence[str | int] | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> Recommendation:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.advice import Advice, Option
 from structures.errors import InputError
 
 from ..inverse import penalties
@@ -95,7 +96,7 @@ def _field(penalty: str, basis: Any) -> NDArray[np.float64]:
             where="penalty",
             found=repr(penalty),
             expected="a basis with cells or edges",
-            hint="penalty='identity', or a matrix of your own (inverse.penalties)",
+            hint=Advice(Option("penalty", "identity"), ", or a matrix of your own (inverse.penalties)"),
         )
     lengths = np.linalg.norm(places[edges[:, 0]] - places[edges[:, 1]], axis=1)
     return _dense(penalties.graph(len(places), edges, 1 / lengths**2, penalty))

@@ -18,6 +18,7 @@ from ..estimate import Axis, LoadEstimate
 from ..flags import sparsity as told
 from ..inverse.choice import Choice, Sweep, unexplained
 from ..inverse.convolution import Convolution
+from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.rules import RuleResult
 from ..inverse.sparse.path import TOLERANCE
 from ..inverse.sparse.posterior import SupportPosterior
@@ -32,6 +33,7 @@ DICTIONARIES = ("dirac", "bspline", "wavelet")
 RULES = ("discrepancy", "ebic")
 GROUPS = ("loads", "slots")
 AGREED = (0.1, 0.3)  # relative distance of the loads of two rules up to which mu is determined, usable
+LEFT = NoiseSource("residual", "what the fit of the best criterion leaves")
 BAND = (
     "the noise on the chosen support; not in it: the choice of the support, and what the dictionary cannot represent. "
     "Where no waveform was chosen it is zero"
@@ -77,7 +79,7 @@ class SparseDeconvolution:
         How a load moves between samples; default the model's own.
     noise : float or array, optional
         Noise std of the sensors, (sensors,) or a covariance (sensors, sensors).
-    noise_source : str, optional
+    noise_source : NoiseSource, str or (str, str), optional
         Where that level comes from.
     sensors : sequence of str or int, optional
         Sensors of the model to use; default all.
@@ -105,7 +107,7 @@ class SparseDeconvolution:
         tol: float = TOLERANCE,
         hold: str | None = None,
         noise: ArrayLike | None = None,
-        noise_source: str | None = None,
+        noise_source: NoiseSourceLike = None,
         sensors: Sequence[str | int] | None = None,
         allow: Sequence[str] = (),
         coverage: Any = None,
@@ -201,9 +203,7 @@ class SparseDeconvolution:
             "edf": float(len(found.x)),
             "residual_to_noise": float(np.sqrt(found.residual2 / freedom)) if problem.noise.known else None,
             "noise_level": float(chosen.sigma),
-            "noise_source": problem.noise.source
-            if problem.noise.known
-            else "what the fit of the best criterion leaves",
+            **(problem.noise.source if problem.noise.known else LEFT).facts,
             "gap": float(chosen.solution.gap),
             "support": len(found.x),
             "mu": float(chosen.solution.mu),
@@ -234,7 +234,7 @@ class SparseDeconvolution:
             sweep = Sweep(s.ratio[::-1].copy(), norm.copy(), size.copy(), s.count[::-1].astype(float))
         return Choice(
             lam=chosen.ratio, scale=chosen.scale, rule=chosen.rule, rules=rules, spread=spread, verdict=verdict,
-            odds=odds, sigma=chosen.problem.noise.sigma, sigma_source=chosen.problem.noise.source,
+            odds=odds, sigma=chosen.problem.noise.sigma, source=chosen.problem.noise.source,
             edf=float(len(chosen.fit.x)), sweep=sweep, shown=chosen.shown,
         )  # fmt: skip
 
@@ -304,7 +304,7 @@ class SparseDeconvolution:
             "debias": w.debias,
             "choice": w.choice,
             "hold": self.posing.hold,
-            "noise_source": chosen.problem.noise.source,
+            "noise_source": chosen.problem.noise.source.text,
             "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
         }
 

@@ -13,6 +13,7 @@ from structures.errors import InputError, NotIdentifiable
 from structures.measured import MeasuredModel
 from structures.model import Model
 
+from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.sparse import dictionaries, path
 from ..inverse.sparse.atoms import MatrixAtoms, ShiftedAtoms
 from ..inverse.sparse.debias import SupportFit, fit
@@ -390,9 +391,9 @@ def amplitude_share(chosen: Chosen) -> tuple[float, int] | None:
     return float(chosen.sigma * std / abs(chosen.fit.x[k])), int(atoms.load[support[k]])
 
 
-def posing(hold: str | None, noise: ArrayLike | None, source: str | None, allow: tuple[str, ...]) -> Posing:
+def posing(hold: str | None, noise: ArrayLike | None, source: NoiseSourceLike, allow: tuple[str, ...]) -> Posing:
     """What the shared posing of a record asks."""
-    return Posing("tikhonov", "identity", hold, noise, source, allow)
+    return Posing("tikhonov", "identity", hold, noise, NoiseSource.of(source), allow)
 
 
 __all__ = ["Chosen", "Problem", "Wanted", "amplitude_share", "choose", "ebic", "pose", "posing"]

@@ -17,8 +17,9 @@ from .. import flags as guards
 from ..estimate import LoadEstimate
 from ..inverse import diagnose, penalties
 from ..inverse.choice import Choice, choose
+from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.sweeping import LARGEST
-from ..provenance import provenance
+from ..provenance import STATIC, provenance
 from . import smoothness, telling
 from .calibration import Calibration, calibrate
 from .data import rows_of
@@ -55,8 +56,10 @@ class StaticInversion:
         From `loadid.inverse.constraints`: non-negativity, bounds, support, resultants, friction cones.
     noise : float, array or Cholesky, optional
         Noise std of the sensors, (sensors,), or their covariance (sensors, sensors), or its Cholesky factor.
-    noise_source : str, optional
-        Where that level comes from; without it flag W406 is raised when the level decides.
+    noise_source : NoiseSource, str or (str, str), optional
+        Where that level comes from: a kind (``"datasheet"``, ``"repeatability"``, ``"quiet"``, ...), a kind and a text,
+        or a `loadid.NoiseSource`; a text of another wording states no origin. Without an origin flag W406 is raised
+        when the level decides.
     interpolation : array (sensors, markers), optional
         The readings were interpolated from raw markers, y = W z; `noise` is then that of the markers.
     sensors : sequence of str or int, optional
@@ -74,7 +77,7 @@ class StaticInversion:
         Unknown settings, a model without ``static()``, or a transfer matrix without any coupling (LID-E102).
     """
 
-    name = "static inversion"
+    name = STATIC
 
     def __init__(
         self,
@@ -85,7 +88,7 @@ class StaticInversion:
         choice: str | float | Absolute | None = None,
         constraints: Sequence[Any] | Any = (),
         noise: Any = None,
-        noise_source: str | None = None,
+        noise_source: NoiseSourceLike = None,
         interpolation: ArrayLike | None = None,
         sensors: Sequence[str | int] | None = None,
         allow: Sequence[str] = (),
@@ -111,7 +114,7 @@ class StaticInversion:
             raise InputError(
                 "a truncated SVD takes no constraints", where="method", found="tsvd", expected="method='tikhonov'"
             )
-        self.noise, self.noise_source, self.interpolation = noise, noise_source, interpolation
+        self.noise, self.noise_source, self.interpolation = noise, NoiseSource.of(noise_source), interpolation
         self.sensors, self.allow, self.coverage = sensors, guards.allowed(allow), coverage
         self._progress = progress or (lambda fraction, text: None)
         self.basis = getattr(self.model, "basis", None)

@@ -18,6 +18,7 @@ from .. import flags as guards
 from ..inverse import diagnose, rules, whiteness
 from ..inverse.choice import Choice, choose
 from ..inverse.constrained import ConstrainedPath
+from ..inverse.noise_source import NOT_KNOWN, NoiseSource
 from ..inverse.path import RegularizationPath
 from ..inverse.problem import LinearProblem, whiten
 from ..inverse.resultants import soft
@@ -175,7 +176,7 @@ def pose(
     truncated: bool,
     constraints: Sequence[Any],
     noise: Any,
-    source: str | None,
+    source: NoiseSource | None,
     interpolation: ArrayLike | None,
 ) -> Steady:
     """Whiten, factorise, constrain.
@@ -204,7 +205,7 @@ def pose(
 
 def _shown(base: SVDPath) -> float:
     """Noise level that the data show without constraints: what soft resultants weigh against if nobody stated it."""
-    return noise_level(base, choose(base), noises.Noise(None, False, "not known")) or 1.0
+    return noise_level(base, choose(base), noises.Noise(None, False, NOT_KNOWN)) or 1.0
 
 
 def _refuse_silent(H: NDArray[np.float64], channels: Sequence[Channel]) -> None:

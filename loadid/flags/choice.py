@@ -6,9 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from structures.advice import Advice, Option, Spelling
 from structures.flags import Evidence, Flag
 
 from ..inverse.choice import BELOW, Choice
+from ..inverse.noise_source import MEASURED
 from ..inverse.whiteness import ALARM, TESTABLE
 from .base import collect
 
@@ -16,15 +18,6 @@ DECADE = 1.0  # spread of the rules, decades
 SIGMA_RULES = ("discrepancy", "dof_discrepancy", "upre", "predicted_error", "evidence")
 GCV_RULES = ("gcv", "robust_gcv", "modified_gcv", "predicted_error")
 FLAT = 1.05  # GCV: highest over lowest within half a decade
-KNOWN_SOURCES = (
-    "quiet segment",
-    "unloaded record",
-    "repeatability",
-    "covariance",
-    "data sheet",
-    "residual",
-    "roughness",
-)
 
 
 def parameter(choice: Choice, discrepancy: Callable[[float], float | None]) -> tuple[Flag, ...]:
@@ -113,7 +106,7 @@ def correlated_noise(choice: Choice) -> Flag | None:
 
 def needs_white_noise(choice: Choice) -> Flag | None:
     """W404: dof-corrected discrepancy, and nobody said or showed that the noise is white."""
-    if choice.rule != "dof_discrepancy" or "white" in choice.sigma_source:
+    if choice.rule != "dof_discrepancy" or choice.source.white:
         return None
     tests = choice.whiteness
     if not choice.correlated and tests.get("modes", 0.0) >= TESTABLE:
@@ -122,7 +115,10 @@ def needs_white_noise(choice: Choice) -> Flag | None:
         "W404",
         Evidence("noise modes that were tested", int(tests.get("modes", 0.0)), TESTABLE),
         "the dof-corrected discrepancy needs white noise, and that is neither stated nor shown",
-        "use the plain discrepancy, or name the source of the noise level as white",
+        Advice(
+            "use the plain discrepancy",
+            Spelling(", or say that it is white: noise_source=NoiseSource(kind, white=True)", ""),
+        ),
     )
 
 
@@ -165,8 +161,11 @@ def unexplained(choice: Choice, level: float) -> Flag:
         "W412",
         Evidence("residual over the noise level", level, 1.0),
         f"the load does not explain its data: {said}",
-        "look at the residual: where it is as large as the response, another load acts, or lambda is wrong (give "
-        "choice=); else verify the model with a known load, and measure the noise of the unloaded sensors",
+        Advice(
+            "look at the residual: where it is as large as the response, another load acts, or lambda is wrong (give ",
+            Option("choice"),
+            "); else verify the model with a known load, and measure the noise of the unloaded sensors",
+        ),
     )
 
 
@@ -181,18 +180,22 @@ def noise_source(choice: Choice, discrepancy: Callable[[float], float | None]) -
             f"low, or the model is wrong; lambda was chosen without it ({choice.rule})",
             "measure the noise of the unloaded sensors again; then verify the model with a known load",
         )
-    if choice.sigma is None or choice.rule not in SIGMA_RULES:
-        return None
-    if any(source in choice.sigma_source for source in KNOWN_SOURCES):
+    if choice.sigma is None or choice.rule not in SIGMA_RULES or choice.source.measured:
         return None
     found = [discrepancy(factor) for factor in (0.5, 1.0, 2.0)]
     values = ", ".join("none" if d is None else f"{d:.3g}" for d in found)
     meaning = "" if found == [None] * 3 else f"; relative lambda at half, once and twice of it: {values}"
     return Flag(
         "W406",
-        Evidence("source of the noise level", choice.sigma_source, "unloaded record, repeatability or covariance"),
-        f"the noise level comes from {choice.sigma_source!r}{meaning}",
-        "record the unloaded sensors for a minute, or name the source with noise_source=",
+        Evidence("source of the noise level", choice.source.kind, ", ".join(MEASURED)),
+        f"the noise level comes from {choice.source.text!r}{meaning}",
+        Advice(
+            "record the unloaded sensors for a minute, or ",
+            Spelling(
+                "say where the level comes from: noise_source='datasheet', 'repeatability' or 'quiet'",
+                "choose another rule with --choice",
+            ),
+        ),
     )
 
 

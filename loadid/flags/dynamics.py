@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice, Option
 from structures.flags import Evidence, Flag
 
 from ..inverse.start import Start
@@ -86,8 +87,11 @@ def drifting(share: NDArray, loads: Sequence[str], sensors: Sequence[str], penal
         Evidence("static gain over dynamic gain", float(np.max(np.asarray(share)[blind])), UNSEEN),
         f"no sensor ({', '.join(sensors[:8])}{', ...' if len(sensors) > 8 else ''}) sees a constant part of {names}, "
         f"and the {penalty} leaves it free: the mean drifts, and its std grows with the length of the record",
-        "penalty='identity' or a leaky difference holds the load near zero; a displacement or strain sensor that sees "
-        "0 Hz determines it",
+        Advice(
+            Option("penalty", "identity"),
+            " or a leaky difference holds the load near zero; a displacement or strain sensor that sees "
+            "0 Hz determines it",
+        ),
     )
 
 

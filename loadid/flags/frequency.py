@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from structures.flags import Evidence, Flag
 
+from ..inverse.noise_source import NoiseSource
 from ..spectrum import Spectrum, in_words
 
 ENDS = 0.01  # share of the peak that may be left at the ends of a transient
@@ -132,7 +133,7 @@ def harmonics(load: NDArray) -> NDArray[np.bool_]:
     return power > TONES * np.maximum(around, np.finfo(float).tiny)
 
 
-def contradicted(excess: float, source: str) -> Flag | None:
+def contradicted(excess: float, source: NoiseSource) -> Flag | None:
     """W406: the stated noise level is set aside where lines show more, noise or error of the model.
 
     Parameters

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from structures.advice import Advice, Spelling
 from structures.channels import Channel
 from structures.flags import Evidence, Flag
 
@@ -49,7 +50,7 @@ def mixed_kinds(channels: Sequence[Channel], known: bool) -> Flag | None:
         "W204",
         Evidence("units", ", ".join(units), "one unit, or a noise std for each"),
         f"{len(units)} kinds of sensor without noise levels: rows are not comparable; each was scaled by its own rms",
-        "give noise= per channel, or record a quiet segment before the load",
+        Advice(Spelling("give noise= per channel, or record", "record"), " a quiet segment before the load"),
     )
 
 
@@ -102,7 +103,10 @@ def gaps(lost: Sequence[float], labels: Sequence[str]) -> Flag | None:
         "W210",
         Evidence("missing share of a channel", max(x for x, _ in worst), LOST),
         f"more than half of the samples are missing: {said}; the rest was used as it is",
-        "leave the channel out (sensors=[...]) if its other samples are in doubt too, and look at the std of the load",
+        Advice(
+            Spelling("leave the channel out (sensors=[...])", "calibrate a model without this channel"),
+            " if its other samples are in doubt too, and look at the std of the load",
+        ),
     )
 
 

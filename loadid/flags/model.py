@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from structures.advice import Advice, Spelling
 from structures.flags import Evidence, Flag
 from structures.model import WRONG, Certificate
 
@@ -25,5 +26,9 @@ def not_verified(certificate: Certificate | None) -> Flag | None:
         "W114",
         Evidence("certificates", 0, 1),
         "forward model not verified: no residual and no parameter rule can find an error of the model",
-        "hang a known mass or apply a measured hit, and call model.verify(load, response)",
+        Advice(
+            "hang a known mass or apply a measured hit, and ",
+            Spelling("", "in Python "),
+            "call model.verify(load, response)",
+        ),
     )

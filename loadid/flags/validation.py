@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from typing import Any
 
+from structures.advice import Advice, Spelling
 from structures.flags import Evidence, Flag
 
 COVERED = 0.05  # how far the share inside a band may lie below its level
+NECESSARY = "Necessary, not sufficient: infinitely many maps share this resultant"
 
 
 def resultant_only(levels: Collection[str], numbers: int, loads: int) -> Flag | None:
@@ -17,7 +19,7 @@ def resultant_only(levels: Collection[str], numbers: int, loads: int) -> Flag | 
     return Flag(
         "N701",
         Evidence("independent numbers compared", numbers, loads),
-        "level: resultant. Necessary, not sufficient: infinitely many maps share this resultant",
+        f"level: resultant. {NECESSARY}",
         "compare the distribution: a known indenter or load, an FE truth, or a pressure mat",
     )
 
@@ -42,7 +44,11 @@ def no_coverage(coverage: Any) -> Flag | None:
             "W703",
             Evidence("coverage tests", 0, 1),
             "the std covers noise and prior as assumed; its coverage was not tested on this set-up",
-            "run loadid.validate.coverage(...) with loads like yours and pass coverage=",
+            Advice(
+                Spelling("run", "test it in Python:"),
+                " loadid.validate.coverage(...) with loads like yours",
+                Spelling(" and pass coverage=", ""),
+            ),
         )
     if share >= level - COVERED:
         return None

@@ -8,10 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice, Spelling
 from structures.errors import InputError
 from structures.values import real, shown
 
 from . import rules
+from .noise_source import NOT_KNOWN, NoiseSource, NoiseSourceLike
 from .odds import in_words
 from .path import RegularizationPath
 from .rules import RuleResult
@@ -52,7 +54,7 @@ class Choice:
         What the verdict is worth, as measured on test problems.
     sigma : float or None
         Noise level of the whitened data (1 where the noise is known).
-    sigma_source : str
+    source : NoiseSource
         Where the noise level comes from.
     edf : float or None
         Effective degrees of freedom at `lam`.
@@ -75,12 +77,17 @@ class Choice:
     verdict: str = "determined"
     odds: str = ""
     sigma: float | None = None
-    sigma_source: str = "not known"
+    source: NoiseSource = NOT_KNOWN
     edf: float | None = None
     sweep: Sweep | None = field(default=None, repr=False)
     whiteness: Mapping[str, float] = field(default_factory=dict)
     correlated: bool = False
     shown: float | None = None
+
+    @property
+    def sigma_source(self) -> str:
+        """Where the noise level comes from, in words."""
+        return self.source.text
 
 
 DEFAULT_RULES = (
@@ -108,7 +115,6 @@ CHANCE, CLEARLY = 1e-2, 1.3  # of a residual so far above the stated noise; and 
 EXCESS = 1e-3  # chance of a residual so far above the noise that the load does not explain its data
 CORNER = 1.5  # decades by which the corner of the L-curve lies below the lambda in use where it has a voice
 SPARE = 0.2  # share of the data that a fit leaves for the test of the stated noise level
-ESTIMATED = ("roughness", "residual power")  # sources of a level that the misfit of the model made
 CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
 
 
@@ -117,7 +123,7 @@ def choose(
     choice: str | float | None = None,
     *,
     sigma: float | None = None,
-    source: str = "not known",
+    source: NoiseSourceLike = None,
 ) -> Choice:
     """Choose lambda on a path, ask the other rules too, and grade their agreement.
 
@@ -134,7 +140,7 @@ def choose(
         the true one would let the noise through.
     sigma : float, optional
         Noise level of the whitened data.
-    source : str
+    source : NoiseSource or str, optional
         Where it comes from.
 
     Raises
@@ -165,26 +171,28 @@ def choose(
     return decide(sweep, choice, {name: rules.run(name, sweep) for name in DEFAULT_RULES}, source)
 
 
-def given(path: RegularizationPath, lam: float, *, sigma: float | None = None, source: str = "not known") -> Choice:
+def given(
+    path: RegularizationPath, lam: float, *, sigma: float | None = None, source: NoiseSourceLike = None
+) -> Choice:
     """A relative lambda of the user, where no rule is asked: for paths on which a sweep is dear."""
     lam = _pick(path, lam, {}, sigma)[0]
     point = path.at(lam)
     return Choice(
         lam=lam, scale=float(path.scale), rule="given", verdict="not asked",
         odds="lambda was given: no rule asked", sigma=sigma,
-        sigma_source=source, edf=None if point.edf is None else float(point.edf),
+        source=NoiseSource.of(source) or NOT_KNOWN, edf=None if point.edf is None else float(point.edf),
     )  # fmt: skip
 
 
 def decide(
-    sweep: rules.Sweep, choice: str | float | None, asked: dict[str, RuleResult], source: str = "not known",
+    sweep: rules.Sweep, choice: str | float | None, asked: dict[str, RuleResult], source: NoiseSourceLike = None,
     refine: bool = True,
 ) -> Choice:  # fmt: skip
     """As `choose`, from a sweep and the rules that were asked already; `refine`: UPRE may step in, as said there."""
-    path, sigma = sweep.path, sweep.sigma
+    path, sigma, origin = sweep.path, sweep.sigma, NoiseSource.of(source) or NOT_KNOWN
     if isinstance(choice, str) and choice not in asked:
         asked[choice] = rules.run(choice, sweep)
-    shown = contradicted(sweep, asked, source) if choice is None else None
+    shown = contradicted(sweep, asked, origin) if choice is None else None
     lam, rule = _pick(path, "robust_gcv" if shown is not None else choice, asked, sigma, refine)
     evidence = whiteness_of(path, asked, lam)
     correlated = is_correlated(evidence)
@@ -203,7 +211,7 @@ def decide(
         verdict=verdict,
         odds=in_words(verdict, sigma is not None) + ("; lambda itself was given" if rule == "given" else ""),
         sigma=sigma,
-        sigma_source=source,
+        source=origin,
         edf=None if point.edf is None else float(point.edf),
         sweep=Sweep(
             sweep.lam,
@@ -218,17 +226,17 @@ def decide(
     )
 
 
-def contradicted(sweep: rules.Sweep, asked: dict[str, RuleResult], source: str) -> float | None:
+def contradicted(sweep: rules.Sweep, asked: dict[str, RuleResult], source: NoiseSource) -> float | None:
     """Noise level that the data show, where chance cannot explain that it is above the stated one.
 
     The fit may spend all data but `SPARE` of them, so that the residual which it leaves is noise, or what the model
     cannot explain: a chi-square test at `CHANCE` with those degrees of freedom, and a factor of at least `CLEARLY`.
     None where robust GCV, which would have to stand in, found no optimum or one that spends more (a fit that leaves
     enough is then smoother than the load, and leaves some of it), and where the level itself was estimated from the
-    misfit of the model (`ESTIMATED`).
+    misfit of the model (kind ``residual``).
     """
     path, sigma, found, left = sweep.path, sweep.sigma, asked["robust_gcv"], sweep.point.left
-    if sigma is None or left is None or found.lam is None or found.edge or source.startswith(ESTIMATED):
+    if sigma is None or left is None or found.lam is None or found.edge or source.kind == "residual":
         return None
     enough = np.flatnonzero(left >= SPARE * path.m)
     if not len(enough):
@@ -346,7 +354,7 @@ def _pick(
             where="choice",
             found="; ".join(r.note for r in asked.values()),
             expected="a relative lambda",
-            hint="pass choice=<relative lambda>",
+            hint=Advice(Spelling("pass choice=<relative lambda>", "give a relative lambda with --choice")),
         )
     first, upre = running[0], asked["upre"]
     refined = refine and first.rule == "predicted_error" and upre.lam is not None and not (upre.edge or first.edge)

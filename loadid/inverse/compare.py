@@ -8,6 +8,7 @@ import numpy as np
 
 from . import rules
 from .choice import Choice, decide
+from .noise_source import NoiseSource, NoiseSourceLike
 from .path import RegularizationPath
 from .sweeping import Refusal
 
@@ -56,7 +57,7 @@ class Comparison:
         Grade of the agreement, and what it was worth on test problems.
     sensitivity : tuple of float or None
         Lambda of the discrepancy rule at half, once and twice the noise level; empty without a noise level.
-    source : str
+    source : NoiseSource
         Where the noise level comes from.
     """
 
@@ -67,7 +68,7 @@ class Comparison:
     verdict: str
     odds: str
     sensitivity: tuple[float | None, ...]
-    source: str
+    source: NoiseSource
 
     @property
     def warning(self) -> bool:
@@ -95,7 +96,7 @@ class Comparison:
         return "\n".join([*lines, *tail])
 
 
-def compare(path: RegularizationPath, sigma: float | None = None, source: str = "not known") -> Comparison:
+def compare(path: RegularizationPath, sigma: float | None = None, source: NoiseSourceLike = None) -> Comparison:
     """Run every rule on a path and grade their agreement.
 
     Parameters
@@ -103,8 +104,8 @@ def compare(path: RegularizationPath, sigma: float | None = None, source: str = 
     path : RegularizationPath
     sigma : float, optional
         Noise level of the whitened data (1 where it was whitened by its noise).
-    source : str
-        Where the noise level comes from: unloaded record, repeatability, covariance, data sheet, or a guess.
+    source : NoiseSource or str, optional
+        Where the noise level comes from.
 
     Returns
     -------
@@ -149,7 +150,7 @@ def compare(path: RegularizationPath, sigma: float | None = None, source: str = 
         verdict=chosen.verdict,
         odds=chosen.odds,
         sensitivity=sensitivity,
-        source=source,
+        source=chosen.source,
     )
 
 

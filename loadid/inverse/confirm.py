@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from . import rules
 from .choice import ORDERS, Choice, decide
+from .noise_source import NoiseSource
 from .path import RegularizationPath
 from .sweeping import LARGEST, RuleResult, Sweep
 
@@ -20,7 +21,7 @@ SHARED = ("discrepancy", "upre", "gcv", "robust_gcv", "predicted_error", "eviden
 
 
 def confirm(
-    path: RegularizationPath, guess: Choice, choice: str | float | None, *, sigma: float | None, source: str
+    path: RegularizationPath, guess: Choice, choice: str | float | None, *, sigma: float | None, source: NoiseSource
 ) -> Choice:
     """Choose on the whole record, near the lambdas that the rules chose on its windows (`guess`).
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 
 EPS = float(np.finfo(float).eps)
@@ -151,7 +152,11 @@ def _smallest(R: NDArray, n: int, labels: Sequence[str] | None) -> float:
         raise NotIdentifiable(
             f"{loads} seen neither by the sensors nor by the penalty (relative singular value "
             f"{values[-1] / values[0]:.2g}): {names(vectors_t[unseen].T, labels)}",
-            advice="add a sensor that sees it, or use penalty='identity' (with a resultant as a constraint, if known)",
+            advice=Advice(
+                "add a sensor that sees it, or use ",
+                Option("penalty", "identity"),
+                " (with a resultant as a constraint, if known)",
+            ),
             code="LID-E306",
         )
     return float(values[-1])

@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.advice import Advice, Option
 from structures.errors import InputError
 
 from .posterior import Posterior
@@ -183,7 +184,7 @@ class FactoredPath:
                 where="inverse problem",
                 found=f"{len(np.flatnonzero(c))} observed modes, none of them penalised",
                 expected="a sensor that sees more",
-                hint="penalty='identity', or another sensor",
+                hint=Advice(Option("penalty", "identity"), ", or another sensor"),
             )
         if np.all(self.scale <= 0):
             raise InputError(

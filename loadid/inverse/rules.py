@@ -8,6 +8,7 @@ Rust & O'Leary, Inverse Problems 24 (2008) 034005 (NCP); MacKay, Neural Computat
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -131,14 +132,14 @@ def predicted_error(sweep: Sweep) -> RuleResult:
     if sigma is not None:
         met = discrepancy(sweep, margin=SAFE)
         if met.free:
-            return RuleResult("predicted_error", met.lam, True, met.note)
+            return replace(met, rule="predicted_error")
         start = met.lam if not met.edge else None
     if start is None:
         k = _pilot(sweep)
         if k == 0:
             return RuleResult("predicted_error", float(sweep.lam[0]), note="the data ask for no regularisation")
         if sweep.ends_free and k == len(sweep.lam) - 1:
-            return RuleResult("predicted_error", float(sweep.lam[k]), True, NULL_SPACE)
+            return RuleResult.null_space("predicted_error", float(sweep.lam[k]))
         start = float(sweep.lam[k])
         sigma = sigma or float(np.sqrt(sweep.point.residual2[k] / need(sweep.point, "left", "predicted_error")[k]))
     assert sigma is not None

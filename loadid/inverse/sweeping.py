@@ -29,17 +29,20 @@ class RuleResult:
         The answer sits at an end of the sweep.
     note : str
         Why it refused, or what is odd about it.
+    free : bool
+        It chose the null space of the penalty: an end of the sweep that is a solution.
     """
 
     rule: str
     lam: float | None
     edge: bool = False
     note: str = ""
+    free: bool = False
 
-    @property
-    def free(self) -> bool:
-        """Whether it chose the null space of the penalty: an end of the sweep that is a solution."""
-        return self.edge and self.note.startswith(NULL_SPACE)
+    @classmethod
+    def null_space(cls, rule: str, lam: float) -> RuleResult:
+        """What a rule says that ends where the penalty alone decides."""
+        return cls(rule, lam, True, NULL_SPACE, True)
 
 
 class Refusal(Exception):
@@ -157,7 +160,7 @@ def search(name: str, sweep: Sweep, f: Callable[[NDArray], NDArray]) -> RuleResu
         k = last
     lam = float(sweep.lam[k])
     if k == last and sweep.ends_free:
-        return RuleResult(name, lam, True, NULL_SPACE)
+        return RuleResult.null_space(name, lam)
     edge = k in (0, last)
     if not edge and sweep.path.smooth:
         a, b = sweep.lam[k - 1], sweep.lam[k + 1]
@@ -181,8 +184,9 @@ def crossing(name: str, sweep: Sweep, f: Callable[[PathPoint], NDArray]) -> Rule
         )
     k = int(below[-1])
     if k == len(value) - 1:
-        note = NULL_SPACE if sweep.ends_free else "the data are within the noise"
-        return RuleResult(name, float(sweep.lam[-1]), True, note)
+        if sweep.ends_free:
+            return RuleResult.null_space(name, float(sweep.lam[-1]))
+        return RuleResult(name, float(sweep.lam[-1]), True, "the data are within the noise")
     a, b = sweep.lam[k], sweep.lam[k + 1]
     for _ in range(30 if sweep.path.smooth else 0):
         middle = np.sqrt(a * b)

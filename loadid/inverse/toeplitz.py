@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 from structures.spectra import multiplicity, padded_length, smooth_lines
 
@@ -127,7 +128,7 @@ class SpectralPath(FactoredPath):
             raise NotIdentifiable(
                 "a constant load is seen neither by the sensors nor by the penalty "
                 f"(relative singular value {least:.2g} at zero frequency)",
-                advice="add a sensor that sees a constant load, or choose penalty='identity'",
+                advice=Advice("add a sensor that sees a constant load, or choose ", Option("penalty", "identity")),
                 code="LID-E306",
             )
 

@@ -39,6 +39,7 @@ class _Field:
     unit: str
     cells: NDArray[np.int64] | None
     note: str
+    warned: bool
 
 
 def has_field(estimate: LoadEstimate) -> bool:
@@ -94,7 +95,7 @@ def field(
         note = "; ".join(x for x in (note, f"std at most {found.std.max():.3g} {found.unit}") if x)
     if note:
         lines = "\n".join(textwrap.wrap(note, int(14 * figure.get_figwidth())))
-        figure.supxlabel(lines, fontsize=8, color=ORANGE if "W106" in found.note else INK, x=0.01, ha="left")
+        figure.supxlabel(lines, fontsize=8, color=ORANGE if found.warned else INK, x=0.01, ha="left")
     return figure
 
 
@@ -149,7 +150,7 @@ def _taken(e: LoadEstimate, quantity: str, truth: ArrayLike | None, frame: int |
     return _Field(
         np.asarray(load, float).reshape(len(x), count), shape(std), shape(known), x, along,
         [text(str(c)) for c in (g.get("components") or [""] * count)], word, ", ".join(names),
-        None if cells is None else np.asarray(cells, int), note,
+        None if cells is None else np.asarray(cells, int), note, flag is not None,
     )  # fmt: skip
 
 

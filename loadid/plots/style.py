@@ -38,7 +38,7 @@ def mark(figure: Figure, estimate: LoadEstimate) -> None:
         NOT_VERIFIED if estimate.certificate is None else f"forward model verified {estimate.certificate.date[:10]}"
     ]
     if estimate.allowed:
-        words.append(allowed(estimate).replace("overridden refusals", "OVERRIDDEN"))
+        words.append(allowed(estimate, "OVERRIDDEN"))
     found = sorted({f.code for f in sort(estimate.flags) if f.level != "note"})
     words.append("flags: " + (", ".join(c.removeprefix("LID-") for c in found[:14]) or "none"))
     if len(found) > 14:

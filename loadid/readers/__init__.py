@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from structures import units as _units
+from structures.advice import Advice, either
 from structures.errors import InputError
 
 from .registry import Format, formats, known_suffixes, recognise, register
@@ -251,7 +252,7 @@ def _chosen(found: list[Table], record: str | int | None, source: Source) -> Tab
             "the file holds several records",
             ", ".join(listed[:50]) + (", ..." if len(listed) > 50 else ""),
             "one of them, by name or index",
-            "choose: --record NAME on the command line, record=NAME or read_all in Python",
+            Advice("choose: ", either("record=NAME or read_all", "--record NAME")),
         )
     return found[0]
 

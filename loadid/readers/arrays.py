@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .settle import TIME_NAMES, distinct
-from .source import COLUMNS, Options, Source, Table, time_first
+from .source import COLUMNS, RATE, Options, Source, Table, time_first
 
 RATES = ("fs", "sampling_rate", "sample_rate", "sampling_frequency")
 STEPS = ("dt", "delta_t", "step")
@@ -84,7 +84,7 @@ def step_of(values: dict[str, Any], source: Source) -> float | None:
             continue
         number = float(np.asarray(x).reshape(-1)[0])
         if not (np.isfinite(number) and number > 0 and np.isfinite(1 / number)):
-            source.refuse("the step is not positive", f"{key} = {number}", "> 0", "state it: --fs HZ, fs=HZ")
+            source.refuse("the step is not positive", f"{key} = {number}", "> 0", RATE)
         return number if short in STEPS else 1.0 / number
     return None
 

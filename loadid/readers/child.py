@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from structures.advice import from_plain, to_plain
 from structures.errors import InputError
 from structures.flags import Flag
 
@@ -62,7 +63,7 @@ def load_apart(form: str, source: Source, options: Options) -> list[Table]:
         finally:
             late.cancel()
     if "error" in answer:
-        raise InputError(**answer["error"])
+        raise InputError(**{k: from_plain(v) for k, v in answer["error"].items()})
     return tables
 
 
@@ -95,7 +96,14 @@ def serve() -> None:
             packed = [_pack(t) for t in _tables(request)]
         except InputError as error:
             parts = {k: getattr(error, k) for k in ("what", "where", "found", "expected", "hint", "code")}
-            _send(out, {"error": {k: v if v is None else str(v) for k, v in parts.items()}})
+            _send(
+                out,
+                {
+                    "error": {
+                        k: v if v is None else to_plain(v if isinstance(v, str) else str(v)) for k, v in parts.items()
+                    }
+                },
+            )
             continue
         _send(out, {"tables": [entry for entry, _ in packed]})
         for _, data in packed:

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures import units as _units
+from structures.advice import Advice, Option, either
 from structures.channels import Channel
 from structures.errors import InputError
 
 from ..record import Record, copy_of, find
-from .source import COLUMNS, NotStated, Options, Outline, Source, Table
+from .source import COLUMNS, RATE, NotStated, Options, Outline, Source, Table
 from .timebase import fill, timebase
 
 TIME_NAMES = {"time", "t", "zeit", "temps", "tiempo", "tempo", "x_value", "seconds", "timestamp", "time stamp", "t_s"}
@@ -60,6 +61,7 @@ def settle(table: Table, source: Source, options: Options) -> Record:
         source=str(source.path),
         flags=table.flags,
         notes=(*table.notes, *notes),
+        file_dt=None if options.fs is None else table.dt,
     )
 
 
@@ -71,7 +73,7 @@ def _refuse_missing_units(missing: list[str], source: Source) -> None:
             "the file does not state the unit of " + ("a channel" if len(missing) == 1 else f"{len(missing)} channels"),
             ", ".join(missing[:50]),
             "a unit such as m/s^2, g, N, kN, mm, um/m, Pa, V",
-            f'state it: {command} on the command line, units={{{python}}} in Python; "arbitrary" is a unit',
+            Advice("state it: ", either(f"units={{{python}}}", command), '; "arbitrary" is a unit'),
             NotStated,
         )
 
@@ -202,7 +204,7 @@ def _named(table: Table, source: Source, options: Options) -> Table:
             f"{len(names)} names {names} for {columns} columns"
             + ("" if time is None else f", of which {time} is time"),
             f"{columns} names",
-            "the file names no columns itself: --columns (columns=) names them all, in order",
+            Advice("the file names no columns itself: ", Option("columns"), " names them all, in order"),
         )
     if len(set(names)) < len(names):
         source.refuse("column names are doubled", names, "unique names", "name every column once")
@@ -244,19 +246,24 @@ def _stepped(table: Table, source: Source, options: Options) -> tuple[Table, flo
     if options.fs is not None:
         rate = _positive(options.fs, source)
         if dt is not None and not math.isclose(dt * rate, 1.0, rel_tol=1e-12):
-            apart = abs(dt * rate - 1)
-            notes.append(
-                f"fs = {rate:g} Hz as stated replaces the step {dt:.9g} s ({1 / dt:.6g} Hz) of the file"
-                + (
-                    f": they contradict each other by {apart:.3g} of it, make sure which is right"
-                    if apart > APART
-                    else ""
-                )
-            )
-        dt = 1.0 / rate
+            notes.append(replaced(dt, 1.0 / rate))
+        table, dt = replace(table, dt=dt), 1.0 / rate
     if dt is not None and not (math.isfinite(dt) and dt > 0):
-        source.refuse("the step is not positive", f"dt = {dt}", "seconds, > 0", "state it: --fs HZ, fs=HZ")
+        source.refuse("the step is not positive", f"dt = {dt}", "seconds, > 0", RATE)
     return replace(table, notes=tuple(notes)), dt
+
+
+def replaced(own: float, dt: float) -> str:
+    """Note on the step `own` of a file that a stated one replaced."""
+    said = f"fs = {1 / dt:g} Hz as stated replaces the step {own:.9g} s ({1 / own:.6g} Hz) of the file"
+    if not contradict(own, dt):
+        return said
+    return f"{said}: they contradict each other by {abs(own / dt - 1):.3g} of it, make sure which is right"
+
+
+def contradict(own: float, dt: float) -> bool:
+    """Whether the step of a file and the one that was stated are not the same."""
+    return abs(own / dt - 1) > APART
 
 
 def _required(dt: float | None, source: Source) -> float:
@@ -265,7 +272,7 @@ def _required(dt: float | None, source: Source) -> float:
             "the sampling frequency is not known",
             "no time column and no step in the file",
             "a time column, or the sampling frequency in Hz",
-            "state it: --fs HZ on the command line, fs=HZ in Python",
+            RATE,
             NotStated,
         )
     return dt
@@ -281,7 +288,7 @@ def _positive(fs: object, source: Source) -> float:
             "the sampling frequency is not positive",
             f"fs = {fs!r}",
             "Hz, > 0",
-            "state it: --fs HZ on the command line, fs=HZ in Python",
+            RATE,
         )
     return rate
 

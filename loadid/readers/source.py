@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice, either
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
 
@@ -17,6 +18,9 @@ BUDGET = 2**31  # bytes that one file may hold when unpacked
 EXPANSION = 100  # a file that unpacks to more than this multiple of its size is not a log ...
 FREE = 2**26  # ... once it takes more than this many bytes
 COLUMNS = 4096
+
+
+RATE = Advice("state it: ", either("fs=HZ", "--fs HZ"))
 
 
 class NotStated(InputError):
@@ -173,7 +177,7 @@ def time_first(table: Table, source: Source, options: Options) -> Table:
         axis, said = long, "the longer one"
     else:
         said = "as stated"
-    note = f"axis {axis} of {x.shape} is time ({said}; axis= states it)"
+    note = f"axis {axis} of {x.shape} is time ({said}; state the axis to change it)"
     return replace(table, values=x.T if axis == 1 else x, notes=(*table.notes, note))
 
 

@@ -15,6 +15,7 @@ from structures.model import Model
 
 from .. import flags as guards
 from ..estimate import LoadEstimate
+from ..provenance import STATIC
 from ..quality import require_finite
 from ..record import Record
 from .references import numbers
@@ -85,8 +86,7 @@ def held_out(estimate: LoadEstimate, model: Model, record: Record | ArrayLike) -
 
 def _is_static(estimate: LoadEstimate) -> bool:
     axis = estimate.axis
-    family = str(estimate.provenance.get("family", ""))
-    return axis is None or axis.name == "frame" or "static" in family.lower()
+    return axis is None or axis.name == "frame" or estimate.provenance.get("family") == STATIC
 
 
 def _in_time(estimate: LoadEstimate, model: Model, record: Any) -> tuple[NDArray, NDArray, NDArray]:

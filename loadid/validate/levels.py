@@ -12,6 +12,8 @@ from structures.flags import Flag
 
 from .. import flags as guards
 from ..estimate import LoadEstimate
+from ..flags.validation import NECESSARY
+from ..inverse.constraints import Resultant
 from ..record import Record
 from .checks import Check, DistributionCheck, ResultantCheck, SensorCheck, from_dict, to_dict
 from .held_out import HeldOut
@@ -80,7 +82,7 @@ class Validation:
             return "level: none"
         text = f"level: {self.level}" + (", partial" if self.partial else "") + ("" if self.agrees else ", disagrees")
         parts = [f"{_source(c)}{c}" for c in self.checks]
-        parts += [f.message.removeprefix("level: resultant. ") for f in self.flags if f.code == "LID-N701"]
+        parts += [NECESSARY for f in self.flags if f.code == "LID-N701"]
         return f"{text}. " + ". ".join(parts)
 
     def table(self) -> str:
@@ -202,9 +204,8 @@ def _scalar(x: Any) -> bool:
 def _imposed(estimate: LoadEstimate) -> Flag | None:
     """W704: the resultant was a constraint of this very inversion."""
     settings = estimate.provenance.get("settings") or {}
-    constraints = settings.get("constraints") or () if isinstance(settings, Mapping) else ()
-    used = ["resultant constraint" for c in constraints if "resultant" in str(c).lower()]
-    return guards.used_for_training("the resultant", set(used))
+    kinds = settings.get("constraint_kinds") or () if isinstance(settings, Mapping) else ()
+    return guards.used_for_training("the resultant", {"resultant constraint"} if Resultant.__name__ in kinds else set())
 
 
 def _source(check: Check) -> str:

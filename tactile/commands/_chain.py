@@ -133,7 +133,7 @@ def reconstruct(
     words = "no lambda: F = K U is a product"
     if sensor == "multilayer":
         tell(0.45, "choosing lambda")
-        words = f"{fixed:g}, as stated" if fixed is not None else _choose(built, tracked, maps, seen.noise_source)
+        words = f"{fixed:g}, as stated" if fixed is not None else _choose(built, tracked, maps, seen.noise_source.text)
     found = _inverted(built, pad, seen, tracked, maps, words, rate, tell)
     return _traced(found, [settings.path, Path(source), *([] if depth is None else [Path(depth)])])
 

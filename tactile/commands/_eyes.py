@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loadid.inverse.noise_source import NoiseSource
 from structures.errors import InputError
 
 from ..padfile import SensorFile
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 FIRST = 5  # frames that are taken as unloaded where nothing else is said
 LEAST = 3  # frames from which noise can be measured
+AS_STATED = NoiseSource("stated", "as stated")
 MOVED = 5.0  # stds of a mean motion that unloaded frames may show
 
 
@@ -47,8 +49,9 @@ class Seen:
     slope : array or None
         As `tactile.observation.Markers`.
     eye : Eye or None
-    reference, noise_words : str
-        Which frames are the rest, and where the noise comes from.
+    reference, noise_size : str
+        Which frames are the rest; the noise in px and um, where there is an image.
+    noise_source : NoiseSource
     inside : int
         Unloaded frames that the input begins with.
     count : int or None
@@ -64,16 +67,17 @@ class Seen:
     slope: Array | None
     eye: Eye | None
     reference: str
-    noise_words: str
+    noise_size: str
+    noise_source: NoiseSource
     inside: int
     count: int | None
     flags: tuple[Flag, ...] = ()
     notes: list[str] = field(default_factory=list)
 
     @property
-    def noise_source(self) -> str:
-        """Where the noise comes from."""
-        return self.noise_words.rpartition(", ")[2]
+    def noise_words(self) -> str:
+        """Size of the noise, and where it comes from."""
+        return ", ".join(part for part in (self.noise_size, self.noise_source.text) if part)
 
 
 def look(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, allow: tuple[str, ...]) -> Seen:
@@ -193,13 +197,13 @@ def _metres(source: Path, found: Motions, settings: SensorFile, unloaded: str | 
     chosen, rest = _unloaded(iter(places), source.name, settings, unloaded, _no_other)
     stack = np.array(chosen.frames)
     zero = np.nanmean(stack, axis=0)
-    noise, words = _noise_in_metres(settings, stack)
+    noise, origin = _noise_in_metres(settings, stack)
 
     def read(frame: Array, depth: DepthMap | None) -> tuple[Array, list[Flag | None]]:
         return frame - zero, []
 
     return Seen(rest, read, zero[:, :2], noise, "XY" if found.heights is None else "XYZ", None, None, chosen.words,
-                words, chosen.inside, len(places), found.flags, list(found.notes))  # fmt: skip
+                "", origin, chosen.inside, len(places), found.flags, list(found.notes))  # fmt: skip
 
 
 def _no_other(path: Path) -> Iterator[Any]:
@@ -207,12 +211,12 @@ def _no_other(path: Path) -> Iterator[Any]:
                      expected="how many frames the input begins with", hint="--unloaded 5")  # fmt: skip
 
 
-def _noise_in_metres(settings: SensorFile, stack: Array) -> tuple[Any, str]:
+def _noise_in_metres(settings: SensorFile, stack: Array) -> tuple[Any, NoiseSource]:
     if settings.noise is not None:
         if settings.noise[1] == "px":
             raise InputError("the noise of markers is in px, their motion in a length",
                              where=f"{settings.path}: [markers] noise", expected='noise = "5 um"')  # fmt: skip
-        return settings.noise[0], "as stated"
+        return settings.noise[0], AS_STATED
     from ..vision.noise import jitter
 
     found = jitter(stack)
@@ -220,7 +224,11 @@ def _noise_in_metres(settings: SensorFile, stack: Array) -> tuple[Any, str]:
         raise InputError("the unloaded frames show no noise at all", where="--unloaded", found="repeated places",
                          expected="frames as they were measured",
                          hint='or state it: [markers] noise = "5 um"')  # fmt: skip
-    return found.std, f"measured on {len(stack)} unloaded frames"
+    return found.std, _measured(len(stack))
+
+
+def _measured(count: int) -> NoiseSource:
+    return NoiseSource("quiet", f"measured on {count} unloaded frames")
 
 
 # -- shared -----------------------------------------------------------------------------------------------------------
@@ -230,10 +238,10 @@ def _seen(
 ) -> Seen:  # fmt: skip
     px = " x ".join(f"{s:.3g}" for s in eye.noise_px)
     um = " x ".join(f"{1e6 * s:.3g}" for s in np.median(eye.noise, axis=0))
-    source = "as stated" if settings.noise is not None else f"measured on {len(chosen.frames)} unloaded frames"
-    words = f"{px} px = {um} um, {source}"
-    return Seen(frames, read, eye.markers, eye.noise, "XY", eye.slope, eye, chosen.words, words, chosen.inside, count,
-                flags, notes)  # fmt: skip
+    source = AS_STATED if settings.noise is not None else _measured(len(chosen.frames))
+    size = f"{px} px = {um} um"
+    return Seen(frames, read, eye.markers, eye.noise, "XY", eye.slope, eye, chosen.words, size, source, chosen.inside,
+                count, flags, notes)  # fmt: skip
 
 
 def _unloaded(

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 from loadid.summary import sort
 
 from ..words import HOW, numbers
-from ._spoken import spoken
 
 if TYPE_CHECKING:
     from ._chain import Reconstruction
@@ -48,7 +47,7 @@ def text(found: Reconstruction) -> str:
     lines.append(f"strongest of {len(found.map.load)} frames ({_frame(found, found.strongest)}):")
     lines += [f"  {name:{width - 2}s}  {value}  [{remark}]" for name, value, remark in numbers(strongest)]
     lines.append(f"flags: {len(found.map.flags) or 'none'}")
-    lines += [f"  {spoken(str(flag))}" for flag in sort(found.map.flags)]
+    lines += [f"  {flag.command}" for flag in sort(found.map.flags)]
     return "\n".join(lines)
 
 

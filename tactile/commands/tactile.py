@@ -69,10 +69,7 @@ def _configure(parser: ArgumentParser) -> None:
 
 
 def _run(args: Namespace) -> int:
-    from ._spoken import plainly
-
-    with plainly():
-        return _demo(args) if args.input == DEMO else _map(args)
+    return _demo(args) if args.input == DEMO else _map(args)
 
 
 def _demo(args: Namespace) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice, Spelling
 from structures.flags import Evidence, Flag
 
 from ..rigid import RigidMotion
@@ -91,7 +92,12 @@ def taken(hidden: NDArray, resultant: NDArray, covariance: NDArray) -> Flag | No
         "W608",
         Evidence("share of the resultant lost", loss, BIAS),
         f"regularisation lowers the resultant by {100 * loss:.1f} %",
-        "give the resultant of a force/torque sensor (wrench=), or take a smaller lambda",
+        Advice(
+            "give the resultant of a force/torque sensor (",
+            Spelling("wrench=", "in Python: wrench="),
+            "), or take a smaller lambda",
+            Spelling("", " (--lam)"),
+        ),
     )
 
 

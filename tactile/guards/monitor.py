@@ -56,6 +56,15 @@ def age(days: float, period: float, calibrated: datetime) -> Flag | None:
     )
 
 
+def change(gain: float, correlation: float, share: float, significance: float) -> str:
+    """What has changed between two sets of maps: ``"shape"``, ``"gain"`` or ``"unchanged"``; as `gain_or_shape`."""
+    if share > SHAPE and significance > SIGNIFICANT:
+        return "shape"
+    if GAIN[0] <= gain <= GAIN[1]:
+        return "unchanged"
+    return "shape" if correlation <= SAME_SHAPE and significance > SIGNIFICANT else "gain"
+
+
 def gain_or_shape(gain: float, correlation: float, share: float, significance: float) -> Flag | None:
     """W705: the same presses give another gain (E), or another shape (thickness, boundary, nu).
 
@@ -75,7 +84,8 @@ def gain_or_shape(gain: float, correlation: float, share: float, significance: f
     -----
     Holds for displacements, and for force maps that are unregularised or have lambda relative to sigma_1.
     """
-    if share > SHAPE and significance > SIGNIFICANT:
+    found = change(gain, correlation, share, significance)
+    if found == "shape" and share > SHAPE:
         return Flag(
             "W705",
             Evidence("share of the map that no gain explains", share, SHAPE),
@@ -83,9 +93,9 @@ def gain_or_shape(gain: float, correlation: float, share: float, significance: f
             "thickness (wear), boundary (a bond that lets go), Poisson's ratio, or presses at another place, in that "
             "order; E is not the cause",
         )
-    if GAIN[0] <= gain <= GAIN[1]:
+    if found == "unchanged":
         return None
-    if correlation <= SAME_SHAPE and significance > SIGNIFICANT:
+    if found == "shape":
         return Flag(
             "W705",
             Evidence("correlation of the maps", correlation, SAME_SHAPE),

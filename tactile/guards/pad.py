@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from structures.advice import Advice, Spelling
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
 from structures.values import integer
@@ -78,7 +79,10 @@ def too_coarse(layers: int, nu: float, element: str) -> Flag | None:
         ("single layer" if layers == 1 else f"{layers} layers")
         + f": resultants may pass while the map of a patch as wide as the pad is thick is wrong by {plain} "
         f"(nu = {nu:g}, {element} here)",
-        "layers=4 with B-bar elements, or compare once with displacements of a finer pad",
+        Advice(
+            Spelling("layers=4 with B-bar elements", "in the pad file, [pad] layers = 4"),
+            ", or compare once with displacements of a finer pad",
+        ),
     )
 
 

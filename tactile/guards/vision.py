@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from structures.advice import Advice, Spelling
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
 
@@ -56,7 +57,7 @@ def not_tangential(missing: Sequence[str]) -> InputError:
         f"tangential motion cannot be told from the image: {PROJECTION}",
         where="tangential motion",
         found=f"not known: {' and '.join(missing)}",
-        hint=f"{CALIBRATE}; allow=['E603'] overrides",
+        hint=Advice(f"{CALIBRATE}; ", Spelling("allow=['E603']", "--allow E603"), " overrides"),
         code="LID-E603",
     )
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loadid.readers.numbers import whole
 from loadid.readers.source import truncated
+from structures.advice import Advice, Spelling
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.values import reals
@@ -218,5 +219,5 @@ def _enough(count: int, where: str) -> None:
             where=where,
             found=count,
             expected=f"at least {FEWEST}",
-            hint="rest= names the unloaded frame",
+            hint=Advice(Spelling("rest= names the unloaded frame", "begin with a frame of the unloaded pad")),
         )

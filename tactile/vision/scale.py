@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from structures.advice import Advice, Spelling
 from structures.errors import InputError
 from structures.values import positive
 
@@ -18,6 +19,9 @@ STEPS = 1.15  # ratio of neighbouring radii that are tried
 WIDER = 1.6  # ratio of the two Gaussians whose difference is a blob detector
 WINDOW = 5.0  # pitch over radius that is taken until the pitch is known
 FINE = 6.0  # px of radius above which the image is binned before it is searched
+
+BRIGHT = Spelling("dark=False looks for bright dots", "in the pad file, [markers] dark = false looks for bright dots")
+SIZE = Spelling("; radius= and pitch= state their size in px", "; radius and pitch state their size in px")
 
 
 def size_of_dots(
@@ -51,7 +55,7 @@ def size_of_dots(
             where=where,
             found=f"{len(found.points)} {'dark' if dark else 'bright'} dots",
             expected="at least three",
-            hint="dark=False looks for bright dots; radius= and pitch= state their size in px",
+            hint=Advice(BRIGHT, SIZE),
         )
     return r, max(found.pitch, 2 * r)
 
@@ -70,7 +74,7 @@ def best_radius(image: Any, *, dark: bool = True, backend: str | None = None) ->
     answers = np.array([_answer(picture, float(r), dark, backend) for r in radii])
     best = int(np.argmax(answers))
     if answers[best] <= 0:
-        raise InputError("no dots stand out of the noise", where="image", hint="dark=False looks for bright dots")
+        raise InputError("no dots stand out of the noise", where="image", hint=Advice(BRIGHT))
     if 0 < best < len(radii) - 1:  # parabola over log r
         a, b, c = answers[best - 1 : best + 2]
         return float(radii[best] * STEPS ** (0.5 * (c - a) / (2 * b - a - c)))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from structures.advice import Advice, Spelling
 from structures.errors import InputError
 
 PIXELS = "uifb"
@@ -54,7 +55,7 @@ def _member(archive: Any, path: Path, key: str | None) -> str:
             where=str(path),
             found=", ".join(images or archive.files),
             expected="one array (T, H, W), (T, H, W, 3) or one image",
-            hint="key= names it",
+            hint=Advice(Spelling("key= names it", "save the images alone in a file")),
         )
     return images[0]
 

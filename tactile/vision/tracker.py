@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.values import positive
@@ -20,7 +21,7 @@ from .detect import Detected, Detector
 from .match import NONE, Dots, Neighbourhood, places
 from .motion import Motion
 from .noise import Jitter, jitter
-from .scale import size_of_dots
+from .scale import BRIGHT, SIZE, size_of_dots
 
 log = logging.getLogger(__name__)
 FIRST = 0.75  # gate of the first look, over the pitch: motion of half a pitch in any direction is inside
@@ -87,7 +88,7 @@ class MarkerTracker:
                 where="reference frame",
                 found=len(rest),
                 expected=f"at least {FEWEST}",
-                hint="dark=False looks for bright dots; radius= and pitch= state their size in px",
+                hint=Advice(BRIGHT, SIZE),
             )
         self._rest = rest
         self._around = Neighbourhood(rest)

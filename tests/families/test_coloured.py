@@ -7,6 +7,7 @@ from loadid import Deconvolution
 from loadid.families.data import gather
 from loadid.families.posing import Settings
 from loadid.families.posing.coloured import coloured
+from loadid.inverse.noise_source import NoiseSource
 from structures import MeasuredModel
 
 DT, N = 1e-3, 1024
@@ -27,7 +28,7 @@ def case():
 def test_what_is_known_of_the_noise_is_white_afterwards(case):
     model, h, _, y = case
     data = gather(y, DT, model, None)
-    found = coloured(model, data, Settings("tikhonov", "identity", None, 0.5, "a guess", ()))
+    found = coloured(model, data, Settings("tikhonov", "identity", None, 0.5, NoiseSource("stated"), ()))
     assert found.raw[:, 0, 0] == pytest.approx(h, abs=1e-9)
     assert found.h[:, 0, 0] == pytest.approx(h / 0.5, abs=1e-6)  # the same level on all lines: nothing but a factor
     assert found.y == pytest.approx(y / 0.5, abs=1e-6)

@@ -77,7 +77,7 @@ def test_noise_that_nobody_states_is_found_within_10_percent(factor, prior):
     tracker = LoadTracker(c.setup.space(), prior=prior).fit(c.y + extra, c.dt)
     level = np.sqrt(np.diag(tracker.fitted.model.LR @ tracker.fitted.model.LR.T))
     assert level == pytest.approx(factor * c.noise, rel=0.1)
-    assert tracker.fitted.noise_source == "likelihood of the innovations"
+    assert tracker.fitted.noise_source.text == "likelihood of the innovations"
     root = tracker.fitted.model.L0[tracker.fitted.model.nx :]
     sd = np.linalg.norm((tracker.fitted.model.Cp @ tracker.fitted.model.L0)[0])
     assert root.any()

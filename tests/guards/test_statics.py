@@ -10,6 +10,7 @@ from loadid import flags as guards
 from loadid.inverse.constrained import ConstrainedPath, ConstrainedSolution
 from loadid.inverse.constraints import Bounds, NonNegative, Resultant
 from loadid.inverse.decay import decay
+from loadid.inverse.noise_source import NoiseSource
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
 from loadid.validate import Known, Wrench, validate
@@ -176,7 +177,7 @@ CASES = [
     Case(
         "W404",
         lambda: flags(kernel(m=24), choice="dof_discrepancy"),
-        lambda: flags(kernel(m=24), choice="dof_discrepancy", noise_source="unloaded record, shown to be white"),
+        lambda: flags(kernel(m=24), choice="dof_discrepancy", noise_source=NoiseSource("quiet", white=True)),
         r"noise modes that were tested = \d+ \(threshold 40\)",
     ),
     Case(

@@ -10,6 +10,7 @@ from loadid import flags as guards
 from loadid.inverse import choice as choices
 from loadid.inverse import odds, rules
 from loadid.inverse.choice import DEFAULT_RULES, RuleResult, agreement, choose
+from loadid.inverse.noise_source import NoiseSource
 from loadid.inverse.path import PathPoint
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
@@ -235,7 +236,7 @@ def test_w404_needs_a_word_on_white_noise() -> None:
     flag = guards.needs_white_noise(few)
     assert flag is not None
     assert (flag.code, flag.evidence.value) == ("LID-W404", 12)
-    assert guards.needs_white_noise(replace(few, sigma_source="unloaded record, white")) is None
+    assert guards.needs_white_noise(replace(few, source=NoiseSource("quiet", white=True))) is None
     assert guards.needs_white_noise(choose(path, sigma=sigma)) is None
 
 

@@ -41,7 +41,7 @@ def test_it_agrees_with_choose() -> None:
     found, chosen = compare(path, sigma, "repeatability"), choose(path, sigma=sigma, source="repeatability")
     assert (found.choice.lam, found.choice.rule) == (chosen.lam, chosen.rule)
     assert (found.spread, found.verdict, found.odds) == (chosen.spread, chosen.verdict, chosen.odds)
-    assert found.source == "repeatability"
+    assert found.source.kind == "repeatability"
 
 
 def test_spread_of_all_rules() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from loadid.estimate import Axis, LoadEstimate
 from loadid.inverse import diagnose
 from loadid.inverse.choice import Choice, choose
+from loadid.inverse.noise_source import NoiseSource
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
 
@@ -55,7 +56,13 @@ def _solved(H, truth, geometry, units, frames=0):
     path = SVDPath(LinearProblem.whitened(H, Y, np.full(len(y), std)))
     found = choose(path, "discrepancy", sigma=1.0, source="repeatability")
     choice = Choice(
-        found.lam, found.scale, found.rule, found.rules, sweep=found.sweep, sigma=1.0, sigma_source="repeatability"
+        found.lam,
+        found.scale,
+        found.rule,
+        found.rules,
+        sweep=found.sweep,
+        sigma=1.0,
+        source=NoiseSource("repeatability"),
     )
     solution = path.solution(choice.lam, 1.0)
     points, count = len(geometry["coordinates"]), len(geometry["components"])

@@ -6,6 +6,7 @@ import numpy as np
 
 from loadid.estimate import Axis, LoadEstimate
 from loadid.inverse.choice import Choice, RuleResult, Sweep
+from loadid.inverse.noise_source import NoiseSource
 from structures.flags import Evidence, Flag
 from structures.model import Certificate
 
@@ -65,7 +66,7 @@ def impact(loads=1, rows=3, samples=400, seed=0, **changes):
             verdict="determined",
             odds="9 of 10 such problems were within 1.3 of the best error",
             sigma=0.01,
-            sigma_source="quiet segment",
+            source=NoiseSource("pre_trigger"),
             edf=88.2,
             sweep=sweep,
         ),

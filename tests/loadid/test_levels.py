@@ -393,7 +393,7 @@ class TestResultant:
             value, covariance, labels = C @ TRUTH, np.diag([4e-4, 1e-4]), ("F", "M")
 
         Constraint.C = C
-        e = line(provenance={"settings": {"constraints": ["Resultant(F, M)"]}})
+        e = line(provenance={"settings": {"constraint_kinds": ["Resultant"]}})
         found = validate(e, Constraint())
         assert found.checks[0].sd == (0.0, 0.0)
         assert {f.code for f in found.flags} == {"LID-N701", "LID-W704"}

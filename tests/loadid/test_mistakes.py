@@ -8,10 +8,11 @@ import pytest
 
 import loadid
 from loadid import Record, StaticInversion, cli, read, read_all
-from loadid.commands._spoken import spoken
 from loadid.commands.identify import known_load
+from loadid.families.data import WITHOUT_SENSOR
 from loadid.readers import outline
 from structures import Channel, MatrixModel
+from structures.advice import Option
 from structures.errors import InputError
 from structures.measured import MeasuredModel
 from tests.loadid.made import impact
@@ -292,8 +293,9 @@ def test_advice_has_its_command_line_form(run, tmp_path):
     assert "--fs HZ" in err
     assert "Python" not in err
     assert "fs=HZ" not in err
-    assert spoken("leave the sensor out (sensors=[...])") == "calibrate a model without this sensor"
-    assert spoken("use a penalty (penalty='identity')") == "use a penalty (--penalty identity)"
+    assert Option("penalty", "identity").python == "penalty='identity'"
+    assert Option("penalty", "identity").command == "--penalty identity"
+    assert WITHOUT_SENSOR.command == "calibrate a model without this sensor"
 
 
 def test_without_a_penalty(run, logs, model, tmp_path):

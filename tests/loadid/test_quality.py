@@ -157,7 +157,7 @@ def test_quiet_segment_ends_before_the_onset():
         assert 0.75 * rest < quiet.stop <= rest
         std, source = noise_std(Record(blow(rest, seed=seed), DT))
         assert std[0] == pytest.approx(0.01, rel=0.3)
-        assert "quiet part" in source
+        assert source.kind == "pre_trigger"
 
 
 def test_quiet_segment_is_common_to_all_channels():
@@ -182,7 +182,7 @@ def test_no_quiet_segment_where_there_is_none():
 
 def test_stated_noise_comes_first():
     std, source = noise_std(Record(blow(500), DT, Channel(label="a", noise=0.5)))
-    assert (std.tolist(), source) == ([0.5], "stated with the channels")
+    assert (std.tolist(), source.kind) == ([0.5], "datasheet")
 
 
 def test_offset_is_a_note():

@@ -7,7 +7,7 @@ was causal stays so, and what lies beyond the end of the record does not matter.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +60,8 @@ def coloured(model: MeasuredModel, data: Data, settings: Settings) -> Coloured:
         power = power + np.einsum("ksl,kl->ks", variance[:, data.rows], size) / len(data.values)
         h, y = _whitened(raw[:, data.rows], data.values, power)
     level = np.sqrt(np.mean(power, axis=0))
-    return Coloured(raw, h, y, Noise(level, noise.known, f"{noise.source}, with the errors of the FRFs, white in time"))
+    source = replace(noise.source, text=f"{noise.source}, with the errors of the FRFs, white in time", white=True)
+    return Coloured(raw, h, y, Noise(level, noise.known, source))
 
 
 def _whitened(h: NDArray, y: NDArray, power: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice
 from structures.errors import InputError
 from structures.measured import MeasuredModel
 from structures.spectra import padded_length
 
 from ...inverse import diagnose, penalties
+from ...inverse.noise_source import NoiseSource
 from ...inverse.toeplitz import SpectralPath
 from ...inverse.weights import roughness
 from .. import noise as noises
-from ..data import Data
-from .posed import Posed, Settings, by_prediction, shift
+from ..data import AS_RECORDED, Data
+from .posed import PADDED, Posed, Settings, by_prediction, shift
 
 SILENT = 0.01  # share of the lines on which an FRF may be zero
 ROUGH = 0.5  # relative error of the best sensor above which the load fills the record and roughness tells nothing
@@ -74,7 +76,7 @@ def _measured_lines(model: MeasuredModel, data: Data) -> tuple[NDArray[np.comple
             where="estimate",
             found=f"dt = {data.dt:.9g} s",
             expected=f"dt = {model.dt:.9g} s",
-            hint="give the sampling rate as recorded (--fs, dt=), or resample",
+            hint=Advice(AS_RECORDED, ", or resample"),
         )
     f = np.linspace(0, 0.5 / model.dt, padded_length(len(data.values)) // 2 + 1)
     return model.frf(f), f
@@ -119,9 +121,7 @@ def _lines(
     kappa, _, _ = diagnose.layout(path.c, path.unknowns)
     layout = kappa, path.rank, max(path.unknowns - path.rank, 0)
     compare = by_prediction(values, predict)
-    return Posed(
-        path, noise.noise, compare, values, "zero-padded FFT", h[:, data.rows], layout, full, path.unknowns, path
-    )
+    return Posed(path, noise.noise, compare, values, PADDED, h[:, data.rows], layout, full, path.unknowns, path)
 
 
 def _measured_noise(
@@ -131,15 +131,15 @@ def _measured_noise(
     samples = len(data.values)
     if settings.noise is None and spectrum is not None:
         hits = sum(h.used for h in model.hits)
-        source = f"residual power of {hits} training hits, averaged over neighbouring lines"
-        return noises.LineNoise(samples * spectrum[:, data.rows], None, source)
+        said = f"residual power of {hits} training hits, averaged over neighbouring lines"
+        return noises.LineNoise(samples * spectrum[:, data.rows], None, NoiseSource("residual", said))
     if settings.noise is None and model.training and H.shape[2] == 1 and np.mean(H == 0) < SILENT:
         own = np.where(H[..., 0] == 0, np.max(np.abs(H)), H[..., 0])  # a silent line tells nothing: no roughness there
         size = np.abs(own) ** 2
         told = roughness(np.fft.rfft(data.values, 2 * (len(H) - 1), axis=0) / own)
         if np.median(np.min(told.relative, axis=1)) <= ROUGH:
             excess = np.maximum(told.local - told.typical, 0.0) * size
-            source = "roughness of the load spectrum that each sensor gives alone"
+            source = NoiseSource("residual", "roughness of the load spectrum that each sensor gives alone")
             return noises.LineNoise(told.typical * size, excess, source)
     noise = noises.resolve(settings.noise, settings.noise_source, model, data)
     return noises.white(noise, samples, len(H))

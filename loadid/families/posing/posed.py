@@ -14,12 +14,14 @@ from structures.model import Model
 from structures.values import number, reals
 
 from ... import flags as guards
+from ...inverse.noise_source import NoiseSource
 from ...inverse.nonnegative.solver import NonNegativeRecord
 from ...inverse.path import RegularizationPath
 from ...inverse.penalties import order
 from .. import noise as noises
 
 PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
+PADDED = "zero-padded FFT"  # name of the path that goes line by line
 WHOLE = 50_000  # samples up to which a record is convolved in one piece: `python -m tests.benchmarks.windows`
 UNUSABLE = 1e-12  # |h(0)| over max |h| below which the diagonal is zero
 
@@ -38,7 +40,7 @@ class Settings:
     penalty: str | ArrayLike | None
     hold: str | None
     noise: ArrayLike | None
-    noise_source: str | None
+    noise_source: NoiseSource | None
     allow: tuple[str, ...]
     path: str = "auto"
     initial: str | ArrayLike = "rest"

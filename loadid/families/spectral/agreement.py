@@ -7,6 +7,7 @@ import numpy as np
 from ...inverse import choice as choosing
 from ...inverse import rules
 from ...inverse.choice import Choice
+from ...inverse.noise_source import NoiseSource
 from ...inverse.odds import MEANING
 from ...inverse.rules import RuleResult
 from ...inverse.spectral.ruled import JoinedPath, joint_sweep
@@ -18,7 +19,7 @@ MODES = 4096  # of the lines, evenly chosen, that are asked
 POINTS = 49
 
 
-def judged(fit: Fit, rule: Rule, known: bool, source: str) -> Choice:
+def judged(fit: Fit, rule: Rule, known: bool, source: NoiseSource) -> Choice:
     """The lambda in use beside what each rule says of all lines together.
 
     Notes
@@ -47,7 +48,7 @@ def judged(fit: Fit, rule: Rule, known: bool, source: str) -> Choice:
         verdict=verdict,
         odds=odds,
         sigma=1.0 if known else None,
-        sigma_source=source,
+        source=source,
         edf=float(np.sum(fit.edf)),
         sweep=choosing.Sweep(
             sweep.lam,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.advice import Advice
 from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Flag
@@ -19,10 +20,11 @@ from structures.tabulated import FrfModel
 from structures.values import plain, reals
 from structures.welch import CrossSpectra, cross_spectra
 
+from ...inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
 from ...record import Record
 from ...spectra import Spectra
 from .. import noise as noises
-from ..data import Data, gather, health
+from ..data import WITHOUT_SENSOR, Data, gather, health
 
 NEGATIVE = 1e-6  # of the largest eigenvalue: rounding that a cross-spectral matrix may show
 SIGNALS = ("stationary", "transient")
@@ -40,7 +42,7 @@ class LineData:
     power : array, shape (lines, sensors)
         Variance of the noise of one realisation; where it is not known, a scale per channel.
     known : bool
-    source : str
+    source : NoiseSource
         Where the noise comes from.
     averages : float
     kind : str
@@ -67,7 +69,7 @@ class LineData:
     X: NDArray[np.complex128]
     power: NDArray[np.float64]
     known: bool
-    source: str
+    source: NoiseSource
     averages: float
     kind: str
     rows: NDArray[np.int_]
@@ -91,7 +93,7 @@ class Settings:
     """How records become lines."""
 
     noise: ArrayLike | None = None
-    noise_source: str | None = None
+    noise_source: NoiseSource | None = None
     signal: str | None = None
     band: tuple[float, float] | None = None
     window: str = "hann"
@@ -127,8 +129,8 @@ def _of_spectra(found: Spectra, model: Model, rows: NDArray, s: Settings) -> Lin
     X = found.values[keep][:, columns]
     noise = _stated(found.noise, keep, columns) if s.noise is None else _levels(s.noise, len(rows))
     power, known = _power(noise, X, [model.sensors[i] for i in rows])
-    source = (found.noise_source if s.noise is None else s.noise_source) or ("a guess of the user" if known else
-                                                                            "not known")  # fmt: skip
+    stated = NoiseSource.of(found.noise_source if s.noise is None else s.noise_source)
+    source = stated or (STATED if known else NOT_KNOWN)
     return LineData(
         f, X[..., None], power, known, source, 1.0, "spectra", rows, tuple(model.sensors[i] for i in rows),
         {found.name: digest(found.frequencies, found.values)},
@@ -145,7 +147,7 @@ def _of_cross(found: CrossSpectra, model: Model, rows: NDArray, s: Settings, nam
     X = _snapshots(S)
     own = np.sqrt(np.einsum("kss->ks", S).real)
     power, known = _power(noise, own, [model.sensors[i] for i in rows])
-    source = (s.noise_source or "a guess of the user") if known else "not known"
+    source = (s.noise_source or STATED) if known else NOT_KNOWN
     facts = {"averages": found.averages, "bandwidth": found.bandwidth, "window": found.window}
     return LineData(
         f, X, power, known, source, found.averages, "cross spectra", rows, tuple(model.sensors[i] for i in rows),
@@ -208,7 +210,7 @@ def _of_transient(data: Data, model: Model, s: Settings) -> LineData:
         spectrum = model.noise_spectrum(f)
         if spectrum is not None:
             power, known = samples * spectrum[:, data.rows], True
-            source = f"residual power of {sum(h.used for h in model.hits)} training hits"
+            source = NoiseSource("residual", f"residual power of {sum(h.used for h in model.hits)} training hits")
     record = data.record
     return LineData(
         f, X[..., None], power, known, source, 1.0, "transient", data.rows, data.channels,
@@ -281,7 +283,7 @@ def _columns(wanted: list[str], labels: tuple[str, ...], count: int, sensors: in
     found = list(labels) if labels and not plain else f"{count} columns without names"
     raise InputError("the spectra have no channel for a sensor of the model", where=name, found=found,
                      expected=[w for w in wanted if w not in labels][:8],
-                     hint="name the channels, or leave the sensor out (sensors=[...])")  # fmt: skip
+                     hint=Advice("name the channels, or ", WITHOUT_SENSOR))  # fmt: skip
 
 
 def _snapshots(S: NDArray) -> NDArray[np.complex128]:

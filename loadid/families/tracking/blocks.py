@@ -65,7 +65,7 @@ def estimate(
     """Estimate of a block from sample `first` on; Y, rest (samples, sensors): data and what is left of them."""
     there = np.ones((len(load), len(f.sensors)), bool) if Y is None else np.isfinite(Y)
     facts: dict[str, Any] = {
-        "path": path, "m": int(there.sum()), "n": int(load.size), "noise_source": f.noise_source,
+        "path": path, "m": int(there.sum()), "n": int(load.size), **f.noise_source.facts,
         "time_constant": None if f.settled is None else f.settled.time_constant,
         **{f"tuned_{name}": value for name, value in f.numbers.items()},
         **{f"count_{name}": value for name, value in counts.items()},

@@ -14,6 +14,7 @@ from structures.flags import Flag
 
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.steady import Steady
+from ...inverse.noise_source import NOT_KNOWN, NoiseSource
 from .certificate import Certificate
 from .recipe import Recipe
 
@@ -34,7 +35,8 @@ class Fitted:
         The priors of the loads.
     numbers : mapping
         What was tuned.
-    noise_source : str
+    noise_source : NoiseSource
+        Or its text, as files of release 0.1 have it.
     certificate : Certificate or None
     flags : tuple of Flag
     fingerprint : str
@@ -58,7 +60,7 @@ class Fitted:
     loads: tuple[Channel, ...]
     words: str
     numbers: Mapping[str, float]
-    noise_source: str
+    noise_source: NoiseSource
     certificate: Certificate | None
     flags: tuple[Flag, ...]
     fingerprint: str
@@ -67,3 +69,6 @@ class Fitted:
     limits: NDArray[np.float64] | None = None
     recipe: Recipe | None = None
     stale: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "noise_source", NoiseSource.of(self.noise_source) or NOT_KNOWN)

@@ -20,13 +20,26 @@ from structures.flags import Evidence, Flag
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.present import Present
 from ...inverse.kalman.steady import Steady
+from ...inverse.noise_source import NoiseSource
 from .certificate import Certificate
 from .fitted import Fitted
 from .recipe import PRIORS, Recipe
 
 TYPES: dict[str, type] = {
     kind.__name__: kind
-    for kind in (Certificate, Channel, Evidence, Fitted, Flag, FilterModel, Present, Recipe, Steady, *PRIORS)
+    for kind in (
+        Certificate,
+        Channel,
+        Evidence,
+        Fitted,
+        Flag,
+        FilterModel,
+        NoiseSource,
+        Present,
+        Recipe,
+        Steady,
+        *PRIORS,
+    )
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 
 from .operator import Operator
@@ -36,7 +37,7 @@ def free_responses(operator: Operator) -> NDArray[np.float64]:
     if np.min(np.abs(np.diag(R))) <= UNSEEN * max(seen, size):
         raise NotIdentifiable(
             "a constant or linear load is seen neither by the sensors nor by the penalty",
-            advice="add a sensor that sees a constant load, or choose penalty='identity'",
+            advice=Advice("add a sensor that sees a constant load, or choose ", Option("penalty", "identity")),
             code="LID-E306",
         )
     return np.ascontiguousarray(Q.T).reshape(o * p, operator.sensors, N)

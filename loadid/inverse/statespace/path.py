@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 
 from ..path import PathPoint, Solution
@@ -103,8 +104,11 @@ class StateSpacePath:
             raise NotIdentifiable(
                 "a load that the penalty leaves free, or an unknown start, is not seen by the sensors "
                 f"(relative response {R.min() / max(R.max(), TINY):.2g})",
-                advice="add a sensor that sees a constant load, choose penalty='identity' or a leaky difference, or "
-                "start from rest",
+                advice=Advice(
+                    "add a sensor that sees a constant load, choose ",
+                    Option("penalty", "identity"),
+                    " or a leaky difference, or start from rest",
+                ),
                 code="LID-E306",
             )
         return 2 * float(np.sum(np.log(R * size)))

@@ -5,7 +5,7 @@ import pytest
 
 from loadid.inverse.choice import DEFAULT_RULES, Choice, choose
 from loadid.inverse.confirm import confirm
-from loadid.inverse.rules import NULL_SPACE, RuleResult, run
+from loadid.inverse.rules import RuleResult, run
 from loadid.inverse.statespace.coarse import windows_of
 from loadid.inverse.statespace.path import StateSpacePath
 from loadid.inverse.sweeping import Sweep
@@ -68,7 +68,7 @@ def test_a_first_guess_far_off_is_left(rule: str, sigma: float | None, quick: St
 
 def test_a_wall_is_looked_behind(quick: StateSpacePath) -> None:
     """From the end of the range, where the windows saw no load at all, the default finds the one of the whole."""
-    silent = tuple(RuleResult(r, 1e3, True, NULL_SPACE) for r in DEFAULT_RULES)
+    silent = tuple(RuleResult.null_space(r, 1e3) for r in DEFAULT_RULES)
     found = confirm(quick, Choice(1e3, 1.0, "predicted_error", silent), None, sigma=1.0, source="stated")
     direct = choose(quick, None, sigma=1.0)
     assert found.rule == direct.rule
