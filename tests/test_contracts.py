@@ -231,7 +231,7 @@ def test_correlated_sensor_noise():
     assert whiten(np.eye(3), R, axis=0) @ R @ whiten(np.eye(3), R, axis=0).T == pytest.approx(np.eye(3), abs=1e-10)
 
 
-class Projected:
+class Projected(RegularizationPath):
     """A constrained path: its effective degrees of freedom are not defined."""
 
     m, null, scale, smooth = 10, 0, np.asarray(1.0), True

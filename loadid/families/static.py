@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.arrays import MatrixModel
 from structures.errors import InputError
-from structures.model import Model
+from structures.model import Model, as_model
 from structures.values import real
 
 from .. import flags as guards
@@ -104,7 +104,7 @@ class StaticInversion:
             choice = 0.0
         if choice is not None and not isinstance(choice, str | Absolute):
             choice = _relative(choice)
-        self.model: Model = model if isinstance(model, Model) else MatrixModel(model)
+        self.model = as_model(MatrixModel.of(model), "StaticInversion", "static")
         self.method, self.penalty, self.choice = method, penalty, choice
         self.constraints = tuple(constraints) if isinstance(constraints, list | tuple) else (constraints,)
         if self.constraints and method == "tsvd":
@@ -114,7 +114,7 @@ class StaticInversion:
         self.noise, self.noise_source, self.interpolation = noise, noise_source, interpolation
         self.sensors, self.allow, self.coverage = sensors, guards.allowed(allow), coverage
         self._progress = progress or (lambda fraction, text: None)
-        self.basis = getattr(self.model, "basis", None)
+        self.basis = self.model.basis
         self.geometry = None if self.basis is None else geometry(self.basis)
         self.H = transfer(self.model, self.allow)
         self.L = smoothness.matrix(penalty, self.H.shape[1], self.basis)

@@ -11,11 +11,9 @@ from loadid.inverse.whiteness import (
     COLOURED,
     KS,
     effective_number,
-    mode_lines,
     ncp_statistic,
     plateau_test,
     residual_test,
-    residuals,
 )
 from structures.errors import InputError
 from tests.benchmarks.fredholm import NOISES, PROBLEMS
@@ -40,12 +38,12 @@ def test_residuals_of_a_tile_are_those_of_the_path() -> None:
     y = np.random.default_rng(0).standard_normal((40, 3))
     path = SVDPath(LinearProblem.whitened(T, y, shape=(40, 2)))
     lams = np.geomspace(1e-3, 1, 7)
-    for lam, found in zip(lams, residuals(path, lams), strict=True):
+    for lam, found in zip(lams, path.residuals(lams), strict=True):
         np.testing.assert_allclose(found, path.residual(lam), atol=1e-10)
     frames = SVDPath(LinearProblem.whitened(T.reshape(-1, T.shape[-1]), y.ravel())).with_data(
         np.outer(y.ravel(), [1, 2.0])
     )
-    for lam, found in zip(lams, residuals(frames, lams), strict=True):
+    for lam, found in zip(lams, frames.residuals(lams), strict=True):
         np.testing.assert_allclose(found, frames.residual(lam).reshape(2, -1), atol=1e-10)
 
 
@@ -57,7 +55,7 @@ def test_expected_periodogram_is_that_of_the_projected_noise() -> None:
     left = np.eye(N) - A
     power = np.sum(np.abs(np.fft.rfft(left, axis=0)[1:]) ** 2, axis=1)
     taken = 1 - path.rejected(np.array([lam]))[0, : path.U.shape[1]] ** 2
-    np.testing.assert_allclose(N - mode_lines(path) @ taken, power, atol=1e-8 * N)
+    np.testing.assert_allclose(N - path.mode_lines @ taken, power, atol=1e-8 * N)
 
 
 @pytest.mark.parametrize("lam", [0.05, 3e-4])
