@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from loadid.inverse.path import RegularizationPath
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
 from loadid.inverse.toeplitz import toeplitz
@@ -81,7 +82,7 @@ def test_correlated_noise_is_refuted(kind: str) -> None:
 
 
 def test_a_path_without_modes_takes_the_wider_limit_once_the_fit_spends() -> None:
-    class Plain:
+    class Plain(RegularizationPath):
         m, null = 60, 0
 
         def __init__(self, edf: float) -> None:
