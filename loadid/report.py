@@ -77,14 +77,14 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:
     title = f"Load estimate: {', '.join(estimate.labels[:4])}" + (" …" if len(estimate.labels) > 4 else "")
     sections = [
         ("Result", _result(estimate) + _known(estimate, truth) + _picture(estimate, truth) + _notes(estimate)),
-        ("Flags", _flags(estimate)),
+        ("Flags", flag_list(estimate)),
         ("What every line can tell", _lines(estimate)),
         ("How lambda was chosen", _choice(estimate)),
         ("What the data can tell", _diagnosis(estimate)),
         ("What the data cannot tell", _limits(estimate)),
         ("Measured against predicted", _response(estimate)),
-        ("Verification", _verification(estimate)),
-        ("Provenance", _provenance(estimate)),
+        ("Verification", verification(estimate)),
+        ("Provenance", provenance_table(estimate)),
     ]
     body = "\n".join(f"<section>\n<h2>{escape(name)}</h2>\n{text}\n</section>" for name, text in sections if text)
     created = estimate.provenance.get("created")
@@ -103,7 +103,7 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:
 <header>
 <h1>{escape(title)}</h1>
 <p class="quiet">{line}</p>
-{_notices(estimate)}
+{notices(estimate)}
 </header>
 <main>
 {body}
@@ -116,12 +116,13 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:
 def fragment(estimate: LoadEstimate) -> str:
     """Short form for notebooks: result, picture and flags."""
     return (
-        f"<div>{_notices(estimate)}{_result(estimate)}{_picture(estimate, None, phone=False)}{_flags(estimate)}</div>"
+        f"<div>{notices(estimate)}{_result(estimate)}{_picture(estimate, None, phone=False)}{flag_list(estimate)}</div>"
     )
 
 
 # -- sections ---------------------------------------------------------------------------------------------------------
-def _notices(e: LoadEstimate) -> str:
+def notices(e: LoadEstimate) -> str:
+    """What must be known before the result is believed: overridden refusals, verification, band."""
     good = " good" if e.certificate is not None else ""
     text = "".join(f'<p class="notice" role="alert">{escape(line)}</p>' for line in refusals(e))
     text += f'<p class="notice{good}" role="note">{escape(e.verified)}</p>'
@@ -178,7 +179,7 @@ def _lines(e: LoadEstimate) -> str:
     head = ("load", f"lines predicted to {s.level:.0%} or better", "bands that are not trusted")
     words = "predicted relative error, gain and condition of every line"
     draw = partial(lines_figure, e)
-    return _table(rows, head) + _image(lambda narrow=False: draw(), words, 6 * trusted.size, phone=False)
+    return html_table(rows, head) + html_image(lambda narrow=False: draw(), words, 6 * trusted.size, phone=False)
 
 
 def _notes(e: LoadEstimate) -> str:
@@ -186,7 +187,8 @@ def _notes(e: LoadEstimate) -> str:
     return f'<p class="quiet">Decided while reading the record:</p><ul class="quiet">{lines}</ul>' if lines else ""
 
 
-def _flags(e: LoadEstimate) -> str:
+def flag_list(e: LoadEstimate) -> str:
+    """The flags, the gravest first, and the guards that were silent."""
     if not e.flags:
         return "<p>No guard raised a flag.</p>" + _silent(e)
     rows = "".join(
@@ -208,13 +210,13 @@ def _choice(e: LoadEstimate) -> str:
         return "<p>No lambda was chosen.</p>"
     rows = [*rules(e.choice)]
     text = f"<p>{escape(headline(e.choice))}</p><p>noise: {escape(noise(e.choice))}</p>"
-    text += _table(rows, ("rule", "relative lambda", "remark")) if rows else ""
+    text += html_table(rows, ("rule", "relative lambda", "remark")) if rows else ""
     if e.choice.sweep is None:
         return text
     from loadid.plots import path_figure
 
     words = f"L-curve and residual over lambda; verdict {e.choice.verdict}"
-    return text + _image(partial(path_figure, e), words, e.choice.sweep.lam.size)
+    return text + html_image(partial(path_figure, e), words, e.choice.sweep.lam.size)
 
 
 def _diagnosis(e: LoadEstimate) -> str:
@@ -226,11 +228,11 @@ def _diagnosis(e: LoadEstimate) -> str:
 
     d = e.diagnosis
     said = "".join(f"<li>{escape(line)}</li>" for line in diagnosis(e))
-    first = _image(
+    first = html_image(
         partial(modes, e), f"Picard plot and filter factors, i* = {d.plateau} of {d.seen}", 4 * len(d.coefficients)
     )
     size = 0 if d.matrix is None else d.matrix.size
-    second = _image(partial(spreads, e), f"resolution and point spreads of {d.n} loads", size + 8 * d.n)
+    second = html_image(partial(spreads, e), f"resolution and point spreads of {d.n} loads", size + 8 * d.n)
     return f"<ul>{said}</ul>{first}{second}"
 
 
@@ -241,7 +243,7 @@ def _limits(e: LoadEstimate) -> str:
     prior = e.provenance.get("prior")
     said = f"<p>{escape(cannot_tell(e))}</p>" if cannot_tell(e) else ""
     said += f"<p>What the data do not determine is filled by the prior: {escape(str(prior))}.</p>" if prior else ""
-    return said + _table(rows)
+    return said + html_table(rows)
 
 
 def _response(e: LoadEstimate) -> str:
@@ -250,10 +252,11 @@ def _response(e: LoadEstimate) -> str:
     from loadid.plots import response_figure
 
     names = ", ".join(e.sensors[:8])
-    return _image(partial(response_figure, e), f"measured and predicted response of {names}", 3 * e.response.size)
+    return html_image(partial(response_figure, e), f"measured and predicted response of {names}", 3 * e.response.size)
 
 
-def _verification(e: LoadEstimate) -> str:
+def verification(e: LoadEstimate) -> str:
+    """The check of the forward model against a known load."""
     c = e.certificate
     if c is None:
         advice = "Check the model against a known load (model.verify) and the certificate travels with every estimate."
@@ -264,11 +267,12 @@ def _verification(e: LoadEstimate) -> str:
         for s, g, r, x, q in zip(c.sensors, c.gain, c.shape, c.error, ratios, strict=True)
     ]
     head = ("sensor", "gain (1 is right)", "shape (1 is right)", "residual", "residual / noise")
-    return f"<p>Checked against {escape(c.source)} on {escape(c.date)}.</p>" + _table(rows, head)
+    return f"<p>Checked against {escape(c.source)} on {escape(c.date)}.</p>" + html_table(rows, head)
 
 
-def _provenance(e: LoadEstimate) -> str:
-    return _table(_flat(e.provenance)) if e.provenance else "<p>Not recorded.</p>"
+def provenance_table(e: LoadEstimate) -> str:
+    """Inputs, settings and versions, in rows."""
+    return html_table(_flat(e.provenance)) if e.provenance else "<p>Not recorded.</p>"
 
 
 # -- pieces -----------------------------------------------------------------------------------------------------------
@@ -288,7 +292,8 @@ def _flat(tree: Mapping[str, Any], prefix: str = "", parent: str = "") -> list[t
     return rows
 
 
-def _table(rows: Iterable[tuple[str, ...]], head: tuple[str, ...] = ()) -> str:
+def html_table(rows: Iterable[tuple[str, ...]], head: tuple[str, ...] = ()) -> str:
+    """Rows of text as a table whose first column names the rest."""
     top = "<thead><tr>" + "".join(f'<th scope="col">{escape(h)}</th>' for h in head) + "</tr></thead>" if head else ""
     lines = (
         f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{escape(str(x))}</td>" for x in row[1:]) + "</tr>"
@@ -303,10 +308,10 @@ def _picture(e: LoadEstimate, truth: ArrayLike | None, *, phone: bool = True) ->
 
     peaks = "; ".join(f"{p.label} peaks at {p.value:.4g} {p.unit}" for p in e.peaks[:3])
     draw = partial(load_figure, e, truth=truth)
-    return _image(draw, f"load with its 95 % band: {peaks}", 6 * e.load.size, phone=phone)
+    return html_image(draw, f"load with its 95 % band: {peaks}", 6 * e.load.size, phone=phone)
 
 
-def _image(draw: Callable[..., Figure], words: str, points: int, *, phone: bool = True) -> str:
+def html_image(draw: Callable[..., Figure], words: str, points: int, *, phone: bool = True) -> str:
     """A figure as an image inside the page: its names and styles cannot meet those of the page or of another figure.
 
     A second one, with its panels below each other, is shown where the screen is narrow.

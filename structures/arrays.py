@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from .discretise import check
 from .errors import InputError
 from .model import Model
-from .statespace import channels, count, digest, frozen, lines
+from .statespace import channels, count, frozen, lines
+from .values import digest
 
 TAIL = 0.1  # share of the impulse response, at its end, that tells whether it has decayed
 DECAYED = 1e-3  # largest value of that tail over the peak, for every sensor and load
@@ -52,6 +53,17 @@ class MatrixModel(Model):
     def __repr__(self) -> str:
         return f"MatrixModel({len(self.sensors)} sensors, {len(self.loads)} loads)"
 
+    @classmethod
+    def of(cls, given: Model | ArrayLike) -> Model:
+        """A model as it is, or a bare matrix as one.
+
+        Raises
+        ------
+        InputError
+            As the class.
+        """
+        return given if isinstance(given, Model) else cls(given)
+
     def static(self) -> NDArray[np.float64]:
         """The matrix (sensors, loads)."""
         return self.H
@@ -87,6 +99,8 @@ class ImpulseModel(Model):
     InputError
         If `kind` is missing, a shape does not fit, a number is not finite, or all are zero.
     """
+
+    dt: float
 
     def __init__(
         self,

@@ -24,9 +24,9 @@ from .loads import Load, near_support
 from .model import Model
 from .modes import Modes
 from .reduction import ReducedModel, highpass
-from .statespace import StateSpace, count, digest, lines
+from .statespace import StateSpace, count, lines
 from .structure import Structure
-from .values import shown
+from .values import digest, shown
 
 
 class ForwardModel(Model):
@@ -87,11 +87,11 @@ class ForwardModel(Model):
         self.sensors = placing.placed(sensors, "row", "sensors")
         self.basis = loads if isinstance(loads, Basis) else None
         self.loads = placing.placed(loads, "column", "loads", "columns")
-        self._settings = reducing.settled(structure, modes, residual, band, reduction)
+        self.settings = reducing.settled(structure, modes, residual, band, reduction)
         self._S = placing.rows(structure, self.sensors)
         self._derivative = np.array([int(getattr(s, "derivative", 0)) for s in self.sensors])
         self._corner = np.array([s.highpass or 0.0 for s in self.sensors])
-        self._columns = placing.columns(structure, self.loads if self.basis is None else self.basis)
+        self.columns = placing.columns(structure, self.loads if self.basis is None else self.basis)
         if reduction == "krylov":
             self._fixed("Krylov reduction")
             krylov.refuse(structure, len(self.sensors), len(self.loads))
@@ -100,14 +100,14 @@ class ForwardModel(Model):
 
     def __repr__(self) -> str:
         n, known = self.structure.free.size, self.__dict__
-        kept = reducing.described(self._settings, n, known.get("modes"), known.get("krylov"))
+        kept = reducing.described(self.settings, n, known.get("modes"), known.get("krylov"))
         return f"ForwardModel({n} free DOFs, {len(self.sensors)} sensors, {len(self.loads)} loads, {kept})"
 
     # -- parts ----------------------------------------------------------------------------------------------------
     @property
     def moving(self) -> bool:
         """A load moves over the structure."""
-        return not sparse.issparse(self._columns)
+        return not sparse.issparse(self.columns)
 
     @cached_property
     def factor(self) -> Factor:
@@ -123,8 +123,8 @@ class ForwardModel(Model):
         InputError
             If it is reduced to a Krylov basis.
         """
-        reducing.needs(self._settings, "modes", "modes")
-        return reducing.retained(self.structure, self._settings)
+        reducing.needs(self.settings, "modes", "modes")
+        return reducing.retained(self.structure, self.settings)
 
     @cached_property
     def krylov(self) -> Krylov:
@@ -135,23 +135,23 @@ class ForwardModel(Model):
         InputError
             If it is reduced to modes, or its tolerance is not reached.
         """
-        reducing.needs(self._settings, "krylov", "Krylov basis")
-        return krylov.krylov(self.structure, self._S, self._columns, self._settings["band"])
+        reducing.needs(self.settings, "krylov", "Krylov basis")
+        return krylov.krylov(self.structure, self._S, self.columns, self.settings["band"])
 
     @property
-    def _shapes(self) -> Modes:
+    def shapes(self) -> Modes:
         """Modes, or the Ritz pairs in their place."""
-        return self.modes if self._settings["reduction"] == "modes" else self.krylov.shapes
+        return self.modes if self.settings["reduction"] == "modes" else self.krylov.shapes
 
     @cached_property
     def reduced(self) -> ReducedModel:
         """The model in modal coordinates."""
-        left_out = self._settings["residual"] and self._settings["reduction"] == "modes"
+        left_out = self.settings["residual"] and self.settings["reduction"] == "modes"
         return reducing.reduced(
             self.structure,
-            self._shapes,
+            self.shapes,
             self._S,
-            self._columns,
+            self.columns,
             (self._derivative, self._corner),
             (lambda: self._static_rows) if left_out else None,
         )
@@ -159,7 +159,7 @@ class ForwardModel(Model):
     @cached_property
     def _static_rows(self) -> NDArray[np.float64]:
         """``S K^-1 B`` of every row, before derivatives and filters."""
-        return self.factor.transfer(self._S, self._columns)
+        return self.factor.transfer(self._S, self.columns)
 
     # -- the contract ---------------------------------------------------------------------------------------------
     def static(self) -> NDArray[np.float64]:
@@ -204,10 +204,10 @@ class ForwardModel(Model):
         self._fixed("frf")
         f = lines(frequencies)
         if method == "modal":
-            reducing.within(self._settings, f)
+            reducing.within(self.settings, f)
             return self.reduced.frf(f)
         if method == "direct":
-            H = direct(self.structure, self._S, self._columns, f, lambda: self._shapes)
+            H = direct(self.structure, self._S, self.columns, f, lambda: self.shapes)
             return H * self._reading(f)[:, :, None]
         raise InputError(
             "no such method",
@@ -244,7 +244,7 @@ class ForwardModel(Model):
         """
         f = lines(frequencies)
         basis = self.krylov
-        reducing.within(self._settings, f)
+        reducing.within(self.settings, f)
         replace(self.reduced, derivative=np.zeros_like(self._derivative)).frf(f)  # a line without bound is named
         H, *parts = basis.projection.errors(2 * np.pi * f)
         truncation, rounding, size = (np.abs(self._reading(f))[:, :, None] * x for x in (*parts, np.abs(H)))
@@ -317,7 +317,7 @@ class ForwardModel(Model):
             If the structure has no such parameter or the factor is not positive.
         """
         loads = self.loads if self.basis is None else self.basis
-        return ForwardModel(self.structure.scaled(parameter, factor), self.sensors, loads, **self._settings)
+        return ForwardModel(self.structure.scaled(parameter, factor), self.sensors, loads, **self.settings)
 
     def with_loads(self, loads: Sequence[Any]) -> ForwardModel:
         """The same structure and sensors under other loads; modes and factor are shared, so that moving one is cheap.
@@ -329,7 +329,7 @@ class ForwardModel(Model):
         InputError
             As `ForwardModel`, for loads that do not fit the structure.
         """
-        other = ForwardModel(self.structure, self.sensors, loads, **self._settings)
+        other = ForwardModel(self.structure, self.sensors, loads, **self.settings)
         other.__dict__.update({name: self.__dict__[name] for name in ("factor", "modes") if name in self.__dict__})
         other.certificate = self.certificate
         return other
@@ -339,7 +339,7 @@ class ForwardModel(Model):
         """Natural frequencies (Hz) that the model retains, ascending, 0 for rigid-body modes; None without mass."""
         if self.structure.M_free is None:
             return None
-        return self.modes.frequencies if self._settings["reduction"] == "modes" else self.krylov.frequencies
+        return self.modes.frequencies if self.settings["reduction"] == "modes" else self.krylov.frequencies
 
     @property
     def decay_rate(self) -> float | None:
@@ -349,17 +349,17 @@ class ForwardModel(Model):
     @property
     def fingerprint(self) -> str:
         """Sha256 of the structure, the rows and columns with their channels, and the settings."""
-        settings = list(self._settings.values())
+        settings = list(self.settings.values())
         settings = settings[: len(settings) - (settings[-1] == "modes")]  # modes are what models without a choice have
-        parts = (*placing.arrays(self._S), self._derivative, *placing.arrays(self._columns))
+        parts = (*placing.arrays(self._S), self._derivative, *placing.arrays(self.columns))
         return digest("ForwardModel", self.structure.digest, *parts, self.sensors, self.loads, *settings)
 
     # -- inside ---------------------------------------------------------------------------------------------------
     def save(self, path: str | os.PathLike) -> None:
         """Write the model to HDF5, whole or not at all, with checksums; `modelfile.load` reads it."""
-        from .modelfile import save
+        from .modelfile import write
 
-        save(self, path)
+        write(self, path)
 
     def _fixed(self, method: str) -> None:
         if self.moving:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from .channels import Channel
 from .errors import InputError
 from .model import Model
-from .statespace import StateSpace, channels, digest
-from .values import reals
+from .statespace import StateSpace, channels
+from .values import digest, reals
 
 
 class MappedModel(Model):
@@ -44,7 +46,7 @@ class MappedModel(Model):
                              hint="one row per load")  # fmt: skip
         self.T.flags.writeable = False
         self.sensors, self.certificate, self.flags = model.sensors, model.certificate, model.flags
-        self.basis = None
+        self.dt, self.frequencies = model.dt, model.frequencies
         square = self.T.shape[1] == loads and labels is None
         self.loads = model.loads if square else channels(labels, self.T.shape[1], "u", "unknowns")
 
@@ -61,13 +63,58 @@ class MappedModel(Model):
 
     def frf_variance(self, frequencies: ArrayLike) -> NDArray[np.float64] | None:
         """As that of the model, errors of its FRFs taken as independent; None where it states none."""
-        tell: Any = getattr(self.model, "frf_variance", None)
-        found = None if tell is None else tell(frequencies)
+        found = self.model.frf_variance(frequencies)
         return None if found is None else found @ self.T**2
+
+    def noise_spectrum(self, frequencies: ArrayLike) -> NDArray[np.float64] | None:
+        """That of the model."""
+        return self.model.noise_spectrum(frequencies)
+
+    def has_lines(self, frequencies: ArrayLike) -> NDArray[np.bool_]:
+        """As the model."""
+        return self.model.has_lines(frequencies)
 
     def impulse_response(self, dt: float, samples: int, hold: str | None = None) -> NDArray[np.float64]:
         """As that of the model, (samples, sensors, unknowns)."""
         return self.model.impulse_response(dt, samples, hold or self.default_hold) @ self.T
+
+    def state_space(self, dt: float, hold: str | None = None) -> StateSpace:
+        """As that of the model, driven by the unknowns."""
+        s: Any = self.model.state_space(dt, hold or self.default_hold)
+        return StateSpace(s.A, s.B @ self.T, s.C, s.D @ self.T, dt, s.hold, sensors=self.sensors, loads=self.loads)
+
+    def gives(self, method: str) -> bool:
+        """As the model, where combinations of its loads have the method."""
+        return super().gives(method) and self.model.gives(method)
+
+    def refuse(self, method: str, family: str | None = None) -> NoReturn:
+        """Refuse a method in the name of the model, where it is the model that has none."""
+        if not self.model.gives(method):
+            self.model.refuse(method, family)
+        super().refuse(method, family)
+
+    @cached_property
+    def reduced(self) -> Any:
+        """As that of the model, driven by the unknowns."""
+        own = self.model.reduced
+        if own is None:
+            return None
+        return replace(own, B=own.B @ self.T, residual=None if own.residual is None else own.residual @ self.T)
+
+    @property
+    def moving(self) -> bool:
+        """As the model."""
+        return self.model.moving
+
+    @property
+    def radius(self) -> float:
+        """That of the model."""
+        return self.model.radius
+
+    @property
+    def training(self) -> frozenset[str]:
+        """As the model."""
+        return self.model.training
 
     @property
     def default_hold(self) -> str:
@@ -95,22 +142,12 @@ class MappedModel(Model):
         return digest("MappedModel", self.model.fingerprint, self.T, self.loads)
 
 
-class MappedStates(MappedModel):
-    """A `MappedModel` of a model that has a state space."""
-
-    def state_space(self, dt: float, hold: str | None = None) -> StateSpace:
-        """As that of the model, driven by the unknowns."""
-        s: Any = self.model.state_space(dt, hold or self.default_hold)
-        return StateSpace(s.A, s.B @ self.T, s.C, s.D @ self.T, dt, s.hold, sensors=self.sensors, loads=self.loads)
-
-
 def mapped(model: Model, T: ArrayLike, labels: Sequence[str | Channel] | None = None) -> MappedModel:
-    """A model under the combinations T of its loads, with a state space where the model has one.
+    """A model under the combinations T of its loads.
 
     Raises
     ------
     InputError
         As `MappedModel`.
     """
-    kind = MappedModel if type(model).state_space is Model.state_space else MappedStates
-    return kind(model, T, labels)
+    return MappedModel(model, T, labels)

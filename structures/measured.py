@@ -51,6 +51,11 @@ class MeasuredModel(Model):
     The ratio of sampled response to sampled force is a discrete response already: it knows no hold.
     """
 
+    sampled = True
+    frequencies: NDArray[np.float64]
+    dt: float
+    samples: int
+
     def __init__(
         self,
         frequencies: ArrayLike,
@@ -74,6 +79,7 @@ class MeasuredModel(Model):
         self.samples = samples or len(self.frequencies) - 1
         self.certificate = certificate
         _check(self)
+        self.dt = float(1 / (2 * self.frequencies[-1]))
         self.flags = (*flags, *causality.whole(self.frequencies, self.H, self.sensors, self.loads))
 
     # -- construction -----------------------------------------------------------------------------------------------
@@ -278,16 +284,23 @@ class MeasuredModel(Model):
             )
         return self._like(H=self.H * factor, variance=None if self.variance is None else self.variance * factor**2)
 
+    def with_sensors(self, rows: Sequence[int] | NDArray[np.intp]) -> Self:
+        """The same model with some of its sensors, in the order given, and not yet verified."""
+        rows = np.asarray(rows, np.intp)
+        return self._like(
+            sensors=[self.sensors[i] for i in rows],
+            H=self.H[:, rows],
+            variance=None if self.variance is None else self.variance[:, rows],
+            coherence=None if self.coherence is None else self.coherence[:, rows],
+            noise_power=None if self.noise_power is None else self.noise_power[:, rows],
+            certificate=None,
+        )
+
     def _like(self, **changes: Any) -> Self:
         same = {name: getattr(self, name) for name in PARTS}
         return type(self)(**{**same, "flags": self._given_flags, **changes})
 
     # -- the contract -----------------------------------------------------------------------------------------------
-    @property
-    def dt(self) -> float:
-        """Step (s) of the records that this model describes."""
-        return float(1 / (2 * self.frequencies[-1]))
-
     def frf(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
         """FRF at `frequencies` (Hz) inside the measured range, shape (lines, sensors, loads).
 

@@ -26,7 +26,7 @@ from .flags import Flag
 from .forward import ForwardModel
 from .loads import Load, sparse_matrix
 from .measured import CHANNEL, tuples
-from .model import Certificate, Model
+from .model import Certificate, Model, as_model
 from .sensors import Sensor
 from .statespace import StateSpace
 from .structure import Structure
@@ -99,34 +99,43 @@ class StoredLoad(Load):
 
 
 def save(model: Model, path: str | os.PathLike) -> None:
-    """Write a `ForwardModel` or a `StateSpace`, whole or not at all, with checksums.
+    """Write a model, whole or not at all, with checksums: ``model.save(path)``.
 
     Parameters
     ----------
-    model : ForwardModel or StateSpace
-        Its loads stay in place. Other models write themselves (``model.save(path)``).
+    model : ForwardModel, StateSpace, or another that is kept in a file
+        Its loads stay in place.
     path : path
 
     Raises
     ------
     InputError
-        Another kind of model, a load that moves, a file that cannot be written.
+        A kind of model that is not kept in a file, a load that moves, a file that cannot be written.
     """
-    if isinstance(model, ForwardModel) and not model.moving:
-        storage.write(path, _tree(model), KIND)
-    elif isinstance(model, StateSpace) and not model.moving:
-        matrices = {name: getattr(model, name) for name in "ABCD"}
-        storage.write(path, {**matrices, "dt": model.dt, "hold": model.hold, **_told(model)}, SPACE)
-    else:
-        moving = bool(getattr(model, "moving", False))
+    as_model(model, "modelfile.save").save(path)
+
+
+def write(model: ForwardModel, path: str | os.PathLike) -> None:
+    """As `save`, of a `ForwardModel`."""
+    _stays(model)
+    storage.write(path, _tree(model), KIND)
+
+
+def write_space(model: StateSpace, path: str | os.PathLike) -> None:
+    """As `save`, of a `StateSpace`."""
+    _stays(model)
+    matrices = {"A": model.A, "B": model.B, "C": model.C, "D": model.D}
+    storage.write(path, {**matrices, "dt": model.dt, "hold": model.hold, **_told(model)}, SPACE)
+
+
+def _stays(model: Model) -> None:
+    if model.moving:
         raise InputError(
-            "a load that moves is not kept in a file" if moving else "this model is not kept in a file of this kind",
+            "a load that moves is not kept in a file",
             where="modelfile.save",
             found=type(model).__name__,
             expected="a ForwardModel or a StateSpace whose loads stay in place",
-            hint="keep its path as a table, and build the model from it"
-            if moving
-            else "measured models write themselves: model.save(path)",
+            hint="keep its path as a table, and build the model from it",
         )
 
 
@@ -170,7 +179,7 @@ def _tree(model: ForwardModel) -> dict[str, Any]:
         "rows": _parts(sparse.csr_array(every)),
         "columns": _parts(sparse.csr_array(drawn.T)),
         "derivatives": [int(getattr(sensor, "derivative", 0)) for sensor in model.sensors],
-        "settings": dict(model._settings),
+        "settings": dict(model.settings),
         "flags": [f.to_dict() for f in model.flags],
         **_told(model),
     }

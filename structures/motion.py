@@ -131,7 +131,7 @@ def motion(model: ForwardModel, load: ArrayLike, dt: float, hold: str = "foh") -
     q, qd = _advance(reduced.lam, reduced.damping, push, float(dt), hold)
     acceleration = push - reduced.damping * qd - reduced.lam * q
     forces = np.zeros((len(g), s.n))
-    forces[:, s.free] = (model._columns @ g.T).T
+    forces[:, s.free] = (model.columns @ g.T).T
     return Motion(s, float(dt), s.expand(model.modes.phi), reduced.lam, reduced.damping, q, qd, acceleration, forces)
 
 
@@ -211,7 +211,7 @@ def harmonic_motion(model: ForwardModel, load: ArrayLike, frequency: float) -> H
     if g.shape != (len(model.loads),) or not np.all(np.isfinite(g)):
         raise InputError("the load does not fit the model", where="harmonic_motion", found=f"shape {g.shape}",
                          expected=f"finite, ({len(model.loads)},)")  # fmt: skip
-    omega, forces = 2 * np.pi * f, model._columns @ g
+    omega, forces = 2 * np.pi * f, model.columns @ g
     dynamic = (1 + 1j * loss_factor(s.damping)) * s.K_free - omega**2 * s.M_free
     dynamic = dynamic if s.C_free is None else dynamic + 1j * omega * s.C_free
     u = Factor(dynamic, check=False).solve(forces)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Sequence
 from functools import cached_property
@@ -16,7 +15,7 @@ from .discretise import check
 from .errors import InputError, NotIdentifiable
 from .factor import MECHANISM
 from .model import Model
-from .values import plain
+from .values import digest, plain
 
 BLOCK = 64  # Markov parameters per matrix product
 ON_POLE = 1e-13  # distance of a line from an eigenvalue, on the unit circle, that is rounding
@@ -45,6 +44,8 @@ class StateSpace(Model):
     InputError
         If shapes do not fit, a number is not finite, or the step or the hold is none.
     """
+
+    dt: float
 
     def __init__(
         self,
@@ -286,9 +287,9 @@ class StateSpace(Model):
 
     def save(self, path: str | os.PathLike) -> None:
         """Write the model to HDF5, whole or not at all, with checksums; `modelfile.load` reads it."""
-        from .modelfile import save
+        from .modelfile import write_space
 
-        save(self, path)
+        write_space(self, path)
 
     def _own(self, dt: float, hold: str | None, method: str) -> None:
         same = np.ndim(dt) == 0 and np.isfinite(dt) and abs(dt - self.dt) <= 1e-9 * self.dt
@@ -400,20 +401,3 @@ def channels(given: Sequence[Any] | None, number: int, prefix: str, where: str) 
             hint="one text or Channel each",
         )
     return out
-
-
-def digest(*parts: Any) -> str:
-    """Sha256 (hex) of arrays, numbers and channels, each with its shape."""
-    h = hashlib.sha256()
-    for part in parts:
-        if isinstance(part, np.ndarray):
-            part = np.ascontiguousarray(part)
-            h.update(f"{part.dtype.str}{part.shape}".encode())
-            h.update(part.tobytes())
-        elif isinstance(part, tuple):
-            for c in part:
-                h.update(repr((c.label, c.quantity, c.unit, c.noise, c.highpass, c.measure)).encode())
-        else:
-            h.update(repr(part).encode())
-        h.update(b"\0")
-    return h.hexdigest()

@@ -17,8 +17,8 @@ from .errors import InputError
 from .flags import Evidence, Flag
 from .measured import CHANNEL, tuples
 from .model import Certificate, Model
-from .statespace import digest, lines
-from .values import as_array, plain
+from .statespace import lines
+from .values import as_array, digest, plain
 
 if TYPE_CHECKING:
     from .welch import CrossSpectra
@@ -58,6 +58,8 @@ class FrfModel(Model):
     InputError
         Shapes that do not fit, NaN, lines that do not ascend, doubled labels, a table of zeros.
     """
+
+    frequencies: NDArray[np.float64]
 
     def __init__(
         self,
@@ -221,13 +223,12 @@ class FrfModel(Model):
             Where the model has no `frf`, or none at these lines.
         """
         f = _ascending(frequencies)
-        spread = getattr(model, "frf_variance", None)
         return cls(
             f,
             model.frf(f),
             sensors=model.sensors,
             loads=model.loads,
-            variance=None if spread is None else spread(f),
+            variance=model.frf_variance(f),
             certificate=model.certificate,
             flags=model.flags,
         )
@@ -334,6 +335,17 @@ class FrfModel(Model):
             )
         return self._like(H=self.H * factor, variance=None if self.variance is None else self.variance * factor**2)
 
+    def with_sensors(self, rows: Sequence[int] | NDArray[np.intp]) -> Self:
+        """The same model with some of its sensors, in the order given, and not yet verified."""
+        rows = np.asarray(rows, np.intp)
+        return self._like(
+            sensors=[self.sensors[i] for i in rows],
+            H=self.H[:, rows],
+            variance=None if self.variance is None else self.variance[:, rows],
+            coherence=None if self.coherence is None else self.coherence[:, rows],
+            certificate=None,
+        )
+
     def _like(self, **changes: Any) -> Self:
         return type(self)(**{**{name: getattr(self, name) for name in PARTS}, **changes})
 
@@ -410,12 +422,22 @@ class FrfModel(Model):
             return _between(f, self.frequencies, table, ON_A_LINE * _spacing(self.frequencies).min())
         return table[self._index(f)]
 
-    def _index(self, f: NDArray) -> NDArray[np.int_]:
+    def has_lines(self, frequencies: ArrayLike) -> NDArray[np.bool_]:
+        """Which of some `frequencies` (Hz) are its own lines, shape (lines,); all of them where it interpolates."""
+        f = lines(frequencies)
+        return np.ones(len(f), bool) if self.interpolate else self._nearest(f)[1]
+
+    def _nearest(self, f: NDArray) -> tuple[NDArray[np.int_], NDArray[np.bool_]]:
+        """The line next to each frequency, and whether that is the frequency."""
         own = self.frequencies
         nearest = np.clip(np.searchsorted(own, f), 1, len(own) - 1) if len(own) > 1 else np.zeros(len(f), int)
         if len(own) > 1:
             nearest = nearest - (f - own[nearest - 1] < own[nearest] - f)
-        off = np.abs(f - own[nearest]) > ON_A_LINE * _spacing(own)[nearest]
+        return nearest, np.abs(f - own[nearest]) <= ON_A_LINE * _spacing(own)[nearest]
+
+    def _index(self, f: NDArray) -> NDArray[np.int_]:
+        own, (nearest, there) = self.frequencies, self._nearest(f)
+        off = ~there
         if np.any(off):
             k = int(np.argmax(off))
             raise InputError(
@@ -427,9 +449,10 @@ class FrfModel(Model):
             )
         return nearest
 
-    def _refuse(self, method: str) -> NoReturn:
+    def refuse(self, method: str, family: str | None = None) -> NoReturn:
+        """Refuse a method that a table does not have, and say what does."""
         try:
-            super()._refuse(method)
+            super().refuse(method, family)
         except InputError as error:
             raise InputError(
                 error.what,
@@ -507,8 +530,8 @@ def _table(name: str, values: ArrayLike, shape: tuple[int, ...], kind: type = fl
 
 
 def _check_labels(model: FrfModel) -> None:
-    for name in ("sensors", "loads"):
-        labels = [c.label for c in getattr(model, name)]
+    for name, own in (("sensors", model.sensors), ("loads", model.loads)):
+        labels = [c.label for c in own]
         if len(set(labels)) != len(labels):
             raise InputError(
                 f"labels of {name} are not unique", where="FrfModel", found=labels, expected="one name each"

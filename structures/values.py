@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import operator
 from collections.abc import Sequence
@@ -169,3 +170,20 @@ def integer(name: str, value: Any, *, where: str, limit: int) -> int:
             hint=f"six {name} per shortest wavelength are enough" if found > limit else f"pass {name} as an integer",
         )
     return found
+
+
+def digest(*parts: Any) -> str:
+    """Sha256 (hex) of arrays, numbers and channels, each with its shape."""
+    h = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            part = np.ascontiguousarray(part)
+            h.update(f"{part.dtype.str}{part.shape}".encode())
+            h.update(part.tobytes())
+        elif isinstance(part, tuple):
+            for c in part:
+                h.update(repr((c.label, c.quantity, c.unit, c.noise, c.highpass, c.measure)).encode())
+        else:
+            h.update(repr(part).encode())
+        h.update(b"\0")
+    return h.hexdigest()

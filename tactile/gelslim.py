@@ -21,7 +21,7 @@ from loadid.provenance import provenance
 from structures.advice import Advice, Spelling
 from structures.errors import InputError
 from structures.flags import Flag
-from structures.values import positive
+from structures.values import digest, positive
 
 from .completion import Completion, surface_stiffness
 from .forcemap import ForceMap
@@ -348,8 +348,6 @@ class GelSlim:
 
     @cached_property
     def _fingerprint(self) -> str:
-        from structures.statespace import digest
-
         K = self.pad.structure.K_free
         return digest("pad", K.data, self.pad.nodes2d)
 

@@ -79,10 +79,10 @@ def page(
     sections = [
         (f"Result{name}", _result(one) + _picture(force, one, truth, wrenches, frame)),
         ("Against the truth", _compared(compared)),
-        ("Flags", parts._flags(force)),
+        ("Flags", parts.flag_list(force)),
         ("How it came about", _about(force, about)),
-        ("Verification", parts._verification(force)),
-        ("Provenance", parts._provenance(force)),
+        ("Verification", parts.verification(force)),
+        ("Provenance", parts.provenance_table(force)),
     ]
     body = "\n".join(f"<section>\n<h2>{escape(title)}</h2>\n{text}\n</section>" for title, text in sections if text)
     said = " · ".join(escape(str(x)) for x in (force.provenance.get("family"), force.provenance.get("created")) if x)
@@ -100,7 +100,7 @@ def page(
 <header>
 <h1>Contact force map</h1>
 <p class="quiet">{said}</p>
-{parts._notices(force)}
+{parts.notices(force)}
 </header>
 <main>
 {body}
@@ -124,12 +124,12 @@ def _picture(
 
     name, value, _ = numbers(one)[0]
     draw = partial(sequence_figure, force, truth=truth, wrenches=wrenches, frame=frame)
-    return parts._image(draw, f"map of pressure and shear with its std: {name} {value}", BITMAP)
+    return parts.html_image(draw, f"map of pressure and shear with its std: {name} {value}", BITMAP)
 
 
 def _compared(rows: Iterable[tuple[str, ...]]) -> str:
     listed = list(rows)
-    return parts._table(listed, ("", "estimate", "truth")) if listed else ""
+    return parts.html_table(listed, ("", "estimate", "truth")) if listed else ""
 
 
 def _about(force: ForceMap, about: Iterable[tuple[str, str]]) -> str:
@@ -146,7 +146,7 @@ def _about(force: ForceMap, about: Iterable[tuple[str, str]]) -> str:
     rows += [(name, text) for name, text in own if text and name not in said]
     prior = force.provenance.get("prior")
     said_prior = f"<p>What the data do not determine is filled by the prior: {escape(str(prior))}.</p>" if prior else ""
-    return parts._table(rows) + said_prior
+    return parts.html_table(rows) + said_prior
 
 
 def _path(path: object) -> str:

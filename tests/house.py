@@ -22,7 +22,6 @@ from .sources import PACKAGES, ROOT, imports, modules, within
 
 MOST_FILES, MOST_PARAMETERS = 20, 10
 HEAVY = ("numpy", "scipy", "matplotlib", "h5py", "numba", "casadi", "filterpy", "clarabel", "cv2", "pyuff", "skfem")
-PROBES = {"getattr", "hasattr", "isinstance"}
 
 
 @cache
@@ -105,28 +104,60 @@ def repeated_classes() -> dict[str, int]:
     return {name: n for name, n in count.most_common() if n > 1}
 
 
-def probes() -> int:
-    """Calls of `getattr`, `hasattr` and `isinstance` on something called a model or a path."""
-    return sum(
-        isinstance(node.func, ast.Name)
-        and node.func.id in PROBES
-        and bool(node.args)
-        and _last(node.args[0]) in ("model", "path")
-        for tree in trees().values()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Call)
-    )
+@cache
+def kinds(*roots: str) -> frozenset[str]:
+    """Classes of the house that derive from some classes, by their names; without these."""
+    bases: dict[str, set[str]] = {}
+    for tree in trees().values():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                bases.setdefault(node.name, set()).update(b for x in node.bases if (b := _last(x)))
+    found: set[str] = set()
+    while more := {c for c, of in bases.items() if of & ({*roots} | found)} - found:
+        found |= more
+    return frozenset(found)
 
 
-def trespasses() -> int:
-    """Private attributes of another object than `self` or `cls`, or a module's own class."""
-    return sum(
-        node.attr.startswith("_") and not node.attr.startswith("__") and _last(node.value) not in ("self", "cls")
-        and not (_last(node.value) or "x")[0].isupper()
-        for tree in trees().values()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute)
-    )  # fmt: skip
+def probed(tree: ast.Module) -> Iterator[int]:
+    """Lines on which code asks what a model or a path is, where the contract would answer.
+
+    Those are `getattr` and `hasattr` of something called a model or a path; `isinstance` with one of their kinds,
+    whatever the thing is called; and a method compared with that of `Model`. Whether a thing is a `Model` at all may
+    be asked.
+    """
+    own = {node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
+    special = kinds("Model", "RegularizationPath") - own
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.args:
+            asked = node.func.id in ("getattr", "hasattr") and _last(node.args[0]) in ("model", "path")
+            named = node.args[1:] if node.func.id == "isinstance" else []
+            if asked or any(_last(x) in special for a in named for x in ast.walk(a) if isinstance(x, ast.expr)):
+                yield node.lineno
+        elif isinstance(node, ast.Compare) and "Model" not in own:
+            sides = (node.left, *node.comparators)
+            if any(isinstance(s, ast.Attribute) and _last(s.value) == "Model" for s in sides):
+                yield node.lineno
+
+
+def trespassed(tree: ast.Module) -> Iterator[int]:
+    """Lines that use a private attribute which is not one of `self` or `cls`, nor of a class of this module."""
+    nodes = list(ast.walk(tree))
+    own = {n.attr for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store)}
+    for one in (x for n in nodes if isinstance(n, ast.ClassDef) for x in n.body):
+        if isinstance(one, ast.FunctionDef):
+            own.add(one.name)
+        elif isinstance(one, ast.Assign | ast.AnnAssign):
+            own |= {n.id for n in ast.walk(one) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    for node in nodes:
+        if isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__"):
+            above = isinstance(node.value, ast.Call) and _last(node.value.func) == "super"
+            if _last(node.value) not in ("self", "cls") and not above and node.attr not in own:
+                yield node.lineno
+
+
+def places(found: Callable[[ast.Module], Iterator[int]]) -> list[str]:
+    """Where the modules have what `found` finds, ``"loadid.report:12"``."""
+    return [f"{name}:{line}" for name, tree in trees().items() for line in sorted(found(tree))]
 
 
 def long_constructors() -> dict[str, int]:
@@ -242,8 +273,8 @@ def main() -> None:
         ("imports of own modules inside functions", lazy()),
         ("modules with one importer", single_importers()),
         ("public top-level names", public_names()),
-        ("getattr, hasattr, isinstance on models and paths", probes()),
-        ("private attributes of another object", trespasses()),
+        ("getattr, hasattr, isinstance on models and paths", len(places(probed))),
+        ("private attributes of another object", len(places(trespassed))),
         ("class names defined more than once", f"{len(twice)}: {', '.join(twice)}"),
         (f"constructors above {MOST_PARAMETERS} parameters", f"{len(long)}: {long}"),
     ]

@@ -1,9 +1,16 @@
-"""The one-way street: structures <- loadid <- tactile <- case_studies, and inside loadid only doors open families."""
+"""The one-way street: structures <- loadid <- tactile <- case_studies, and inside loadid only doors open families.
+
+And the two contracts: models and paths are asked, not probed, and nobody uses what is private to another.
+"""
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Callable, Iterator
+
 import pytest
 
+from .house import places, probed, trespassed
 from .sources import PACKAGES, imports, modules, within
 
 # package -> what nothing in it may import, at module level, inside a function, for a type or by name
@@ -96,3 +103,50 @@ def test_an_offending_import_is_caught(module: str, source: str) -> None:
 @pytest.mark.parametrize(("module", "source"), CLEAN)
 def test_a_rightful_import_passes(module: str, source: str) -> None:
     assert offences(module, source) == []
+
+
+# -- contracts -------------------------------------------------------------------------------------------------------
+Found = Callable[[ast.Module], Iterator[int]]
+
+
+@pytest.mark.parametrize("found", [probed, trespassed])
+def test_contracts_are_kept(found: Found) -> None:
+    assert places(found) == []
+
+
+@pytest.mark.parametrize(
+    ("found", "source"),
+    [
+        (probed, "getattr(model, 'basis', None)"),
+        (probed, "hasattr(self.model, 'frf_variance')"),
+        (probed, "getattr(posed.path, 'seen', None)"),
+        (probed, "isinstance(given, MeasuredModel)"),
+        (probed, "isinstance(x, int | tabulated.FrfModel)"),
+        (probed, "isinstance(posed, (SVDPath, WindowedPath))"),
+        (probed, "type(model).state_space is Model.state_space"),
+        (trespassed, "model._columns"),
+        (trespassed, "self.path._solved(lam)"),
+        (trespassed, "parts._table(rows)"),
+        (trespassed, "Factor._make(K)"),
+    ],
+)
+def test_a_probe_or_a_trespass_is_caught(found: Found, source: str) -> None:
+    assert list(found(ast.parse(source))) == [1]
+
+
+@pytest.mark.parametrize(
+    ("found", "source"),
+    [
+        (probed, "isinstance(given, Model)"),
+        (probed, "isinstance(path, str | Path)"),
+        (probed, "model.gives('state_space')"),
+        (probed, "getattr(record, 'dt', None)"),
+        (probed, "class FrfModel(Model):\n    def same(self, x):\n        return isinstance(x, FrfModel)"),
+        (trespassed, "self._columns"),
+        (trespassed, "super()._length2(x)"),
+        (trespassed, "model.__dict__"),
+        (trespassed, "class A:\n    def _take(self): ...\n    def of(self, other):\n        other._take()"),
+    ],
+)
+def test_asking_and_what_is_ones_own_pass(found: Found, source: str) -> None:
+    assert list(found(ast.parse(source))) == []

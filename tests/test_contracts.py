@@ -1,9 +1,22 @@
-"""One thin specimen of every family through the two contracts: the forward model and the regularization path."""
+"""The two contracts, the forward model and the regularization path: one thin specimen of every family through each."""
+
+import inspect
 
 import numpy as np
 import pytest
 
-from loadid import FrequencyInversion, Spectra
+import loadid
+from loadid import (
+    Deconvolution,
+    FieldDeconvolution,
+    FrequencyInversion,
+    HarmonicInversion,
+    LoadTracker,
+    LocationSearch,
+    SparseDeconvolution,
+    Spectra,
+    StaticInversion,
+)
 from loadid.inverse import rules
 from loadid.inverse.choice import choose
 from loadid.inverse.path import PathPoint, RegularizationPath, Solution
@@ -12,7 +25,10 @@ from loadid.inverse.spectral.compressed import compress
 from loadid.inverse.spectral.posterior import factor, posterior
 from loadid.inverse.spectral.ruled import JoinedPath, LinesPath
 from loadid.inverse.svd import SVDPath
-from structures import ForwardModel, FrfModel, InputError, beams, damping, loads, sensors
+from loadid.sources.split import SensorSubset
+from structures import ForwardModel, FrfModel, InputError, Model, StateSpace, beams, damping, loads, sensors
+from structures.channels import Channel
+from structures.mapped import mapped
 
 BEAM = beams.simply_supported(
     length=2.0,
@@ -164,7 +180,6 @@ def test_three_kalman_steps_from_the_state_space():
 
 def test_a_smoothed_track_equals_tikhonov():
     """Online family, whole: a random walk's smoothed loads are batch least squares with L = first difference."""
-    from loadid.families.kalman import LoadTracker
     from loadid.inverse.kalman.priors import RandomWalk
     from loadid.inverse.toeplitz import toeplitz
 
@@ -231,7 +246,7 @@ def test_correlated_sensor_noise():
     assert whiten(np.eye(3), R, axis=0) @ R @ whiten(np.eye(3), R, axis=0).T == pytest.approx(np.eye(3), abs=1e-10)
 
 
-class Projected:
+class Projected(RegularizationPath):
     """A constrained path: its effective degrees of freedom are not defined."""
 
     m, null, scale, smooth = 10, 0, np.asarray(1.0), True
@@ -266,3 +281,168 @@ def test_a_path_without_degrees_of_freedom():
     assert found["upre"].lam is None
     assert "upre needs edf" in found["upre"].note
     assert found["ncp"].lam is not None
+
+
+# -- models of one file ----------------------------------------------------------------------------------------------
+SPRINGS, DECAY = np.array([[1.0, 0.3], [0.4, 0.9], [-0.5, 0.7]]), np.array([90.0, 140.0])  # sensors x modes = loads
+OMEGA = 2 * np.pi * np.array([60.0, 110.0])
+
+
+class Own(Model):
+    """Two damped modes, a load on each, three sensors: channels, and nothing that the contract asks."""
+
+    sensors = tuple(Channel(label=f"s{i}", quantity="displacement", unit="m") for i in range(3))
+    loads = tuple(Channel(label=f"p{j}", quantity="force", unit="N") for j in range(2))
+
+
+class OwnStatic(Own):
+    def static(self):
+        return SPRINGS
+
+
+class OwnFrf(Own):
+    def frf(self, frequencies):
+        s = 2j * np.pi * np.asarray(frequencies, float)[:, None]
+        return SPRINGS / ((s + DECAY) ** 2 + OMEGA**2)[:, None, :]
+
+
+class OwnImpulse(Own):
+    def impulse_response(self, dt, samples, hold="foh"):
+        t = dt * np.arange(samples)[:, None]
+        return SPRINGS * (dt * np.exp(-DECAY * t) * np.sin(OMEGA * t) / OMEGA)[:, None, :]
+
+
+class OwnStates(Own):
+    def state_space(self, dt, hold="foh"):
+        r, w = np.exp(-DECAY * dt), OMEGA * dt
+        A = np.zeros((4, 4))
+        for k in range(2):
+            A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = r[k] * np.array(
+                [[np.cos(w[k]), np.sin(w[k])], [-np.sin(w[k]), np.cos(w[k])]]
+            )
+        B, C = np.zeros((4, 2)), np.zeros((3, 4))
+        C[:, ::2] = SPRINGS * dt / OMEGA
+        B[0, 0], B[2, 1] = r * np.sin(w)
+        B[1, 0], B[3, 1] = r * np.cos(w)
+        return StateSpace(A, B, C, np.zeros((3, 2)), dt, hold, sensors=self.sensors, loads=self.loads)
+
+
+STEP, SAMPLES = 1e-3, 128
+MODELS = {kind.__name__: kind for kind in (OwnStatic, OwnFrf, OwnImpulse, OwnStates)}
+IN_TIME = {"OwnImpulse", "OwnStates"}
+# family -> how it is made, the kinds that it can use
+USERS = {
+    "Deconvolution": (lambda m: Deconvolution(m), IN_TIME),
+    "FieldDeconvolution": (lambda m: FieldDeconvolution(m), IN_TIME),
+    "FrequencyInversion": (lambda m: FrequencyInversion(m, signal="transient"), {"OwnFrf", *IN_TIME}),
+    "HarmonicInversion": (lambda m: HarmonicInversion(m, 80.0), {"OwnFrf"}),
+    "LoadTracker": (lambda m: LoadTracker(m), {"OwnStates"}),
+    "LocationSearch": (lambda m: LocationSearch(m, refine=False), IN_TIME),
+    "SparseDeconvolution": (lambda m: SparseDeconvolution(m), IN_TIME),
+    "StaticInversion": (lambda m: StaticInversion(m), {"OwnStatic"}),
+}
+
+
+def pulse():
+    load = np.zeros((SAMPLES, 2))
+    load[30:42, 0] = 10 * np.sin(np.pi * (np.arange(12) + 0.5) / 12)
+    return load
+
+
+def data_for(family, kind):
+    """Data of a family, made by the model that is inverted, and the load behind them."""
+    rng = np.random.default_rng(0)
+    if kind == "OwnStatic":
+        truth = np.array([10.0, 4.0])
+        y = SPRINGS @ truth
+    elif kind == "OwnFrf":
+        f = np.array([80.0]) if family == "HarmonicInversion" else np.linspace(20, 200, 40)
+        truth = np.broadcast_to(np.array([10.0, 4.0j]), (len(f), 2))
+        y = np.einsum("ksl,kl->ks", OwnFrf().frf(f), truth)
+    else:
+        truth = pulse()
+        y = OwnImpulse().predict(truth, STEP)
+    noise = 0.01 * np.sqrt(np.mean(np.abs(y) ** 2))
+    y = y + noise * (rng.standard_normal(y.shape) + (1j * rng.standard_normal(y.shape) if np.iscomplexobj(y) else 0))
+    if kind != "OwnFrf":
+        return (y, STEP) if kind in IN_TIME else (y,), truth
+    return (y[0] if len(y) == 1 else Spectra(f, y, noise=np.sqrt(2) * noise),), truth
+
+
+def test_every_family_has_a_place_among_the_users_of_ones_own_model():
+    public = [getattr(loadid, name) for name in loadid.__all__]
+    families = {x.__name__ for x in public if inspect.isclass(x) and inspect.isfunction(getattr(x, "estimate", None))}
+    assert families == set(USERS)
+
+
+@pytest.mark.parametrize(("family", "kind"), [(f, k) for f, (_, can) in USERS.items() for k in MODELS if k in can])
+def test_a_model_of_one_method_goes_through(family, kind, tmp_path, monkeypatch):
+    model = MODELS[kind]()
+    given, truth = data_for(family, kind)
+    found = USERS[family][0](model).estimate(*given)
+    estimate = found.estimate if family == "LocationSearch" else found
+    if family == "LocationSearch":
+        assert found.best == (0,)
+    else:
+        load = estimate.load if family != "HarmonicInversion" else estimate.load[:1] + 1j * estimate.load[1:]
+        load = load.reshape(-1, 2)
+        wrong = np.linalg.norm(load - truth.reshape(-1, 2)[: len(load)])  # without what no response tells at the end
+        assert wrong < 0.5 * np.linalg.norm(truth)
+    assert found.provenance["model"] == model.fingerprint
+    assert "p0" in estimate.summary()
+    estimate.save(tmp_path / "found.h5")
+    again = loadid.load(tmp_path / "found.h5")
+    np.testing.assert_array_equal(again.load, estimate.load)
+    monkeypatch.setattr("loadid.report.html_image", lambda *_, **__: "")  # pictures take seconds, and know no model
+    again.report(tmp_path / "found.html")
+    assert "p0" in (tmp_path / "found.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize(("family", "kind"), [(f, k) for f, (_, can) in USERS.items() for k in MODELS if k not in can])
+def test_a_model_that_a_family_cannot_use_is_refused_by_name(family, kind):
+    """Before anything is inverted, and mostly before any data: with the name of the model, the method, the family."""
+    with pytest.raises(InputError, match=rf"{kind} has no \w+\(\): {family} cannot run on it") as refused:
+        USERS[family][0](MODELS[kind]())
+    able = [name for name, (_, can) in USERS.items() if kind in can]
+    assert any(name in refused.value.hint for name in able)
+
+
+def test_what_is_no_model_is_refused_by_every_family():
+    for family, (make, _) in USERS.items():
+        if family != "StaticInversion":  # that takes a bare matrix
+            with pytest.raises(InputError, match=f"{family}: no forward model"):
+                make(np.eye(3))
+
+
+def test_a_model_that_says_nothing_of_itself_is_told_by_its_answers():
+    """The same class is the same model each time; another answer, another class or another channel is another."""
+
+    class Louder(OwnImpulse):
+        def impulse_response(self, dt, samples, hold="foh"):
+            return 2 * super().impulse_response(dt, samples, hold)
+
+    class OneStep(OwnImpulse):
+        dt = STEP
+
+        def impulse_response(self, dt, samples, hold="foh"):
+            if dt != self.dt:
+                raise ValueError("another step")
+            return super().impulse_response(dt, samples, hold)
+
+    one, other = OwnImpulse(), OwnImpulse()
+    other.sensors = other.sensors[::-1]
+    digests = {m.fingerprint for m in (one, other, Louder(), OneStep(), OwnStatic(), OwnFrf(), OwnStates())}
+    assert len(digests) == 7
+    assert OwnImpulse().fingerprint == one.fingerprint
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_combinations_and_parts_of_ones_own_model_give_what_it_gives(kind):
+    model = MODELS[kind]()
+    under, part = mapped(model, np.eye(2)), SensorSubset(model, np.array([0, 2]))
+    for method in ("static", "frf", "impulse_response", "state_space"):
+        assert under.gives(method) == part.gives(method) == model.gives(method)
+    missing = next(m for m in ("static", "frf") if not model.gives(m))
+    for made in (under, part):
+        with pytest.raises(InputError, match=f"{kind} has no {missing}"):
+            made.require(missing)

@@ -115,12 +115,10 @@ def _fitted(args: Namespace, progress: Any) -> Tracker:
     from loadid.families.kalman import LoadTracker
     from loadid.families.tracking.tracker import Tracker
     from loadid.readers import read
-    from structures.model import Model
 
     made = _made(args)
     model = load_model(args.model)
-    if type(model).state_space is Model.state_space:
-        model.state_space(1.0)  # refuses, and says what runs on it
+    model.require("state_space")
     given: dict[str, Any] = {name: value for name in OPTIONS if (value := getattr(args, name)) is not None}
     if "prior" in given and len(given["prior"]) == 1:
         given["prior"] = given["prior"][0]

@@ -108,11 +108,10 @@ def check_model(findings: Findings, model: Model) -> None:
     """Guards that need the model alone."""
     from loadid import flags
 
-    own = getattr(model, "flags", ())
     findings.run("W114", "model", lambda: flags.not_verified(model.certificate))
-    for code in ("W207", "W208") if hasattr(model, "frequencies") else ():
-        findings.run(code, "model", partial(_of, own, code))
-    structure = getattr(model, "structure", None)
+    for code in ("W207", "W208") if model.frequencies is not None else ():
+        findings.run(code, "model", partial(_of, model.flags, code))
+    structure = model.structure
     if structure is not None:
         from structures.loads import near_support
 
@@ -121,7 +120,7 @@ def check_model(findings: Findings, model: Model) -> None:
     if "rank" in findings.layout:
         size = [findings.layout[k] for k in ("m", "n", "rank")]
         findings.run("W201", "model", lambda: flags.null_space(*size))
-    dt = getattr(model, "dt", None)
+    dt = model.dt
     if dt is not None and model.natural_frequencies is not None:
         findings.run("W509", "model", lambda: flags.aliased(model.natural_frequencies, dt))
 
@@ -147,9 +146,9 @@ def check_pair(findings: Findings, model: Model, record: Record, where: str, res
         findings.run("W509", where, lambda: flags.aliased(model.natural_frequencies, used.dt))
     if record.simulated_by:
         findings.run("W702", where, lambda: flags.inverse_crime(record.simulated_by, model.fingerprint))
-    training = getattr(model, "training", None)
+    training = model.training
     if training:
-        from structures.measured import digests
+        from structures.hits import digests
 
         findings.run("W704", where, lambda: flags.used_for_training(where, training.intersection(digests(used.values))))
 
@@ -179,8 +178,8 @@ def _transfer(model: Model) -> Any:
     """Transfer matrices (lines, sensors, loads): measured, between the resonances, or static; else None."""
     import numpy as np
 
-    if hasattr(model, "H") and hasattr(model, "frequencies"):
-        return model.H[1:]
+    if model.frequencies is not None:
+        return model.frf(model.frequencies)[model.frequencies > 0]
     modes = model.natural_frequencies
     try:
         if modes is not None and np.any(modes > 0):

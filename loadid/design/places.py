@@ -14,7 +14,7 @@ Places = NDArray[np.float64] | None
 
 def of_model(model: Model) -> tuple[Places, Places, Places]:
     """Places of the sensors (sensors, dim), of the loads (loads, dim), and of the nodes of the structure."""
-    structure = getattr(model, "structure", None)
+    structure = model.structure
     if structure is None:
         return None, None, None
     outline = structure.coordinates
@@ -27,7 +27,7 @@ def of_model(model: Model) -> tuple[Places, Places, Places]:
 
 
 def _of_loads(model: Model, nodes: dict[int, NDArray]) -> Places:
-    basis = getattr(model, "basis", None)
+    basis = model.basis
     if basis is not None and getattr(basis, "kind", "") != "polynomials":
         x = np.asarray(basis.coordinates, float)
         x = x[:, None] if x.ndim == 1 else x

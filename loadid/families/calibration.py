@@ -77,9 +77,9 @@ def calibrate(family: StaticInversion, records: Sequence[Any]) -> Calibration:
             hint="calibrate([reading_1, reading_2, ...])",
         )
     given = [_read(family, r, i) for i, r in enumerate(records)]
-    alone = [family._choose(family._pose(g)).lam for g in given]
-    posed = family._pose(_together(given))
-    joint = family._choose(posed)
+    alone = [family.choose(family.pose(g)).lam for g in given]
+    posed = family.pose(_together(given))
+    joint = family.choose(posed)
     told = posed.noise.known and family.noise is None and family.model.noise is None
     positive = np.array([x for x in alone if x > 0] or [1.0])
     names = [g.name if g.data is not None else f"record {i + 1}" for i, g in enumerate(given)]

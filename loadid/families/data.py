@@ -15,9 +15,9 @@ from structures.advice import Advice, Option, Spelling
 from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Flag
-from structures.measured import MeasuredModel, digests
+from structures.hits import digests
 from structures.model import Model
-from structures.statespace import STABLE, StateSpace
+from structures.statespace import STABLE
 from structures.values import real, reals, shown
 
 from ..record import Record, refuse_copies
@@ -140,7 +140,7 @@ def gather(
         )
     for row, channel in zip(wanted, picked.channels, strict=True):
         # arrays without units are taken as they come; a model that states its unit wants it stated
-        stated = row.unit != "arbitrary" or isinstance(model, MeasuredModel)
+        stated = row.unit != "arbitrary" or model.sampled
         if stated and row.unit != channel.unit:
             raise InputError(
                 "the unit of a channel does not fit the sensor of the model",
@@ -193,7 +193,7 @@ def require_stable(model: Model) -> None:
     InputError
         Names the pole: what grows without end cannot be told from the load.
     """
-    if isinstance(model, StateSpace) and model.radius > STABLE:
+    if model.radius > STABLE:
         raise InputError(
             "the model is unstable: its response grows without end, and no load can be told from it",
             where="StateSpace",
@@ -211,7 +211,7 @@ def require_step(model: Model, dt: float) -> None:
     InputError
         Both steps.
     """
-    own = getattr(model, "dt", None)
+    own = model.dt
     if own is not None and abs(dt / own - 1) > SAME:
         raise InputError(
             "the record and the model have different steps",

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 from structures.flags import Flag, codes
-from structures.model import Model
+from structures.model import Model, as_model
 from structures.values import real
 
 from .. import flags as guards
@@ -22,8 +22,6 @@ from ..inverse import diagnose, rules
 from ..inverse.choice import Choice, choose, given, residual_level, unexplained
 from ..inverse.confirm import confirm
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
-from ..inverse.toeplitz import SpectralPath
-from ..inverse.windowed import WindowedPath
 from ..provenance import provenance
 from . import histories
 from .data import Data, gather, health
@@ -142,7 +140,8 @@ class Deconvolution:
             method, penalty, hold, noise, NoiseSource.of(noise_source), guards.allowed(allow), path, initial, leak,
             from_zero, free, signs(constraints), size,
         )  # fmt: skip
-        self.model, self.choice, self.sensors, self.coverage = model, choice, sensors, coverage
+        self.model = as_model(model, "Deconvolution", "impulse_response")
+        self.choice, self.sensors, self.coverage = choice, sensors, coverage
         self._progress = progress or (lambda fraction, text: None)
 
     def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
@@ -174,9 +173,7 @@ class Deconvolution:
         self._progress(0.5, "choosing lambda")
         choice = self._choose(posed)
         self._progress(0.9, "estimating the load")
-        windows = posed.path if isinstance(posed.path, WindowedPath) else None
-        if windows is not None:
-            windows.solve(choice.lam, lambda f, t: self._progress(0.9 + 0.09 * f, t))
+        posed.path.precompute(choice.lam, lambda f, t: self._progress(0.9 + 0.09 * f, t))
         # a residual above the stated noise is model error: the band must not be narrower than what is seen
         sigma = noise_level(posed.path, choice, posed.noise)
         pushed = None
@@ -196,8 +193,8 @@ class Deconvolution:
             own_flags = self._impacts(load, facts, data.dt)
         assert solution.posterior is not None
         std = solution.posterior.std
-        if windows is not None:
-            facts["window_bound"] = windows.solve(choice.lam).bound / float(np.linalg.norm(std))
+        if (bound := posed.path.bound(choice.lam)) is not None:
+            facts["window_bound"] = bound / float(np.linalg.norm(std))
             own_flags = guards.collect([*own_flags, windows_apart(facts["window_bound"])])
         bias = diagnose.hidden(posed.path, choice.lam, load, std)
         self._progress(1.0, "done")
@@ -298,7 +295,7 @@ class Deconvolution:
     @staticmethod
     def _end(posed: Posed, residual: NDArray) -> Flag | None:
         """W505 of what the padded transform cannot represent."""
-        return guards.unfinished(posed.values, residual) if isinstance(posed.path, SpectralPath) else None
+        return guards.unfinished(posed.values, residual) if posed.path.zero_padded else None
 
     def _beginning(self, posed: Posed, choice: Choice, data: Data, sigma: float) -> Flag | None:
         """W518 of a record that starts in motion, where the model starts at rest."""
@@ -331,7 +328,7 @@ class Deconvolution:
                 *guards.parameter(choice, lambda factor: _discrepancy(posed, factor)),
                 guards.inverse_crime(data.record.simulated_by, model.fingerprint),
                 guards.no_coverage(self.coverage),
-                guards.used_for_training("the record", data.fingerprints & getattr(model, "training", frozenset())),
+                guards.used_for_training("the record", data.fingerprints & model.training),
                 guards.resolution(facts["nullity"], penalty, facts["resolution"], "s", facts["peak_bias"]),
             ]
         )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from structures.errors import InputError
-from structures.model import Model
+from structures.model import Model, as_model
 from structures.values import as_array
 
 from ..estimate import LoadEstimate
@@ -112,9 +112,8 @@ def compare_domains(
         raise InputError("a record with gaps has no spectrum to compare with", where="compare_domains",
                          found=f"{int(np.isnan(values).sum())} missing samples", expected="complete channels",
                          hint="take Deconvolution")  # fmt: skip
-    long = (len(values) if values.ndim else 0) * len(model.loads) > LONG and type(
-        model
-    ).state_space is Model.state_space
+    unknowns = (len(values) if values.ndim else 0) * len(as_model(model, "compare_domains", "impulse_response").loads)
+    long = unknowns > LONG and not model.gives("state_space")
     in_time = {"path": "fft"} if long and time is None else dict(time or {})
     timed = Deconvolution(model, **both, **in_time, progress=lambda f, t: told(0.7 * f, t)).estimate(record, dt)
     told(0.7, "by frequency lines")

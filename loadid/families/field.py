@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.mapped import mapped
-from structures.model import Model
+from structures.model import Model, as_model
 from structures.motion import Motion, motion
 from structures.values import positive
 
@@ -94,9 +94,10 @@ class FieldDeconvolution:
                 raise InputError("a ratio stands between a penalty in time and one in space", where="ratio",
                                  found="no spatial prior", expected="space='gradient' or another with it")  # fmt: skip
             ratio = positive("ratio", ratio, where="ratio", unit="1")
-        self.model, self.space, self.length, self.time, self.ratio = model, space, length, time, ratio
+        self.model = as_model(model, "FieldDeconvolution", "impulse_response")
+        self.space, self.length, self.time, self.ratio = space, length, time, ratio
         self.shapes = None if shapes is None else mapped(model, shapes)
-        self.basis = getattr(model, "basis", None)
+        self.basis = model.basis
         self.sensors, self.allow = sensors, guards.allowed(allow)
         spatial.root(space, length, len(model.loads), self.basis, 1)  # refuses before any data
         for name, instead in (("penalty", "time= and space="), ("size", "ratio=")):

@@ -24,8 +24,8 @@ def each_frame(family: StaticInversion, given: Readings) -> LoadEstimate:
     singles = []
     for row in given.values:
         one = replace(given, values=row[None], axis=None)
-        posed = family._pose(one)
-        singles.append(family._answer(one, posed, family._choose(posed)))
+        posed = family.pose(one)
+        singles.append(family.answer(one, posed, family.choose(posed)))
     last = singles[-1]
     lams = [e.choice.lam for e in singles if e.choice is not None]
     bias = None if last.bias is None else np.stack([e.bias for e in singles if e.bias is not None])

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
 from structures.flags import Flag
-from structures.model import Model
+from structures.model import Model, as_model
 from structures.values import real
 
 from .. import flags as guards
@@ -118,7 +118,8 @@ class FrequencyInversion:
         if signal not in (None, *SIGNALS):
             raise InputError("no such kind of record", where="signal", found=repr(signal)[:80],
                              expected=" or ".join(map(repr, SIGNALS)))  # fmt: skip
-        self.model, self.level, self.coverage = model, float(level), coverage
+        self.model = as_model(model, "FrequencyInversion", "frf", "impulse_response")
+        self.level, self.coverage = float(level), coverage
         self.rule = Rule(method, choice, over, neighbours, count, size)
         self.held = rows_of(validation, model) if len(validation) else np.zeros(0, int)
         chosen = rows_of(sensors, model)
@@ -197,7 +198,7 @@ class FrequencyInversion:
                 self.name,
                 settings=self._named_settings(line),
                 inputs=line.inputs,
-                model=getattr(self.model, "fingerprint", "unknown"),
+                model=self.model.fingerprint,
                 prior=self._prior(),
             ),
         )
@@ -269,7 +270,7 @@ class FrequencyInversion:
         allowed = "LID-E306" in self.allow and self.rule.free and np.any(solved.told.gain == 0)
         size = np.sqrt(np.mean(np.abs(solved.path.beta) ** 2, axis=1) + solved.path.outside / solved.path.m)
         strength = size / np.sqrt(solved.noise)
-        decay = getattr(model, "decay_rate", None)
+        decay = model.decay_rate
         return guards.collect(
             [
                 guards.overridden("E306", "rank", facts["rank"], facts["n"]) if allowed else None,
@@ -286,7 +287,7 @@ class FrequencyInversion:
                 None if line.data is None else told.leaking(line.data.values, answer.residual),
                 None if line.facts is None else told.too_coarse(line.facts["bandwidth"], decay),
                 guards.inverse_crime(line.simulated_by, model.fingerprint) if line.simulated_by else None,
-                guards.used_for_training("the record", line.fingerprints & getattr(model, "training", frozenset())),
+                guards.used_for_training("the record", line.fingerprints & model.training),
                 guards.no_coverage(self.coverage),
             ]
         )
@@ -411,8 +412,7 @@ def _spread(rule: Rule, line: LineData) -> Rule:
 
 
 def _variance(model: Model, line: LineData) -> NDArray[np.float64] | None:
-    tell = getattr(model, "frf_variance", None)
-    found = None if tell is None else tell(line.frequencies)
+    found = model.frf_variance(line.frequencies)
     return None if found is None or not np.any(found) else found[:, line.rows]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
-from structures.model import Model
+from structures.model import Model, as_model
 from structures.values import plain, positive
 
 from .. import flags as guards
@@ -81,12 +81,13 @@ class HarmonicInversion:
         coverage: Any = None,
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
-        self.model, self.frequency = model, positive("frequency", frequency, where="HarmonicInversion", unit="Hz")
+        self.model = as_model(model, "HarmonicInversion", "frf")
+        self.frequency = positive("frequency", frequency, where="HarmonicInversion", unit="Hz")
         self.space, self.length, self.choice = space, length, choice
         self.noise, self.noise_source, self.sensors = noise, NoiseSource.of(noise_source), sensors
         self.allow, self.coverage = guards.allowed(allow), coverage
         self._progress = progress or (lambda fraction, text: None)
-        self.basis = getattr(model, "basis", None)
+        self.basis = model.basis
         self.rows = rows_of(sensors, model)
         self.H: Complex = model.frf([self.frequency])[0][self.rows]
         rank = told_apart(self.H[None])

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
 from structures.flags import Flag
-from structures.forward import ForwardModel
-from structures.model import Model
+from structures.model import Model, as_model
 from structures.statespace import StateSpace
 from structures.values import number, real
 
@@ -136,9 +135,7 @@ class LoadTracker:
         coverage: Any = None,
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
-        if not hasattr(model, "loads") or not hasattr(model, "state_space"):
-            raise InputError("no model of a structure", where="model", found=type(model).__name__,
-                             expected="a model with a state space, such as ForwardModel or StateSpace")  # fmt: skip
+        as_model(model, "LoadTracker", "state_space")
         given = list(prior) if isinstance(prior, list | tuple) else [prior] * len(model.loads)
         if len(given) != len(model.loads):
             raise InputError("one prior for each load", where="prior", found=f"{len(given)} priors",
@@ -245,7 +242,7 @@ class LoadTracker:
             noise_source=noise.source if noise.known else INNOVATIONS,
             certificate=certificate,
             flags=self._flags(data, seen, model, settled, certificate, e, tuned.flags),
-            fingerprint=getattr(self.model, "fingerprint", "unknown"),
+            fingerprint=self.model.fingerprint,
             settings=self._settings(),
             inputs={data.record.source or data.record.name or "record": data.record.sha256},
             limits=limits,
@@ -266,7 +263,7 @@ class LoadTracker:
 
     # -- inside -----------------------------------------------------------------------------------------------------
     def _hold(self) -> str | None:
-        if self.hold is not None or not isinstance(self.model, ForwardModel):
+        if self.hold is not None or self.model.structure is None:
             return self.hold
         smooth = all(getattr(g, "name", "") in JOINT or isinstance(g, OU | Matern32 | Matern52) for g in self.given)
         return "joint" if smooth else None
@@ -356,7 +353,7 @@ class LoadTracker:
                 told.overconfident(certificate.nis, e, certificate.sensors),
                 told.believed(self.around["dummy"]),
                 *more,
-                guards.inverse_crime(data.record.simulated_by, getattr(self.model, "fingerprint", "")),
+                guards.inverse_crime(data.record.simulated_by, self.model.fingerprint),
                 guards.no_coverage(self.coverage),
             ]
         )

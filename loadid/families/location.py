@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.flags import Flag
-from structures.model import Model
+from structures.model import Model, as_model
 
 from .. import flags as guards
 from ..design.places import of_model
@@ -392,10 +392,10 @@ def _own(flags: Sequence[Flag]) -> tuple[Flag, ...]:
 
 
 def _check_candidates(model: Model) -> None:
-    if not isinstance(model, Model) or len(model.loads) < 2:
+    if len(as_model(model, "LocationSearch", "impulse_response").loads) < 2:
         raise InputError(
             "no candidates", where="LocationSearch",
-            found=f"a model with {len(model.loads)} load" if isinstance(model, Model) else type(model).__name__,
+            found=f"a model with {len(model.loads)} load",
             expected="a model whose loads are at least two candidate places",
             hint="ForwardModel(structure, sensors, [loads.Point(at=x) for x in grid])",
         )  # fmt: skip

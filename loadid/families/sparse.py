@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 from structures.flags import Flag
-from structures.model import Model
+from structures.model import Model, as_model
 from structures.values import as_array
 
 from .. import flags as guards
@@ -118,7 +118,8 @@ class SparseDeconvolution:
         self.wanted = Wanted(dictionary, knots, nonnegative, groups, reweighted, debias, choice, tol)
         _check(self.wanted, load_class)
         self.posing = posing(hold, noise, noise_source, guards.allowed(allow))
-        self.model, self.sensors, self.coverage, self.load_class = model, sensors, coverage, load_class
+        self.model = as_model(model, "SparseDeconvolution", "impulse_response")
+        self.sensors, self.coverage, self.load_class = sensors, coverage, load_class
         self._progress = progress or (lambda fraction, text: None)
 
     def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
@@ -288,7 +289,7 @@ class SparseDeconvolution:
                 told.stopped_gap(chosen.solution.gap, max(self.wanted.tol, TOLERANCE)),
                 guards.inverse_crime(data.record.simulated_by, model.fingerprint),
                 guards.no_coverage(self.coverage),
-                guards.used_for_training("the record", data.fingerprints & getattr(model, "training", frozenset())),
+                guards.used_for_training("the record", data.fingerprints & model.training),
             ]
         )
 

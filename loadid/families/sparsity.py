@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
-from structures.measured import MeasuredModel
 from structures.model import Model
 
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
@@ -140,7 +139,7 @@ def pose(model: Model, data: Data, posing: Posing) -> Problem:
     InputError
         No usable diagonal (LID-E506), missing samples beside a covariance, different steps.
     """
-    if isinstance(model, MeasuredModel):
+    if model.sampled:
         from .posing.coloured import coloured
         from .posing.lines import measured_response
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.arrays import MatrixModel
 from structures.errors import InputError
-from structures.model import Model
+from structures.model import Model, as_model
 from structures.values import real
 
 from .. import flags as guards
@@ -107,7 +107,7 @@ class StaticInversion:
             choice = 0.0
         if choice is not None and not isinstance(choice, str | Absolute):
             choice = _relative(choice)
-        self.model: Model = model if isinstance(model, Model) else MatrixModel(model)
+        self.model = as_model(MatrixModel.of(model), "StaticInversion", "static")
         self.method, self.penalty, self.choice = method, penalty, choice
         self.constraints = tuple(constraints) if isinstance(constraints, list | tuple) else (constraints,)
         if self.constraints and method == "tsvd":
@@ -117,7 +117,7 @@ class StaticInversion:
         self.noise, self.noise_source, self.interpolation = noise, NoiseSource.of(noise_source), interpolation
         self.sensors, self.allow, self.coverage = sensors, guards.allowed(allow), coverage
         self._progress = progress or (lambda fraction, text: None)
-        self.basis = getattr(self.model, "basis", None)
+        self.basis = self.model.basis
         self.geometry = None if self.basis is None else geometry(self.basis)
         self.H = transfer(self.model, self.allow)
         self.L = smoothness.matrix(penalty, self.H.shape[1], self.basis)
@@ -149,16 +149,16 @@ class StaticInversion:
         """
         given = readings(found, self.model, self.sensors)
         self._progress(0.1, "posing the problem")
-        posed = self._pose(given)
+        posed = self.pose(given)
         refuse_undetermined(self, posed)
         if not joint and len(given.values) > 1:
             from .frames import each_frame
 
             return each_frame(self, given)
         self._progress(0.4, "choosing lambda")
-        choice = self._choose(posed)
+        choice = self.choose(posed)
         self._progress(0.8, "estimating the load")
-        return self._answer(given, posed, choice)
+        return self.answer(given, posed, choice)
 
     def calibrate(self, records: Sequence[Any]) -> Calibration:
         """Choose one relative lambda for several readings, and keep it for `estimate` and `freeze`.
@@ -193,13 +193,13 @@ class StaticInversion:
         perturbed data and prior, which meets them (randomise-then-optimise, an approximation; see
         `ConstrainedPath.sample`): bands made of them are one-sided where they must be.
         """
-        posed = self._pose(readings(found, self.model, self.sensors))
+        posed = self.pose(readings(found, self.model, self.sensors))
         refuse_undetermined(self, posed)
-        choice = self._choose(posed)
+        choice = self.choose(posed)
         return drawn(posed, choice, noise_level(posed.path, choice, posed.noise), draws, seed)
 
     # -- steps ----------------------------------------------------------------------------------------------------
-    def _pose(self, given: Readings, told: Any = None) -> Steady:
+    def pose(self, given: Readings, told: Any = None) -> Steady:
         """Problem of these readings; `told` is the noise level of a calibration, where nobody stated one."""
         return pose(
             self.model,
@@ -213,7 +213,8 @@ class StaticInversion:
             interpolation=self.interpolation,
         )
 
-    def _choose(self, posed: Steady) -> Choice:
+    def choose(self, posed: Steady) -> Choice:
+        """Lambda of a problem: of the calibration, of the user, or by the rules."""
         choice = self.choice
         if self.calibration is not None:
             choice = self.calibration.lam
@@ -226,7 +227,8 @@ class StaticInversion:
         """Without regularisation."""
         return self.penalty is None or (isinstance(self.choice, int | float) and self.choice == 0)
 
-    def _answer(self, given: Readings, posed: Steady, choice: Choice) -> LoadEstimate:
+    def answer(self, given: Readings, posed: Steady, choice: Choice) -> LoadEstimate:
+        """Estimate of a problem at the lambda of a choice."""
         path = posed.path
         # a residual above the stated noise is model error: the band must not be narrower than what is seen
         sigma = noise_level(path, choice, posed.noise)
@@ -286,7 +288,7 @@ class StaticInversion:
         stated = not (self.noise is None and told is None and self.model.noise is None)
         # readings of zero are in the range of any noise; without a noise level they would have no scale
         values = np.zeros((1, len(rows))) if stated else np.ones((1, len(rows)))
-        posed = self._pose(Readings(values, rows, channels, None, "none", ""), told)
+        posed = self.pose(Readings(values, rows, channels, None, "none", ""), told)
         if not posed.noise.known and posed.soft:
             raise InputError(
                 "measured resultants weigh against the noise of the sensors, which is not known",

@@ -79,7 +79,7 @@ def flags(
             guards.absolute_lambda(family.choice.lam, choice.scale) if isinstance(family.choice, Absolute) else None,
             guards.inverse_crime(simulated, model.fingerprint),
             guards.no_coverage(family.coverage),
-            guards.used_for_training("the record", given.fingerprints & getattr(model, "training", frozenset())),
+            guards.used_for_training("the record", given.fingerprints & model.training),
             guards.resolution(
                 facts["nullity"],
                 smoothness.words(family.penalty, family.basis),

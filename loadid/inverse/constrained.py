@@ -16,7 +16,7 @@ from .activeset import Point
 from .conic import refuse_empty
 from .constraints import Constraint
 from .feasible import Feasible, compile_
-from .path import Coefficients, PathPoint, Solution
+from .path import Coefficients, PathPoint, RegularizationPath, Solution
 from .resultants import resultants_of, soft, soft_values, whitening
 from .solver import ConstrainedSolution, ConstrainedSolver, grams
 from .svd import SVDPath
@@ -30,7 +30,7 @@ SCALARS = (
 KEPT = 4  # lambdas whose matrices are kept; their solutions are kept for all
 
 
-class ConstrainedPath:
+class ConstrainedPath(RegularizationPath):
     """Path of ``min |H g - y|^2 + lambda^2 |L g|^2`` under constraints, solved lambda by lambda, each start warm.
 
     The effective degrees of freedom are those of the active face: the divergence of the estimate by the data where
@@ -57,7 +57,6 @@ class ConstrainedPath:
         If no load is admissible (LID-E309).
     """
 
-    smooth = True
     approximation = "active-set approximation"
 
     def __init__(self, path: SVDPath, constraints: Sequence[Constraint] | Constraint, *, sigma: float = 1.0) -> None:
@@ -77,6 +76,7 @@ class ConstrainedPath:
         for each in self._sets:
             refuse_empty(each)
         self.base = _with_soft(path, self.constraints, self.sigma)
+        self.m, self.null, self.scale = self.base.m, path.null, path.scale  # soft resultants are data
         y = self.base.problem.y
         self._columns = y[:, None] if y.ndim == 1 else y
         self._points: dict[float, tuple[Point, ...]] = {}
@@ -88,21 +88,6 @@ class ConstrainedPath:
     def problem(self) -> object:
         """The problem without constraints."""
         return self.path.problem
-
-    @property
-    def m(self) -> int:
-        """Number of data, soft resultants included."""
-        return self.base.m
-
-    @property
-    def null(self) -> int:
-        """Dimension of the null space of the penalty."""
-        return self.path.null
-
-    @property
-    def scale(self) -> NDArray[np.float64]:
-        """Scale of the problem without constraints: a relative lambda times this is the absolute one."""
-        return self.path.scale
 
     @property
     def range(self) -> tuple[float, float]:
@@ -158,9 +143,6 @@ class ConstrainedPath:
             start = prepared.point(column, self._sets[min(k, len(self._sets) - 1)], start)
             out.append(self._load(start))
         return np.stack(out).reshape(np.shape(load))
-
-    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> None:
-        """Not defined: the estimate is not linear in the data."""
 
     # -- solving ------------------------------------------------------------------------------------------------------
     def solve(self, lam: float, warm: ConstrainedSolution | None = None) -> ConstrainedSolution:

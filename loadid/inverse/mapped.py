@@ -89,7 +89,7 @@ def _over_states(base: Any, T: Array) -> Array:
     """Over a state space: the recursion of its own posterior in other coordinates of the load, where T is square."""
     from .statespace.covariance import spread
 
-    record, held = base.record, base._gains
+    record, held = base.record, base.held
     if T.shape[0] != T.shape[1]:
         return _every_sample(base, T)
     # with inputs T w the feedback is T K and the precision T^-T M T^-1, of which the recursion takes the root
@@ -110,7 +110,7 @@ def _every_sample(base: Any, T: Array) -> Array:
     """``T [(E - K) X (E - K)^T + M^-1] T^T`` at every sample, by the recursion of the state's covariance X."""
     from scipy.linalg import solve_triangular
 
-    record, held = base.record, base._gains
+    record, held = base.record, base.held
     X, variance = np.zeros((record.n, record.n)), np.empty((record.samples, len(T)))
     if len(record.free):
         X[np.ix_(record.free, record.free)] = held.start @ held.start.T

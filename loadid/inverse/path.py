@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,66 +70,96 @@ class Solution:
     posterior: Posterior | None
 
 
-@runtime_checkable
-class RegularizationPath(Protocol):
+class RegularizationPath:
     """What the choice rules, the diagnostics and the families ask of any solver.
 
-    Every `lam` is relative: it is multiplied by `scale`, so that no answer depends on units. `m` counts the data,
-    `null` the dimension of the null space of the penalty. A stacked path carries its lines on the first axis.
+    Every `lam` is relative: it is multiplied by `scale`, so that no answer depends on units. A stacked path carries its
+    lines on the first axis. A solver sets `m`, `null` and `scale` and overrides `range`, `at`, `residual`, `solution`
+    and `resolve`; what else it cannot give is None, and a rule that needs it refuses by name.
+
+    Attributes
+    ----------
+    m : int
+        Number of data.
+    null : int
+        Dimension of the null space of the penalty.
+    scale : array
+        Largest generalised singular value: a relative lambda times this is the absolute one.
+    smooth : bool
+        Whether the path is smooth in lambda (Tikhonov) or a staircase (truncation).
+    zero_padded : bool
+        Whether it takes the record as the beginning of one twice as long, in which the response has decayed.
     """
 
-    @property
-    def m(self) -> int:
-        """Number of data."""
-        ...
-
-    @property
-    def null(self) -> int:
-        """Dimension of the null space of the penalty."""
-        ...
-
-    @property
-    def scale(self) -> NDArray[np.float64]:
-        """Largest generalised singular value: a relative lambda times this is the absolute one."""
-        ...
-
-    @property
-    def smooth(self) -> bool:
-        """Whether the path is smooth in lambda (Tikhonov) or a staircase (truncation)."""
-        ...
+    m: int
+    null: int
+    scale: NDArray[np.float64]
+    smooth: bool = True
+    zero_padded: bool = False
 
     @property
     def range(self) -> tuple[float, float]:
         """Sensible interval of relative lambda."""
-        ...
+        raise self._lack("range of lambda")
 
     @property
     def coefficients(self) -> Coefficients | None:
         """Data coefficients where a factorisation exists."""
-        ...
+        return None
+
+    @property
+    def seen(self) -> float | None:
+        """Smallest relative generalised singular value that counts, where no factorisation tells it."""
+        return None
 
     def at(self, lam: ArrayLike) -> PathPoint:
         """Scalars of the path at `lam`."""
-        ...
+        raise self._lack("point at a lambda")
 
     def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64] | None:
         """Squared load error expected at `lam` if the estimate at `pilot` were the load."""
-        ...
+        return None
 
     def residual(self, lam: float) -> NDArray[np.float64]:
         """Whitened residual (samples, sensors)."""
-        ...
+        raise self._lack("residual")
+
+    def residuals(self, lams: NDArray) -> Iterable[NDArray[np.float64]]:
+        """Whitened residuals (samples, sensors) at some lambdas, for the tests of whiteness: near enough for those."""
+        return (self.residual(float(lam)) for lam in lams)
+
+    def white_residual(self, lam: float) -> NDArray[np.float64] | None:
+        """Expected periodogram (lines,) of the residual if the data were unit white noise; None where not known."""
+        return None
+
+    def energies(self) -> tuple[NDArray[np.float64], float] | None:
+        """Energy of the data in each mode that meets some, the best seen mode first, and how many data sets share it.
+
+        None where the modes are no real vectors, or not known.
+        """
+        return None
+
+    def precompute(self, lam: float, progress: Callable[[float, str], None]) -> None:
+        """Do at `lam` what takes long before `solution` is asked, and say how far it is; nothing where nothing does."""
+
+    def bound(self, lam: float) -> float | None:
+        """Largest norm of what `solution` at `lam` may differ by from the exact one; None where it is exact."""
+        return None
 
     def solution(self, lam: float, sigma: float | None) -> Solution:
         """Load coefficients and posterior at noise level `sigma` of the whitened data."""
-        ...
+        raise self._lack("solution")
 
     def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
         """What would be estimated from the noise-free response of `load`: the resolution matrix applied to it."""
-        ...
+        raise self._lack("resolution")
+
+    def _lack(self, what: str) -> InputError:
+        return InputError(f"{type(self).__name__} has no {what}", where="regularization path",
+                          found=type(self).__name__, expected=f"a path that gives its {what}")  # fmt: skip
 
 
-class FactoredPath:
+class FactoredPath(RegularizationPath):
     """Path of ``min |H g - y|^2 + lambda^2 |L g|^2`` split into modes ``(c_i, s_i)`` by a (generalised) SVD.
 
     Filter factors f = c^2 / (c^2 + lambda^2 s^2) and everything that follows from them; Hansen, Rank-Deficient and
@@ -267,6 +296,14 @@ class FactoredPath:
     def rejected(self, lam: ArrayLike) -> NDArray[np.float64]:
         """Share 1 - f of each mode that the fit leaves in the residual, shape (lams, modes)."""
         return self._filter(np.asarray(lam, float))[1]
+
+    def energies(self) -> tuple[NDArray[np.float64], float] | None:
+        """Energy of the data in each mode that meets some, best seen first, and how many frames share it."""
+        if np.iscomplexobj(self.beta) or self.c.ndim > 1:
+            return None
+        met = self.weight > 0
+        order = np.argsort(-self.gamma[met], kind="stable")
+        return (np.abs(self.beta[met]) ** 2)[order], float(self.weight.max(initial=1.0))
 
     def _tiled(self, sums: Callable[[NDArray, slice], NDArray], lam: NDArray) -> NDArray:
         """Sums over the modes at each lambda, (sums, ..., lams), a tile of modes and lambdas at a time.

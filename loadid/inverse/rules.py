@@ -31,7 +31,7 @@ from .sweeping import (
     need_sigma,
     search,
 )
-from .whiteness import ncp_statistic, residuals
+from .whiteness import ncp_statistic
 
 __all__ = ["NULL_SPACE", "RULES", "Refusal", "RuleResult", "Sweep", "ncp_statistic", "run"]
 
@@ -286,7 +286,7 @@ def ncp(sweep: Sweep) -> RuleResult:
         raise Refusal(f"ncp is left out beyond {LONGEST_NCP} data")
     count = len(sweep.lam) if sweep.path.m <= SHORT_NCP else 41
     picks = np.unique(np.linspace(0, len(sweep.lam) - 1, count).round().astype(int))
-    value = [ncp_statistic(rest)[0] for rest in residuals(sweep.path, sweep.lam[picks])]
+    value = [ncp_statistic(rest.reshape(len(rest), -1))[0] for rest in sweep.path.residuals(sweep.lam[picks])]
     k = int(np.argmin(value))
     return RuleResult("ncp", float(sweep.lam[picks[k]]), k in (0, len(picks) - 1))
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +16,9 @@ from .gsvd import EPS, augmented, pad, paired, plain
 from .path import FactoredPath, Solution
 from .posterior import DensePosterior
 from .problem import LinearProblem
+from .whiteness import periodogram
 
+TILE = 2_000_000  # numbers of residuals that are held at once
 WEAK = (1e-11, 1e-4)  # lambda over |H| / |L| between which one solution is worth a QR of its own
 
 
@@ -164,6 +167,35 @@ class SVDPath(FactoredPath):
         """Whitened residual y - H g, in the layout of the data."""
         rest = self.problem.y - self.problem.H @ (self.X @ self.gains(lam))
         return rest.T.reshape(self.problem.layout)
+
+    def residuals(self, lams: NDArray) -> Iterable[NDArray[np.float64]]:
+        """Whitened residuals (samples, sensors) at some lambdas, of one record by one product for a tile of them."""
+        problem = self.problem
+        if problem.y.ndim > 1:
+            yield from super().residuals(lams)
+            return
+        r, samples = self.U.shape[1], problem.layout[0]
+        beta = np.asarray(self.beta)[:r]
+        outside = problem.y - self.U @ beta
+        width = max(1, TILE // len(problem.y))
+        for k in range(0, len(lams), width):
+            rest = (self.rejected(lams[k : k + width])[:, :r] * beta) @ self.U.T + outside
+            yield from rest.reshape(len(rest), samples, -1)
+
+    def white_residual(self, lam: float) -> NDArray[np.float64] | None:
+        """Expected periodogram (lines,) of the residual of unit white noise; None for frames, or few samples."""
+        y, samples = self.problem.y, self.problem.layout[0]
+        if y.ndim > 1 or samples < 4:
+            return None
+        taken = 1 - self.rejected(np.array([lam]))[0, : self.U.shape[1]] ** 2
+        return np.maximum(samples * (len(y) // samples) - self.mode_lines @ taken, 0.0)
+
+    @cached_property
+    def mode_lines(self) -> NDArray[np.float64]:
+        """Periodogram of each left vector, (lines, modes): made once for a factorisation and its copies."""
+        U, samples = self.U, self.problem.layout[0]
+        return np.concatenate([periodogram(U[:, k : k + 64].reshape(samples, -1, U[:, k : k + 64].shape[1]))
+                               for k in range(0, U.shape[1], 64)], axis=1)  # fmt: skip
 
     def solution(self, lam: float, sigma: float | None) -> Solution:
         """Load, (n,) or (frames, n), and with the noise level `sigma` of the whitened data its posterior."""

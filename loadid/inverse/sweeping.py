@@ -108,7 +108,7 @@ def seen_modes(path: RegularizationPath) -> tuple[float, float] | None:
     """
     modes = path.coefficients
     if modes is None:
-        seen = getattr(path, "seen", None)
+        seen = path.seen
         return None if seen is None else (float(seen), 1.0)
     relative = modes.gamma / modes.gamma.max()
     floor = 10 * np.finfo(float).eps * np.sqrt(len(relative))

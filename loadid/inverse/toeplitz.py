@@ -71,6 +71,8 @@ class SpectralPath(FactoredPath):
         Noise energy beyond `power` on single lines: it does not enter the weights, but widens the posterior.
     """
 
+    zero_padded = True
+
     def __init__(
         self,
         H: NDArray,

@@ -8,7 +8,6 @@ plateau, by an F-test of its two halves.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,14 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 from structures.values import plain
 
-from .path import FactoredPath, RegularizationPath
+from .path import RegularizationPath
 from .sweeping import Refusal
 
 KS = 1.36  # 95 % quantile of the Kolmogorov-Smirnov statistic times sqrt(q)
 COLOURED, SPENT = 3.5, 0.1  # the fit itself colours the residual beyond this share of the data: threshold without modes
 ALARM = 1e-3  # one-sided level of the F-test
 TESTABLE = 40  # noise modes below which neither test says anything
-TILE = 2_000_000  # numbers of residuals that are held at once
 
 
 # -- residual --------------------------------------------------------------------------------------------------------
@@ -41,7 +39,7 @@ def ncp_statistic(residual: NDArray) -> tuple[float, float]:
     Refusal
         If there are too few samples, or all are zero.
     """
-    power = _power(residual)
+    power = periodogram(residual)
     q = len(power)
     if q < 2 or power.sum() <= 0:
         raise Refusal("ncp needs a residual with some samples")
@@ -49,26 +47,9 @@ def ncp_statistic(residual: NDArray) -> tuple[float, float]:
     return float(np.linalg.norm(distance)), float(np.abs(distance).max() * np.sqrt(q * residual.shape[1]))
 
 
-def _power(residual: NDArray) -> NDArray[np.float64]:
+def periodogram(residual: NDArray) -> NDArray[np.float64]:
     """Periodogram (lines, ...) of (samples, sensors, ...), without the mean, added over the sensors."""
     return np.sum(np.abs(np.fft.rfft(residual, axis=0)[1:]) ** 2, axis=1)
-
-
-def residuals(path: RegularizationPath, lams: NDArray) -> Iterator[NDArray[np.float64]]:
-    """Whitened residual (samples, sensors) at each lambda; with the left vectors at hand one product for a tile."""
-    U, problem = getattr(path, "U", None), getattr(path, "problem", None)
-    if not isinstance(path, FactoredPath) or problem is None or U is None or problem.y.ndim > 1:
-        own = getattr(path, "residuals", None)  # of many lambdas at once, where a path has a quick way
-        for rest in (path.residual(float(lam)) for lam in lams) if own is None else own(lams):
-            yield rest.reshape(len(rest), -1)
-        return
-    r, samples = U.shape[1], problem.layout[0]
-    beta = np.asarray(path.beta)[:r]
-    outside = problem.y - U @ beta
-    width = max(1, TILE // len(problem.y))
-    for k in range(0, len(lams), width):
-        rest = (path.rejected(lams[k : k + width])[:, :r] * beta) @ U.T + outside
-        yield from rest.reshape(len(rest), samples, -1)
 
 
 @dataclass(frozen=True)
@@ -100,45 +81,23 @@ def residual_test(path: RegularizationPath, lam: float) -> Residual | None:
     noise, tr of (I - A)^2 line by line; elsewhere with a flat one, and with a wider limit once the fit spends more
     than a tenth of the data.
     """
-    rest = next(residuals(path, np.array([lam])))
+    rest = next(iter(path.residuals(np.array([lam]))))
+    rest = rest.reshape(len(rest), -1)
     edf = path.at(lam).edf
     spent = 0.0 if edf is None else float(edf) / path.m
-    expected = _left_by_white_noise(path, lam)
+    expected = path.white_residual(lam)
     if expected is None:
         try:
             statistic = ncp_statistic(rest)[1]
         except Refusal:
             return None
         return Residual(statistic, KS if spent <= SPENT else COLOURED, spent)
-    power = _power(rest)
+    power = periodogram(rest)
     if len(power) < 2 or power.sum() <= 0 or expected.sum() <= 0:
         return None
     distance = np.cumsum(power) / power.sum() - np.cumsum(expected) / expected.sum()
     lines = expected.sum() ** 2 / np.sum(expected**2) * rest.shape[1]  # that carry noise
     return Residual(float(np.abs(distance).max() * np.sqrt(lines)), KS, spent)
-
-
-def _left_by_white_noise(path: RegularizationPath, lam: float) -> NDArray[np.float64] | None:
-    """Expected periodogram of the residual of unit white noise; None where the modes of the data are not known."""
-    U, problem = getattr(path, "U", None), getattr(path, "problem", None)
-    if not isinstance(path, FactoredPath) or U is None or problem is None or problem.y.ndim > 1:
-        return None
-    samples = problem.layout[0]
-    if samples < 4:
-        return None
-    taken = 1 - path.rejected(np.array([lam]))[0, : U.shape[1]] ** 2
-    return np.maximum(samples * (len(problem.y) // samples) - mode_lines(path) @ taken, 0.0)
-
-
-def mode_lines(path: FactoredPath) -> NDArray[np.float64]:
-    """Periodogram of each left vector, (lines, modes): made once for a factorisation and its copies."""
-    found = path.__dict__.get("_mode_lines")
-    if found is None:
-        U, samples = path.U, path.problem.layout[0]  # type: ignore[attr-defined]
-        found = np.concatenate([_power(U[:, k : k + 64].reshape(samples, -1, U[:, k : k + 64].shape[1]))
-                                for k in range(0, U.shape[1], 64)], axis=1)  # fmt: skip
-        path.__dict__["_mode_lines"] = found
-    return found
 
 
 # -- data coefficients -----------------------------------------------------------------------------------------------
@@ -176,13 +135,10 @@ def plateau_test(path: RegularizationPath, lam: float) -> Plateau | None:
 
     White noise has the same energy in each; smooth noise loads the first modes, which are smooth too.
     """
-    edf = path.at(lam).edf
-    if not isinstance(path, FactoredPath) or np.iscomplexobj(path.beta) or path.c.ndim > 1 or edf is None:
+    edf, known = path.at(lam).edf, path.energies()
+    if known is None or edf is None:
         return None
-    met = path.weight > 0
-    copies = float(path.weight.max(initial=1.0))  # frames share their modes
-    order = np.argsort(-path.gamma[met], kind="stable")
-    energy = (np.abs(path.beta[met]) ** 2)[order]
+    energy, copies = known
     rest = energy[int(2 * float(edf) / copies + 5) :]
     half = len(rest) // 2
     if half < 2:

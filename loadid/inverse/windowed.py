@@ -56,6 +56,14 @@ class WindowedPath(ConvolvedPath):
             )
         return self._last[1]
 
+    def precompute(self, lam: float, progress: Progress) -> None:
+        """Solve the windows at a relative lambda, and say how far it is."""
+        self.solve(lam, progress)
+
+    def bound(self, lam: float) -> float | None:
+        """Largest norm of what the windows at a relative lambda may differ by from the solution in one piece."""
+        return self.solve(lam).bound
+
     def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
         self._check(np.asarray(lam))

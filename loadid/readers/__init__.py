@@ -96,7 +96,7 @@ def read(
         Whatever is wrong with the file or with what was asked of it; no other exception leaves a reader.
     """
     found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
-    return _guarded(source, lambda: _settle(_chosen(found, record, source), source, options, found))
+    return guarded(source, lambda: _settle(_chosen(found, record, source), source, options, found))
 
 
 def read_all(
@@ -109,7 +109,7 @@ def read_all(
 ) -> tuple[Record, ...]:
     """All records of a file; arguments and errors as for `read`."""
     found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
-    return _guarded(source, lambda: tuple(_settle(table, source, options, found) for table in found))
+    return guarded(source, lambda: tuple(_settle(table, source, options, found) for table in found))
 
 
 def scan(path: str | os.PathLike[str], *, axis: int | None = None) -> tuple[Table, ...]:
@@ -141,7 +141,7 @@ def outline(
     from .settle import outlined
 
     found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
-    return _guarded(source, lambda: tuple(outlined(table, source, options) for table in found))
+    return guarded(source, lambda: tuple(outlined(table, source, options) for table in found))
 
 
 def _scan(
@@ -169,7 +169,7 @@ def _scan(
 
         found = load_apart(form.name, source, options)
     else:
-        found = _guarded(source, lambda: form.load(source, options), form.name)
+        found = guarded(source, lambda: form.load(source, options), form.name)
     if not found:
         source.refuse("the file holds no record", "nothing", f"samples in {form.name} form")
     return found, source, options
@@ -264,7 +264,7 @@ def _settle(table: Table, source: Source, options: Options, found: list[Table]) 
     return settle(table, source, options)
 
 
-def _guarded(source: Source, action: Any, form: str = "a record") -> Any:
+def guarded(source: Source, action: Any, form: str = "a record") -> Any:
     """Run a reader; damage that it did not foresee is still bad input, and says where."""
     try:
         with warnings.catch_warnings():

@@ -121,7 +121,7 @@ def _tables(request: dict[str, Any]) -> list[Table]:
     except OSError as error:
         raise InputError("the file cannot be opened", where=str(shown), found=str(error)) from None
     form = next(f for f in readers.formats() if f.name == request["form"])
-    tables: list[Table] = readers._guarded(source, lambda: form.load(source, Options(axis=request["axis"])), form.name)
+    tables: list[Table] = readers.guarded(source, lambda: form.load(source, Options(axis=request["axis"])), form.name)
     return tables
 
 

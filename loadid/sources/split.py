@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.channels import Channel
 from structures.errors import InputError
-from structures.measured import MeasuredModel
 from structures.model import Model
-from structures.tabulated import FrfModel
 
 from .synthesis import rows_of
 
@@ -85,24 +83,7 @@ def split(model: Model, validation: Sequence[str | int]) -> Split:
 
 def subset(model: Model, rows: NDArray[np.intp]) -> Model:
     """The same model with some of its sensors, in the order given; a model from measurement stays one."""
-    sensors = [model.sensors[i] for i in rows]
-    if isinstance(model, FrfModel | MeasuredModel):
-        parts: dict[str, Any] = {
-            "sensors": sensors,
-            "loads": model.loads,
-            "variance": None if model.variance is None else model.variance[:, rows],
-            "coherence": None if model.coherence is None else model.coherence[:, rows],
-            "flags": model.flags,
-        }
-        if isinstance(model, MeasuredModel):
-            noise = model.noise_power
-            parts |= {
-                "noise_power": None if noise is None else noise[:, rows], "hits": model.hits, "samples": model.samples,
-            }  # fmt: skip
-        else:
-            parts["interpolate"] = model.interpolate
-        return type(model)(model.frequencies, model.H[:, rows], **parts)
-    return SensorSubset(model, rows)
+    return model.with_sensors(rows) if model.gives("with_sensors") else SensorSubset(model, rows)
 
 
 class SensorSubset(Model):
@@ -119,6 +100,7 @@ class SensorSubset(Model):
         self.model, self.rows = model, np.asarray(rows, np.intp)
         self.sensors: tuple[Channel, ...] = tuple(model.sensors[i] for i in self.rows)
         self.loads, self.flags = model.loads, model.flags
+        self.dt, self.frequencies = model.dt, model.frequencies
 
     def static(self) -> NDArray[np.float64]:
         """As the model, some rows."""
@@ -130,9 +112,27 @@ class SensorSubset(Model):
 
     def frf_variance(self, frequencies: ArrayLike) -> NDArray[np.float64] | None:
         """As the model, some rows; None where it knows none."""
-        ask = getattr(self.model, "frf_variance", None)
-        found = None if ask is None else ask(frequencies)
+        found = self.model.frf_variance(frequencies)
         return None if found is None else np.asarray(found, float)[:, self.rows]
+
+    def noise_spectrum(self, frequencies: ArrayLike) -> NDArray[np.float64] | None:
+        """As the model, some columns; None where it knows none."""
+        found = self.model.noise_spectrum(frequencies)
+        return None if found is None else found[:, self.rows]
+
+    def has_lines(self, frequencies: ArrayLike) -> NDArray[np.bool_]:
+        """As the model."""
+        return self.model.has_lines(frequencies)
+
+    def gives(self, method: str) -> bool:
+        """As the model, where some of its sensors have the method."""
+        return super().gives(method) and self.model.gives(method)
+
+    def refuse(self, method: str, family: str | None = None) -> NoReturn:
+        """Refuse a method in the name of the model, where it is the model that has none."""
+        if not self.model.gives(method):
+            self.model.refuse(method, family)
+        super().refuse(method, family)
 
     def impulse_response(self, dt: float, samples: int, hold: str = "foh") -> NDArray[np.float64]:
         """As the model, some rows."""
@@ -160,6 +160,21 @@ class SensorSubset(Model):
         return self.model.default_hold
 
     @property
+    def moving(self) -> bool:
+        """As the model."""
+        return self.model.moving
+
+    @property
+    def radius(self) -> float:
+        """As the model."""
+        return self.model.radius
+
+    @property
+    def training(self) -> frozenset[str]:
+        """As the model."""
+        return self.model.training
+
+    @property
     def natural_frequencies(self) -> NDArray[np.float64] | None:
         """As the model."""
         return self.model.natural_frequencies
@@ -172,6 +187,6 @@ class SensorSubset(Model):
     @property
     def fingerprint(self) -> str:
         """Digest of the model's own and of the rows."""
-        from structures.statespace import digest
+        from structures.values import digest
 
         return digest("SensorSubset", self.model.fingerprint, self.rows)

@@ -219,8 +219,7 @@ def paths(model: Model, estimate: LoadEstimate, rows: list[int], covariance: Arr
     assert estimate.axis is not None
     f = estimate.axis.values
     H = np.asarray(model.frf(f), complex)[:, rows]
-    known = getattr(model, "frf_variance", None)
-    variance = None if known is None else known(f)
+    variance = model.frf_variance(f)
     variance = None if variance is None else np.asarray(variance, float)[:, rows]
     spectrum, std = getattr(estimate, "spectrum", None), np.asarray(estimate.std, float)[:, columns]
     shape = (len(f), len(columns), len(columns))

@@ -179,7 +179,7 @@ def _ratio(predicted: NDArray, measured: NDArray, model: Model) -> tuple[float, 
 def _seen(estimate: LoadEstimate, model: Model) -> set[str]:
     """Digests of the responses that were inverted, and of those that the validation model was made from."""
     inverted = () if estimate.response is None else digests(np.atleast_2d(estimate.response))
-    return {*inverted, *getattr(model, "training", ())}
+    return {*inverted, *model.training}
 
 
 def _ordered(estimate: LoadEstimate, model: Model) -> NDArray[np.float64]:

@@ -54,7 +54,7 @@ def bare(structure: Structure, m: ForwardModel, f: float) -> NDArray[np.complex1
     factor = splu(
         sparse.csc_matrix(D), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )
-    return m._S @ factor.solve(m._columns.toarray().astype(complex))
+    return m._S @ factor.solve(m.columns.toarray().astype(complex))
 
 
 def sweep(cells: int = 50, every: bool = False) -> dict[str, float]:

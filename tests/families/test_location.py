@@ -439,12 +439,12 @@ def test_settings_that_are_none(settings, what):
 
 
 def test_models_that_are_none():
-    with pytest.raises(InputError, match="no candidates"):
+    with pytest.raises(InputError, match="no forward model"):
         LocationSearch(np.eye(3))
     with pytest.raises(InputError, match="no candidates"):
         LocationSearch(beam(CLEAR, [12]))
-    with pytest.raises(InputError, match=r"no impulse_response\(\)"):
-        LocationSearch(MatrixModel(np.ones((3, 2)))).locate(np.ones((20, 3)), 1.0)
+    with pytest.raises(InputError, match=r"no impulse_response\(\): LocationSearch"):
+        LocationSearch(MatrixModel(np.ones((3, 2))))
     mixed = beam(CLEAR).with_loads([loads.Point("12+Z"), loads.Moment("14+RY")])
     with pytest.raises(InputError, match="candidates of different kinds"):
         LocationSearch(mixed)

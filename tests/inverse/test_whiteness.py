@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from loadid.inverse.path import RegularizationPath
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
 from loadid.inverse.toeplitz import toeplitz
@@ -11,11 +12,9 @@ from loadid.inverse.whiteness import (
     COLOURED,
     KS,
     effective_number,
-    mode_lines,
     ncp_statistic,
     plateau_test,
     residual_test,
-    residuals,
 )
 from structures.errors import InputError
 from tests.benchmarks.fredholm import NOISES, PROBLEMS
@@ -40,12 +39,12 @@ def test_residuals_of_a_tile_are_those_of_the_path() -> None:
     y = np.random.default_rng(0).standard_normal((40, 3))
     path = SVDPath(LinearProblem.whitened(T, y, shape=(40, 2)))
     lams = np.geomspace(1e-3, 1, 7)
-    for lam, found in zip(lams, residuals(path, lams), strict=True):
+    for lam, found in zip(lams, path.residuals(lams), strict=True):
         np.testing.assert_allclose(found, path.residual(lam), atol=1e-10)
     frames = SVDPath(LinearProblem.whitened(T.reshape(-1, T.shape[-1]), y.ravel())).with_data(
         np.outer(y.ravel(), [1, 2.0])
     )
-    for lam, found in zip(lams, residuals(frames, lams), strict=True):
+    for lam, found in zip(lams, frames.residuals(lams), strict=True):
         np.testing.assert_allclose(found, frames.residual(lam).reshape(2, -1), atol=1e-10)
 
 
@@ -57,7 +56,7 @@ def test_expected_periodogram_is_that_of_the_projected_noise() -> None:
     left = np.eye(N) - A
     power = np.sum(np.abs(np.fft.rfft(left, axis=0)[1:]) ** 2, axis=1)
     taken = 1 - path.rejected(np.array([lam]))[0, : path.U.shape[1]] ** 2
-    np.testing.assert_allclose(N - mode_lines(path) @ taken, power, atol=1e-8 * N)
+    np.testing.assert_allclose(N - path.mode_lines @ taken, power, atol=1e-8 * N)
 
 
 @pytest.mark.parametrize("lam", [0.05, 3e-4])
@@ -71,7 +70,7 @@ def test_white_noise_passes_at_the_stated_level_however_much_the_fit_spends(lam:
     assert np.mean([not f.white for f in found]) < 0.09
     if found[0].spent > 0.3:  # the flat expectation is refuted by the fit itself
         flat = [
-            ncp_statistic(next(residuals(path.with_data(rng.standard_normal(120)), np.array([lam])))) for _ in range(50)
+            ncp_statistic(path.with_data(rng.standard_normal(120)).residual(lam).reshape(120, -1)) for _ in range(50)
         ]
         assert np.mean([s > KS for _, s in flat]) > 0.3
 
@@ -83,7 +82,7 @@ def test_correlated_noise_is_refuted(kind: str) -> None:
 
 
 def test_a_path_without_modes_takes_the_wider_limit_once_the_fit_spends() -> None:
-    class Plain:
+    class Plain(RegularizationPath):
         m, null = 60, 0
 
         def __init__(self, edf: float) -> None:

@@ -440,7 +440,7 @@ def test_thousands_of_candidates_stay_sparse():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(basis) == 5043
-    assert model._columns.nnz == 5043
+    assert model.columns.nnz == 5043
     assert peak < 60e6  # one dense array of these columns has 407 MB
 
 

@@ -90,7 +90,7 @@ def test_perturbed_models():
     assert np.allclose(model.perturbed("mass", 4.0).natural_frequencies, f / 2)
     assert model.perturbed("damping", 1.5).decay_rate == pytest.approx(1.5 * model.decay_rate)
     assert model.perturbed("stiffness", 1.25).static()[0] == pytest.approx(model.static()[0] / 1.25)
-    assert model.perturbed("mass", 1.1)._settings == model._settings
+    assert model.perturbed("mass", 1.1).settings == model.settings
     with pytest.raises(InputError, match="no such parameter"):
         model.perturbed("colour", 1.1)
 

@@ -128,7 +128,7 @@ def test_the_bound_holds_where_the_basis_is_far_too_small(case, first, monkeypat
     monkeypatch.setattr(reduction, "FIRST", first)
     structure, rows, columns, band = CASES[case]()
     model = ForwardModel(structure, rows, columns, reduction="krylov", band=band)
-    found = krylov(structure, model._S, model._columns, band, tolerance=1e12)
+    found = krylov(structure, model._S, model.columns, band, tolerance=1e12)
     f = np.random.default_rng(4).uniform(band / 300, band, 15)
     H, truncation, rounding = found.projection.errors(2 * np.pi * f)
     true = np.abs(H - model.frf(f, method="direct") / model._reading(f)[:, :, None])
@@ -142,7 +142,7 @@ def test_the_bound_holds_for_any_basis_that_covers_the_band(case):
     structure, rows, columns, band = CASES[case]()
     count = int(np.searchsorted(ForwardModel(structure, rows, columns, modes=40).natural_frequencies, 1.2 * band)) + 1
     model, pencil = ForwardModel(structure, rows, columns, modes=count), Pencil.of(structure)
-    W, S, B = model.modes.phi, model._S.toarray().T, model._columns.toarray()
+    W, S, B = model.modes.phi, model._S.toarray().T, model.columns.toarray()
     solve = pencil.factor.solve
     ZC = None if pencil.C is None else solve(pencil.C @ W)
     found = project(pencil, Images(W, pencil.K_s @ W, pencil.M @ W, solve(pencil.M @ W), ZC, S, B, solve(S), solve(B)))
@@ -155,11 +155,11 @@ def test_the_bound_holds_for_any_basis_that_covers_the_band(case):
 def test_depth_is_added_until_the_tolerance_is_met():
     structure, rows, columns, band = CASES["plate"]()
     model = ForwardModel(structure, rows, columns, reduction="krylov", band=band)
-    loose, tight = (krylov(structure, model._S, model._columns, band, tolerance=t) for t in (1e-1, 1e-7))
+    loose, tight = (krylov(structure, model._S, model.columns, band, tolerance=t) for t in (1e-1, 1e-7))
     assert loose.depth < tight.depth
     assert tight.estimate < 1e-7 < loose.estimate < 1e-1
     assert len(tight.projection.theta) < structure.free.size / 5
-    never = krylov(structure, model._S, model._columns, band, tolerance=0.0)  # ends at its rounding
+    never = krylov(structure, model._S, model.columns, band, tolerance=0.0)  # ends at its rounding
     assert len(never.projection.theta) < structure.free.size / 3
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from structures import ForwardModel, bases, beams, damping, loads, modelfile, sensors, storage
+from structures import ForwardModel, MatrixModel, bases, beams, damping, loads, modelfile, sensors, storage
 from structures.errors import InputError
 from structures.statespace import StateSpace
 from structures.structure import Structure
@@ -81,8 +81,10 @@ def test_what_cannot_be_kept_or_read_is_refused(tmp_path):
     moving = loads.MovingPoint(np.linspace(0, 6, 50), direction="-Z")
     with pytest.raises(InputError, match="moves"):
         modelfile.save(ForwardModel(beam, [sensors.Displacement("4+Z")], [moving]), tmp_path / "x.h5")
-    with pytest.raises(InputError, match="not kept"):
+    with pytest.raises(InputError, match="no forward model"):
         modelfile.save(beam, tmp_path / "x.h5")
+    with pytest.raises(InputError, match="MatrixModel is not kept"):
+        modelfile.save(MatrixModel(np.eye(2)), tmp_path / "x.h5")
     assert not (tmp_path / "x.h5").exists()
     found = through(mast(modes=3), tmp_path)
     path = tmp_path / "model.h5"

@@ -94,7 +94,7 @@ def test_the_motion_is_that_of_another_integration(kind, hold):
         C = M @ phi @ np.diag(2 * 0.02 * np.sqrt(model.modes.lam)) @ phi.T @ M
     else:
         C = 0.4 * M + 1e-4 * K if kind else np.zeros_like(K)
-    n, B = len(K), model._columns.toarray()
+    n, B = len(K), model.columns.toarray()
     F = np.zeros((2 * n + 8, 2 * n + 8))
     F[:n, n : 2 * n] = np.eye(n)
     F[n : 2 * n] = np.linalg.solve(M, np.hstack([-K, -C, B, np.zeros((n, 4))]))

@@ -14,7 +14,6 @@ from structures.arrays import ImpulseModel
 from structures.channels import Channel
 from structures.dofs import direction_label
 from structures.errors import InputError
-from structures.forward import ForwardModel
 from structures.loads import Moment, Point
 from structures.model import Model
 from structures.statespace import StateSpace
@@ -62,7 +61,7 @@ class Candidates:
     def _movable(self) -> bool:
         """Whether the model can place loads anywhere in the box, and says the same of its candidates there."""
         model, grid = self.model, self.grid
-        if not (isinstance(model, ForwardModel) and grid is not None and model.structure.field is not None):
+        if grid is None or model.structure is None or model.structure.field is None or not model.gives("with_loads"):
             return False
         kinds = {(type(c), _direction(c)) for c in model.loads}
         if len(kinds) > 1 or not isinstance(model.loads[0], Point | Moment):
@@ -85,24 +84,29 @@ class Candidates:
     def at(self, places: Array) -> Model:
         """The model under loads at places (n, used coordinates)."""
         if self.how == "moved":
-            assert isinstance(self.model, ForwardModel)
             return self.model.with_loads(self._loads(places))
         first = self.model.loads[0]
         channels = [Channel(label=f"load at {_words(p)}", quantity=first.quantity, unit=first.unit) for p in places]
-        if isinstance(self.model, StateSpace):
+        if (own := self._discrete) is not None:
             mix = self._weights(places).T
-            return _columns(self.model, self.model.B @ mix, self.model.D @ mix, channels)
+            return _columns(own, own.B @ mix, own.D @ mix, channels)
         return self._impulses(self.responses(places), channels)
 
     def chosen(self, indices: Sequence[int]) -> Model:
         """The model under some of its candidates."""
         picked = [self.model.loads[j] for j in indices]
-        if isinstance(self.model, ForwardModel) and self.model.basis is None:
+        if self.model.gives("with_loads") and self.model.basis is None:
             return self.model.with_loads(picked)
-        if isinstance(self.model, StateSpace):
+        if (own := self._discrete) is not None:
             columns = list(indices)
-            return _columns(self.model, self.model.B[:, columns], self.model.D[:, columns], picked)
+            return _columns(own, own.B[:, columns], own.D[:, columns], picked)
         return self._impulses(self.h[..., list(indices)], picked)
+
+    @cached_property
+    def _discrete(self) -> StateSpace | None:
+        """The model, where it exists as a state space at its own step only."""
+        model = self.model
+        return None if model.dt is None or not model.gives("state_space") else model.state_space(self.dt, self.hold)
 
     # -- inside -------------------------------------------------------------------------------------------------------
     def _impulses(self, h: Array, loads: Sequence[Any]) -> ImpulseModel:
@@ -123,7 +127,6 @@ class Candidates:
         return made
 
     def _moved(self, places: Array) -> Array:
-        assert isinstance(self.model, ForwardModel)
         return self.model.with_loads(self._loads(places)).impulse_response(self.dt, self.samples, self.hold)
 
     def _weights(self, places: Array) -> Array:

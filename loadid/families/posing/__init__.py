@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from structures.errors import InputError
-from structures.measured import MeasuredModel
 from structures.model import Model
 from structures.statespace import StateSpace
 
@@ -33,7 +32,7 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
     InputError
         No usable diagonal (LID-E506), different steps, or what the path does not take.
     """
-    if isinstance(model, MeasuredModel):
+    if model.sampled:
         if settings.path in ("dense", "statespace"):
             raise InputError("a measured model has no such path", where="path", found=repr(settings.path),
                              expected="'auto', 'fft', 'toeplitz' or 'windows'")  # fmt: skip
@@ -61,7 +60,7 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
 
 def _kind(model: Model, data: Data, settings: Settings) -> tuple[str, StateSpace | None]:
     """Name of the path, and the state space if it is that one."""
-    if getattr(model, "moving", False) and settings.path in ("auto", "statespace"):
+    if model.moving and settings.path in ("auto", "statespace"):
         return "statespace", state_space_of(model, data.dt, settings.hold)
     unknowns = len(data.values) * len(model.loads)
     gaps, floating = bool(data.missing.any()), any(data.offsets)

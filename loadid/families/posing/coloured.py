@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.measured import MeasuredModel
+from structures.model import Model
 from structures.spectra import minimum_phase, smooth_lines
 
 from ...inverse.convolved.path import ConvolvedPath
@@ -41,7 +41,7 @@ class Coloured:
     noise: Noise
 
 
-def coloured(model: MeasuredModel, data: Data, settings: Settings) -> Coloured:
+def coloured(model: Model, data: Data, settings: Settings) -> Coloured:
     """Whiten a record and its measured model in time.
 
     Raises
@@ -52,7 +52,7 @@ def coloured(model: MeasuredModel, data: Data, settings: Settings) -> Coloured:
     raw, noise = measured_response(model, data, settings)
     power = noise.power / len(data.values)
     h, y = _whitened(raw[:, data.rows], data.values, power)
-    variance = model.frf_variance(np.linspace(0, 0.5 / model.dt, len(power)))
+    variance = model.frf_variance(np.linspace(0, 0.5 / float(model.dt or data.dt), len(power)))
     if variance is not None:
         # the errors of the FRFs are in proportion to the load, of which a first estimate knows the power
         load = (WindowedPath if len(y) > WHOLE else ConvolvedPath)(heard(h), y).solution(PILOT, None).load

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
-from structures.measured import MeasuredModel
+from structures.model import Model
 
 from ...inverse.convolution import Convolution
 from ...inverse.convolved.path import ConvolvedPath
@@ -76,7 +76,7 @@ def _posed(
     return Posed(path, noise, compare, values, name, used, visible, full, n, judged, pushing)
 
 
-def convolved_measured(model: MeasuredModel, data: Data, settings: Settings) -> Posed:
+def convolved_measured(model: Model, data: Data, settings: Settings) -> Posed:
     """The same for a measured model, its noise made white in time; with gaps, at its mean level.
 
     Raises

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from structures.advice import Advice
 from structures.errors import InputError
-from structures.measured import MeasuredModel
+from structures.model import Model
 from structures.spectra import padded_length
 
 from ...inverse import diagnose, penalties
@@ -40,7 +40,7 @@ def lines(h: NDArray, values: NDArray, noise: noises.Noise, data: Data, settings
     return _lines(H, h, values, noises.white(noise, len(values), len(H)), data, settings)
 
 
-def measured_lines(model: MeasuredModel, data: Data, settings: Settings) -> Posed:
+def measured_lines(model: Model, data: Data, settings: Settings) -> Posed:
     """Problem of a measured model, with the variance of its FRFs and the noise that its training left on each line.
 
     Raises
@@ -55,30 +55,29 @@ def measured_lines(model: MeasuredModel, data: Data, settings: Settings) -> Pose
     variance = model.frf_variance(f)
     variance = None if variance is None else variance[:, data.rows]
     noise = _measured_noise(model, data, settings, H[:, data.rows], model.noise_spectrum(f))
-    return _lines(H, h[: min(samples, model.samples)], data.values, noise, data, settings, variance)
+    return _lines(H, h[: min(samples, model.samples or samples)], data.values, noise, data, settings, variance)
 
 
-def measured_response(
-    model: MeasuredModel, data: Data, settings: Settings
-) -> tuple[NDArray[np.float64], noises.LineNoise]:
+def measured_response(model: Model, data: Data, settings: Settings) -> tuple[NDArray[np.float64], noises.LineNoise]:
     """Impulse responses (taps, sensors, loads) of a measured model, and its noise line by line."""
     H, f = _measured_lines(model, data)
-    h = np.fft.irfft(H, axis=0)[: min(len(data.values), model.samples)]
+    h = np.fft.irfft(H, axis=0)[: min(len(data.values), model.samples or len(data.values))]
     shift(h[:, data.rows], model, settings.allow)
     return h, _measured_noise(model, data, settings, H[:, data.rows], model.noise_spectrum(f))
 
 
-def _measured_lines(model: MeasuredModel, data: Data) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+def _measured_lines(model: Model, data: Data) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
     """FRFs at the lines of the padded transform of a record, and their frequencies."""
-    if abs(data.dt / model.dt - 1) > 1e-6:
+    own = float(model.dt or data.dt)
+    if abs(data.dt / own - 1) > 1e-6:
         raise InputError(
             "the record and the model have different steps",
             where="estimate",
             found=f"dt = {data.dt:.9g} s",
-            expected=f"dt = {model.dt:.9g} s",
+            expected=f"dt = {own:.9g} s",
             hint=Advice(AS_RECORDED, ", or resample"),
         )
-    f = np.linspace(0, 0.5 / model.dt, padded_length(len(data.values)) // 2 + 1)
+    f = np.linspace(0, 0.5 / own, padded_length(len(data.values)) // 2 + 1)
     return model.frf(f), f
 
 
@@ -125,7 +124,7 @@ def _lines(
 
 
 def _measured_noise(
-    model: MeasuredModel, data: Data, settings: Settings, H: NDArray, spectrum: NDArray | None
+    model: Model, data: Data, settings: Settings, H: NDArray, spectrum: NDArray | None
 ) -> noises.LineNoise:
     """Noise of each line: of the user, of the training hits, of the roughness of one short load, or of the record."""
     samples = len(data.values)

@@ -12,12 +12,9 @@ from structures.advice import Advice
 from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Flag
-from structures.measured import MeasuredModel
 from structures.model import Model
 from structures.spectra import padded_length
-from structures.statespace import digest
-from structures.tabulated import FrfModel
-from structures.values import plain, reals
+from structures.values import digest, plain, reals
 from structures.welch import CrossSpectra, cross_spectra
 
 from ...inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
@@ -206,7 +203,7 @@ def _of_transient(data: Data, model: Model, s: Settings) -> LineData:
     f = np.asarray(np.fft.rfftfreq(padded, data.dt), float)
     X = np.fft.rfft(data.values, padded, axis=0)
     power, known, source = np.tile(samples * noise.level**2, (len(f), 1)), noise.known, noise.source
-    if s.noise is None and isinstance(model, MeasuredModel):
+    if s.noise is None and model.sampled:
         spectrum = model.noise_spectrum(f)
         if spectrum is not None:
             power, known = samples * spectrum[:, data.rows], True
@@ -228,10 +225,9 @@ def _origin(data: list[Data]) -> dict[str, Any]:
 
 def response(model: Model, line: LineData) -> NDArray[np.complex128]:
     """FRF of the model at the lines, (lines, sensors of the model, loads): of a transient that of its sampled form."""
-    if line.data is None or isinstance(model, MeasuredModel):
+    if line.data is None or model.sampled:
         return model.frf(line.frequencies)
-    if isinstance(model, FrfModel):
-        model.impulse_response(line.data.dt, 1)  # refuses, and says what to do
+    model.require("impulse_response")
     h = model.impulse_response(line.data.dt, line.padded // 2, model.default_hold)
     return np.fft.rfft(h, line.padded, axis=0)
 
@@ -258,14 +254,8 @@ def _band(band: Any) -> tuple[float, float]:
 
 def _known_lines(model: Model, f: NDArray, keep: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int_]]:
     """Lines that a table of FRFs has; the others of an averaged spectrum are left out."""
-    if not isinstance(model, FrfModel) or model.interpolate:
-        return f, keep
-    own = model.frequencies
-    at = np.clip(np.searchsorted(own, f), 1, max(len(own) - 1, 1)) if len(own) > 1 else np.zeros(len(f), int)
-    near = np.minimum(np.abs(own[at] - f), np.abs(own[at - 1] - f))
-    step = np.min(np.diff(own)) if len(own) > 1 else max(own[0], 1.0)
-    there = near <= 1e-6 * step
-    if not there.any():
+    there, own = model.has_lines(f), model.frequencies
+    if own is not None and not there.any():
         raise InputError("no line of the spectra is a line of the model", where="frequency lines",
                          found=f"spectra {f[0]:.6g} to {f[-1]:.6g} Hz, {len(f)} lines",
                          expected=f"some of the {len(own)} lines {own[0]:.6g} to {own[-1]:.6g} Hz",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
-from structures.forward import ForwardModel
+from structures.model import as_model
 
 from ... import flags as guards
 from ...flags.tracking import other_model
@@ -103,8 +103,8 @@ def renewed(f: Fitted, model: Any) -> Fitted:
         model=made,
         settled=None if f.settled is None else steady(made, f.dt),
         bank=tuple((w, m, None if f.settled is None else steady(m, f.dt)) for w, m in f.recipe.bank(model, f.dt)),
-        fingerprint=getattr(model, "fingerprint", "unknown"),
-        flags=guards.collect([*f.flags, other_model(f.fingerprint, getattr(model, "fingerprint", "unknown"))]),
+        fingerprint=model.fingerprint,
+        flags=guards.collect([*f.flags, other_model(f.fingerprint, model.fingerprint)]),
         stale=True,
     )
 
@@ -116,9 +116,7 @@ def same_channels(f: Any, model: Any) -> None:
     ------
     InputError
     """
-    if not hasattr(model, "loads") or not hasattr(model, "state_space"):
-        raise InputError("no model of a structure", where="update_model", found=type(model).__name__,
-                         expected="a model with a state space, such as ForwardModel or StateSpace")  # fmt: skip
+    as_model(model, "update_model", "state_space")
     if max(f.recipe.rows) >= len(model.sensors) or len(f.recipe.noise) != len(model.sensors):
         raise InputError("a model with other sensors", where="update_model", found=f"{len(model.sensors)} sensors",
                          expected=f"{len(f.recipe.noise)}")  # fmt: skip
@@ -137,15 +135,17 @@ def carried(before: Any, after: Any, nx: int) -> NDArray[np.float64] | None:
 
     None where the two do not share any: then nothing is known of the states but their number.
     """
-    if not (isinstance(before, ForwardModel) and isinstance(after, ForwardModel)):
+    if before.structure is None or after.structure is None:
         return None
     one, two = before.reduced, after.reduced
+    if one is None or two is None:
+        return None
     k = len(one.lam)
     filtered = bool(np.any(one.corner > 0) or np.any(two.corner > 0))
     mass = after.structure.M_free
     if len(two.lam) != k or 2 * k != nx or filtered or mass is None:
         return None
-    old, new = before._shapes.phi, after._shapes.phi
+    old, new = before.shapes.phi, after.shapes.phi
     if old.shape != new.shape:
         return None
     shapes = new.T @ (mass @ old)

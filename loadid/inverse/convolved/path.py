@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
 
-from ..path import PathPoint, Solution
+from ..path import PathPoint, RegularizationPath, Solution
 from . import probes
 from .between import STEP, Table, Traces, logs
 from .circulant import Circulant
@@ -28,7 +28,7 @@ TRIED, TRY_TO = 1 << 15, 0.1  # samples on which a lambda is tried, and the larg
 LOWEST = 1e-5  # lambda times the largest penalty over the norm of H: below, too many digits are lost
 
 
-class ConvolvedPath:
+class ConvolvedPath(RegularizationPath):
     """``min |H g - y|^2 + lambda^2 |L g|^2`` with H the causal block Toeplitz operator of h, right at both ends.
 
     Nothing is assumed of what comes after the record; before it the load is zero. The penalty acts in time with free
@@ -59,9 +59,6 @@ class ConvolvedPath:
     NotIdentifiable
         A constant (or linear) load that neither the sensors nor the penalty see (LID-E306).
     """
-
-    smooth = True
-    coefficients = None
 
     def __init__(
         self, h: NDArray, y: NDArray, penalty: str = "identity", weight: NDArray | None = None,

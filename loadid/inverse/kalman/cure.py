@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import NotIdentifiable
-from structures.forward import ForwardModel
 from structures.model import Model
 from structures.placing import columns
 
@@ -58,14 +57,16 @@ def cures(model: Model, unseen: NDArray[np.float64], scale: NDArray[np.float64])
     """
     from scipy.linalg import qr
 
-    if not isinstance(model, ForwardModel) or model.moving or not unseen.shape[1]:
+    if model.structure is None or model.moving or not unseen.shape[1]:
         return ()
     structure = model.structure
     free = [i for i, index in enumerate(structure.free) if abs(structure.dofs[index].direction) <= 3]
     free = free[:: 1 + len(free) // MOST]
     B = columns(structure, model.loads if model.basis is None else model.basis)
     try:
-        moved = model.factor.solve(B @ (np.asarray(scale, float)[:, None] * unseen))[free]
+        if (factor := model.factor) is None:
+            return ()
+        moved = factor.solve(B @ (np.asarray(scale, float)[:, None] * unseen))[free]
     except NotIdentifiable:
         return ()
     pivots = qr(moved.T, mode="r", pivoting=True)[1]

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from structures.continuous import continuous
 from structures.errors import InputError
-from structures.mapped import MappedModel
-from structures.model import Model
-from structures.statespace import StateSpace
+from structures.model import Model, as_model
 from structures.values import positive, shown
 
 from .priors import Companion, Prior, diagonal
@@ -44,9 +42,7 @@ class Matrices:
     @classmethod
     def of(cls, model: Any, dt: float, hold: str | None) -> Matrices:
         """Those of a model; refused by name where it has none that stay."""
-        if not isinstance(model, Model):
-            raise InputError("no forward model", where="augment", found=shown(model),
-                             expected="a model with a state space")  # fmt: skip
+        model = as_model(model, "augment", "state_space")
         hold = model.default_hold if hold is None else hold
         if hold not in HOLDS:
             raise InputError("no such hold", where="hold", found=shown(hold), expected=", ".join(map(repr, HOLDS)),
@@ -82,18 +78,17 @@ class Matrices:
         LQ = diagonal([rest, LQz])
         return F, LQ, H, L0
 
-    def displaced(self, model: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def displaced(self, model: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Displacements where and as the loads act, of the states (loads, nx) and of the loads (loads, loads).
 
         Those of the modes: what the modes left out add under a static load is not among them.
         """
-        inner: Any = model.model if isinstance(model, MappedModel) else model
         rates = _rates(model)
         if rates is None:
-            raise InputError(f"{type(inner).__name__} knows no displacement at its loads", where="dummy",
+            raise InputError(f"{type(model).__name__} knows no displacement at its loads", where="dummy",
                              found="no modes", expected="a model with modes, as ForwardModel has them",
                              hint="a displacement sensor of the model that is zero does the same")  # fmt: skip
-        omega = np.sqrt(inner.reduced.lam)
+        omega = np.sqrt(model.reduced.lam)
         C = np.zeros((rates[1].shape[1], len(self.A)))
         C[:, 2 * np.arange(len(omega))] = rates[1][1 : 2 * len(omega) : 2].T / np.where(omega > 0, omega, 1.0)
         if self.hold != "foh":
@@ -133,28 +128,18 @@ class Matrices:
         return *step(rates, pushes, self.dt), H, L0
 
 
-def _continuous(model: Any) -> Parts:
+def _continuous(model: Model) -> Parts:
     """Matrices in continuous time of a model that has modes."""
-    if isinstance(model, MappedModel):
-        A, B, C, D = _continuous(model.model)
-        return A, B @ model.T, C, D @ model.T
-    if type(model).state_space is Model.state_space:
-        model.state_space(1.0)  # refuses by name
-    if isinstance(model, StateSpace) or not hasattr(model, "reduced"):
+    if model.reduced is None:
         raise InputError(f"{type(model).__name__} exists from sample to sample only: it has no joint hold",
                          where="hold", found="'joint'", expected=f"hold={model.default_hold!r}",
                          hint="'joint' needs a model with modes, as ForwardModel has them")  # fmt: skip
     return continuous(model.reduced)
 
 
-def _rates(model: Any) -> tuple[NDArray, NDArray] | None:
+def _rates(model: Model) -> tuple[NDArray, NDArray] | None:
     """A and B in continuous time of a model that has modes and constant matrices; None of any other."""
-    if isinstance(model, MappedModel):
-        found = _rates(model.model)
-        return None if found is None else (found[0], found[1] @ model.T)
-    if isinstance(model, StateSpace) or not hasattr(model, "reduced"):
-        return None
-    if model.reduced.moving or model.reduced.loss != 0:
+    if model.reduced is None or model.reduced.moving or model.reduced.loss != 0:
         return None
     return continuous(model.reduced)[:2]
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from structures.errors import InputError
 
 from .. import rules
-from ..path import FactoredPath, PathPoint, RegularizationPath
+from ..path import FactoredPath, PathPoint
 from .pooled import window
 from .posterior import Factored
 
@@ -86,7 +85,7 @@ def choose(name: str, sweep: LineSweep) -> NDArray[np.float64]:
 
 def joint_sweep(path: JoinedPath, sigma: float | None, points: int) -> rules.Sweep:
     """Sweep of all lines together, for rules that ask for no residual."""
-    return rules.Sweep.over(cast(RegularizationPath, path), sigma, points)
+    return rules.Sweep.over(path, sigma, points)
 
 
 def together(name: str, path: JoinedPath, sigma: float | None) -> float:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 
-from ..path import PathPoint, Solution
+from ..path import PathPoint, RegularizationPath, Solution
 from .certificate import gradient
 from .covariance import spread
 from .nodes import Table, Values, powers_of_rest
@@ -54,7 +54,7 @@ class Scalars:
         return np.array([getattr(self, name) for name in FIELDS])
 
 
-class StateSpacePath:
+class StateSpacePath(RegularizationPath):
     """Exact Tikhonov of a finite record over a state space, ``min |H g - y|^2 + lam^2 |L g|^2``, in O(N).
 
     A lambda costs one Riccati recursion over the memory of the record (`riccati`), one covariance recursion for the
@@ -70,9 +70,6 @@ class StateSpacePath:
     scale : float, optional
         Of the problem that this is part of.
     """
-
-    smooth = True
-    coefficients = None
 
     def __init__(self, record: Record, *, quick: bool = False, scale: float | None = None) -> None:
         self.record, self.quick = record, quick

@@ -44,7 +44,7 @@ class StateSpacePosterior:
     @cached_property
     def std(self) -> NDArray[np.float64]:
         """Standard deviation, shape (samples, loads)."""
-        return self.sigma * np.sqrt(self._variances(self._gains))
+        return self.sigma * np.sqrt(self._variances(self.held))
 
     @cached_property
     def noise_std(self) -> NDArray[np.float64]:
@@ -90,7 +90,8 @@ class StateSpacePosterior:
 
     # -- inside -------------------------------------------------------------------------------------------------------
     @property
-    def _gains(self) -> Gains:
+    def held(self) -> Gains:
+        """Gains of the recursion at its lambda, computed when they are asked for first."""
         if self._held is None:
             self._held = gains(self.record, self.lam)
         return self._held
@@ -101,7 +102,7 @@ class StateSpacePosterior:
         return found
 
     def _solve(self, w: NDArray) -> Solved:
-        return solve(self.record, self._gains, np.zeros((self.record.samples, self.record.m)), w)
+        return solve(self.record, self.held, np.zeros((self.record.samples, self.record.m)), w)
 
     def _each(self, w: NDArray, ask: Callable[[NDArray], NDArray]) -> NDArray[np.float64]:
         w = np.asarray(w, float)
