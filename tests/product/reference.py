@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 CLOSE = 1e-8  # relative: every answer, where the problem itself does not magnify rounding more than that
+LOST = 1e-12  # relative response below which the data do not see a load
+MEANT = 1e-5  # relative error by rounding from which a cell would show nothing
 
 
 @dataclass(frozen=True)
@@ -35,20 +37,31 @@ class Problem:
         x = solved(A, b)
         return x[: len(x) - self.spare]
 
+    def undetermined(self, free: bool) -> bool:
+        """Whether the data leave open what the penalty does not hold; `free`: there is no penalty."""
+        null = np.eye(self.H.shape[1]) if free else null_space(np.hstack([self.L, np.zeros((len(self.L), self.spare))]))
+        seen = self.H @ null
+        s = np.linalg.svd(seen / np.linalg.norm(seen, axis=0), compute_uv=False)
+        return bool(len(s) < null.shape[1] or s[-1] <= LOST * s[0])
+
     def truncated(self, cut: float) -> Array:
         """Loads that keep what has a generalised singular value above `cut`, by the standard form of Elden.
 
         L. Elden, BIT 22 (1982) 487; Hansen, SIAM 1998, section 2.3: what L leaves free is fitted first.
         """
-        u, s, vt = np.linalg.svd(self.L)
-        rank = int(np.sum(s > 1e-12 * s[0]))
-        free, weight = vt[rank:].T, vt[:rank].T / s[:rank] @ u[:, :rank].T
+        free, weight = null_space(self.L), np.linalg.pinv(self.L, rcond=1e-12)
         seen = np.linalg.qr(self.H @ free)[0]
         H = self.H @ weight
         U, c, Vt = np.linalg.svd(H - seen @ (seen.T @ H), full_matrices=False)
         keep = c > cut
         x = weight @ (Vt[keep].T @ (U[:, keep].T @ self.y / c[keep]))
         return x + free @ np.linalg.lstsq(self.H @ free, self.y - self.H @ x, rcond=None)[0]
+
+
+def null_space(L: Array) -> Array:
+    """Orthonormal columns that L makes zero."""
+    _, s, vt = np.linalg.svd(L)
+    return vt[int(np.sum(s > 1e-12 * s[0])) :].T
 
 
 def solved(A: Array, b: Array) -> Array:
@@ -90,8 +103,8 @@ def wrapped(h: Array) -> Array:
 def differences(order: int, samples: int, loads: int = 1, *, ends: str = "free", leak: float = 1.0) -> Array:
     """Difference penalty over histories, row by row from binomial coefficients.
 
-    `ends`: ``free`` has full rows only, ``zero`` counts a load that is zero before the first sample, ``round`` lets time
-    run in a circle.
+    `ends`: ``free`` has full rows only, ``zero`` counts a load that is zero before the first sample, ``round`` lets
+    time run in a circle.
     """
     row = np.array([1.0])
     for _ in range(order):
@@ -131,12 +144,13 @@ def assert_agrees(found: Array, problem: Problem, lam: float) -> None:
     A, b = problem.stacked(lam)
     full = solved(A, b)
     bound = max(CLOSE, attainable(A, b, full) * np.linalg.norm(full) / np.linalg.norm(expected))
+    assert bound < MEANT, f"the cell shows nothing: rounding alone makes {bound:.2g}"
     error = np.linalg.norm(found.reshape(-1) - expected) / np.linalg.norm(expected)
     assert error <= bound, f"off the dense reference by {error:.2g} (bound {bound:.2g})"
 
 
 def assert_minimal(found: Array, problem: Problem, lam: float, pushing: Array, slack: float = CLOSE) -> None:
-    """The loads found are the minimum with ``g >= 0`` where `pushing` (flat mask), by the conditions of Karush, Kuhn, Tucker.
+    """The loads found are the minimum with ``g >= 0`` where `pushing` (flat mask): Karush, Kuhn, Tucker.
 
     Loads that are held at zero are columns taken out; what is left is least squares, and the gradient of a held load
     must not pull. A strictly convex problem has one such point.
@@ -154,33 +168,3 @@ def assert_minimal(found: Array, problem: Problem, lam: float, pushing: Array, s
     pull = (A.T @ (b - A @ x))[: len(g)][held]
     scale = np.linalg.norm(A, axis=0).max() * np.linalg.norm(b)
     assert np.all(pull <= slack * scale), f"a held load would push: gradient {pull.max() / scale:.2g} of its scale"
-
-
-def pairs(axes: dict[str, list[str]]) -> list[dict[str, str]]:
-    """Few cells that hold every pair of values of two axes, by taking the cell that adds most, the first of equals."""
-    names = list(axes)
-    missing = {
-        ((a, x), (b, y)) for i, a in enumerate(names) for b in names[i + 1 :] for x in axes[a] for y in axes[b]
-    }
-    cells = []
-    while missing:
-        (a, x), (b, y) = min(missing)
-        cell = {a: x, b: y}
-        for name in names:
-            if name not in cell:
-                cell[name] = max(
-                    axes[name],
-                    key=lambda v, n=name: sum(pair_of(n, v, other, w, names) in missing for other, w in cell.items()),
-                )
-        cells.append({name: cell[name] for name in names})
-        ordered = list(cells[-1].items())
-        missing -= {(ordered[i], ordered[j]) for i in range(len(ordered)) for j in range(i + 1, len(ordered))}
-    assert all(len(c) == len(axes) for c in cells)
-    return cells
-
-
-def pair_of(a: str, x: str, b: str, y: str, names: list[str]) -> tuple[tuple[str, str], tuple[str, str]]:
-    """Two values in the order of their axes."""
-    return ((a, x), (b, y)) if names.index(a) < names.index(b) else ((b, y), (a, x))
-
-
