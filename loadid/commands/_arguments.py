@@ -66,10 +66,10 @@ def choice(text: str) -> str | float:
 
 def penalty(text: str) -> str:
     """Name of a penalty, or ``none`` for plain least squares."""
-    from loadid.inverse.penalties import ORDER
+    from loadid.inverse.penalties import ORDER, names
 
     if text not in (*ORDER, NONE):
-        raise ArgumentTypeError(f"{text!r} is no penalty ({', '.join(ORDER)}, {NONE})")
+        raise ArgumentTypeError(f"{text!r} is no penalty ({names()}, {NONE})")
     return text
 
 

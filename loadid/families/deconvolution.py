@@ -22,6 +22,7 @@ from ..inverse import diagnose, rules
 from ..inverse.choice import Choice, choose, given, residual_level, unexplained
 from ..inverse.confirm import confirm
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
+from ..inverse.penalties import order
 from ..provenance import provenance
 from . import histories
 from .data import Data, gather, health
@@ -33,13 +34,11 @@ from .pushing import flags as pushing_flags
 from .pushing import push, signs
 from .shapes import half_width, kurtosis
 
-PRIOR = {
-    "identity": "a load of zero mean and constant variance, white in time",
-    "first_difference": "a random walk in time",
-    "gradient": "a random walk in time",
-    "second_difference": "an integrated random walk in time",
-    "laplacian": "an integrated random walk in time",
-}
+PROCESS = (
+    "a load of zero mean and constant variance, white in time",
+    "a random walk in time",
+    "an integrated random walk in time",
+)  # which a penalty on differences of that order is the prior of
 
 
 class Deconvolution:
@@ -350,8 +349,15 @@ class Deconvolution:
 def _prior(settings: Settings) -> str:
     """The prior in words."""
     if isinstance(settings.penalty, str):
-        return PRIOR[settings.penalty] + ("" if settings.size is None else ", its size held small beside its changes")
+        return _process(order(settings.penalty)) + (
+            "" if settings.size is None else ", its size held small beside its changes"
+        )
     return "none" if settings.penalty is None else "a penalty of the user"
+
+
+def _process(order: int) -> str:
+    """The random process that a difference of this order makes white, in words."""
+    return PROCESS[order] if order < len(PROCESS) else f"a random walk in time, integrated {order - 1} times"
 
 
 def _discrepancy(posed: Posed, factor: float) -> float | None:

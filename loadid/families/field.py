@@ -19,6 +19,7 @@ from .. import flags as guards
 from ..estimate import LoadEstimate
 from ..flags.spacetime import undetermined_field
 from ..inverse.mapped import MappedPosterior
+from ..inverse.penalties import names
 from . import spatial
 from .data import Data, gather
 from .deconvolution import Deconvolution
@@ -85,7 +86,7 @@ class FieldDeconvolution:
     ) -> None:
         if not isinstance(time, str):
             raise InputError("the penalty in time is a name", where="time", found=type(time).__name__,
-                             expected="identity, first_difference or second_difference")  # fmt: skip
+                             expected=f"one of {names()}")  # fmt: skip
         if space is not None and shapes is not None:
             raise InputError("shapes are a spatial prior of their own", where="space", found="space and shapes",
                              expected="one of the two")  # fmt: skip

@@ -13,10 +13,7 @@ from structures.errors import InputError
 from ..inverse import penalties
 
 FIELD = {"gradient": "gradient of the load field", "laplacian": "curvature (Laplacian) of the load field"}
-ORDER = {
-    "first_difference": "differences of neighbouring loads",
-    "second_difference": "second differences of the loads",
-}
+DIFFERENCES = {1: "differences of neighbouring loads", 2: "second differences of the loads"}  # by their order
 
 
 def words(penalty: str | ArrayLike | None, basis: Any) -> str:
@@ -29,8 +26,9 @@ def words(penalty: str | ArrayLike | None, basis: Any) -> str:
         return "loads of zero mean and equal variance, independent of each other"
     if penalty in FIELD and basis is not None:
         return f"a small {FIELD[penalty]}; its mean is left to the data"
-    name = {"gradient": "first_difference", "laplacian": "second_difference"}.get(penalty, penalty)
-    return f"small {ORDER[name]}, in their order; their mean is left to the data"
+    order = penalties.order(penalty)
+    what = DIFFERENCES.get(order, f"differences of order {order} of the loads")
+    return f"small {what}, in their order; their mean is left to the data"
 
 
 def matrix(penalty: str | ArrayLike | None, loads: int, basis: Any) -> NDArray[np.float64] | None:
@@ -52,7 +50,7 @@ def matrix(penalty: str | ArrayLike | None, loads: int, basis: Any) -> NDArray[n
     """
     if penalty is None or (isinstance(penalty, str) and penalties.order(penalty) == 0):
         return None
-    if not isinstance(penalty, str) or basis is None or penalty in ORDER:
+    if not isinstance(penalty, str) or basis is None or penalty not in FIELD:
         if isinstance(penalty, str) and basis is not None and len(basis.components) > 1:
             return _each(penalties.matrix(penalty, basis.points), len(basis.components))
         return penalties.matrix(penalty, loads)

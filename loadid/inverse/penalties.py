@@ -20,18 +20,37 @@ from .surface import surface
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["components", "difference", "graph", "grid", "line", "matrix", "order", "surface", "symbol"]
+__all__ = [
+    "components", "difference", "graph", "grid", "line", "matrix", "names", "order", "stencil", "surface", "symbol",
+]  # fmt: skip
 
+# every named penalty is a difference of the order that stands here; all solvers take any order from this table
 ORDER = {"identity": 0, "gradient": 1, "first_difference": 1, "laplacian": 2, "second_difference": 2}
 
 
+def names() -> str:
+    """The named penalties, for messages."""
+    return ", ".join(ORDER)
+
+
 def order(penalty: str) -> int:
-    """Order of the difference that a named penalty takes: 0, 1 or 2."""
+    """Order of the difference that a named penalty takes; 0 is the load itself.
+
+    Raises
+    ------
+    InputError
+        A name that is none.
+    """
     if penalty not in ORDER:
         raise InputError(
-            "unknown penalty", where="penalty", found=repr(penalty), expected=f"one of {', '.join(ORDER)}, or a matrix"
+            "unknown penalty", where="penalty", found=repr(penalty), expected=f"one of {names()}, or a matrix"
         )
     return ORDER[penalty]
+
+
+def stencil(degree: int) -> NDArray[np.float64]:
+    """Coefficients (degree + 1,) of a difference of order `degree`, oldest sample first."""
+    return difference(degree + 1, degree)[0]
 
 
 def difference(samples: int, degree: int) -> NDArray[np.float64]:

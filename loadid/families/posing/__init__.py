@@ -25,7 +25,8 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
     ``auto``: dense up to some thousand unknowns, where penalties are matrices, and without regularisation; beyond, and
     for missing samples, offsets of channels or an initial state, the state-space path of a model with a few dozen
     states, else convolution, of a long record in windows.
-    Measured models go by lines, which carry the errors of their FRFs; the truncated SVD by dense matrix or by lines.
+    Measured models go by lines, which carry the errors of their FRFs, and by convolution for missing samples and signs;
+    the truncated SVD by dense matrix or by lines.
 
     Raises
     ------
@@ -36,7 +37,8 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
         if settings.path in ("dense", "statespace"):
             raise InputError("a measured model has no such path", where="path", found=repr(settings.path),
                              expected="'auto', 'fft', 'toeplitz' or 'windows'")  # fmt: skip
-        if settings.path in ("toeplitz", "windows") or data.missing.any() or settings.signed is not False:
+        beyond_lines = settings.signed is not False or (data.missing.any() and not settings.truncated)
+        if settings.path in ("toeplitz", "windows") or (settings.path == "auto" and beyond_lines):
             return convolved_measured(model, data, settings)
         settings.refuse_special("line by line")
         return measured_lines(model, data, settings)
@@ -61,6 +63,9 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
 def _kind(model: Model, data: Data, settings: Settings) -> tuple[str, StateSpace | None]:
     """Name of the path, and the state space if it is that one."""
     if model.moving and settings.path in ("auto", "statespace"):
+        if settings.truncated:
+            raise InputError("loads that move have no singular values to truncate", where="method", found="'tsvd'",
+                             expected="method='tikhonov'")  # fmt: skip
         return "statespace", state_space_of(model, data.dt, settings.hold)
     unknowns = len(data.values) * len(model.loads)
     gaps, floating = bool(data.missing.any()), any(data.offsets)

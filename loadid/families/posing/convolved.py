@@ -11,6 +11,7 @@ from structures.model import Model
 from ...inverse.convolution import Convolution
 from ...inverse.convolved.path import ConvolvedPath
 from ...inverse.nonnegative.solver import NonNegativeRecord
+from ...inverse.penalties import names
 from ...inverse.streamed import Stream, heard
 from ...inverse.whitening import whiten
 from ...inverse.windowed import WindowedPath, beginning_of
@@ -34,7 +35,7 @@ def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data:
     """
     if not isinstance(settings.penalty, str):
         raise InputError("the Toeplitz path takes a named penalty", where="penalty", found="a matrix or None",
-                         expected="identity, first_difference or second_difference")  # fmt: skip
+                         expected=f"one of {names()}; a matrix goes by path='dense'")  # fmt: skip
     if missing.any() and noise.level.ndim == 2:
         raise InputError("missing samples take a noise std per sensor, not a covariance", where="noise",
                          found=f"covariance {noise.level.shape}", expected=f"({len(data.rows)},)")  # fmt: skip
@@ -86,7 +87,7 @@ def convolved_measured(model: Model, data: Data, settings: Settings) -> Posed:
     """
     if not isinstance(settings.penalty, str):
         raise InputError("the Toeplitz path takes a named penalty", where="penalty", found="a matrix or None",
-                         expected="identity, first_difference or second_difference")  # fmt: skip
+                         expected=f"one of {names()}; a matrix goes by path='dense'")  # fmt: skip
     if data.missing.any():
         h, line_noise = measured_response(model, data, settings)
         level = np.sqrt(np.mean(line_noise.power, axis=0) / len(data.values))

@@ -42,7 +42,7 @@ def dense(h: NDArray, values: NDArray, noise: Noise, data: Data, settings: Setti
     if data.missing.any():
         raise InputError(
             "the dense path takes no missing samples", where="record", found=data.gaps, expected="complete channels",
-            hint="use a named penalty and path='auto'",
+            hint="use a named penalty, method='tikhonov', lambda > 0 and path='auto'",
         )  # fmt: skip
     used = h[:, data.rows]
     T = toeplitz(used)
@@ -65,7 +65,7 @@ def dense(h: NDArray, values: NDArray, noise: Noise, data: Data, settings: Setti
     def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
         if not isinstance(penalty, str):
             raise InputError("signs take a named penalty", where="penalty", found="a matrix or None",
-                             expected="identity, first_difference or second_difference")  # fmt: skip
+                             expected=f"one of {penalties.names()}")  # fmt: skip
         return NonNegativeRecord.convolved(
             whiten(used, noise.level, 1), whiten(values, noise.level, 1), penalty, signed=signed
         )

@@ -33,9 +33,6 @@ def lines(h: NDArray, values: NDArray, noise: noises.Noise, data: Data, settings
         Missing samples, a covariance, or a penalty without a name.
     """
     settings.refuse_special("line by line")
-    if data.missing.any():
-        raise InputError("the path by lines takes no missing samples", where="record", found=data.gaps,
-                         expected="complete channels", hint="path='auto'")  # fmt: skip
     H = np.fft.rfft(h, padded_length(len(values)), axis=0)
     return _lines(H, h, values, noises.white(noise, len(values), len(H)), data, settings)
 
@@ -46,7 +43,7 @@ def measured_lines(model: Model, data: Data, settings: Settings) -> Posed:
     Raises
     ------
     InputError
-        A record of another step, an FRF that is not causal, or a penalty without a name.
+        A record of another step, an FRF that is not causal, missing samples, or a penalty without a name.
     """
     H, f = _measured_lines(model, data)
     h = np.fft.irfft(H, axis=0)
@@ -90,13 +87,16 @@ def _lines(
     settings: Settings,
     variance: NDArray | None = None,
 ) -> Posed:
+    if data.missing.any():
+        raise InputError("the path by lines takes no missing samples", where="record", found=data.gaps,
+                         expected="complete channels", hint="path='auto' and method='tikhonov'")  # fmt: skip
     penalty = "identity" if settings.penalty is None else settings.penalty
     if not isinstance(penalty, str):
         raise InputError(
-            "a measured model takes a named penalty",
+            "the path by lines takes a named penalty",
             where="penalty",
             found="a matrix",
-            expected=", ".join(penalties.ORDER),
+            expected=f"one of {penalties.names()}",
         )
     used = H[:, data.rows]
     path = SpectralPath(

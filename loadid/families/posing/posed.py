@@ -57,6 +57,8 @@ class Settings:
         _one_of("from_zero", self.from_zero, (False, True))
         if isinstance(self.penalty, str):
             order(self.penalty)
+        if self.truncated:
+            self._check_truncated()
         if self.leak is not None:
             object.__setattr__(self, "leak", number("leak", self.leak, where="leak"))
         if self.size is not None:
@@ -65,6 +67,15 @@ class Settings:
             _one_of("initial", self.initial, ("rest", "unknown"))
         else:
             object.__setattr__(self, "initial", reals(self.initial, what="no initial state", where="initial"))
+
+    def _check_truncated(self) -> None:
+        if self.path in ("statespace", "toeplitz", "windows"):
+            raise InputError("this path has no singular values to truncate", where="method",
+                             found=f"'tsvd' with path={self.path!r}",
+                             expected="path='auto', 'dense' or 'fft', or method='tikhonov'")  # fmt: skip
+        if self.signed is not False:
+            raise InputError("a truncated SVD takes no constraints", where="method", found="'tsvd'",
+                             expected="method='tikhonov'")  # fmt: skip
 
     def _check_size(self) -> None:
         object.__setattr__(self, "size", reals(self.size, what="no weights of the size", where="size"))
@@ -128,7 +139,8 @@ class Settings:
             name = name if self.special else "size"
             raise InputError(
                 f"the {path} path does not know this setting", where=name, found=repr(getattr(self, name))[:60],
-                expected="a model with state_space() and path='auto' or 'statespace'",
+                expected="a named penalty, Tikhonov with lambda > 0, a model with state_space(), and path='auto' or "
+                "'statespace'",
             )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from structures.statespace import StateSpace
 from structures.values import plain
 
 from ...inverse.nonnegative.solver import NonNegativeRecord
+from ...inverse.penalties import names
 from ...inverse.statespace.augmented import Augmented, augment
 from ...inverse.statespace.coarse import windows_of
 from ...inverse.statespace.measured import measured, moving
@@ -60,7 +61,7 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     """
     if not isinstance(settings.penalty, str):
         raise InputError("the state-space path takes a named penalty", where="penalty", found="a matrix or None",
-                         expected="identity, first_difference or second_difference")  # fmt: skip
+                         expected=f"one of {names()}; a matrix goes by path='dense'")  # fmt: skip
     C, D = _advanced(system, late)
     rows, values, missing = data.rows, data.values[late:], data.missing[late:]
     start = _start(system, settings)

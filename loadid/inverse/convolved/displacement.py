@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..penalties import stencil
 from .circulant import Circulant
 from .operator import Operator
 from .pcg import Reached, Sides, solve
@@ -22,7 +23,6 @@ TOLERANCE = 1e-13  # of the columns: the differences of their products lose digi
 SWEPT, MANY = 12, 24  # columns beyond which probes cost less: at each node of a path, and at one lambda
 SHORTEST = 2048  # samples of the first record that is tried in place of a long one
 FLAT = 1e-6  # relative change of a plateau over a quarter of the record
-STENCIL = {0: np.array([1.0]), 1: np.array([-1.0, 1.0]), 2: np.array([1.0, -2.0, 1.0])}
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ def _products(a: NDArray, b: NDArray) -> NDArray[np.float64]:
 def _generators(operator: Operator, lam: float) -> Generators:
     """Generators at an absolute lambda."""
     p, N, o, m = operator.loads, operator.samples, operator.order, operator.sensors
-    falls, stencil = edges(operator), STENCIL[operator.order]
+    falls, difference = edges(operator), stencil(operator.order)
     ends = 2 * p if o else 0
     r = ends + len(falls)
     v, sign = np.zeros((r, p, N)), np.ones(r)
@@ -181,10 +181,10 @@ def _generators(operator: Operator, lam: float) -> Generators:
     b[each, each, 0] = b[p + each, each, -1] = 1.0
     if o:
         for k in each:
-            v[k, k, N - 1 - o :] = lam * stencil
-            v[p + k, k, :o] = lam * stencil[1:]
+            v[k, k, N - 1 - o :] = lam * difference
+            v[p + k, k, :o] = lam * difference[1:]
             c[2 * p + k, k, -1] = 1.0
-            b[3 * p + k, k, :o] = lam * stencil[1:]
+            b[3 * p + k, k, :o] = lam * difference[1:]
         sign[p : 2 * p] = -1.0
     taps = operator.h.shape[-1]
     for row, (t, s, fall) in enumerate(falls, ends):

@@ -30,7 +30,7 @@ class Operator:
     samples : int
         Length of the record.
     penalty : str
-        Named penalty: identity, first or second difference, ends free.
+        Named penalty, a difference of any order, ends free.
     weight : array, shape (samples, sensors), optional
         What each datum is multiplied by; 0 for a missing one.
     """

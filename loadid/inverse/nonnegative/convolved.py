@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..convolved.circulant import Circulant
 from ..convolved.operator import Operator
+from ..penalties import stencil
 
 TOLERANCE = 1e-10  # gradient in the norm of the preconditioner, over that at zero
 MOST = 3000  # iterations of a solve; what they leave undone is in the gap
@@ -87,7 +88,7 @@ class ConvolvedNormal:
     @cached_property
     def diagonal(self) -> NDArray[np.float64]:
         """Diagonal of Q of an unending record, one number for each load, for every unknown."""
-        own = np.sum(self.operator.h**2, axis=(0, 2)) + self.lam**2 * (1.0, 2.0, 6.0)[self.operator.order]
+        own = np.sum(self.operator.h**2, axis=(0, 2)) + self.lam**2 * np.sum(stencil(self.operator.order) ** 2)
         return np.tile(own, self.operator.samples)
 
     def _back(self, response: NDArray, g: NDArray) -> NDArray[np.float64]:

@@ -12,6 +12,8 @@ first difference   x, g_{k-1}           [A B; 0 I]               [B; I]         
 second difference  x, g_{k-1}, d_{k-1}  [A B B; 0 I I; 0 0 I]    [B; I; I]       [C D D]        [0 I I]
 leaky difference   x, g_{k-1}           [A phi B; 0 phi I]       [B; I]          [C phi D]      [0 phi I]
 =================  ===================  =======================  ==============  =============  ===========
+
+A difference of any order adds as many states: the last load, its first difference, and so on.
 """
 
 from __future__ import annotations
@@ -75,7 +77,7 @@ def augment(
     A, B, C, D : array
         Discrete model.
     penalty : str
-        identity, first_difference (gradient) or second_difference (laplacian).
+        Named penalty, a difference of any order.
     leak : float, optional
         The first difference becomes ``g_k - leak g_{k-1}``, 0 < leak < 1.
     from_zero : bool

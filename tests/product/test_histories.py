@@ -1,0 +1,183 @@
+"""Every way to ask for load histories: the answer of the dense reference, or a refusal that names the setting.
+
+The product is full over paths, penalties and single options at a given lambda, and over rules on the paths that are
+cheap to ask. Pruned: pairs of options take path and penalty in turn; on the Toeplitz and window paths, where rules cost
+a second, some rules are asked by name with few penalties (the others run there beside them); models without a state
+space have the options that they treat in their own way.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+
+from loadid import Deconvolution, NotIdentifiable
+from loadid.inverse import penalties, rules, windows
+from structures import ImpulseModel, InputError
+
+from . import histories, reference
+from .histories import DT, LAM, N
+
+PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
+SOLVERS = {
+    "dense": "dense SVD", "statespace": "state space", "toeplitz": "Toeplitz, preconditioned", "windows":
+    "Toeplitz, in windows", "fft": "zero-padded FFT",
+}  # fmt: skip
+NAMED = ("identity", "first", "second", "third")
+
+
+@pytest.fixture(autouse=True)
+def third_difference(monkeypatch):
+    """A penalty as CONTRIBUTING.md adds one, and nothing else."""
+    monkeypatch.setitem(penalties.ORDER, "third_difference", 3)
+
+
+def check(kind, path, penalty, choice, options, count=2):
+    """One cell: the answer of the dense reference, or a refusal by a setting that the cell cannot have."""
+    said, y = histories.settings(kind, penalty, options, count)
+    given = not isinstance(choice, str | None) and choice is not False
+    free = penalty == "none" or (given and choice == 0)
+    expected = histories.objections(kind, path, penalty, free, options)
+    if choice is False or (penalty == "none" and choice not in (None, 0)):
+        expected = {"choice"}
+    family, refused, undetermined = (
+        partial(Deconvolution, histories.model(kind, count), path=path, choice=choice),
+        None,
+        False,
+    )
+    try:
+        estimate = family(**said).estimate(y, dt=DT)
+    except InputError as error:
+        refused = error
+    except NotIdentifiable:
+        undetermined = True
+    if refused is not None:
+        assert refused.where in expected, f"refused by {refused.where!r}, not by one of {expected or 'none'}: {refused}"
+        return
+    assert not expected, f"answered, and should be refused by one of {expected}"
+    if undetermined:
+        assert histories.problem(kind, path == "fft", penalty, options, count).undetermined(free)
+        return
+    assert all(np.all(np.isfinite(x)) for x in (estimate.load, estimate.std, estimate.residual, estimate.bias))
+    assert path == "auto" or estimate.facts["path"].startswith(SOLVERS[path])
+    rule = "given" if given or free else choice
+    lam = 0.0 if free else choice
+    assert "push" in " ".join(options) or rule is None or estimate.choice.rule == rule
+    assert rule != "given" or estimate.choice.lam == lam
+    agrees(estimate, kind, penalty, options, count)
+
+
+def agrees(estimate, kind, penalty, options, count):
+    """The load is that of the cell written out, at the lambda that the estimate says."""
+    lines = estimate.facts["path"] == SOLVERS["fft"]
+    problem = histories.problem(kind, lines, penalty, options, count)
+    lam, load = estimate.choice.lam * estimate.choice.scale, estimate.load
+    if "tsvd" in options or lines:  # what the padded problem puts after the record is dropped
+        expected = problem.truncated(lam) if "tsvd" in options else problem.solution(lam)
+        expected = expected.reshape(-1, count)[:N]
+        error = np.linalg.norm(load - expected) / np.linalg.norm(expected)
+        assert error <= reference.CLOSE, f"off the dense reference by {error:.2g}"
+    elif {"push", "push_one"} & set(options):
+        reference.assert_minimal(load, problem, lam, np.tile([True, "push" in options][:count], N))
+    else:
+        reference.assert_agrees(load, problem, lam)
+
+
+def name(value):
+    """Part of the name of a cell."""
+    return ("+".join(value) or "plain") if isinstance(value, tuple) else str(value)
+
+
+# -- every option alone, at a given lambda ----------------------------------------------------------------------------
+def single():
+    """Full over path, penalty and option for a model with states; for others what differs from that."""
+    for path, penalty, option in product(PATHS, (*NAMED, "matrix", "none"), ("", *histories.OPTIONS)):
+        yield "states", path, penalty, (option,) if option else ()
+    for path, penalty in product(PATHS, ("gradient", "laplacian")):
+        yield "states", path, penalty, ()
+    for path, penalty, option in product(("auto", "toeplitz"), (*NAMED, "matrix", "none"), ("", "gap", "push", "size")):
+        yield "impulses", path, penalty, (option,) if option else ()
+    yield from (("impulses", path, "first", ("tsvd",)) for path in PATHS)
+    few = ("", "gap", "push", "size", "tsvd", "unknown", "covariance")
+    for path, penalty, option in product(("auto", "toeplitz", "fft"), (*NAMED, "matrix", "none"), few):
+        yield "measured", path, penalty, (option,) if option else ()
+    yield from (("measured", path, "first", ()) for path in ("dense", "statespace", "windows"))
+
+
+@pytest.mark.parametrize(("kind", "path", "penalty", "options"), list(single()), ids=name)
+def test_option(kind, path, penalty, options):
+    check(
+        kind,
+        path,
+        penalty,
+        None if penalty == "none" else LAM,
+        options,
+        count=1 if kind == "states" and path in ("toeplitz", "windows") else 2,
+    )
+
+
+# -- pairs of options -------------------------------------------------------------------------------------------------
+def pairs():
+    """Every pair of options with a model that has states; path and penalty run through all their pairs beside it."""
+    beside = list(product(("auto", "statespace", "toeplitz", "dense"), NAMED))
+    for i, (one, other) in enumerate(combinations(histories.OPTIONS, 2)):
+        if histories.OPTIONS[one].keys() & histories.OPTIONS[other].keys():
+            continue
+        yield "auto", "first", (one, other)
+        yield *beside[i % len(beside)], (one, other)
+        yield "statespace", NAMED[i % len(NAMED)], (one, other)
+
+
+@pytest.mark.parametrize(("path", "penalty", "options"), sorted(set(pairs())), ids=name)
+def test_two_options(path, penalty, options):
+    check("states", path, penalty, LAM, options)
+
+
+# -- rules ------------------------------------------------------------------------------------------------------------
+CHOICES = (*rules.RULES, None, False, 0, 0.0, LAM)
+
+
+def ruled():
+    """Full where a path is cheap to ask; elsewhere each rule once, and each penalty."""
+    yield from product(("dense", "statespace", "fft"), ("identity", "third"), CHOICES)
+    yield from (("auto", NAMED[i % 4], choice) for i, choice in enumerate(CHOICES))
+    yield from product(PATHS, ("second", "none"), (None, "gcv", False, 0))
+    asked = ("discrepancy", "dof_discrepancy", "modified_gcv", "quasi_optimality", "evidence", None, LAM)
+    yield from (("toeplitz", "identity", choice) for choice in asked)
+    yield from (("toeplitz", "third", None), ("windows", "identity", "l_curve"), ("windows", "third", 0))
+
+
+@pytest.mark.parametrize(("path", "penalty", "choice"), list(ruled()), ids=name)
+def test_rule(path, penalty, choice):
+    check("impulses" if path in ("toeplitz", "windows") else "states", path, penalty, choice, (), count=1)
+
+
+@pytest.mark.parametrize(
+    "options", [("push",), ("gap",), ("size",), ("unknown",), ("tsvd",), ("covariance",)], ids=name
+)
+@pytest.mark.parametrize("choice", [None, "gcv", "discrepancy", 0])
+@pytest.mark.parametrize("penalty", ["identity", "third"])
+def test_rule_beside_an_option(penalty, choice, options):
+    check("states", "auto", penalty, choice, options, count=1)
+
+
+# -- several windows --------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("gap", [False, True], ids=["complete", "gap"])
+@pytest.mark.parametrize("penalty", NAMED)
+def test_several_windows(monkeypatch, penalty, gap):
+    """A record cut into windows is off the reference by no more than the bound that it states."""
+    monkeypatch.setattr(windows, "SHORT", 40)
+    h, y, noise = histories.echoes(160)
+    if gap:
+        y[70:74] = np.nan
+    said = {"penalty": histories.PENALTIES[penalty], "choice": 2e-4, "noise": noise}
+    estimate = Deconvolution(ImpulseModel(h, DT, kind="held"), path="windows", **said).estimate(y, dt=DT)
+    H, data = reference.whitened(reference.convolution(h), y, noise)
+    problem = reference.Problem(H, data, reference.differences(histories.ORDERS[penalty], len(y)))
+    expected = problem.solution(estimate.choice.lam * estimate.choice.scale)
+    bound = estimate.facts["window_bound"] * np.linalg.norm(estimate.posterior.std)
+    assert bound < 1e-2 * np.linalg.norm(expected)
+    assert np.linalg.norm(estimate.load[:, 0] - expected) <= bound + reference.CLOSE * np.linalg.norm(expected)
