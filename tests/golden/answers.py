@@ -1,7 +1,7 @@
 """What is kept of an answer, the file that keeps it, and how far two answers lie apart.
 
-Of every array at most `KEPT` entries are kept, spread evenly, beside its norm and one weighted sum, so that every entry
-counts. Words are the codes of the flags, the rule, the verdict, and which rules ran.
+Of every array at most `KEPT` entries are kept, spread evenly, beside its largest modulus, its rms and a weighted sum, so
+that every entry counts. Words are the codes of the flags, the rule, the verdict, and which rules ran.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ def answer(estimate: Any, **more: ArrayLike) -> Answer:
 
 
 def kept(values: ArrayLike) -> NDArray[np.float64]:
-    """An array of any shape, flat: whole where it is short, else a part with its norm and a weighted sum."""
+    """An array of any shape, flat: whole where it is short, else a part, its largest modulus, rms and a weighted sum."""
     x = np.atleast_1d(np.asarray(values))
     x = np.ascontiguousarray(x, complex).view(float).ravel() if x.dtype.kind == "c" else x.astype(float).ravel()
     if len(x) <= KEPT:
         return x
     whole = np.nan_to_num(x)
     weights = (np.arange(len(x)) * 7919 % 1009) / 504.5 - 1  # no two neighbours alike
-    sums = [np.linalg.norm(whole), whole @ weights / np.linalg.norm(weights)]
+    sums = [np.abs(whole).max(), np.sqrt(np.mean(whole**2)), whole @ weights / np.linalg.norm(weights)]
     return np.concatenate([x[np.linspace(0, len(x) - 1, KEPT).round().astype(int)], sums])
 
 
@@ -68,7 +68,8 @@ def apart(new: NDArray, old: NDArray) -> float:
         return np.inf
     there = np.isfinite(old)
     difference = np.max(np.abs(new[there] - old[there]), initial=0.0)
-    return 0.0 if difference == 0 else float(difference / np.max(np.abs(old[there]), initial=1e-300))
+    largest = np.max(np.abs(old[: KEPT + 1][there[: KEPT + 1]]), initial=1e-300)  # behind it the sums of `kept`
+    return 0.0 if difference == 0 else float(difference / largest)
 
 
 def changes(new: Answer, old: Answer) -> tuple[dict[str, float], list[str]]:
