@@ -36,14 +36,14 @@ def main(words: list[str] | None = None) -> int:
             continue
         spent = time.process_time() - start
         off, said = answers.changes(new, stored.get(name, answers.Answer({})))
-        beyond = {k: v for k, v in off.items() if not v <= problem.tolerance(k)}
+        beyond = {k: v for k, v in off.items() if not v <= problem.tolerance}
         if beyond or said or name not in stored:
             changed += 1
             stored[name] = new
         if beyond or said or given.all:
             print(f"{name} ({spent:.2f} s): largest difference {max(off.values()):.1e}")
             for key, value in (off if given.all else beyond).items():
-                print(f"    {key}: {value:.1e}, tolerance {problem.tolerance(key):g}")
+                print(f"    {key}: {value:.1e}, tolerance {problem.tolerance:g}")
             for line in said:
                 print(f"    {line}")
     gone = [] if given.names else sorted(stored.keys() - PROBLEMS.keys())

@@ -1,7 +1,7 @@
 """What is kept of an answer, the file that keeps it, and how far two answers lie apart.
 
-Of every array at most `KEPT` entries are kept, spread evenly, beside its largest modulus, its rms and a weighted sum, so
-that every entry counts. Words are the codes of the flags, the rule, the verdict, and which rules ran.
+Of every array at most `KEPT` entries are kept, spread evenly, beside its largest modulus, its rms and a weighted sum:
+every entry counts. Words are the codes of the flags, the rule, the verdict, and which rules were refused.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def answer(estimate: Any, **more: ArrayLike) -> Answer:
 
 
 def kept(values: ArrayLike) -> NDArray[np.float64]:
-    """An array of any shape, flat: whole where it is short, else a part, its largest modulus, rms and a weighted sum."""
+    """An array of any shape, flat: whole where it is short, else a part, largest modulus, rms and a weighted sum."""
     x = np.atleast_1d(np.asarray(values))
     x = np.ascontiguousarray(x, complex).view(float).ravel() if x.dtype.kind == "c" else x.astype(float).ravel()
     if len(x) <= KEPT:
