@@ -26,6 +26,7 @@ from loadid import (
     cli,
 )
 from loadid.commands.calibrate import calibrate
+from loadid.families.tracking.packing import pack, unpack
 from loadid.inverse.constraints import Resultant
 from loadid.inverse.kalman.priors import Matern32
 from loadid.inverse.noise_source import KINDS, WRITTEN
@@ -186,6 +187,7 @@ def test_advice_has_both_spellings() -> None:
     flag = Flag("W406", Evidence("a", 1.0), "found", advice)
     assert flag.command.endswith(advice.command)
     assert Flag.from_dict(json.loads(json.dumps(flag.to_dict()))).command == flag.command
+    assert unpack(pack([flag, flag]))[1].command == flag.command
     error = InputError("wrong", where="here", hint=advice)
     assert str(error) == f"here: wrong; what to do: {advice}"
     assert error.command == f"here: wrong; what to do: {advice.command}"

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice, from_plain, to_plain
 from structures.channels import Channel
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
@@ -83,6 +84,8 @@ class _Packer:
     def pack(self, value: Any) -> Any:
         if isinstance(value, np.generic):
             value = value.item()
+        if isinstance(value, Advice):
+            return {"is": "advice", "of": to_plain(value)}
         if value is None or isinstance(value, bool | int | float | str):
             return value
         if isinstance(value, Mapping):
@@ -119,6 +122,8 @@ class _Unpacker:
         if not isinstance(tree, dict):
             return tree
         kind, inner = tree["is"], tree["of"]
+        if kind == "advice":
+            return from_plain(inner)
         if kind == "mapping":
             return {k: self.unpack(v) for k, v in inner.items()}
         if kind in ("list", "tuple"):
