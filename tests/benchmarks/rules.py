@@ -20,7 +20,6 @@ from loadid.inverse import penalties, rules
 from loadid.inverse.choice import GRADES, Choice, decide
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
-from loadid.inverse.whiteness import mode_lines
 
 from .fredholm import NOISES, PROBLEMS
 
@@ -72,7 +71,7 @@ class Case:
 def drawn(setting: Setting, draws: int, kind: str, levels: tuple[float, ...] = LEVELS) -> Iterator[Case]:
     """Draws of one setting."""
     path, load, clean = setting.factorised()
-    mode_lines(path)  # shared by all draws
+    path.mode_lines  # noqa: B018 - computed once, shared by all draws
     for level in levels:
         sigma = level * float(np.sqrt(np.mean(clean**2)))
         for draw in range(draws):

@@ -325,7 +325,7 @@ def test_bad_settings_are_refused(setting, text):
 
 def test_bad_models_and_records_are_refused():
     c = case(samples=400)
-    with pytest.raises(InputError, match="no model"):
+    with pytest.raises(InputError, match="no forward model"):
         LoadTracker(3)
     with pytest.raises(InputError, match="too short"):
         LoadTracker(c.setup.space(), noise=c.noise).fit(c.y[:30], c.dt)

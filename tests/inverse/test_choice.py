@@ -11,7 +11,7 @@ from loadid.inverse import choice as choices
 from loadid.inverse import odds, rules
 from loadid.inverse.choice import DEFAULT_RULES, RuleResult, agreement, choose
 from loadid.inverse.noise_source import NoiseSource
-from loadid.inverse.path import PathPoint
+from loadid.inverse.path import PathPoint, RegularizationPath
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
 from loadid.inverse.toeplitz import toeplitz
@@ -127,7 +127,7 @@ def test_what_cannot_choose_is_refused(wrong: object) -> None:
 
 
 def test_a_path_on_which_no_rule_runs_needs_a_lambda() -> None:
-    class Mute:
+    class Mute(RegularizationPath):
         m, null, scale, smooth, range, coefficients = 400_000, 0, 1.0, False, (1e-3, 1.0), None
 
         def residual(self, lam: float) -> np.ndarray:

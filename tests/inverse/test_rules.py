@@ -6,7 +6,7 @@ import scipy.stats
 
 from loadid.inverse import odds, rules
 from loadid.inverse.choice import GRADES
-from loadid.inverse.path import PathPoint
+from loadid.inverse.path import PathPoint, RegularizationPath
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
 from loadid.inverse.toeplitz import SpectralPath, toeplitz
@@ -223,7 +223,7 @@ def test_predicted_error_of_the_fft_path_is_the_one_of_the_dense_path() -> None:
 
 
 # -- refusals, edges -------------------------------------------------------------------------------------------------
-class Stub:
+class Stub(RegularizationPath):
     """A path that knows its residual and its penalty norm, and nothing else."""
 
     m, null, scale, smooth, range, coefficients = 30, 0, 1.0, True, (1e-4, 1.0), None

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
-from structures.model import as_model
+from structures.model import Model, as_model
 
 from ... import flags as guards
 from ...flags.tracking import other_model
@@ -130,12 +130,12 @@ def same_channels(f: Any, model: Any) -> None:
                                  label for label, _ in mine), hint="fit a tracker to it")  # fmt: skip
 
 
-def carried(before: Any, after: Any, nx: int) -> NDArray[np.float64] | None:
+def carried(before: Model | None, after: Model, nx: int) -> NDArray[np.float64] | None:
     """States (nx, nx) of a model from those of another of the same structure, through its degrees of freedom.
 
     None where the two do not share any: then nothing is known of the states but their number.
     """
-    if before.structure is None or after.structure is None:
+    if before is None or before.structure is None or after.structure is None:
         return None
     one, two = before.reduced, after.reduced
     if one is None or two is None:
