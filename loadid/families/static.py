@@ -99,14 +99,14 @@ class StaticInversion:
             raise InputError("unknown method", where="method", found=repr(method), expected="'tikhonov' or 'tsvd'")
         if isinstance(penalty, str):
             penalties.order(penalty)
+        if choice is not None and not isinstance(choice, str | Absolute):
+            choice = _relative(choice)
         if penalty is None:
-            if choice not in (None, 0, 0.0):
+            if choice not in (None, 0.0):
                 raise InputError(
                     "without a penalty there is no lambda to choose", where="choice", found=choice, expected="None"
                 )
             choice = 0.0
-        if choice is not None and not isinstance(choice, str | Absolute):
-            choice = _relative(choice)
         self.model = as_model(MatrixModel.of(model), "StaticInversion", "static")
         self.method, self.penalty, self.choice = method, penalty, choice
         self.constraints = tuple(constraints) if isinstance(constraints, list | tuple) else (constraints,)

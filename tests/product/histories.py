@@ -15,7 +15,7 @@ from structures import ForwardModel, ImpulseModel, MeasuredModel, beams, damping
 from . import reference
 from .reference import Problem
 
-DT, N, LAM = 1 / 150, 40, 0.02
+DT, N, LAM = 1 / 150, 32, 0.02
 STATES = 6
 NOISE = 0.02
 CORRELATED = np.array([[1.0, 0.5, 0.2], [0.5, 1.0, 0.1], [0.2, 0.1, 1.0]])

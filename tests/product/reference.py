@@ -50,6 +50,8 @@ class Problem:
         L. Elden, BIT 22 (1982) 487; Hansen, SIAM 1998, section 2.3: what L leaves free is fitted first.
         """
         free, weight = null_space(self.L), np.linalg.pinv(self.L, rcond=1e-12)
+        if not len(self.L):
+            return self.solution(0.0)
         seen = np.linalg.qr(self.H @ free)[0]
         H = self.H @ weight
         U, c, Vt = np.linalg.svd(H - seen @ (seen.T @ H), full_matrices=False)
@@ -60,6 +62,8 @@ class Problem:
 
 def null_space(L: Array) -> Array:
     """Orthonormal columns that L makes zero."""
+    if not len(L):
+        return np.eye(L.shape[1])
     _, s, vt = np.linalg.svd(L)
     return vt[int(np.sum(s > 1e-12 * s[0])) :].T
 
@@ -168,3 +172,30 @@ def assert_minimal(found: Array, problem: Problem, lam: float, pushing: Array, s
     pull = (A.T @ (b - A @ x))[: len(g)][held]
     scale = np.linalg.norm(A, axis=0).max() * np.linalg.norm(b)
     assert np.all(pull <= slack * scale), f"a held load would push: gradient {pull.max() / scale:.2g} of its scale"
+
+
+def assert_constrained(
+    found: Array, problem: Problem, lam: float, C: Array, value: Array, bounds: tuple[Array, Array]
+) -> None:
+    """The loads found are the minimum with ``C g = value`` and ``lower <= g <= upper``: Karush, Kuhn, Tucker.
+
+    On the loads that no bound holds it is least squares on the null space of C; multipliers of bounds must not pull.
+    """
+    g, (lower, upper) = found.reshape(-1), bounds
+    size = np.abs(g).max()
+    assert np.all(g >= lower - CLOSE * size)
+    assert np.all(g <= upper + CLOSE * size)
+    low, high = g <= lower + CLOSE * size, g >= upper - CLOSE * size
+    free = ~(low | high)
+    A, b = problem.stacked(lam)
+    x = np.where(low, lower, np.where(high, upper, 0.0))
+    part = np.linalg.lstsq(C[:, free], value - C @ x, rcond=None)[0]
+    Z = null_space(C[:, free]) if len(C) else np.eye(int(free.sum()))
+    rest = b - A @ x - A[:, free] @ part
+    x[free] = part + Z @ solved(A[:, free] @ Z, rest)
+    assert np.linalg.norm(g - x) <= CLOSE * np.linalg.norm(x), f"off by {np.linalg.norm(g - x) / np.linalg.norm(x):.2g}"
+    slope = A.T @ (A @ x - b)
+    pull = slope - C.T @ np.linalg.lstsq(C[:, free].T, slope[free], rcond=None)[0]
+    slack = CLOSE * np.linalg.norm(A, axis=0).max() * np.linalg.norm(b)
+    assert np.all(pull[low & ~high] >= -slack)
+    assert np.all(pull[high & ~low] <= slack)
