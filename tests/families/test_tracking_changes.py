@@ -181,7 +181,7 @@ def test_models_that_do_not_fit_are_refused_and_nothing_changes():
     other = ForwardModel(building().structure, building().sensors[:3], building().loads)
     for model, text in (
         (building(1.0, 10, "tower"), "other loads"), (two, "other loads"), (few, "other states"),
-        (other, "other sensors"), (3, "no model"),
+        (other, "other sensors"), (3, "no forward model"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=text):
             tracker.update_model(model)
