@@ -61,6 +61,7 @@ class FieldDeconvolution:
         Penalty in time: ``identity``, ``first_difference``, ``second_difference``.
     choice, sensors, allow, **settings
         As in `Deconvolution`, with all its other settings: noise, hold, path, initial, coverage, progress, ...
+        Constraints only without a spatial prior and without shapes.
 
     Raises
     ------
@@ -105,6 +106,11 @@ class FieldDeconvolution:
             if name in settings:
                 raise InputError("a field has two penalties", where=name, found=repr(settings[name])[:60],
                                  expected=instead)  # fmt: skip
+        signs = settings.get("constraints", ())
+        if (space is not None or shapes is not None) and not (isinstance(signs, list | tuple) and not signs):
+            raise InputError("signs hold loads, and here combinations of loads are solved for", where="constraints",
+                             found="a spatial prior" if shapes is None else "shapes",
+                             expected="space=None and no shapes with it")  # fmt: skip
         self._settings = {"penalty": time, "choice": choice, "sensors": sensors, "allow": allow, **settings}
         Deconvolution(model, **self._settings)  # refuses the others
 

@@ -1,5 +1,6 @@
 """Penalties against their definitions, in time and over frequency."""
 
+import math
 from functools import partial
 
 import numpy as np
@@ -34,6 +35,17 @@ def test_symbol_is_the_transform_of_the_stencil(name: str, stencil: list[float])
     padded = 30
     theta = 2 * np.pi * np.arange(padded // 2 + 1) / padded
     np.testing.assert_allclose(penalties.symbol(name, theta), np.abs(np.fft.rfft(stencil, padded)), atol=1e-14)
+
+
+@pytest.mark.parametrize("order", range(6))
+def test_difference_of_any_order(order: int) -> None:
+    """Binomial coefficients of both signs, and polynomials below the order are free."""
+    expected = [(-1) ** (order - k) * math.comb(order, k) for k in range(order + 1)]
+    np.testing.assert_array_equal(penalties.stencil(order), expected)
+    L, t = penalties.difference(12, order), np.linspace(-1, 1, 12)
+    assert L.shape == (12 - order, 12)
+    assert np.linalg.matrix_rank(L) == 12 - order
+    np.testing.assert_allclose(L @ np.vander(t, order), 0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

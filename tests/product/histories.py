@@ -34,6 +34,7 @@ PENALTIES: dict[str, Any] = {
     "none": None,
 }
 ORDERS = {"identity": 0, "first": 1, "second": 2, "third": 3, "gradient": 1, "laplacian": 2}
+SYNONYMS = ("gradient", "laplacian")
 
 
 @cache

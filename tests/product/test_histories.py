@@ -26,7 +26,7 @@ SOLVERS = {
     "dense": "dense SVD", "statespace": "state space", "toeplitz": "Toeplitz, preconditioned", "windows":
     "Toeplitz, in windows", "fft": "zero-padded FFT",
 }  # fmt: skip
-NAMED = ("identity", "first", "second", "third")
+NAMED = tuple(name for name in histories.ORDERS if name not in histories.SYNONYMS)
 
 
 @pytest.fixture(autouse=True)
@@ -96,7 +96,7 @@ def single():
     """Full over path, penalty and option for a model with states; for others what differs from that."""
     for path, penalty, option in product(PATHS, (*NAMED, "matrix", "none"), ("", *histories.OPTIONS)):
         yield "states", path, penalty, (option,) if option else ()
-    for path, penalty in product(PATHS, ("gradient", "laplacian")):
+    for path, penalty in product(PATHS, histories.SYNONYMS):
         yield "states", path, penalty, ()
     for path, penalty, option in product(("auto", "toeplitz"), (*NAMED, "matrix", "none"), ("", "gap", "push", "size")):
         yield "impulses", path, penalty, (option,) if option else ()
@@ -143,7 +143,7 @@ CHOICES = (*rules.RULES, None, False, 0, 0.0, LAM)
 def ruled():
     """Full where a path is cheap to ask; elsewhere each rule once, and each penalty."""
     yield from product(("dense", "statespace", "fft"), ("identity", "third"), CHOICES)
-    yield from (("auto", NAMED[i % 4], choice) for i, choice in enumerate(CHOICES))
+    yield from (("auto", NAMED[i % len(NAMED)], choice) for i, choice in enumerate(CHOICES))
     yield from product(PATHS, ("second", "none"), (None, "gcv", False, 0))
     asked = ("discrepancy", "dof_discrepancy", "modified_gcv", "quasi_optimality", "evidence", None, LAM)
     yield from (("toeplitz", "identity", choice) for choice in asked)
