@@ -81,10 +81,10 @@ def names_in(path: str) -> frozenset[str]:
 
 @cache
 def words() -> frozenset[str]:
-    """Names that some file of the packages gives to anything, and those of all modules and folders."""
+    """Names that some file gives to anything, and those of all modules and folders."""
     sources = [path for path in files() if path.endswith(".py")]
     stems = {part.removesuffix(".py") for path in sources for part in path.split("/")}
-    texts = ((ROOT / path).read_text("utf-8") for path in sources if path.split("/")[0] in PACKAGES)
+    texts = ((ROOT / path).read_text("utf-8") for path in sources)
     known = {name for text in texts for names in DEFINED.findall(text) for name in names}
     return frozenset(known | stems | set(dir(builtins)) | set(keyword.kwlist) | NOT_OURS)
 
