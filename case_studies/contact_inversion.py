@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import StaticInversion
-from loadid.estimate import LoadEstimate
 from loadid.inverse.constraints import Bounds, NonNegative, Resultant, Support
+from loadid.results.estimate import LoadEstimate
 from structures import Channel, MatrixModel
 
 NODES, FINER, NOISE = 48, 10, 0.01
@@ -152,7 +152,7 @@ def table(t: float, profile: str = "bumps", layout: str = "every node", seeds: i
 
 def conditioning(t: float) -> dict[str, tuple[float, int, int]]:
     """Condition number of the visible part, rank and nullity of each layout."""
-    from loadid.inverse.diagnose import layout as judged
+    from loadid.inverse.diagnosis.diagnose import layout as judged
 
     return {name: judged(np.linalg.svd(model(t, name).H, compute_uv=False), NODES) for name in LAYOUTS}
 

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from tactile import GelSlim, MultilayerPad, Pad, Press, metrics
-from tactile.insitu import Gain, Shape, gain, poisson
+from tactile.material.identify import Gain, Shape, gain, poisson
 
 from .pads import NU, PITCH, SIZE, THICKNESS, E, Rule, off, pad, patch, rules
 

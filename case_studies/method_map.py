@@ -25,7 +25,9 @@ from numpy.typing import NDArray
 from loadid import Deconvolution, FrequencyInversion, LoadEstimate, LoadTracker, SparseDeconvolution, recommend
 from loadid.families.recommend import Recommendation
 from loadid.inverse.constraints import NonNegative
-from structures import ForwardModel, beams, damping, loads, sensors
+from structures import ForwardModel
+from structures.elements import beams
+from structures.system import damping, loads, sensors
 
 DT, SAMPLES, FINE, NOISE = 2e-3, 400, 10, 0.01
 LOADS = ("impact", "slow", "harmonic", "random")

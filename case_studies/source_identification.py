@@ -30,11 +30,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import FrequencyInversion, LoadEstimate, Record
+from loadid.results.functionals import in_words
 from loadid.sources import Contributions, Transfer, contributions, decibels, validate_on
 from loadid.sources.split import Split, split
-from loadid.spectrum import in_words
-from structures import Channel, CrossSpectra, ForwardModel, FrfModel, cross_spectra, loads, plates, sensors
-from structures.beams import materials
+from structures import Channel, CrossSpectra, ForwardModel, FrfModel, cross_spectra
+from structures.elements import plates
+from structures.elements.beams import materials
+from structures.system import loads, sensors
 
 RATE, SEGMENT = 1024.0, 1024  # Hz, samples: lines every hertz
 BAND = (20.0, 400.0)

@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 from loadid import LoadEstimate, StaticInversion
 from loadid.inverse.constraints import NonNegative
 from loadid.validate import PressureMat, Validation, Wrench, validate
-from structures import ForwardModel, Structure, bases, beams, sensors
+from structures import ForwardModel, Structure, bases
+from structures.elements import beams
+from structures.system import sensors
 
 SPAN, SKIN, E, RHO = 6.0, 2e-3, 70e9, 2700.0
 NOISE = 1.5e-6

@@ -1,11 +1,11 @@
-"""Every guard code of the package, in words: the one list that commands check against."""
+"""Every guard code of the package, in words; how findings are collected, and which codes a user may allow."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from structures.errors import InputError
-from structures.flags import canonical
+from structures.flags import Flag, canonical
 
 GUARDS = {
     "E102": "a transfer matrix without any coupling",
@@ -125,3 +125,25 @@ def known_codes(codes: Iterable[str], *, where: str = "allow") -> tuple[str, ...
             )
         full.append(canonical(short))
     return tuple(full)
+
+
+def collect(flags: Iterable[Flag | None]) -> tuple[Flag, ...]:
+    """The flags that were raised, without repeats, in order."""
+    seen: dict[tuple[str, str], Flag] = {}
+    for flag in flags:
+        if flag is not None:
+            seen.setdefault((flag.code, flag.message), flag)
+    return tuple(seen.values())
+
+
+def allowed(codes: Sequence[str]) -> tuple[str, ...]:
+    """Codes that a user allows, in full form.
+
+    Raises
+    ------
+    InputError
+        If one of them is no guard code.
+    """
+    if not isinstance(codes, list | tuple | set | frozenset):
+        raise InputError("allow takes a list of codes", where="allow", found=repr(codes), expected=f"[{codes!r}]")
+    return known_codes(codes)

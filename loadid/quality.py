@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.advice import Advice, Spelling
-from structures.errors import InputError
+from structures.errors import InputError, plain
 from structures.flags import Evidence, Flag
-from structures.values import plain
 
 from .inverse.noise_source import NoiseSource
 from .record import Record

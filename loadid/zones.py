@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
-from structures.values import as_array, positive
+from structures.errors import InputError, as_array, positive
 
 Array = NDArray[np.float64]
 

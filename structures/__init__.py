@@ -8,46 +8,46 @@ from typing import Any
 _PUBLIC = {
     "Certificate": "model",
     "Channel": "channels",
-    "CrossSpectra": "welch",
-    "Dof": "dofs",
+    "CrossSpectra": "testing.welch",
+    "Dof": "channels",
     "Flag": "flags",
-    "ForwardModel": "forward",
-    "FrfModel": "tabulated",
-    "ImpulseModel": "arrays",
+    "ForwardModel": "models.forward",
+    "FrfModel": "models.tabulated",
+    "ImpulseModel": "models.arrays",
     "InputError": "errors",
-    "MatrixModel": "arrays",
-    "MeasuredModel": "measured",
+    "MatrixModel": "models.arrays",
+    "MeasuredModel": "models.measured",
     "Model": "model",
     "NotIdentifiable": "errors",
-    "StateSpace": "statespace",
-    "Structure": "structure",
-    "Surface": "surfaces",
-    "cross_spectra": "welch",
+    "StateSpace": "models.statespace",
+    "Structure": "system.structure",
+    "Surface": "elements.surfaces",
+    "cross_spectra": "testing.welch",
 }
-_MODULES = (
-    "bases",
-    "beams",
-    "chains",
-    "circular",
-    "damping",
-    "dofs",
-    "factor",
-    "files",
-    "flags",
-    "frames",
-    "loads",
-    "modelfile",
-    "motion",
-    "plates",
-    "reduction",
-    "risers",
-    "sensors",
-    "solids",
-    "storage",
-    "surfaces",
-    "units",
-    "virtual",
-)
+_MODULES = {
+    "bases": "bases",
+    "beams": "elements.beams",
+    "chains": "elements.chains",
+    "circular": "elements.circular",
+    "damping": "system.damping",
+    "dofs": "channels",
+    "factor": "system.factor",
+    "files": "files",
+    "flags": "flags",
+    "frames": "elements.frames",
+    "loads": "system.loads",
+    "modelfile": "files.modelfile",
+    "motion": "models.motion",
+    "plates": "elements.plates",
+    "reduction": "models.reduction",
+    "risers": "elements.beams",
+    "sensors": "system.sensors",
+    "solids": "elements.solids",
+    "storage": "files.storage",
+    "surfaces": "elements.surfaces",
+    "units": "units",
+    "virtual": "models.mapped",
+}
 
 __all__ = sorted([*_PUBLIC, *_MODULES])
 
@@ -56,7 +56,7 @@ def __getattr__(name: str) -> Any:
     if name in _PUBLIC:
         return getattr(importlib.import_module(f".{_PUBLIC[name]}", __name__), name)
     if name in _MODULES:
-        return importlib.import_module(f".{name}", __name__)
+        return importlib.import_module(f".{_MODULES[name]}", __name__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -1,4 +1,4 @@
-"""What to do next, as data: settings that Python and the command line spell differently are held in both spellings."""
+"""Advice: what to do, in the spelling of Python and in that of the command line."""
 
 from __future__ import annotations
 

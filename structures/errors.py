@@ -1,8 +1,15 @@
-"""The two errors of the three packages: wrong input, and a load that the data cannot determine."""
+"""The two errors of the three packages, and numbers as users give them: settled, or refused in words."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+import math
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .advice import on_command_line
 
@@ -82,3 +89,178 @@ class NotIdentifiable(Exception):
     def command(self) -> str:
         """The text in the words of the command line."""
         return f"[{self.code}] {on_command_line(self.what)}; what to do: {on_command_line(self.advice)}"
+
+
+def real(value: Any) -> float | None:
+    """The finite number that `value` is, or None: texts, booleans, arrays, NaN and infinity are none."""
+    if value is None or isinstance(value, bool | str | bytes | list | tuple):
+        return None
+    try:
+        if np.ndim(value) != 0:
+            return None
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def plain(value: Any) -> Any:
+    """`value` without a mask: NaN where a masked array, or one within a list, hides an entry; anything else as it is.
+
+    Every door that takes an array looks at it through this, as numpy's own conversions uncover what is hidden.
+    """
+    if isinstance(value, list | tuple) and any(np.ma.isMaskedArray(one) for one in value):
+        try:
+            value = np.ma.array([np.ma.getdata(v) for v in value], mask=[np.ma.getmaskarray(v) for v in value])
+        except ValueError:  # rows of different lengths, which the door refuses
+            return value
+    if not np.ma.isMaskedArray(value):
+        return value
+    if not np.ma.getmaskarray(value).any() or value.dtype.kind not in "fiubc":
+        return value.data
+    return np.ma.filled(value.astype(complex if value.dtype.kind == "c" else float), np.nan)
+
+
+def as_array(value: Any, *, where: str, dtype: type | None = None) -> NDArray[Any]:
+    """An array of anything, or of `dtype`; masked entries become NaN.
+
+    Raises
+    ------
+    InputError
+        Rows of different lengths, or what is no number.
+    """
+    try:
+        return np.asarray(plain(value), dtype)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            "no array of numbers",
+            where=where,
+            found=str(error)[:200],
+            expected="numbers, in rows of one length",
+            hint="pass an array",
+        ) from None
+
+
+def reals(value: Any, *, where: str, what: str = "no real numbers", hint: str = "") -> NDArray[np.float64]:
+    """Real numbers of any shape, as a new array; infinity and NaN may be among them, masked entries become NaN.
+
+    Raises
+    ------
+    InputError
+        Texts that are none, objects, truth values, complex numbers, or rows of different lengths.
+    """
+    value = value.toarray() if hasattr(value, "toarray") else value
+    try:
+        array = np.asarray(plain(value))
+        if array.dtype.kind in "bc":
+            raise TypeError("truth values" if array.dtype.kind == "b" else "complex numbers")
+        return np.array(array, float)
+    except (TypeError, ValueError) as error:
+        raise InputError(what, where=where, found=str(error)[:200], expected="real numbers", hint=hint) from None
+
+
+def shown(value: Any) -> str:
+    """A value in an error message: numbers bare, the rest quoted and cut."""
+    text = repr(value.item() if isinstance(value, np.generic) else value)
+    return "nothing" if value is None else text if len(text) <= 60 else text[:57] + "..."
+
+
+def number(name: str, value: Any, *, where: str, unit: str = "", hint: str = "") -> float:
+    """One finite number.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    found = real(value)
+    if found is None:
+        raise InputError(
+            f"{name} must be one finite number",
+            where=where,
+            found=shown(value),
+            expected=f"a number{f' in {unit}' if unit else ''}",
+            hint=hint or f"pass {name} as a number, without a unit and without quotes",
+        )
+    return found
+
+
+def positive(name: str, value: Any, *, where: str, unit: str = "", hint: str = "") -> float:
+    """One finite number above zero.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    found = real(value)
+    if found is None or found <= 0:
+        raise InputError(
+            f"{name} must be positive",
+            where=where,
+            found=shown(value),
+            expected=f"one number > 0{f', in {unit}' if unit else ''}",
+            hint=hint or f"pass {name} as a positive number in SI units",
+        )
+    return found
+
+
+def pair(name: str, value: Any, *, where: str, unit: str = "") -> tuple[float, float]:
+    """Two finite numbers.
+
+    Raises
+    ------
+    InputError
+        If they are none, or not two.
+    """
+    items = list(value) if isinstance(value, Sequence | np.ndarray) and np.ndim(value) == 1 else []
+    found = [x for x in map(real, items) if x is not None]
+    if len(items) != 2 or len(found) != 2:
+        raise InputError(
+            f"{name} must be two finite numbers",
+            where=where,
+            found=shown(value),
+            expected=f"two numbers{f' in {unit}' if unit else ''}: one along X, one along Y",
+            hint=f"pass {name}=(1.0, 0.5), for example",
+        )
+    return found[0], found[1]
+
+
+def integer(name: str, value: Any, *, where: str, limit: int) -> int:
+    """An integer from 1 to `limit`.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    try:
+        found = 0 if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        found = 0
+    if not 1 <= found <= limit:
+        raise InputError(
+            f"no number of {name}",
+            where=where,
+            found=shown(value),
+            expected=f"an integer from 1 to {limit}",
+            hint=f"six {name} per shortest wavelength are enough" if found > limit else f"pass {name} as an integer",
+        )
+    return found
+
+
+def digest(*parts: Any) -> str:
+    """Sha256 (hex) of arrays, numbers and channels, each with its shape."""
+    h = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            part = np.ascontiguousarray(part)
+            h.update(f"{part.dtype.str}{part.shape}".encode())
+            h.update(part.tobytes())
+        elif isinstance(part, tuple):
+            for c in part:
+                h.update(repr((c.label, c.quantity, c.unit, c.noise, c.highpass, c.measure)).encode())
+        else:
+            h.update(repr(part).encode())
+        h.update(b"\0")
+    return h.hexdigest()

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .channels import Channel
-from .errors import InputError
+from .errors import InputError, digest, plain, shown
 from .flags import Flag
-from .values import digest, plain, shown
 
 WRONG = 0.5  # residual over response of a check from which on a model does not predict a sensor
 LOUD = 3.0  # times the noise below which a residual may be noise
@@ -301,7 +300,7 @@ class Model:
 
     @property
     def training(self) -> frozenset[str]:
-        """Digests (`structures.hits.digests`) of the responses that it was made from."""
+        """Digests (`structures.testing.impact.digests`) of the responses that it was made from."""
         return frozenset()
 
     @property

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .advice import Advice, either
-from .errors import InputError
-from .values import plain
+from .errors import InputError, plain
 
 STANDARD_GRAVITY = 9.80665
 ARBITRARY = "arbitrary"

@@ -149,7 +149,7 @@ def _written(path: Path) -> int:
 
 def seen(state: Path) -> int:
     """Length of the output that a checkpoint saw."""
-    from loadid.families.tracking import checkpoint
+    from loadid.families.tracking import tracker as checkpoint
 
     stream = checkpoint.read(state)[1]
     assert stream is not None

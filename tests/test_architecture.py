@@ -19,13 +19,12 @@ FORBIDDEN = {
     "loadid": ("tactile", "case_studies", "tests"),
     "tactile": ("case_studies", "tests"),
     "loadid.inverse": (
-        "loadid.families", "loadid.readers", "loadid.record", "loadid.quality", "loadid.estimate", "loadid.validate",
-        "loadid.flags", "loadid.summary", "loadid.plots", "loadid.report", "loadid.archive", "loadid.provenance",
-        "loadid.progress", "loadid.cli", "loadid.commands", "loadid.lab", "loadid.batch", "loadid.stream",
+        "loadid.families", "loadid.readers", "loadid.record", "loadid.quality", "loadid.results", "loadid.validate",
+        "loadid.guards", "loadid.plots", "loadid.cli", "loadid.commands", "loadid.stream",
     ),
-    "loadid.readers": ("loadid.families", "loadid.inverse", "loadid.estimate", "loadid.plots", "loadid.report"),
-    "loadid.plots": ("loadid.families", "loadid.readers", "loadid.inverse.svd", "loadid.inverse.toeplitz"),
-    "loadid.families": ("loadid.readers", "loadid.plots", "loadid.report", "loadid.cli", "loadid.commands"),
+    "loadid.readers": ("loadid.families", "loadid.inverse", "loadid.results", "loadid.plots"),
+    "loadid.plots": ("loadid.families", "loadid.readers", "loadid.inverse.svd", "loadid.inverse.convolution"),
+    "loadid.families": ("loadid.readers", "loadid.plots", "loadid.results.report", "loadid.cli", "loadid.commands"),
 }  # fmt: skip
 DOORS = ("loadid.__init__", "loadid.cli", "loadid.commands", "loadid.lab", "loadid.batch", "loadid.stream")
 
@@ -66,19 +65,19 @@ OFFENDERS = [
     ("structures.model", "def f():\n    from loadid.record import Record"),
     ("structures.model", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from loadid import Record"),
     ("structures.model", "import numpy, case_studies.impact_plate"),
-    ("structures.__init__", "TABLE = {'Pad': 'tactile.pad'}"),
-    ("loadid.report", "from tactile import pad"),
-    ("loadid.__init__", "import importlib\nimportlib.import_module('tactile.pad')"),
+    ("structures.__init__", "TABLE = {'Pad': 'tactile.pad.pad'}"),
+    ("loadid.results.report", "from tactile import pad"),
+    ("loadid.__init__", "import importlib\nimportlib.import_module('tactile.pad.pad')"),
     ("loadid.readers.csv_table", "from ..families import deconvolution"),
     ("loadid.inverse.rules", "from ..families.deconvolution import Deconvolution"),
-    ("loadid.inverse.rules", "from .. import estimate"),
+    ("loadid.inverse.rules", "from ..results import estimate"),
     ("loadid.inverse.rules", "import importlib\nimportlib.import_module('..readers', __package__)"),
     ("loadid.inverse.__init__", "from ..plots import plot"),
     ("loadid.plots", "def f():\n    from .inverse.svd import SVDPath"),
     ("loadid.validate", "from .families.deconvolution import Deconvolution"),
     ("loadid.validate", "from importlib import import_module\nname = 'loadid.families.deconvolution:Deconvolution'"),
-    ("loadid.estimate", "from . import families"),
-    ("tactile.pad", "from case_studies import hammer_log"),
+    ("loadid.results.estimate", "from .. import families"),
+    ("tactile.pad.pad", "from case_studies import hammer_log"),
 ]
 CLEAN = [
     ("structures.model", "import numpy as np\nfrom .errors import InputError\ntext = 'loadid turns it back'"),
@@ -91,7 +90,7 @@ CLEAN = [
         "from .data import gather\nfrom ..inverse.svd import SVDPath\nfrom ..estimate import LoadEstimate",
     ),
     ("loadid.inverse.svd", "from structures.errors import InputError\nfrom .path import Solution\nfrom . import rules"),
-    ("tactile.pad", "from loadid import LoadEstimate\nfrom loadid.families.static import StaticInversion"),
+    ("tactile.pad.pad", "from loadid import LoadEstimate\nfrom loadid.families.static import StaticInversion"),
 ]
 
 

@@ -21,14 +21,15 @@ from loadid.inverse import rules
 from loadid.inverse.choice import choose
 from loadid.inverse.path import PathPoint, RegularizationPath, Solution
 from loadid.inverse.problem import LinearProblem, whiten
-from loadid.inverse.spectral.compressed import compress
-from loadid.inverse.spectral.posterior import factor, posterior
-from loadid.inverse.spectral.ruled import JoinedPath, LinesPath
+from loadid.inverse.ruled import JoinedPath, LinesPath
+from loadid.inverse.spectral import compress, factor, posterior
 from loadid.inverse.svd import SVDPath
 from loadid.sources.split import SensorSubset
-from structures import ForwardModel, FrfModel, InputError, Model, StateSpace, beams, damping, loads, sensors
+from structures import ForwardModel, FrfModel, InputError, Model, StateSpace
 from structures.channels import Channel
-from structures.mapped import mapped
+from structures.elements import beams
+from structures.models.mapped import mapped
+from structures.system import damping, loads, sensors
 
 BEAM = beams.simply_supported(
     length=2.0,
@@ -132,7 +133,7 @@ def test_one_proximal_step_of_l1():
     """Sparse family: a proximal step from the path's operator lowers the l1 objective."""
     model = beam([0.4, 1.3])
     h = model.impulse_response(DT, 80)
-    from loadid.inverse.toeplitz import toeplitz
+    from loadid.inverse.convolution import toeplitz
 
     H = toeplitz(h)
     g = np.zeros(80)
@@ -170,7 +171,7 @@ def test_three_kalman_steps_from_the_state_space():
         filtered = x[nx:].copy()
         x, P = F @ x, F @ P @ F.T
         P[nx:, nx:] += q
-    from loadid.inverse.toeplitz import toeplitz
+    from loadid.inverse.convolution import toeplitz
 
     H = toeplitz(model.impulse_response(DT, 3)).reshape(6, 3) / sigma
     L = (np.eye(3) - np.eye(3, k=-1)) / np.sqrt(q)
@@ -180,8 +181,8 @@ def test_three_kalman_steps_from_the_state_space():
 
 def test_a_smoothed_track_equals_tikhonov():
     """Online family, whole: a random walk's smoothed loads are batch least squares with L = first difference."""
+    from loadid.inverse.convolution import toeplitz
     from loadid.inverse.kalman.priors import RandomWalk
-    from loadid.inverse.toeplitz import toeplitz
 
     model, N, sd, rate = beam([0.4, 1.3], kind=sensors.Displacement), 60, 1e-6, 300.0
     y = model.predict(np.sin(np.arange(N)[:, None] / 5), DT, "zoh")
@@ -393,7 +394,9 @@ def test_a_model_of_one_method_goes_through(family, kind, tmp_path, monkeypatch)
     estimate.save(tmp_path / "found.h5")
     again = loadid.load(tmp_path / "found.h5")
     np.testing.assert_array_equal(again.load, estimate.load)
-    monkeypatch.setattr("loadid.report.html_image", lambda *_, **__: "")  # pictures take seconds, and know no model
+    monkeypatch.setattr(
+        "loadid.results.report.html_image", lambda *_, **__: ""
+    )  # pictures take seconds, and know no model
     again.report(tmp_path / "found.html")
     assert "p0" in (tmp_path / "found.html").read_text("utf-8")
 

@@ -18,9 +18,12 @@ from loadid import (
     StaticInversion,
     compare_domains,
 )
-from loadid.inverse import constraints, decay, picard
+from loadid.inverse import constraints
+from loadid.inverse.diagnosis import picard
+from loadid.inverse.diagnosis import picard as decay
 from loadid.quality import health
-from loadid.sources import bands, correlation, levels
+from loadid.sources import correlation, levels
+from loadid.sources import levels as bands
 from loadid.validate import references
 from loadid.zones import harmonic_power, mean_power
 from structures import (
@@ -31,22 +34,19 @@ from structures import (
     MeasuredModel,
     StateSpace,
     Structure,
-    chains,
     cross_spectra,
-    loads,
-    meshes,
-    sensors,
     units,
 )
-from structures.damping import Modal
-from structures.errors import InputError
+from structures.elements import chains
+from structures.elements import solids as meshes
+from structures.elements.members import Material
+from structures.errors import InputError, plain, reals
 from structures.flags import codes
-from structures.materials import Material
-from structures.values import plain, reals
-from tactile.observation import Markers
-from tactile.reading import DepthMap, Wrench
+from structures.system import loads, sensors
+from structures.system.damping import Modal
+from tactile.sensors.observation import DepthMap, Markers, Wrench
 from tactile.vision import read_motions
-from tactile.vision.grey import grey
+from tactile.vision.images import grey
 from tests.loadid.test_cli import hit
 
 WRONG = 999.0  # what the mask hides

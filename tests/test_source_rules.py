@@ -12,14 +12,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from loadid.inverse.convolution import SpectralPath
 from loadid.inverse.path import FactoredPath
 from loadid.inverse.problem import LinearProblem
-from loadid.inverse.spectral.compressed import compress
-from loadid.inverse.spectral.posterior import factor, posterior
-from loadid.inverse.spectral.ruled import LinesPath
+from loadid.inverse.ruled import LinesPath
+from loadid.inverse.spectral import compress, factor, posterior
 from loadid.inverse.svd import SVDPath
-from loadid.inverse.toeplitz import SpectralPath
-from structures.spectra import padded_length
+from structures.testing.spectra import padded_length
 
 from .sources import PACKAGES, called, imports, modules, within
 
@@ -31,7 +30,7 @@ PRODUCTS = {"dot", "matmul", "vdot"}
 UNSAFE_MODULES = ("pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal")
 UNSAFE_CALLS = {"eval", "exec"}
 YAML = {"load", "load_all", "unsafe_load", "unsafe_load_all", "full_load", "full_load_all"}
-MAY_PRINT = ("loadid.cli", "loadid.commands", "loadid.progress")  # the terminal's own modules
+MAY_PRINT = ("loadid.cli", "loadid.commands", "loadid.commands._outputs")  # the terminal's own modules
 
 
 # -- the rules -------------------------------------------------------------------------------------------------------

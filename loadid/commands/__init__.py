@@ -36,7 +36,7 @@ class Command:
 def emit(args: Namespace, data: Any, text: str) -> None:
     """Print the answer: text for people, one strict JSON value with ``--json``."""
     if args.json or getattr(args, "json_full", False):
-        from loadid.archive import plain
+        from ..results.archive import plain
 
         text = json.dumps(plain(data), allow_nan=False, ensure_ascii=False)
     print(text)

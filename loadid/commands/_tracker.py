@@ -11,11 +11,11 @@ from structures.errors import InputError
 
 from . import _arguments as arguments
 from . import names
-from ._arguments import UsageError
-from ._logs import add_log_options, load_model, one_record, settings
+from ._arguments import UsageError, add_log_options, load_model, one_record, settings
 
 if TYPE_CHECKING:
-    from loadid.families.tracking.tracker import Tracker
+    from ..families.tracking.tracker import Tracker
+
 
 COMMAND = "command"  # among the settings of a fit: what it was made from here
 PIECE = 1 << 20
@@ -86,7 +86,7 @@ def started(args: Namespace, progress: Any = None) -> tuple[Tracker, dict[str, A
     NotIdentifiable
         From the fit.
     """
-    from loadid.families.tracking import checkpoint
+    from ..families.tracking import tracker as checkpoint
 
     model, state = args.model, args.state
     if state is not None and Path(state).exists():
@@ -112,9 +112,9 @@ def started(args: Namespace, progress: Any = None) -> tuple[Tracker, dict[str, A
 def _fitted(args: Namespace, progress: Any) -> Tracker:
     from dataclasses import replace
 
-    from loadid.families.kalman import LoadTracker
-    from loadid.families.tracking.tracker import Tracker
-    from loadid.readers import read
+    from ..families.kalman import LoadTracker
+    from ..families.tracking.tracker import Tracker
+    from ..readers import read
 
     made = _made(args)
     model = load_model(args.model)
@@ -139,7 +139,7 @@ def _fitted(args: Namespace, progress: Any) -> Tracker:
 # -- is it the same fit? ----------------------------------------------------------------------------------------------
 def _require_same(args: Namespace, tracker: Tracker) -> None:
     """A state is gone on from only where a new start would have made the same tracker."""
-    from loadid.families.tracking import checkpoint
+    from ..families.tracking import tracker as checkpoint
 
     if args.model is None:
         return
@@ -211,11 +211,12 @@ def _is_tracker(path: str) -> bool:
     InputError
         A file that is missing, damaged, or holds neither.
     """
-    from loadid.families.tracking.checkpoint import KIND
-    from structures import modelfile
+    from structures.files import modelfile
+    from structures.files.storage import kind_of, read
     from structures.files.uff import SUFFIXES
-    from structures.storage import kind_of, read
-    from structures.tabulated import FILE
+    from structures.models.tabulated import FILE
+
+    from ..families.tracking.tracker import KIND
 
     if Path(path).suffix.lower() in SUFFIXES:
         return False

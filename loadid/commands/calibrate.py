@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 from structures.errors import InputError
 
 from . import Command, emit
-from ._arguments import channels
-from ._logs import add_log_options, read_records, resolved, settings
+from ._arguments import add_log_options, channels, read_records, resolved, settings
 from ._outputs import require_outputs
 from .info import table
 
 if TYPE_CHECKING:
-    from loadid.record import Record
-    from structures.measured import MeasuredModel
+    from structures.models.measured import MeasuredModel
+
+    from ..record import Record
 
 
 def calibrate(
@@ -46,7 +46,7 @@ def calibrate(
     InputError
         From the readers, or when no usable hit is left.
     """
-    from structures.measured import MeasuredModel
+    from structures.models.measured import MeasuredModel
 
     hits = []
     for path in paths:

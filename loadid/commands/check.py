@@ -9,17 +9,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from loadid.codes import GUARDS
 from structures.errors import InputError, NotIdentifiable
 
+from ..codes import GUARDS
 from . import Command, emit
-from ._arguments import UsageError, channels
-from ._logs import add_log_options, load_model, read_records, settings
+from ._arguments import UsageError, add_log_options, channels, load_model, read_records, settings
 
 if TYPE_CHECKING:
-    from loadid.record import Record
     from structures.flags import Flag
     from structures.model import Model
+
+    from ..record import Record
+
 
 NAMES = {
     code: GUARDS[code]
@@ -106,14 +107,14 @@ def check(
 
 def check_model(findings: Findings, model: Model) -> None:
     """Guards that need the model alone."""
-    from loadid import flags
+    from .. import guards as flags
 
     findings.run("W114", "model", lambda: flags.not_verified(model.certificate))
     for code in ("W207", "W208") if model.frequencies is not None else ():
         findings.run(code, "model", partial(_of, model.flags, code))
     structure = model.structure
     if structure is not None:
-        from structures.loads import near_support
+        from structures.system.loads import near_support
 
         findings.run("W105", "model", lambda: near_support(structure, model.loads))  # type: ignore[arg-type]
     findings.layout = layout(model)
@@ -129,9 +130,8 @@ def check_pair(findings: Findings, model: Model, record: Record, where: str, res
     """Guards that need the model and a record of its sensors."""
     import numpy as np
 
-    from loadid import flags
-    from loadid.quality import noise_std
-
+    from .. import guards as flags
+    from ..quality import noise_std
     from .identify import responses_of
 
     used = responses_of(record, model, responses)
@@ -148,7 +148,7 @@ def check_pair(findings: Findings, model: Model, record: Record, where: str, res
         findings.run("W702", where, lambda: flags.inverse_crime(record.simulated_by, model.fingerprint))
     training = model.training
     if training:
-        from structures.hits import digests
+        from structures.testing.impact import digests
 
         findings.run("W704", where, lambda: flags.used_for_training(where, training.intersection(digests(used.values))))
 
@@ -196,7 +196,7 @@ def show(findings: Findings) -> str:
     """Findings as text."""
     lines = []
     if findings.layout:
-        from loadid.summary import number
+        from ..results.summary import number
 
         words = {"m": "sensors", "n": "loads", "rank": "rank", "nullity": "nullity", "kappa": "condition number"}
         lines.append(

@@ -17,9 +17,11 @@ from .identify import identify, relative_error, show_error, write_all
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from loadid.estimate import LoadEstimate
-    from loadid.record import Record
-    from structures.forward import ForwardModel
+    from structures.models.forward import ForwardModel
+
+    from ..record import Record
+    from ..results.estimate import LoadEstimate
+
 
 LENGTH, WIDTH, HEIGHT = 1.0, 0.04, 0.01  # m, steel, simply supported
 DAMPING = 0.06
@@ -40,10 +42,11 @@ class Simulated:
 
 def model(elements: int = 30, modes: int = 14) -> ForwardModel:
     """Steel beam with three accelerometers and one force: what the inversion knows."""
-    from structures import ForwardModel, beams, loads, sensors
-    from structures.damping import Modal
-    from structures.materials import Material
-    from structures.sections import Section
+    from structures import ForwardModel
+    from structures.elements import beams
+    from structures.elements.members import Material, Section
+    from structures.system import loads, sensors
+    from structures.system.damping import Modal
 
     beam = beams.simply_supported(
         length=LENGTH,
@@ -60,7 +63,7 @@ def simulate(seed: int = 0) -> Simulated:
     """Log of a half-sine hit, from a finer mesh, more modes and a finer step than `model` has."""
     import numpy as np
 
-    from loadid.record import Record
+    from ..record import Record
 
     truth = model(elements=80, modes=28)
     step = 1 / (RATE * FINER)
@@ -119,11 +122,11 @@ def _configure(parser: ArgumentParser) -> None:
 
 
 def _run(args: Namespace) -> int:
-    from loadid.progress import Bar
+    from ._outputs import Bar
 
     with Bar() as bar:
         estimate, simulated, written = demo(args.out, seed=args.seed, progress=bar)
-    from loadid.summary import summary
+    from ..results.summary import summary
 
     error = relative_error(estimate, simulated.force)
     lines = [

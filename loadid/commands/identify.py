@@ -12,15 +12,17 @@ from structures.errors import InputError
 
 from . import Command, emit, names
 from . import _arguments as arguments
-from ._logs import add_log_options, load_model, one_record, resolved, settings
+from ._arguments import add_log_options, load_model, one_record, resolved, settings
 from ._outputs import require_outputs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from loadid.estimate import LoadEstimate
-    from loadid.record import Record
     from structures.model import Model
+
+    from ..record import Record
+    from ..results.estimate import LoadEstimate
+
 
 FAMILIES = {
     "deconvolution": ("loadid.families.deconvolution", "Deconvolution"),
@@ -97,7 +99,7 @@ def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
     given = {key: value for key, value in options.items() if value is not None}
     taken = [name for name, p in signature(family).parameters.items() if p.kind is p.KEYWORD_ONLY]
     if given.get("nonnegative") and "nonnegative" not in taken and "constraints" in taken:
-        from loadid.inverse.constraints import NonNegative
+        from ..inverse.constraints import NonNegative
 
         del given["nonnegative"]
         given["constraints"] = [*given.get("constraints", ()), NonNegative()]
@@ -116,7 +118,7 @@ def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
 
 def _with_contradiction(error: InputError, record: Record) -> InputError:
     """The error; where the stated step contradicts that of the file, this is said too: it is the likely cause."""
-    from loadid.readers.settle import contradict, replaced
+    from ..readers.settle import contradict, replaced
 
     if record.file_dt is None or not contradict(record.file_dt, record.dt):
         return error
@@ -126,7 +128,7 @@ def _with_contradiction(error: InputError, record: Record) -> InputError:
 
 
 def _read(log: str | Path, record: str | None, reading: dict[str, Any] | None) -> Record:
-    from loadid.readers import read
+    from ..readers import read
 
     return read(log, record=record, **(reading or {}))
 
@@ -206,15 +208,15 @@ def known_load(record: Record, model: Model, channel: str) -> NDArray:
 
 
 def relative_error(estimate: LoadEstimate, truth: Any) -> dict[str, Any]:
-    """Comparison of the first load with a known one (samples,); see `loadid.summary.against`."""
-    from loadid.summary import against
+    """Comparison of the first load with a known one (samples,); see `loadid.results.summary.against`."""
+    from ..results.summary import against
 
     return against(estimate, truth)
 
 
 def show_error(error: dict[str, Any]) -> str:
     """Answer of `relative_error` as one line."""
-    from loadid.summary import comparison
+    from ..results.summary import comparison
 
     return comparison(error)
 
@@ -288,8 +290,8 @@ def _configure(parser: ArgumentParser) -> None:
 
 
 def _run(args: Namespace) -> int:
-    from loadid.codes import known_codes
-    from loadid.progress import Bar
+    from ..codes import known_codes
+    from ._outputs import Bar
 
     require_outputs({"-o": args.output, "--report": args.report, "--plot": args.plot}, [args.log, args.model])
     allow = None if args.allow is None else known_codes(args.allow, where="--allow")
@@ -306,7 +308,7 @@ def _run(args: Namespace) -> int:
     if truth is not None and (estimate.axis is None or estimate.axis.name != "time"):
         raise InputError("a history cannot be compared with spectra", where="--truth", found="--signal stationary",
                          expected="a load over time", hint="leave --truth out")  # fmt: skip
-    from loadid.summary import summary
+    from ..results.summary import summary
 
     error = None if truth is None else relative_error(estimate, truth)
     written = write_all(estimate, args.output, report=args.report, plot=args.plot, truth=truth)
@@ -328,15 +330,15 @@ def write_all(
 
     Report and picture are made before the first file is written, so that a fault in them leaves nothing behind.
     """
-    from structures.storage import replace
+    from structures.files.storage import replace
 
     ready = []
     if report is not None:
-        from loadid.report import page
+        from ..results.report import page
 
         ready.append((Path(report), page(estimate, truth=truth).encode()))
     if plot is not None:
-        from loadid.plots import load_figure, rendered
+        from ..plots import load_figure, rendered
 
         ready.append((Path(plot), rendered(load_figure(estimate, truth=truth), plot)))
     estimate.save(result)

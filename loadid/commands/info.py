@@ -8,8 +8,37 @@ from pathlib import Path
 from typing import Any
 
 from . import Command, emit
-from ._logs import add_log_options, read_records, settings
-from ._universal import content as universal
+from ._arguments import add_log_options, read_records, settings
+
+
+def universal(path: str | Path) -> dict[str, Any] | None:
+    """Functions, degrees of freedom and axes of a universal file; None of any other file, and of one with records.
+
+    Raises
+    ------
+    InputError
+        If it is one and is damaged.
+    """
+    from structures.files.uff import SUFFIXES, read_uff
+    from structures.files.uff_datasets import FRF, TIME
+
+    if Path(path).suffix.lower() not in SUFFIXES or not Path(path).is_file():
+        return None
+    file = read_uff(path)
+    if not file.functions or any(f.head.function == TIME for f in file.functions):
+        return None
+    found: dict[str, Any] = {"title": file.title} if file.title else {}
+    found["functions"] = file.holds()
+    for name, axis in (("response", 1), ("reference", 2)):
+        texts = {getattr(f, name) or "not named": f.head.axes[axis].unit for f in file.functions}
+        listed = [f"{label} [{unit}]" if unit else label for label, unit in texts.items()]
+        found[f"{name}s"] = ", ".join(listed[:50]) + (f" and {len(listed) - 50} more" if len(listed) > 50 else "")
+    spans = {(len(f.abscissa), f.abscissa[0], f.abscissa[-1], f.axis.unit) for f in file.functions}
+    found["axes"] = "; ".join(f"{n} values, {a:.6g} to {b:.6g} {unit}".strip() for n, a, b, unit in sorted(spans)[:8])
+    found |= {"notes": "; ".join(file.notes)} if file.notes else {}
+    if any(f.head.function == FRF for f in file.functions):
+        found["to_read_it"] = f'structures.files.read_frfs("{path}") gives a model'
+    return found
 
 
 def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = True, **reading: Any) -> dict[str, Any]:
@@ -37,7 +66,7 @@ def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = T
     InputError
         If the file is no such file, damaged, or not usable.
     """
-    from structures import storage
+    from structures.files import storage
 
     kind = storage.kind_of(path)
     if kind is None and (held := universal(path)):
@@ -45,8 +74,8 @@ def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = T
     if kind is None:
         return {"kind": "log", "file": str(path), **_log(path, records, reading)}
     if kind == "load estimate":
-        from loadid.estimate import LoadEstimate
-        from loadid.summary import summary
+        from ..results.estimate import LoadEstimate
+        from ..results.summary import summary
 
         estimate = LoadEstimate.read(path)
         said = summary(estimate, command=True)
@@ -60,9 +89,9 @@ def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = T
 
 def _log(path: str | Path, records: list[str] | None, reading: dict[str, Any]) -> dict[str, Any]:
     """Records of a log; what is known of them where units or the step must be stated before it can be read."""
-    from loadid.quality import describe
-    from loadid.readers import outline
-    from loadid.readers.source import NotStated
+    from ..quality import describe
+    from ..readers import outline
+    from ..readers.source import NotStated
 
     try:
         return {"records": [describe(r) for r in read_records(path, records, reading)]}
@@ -72,7 +101,7 @@ def _log(path: str | Path, records: list[str] | None, reading: dict[str, Any]) -
 
 def _model(path: str | Path) -> dict[str, Any]:
     """What a measured model was made from and what it covers."""
-    from structures.measured import MeasuredModel
+    from structures.models.measured import MeasuredModel
 
     from .calibrate import describe as describe_hits
 
@@ -93,7 +122,7 @@ def _model(path: str | Path) -> dict[str, Any]:
 
 def _table(path: str | Path) -> dict[str, Any]:
     """What a table of FRFs covers."""
-    from structures.tabulated import FrfModel
+    from structures.models.tabulated import FrfModel
 
     model = FrfModel.load(path)
     return {
@@ -125,7 +154,7 @@ def table(rows: list[list[str]]) -> str:
 
 def show_record(record: dict[str, Any]) -> str:
     """A record as `loadid.quality.describe` gives it, as text."""
-    from loadid.summary import quantity
+    from ..results.summary import quantity
 
     name = f"record {record['name']!r}: " if record["name"] else ""
     head = f"{name}{record['samples']} samples, step {quantity(record['dt'], 's')} ({record['fs']:.6g} Hz), "
@@ -170,8 +199,7 @@ def _show_table(outline: dict[str, Any]) -> str:
 
 
 def _show_model(data: dict[str, Any]) -> str:
-    from loadid.summary import quantity
-
+    from ..results.summary import quantity
     from .calibrate import show as show_hits
 
     def channels(key: str) -> str:

@@ -5,19 +5,183 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+import time
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
 
 from . import Command, emit
 from ._arguments import count
 from ._tracker import add_fit_options, require_fit_options, started
 
 if TYPE_CHECKING:
-    from loadid.families.tracking.tracker import Tracker
-    from loadid.stream import Followed
-    from loadid.stream.lock import StateLock
+    from ..families.tracking.tracker import Tracker
+    from ..stream import Followed
+    from ..stream.output import StateLock
+
+
+BINS = 1024
+
+
+class History:
+    """Mean, extremes and band of every load over time.
+
+    Parameters
+    ----------
+    labels, units : sequence of str
+        Of the loads.
+    width : float
+        Of the band, in std.
+    """
+
+    def __init__(self, labels: list[str], units: list[str], width: float = 1.96) -> None:
+        self.labels, self.units, self.width = labels, units, width
+        self.size = 1  # samples of a bin
+        self._bins: list[NDArray[np.float64]] = []  # (4, loads): mean, lowest, highest of the band, std
+        self._times: list[float] = []
+        self._open: list[tuple[NDArray, NDArray, NDArray]] = []
+        self._count = 0
+
+    def add(self, times: NDArray, load: NDArray, std: NDArray) -> None:
+        """More samples: times (samples,), loads and stds (samples, loads)."""
+        self._open.append((times, load, std))
+        self._count += len(times)
+        if self._count < self.size:
+            return
+        times, load, std = (np.concatenate(parts) for parts in zip(*self._open, strict=True))
+        whole = len(times) // self.size * self.size
+        self._open, self._count = [(times[whole:], load[whole:], std[whole:])], len(times) - whole
+        shape = (-1, self.size, load.shape[1])
+        p, s = load[:whole].reshape(shape), std[:whole].reshape(shape)
+        low, high = (p - self.width * s).min(axis=1), (p + self.width * s).max(axis=1)
+        self._bins.extend(np.stack([p.mean(axis=1), low, high, s.mean(axis=1)], axis=1))
+        self._times.extend(times[:whole].reshape(-1, self.size).mean(axis=1).tolist())
+        while len(self._bins) > BINS:
+            self._join()
+
+    def __len__(self) -> int:
+        return len(self._bins)
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """Middle of every bin (bins,)."""
+        return np.array(self._times)
+
+    @property
+    def bins(self) -> NDArray[np.float64]:
+        """Mean, lower and upper end of the band, mean std (bins, 4, loads)."""
+        return np.array(self._bins).reshape(-1, 4, len(self.labels))
+
+    def _join(self) -> None:
+        """Bins of twice the size; an odd last one goes on as samples of its mean."""
+        bins, times = self.bins, self.times
+        even = len(bins) // 2 * 2
+        if even < len(bins):
+            p, s = bins[even, 0], bins[even, 3]
+            self._open.insert(0, tuple(np.repeat(a, self.size, axis=0) for a in (times[even:], p[None], s[None])))  # type: ignore[arg-type]
+            self._count += self.size
+        pairs = bins[:even].reshape(-1, 2, *bins.shape[1:])
+        mean = pairs.mean(axis=1)
+        mean[:, 1], mean[:, 2] = pairs[:, :, 1].min(axis=1), pairs[:, :, 2].max(axis=1)
+        self._bins, self._times = list(mean), times[:even].reshape(-1, 2).mean(axis=1).tolist()
+        self.size *= 2
+
+
+WINDOW = 2000  # samples that are shown
+INTERVAL = 0.25  # s between two drawings
+HEIGHT, WIDTH = 9, 72  # characters of a load in a terminal
+SHOWN = 3  # loads in a terminal
+
+
+def live(
+    labels: Sequence[str], units: Sequence[str], times: NDArray, load: NDArray, std: NDArray, note: str = ""
+) -> str:
+    """Loads and their 95 % bands as text, the newest sample at the right.
+
+    Parameters
+    ----------
+    labels, units : sequence of str
+        Of the loads.
+    times : array, shape (samples,)
+    load, std : array, shape (samples, loads)
+    note : str
+        Last line.
+    """
+    lines = []
+    for j in range(min(len(labels), SHOWN)):
+        lines += _panel(f"{labels[j]} [{units[j]}]", times, load[:, j], 1.96 * std[:, j])
+    more = len(labels) - SHOWN
+    if more > 0:
+        lines.append(f"and {more} more loads")
+    return "\n".join([*lines, note] if note else lines)
+
+
+def _panel(name: str, times: NDArray, load: NDArray, half: NDArray) -> list[str]:
+    parts = np.array_split(np.arange(len(load)), min(WIDTH, len(load)))
+    low = np.array([np.min(load[p] - half[p]) for p in parts])
+    high = np.array([np.max(load[p] + half[p]) for p in parts])
+    middle = np.array([np.mean(load[p]) for p in parts])
+    bottom, top = float(low.min()), float(high.max())
+    if not top > bottom:
+        bottom, top = bottom - 1.0, top + 1.0
+    step = (top - bottom) / HEIGHT
+    rows = [[" "] * len(parts) for _ in range(HEIGHT)]
+    for k in range(len(parts)):
+        a, b, c = (min(int((x - bottom) / step), HEIGHT - 1) for x in (low[k], high[k], middle[k]))
+        for r in range(a, b + 1):
+            rows[r][k] = "░"
+        rows[c][k] = "█"
+    lines = [f"{'':9} {name}  now {load[-1]:.4g} ± {half[-1]:.2g} (95 %)"]
+    for r in reversed(range(HEIGHT)):
+        label = f"{bottom + (r + 0.5) * step:9.3g}" if r in (0, HEIGHT // 2, HEIGHT - 1) else " " * 9
+        lines.append(f"{label} │{''.join(rows[r])}")
+    ends = f"{times[0]:.6g} s", f"{times[-1]:.6g} s"
+    return [*lines, f"{'':9} └{ends[0]}{' ' * max(len(parts) - len(ends[0]) - len(ends[1]), 1)}{ends[1]}"]
+
+
+class Screen:
+    """Redraws the newest samples in place; silent where the stream is no terminal.
+
+    Parameters
+    ----------
+    labels, units : sequence of str
+        Of the loads.
+    stream : text stream
+    """
+
+    def __init__(self, labels: Sequence[str], units: Sequence[str], stream: TextIO) -> None:
+        self.labels, self.units, self.stream = labels, units, stream
+        self.shown = bool(getattr(stream, "isatty", lambda: False)())
+        self._recent: tuple[NDArray, ...] = ()
+        self._last, self._height = 0.0, 0
+
+    def add(self, times: NDArray, load: NDArray, std: NDArray) -> None:
+        """More samples; drawn where the last drawing is old enough."""
+        if not self.shown:
+            return
+        new = times, load, std
+        both = new if not self._recent else tuple(np.concatenate(p) for p in zip(self._recent, new, strict=True))
+        self._recent = tuple(np.array(p[-WINDOW:]) for p in both)
+        now = time.monotonic()
+        if now - self._last >= INTERVAL:
+            self._last = now
+            self.draw()
+
+    def draw(self) -> None:
+        """Over the last drawing."""
+        if not self.shown or not self._recent:
+            return
+        times, load, std = self._recent
+        lines = live(self.labels, self.units, times, load, std).split("\n")
+        up = f"\x1b[{self._height}A" if self._height else ""
+        self.stream.write(up + "".join(f"\x1b[2K{line}\n" for line in lines))
+        self.stream.flush()
+        self._height = len(lines)
+
 
 EXAMPLES = """\
 examples:
@@ -146,7 +310,7 @@ def _seconds(text: str) -> float:
 
 
 def _run(args: Namespace) -> int:
-    from ._logs import units
+    from ._arguments import units
     from ._outputs import require_outputs
 
     require_fit_options(args)
@@ -154,8 +318,8 @@ def _run(args: Namespace) -> int:
     outputs = {"--out": None if args.out == "-" else args.out, "--state": args.state, "--plot": args.plot or None}
     require_outputs(outputs, [source, args.model, args.fit])
 
-    from loadid.stream.lock import StateLock
-    from loadid.stream.sources import require_source
+    from ..stream.output import StateLock
+    from ..stream.sources import require_source
 
     require_source(args.source)
     stated = units(args.unit)
@@ -164,11 +328,9 @@ def _run(args: Namespace) -> int:
 
 
 def _tracked(args: Namespace, state: StateLock | None, units: dict[str, str]) -> int:
-    from loadid.progress import Bar
-    from loadid.stream import follow
-    from loadid.stream.framing import TIME
-    from loadid.stream.history import History
-    from loadid.stream.terminal import Screen
+    from ..stream import follow
+    from ..stream.framing import TIME
+    from ._outputs import Bar
 
     with Bar() as bar:
         tracker, stream, fitted = started(args, bar)
@@ -199,8 +361,8 @@ def _tracked(args: Namespace, state: StateLock | None, units: dict[str, str]) ->
 
 
 def _picture(path: str, tracker: Tracker, past: Any, done: Followed) -> None:
-    from loadid.plots.style import save
-    from loadid.plots.tracking import tracked_figure
+    from ..plots.choosing import tracked_figure
+    from ..plots.style import save
 
     flags = ", ".join(sorted(f.code.removeprefix("LID-") for f in tracker.flags if f.level != "note")) or "none"
     verdict = "" if tracker.certificate is None else f"{tracker.certificate.verdict}  |  "

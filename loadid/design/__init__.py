@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .comparison import Comparison, compare
-from .judged import Judged
+from .layout import Judged
 from .placement import Placement, place
 
 __all__ = ["Comparison", "Judged", "Placement", "compare", "place"]

@@ -1,4 +1,4 @@
-"""Candidate sensors as whitened rows: one for each sensor, in units of its noise, per unit of each load."""
+"""Candidate sensors as whitened rows, where they are, and the loads that a layout is judged for."""
 
 from __future__ import annotations
 
@@ -9,9 +9,56 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
+from structures.errors import InputError, plain, reals
 from structures.model import Model
-from structures.values import plain, reals
+
+Places = NDArray[np.float64] | None
+
+
+def of_model(model: Model) -> tuple[Places, Places, Places]:
+    """Places of the sensors (sensors, dim), of the loads (loads, dim), and of the nodes of the structure."""
+    structure = model.structure
+    if structure is None:
+        return None, None, None
+    outline = structure.coordinates
+    nodes = {}
+    if outline is not None:
+        numbers = sorted({dof.node for dof in structure.dofs})
+        nodes = dict(zip(numbers, np.asarray(outline, float), strict=True))
+    sensors = _stack([_place(s, nodes) for s in model.sensors])
+    return sensors, _of_loads(model, nodes), outline
+
+
+def _of_loads(model: Model, nodes: dict[int, NDArray]) -> Places:
+    basis = model.basis
+    if basis is not None and getattr(basis, "kind", "") != "polynomials":
+        x = np.asarray(basis.coordinates, float)
+        x = x[:, None] if x.ndim == 1 else x
+        return (
+            np.repeat(x, len(basis.components), axis=0) if len(x) * len(basis.components) == len(model.loads) else None
+        )
+    return _stack([_place(c, nodes) for c in model.loads])
+
+
+def _place(channel: Any, nodes: dict[int, NDArray]) -> NDArray[np.float64] | None:
+    """Its own place, the middle of its patch, or its node."""
+    at, dof = getattr(channel, "at", None), getattr(channel, "dof", None)
+    if at is not None:
+        return np.atleast_1d(np.asarray(at, float))
+    if dof is not None:
+        return nodes.get(dof.node)
+    spans = [getattr(channel, name, None) for name in "xy"]
+    middle = [float(np.mean(s)) for s in spans if s is not None and np.shape(s) == (2,)]
+    return np.array(middle) if middle else None
+
+
+def _stack(found: list[NDArray | None]) -> Places:
+    """One table, dimensions that only some have filled with zeros; None where a place is not known."""
+    if not found or any(x is None for x in found):
+        return None
+    dim = max(len(x) for x in found if x is not None)
+    return np.array([np.r_[x, np.zeros(dim - len(x))] for x in found if x is not None])
+
 
 Array = NDArray[np.float64]
 
@@ -114,8 +161,6 @@ def settle(
     InputError
         No real matrix, NaN, sensors that no load moves, noise or places that do not fit, mixed units without noise.
     """
-    from .places import of_model
-
     if isinstance(given, Model):
         H = np.asarray(given.static(), float)
         labels, units = tuple(s.label for s in given.sensors), tuple(s.unit for s in given.sensors)
@@ -231,3 +276,66 @@ def _places(at: ArrayLike, count: int, name: str) -> Array:
             hint="one place for each",
         )
     return x
+
+
+SNR = 100.0
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Std of each load before any reading, (loads,), and where it comes from, in words."""
+
+    amplitude: NDArray[np.float64]
+    words: str
+
+
+def expected(sets: Sequence[Candidates], amplitude: ArrayLike | None, snr: float | None, where: str) -> Expected:
+    """Amplitude of the loads: as stated, or such that the sensor that sees a load of each unit best reads it at `snr`.
+
+    Raises
+    ------
+    InputError
+        Both given, one that is not positive or does not fit, an amplitude without a noise level, no sensor that moves.
+    """
+    one = sets[0]
+    n = one.H.shape[1]
+    rows = np.vstack([np.abs(c.H) / c.std[:, None] for c in sets])
+    if not np.any(rows):
+        raise InputError(
+            "no load moves any sensor", where=where, found="a transfer matrix of zeros", expected="some response",
+            hint="accelerometers and AC-coupled sensors see no static load",
+        )  # fmt: skip
+    if amplitude is not None:
+        if snr is not None or any(c.noise is None for c in sets):
+            raise InputError(
+                "an amplitude is judged against a noise level" if snr is None else "amplitude and snr say the same",
+                where=where, found="no noise" if snr is None else "both", expected="amplitude= with noise=, or snr=",
+                hint="give noise= (std per sensor), or state snr= alone",
+            )  # fmt: skip
+        try:
+            level = np.broadcast_to(np.asarray(plain(amplitude), float), (n,))
+        except (TypeError, ValueError):
+            level = np.zeros(1)
+        if not np.all(np.isfinite(level)) or np.any(level <= 0):
+            raise InputError(
+                "no amplitude", where=where, found=repr(amplitude)[:60], expected=f"positive, one number or ({n},)",
+                hint="the std of the load that is expected, SI",
+            )  # fmt: skip
+        return Expected(np.array(level), "loads of the stated amplitude")
+    ratio = SNR if snr is None else snr
+    if (
+        isinstance(ratio, bool)
+        or not isinstance(ratio, int | float | np.number)
+        or not np.isfinite(ratio)
+        or ratio <= 0
+    ):
+        raise InputError(
+            "no signal-to-noise ratio", where=where, found=repr(snr), expected="a positive number", hint="snr=100"
+        )
+    level = np.ones(n)
+    for unit in set(one.load_units):
+        group = np.array([u == unit for u in one.load_units])
+        top = rows[:, group].max()
+        level[group] = ratio / top if top > 0 else 1.0
+    same = "" if all(c.noise is not None for c in sets) else "; noise not stated: equal for all sensors"
+    return Expected(level, f"loads that the best-placed sensor reads at {ratio:g} times its noise{same}")

@@ -13,10 +13,9 @@ from structures.errors import InputError
 from structures.flags import Flag
 from structures.model import Model
 
-from ..flags.measurement import lost_channels
-from .amplitude import expected
-from .candidates import Candidates, settle
-from .judged import Judged, judge, table
+from ..guards.measurement import lost_channels
+from .candidates import Candidates, expected, settle
+from .layout import Judged, judge, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -211,7 +210,7 @@ def _placed(given: Any, structure: Any, loads: Any) -> Any:
     """The model of one layout of sensors on a structure; anything else as it is."""
     if structure is None or isinstance(given, Model):
         return given
-    from structures.forward import ForwardModel
+    from structures.models.forward import ForwardModel
 
     return ForwardModel(structure, given, loads)
 

@@ -10,10 +10,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from .judged import Judged
+from .layout import Judged
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
 
 BLUE, ORANGE, INK, GREY, PALE = "#0072B2", "#D55E00", "#222222", "#8a8a8a", "#dddddd"
 COLUMNS = 3

@@ -12,15 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 from structures.model import Model
 
-from . import search
-from .amplitude import expected
-from .candidates import Candidates, settle
+from . import layout as search
+from .candidates import Candidates, expected, settle
 from .comparison import checked, of
-from .judged import Judged, table
-from .search import State
+from .layout import Judged, State, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 EQUAL = 1e-7  # of log det, or of the logarithm of the worst variance
 # norms of the variances that lead to the worst one in turn; a large problem settles ties one way only

@@ -9,30 +9,28 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.advice import Advice, Option
-from structures.errors import InputError, NotIdentifiable
+from structures.errors import InputError, NotIdentifiable, real
 from structures.flags import Flag, codes
 from structures.model import Model, as_model
-from structures.values import real
 
-from .. import flags as guards
-from ..estimate import Axis, LoadEstimate
-from ..flags import sparsity as told
-from ..flags.pieces import windows_apart
-from ..inverse import diagnose, rules
+from .. import guards as guards
+from ..guards import families as told
+from ..guards.inversion import windows_apart
+from ..inverse import rules
 from ..inverse.choice import Choice, choose, given, residual_level, unexplained
-from ..inverse.confirm import confirm
+from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.penalties import order
-from ..provenance import provenance
+from ..inverse.statespace.coarse import confirm
+from ..results.archive import provenance
+from ..results.estimate import Axis, LoadEstimate
 from . import histories
 from .data import Data, gather, health
-from .level import graded, noise_level, unexplained_by
-from .offsets import without_offsets
+from .histories import facts as pushing_facts
+from .histories import flags as pushing_flags
+from .histories import half_width, kurtosis, push, signs, without_offsets
+from .noise import graded, noise_level, unexplained_by
 from .posing import UNUSABLE, Posed, Settings, diagonal, pose
-from .pushing import facts as pushing_facts
-from .pushing import flags as pushing_flags
-from .pushing import push, signs
-from .shapes import half_width, kurtosis
 
 PROCESS = (
     "a load of zero mean and constant variance, white in time",
@@ -92,7 +90,7 @@ class Deconvolution:
     allow : sequence of str
         Guard codes whose refusal is overridden; printed on everything made from the result.
     coverage : Coverage, optional
-        Outcome of `loadid.validate.coverage` on a set-up like this one.
+        Outcome of `loadid.validate.checks` on a set-up like this one.
     progress : callable, optional
         Called as ``progress(fraction, text)``.
     """

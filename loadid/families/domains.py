@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from structures.errors import InputError
+from structures.errors import InputError, as_array
 from structures.model import Model, as_model
-from structures.values import as_array
 
-from ..estimate import LoadEstimate
 from ..inverse.noise_source import NoiseSourceLike
+from ..results.estimate import LoadEstimate
 from .deconvolution import Deconvolution
 from .frequency import FrequencyInversion
 from .posing.posed import PADDED

@@ -9,21 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
-from structures.mapped import mapped
+from structures.errors import InputError, positive
 from structures.model import Model, as_model
-from structures.motion import Motion, motion
-from structures.values import positive
+from structures.models.mapped import mapped
+from structures.models.motion import Motion, motion
 
-from .. import flags as guards
-from ..estimate import LoadEstimate
-from ..flags.spacetime import undetermined_field
-from ..inverse.mapped import MappedPosterior
+from .. import guards as guards
+from ..guards.inversion import undetermined_field
 from ..inverse.penalties import names
-from . import spatial
+from ..inverse.statespace.posterior import MappedPosterior
+from ..results.estimate import LoadEstimate
+from . import smoothness as spatial
 from .data import Data, gather
 from .deconvolution import Deconvolution
-from .geometry import geometry
+from .smoothness import geometry
 
 LINES = 24  # on which the sensors are asked how many loads they tell apart
 APART = 1e-9  # singular value over the largest, rows and columns scaled, below which a combination leaves no trace
@@ -196,7 +195,7 @@ class FieldDeconvolution:
             extra.append(guards.overridden("E514", "combinations told apart", told, len(loads)))
         history = {
             **found.provenance, "family": self.name, "model": self.model.fingerprint,
-            "prior": f"in time {found.provenance['prior']}; in space {spatial.words(self.space, length)}"
+            "prior": f"in time {found.provenance['prior']}; in space {spatial.spatial_words(self.space, length)}"
             + ("" if self.ratio is None else f"; the two added, in space {self.ratio:.3g} of that in time"),
         }  # fmt: skip
         told_of: dict[str, Any] = {

@@ -9,25 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, NotIdentifiable
+from structures.errors import InputError, NotIdentifiable, real
 from structures.flags import Flag
 from structures.model import Model, as_model
-from structures.values import real
 
-from .. import flags as guards
-from ..estimate import Axis, LoadEstimate
-from ..flags import frequency as told
+from .. import guards as guards
+from ..guards import families as told
 from ..inverse.choice import CLEARLY, Choice
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.posterior import SpectralPosterior
-from ..inverse.spectral.zeros import nearest_zeros
-from ..provenance import provenance
-from ..spectrum import LEVEL, Spectrum
+from ..results.archive import provenance
+from ..results.estimate import Axis, LoadEstimate
+from ..results.functionals import LEVEL, Spectrum, nearest_zeros
 from .data import rows_of
-from .level import graded
-from .spectral.agreement import judged
-from .spectral.fitting import Fit, Rule, fit
-from .spectral.gathered import SIGNALS, LineData, Settings, lines_of, response
+from .noise import graded
+from .posing.fitting import Fit, Rule, fit, judged
+from .posing.gathered import SIGNALS, LineData, Settings, lines_of, response
 
 BESIDE = 16  # samples around a load that stands out, to which what is missing of it belongs
 CLEAR = 5.0  # standard deviations by which a load stands out of a transient
@@ -37,7 +34,7 @@ class FrequencyInversion:
     """Loads line by line, ``Y = H(f) G``, each line with the variances that its neighbours show.
 
     The default regularisation is the evidence of neighbouring lines: loads and noise are as large as around each line
-    (`loadid.inverse.spectral.pooled`), which is truncation-free, independent of units, and lets an inactive load
+    (`loadid.inverse.spectral`), which is truncation-free, independent of units, and lets an inactive load
     vanish. Rules (GCV, L-curve, discrepancy ...) choose a lambda for each line, for neighbours or for all lines;
     truncated SVD goes by threshold, count or rule. Every line says what it can tell without any prior: an antiresonance
     is flagged (W507), never filled in silently.
@@ -66,7 +63,7 @@ class FrequencyInversion:
     band : (float, float), optional
         Lines that are inverted (Hz); not of a transient, whose history needs all of them.
     window, segment, overlap
-        Of averaged records, as in `structures.welch.cross_spectra`.
+        Of averaged records, as in `structures.testing.welch.cross_spectra`.
     noise : float or array, optional
         Noise std of the sensors: of the amplitudes for spectra, of the samples for records, the root of the density
         (unit/sqrt(Hz)) for cross spectra. In the order of the model, or of `sensors` and then `validation`.

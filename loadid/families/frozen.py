@@ -1,25 +1,195 @@
-"""A frozen inverse: one matrix-vector product per reading, or a warm solver where there are constraints."""
+"""Many static readings: one lambda for all, a frozen inverse, frames on their own; whether they determine it."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures import storage
-from structures.errors import InputError
-from structures.values import reals
+from structures.advice import Advice, Option
+from structures.errors import InputError, NotIdentifiable, reals
+from structures.files import storage
 
-from .readings import LARGEST
-from .steady import Absolute, Steady
+from .. import guards as guards
+from ..inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
+from ..inverse.posterior import FramesPosterior
+from ..results.estimate import LoadEstimate
+from .data import LARGEST, Readings, readings
+from .posing.steady import Absolute, Steady
 
 if TYPE_CHECKING:
     from .static import StaticInversion
+
+
+MEETING = float(np.sqrt(np.finfo(float).eps))  # of [H/|H|; L/|L|], below which no minimiser stands out
+PUSH = 1e-9  # of the largest gradient at rest, below which a constraint holds a load by chance
+
+
+def missing(posed: Steady) -> int:
+    """Load patterns that neither the readings nor the constraints fix without regularisation; 0 is what it must be.
+
+    Resultants count as readings. A sign or a bound fixes a load only where the data push against it: a load that may
+    move inside its bounds is bounded, not determined.
+    """
+    problem, n = posed.base.problem, posed.H.shape[1]
+    rows, free = [problem.H / np.linalg.norm(problem.H)], np.ones(n, bool)
+    solution = posed.path.solve(0.0)
+    least = PUSH * float(np.max(np.abs(problem.H.T @ problem.y), initial=0.0))
+    for c, push, active in zip(posed.path.constraints, solution.multipliers, solution.active, strict=True):
+        if isinstance(c, Resultant):
+            C = np.asarray(c.C, float)
+            rows.append(C / np.linalg.norm(C, axis=1, keepdims=True))
+        elif isinstance(c, Support):
+            free &= np.isin(np.arange(n), np.asarray(c.loads))
+        elif isinstance(c, NonNegative | Bounds):
+            held = (np.asarray(active, bool) & (np.abs(push) > least)).reshape(-1, push.shape[-1]).all(axis=0)
+            loads = np.arange(n) if c.loads is None else np.asarray(c.loads)
+            free[loads[held]] = False
+        elif isinstance(c, FrictionCone):
+            contacts = np.asarray(c.contacts)
+            is_open = (np.asarray(active) == 0).reshape(-1, len(contacts)).all(axis=0)
+            free[contacts[is_open].ravel()] = False
+    count = int(free.sum())
+    return count - int(np.linalg.matrix_rank(np.vstack(rows)[:, free])) if count else 0
+
+
+def refuse_undetermined(family: StaticInversion, posed: Steady) -> None:
+    """Refuse a load that neither the sensors nor the penalty nor the constraints determine (LID-E306)."""
+    n = family.H.shape[1]
+    if family.L is not None and posed.base.meeting < MEETING and "LID-E306" not in family.allow:
+        raise NotIdentifiable(
+            "the null spaces of the sensors and of the penalty nearly meet: the smallest singular value of "
+            f"[H/|H|; L/|L|] is {posed.base.meeting:.2g}, below {MEETING:.2g}",
+            advice=Advice(
+                "add another sensor, or use ",
+                Option("penalty", "identity"),
+                " (with a resultant as a constraint, if known)",
+            ),
+            code="LID-E306",
+        )
+    if family.free and posed.constrained and posed.rank < n and "LID-E306" not in family.allow:
+        lacking = missing(posed)
+        if lacking:
+            raise NotIdentifiable(
+                f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns, and the "
+                f"constraints leave {lacking} load pattern{'s' if lacking > 1 else ''} free to move",
+                advice=Advice(
+                    "add sensors or a resultant, use a penalty (", Option("penalty", "identity"), "), or fewer loads"
+                ),
+                code="LID-E306",
+            )
+    if family.free and not family.constraints and posed.rank < n and "LID-E306" not in family.allow:
+        raise NotIdentifiable(
+            f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns "
+            f"from {len(posed.H)} sensors",
+            advice=Advice("add sensors, use a penalty (", Option("penalty", "identity"), "), or fewer loads"),
+            code="LID-E306",
+        )
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One relative lambda for a set-up.
+
+    Parameters
+    ----------
+    lam : float
+        Relative lambda, chosen on all records together.
+    rule : str
+    records : tuple of str
+        Names of the records.
+    alone : tuple of float
+        Lambda that each record alone would choose.
+    spread : float
+        Decades between the smallest and the largest of them.
+    verdict : str
+        Of the joint choice.
+    sigma_source : str
+        Where the noise level (delta) comes from.
+    date : str
+        ISO date and time, UTC.
+    level : array or None
+        Noise level of the sensors that the records told, where neither the user nor the model states one.
+    """
+
+    lam: float
+    rule: str
+    records: tuple[str, ...]
+    alone: tuple[float, ...]
+    spread: float
+    verdict: str
+    sigma_source: str
+    date: str
+    level: Any = field(default=None, repr=False, compare=False)
+
+    def __str__(self) -> str:
+        return (
+            f"relative lambda {self.lam:.3g} by {self.rule} from {len(self.records)} records on {self.date[:10]} "
+            f"({self.verdict}; alone {min(self.alone):.3g} to {max(self.alone):.3g}, spread {self.spread:.2f} decades; "
+            f"noise level: {self.sigma_source})"
+        )
+
+    def table(self) -> str:
+        """The records and their own lambdas, as text."""
+        width = max(len(name) for name in self.records)
+        rows = [f"{name:{width}s}  {lam:.3g}" for name, lam in zip(self.records, self.alone, strict=True)]
+        return "\n".join([*rows, f"{'together':{width}s}  {self.lam:.3g}", str(self)])
+
+
+def calibrate(family: StaticInversion, records: Sequence[Any]) -> Calibration:
+    """See `StaticInversion.calibrate`."""
+    if not isinstance(records, list | tuple) or not records:
+        raise InputError(
+            "no records to calibrate with",
+            where="calibrate",
+            found=f"{type(records).__name__} of length {len(records) if hasattr(records, '__len__') else '?'}",
+            expected="a list of readings",
+            hint="calibrate([reading_1, reading_2, ...])",
+        )
+    given = [_read(family, r, i) for i, r in enumerate(records)]
+    alone = [family.choose(family.pose(g)).lam for g in given]
+    posed = family.pose(_together(given))
+    joint = family.choose(posed)
+    told = posed.noise.known and family.noise is None and family.model.noise is None
+    positive = np.array([x for x in alone if x > 0] or [1.0])
+    names = [g.name if g.data is not None else f"record {i + 1}" for i, g in enumerate(given)]
+    return Calibration(
+        lam=joint.lam,
+        rule=joint.rule,
+        records=tuple(names),
+        alone=tuple(alone),
+        spread=float(np.ptp(np.log10(positive))),
+        verdict=joint.verdict,
+        sigma_source=joint.sigma_source,
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+        level=posed.noise.level if told else None,
+    )
+
+
+def _read(family: StaticInversion, record: Any, i: int) -> Readings:
+    """Readings of one record; a refusal names it."""
+    try:
+        return readings(record, family.model, family.sensors)
+    except InputError as error:
+        raise InputError(
+            error.what, where=f"calibrate, record {i + 1}", found=error.found, expected=error.expected, hint=error.hint
+        ) from None
+
+
+def _together(given: Sequence[Readings]) -> Readings:
+    """All frames of all records as one sequence."""
+    from ..results.estimate import Axis
+
+    values = np.vstack([g.values for g in given])
+    first = given[0]
+    axis = Axis("frame", "", np.arange(float(len(values))))
+    return Readings(values, first.rows, first.channels, axis, "records", "", data=first.data)
+
 
 KIND = "frozen inverse"
 
@@ -198,3 +368,32 @@ def _fixed(family: StaticInversion, posed: Steady) -> float:
     if isinstance(family.choice, Absolute):
         return family.choice.relative(posed.base)
     return float(family.choice)  # type: ignore[arg-type]
+
+
+def each_frame(family: StaticInversion, given: Readings) -> LoadEstimate:
+    """One estimate of several frames, each with its own lambda (flag W409).
+
+    The choice, the diagnosis and the other facts are those of the last frame.
+    """
+    singles = []
+    for row in given.values:
+        one = replace(given, values=row[None], axis=None)
+        posed = family.pose(one)
+        singles.append(family.answer(one, posed, family.choose(posed)))
+    last = singles[-1]
+    lams = [e.choice.lam for e in singles if e.choice is not None]
+    bias = None if last.bias is None else np.stack([e.bias for e in singles if e.bias is not None])
+    flags = [f for e in singles for f in e.flags if f.code != "LID-N303"] + [f for f in last.flags if "N303" in f.code]
+    unique = {f.code: f for f in flags}
+    return replace(
+        last,
+        load=np.stack([e.load for e in singles]),
+        std=np.stack([e.std for e in singles]),
+        bias=bias,
+        axis=given.axis,
+        response=given.values,
+        residual=np.stack([e.residual for e in singles if e.residual is not None]),
+        posterior=FramesPosterior([e.posterior for e in singles]),
+        flags=guards.collect([guards.changing_lambda(lams), *unique.values()]),
+        facts={**last.facts, "frames": len(singles)},
+    )

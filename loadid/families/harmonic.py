@@ -9,24 +9,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, NotIdentifiable
+from structures.errors import InputError, NotIdentifiable, plain, positive
 from structures.model import Model, as_model
-from structures.values import plain, positive
 
-from .. import flags as guards
-from ..estimate import Axis, LoadEstimate
-from ..inverse import diagnose, rules
+from .. import guards as guards
+from ..inverse import rules
 from ..inverse.choice import choose, residual_level
+from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource, NoiseSourceLike
 from ..inverse.problem import LinearProblem
 from ..inverse.svd import SVDPath
-from ..provenance import provenance
-from . import spatial
+from ..results.archive import provenance
+from ..results.estimate import Axis, LoadEstimate
+from . import smoothness as spatial
 from .data import rows_of
 from .field import told_apart
-from .geometry import geometry
-from .level import graded, noise_level, unexplained_by
-from .noise import Noise
+from .noise import Noise, graded, noise_level, unexplained_by
+from .smoothness import geometry
 
 Complex = NDArray[np.complex128]
 
@@ -164,7 +163,7 @@ class HarmonicInversion:
                           "sensors": None if self.sensors is None else [str(s) for s in self.sensors]},
                 inputs={},
                 model=self.model.fingerprint,
-                prior=f"in space {spatial.words(self.space, self.length)}",
+                prior=f"in space {spatial.spatial_words(self.space, self.length)}",
             ),
         )  # fmt: skip
         return graded(estimate, unexplained_by(posed.path, choice.lam, posed.noise))

@@ -9,32 +9,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, NotIdentifiable
+from structures.errors import InputError, NotIdentifiable, number, real
 from structures.flags import Flag
 from structures.model import Model, as_model
-from structures.statespace import StateSpace
-from structures.values import number, real
+from structures.models.statespace import StateSpace
 
-from .. import flags as guards
-from ..flags import tracking as told
-from ..inverse.kalman.dummy import words as near_rest_in_words
-from ..inverse.kalman.lag import fixed_lag
+from .. import guards as guards
+from ..guards import tracking as told
+from ..inverse.kalman.model import words as near_rest_in_words
 from ..inverse.kalman.observe import Observability, observability
 from ..inverse.kalman.priors import OU, Matern32, Matern52
+from ..inverse.kalman.smoothing import fixed_lag
 from ..inverse.kalman.steady import Steady, steady
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..record import Record
 from . import noise as noises
 from .data import Data, gather, health
 from .tracking.certificate import Certificate, banded, certify
-from .tracking.engine import GATE, Engine
-from .tracking.fitted import Fitted
-from .tracking.limits import ranges, within
-from .tracking.named import Named, leaky, named
-from .tracking.numbers import LONGEST, numbers_of
-from .tracking.posed import Posing, restricted
-from .tracking.recipe import Recipe, storable
-from .tracking.tracker import ENGINES, Tracker
+from .tracking.engine import Engine
+from .tracking.filters import Named, Posing, leaky, named, restricted
+from .tracking.fit import Fitted, Recipe, storable
+from .tracking.judging import GATE
+from .tracking.running import ENGINES
+from .tracking.samples import ranges, within
+from .tracking.tracker import Tracker
+from .tracking.tuning import LONGEST, numbers_of
 
 PARAMETERS = ("stiffness", "mass", "damping")
 MOST, FAR, NEARLY = 1000, 50, 1.05  # of a lag; where it is judged, and how near to that is near enough
@@ -371,7 +370,7 @@ def _nis(settled: Steady | None, e: NDArray) -> NDArray[np.float64]:
     own = np.nansum(e**2, axis=1)
     if settled is None:
         return own
-    from ..inverse.kalman.roots import forward
+    from ..inverse.kalman.model import forward
 
     whole = np.isfinite(e).all(axis=1)
     white = forward(settled.Se_root, (e[whole] * settled.innovation_std).T)

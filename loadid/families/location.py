@@ -13,24 +13,36 @@ from structures.errors import InputError
 from structures.flags import Flag
 from structures.model import Model, as_model
 
-from .. import flags as guards
-from ..design.places import of_model
-from ..estimate import LoadEstimate
-from ..flags import location as found_flags
-from ..inverse.locating import alike, fits, scan, several
-from ..inverse.locating.refine import refine
+from .. import guards as guards
+from ..design.candidates import of_model
+from ..guards import families as found_flags
+from ..inverse.convolved import fits
+from ..inverse.convolved import fits as alike
+from ..inverse.convolved import fits as scan
+from ..inverse.convolved import places as several
+from ..inverse.convolved.places import refine
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
-from ..inverse.whitening import whiten
-from ..location import LocationResult, Rival
-from ..provenance import provenance
+from ..inverse.problem import whiten
+from ..results.archive import provenance
+from ..results.estimate import LoadEstimate
+from ..results.location import LocationResult, Rival
 from . import noise as noises
 from .data import Data, gather, health
 from .deconvolution import Deconvolution
-from .locating.candidates import Candidates
-from .locating.grid import grid_of
-from .locating.posed import DENSE, Factored, Posed
-from .locating.verdict import Said, Solution, basins, noise_level, rivals_of, said
-from .offsets import without_offsets
+from .histories import without_offsets
+from .posing.locating import (
+    DENSE,
+    Candidates,
+    Factored,
+    Posed,
+    Said,
+    Solution,
+    basins,
+    grid_of,
+    noise_level,
+    rivals_of,
+    said,
+)
 
 Array = NDArray[np.float64]
 MEMORY = 1.5e9  # bytes of all factors together, up to which they are kept
@@ -351,7 +363,7 @@ class LocationSearch:
             [
                 found_flags.few_sensors(len(data.rows), len(result.best)),
                 found_flags.biased(self.choice),
-                found_flags.unexplained(result.facts["residual_to_noise"], result.residual),
+                found_flags.place_unexplained(result.facts["residual_to_noise"], result.residual),
                 *found,
                 *model.flags,
                 guards.not_verified(model.certificate),

@@ -8,26 +8,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
+from structures.errors import InputError, as_array
 from structures.flags import Flag
 from structures.model import Model, as_model
-from structures.values import as_array
 
-from .. import flags as guards
-from ..estimate import Axis, LoadEstimate
-from ..flags import sparsity as told
+from .. import guards as guards
+from ..guards import families as told
 from ..inverse.choice import Choice, Sweep, unexplained
 from ..inverse.convolution import Convolution
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
-from ..inverse.rules import RuleResult
-from ..inverse.sparse.path import TOLERANCE
-from ..inverse.sparse.posterior import SupportPosterior
-from ..provenance import provenance
+from ..inverse.sparse.path import TOLERANCE, SupportPosterior
+from ..inverse.sweep import RuleResult
+from ..results.archive import provenance
+from ..results.estimate import Axis, LoadEstimate
 from . import histories
 from .data import Data, gather, health
-from .level import graded
-from .offsets import without_offsets
-from .sparsity import Chosen, Wanted, amplitude_share, choose, pose, posing
+from .histories import without_offsets
+from .noise import graded
+from .posing.sparsity import Chosen, Wanted, amplitude_share, choose, pose, posing
 
 DICTIONARIES = ("dirac", "bspline", "wavelet")
 RULES = ("discrepancy", "ebic")

@@ -8,28 +8,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.arrays import MatrixModel
-from structures.errors import InputError
+from structures.errors import InputError, real
 from structures.model import Model, as_model
-from structures.values import real
+from structures.models.arrays import MatrixModel
 
-from .. import flags as guards
-from ..estimate import LoadEstimate
-from ..inverse import diagnose, penalties
+from .. import guards as guards
+from ..inverse import penalties
 from ..inverse.choice import Choice, choose
+from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
-from ..inverse.sweeping import LARGEST
-from ..provenance import STATIC, provenance
-from . import smoothness, telling
-from .calibration import Calibration, calibrate
-from .data import rows_of
-from .determined import refuse_undetermined
-from .frozen import Frozen, freeze
-from .geometry import geometry
-from .level import graded, noise_level, unexplained_by
-from .readings import Readings, readings
-from .sampling import drawn
-from .steady import Absolute, Steady, pose, transfer
+from ..inverse.sweep import LARGEST
+from ..results.archive import STATIC, provenance
+from ..results.estimate import LoadEstimate
+from . import smoothness
+from .data import Readings, readings, rows_of
+from .frozen import Calibration, Frozen, calibrate, freeze, refuse_undetermined
+from .noise import graded, noise_level, unexplained_by
+from .posing import steady as telling
+from .posing.steady import Absolute, Steady, drawn, pose, transfer
+from .smoothness import geometry
 
 SMALLEST = 1e-100  # relative lambda: its inverse square, the variance of the prior, must stay a number
 
@@ -67,7 +64,7 @@ class StaticInversion:
     allow : sequence of str
         Guard codes whose refusal is overridden; printed on everything made from the result.
     coverage : Coverage, optional
-        Outcome of `loadid.validate.coverage` on a set-up like this one.
+        Outcome of `loadid.validate.checks` on a set-up like this one.
     progress : callable, optional
         Called as ``progress(fraction, text)``.
 
@@ -152,7 +149,7 @@ class StaticInversion:
         posed = self.pose(given)
         refuse_undetermined(self, posed)
         if not joint and len(given.values) > 1:
-            from .frames import each_frame
+            from .frozen import each_frame
 
             return each_frame(self, given)
         self._progress(0.4, "choosing lambda")

@@ -9,16 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures.advice import Advice, Spelling
-from structures.errors import InputError
-from structures.values import real, shown
+from structures.errors import InputError, real, shown
 
 from . import rules
 from .noise_source import NOT_KNOWN, NoiseSource, NoiseSourceLike
-from .odds import in_words
 from .path import RegularizationPath
-from .rules import RuleResult
-from .sweeping import LARGEST, Refusal, seen_modes
-from .whiteness import ALARM, TESTABLE, plateau_test, residual_test
+from .rules import in_words
+from .sweep import ALARM, LARGEST, TESTABLE, Refusal, RuleResult, plateau_test, residual_test, seen_modes
 
 
 @dataclass(frozen=True)

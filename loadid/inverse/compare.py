@@ -10,7 +10,7 @@ from . import rules
 from .choice import Choice, decide
 from .noise_source import NoiseSource, NoiseSourceLike
 from .path import RegularizationPath
-from .sweeping import Refusal
+from .sweep import Refusal
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,11 @@
-"""Loops over arrays that numba compiles.
+"""Loops that numba compiles: the decorator, small products and solves, and when a recursion has converged.
 
 Numba is imported when the first loop is called, not when it is defined: the import takes longer than most problems that
 never need a loop. What it compiles is kept on disk for the next process. Numba's own ``NUMBA_DISABLE_JIT=1`` in the
 environment runs the loops as Python, to debug them.
+
+Steps of a lightly damped loop beat, rest for a while and go on, and those of a badly conditioned one never fall to
+rounding. Both are told apart from arrival by the rate: what is left after k samples is rho^(2 k) of what was left.
 """
 
 from __future__ import annotations
@@ -12,6 +15,9 @@ from collections.abc import Callable
 from functools import cache, update_wrapper
 from types import FunctionType
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 log = logging.getLogger(__name__)
 
@@ -75,3 +81,84 @@ def _njit(function: FunctionType) -> Callable[..., Any]:
 @cache
 def _warn_of_no_cache() -> None:
     log.warning("every process compiles its loops anew: set NUMBA_CACHE_DIR to a folder that can be written")
+
+
+@Compiled
+def multiply(A: NDArray, B: NDArray, out: NDArray) -> None:
+    """Put A B into `out`."""
+    for i in range(A.shape[0]):
+        for j in range(B.shape[1]):
+            out[i, j] = 0.0
+        for k in range(A.shape[1]):
+            a = A[i, k]
+            if a != 0.0:
+                for j in range(B.shape[1]):
+                    out[i, j] += a * B[k, j]
+
+
+@Compiled
+def multiply_by_transposed(A: NDArray, B: NDArray, out: NDArray) -> None:
+    """Put A B^T into `out`."""
+    for i in range(A.shape[0]):
+        for j in range(B.shape[0]):
+            total = 0.0
+            for k in range(A.shape[1]):
+                total += A[i, k] * B[j, k]
+            out[i, j] = total
+
+
+@Compiled
+def solve_upper(R: NDArray, B: NDArray, out: NDArray) -> None:
+    """Put R^-1 B into `out`, R upper triangular."""
+    p = R.shape[0]
+    for i in range(p - 1, -1, -1):
+        for j in range(B.shape[1]):
+            total = B[i, j]
+            for k in range(i + 1, p):
+                total -= R[i, k] * out[k, j]
+            out[i, j] = total / R[i, i]
+
+
+STRIDE = 32  # samples between two looks
+SETTLED = 4e-15  # relative change over a stride that is rounding
+NEAR = 1e-9  # change from which the approach is geometric
+SQUARINGS = 15
+MARGINAL = 0.01  # decay over the whole record below which a loop counts as one that forgets nothing
+STALLED, SHARE = 1e-12, 0.5  # change of such a loop that no longer falls by this share over half of its history
+NEVER = 1 << 62
+
+
+@Compiled
+def decay(M: NDArray, a: NDArray, b: NDArray) -> float:
+    """Decay per sample, -ln of the spectral radius of M; two matrices to work in.
+
+    From norms of M^k and M^2k, whose ratio is rho^k however far M is from normal.
+    """
+    a[:] = M
+    log, before = 0.0, 0.0
+    for _ in range(SQUARINGS):
+        size = np.abs(a).max()
+        if size == 0.0 or not np.isfinite(size):
+            return np.inf
+        a /= size
+        log += np.log(size)
+        before = log
+        multiply(a, a, b)
+        a[:] = b
+        log *= 2.0
+    size = np.abs(a).max()
+    if size == 0.0:
+        return np.inf
+    return -(log + np.log(size) - before) / (1 << (SQUARINGS - 1))
+
+
+@Compiled
+def arrival(since: int, change: float, size: float, decay: float, samples: int) -> int:
+    """Sample at which rounding is all that is left, for a change over the last stride."""
+    if decay * samples < MARGINAL:
+        return NEVER
+    left, rounding = change / (1.0 - np.exp(-2.0 * STRIDE * decay)), 0.25 * SETTLED * size
+    if left <= rounding:
+        return since
+    wait = np.log(left / rounding) / (2.0 * decay) if rounding > 0.0 else np.inf
+    return since + int(min(wait, float(samples))) + 1

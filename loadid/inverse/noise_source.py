@@ -1,12 +1,11 @@
-"""Where a noise level comes from: a kind that guards and rules decide by, and text that people read."""
+"""Where the level of the noise comes from: a kind that decides, and a text for people."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from structures.errors import InputError
-from structures.values import shown
+from structures.errors import InputError, shown
 
 # kind: what is printed where nothing else is said
 KINDS = {

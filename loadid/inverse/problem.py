@@ -1,4 +1,8 @@
-"""The linear inverse problem in arrays: whitened operator and data, penalty."""
+"""The linear inverse problem in arrays: operator and data whitened by the noise covariance, and the penalty.
+
+A covariance may be singular, as that of readings interpolated from fewer raw ones, C = W S W^T: the noise then lives in
+its range, and whitening keeps that range only.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +12,162 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
-from structures.values import plain
+from structures.errors import InputError, plain
 
-from .whitening import LEAVES, Cholesky, Noise, Whitener, whiten, whitener
+__all__ = [
+    "Cholesky",
+    "LinearProblem",
+    "whiten",
+    "whitener",
+]
 
-__all__ = ["Cholesky", "LinearProblem", "whiten", "whitener"]
+LEAVES = 1e-6  # share of the data outside the range of a singular covariance that is more than rounding
+
+
+@dataclass(frozen=True)
+class Cholesky:
+    """Noise covariance given by its lower Cholesky factor, R = factor @ factor.T.
+
+    Parameters
+    ----------
+    factor : array, shape (sensors, sensors)
+        Lower triangular, positive diagonal, in the units of the readings.
+    """
+
+    factor: ArrayLike
+
+
+Noise = ArrayLike | Cholesky
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """One way to whiten `sensors` readings.
+
+    Parameters
+    ----------
+    scale : array, shape (sensors,)
+        Std of each sensor.
+    lower : array, shape (sensors, sensors), optional
+        Cholesky factor of the covariance of the scaled readings.
+    across : array, shape (kept, sensors), optional
+        Rows that whiten a singular covariance of the scaled readings, on its range.
+    basis : array, shape (sensors, kept), optional
+        Orthonormal basis of that range.
+    """
+
+    scale: NDArray[np.float64]
+    lower: NDArray[np.float64] | None = None
+    across: NDArray[np.float64] | None = None
+    basis: NDArray[np.float64] | None = None
+
+    def apply(self, values: NDArray, axis: int) -> NDArray:
+        """``R^(-1/2) values`` along the sensor axis, which shrinks to the rank of a singular covariance."""
+        scaled = np.moveaxis(values, axis, -1) / self.scale
+        if self.lower is not None:
+            from scipy.linalg import solve_triangular
+
+            flat = scaled.reshape(-1, len(self.scale)).T
+            scaled = solve_triangular(self.lower, flat, lower=True).T.reshape(scaled.shape)
+        elif self.across is not None:
+            scaled = scaled @ self.across.T
+        return np.moveaxis(scaled, -1, axis)
+
+    def outside(self, values: NDArray, axis: int) -> float:
+        """Share of the scaled values, by their norm, that lies outside the range of the covariance."""
+        if self.basis is None:
+            return 0.0
+        scaled = np.moveaxis(values, axis, -1) / self.scale
+        size = float(np.linalg.norm(scaled))
+        return float(np.linalg.norm(scaled - (scaled @ self.basis) @ self.basis.T)) / size if size > 0 else 0.0
+
+
+def whitener(noise: Noise, sensors: int) -> Whitener:
+    """Whitener of a noise that is given by its std, its covariance or a Cholesky factor of it.
+
+    Parameters
+    ----------
+    noise : array or Cholesky
+        Std (sensors,), covariance (sensors, sensors), which may be singular, or `Cholesky`.
+    sensors : int
+
+    Raises
+    ------
+    InputError
+        If the noise does not fit the sensors, is not positive, or is no covariance.
+    """
+    if isinstance(noise, Cholesky):
+        return _from_factor(_checked(noise.factor, sensors, matrices_only=True), sensors)
+    values = _checked(noise, sensors)
+    if values.ndim == 1:
+        if np.any(values <= 0):
+            raise InputError("a noise std must be positive", where="noise", found=values.tolist(), expected="> 0")
+        return Whitener(values)
+    return _from_covariance(values)
+
+
+def whiten(values: NDArray, noise: Noise | None, axis: int) -> NDArray:
+    """``R^(-1/2) values`` along the sensor axis; on the range of R, where R is singular.
+
+    ``whiten(np.eye(sensors), noise, 0)`` is the whitening matrix, (kept, sensors).
+
+    Raises
+    ------
+    InputError
+        If the noise does not fit the sensors or is no covariance.
+    """
+    return values if noise is None else whitener(noise, values.shape[axis]).apply(values, axis)
+
+
+def _checked(noise: ArrayLike, sensors: int, matrices_only: bool = False) -> NDArray[np.float64]:
+    values = np.asarray(plain(noise), float)
+    shapes = {(sensors, sensors)} if matrices_only else {(sensors,), (sensors, sensors)}
+    if values.shape not in shapes or not np.all(np.isfinite(values)):
+        raise InputError(
+            "the noise does not fit the sensors",
+            where="noise",
+            found=f"shape {values.shape}" + ("" if np.all(np.isfinite(values)) else " with NaN or inf"),
+            expected="finite, shape " + " or ".join(str(s) for s in sorted(shapes, key=len)),
+        )
+    return values
+
+
+def _from_factor(factor: NDArray[np.float64], sensors: int) -> Whitener:
+    if np.any(np.triu(factor, 1)) or np.any(np.diag(factor) <= 0):
+        raise InputError(
+            "this is no Cholesky factor of a noise covariance", where="noise",
+            found="entries above the diagonal" if np.any(np.triu(factor, 1)) else "a diagonal that is not positive",
+            expected="lower triangular with a positive diagonal", hint="numpy.linalg.cholesky gives one",
+        )  # fmt: skip
+    scale = np.linalg.norm(factor, axis=1)
+    return Whitener(scale, lower=factor / scale[:, None])
+
+
+def _from_covariance(noise: NDArray[np.float64]) -> Whitener:
+    """From a full covariance; every check is made on correlations, so that units play no part."""
+    if np.any(np.diag(noise) <= 0):
+        raise InputError(
+            "a noise variance must be positive", where="noise", found=np.diag(noise).tolist(), expected="> 0"
+        )
+    scale = np.sqrt(np.diag(noise))
+    correlation = noise / scale / scale[:, None]
+    if not np.allclose(correlation, correlation.T, rtol=0, atol=1e-8):
+        raise InputError("the noise covariance is not symmetric", where="noise", expected="R = R^T")
+    values, vectors = np.linalg.eigh((correlation + correlation.T) / 2)
+    rounding = 10 * len(values) * np.finfo(float).eps * values[-1]
+    if values[0] < -rounding:
+        raise InputError(
+            "the noise covariance is not positive definite",
+            where="noise",
+            found=f"smallest eigenvalue {values[0]:.3g} of its correlation matrix",
+            expected="no negative one",
+            hint="a covariance is W S W^T of independent noise",
+        )
+    if values[0] > rounding:
+        return Whitener(scale, lower=np.asarray(np.linalg.cholesky(correlation), float))
+    keep = values > rounding
+    basis = vectors[:, keep]
+    return Whitener(scale, across=(basis / np.sqrt(values[keep])).T, basis=basis)
 
 
 @dataclass(frozen=True)

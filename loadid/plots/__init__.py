@@ -13,11 +13,8 @@ from structures.errors import InputError
 
 from .choosing import gcv, lcurve, path_figure
 from .diagnosis import columns, filter_factors, modes, picard, resolution
-from .fields import field
-from .loads import draw_load, load_figure
-from .responses import response_figure
-from .spacetime import spacetime, zones
-from .spectra import lines_figure, spectrum_figure
+from .fields import field, spacetime, zones
+from .loads import draw_load, lines_figure, load_figure, response_figure, spectrum_figure
 from .style import (
     BLUE,
     GREEN,
@@ -42,7 +39,8 @@ from .style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from loadid.estimate import LoadEstimate
+    from ..results.estimate import LoadEstimate
+
 
 __all__ = [
     "BLUE", "GREEN", "GREY", "INK", "NARROW", "ORANGE", "PALE", "PANELS", "PURPLE", "SKY", "columns", "draw_load",

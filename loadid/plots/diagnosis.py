@@ -1,4 +1,4 @@
-"""What the data can tell: Picard plot, filter factors, resolution matrix, point spreads and columns of the operator."""
+"""What the data can tell: Picard plot, filter factors, resolution matrix, point spreads, columns of the operator."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ from .style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from loadid.estimate import LoadEstimate
-    from loadid.inverse.diagnose import Diagnosis
+    from ..inverse.diagnosis.diagnose import Diagnosis
+    from ..results.estimate import LoadEstimate
+
 
 _LINES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 
@@ -322,7 +323,9 @@ def _diagnosis(estimate: LoadEstimate) -> Diagnosis:
     d = estimate.diagnosis
     if d is None:
         raise InputError(
-            "the estimate carries no diagnosis", where="plot", hint="loadid.inverse.diagnose.diagnose(path, lam)"
+            "the estimate carries no diagnosis",
+            where="plot",
+            hint="loadid.inverse.diagnosis.diagnose.diagnose(path, lam)",
         )
     return d
 

@@ -38,8 +38,9 @@ from .style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from loadid.sources.comparison import Comparison
-    from loadid.sources.contributions import Contributions, Shares
+    from ..sources.comparison import Comparison
+    from ..sources.contributions import Contributions, Shares
+
 
 YELLOW, BROWN = "#E69F00", "#7f5539"
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, YELLOW, SKY, BROWN)
@@ -155,7 +156,7 @@ def _levels(c: Contributions, i: int, fraction: int) -> tuple[NDArray, NDArray, 
     if c.kind != "histories":
         alone, whole = _db(np.abs(c.values[:, i]), c.kind), _db(np.abs(c.total[:, i]), c.kind)
         return alone, whole, c.axis.values, titled(c.axis.name, c.axis.unit), c.units[i]
-    from loadid.sources.levels import time_weighted
+    from ..sources.levels import time_weighted
 
     alone, whole = (20 * np.log10(np.maximum(time_weighted(x[:, i], c.axis.step), FLOOR)) for x in (c.values, c.total))
     return alone, whole, c.axis.values, titled("time", "s") + ", fast time weighting", c.units[i]
@@ -164,7 +165,7 @@ def _levels(c: Contributions, i: int, fraction: int) -> tuple[NDArray, NDArray, 
 def _measured_level(c: Contributions, measured: NDArray) -> NDArray:
     if c.kind != "histories":
         return _db(np.abs(measured), c.kind)
-    from loadid.sources.levels import time_weighted
+    from ..sources.levels import time_weighted
 
     return 20 * np.log10(np.maximum(time_weighted(measured, c.axis.step), FLOOR))
 
@@ -364,7 +365,7 @@ def _band_axis(ax: Axes, names: Sequence[str], title: str) -> None:
 
 
 def _value_unit(c: Comparison, i: int) -> str:
-    from loadid.sources.synthesis import unit_of
+    from ..sources.synthesis import unit_of
 
     return unit_of(c.units[i], c.kind)
 

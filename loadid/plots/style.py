@@ -12,15 +12,16 @@ from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from loadid.estimate import NOT_VERIFIED
-from loadid.summary import allowed, overridden, sort
-from structures.errors import InputError
-from structures.values import plain, reals
+from structures.errors import InputError, plain, reals
+
+from ..results.estimate import NOT_VERIFIED
+from ..results.summary import allowed, overridden, sort
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from loadid.estimate import LoadEstimate
+    from ..results.estimate import LoadEstimate
+
 
 # Okabe and Ito: told apart with every kind of colour vision, and in grey by their lightness
 BLUE, ORANGE, GREEN, SKY, PURPLE = "#0072B2", "#D55E00", "#009E73", "#56B4E9", "#CC79A7"
@@ -165,7 +166,7 @@ def legend_above(ax: Axes) -> None:
 
 def save(figure: Figure, path: str | os.PathLike) -> None:
     """Write a figure to a file whose suffix names the format; the old file stays where that fails."""
-    from structures.storage import as_path, replace
+    from structures.files.storage import as_path, replace
 
     replace(as_path(path), rendered(figure, path))
 
@@ -187,7 +188,7 @@ def picture_format(path: str | os.PathLike) -> str:
     InputError
         If it names none.
     """
-    from structures.storage import as_path
+    from structures.files.storage import as_path
 
     suffix = as_path(path).suffix.lstrip(".").lower()
     if suffix not in FigureCanvasBase.get_supported_filetypes():

@@ -33,8 +33,19 @@ from structures import units as _units
 from structures.advice import Advice, either
 from structures.errors import InputError
 
-from .registry import Format, formats, known_suffixes, recognise, register
-from .source import NotStated, Options, Outline, Source, Table, truncated
+from .source import (
+    Format,
+    NotStated,
+    Options,
+    Outline,
+    Source,
+    Table,
+    formats,
+    known_suffixes,
+    recognise,
+    register,
+    truncated,
+)
 
 if TYPE_CHECKING:
     from ..record import Record

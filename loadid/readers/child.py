@@ -1,4 +1,4 @@
-"""Formats whose parser is a C library run in a child process: a damaged file may hang or crash that, never the caller.
+"""Formats whose parser is a C library run in a child process: a damaged file may hang or crash that only.
 
 One child serves all files; it is started by the first, killed when a file takes too long, and started again. Requests
 and answers are JSON and raw numbers over pipes, so nothing is unpickled on either side.

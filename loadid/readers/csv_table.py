@@ -15,8 +15,7 @@ from structures import units as _units
 from structures.flags import Flag
 
 from .numbers import number_of, rows_of, split, whole
-from .registry import register
-from .source import COLUMNS, Options, Source, Table, truncated
+from .source import COLUMNS, Options, Source, Table, register, truncated
 
 TRIES = (("\t", "."), ("\t", ","), (";", "."), (";", ","), (",", "."), (None, "."), (None, ","))
 HEADER_LINES = 1000

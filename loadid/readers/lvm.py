@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from structures.flags import Flag
 
 from .numbers import rows_of
-from .registry import register
 from .settle import distinct
-from .source import COLUMNS, Options, Source, Table, truncated
+from .source import COLUMNS, Options, Source, Table, register, truncated
 
 END = "***End_of_Header***"
 OF_A_SEGMENT = ("Channels", "Samples")  # entries of every segment header, and of no file header

@@ -18,8 +18,8 @@ from structures.channels import Channel
 from structures.errors import InputError
 
 from ..record import Record, copy_of, find
+from .numbers import fill, timebase
 from .source import COLUMNS, RATE, NotStated, Options, Outline, Source, Table
-from .timebase import fill, timebase
 
 TIME_NAMES = {"time", "t", "zeit", "temps", "tiempo", "tempo", "x_value", "seconds", "timestamp", "time stamp", "t_s"}
 APART = 0.01  # relative difference of a stated and a recorded step that is a contradiction

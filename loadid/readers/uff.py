@@ -12,13 +12,11 @@ from typing import Any
 import numpy as np
 
 from structures import units as _units
-from structures.files.uff import SUFFIXES, UffFile, parse_uff
-from structures.files.uff_functions import TIME, Function
-from structures.files.uff_units import Said, unit_of
+from structures.files.uff import SUFFIXES, Said, UffFile, parse_uff, unit_of
+from structures.files.uff_datasets import TIME, Function
 
-from .registry import register
 from .settle import distinct
-from .source import COLUMNS, Options, Source, Table
+from .source import COLUMNS, Options, Source, Table, register
 
 _BEGIN = re.compile(rb"\s*^ {4}-1[ \t]*\r?\n {0,5}\d{1,6}", re.MULTILINE)
 

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
-from .bands import BandPower, Bands, band_power, octave_bands
 from .comparison import BandLevels, Comparison, compare, compare_estimate
 from .contributions import Contributions, Shares, contributions
 from .correlation import csac, csf, faac, frac, lac, mac, trac
-from .levels import RunningLevel, decibels, running_level, running_rms, time_weighted
+from .levels import (
+    BandPower,
+    Bands,
+    RunningLevel,
+    band_power,
+    decibels,
+    octave_bands,
+    running_level,
+    running_rms,
+    time_weighted,
+)
 from .split import Split, split
 from .synthesis import Response, synthesise
 from .transfer import Transfer, validate_on

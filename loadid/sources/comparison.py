@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
-from structures.spectra import multiplicity
-from structures.values import plain, positive
+from structures.errors import InputError, plain, positive
+from structures.testing.spectra import multiplicity
 
-from ..estimate import Axis, LoadEstimate
+from ..results.estimate import Axis, LoadEstimate
 from . import levels
-from .bands import Bands, band_power, bands_of, widths
 from .correlation import frac, trac
+from .levels import Bands, band_power, bands_of, widths
 from .synthesis import DENSITIES, HISTORIES, SPECTRA, kind_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 Real = NDArray[np.float64]
 COVERED = 0.5  # share of a band that must be covered for its level to be called one

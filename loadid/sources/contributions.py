@@ -12,16 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 from structures.channels import Channel
 from structures.errors import InputError
 from structures.model import Model
-from structures.spectra import multiplicity
+from structures.testing.spectra import multiplicity
 
-from ..estimate import Axis, LoadEstimate
+from ..results.estimate import Axis, LoadEstimate
 from . import synthesis
-from .bands import BandPower, Bands, band_power, bands_of, widths
-from .levels import FLOOR
+from .levels import FLOOR, BandPower, Bands, band_power, bands_of, widths
 from .synthesis import DENSITIES, HISTORIES, SPECTRA, Paths
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 Real = NDArray[np.float64]
 DOUBT = 0.5  # std of the contributions over the contributions, from which on a line is called uncertain

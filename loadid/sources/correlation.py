@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
-from structures.values import as_array
+from structures.errors import InputError, as_array
 
 Array = NDArray[np.float64]
 

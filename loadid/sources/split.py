@@ -144,7 +144,7 @@ class SensorSubset(Model):
 
     def state_space(self, dt: float, hold: str = "foh") -> Any:
         """As the model, with some rows of C and D."""
-        from structures.statespace import StateSpace
+        from structures.models.statespace import StateSpace
 
         s = self.model.state_space(dt, hold)
         D = s.D[..., self.rows, :]
@@ -187,6 +187,6 @@ class SensorSubset(Model):
     @property
     def fingerprint(self) -> str:
         """Digest of the model's own and of the rows."""
-        from structures.values import digest
+        from structures.errors import digest
 
         return digest("SensorSubset", self.model.fingerprint, self.rows)

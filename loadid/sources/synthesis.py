@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.channels import ARBITRARY, Channel
-from structures.errors import InputError
+from structures.errors import InputError, plain, positive
 from structures.model import Model
-from structures.values import plain, positive
 
-from ..estimate import Axis, LoadEstimate
+from ..results.estimate import Axis, LoadEstimate
 
 Real = NDArray[np.float64]
 SPECTRA, DENSITIES, HISTORIES = "spectra", "densities", "histories"
@@ -160,7 +159,7 @@ def kind_of(estimate: LoadEstimate) -> str:
     raise InputError(
         "a response is synthesised over time or frequency", where="synthesis",
         found="a static load" if axis is None else f"an axis of {axis.name}",
-        expected="load histories or spectra", hint="of a static estimate see loadid.validate.held_out",
+        expected="load histories or spectra", hint="of a static estimate see loadid.validate.validation",
     )  # fmt: skip
 
 

@@ -13,24 +13,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
+from structures.errors import InputError, plain
 from structures.flags import Flag
-from structures.hits import digests
 from structures.model import Model
-from structures.values import plain
+from structures.testing.impact import digests
 
-from .. import flags as guards
-from ..estimate import Axis, LoadEstimate
+from .. import guards as guards
 from ..record import Record
+from ..results.estimate import Axis, LoadEstimate
 from ..validate.checks import SensorCheck
-from ..validate.held_out import RECORD, held_out
-from ..validate.levels import Validation
+from ..validate.validation import RECORD, Validation, held_out
 from . import comparison
 from .comparison import Comparison
 from .synthesis import DENSITIES, HISTORIES, SPECTRA, Response, kind_of, reliable, synthesise
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 Real = NDArray[np.float64]
 POINTS = 8  # samples of a history at which its band is found
@@ -222,7 +221,7 @@ def _over_frequency(measured: Any, model: Model, response: Response) -> tuple[ND
         raise InputError(
             "spectra are compared with spectra", where="validate_on", found="a record over time",
             expected="spectra or cross spectra on the lines of the estimate",
-            hint="structures.welch.cross_spectra(record) for densities",
+            hint="structures.testing.welch.cross_spectra(record) for densities",
         )  # fmt: skip
     if not hasattr(measured, "frequencies"):
         return _table(measured, (len(f), len(model.sensors)), density), np.arange(len(f)), None

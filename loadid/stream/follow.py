@@ -21,14 +21,13 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.families.tracking import checkpoint
-from loadid.families.tracking.tracker import Tracker
 from structures.errors import InputError
 
+from ..families.tracking import tracker as checkpoint
+from ..families.tracking.tracker import Tracker
 from .clock import Behind, Clock
 from .framing import Layout, Lines
-from .lock import StateLock
-from .output import Output
+from .output import Output, StateLock
 from .sources import Source, open_source
 
 EVERY = 5000  # samples from one checkpoint to the next
@@ -89,7 +88,7 @@ def follow(
     state : path or StateLock, optional
         File of the checkpoints; none are written where it is left out.
     stream : dict, optional
-        Where an earlier run stood (`loadid.families.tracking.checkpoint.read`).
+        Where an earlier run stood (`loadid.families.tracking.tracker.read`).
     every : int
         Samples between checkpoints.
     idle : float, optional

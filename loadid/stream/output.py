@@ -1,4 +1,4 @@
-"""The table that a stream of loads is written to: it only grows, and no whole line of it is ever cut off.
+"""The table that a stream of loads is written to: it only grows, no whole line is ever cut off, one run a file.
 
 What stands behind the place where a checkpoint saw it was written by a run that was killed. It stays where the run that
 goes on makes it again; from the first line that it does not make again it stays too, and a `mark` follows it.
@@ -10,7 +10,9 @@ import hashlib
 import io
 import os
 import re
+import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,7 +21,77 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
-from .lock import taken
+
+class StateLock:
+    """Holds the file of a state for one run, until it is closed; stands for its path meanwhile.
+
+    A state is replaced as a whole by every checkpoint, so what is locked is a file beside it.
+
+    Parameters
+    ----------
+    path : path
+
+    Raises
+    ------
+    InputError
+        Another run holds it, or its folder cannot be written.
+    """
+
+    def __init__(self, path: str | os.PathLike) -> None:
+        self.path = Path(path)
+        self._beside = self.path.parent.resolve() / f".{self.path.name}.lock"
+        self._file = self._held()
+
+    def __fspath__(self) -> str:
+        return os.fspath(self.path)
+
+    def __enter__(self) -> StateLock:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of it."""
+        with suppress(OSError):  # a system that keeps open files keeps an empty one, which holds nobody up
+            self._beside.unlink()
+        self._file.close()
+
+    def _held(self) -> BinaryIO:
+        while True:
+            try:
+                file = self._beside.open("ab")
+            except OSError as error:
+                raise InputError("the state cannot be written", where=str(self.path),
+                                 found=error.strerror or str(error), hint="check the path") from None  # fmt: skip
+            if not taken(file):
+                file.close()
+                raise InputError("another run goes on from this state", where=str(self.path),
+                                 expected="one run for each state",
+                                 hint="end that run first, or name another file with --state")  # fmt: skip
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(file.fileno()), self._beside.stat()):
+                    return file
+            file.close()  # the run that held it took it away meanwhile
+
+
+def taken(file: BinaryIO) -> bool:
+    """Whether no other process holds the file; this one does from now on, where the system has locks."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError:  # a file system without locks
+        pass
+    return True
+
 
 TAIL = 256  # bytes before the end by which an output is known again
 LINE = 1 << 20  # bytes within which a line ends

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from .checks import DistributionCheck, ResultantCheck, SensorCheck
-from .coverage import Coverage, coverage
-from .held_out import HeldOut, held_out
-from .levels import Validation, validate
+from .checks import Coverage, DistributionCheck, ResultantCheck, SensorCheck, coverage
 from .references import Known, PressureMat, Wrench
+from .validation import HeldOut, Validation, held_out, validate
 
 __all__ = [
     "Coverage",

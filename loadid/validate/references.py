@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures import units
-from structures.errors import InputError
-from structures.values import plain
+from structures.errors import InputError, plain
 
 Values = ArrayLike | Callable[[NDArray], ArrayLike]
 

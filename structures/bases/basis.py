@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from ..errors import InputError
-from ..loads import Load, refuse_supported
-from ..values import plain, shown
+from ..errors import InputError, plain, shown
+from ..system.loads import Load, refuse_supported
 
 if TYPE_CHECKING:
-    from ..structure import Structure
+    from ..system.structure import Structure
+
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -200,8 +200,8 @@ class Basis(Sequence[Load]):
 
     @property
     def _place(self) -> str:
-        from ..beams import BeamField
-        from ..plates import PlateField
+        from ..elements.beams import BeamField
+        from ..elements.plates import PlateField
 
         own = self.own_structure.field
         return "a beam" if isinstance(own, BeamField) else "a plate" if isinstance(own, PlateField) else ""

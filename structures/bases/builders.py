@@ -1,4 +1,4 @@
-"""The four kinds of load basis: nodal forces, patches, hats and polynomials."""
+"""The kinds of load basis: patches, hats and polynomials."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg, sparse
 
-from ..errors import InputError
-from ..values import integer, shown
+from ..errors import InputError, integer, shown
 from . import grids
 from .basis import ROUNDING, Basis
 from .domains import Domain, Face, Rule
 from .regions import Region, region_of
 
 if TYPE_CHECKING:
-    from ..structure import Structure
+    from ..system.structure import Structure
+
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

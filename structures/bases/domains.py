@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ..errors import InputError
-from ..hermite import gauss, shape
+from ..system.fields import gauss, shape
 from .grids import SNAP, merged
 
 if TYPE_CHECKING:
-    from ..beams import BeamField
-    from ..plates import PlateField
-    from ..structure import Structure
+    from ..elements.beams import BeamField
+    from ..elements.plates import PlateField
+    from ..system.structure import Structure
+
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -409,7 +410,7 @@ def selector(structure: Structure, nodes: Index, axis: int) -> sparse.csr_array:
     InputError
         If a node has no such DOF.
     """
-    from ..dofs import Dof
+    from ..channels import Dof
 
     columns = np.array([structure.index(Dof(int(node), axis)) for node in nodes], np.intp)
     signs = np.array([float(structure.dofs[i].sign) for i in columns])
@@ -418,8 +419,8 @@ def selector(structure: Structure, nodes: Index, axis: int) -> sparse.csr_array:
 
 def domain_of(structure: Structure, surface: Any = None) -> Domain | None:
     """Domain of a structure that has one: a beam, a plate, or the named or given face of a solid."""
-    from ..beams import BeamField
-    from ..plates import PlateField
+    from ..elements.beams import BeamField
+    from ..elements.plates import PlateField
 
     field = structure.field
     if isinstance(field, BeamField):

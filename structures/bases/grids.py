@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from ..errors import InputError
-from ..values import plain, shown
+from ..errors import InputError, plain, shown
 
 Array = NDArray[np.float64]
 SNAP = 1e-9  # of the region's side: breaks closer than this are one

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ..errors import InputError
-from ..fields import Lumped
-from ..values import plain, shown
+from ..errors import InputError, plain, shown
+from ..system.fields import Lumped
 from .basis import Basis
 from .builders import Components, _sides, interleaved, labelled, parsed
 from .domains import Domain, Face, domain_of, selector
@@ -20,7 +19,8 @@ from .grids import SNAP
 from .regions import Region, region_of, split
 
 if TYPE_CHECKING:
-    from ..structure import Structure
+    from ..system.structure import Structure
+
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

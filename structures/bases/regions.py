@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..values import plain, shown
+from ..errors import InputError, plain, shown
 from .domains import Domain, Face, domain_of, frames
 from .grids import PAIRS, SNAP, merged
 
 if TYPE_CHECKING:
-    from ..structure import Structure
+    from ..system.structure import Structure
+
 
 Array = NDArray[np.float64]
 
@@ -133,7 +133,7 @@ def region_of(structure: Structure, region: Any, where: str) -> Region:
     InputError
         If the structure has nothing to distribute a load over, or the region does not fit it.
     """
-    from ..structure import Structure as Kind
+    from ..system.structure import Structure as Kind
 
     if not isinstance(structure, Kind):
         raise InputError(

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .frfs import read_frfs
-    from .reading import load
-    from .writing import save
+    from .matrices import load, save
 
 __all__ = ["load", "read_frfs", "save"]
 
-_PLACES = {"load": "reading", "read_frfs": "frfs", "save": "writing"}
+_PLACES = {"load": "matrices", "read_frfs": "frfs", "save": "matrices"}
 
 
 def __getattr__(name: str) -> Any:

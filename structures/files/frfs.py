@@ -9,20 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import kinds, units
-from ..channels import Channel
-from ..dofs import Dof
+from .. import units
+from ..channels import Channel, Dof
 from ..errors import InputError
-from ..storage import as_path
-from .frf_table import Asked, Found, Units, refuse
-from .mat import read_mat
-from .mat_frfs import of_mat
-from .uff import SUFFIXES, read_uff
-from .uff_frfs import of_uff
-from .uff_units import Said
+from ..testing import kinds
+from .frf_tables import Asked, Found, Units, of_mat, of_uff, refuse
+from .hdf5 import read_mat
+from .storage import as_path
+from .uff import SUFFIXES, Said, read_uff
 
 if TYPE_CHECKING:
-    from ..tabulated import FrfModel
+    from ..models.tabulated import FrfModel
 
 
 def read_frfs(
@@ -88,7 +85,7 @@ def read_frfs(
 
 def _model(found: Found, asked: Asked) -> FrfModel:
     """The model, in SI, with described channels; what was decided while reading is logged."""
-    from ..tabulated import FrfModel
+    from ..models.tabulated import FrfModel
 
     for note in found.notes:
         logging.getLogger(__name__).info("%s: %s", asked.path, note)

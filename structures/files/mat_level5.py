@@ -1,4 +1,4 @@
-"""MAT files of level 5 (MATLAB -v6, -v7): plain arrays of numbers and texts, sizes checked before anything is unpacked.
+"""MAT files of level 5 (-v6, -v7): plain arrays of numbers and texts, sizes checked before unpacking.
 
 Only what a measured record needs is read; cells, structs, objects and sparse matrices are listed and never built.
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 
-BUDGET = 2**31  # bytes that all arrays of a file may take
+LEVEL5_BUDGET = 2**31  # bytes that all arrays of a file may take
 FREE, EXPANSION = 2**26, 100  # a file that unpacks to more than this multiple of its size is no record
 VARIABLES = 10_000
 HEADER = 128
@@ -55,7 +55,7 @@ def read_level5(data: bytes, path: str) -> tuple[dict[str, NDArray], dict[str, s
     """
     if not is_level5(data):
         _refuse(path, "no MAT file of level 5", data[:20], "a file that MATLAB writes with -v6 or -v7")
-    reader = _Reader(path, MARKS[data[124:128]], min(BUDGET, max(FREE, EXPANSION * len(data))))
+    reader = _Reader(path, MARKS[data[124:128]], min(LEVEL5_BUDGET, max(FREE, EXPANSION * len(data))))
     arrays: dict[str, NDArray] = {}
     others: dict[str, str] = {}
     at = HEADER

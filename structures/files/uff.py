@@ -1,4 +1,4 @@
-"""Universal files (UFF, UNV): functions (58, 58b), nodes (15), units (164) and header (151); all else is counted.
+"""Universal files (UFF, UNV): functions (58, 58b), nodes (15), units (164), header (151); all else is counted.
 
 A file is read whole or refused: every data set must reach its end mark and hold as many values as it declares. What
 no reader can see is a file that was cut exactly between two data sets.
@@ -6,19 +6,160 @@ no reader can see is a file that was cut exactly between two data sets.
 
 from __future__ import annotations
 
+import math
 import os
+import re
 from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import units
 from ..errors import InputError
-from ..storage import as_path
-from .uff_blocks import Block, split
-from .uff_functions import Function, function_of
-from .uff_records import Place, numbers, text_of
-from .uff_units import System, system_of
+from .storage import as_path
+from .uff_datasets import Block, Function, function_of, split
+from .uff_records import Axis, Place, numbers, text_of
+
+# specific data type -> quantity of a translation, of a rotation; {L} is a length, {F} a force
+_TYPES = {
+    2: ("{F}/{L}^2", "{F}/{L}^2"), 3: ("m/m", "m/m"), 8: ("{L}", "rad"), 9: ("{F}", "{F}*{L}"), 11: ("{L}/s", "rad/s"),
+    12: ("{L}/s^2", "rad/s^2"), 13: ("{F}", "{F}*{L}"), 15: ("{F}/{L}^2", "{F}/{L}^2"),
+}  # fmt: skip
+_LENGTHS, _FORCES = ("m", "mm", "cm", "in", "ft"), ("N", "mN", "lbf", "kgf", "kN")
+# What the code of data set 164 says: units of length and force, per metre and per newton.
+_POUND, _POUNDAL = 4.4482216152605, 0.138254954376
+_CODES = {
+    1: (1.0, 1.0), 2: (1 / 0.3048, 1 / _POUND), 3: (1.0, 1 / 9.80665), 4: (1 / 0.3048, 1 / _POUNDAL),
+    5: (1e3, 1e3), 6: (1e2, 1e2), 7: (1 / 0.0254, 1 / _POUND), 8: (1e3, 1 / 9.80665), 10: (1e3, 1.0),
+}  # fmt: skip
+_SAME = 1e-3  # relative difference of factors that is one of digits
+
+
+@dataclass(frozen=True)
+class System:
+    """Units of a file (data set 164).
+
+    Parameters
+    ----------
+    length, force : float
+        Metres and newtons of its units.
+    name : str
+    """
+
+    length: float
+    force: float
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a file says of a unit: itself or None, the quantity where the type tells it, why there is no unit."""
+
+    unit: units.Unit | None
+    quantity: str | None = None
+    why: str = ""
+
+
+def system_of(block: Block, place: Place) -> System:
+    """Units of data set 164.
+
+    Raises
+    ------
+    InputError
+        Factors that are missing, not positive, or contradict the code of the system.
+    """
+    first, _, rest = block.body.partition(b"\n")
+    found = numbers(rest, place, block.at + len(first) + 1)
+    text = text_of(first)
+    code, name = text[:10].strip(), text[10:30].strip()
+    if len(found) < 3 or not all(math.isfinite(f) and f > 0 for f in found[:2]):
+        place.refuse(
+            "data set 164 gives no units",
+            block.at,
+            f"factors {', '.join(f'{f:g}' for f in found[:4]) or 'none'}",
+            "positive factors of length, force and temperature",
+        )
+    length, force = float(found[0]), float(found[1])
+    known = _CODES.get(int(code)) if code.isascii() and code.isdecimal() and len(code) < 9 else None
+    if known and (abs(length / known[0] - 1) > _SAME or abs(force / known[1] - 1) > _SAME):
+        place.refuse(
+            "data set 164 contradicts itself",
+            block.at,
+            f"code {code} ({name}) with the factors {length:g} and {force:g}",
+            f"{known[0]:g} and {known[1]:g}, which this code stands for",
+            "correct the code, or set it to 9 (user defined)",
+        )
+    return System(1.0 / length, 1.0 / force, name)
+
+
+def unit_of(axis: Axis, direction: int, system: System | None) -> Said:
+    """Unit of an ordinate: the text of its axis, else its type in the system of the file; never a guess.
+
+    A text and a type that contradict each other in their dimension, or in the size that data set 164 gives, leave the
+    unit open.
+    """
+    form = _TYPES.get(axis.type)
+    turning = 4 <= abs(direction) <= 6
+    derived = None if form is None else _symbol(form[turning], system or System(1.0, 1.0))
+    quantity = None if derived is None else derived.quantity
+    text = _bare(axis.unit)
+    if text and units.known(text):
+        stated = units.parse(text)
+        if derived is not None and stated.dimension != derived.dimension:
+            return Said(None, None, f"data type {axis.type} is {derived.quantity}, and its unit reads {text!r}")
+        if derived is not None and system is not None and abs(stated.factor / derived.factor - 1) > _SAME:
+            return Said(None, quantity, f"its unit reads {text!r}, and data set 164 makes it {derived.symbol}")
+        return Said(stated, stated.quantity)
+    why = f"its unit reads {text!r}, which is not known" if text else "its axis names no unit"
+    if derived is None:
+        return Said(None, None, f"{why}, and data type {axis.type} tells none")
+    if system is None:
+        return Said(None, quantity, f"{why}, and there is no data set 164")
+    return Said(derived, quantity)
+
+
+def ratio(text: str) -> tuple[str, str] | None:
+    """Units of response and reference in one text: ``g/N``, ``(m/s^2)/N``, ``(1/N)*(m/s^2)``; None where it is none."""
+    inverse = re.fullmatch(r"\(?1/([^()*]+)\)?\s*\*\s*(.+)", text.strip())
+    left, slash, right = (inverse[2], "/", inverse[1]) if inverse else text.strip().rpartition("/")
+    left, right = _bare(left), _bare(right)
+    if not (slash and units.known(left) and units.known(right)):
+        return None
+    return (left, right) if units.parse(right).quantity in ("force", "moment") else None
+
+
+def _bare(text: str) -> str:
+    """A text without the brackets around it."""
+    text = text.strip()
+    return text[1:-1].strip() if re.fullmatch(r"\([^()]*\)", text) else text
+
+
+def _symbol(form: str, system: System) -> units.Unit:
+    """Unit of a pattern: with symbols where length and force have one, else with its factor alone."""
+    length = _named(_LENGTHS, system.length)
+    force = _named(_FORCES, system.force)
+    if (length or "{L}" not in form) and (force or "{F}" not in form):
+        return units.parse(form.format(L=length, F=force))
+    si = units.parse(form.format(L="m", F="N"))
+    factor = 1.0
+    for mark, size in (("{L}", system.length), ("{F}", system.force)):
+        if mark in form:
+            factor *= size ** _power(form, mark)
+    return units.Unit(f"{factor:.9g} {si.symbol}", factor, si.dimension, si.quantity)
+
+
+def _power(form: str, mark: str) -> int:
+    over, _, under = form.partition("/")
+    if mark in over:
+        return 1
+    return -2 if f"{mark}^2" in under else -1
+
+
+def _named(symbols: tuple[str, ...], size: float) -> str | None:
+    """Symbol of a unit of this size in SI."""
+    return next((s for s in symbols if abs(units.parse(s).factor / size - 1) <= 1e-6), None)
+
 
 BUDGET = 2**31  # bytes of a file
 SUFFIXES = (".uff", ".unv", ".ufb", ".bunv")

@@ -2,3 +2,5 @@
 
 Modules here are imported for every command line, so they import what is heavy inside functions.
 """
+
+from __future__ import annotations

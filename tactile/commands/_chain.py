@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.families.calibration import Calibration
-from loadid.flags.base import collect
+from loadid.codes import collect
+from loadid.families.frozen import Calibration
 from structures.errors import InputError
 from structures.flags import Flag
 
-from .. import padfile
-from ..choosing import RULES, chosen
-from ._eyes import Seen, look
-from ._inputs import DepthMaps, depth_maps
+from ..pad import padfile
+from ..sensors.posing import RULES, chosen
+from ._sources import DepthMaps, Seen, depth_maps, look
 
 if TYPE_CHECKING:
-    from ..forcemap import ForceMap
-    from ..pad import Pad
+    from ..pad.pad import Pad
+    from ..results.forcemap import ForceMap
+
 
 Array = NDArray[np.float64]
 STRONGEST = 3  # frames on which lambda is chosen
@@ -92,7 +92,7 @@ def reconstruct(
     source : path
         Folder of images, NPY or NPZ stack, video, or marker motions (CSV, NPY).
     pad_file : path
-        As `tactile.padfile` reads it.
+        As `tactile.pad.padfile` reads it.
     depth : path, optional
         Depth maps, one per frame of the source.
     unloaded : str, optional
@@ -162,14 +162,14 @@ def _sensor(
         "depth": None if maps is None else maps[0], "allow": [c for c in codes if c in GUARDS],
     }  # fmt: skip
     if name == "gelslim":
-        from ..gelslim import GelSlim
+        from ..sensors.gelslim import GelSlim
 
         ignored = [key for key in ("lam", "penalty") if key in contact]
         if ignored:
             raise InputError("F = K U has no lambda and no penalty", where="--sensor gelslim", found=", ".join(ignored),
                              expected="neither", hint="leave them out, or take --sensor multilayer")  # fmt: skip
         return GelSlim(pad, **given), None
-    from ..multilayer import MultilayerPad
+    from ..sensors.multilayer import MultilayerPad
 
     choice = contact.get("lam")
     fixed = None if choice is None or isinstance(choice, str) else float(choice)
@@ -214,7 +214,7 @@ def _tracked(
 def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None, source: str) -> str:
     """Lambda on the strongest frames together, frozen; in words.
 
-    Without a rule of the user as `tactile.choosing`, from one factorisation.
+    Without a rule of the user as `tactile.sensors.posing`, from one factorisation.
     """
     readings, used = _strongest(built, tracked, maps)
     family, ruled = built.family, built.family.choice
@@ -254,7 +254,7 @@ def _inverted(
     tell: Callable[[float, str], None],
 ) -> Reconstruction:  # fmt: skip
     """Maps of all frames as one result."""
-    from ..recording import record
+    from ..results.forcemap import record
 
     found, seconds = _maps(built, tracked, maps, tell)
     times = None if rate is None else np.array(tracked.numbers) / rate
@@ -288,7 +288,7 @@ def _maps(
 
 def _traced(found: Reconstruction, paths: list[Path]) -> Reconstruction:
     """The same with the digests of what was read and how the maps came about in their provenance."""
-    from ._words import about
+    from ._output import about
 
     inputs = {str(path): _digest(path) for path in paths}
     notes = [f"{name}: {said}" for name, said in about(found)]

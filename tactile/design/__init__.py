@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from .comparison import SkinComparison, compare
-from .judged import SkinDesign, skin
-from .locked import locking
-from .markers import effective_markers
-from .parameters import Skin
-from .strain import largest_strain, strains
+from .evaluation import SkinComparison, SkinDesign, compare, skin
+from .modes import Skin, effective_markers
+from .resolution import largest_strain, locking, strains
 
 __all__ = [
     "Skin",

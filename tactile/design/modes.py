@@ -1,16 +1,152 @@
-"""Waves of traction on the pad, each with what the markers see of it: singular values and posterior std."""
+"""What a designer chooses (pad, markers, camera, loads), and the waves of traction that the markers then see."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from .markers import common
-from .parameters import Skin
+from structures.errors import InputError, number, pair, positive, reals
+
+from ..closed.layer import Layer
+
+
+@dataclass(frozen=True)
+class Skin:
+    """One design of a skin.
+
+    Parameters
+    ----------
+    h, E, nu : float
+        Thickness (m), Young's modulus (Pa) and Poisson's ratio of the pad.
+    size : (a, b)
+        Sides of the sensing area (m).
+    pitch : float
+        Distance of the markers (m), on a square grid.
+    depth : float
+        Depth of the markers below the loaded surface (m).
+    noise : float
+        Std of the in-plane motion of a marker (m): camera noise over magnification. 0.03 px at 14 px/mm is 2.1 um.
+    noise_z : float or None
+        Std of the normal motion (m), from a depth map; None where nothing measures it.
+    correlated : float
+        Share of the noise variance that neighbours have in common: vibration, refraction, haze. It moves noise from
+        short waves to long ones; the variance of a marker stays. Motion interpolated onto nodes is no such noise: give
+        the pitch of the markers.
+    correlation : float
+        Length over which they have it in common (m); its correlation is exp(-r^2 / 2 l^2).
+    patch : float
+        Size of the load features that are asked for (m).
+    load : float
+        Std of the mean traction on such a patch, before any reading (Pa).
+    radius, force : float
+        Reference press: Hertz pressure of that contact radius (m) and force (N).
+    name : str
+
+    Raises
+    ------
+    InputError
+        If a value is not possible.
+    """
+
+    h: float
+    E: float
+    nu: float
+    size: tuple[float, float] = (20e-3, 16e-3)
+    pitch: float = 1e-3
+    depth: float = 0.0
+    noise: float = 2.1e-6
+    noise_z: float | None = 10e-6
+    correlated: float = 0.0
+    correlation: float = 0.0
+    patch: float = 1e-3
+    load: float = 10e3
+    radius: float = 2e-3
+    force: float = 1.0
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        for key in ("h", "E", "pitch", "noise", "patch", "load", "radius", "force"):
+            put(self, key, positive(key, getattr(self, key), where="Skin"))
+        if self.noise_z is not None:
+            put(self, "noise_z", positive("noise_z", self.noise_z, where="Skin", unit="m"))
+        put(self, "size", tuple(positive("size", s, where="Skin") for s in pair("size", self.size, where="Skin")))
+        put(self, "nu", Layer(h=self.h, E=self.E, nu=self.nu).nu)
+        for key in ("depth", "correlated", "correlation"):
+            put(self, key, number(key, getattr(self, key), where="Skin"))
+        if not 0 <= self.depth < self.h:
+            raise InputError(
+                "markers outside the pad", where="Skin, depth", found=self.depth,
+                expected=f"0 (the surface) to below {self.h:g} m", hint="a depth below the surface",
+            )  # fmt: skip
+        if not 0 <= self.correlated < 1 or self.correlation < 0 or (self.correlated > 0) != (self.correlation > 0):
+            raise InputError(
+                "correlated noise needs a share and a length", where="Skin",
+                found=f"correlated={self.correlated:g}, correlation={self.correlation:g}",
+                expected="a share in (0, 1) and a length in m, or neither",
+                hint="for motion interpolated onto nodes, give the pitch of the markers and no correlation",
+            )  # fmt: skip
+        if min(self.size) < 4 * max(self.patch, self.pitch):
+            raise InputError(
+                "a pad of fewer than four patches or markers across", where="Skin, size", found=self.size,
+                expected=f"at least {4 * max(self.patch, self.pitch):g} m", hint="all in metres",
+            )  # fmt: skip
+
+    @property
+    def layer(self) -> Layer:
+        """The pad as a bonded layer."""
+        return Layer(h=self.h, E=self.E, nu=self.nu)
+
+    @property
+    def height(self) -> float:
+        """Height of the markers above the bonded base (m)."""
+        return self.h - self.depth
+
+    @property
+    def markers(self) -> float:
+        """Markers on the sensing area."""
+        return self.size[0] * self.size[1] / self.pitch**2
+
 
 Array = NDArray[np.float64]
+REACH = 8.0  # correlation lengths summed over
+
+
+def common(skin: Skin, kx: ArrayLike, ky: ArrayLike) -> Array:
+    """Noise of a wave's amplitude over that of independent markers: 1 - s + s f(kx) f(ky), f a sum over the lattice.
+
+    The sum is exact for an endless square lattice, from independent markers (pitch beyond the correlation length) to a
+    continuum.
+    """
+    x, y = np.broadcast_arrays(reals(kx, where="kx"), reals(ky, where="ky"))
+    if skin.correlated == 0:
+        return np.ones(x.shape)
+    f = [_lattice(skin.pitch, skin.correlation, np.abs(k)) for k in (x, y)]
+    return 1 - skin.correlated + skin.correlated * f[0] * f[1]
+
+
+def effective_markers(skin: Skin, kx: ArrayLike = 0.0, ky: ArrayLike = 0.0) -> Array:
+    """Independent markers that would know a wave's amplitude as well; default the mean over the pad.
+
+    Without correlation it is the number of markers. With it, it grows no further than the area over the area of
+    correlation, 2 pi l^2 times the share.
+    """
+    return skin.markers / common(skin, kx, ky)
+
+
+def _lattice(pitch: float, length: float, k: Array) -> Array:
+    steps = max(1, int(np.ceil(REACH * length / pitch)))
+    if steps > 200:  # a continuum: the sum is its integral to machine precision
+        return np.sqrt(2 * np.pi) * length / pitch * np.exp(-((k * length) ** 2) / 2)
+    j = np.arange(1, steps + 1)
+    weight = np.exp(-((j * pitch / length) ** 2) / 2)
+    values, back = np.unique(k, return_inverse=True)
+    found = 1 + 2 * np.cos(np.outer(values, j * pitch)) @ weight
+    return np.maximum(found, 0.0)[back].reshape(k.shape)  # below zero by rounding only
+
+
 FINEST, IMAGES = 3, 3  # markers per patch and direction; images summed on each side
 TINY = 1e-13  # share of the largest singular value below which a wave is not seen at all
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from ..closed.contact import flat_stiffness, sphere_contact, sphere_force
 from .curves import Indentation, Tensile
+from .fits import Verdict
 from .identify import MaterialFit, from_tests
-from .indenters import flat_stiffness, sphere_contact, sphere_force
-from .verdicts import Verdict
 
 __all__ = [
     "Indentation",

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.errors import InputError
-from structures.values import positive, reals
+from structures.errors import InputError, positive, reals
 
-from ..layer import Layer
-from .indenters import WIDEST, flat_stiffness, sphere_law, sphere_limit
+from ..closed.contact import WIDEST, flat_stiffness, sphere_law, sphere_limit
+from ..closed.layer import Layer
 
 Array = NDArray[np.float64]
 DEEPEST = 5.5  # depth times radius of a sphere over thickness squared: contact of some 3.5 thicknesses

@@ -1,12 +1,12 @@
-"""One curve: its modulus, its departure from the straight law, and how well each is known."""
+"""Curves to moduli, one or pooled, and the verdicts: is the material rate-independent, and is it linear?"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 
@@ -176,7 +176,7 @@ def _fewer(residual: Array) -> float:
     return (1 + r) / (1 - r) if r > 2 / np.sqrt(n) else 1.0
 
 
-def poisson(curve: Tensile) -> tuple[float, float]:
+def poisson_of_curves(curve: Tensile) -> tuple[float, float]:
     """Poisson's ratio of a tensile test with lateral strain, and its std from the noise of the curve."""
     x = curve.elongation / curve.length
     y = curve.contraction / float(curve.width or 1.0)
@@ -186,3 +186,154 @@ def poisson(curve: Tensile) -> tuple[float, float]:
     residual = y - y.mean() - nu * away
     sigma = float(np.sqrt(residual @ residual / (len(x) - 2) * _fewer(residual)))
     return nu, sigma / np.sqrt(size)
+
+
+SMALLEST = 1e-9  # std of a noise-free number, so that its weight stays finite
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """Weighted least squares over curves.
+
+    Parameters
+    ----------
+    value, std : array (p,)
+        Coefficients and their std, widened by the scatter between curves where that exceeds the noise of each.
+    dof : int
+        Curves minus coefficients; 0 leaves the scatter between runs unseen.
+    excess : float
+        Scatter between curves over what their own noise explains.
+    """
+
+    value: Array
+    std: Array
+    dof: int
+    excess: float
+
+    def half_width(self, i: int = 0, level: float = 0.95) -> float:
+        """Half of the interval of coefficient i, by Student's t."""
+        from scipy.special import ndtri, stdtrit
+
+        q = 0.5 + level / 2
+        return float((stdtrit(self.dof, q) if self.dof > 0 else ndtri(q)) * self.std[i])
+
+    def p_value(self, i: int) -> float:
+        """Probability of a coefficient at least that large where it is zero."""
+        from scipy.special import ndtr, stdtr
+
+        z = -abs(float(self.value[i] / self.std[i]))
+        return float(2 * (stdtr(self.dof, z) if self.dof > 0 else ndtr(z)))
+
+
+def pool(values: ArrayLike, stds: ArrayLike, design: ArrayLike) -> Pooled:
+    """Fit values = design @ coefficients with weights 1/std^2; the Birge ratio, where above one, widens the std.
+
+    Parameters
+    ----------
+    values, stds : array (n,)
+    design : array (n, p)
+    """
+    y, s, X = np.asarray(values, float), np.maximum(np.asarray(stds, float), SMALLEST), np.asarray(design, float)
+    A, b = X / s[:, None], y / s
+    q, r = np.linalg.qr(A)
+    value = np.linalg.solve(r, q.T @ b)
+    dof = len(y) - X.shape[1]
+    misfit = float(np.sum((b - A @ value) ** 2))
+    excess = float(np.sqrt(misfit / dof)) if dof > 0 else 1.0
+    rows = np.linalg.solve(r.T, np.eye(X.shape[1]))
+    return Pooled(value, np.sqrt(np.sum(rows**2, axis=0)) * max(1.0, excess), dof, excess)
+
+
+RATE, BEND = 0.05, 0.10  # relative changes of the modulus that still count as none
+SPAN = 3.0  # fastest over slowest rate below which rate dependence is not tested
+STRAIN = 0.02  # range below which linearity is not tested
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One question about the material, answered by an effect and its interval, not by a p-value alone.
+
+    Parameters
+    ----------
+    question : {"rate independence", "linearity"}
+    verdict : {"shown", "violated", "undecided", "not tested"}
+        "shown" where the whole 95 % interval of the effect lies within the tolerance, "violated" where it lies outside.
+    effect, low, high : float or None
+        Relative change of the modulus over the range tested, and its 95 % interval.
+    tolerance : float
+        Relative change that still counts as none.
+    p : float or None
+        Probability of such an effect where there is none.
+    text : str
+        Range tested, and why a verdict is missing.
+    """
+
+    question: str
+    verdict: str
+    effect: float | None
+    low: float | None
+    high: float | None
+    tolerance: float
+    p: float | None
+    text: str
+
+    @property
+    def tested(self) -> bool:
+        """The tests can answer the question at all."""
+        return self.verdict != "not tested"
+
+    def __str__(self) -> str:
+        head = f"{self.question}: {self.verdict}"
+        if self.effect is None:
+            return f"{head} ({self.text})"
+        return (
+            f"{head} (modulus changes by {self.effect:+.1%}, 95 % interval {self.low:+.1%} to {self.high:+.1%}, "
+            f"tolerance {self.tolerance:.0%}, p = {self.p:.2g}; {self.text})"
+        )
+
+
+def rate_independence(fits: Sequence[CurveFit], tolerance: float = RATE) -> Verdict:
+    """Analysis of covariance: slope of log E over the logarithm of the strain rate, over all curves.
+
+    The effect is the change of E from the slowest to the fastest test.
+    """
+    rates = np.log10([f.rate for f in fits])
+    span = float(np.ptp(rates))
+    if span < np.log10(SPAN):
+        text = f"rates span a factor of {10**span:.3g}; a factor of {SPAN:g} or more tests it"
+        return Verdict("rate independence", "not tested", None, None, None, tolerance, None, text)
+    found = pool(
+        np.log([f.E for f in fits]),
+        [f.std / f.E for f in fits],
+        np.stack([np.ones(len(rates)), (rates - rates.mean()) / span], axis=1),
+    )
+    change, half = float(found.value[1]), found.half_width(1)
+    effect, low, high = (float(np.expm1(v)) for v in (change, change - half, change + half))
+    text = f"{len(fits)} curves, rates over a factor of {10**span:.3g}"
+    if found.dof == 0:
+        text += ", scatter between runs not seen: repeat a speed"
+    return Verdict(
+        "rate independence", judged(low, high, tolerance), effect, low, high, tolerance, found.p_value(1), text
+    )
+
+
+def linearity(fits: Sequence[CurveFit], tolerance: float = BEND) -> Verdict:
+    """Bend of the curves, pooled: secant modulus at the end of the range over the modulus at its start, minus one."""
+    usable = [f for f in fits if f.strain >= STRAIN]
+    if not usable:
+        text = f"strain to {max(f.strain for f in fits):.2%} only; {STRAIN:.0%} or more tests it"
+        return Verdict("linearity", "not tested", None, None, None, tolerance, None, text)
+    found = pool([f.bend for f in usable], [f.bend_std for f in usable], np.ones((len(usable), 1)))
+    effect, half = float(found.value[0]), found.half_width()
+    reach = max(f.strain for f in usable)
+    return Verdict(
+        "linearity", judged(effect - half, effect + half, tolerance), effect, effect - half, effect + half, tolerance,
+        found.p_value(0), f"{len(usable)} curves, strain to {reach:.1%}; beyond it nothing is shown",
+    )  # fmt: skip
+
+
+def judged(low: float, high: float, tolerance: float) -> str:
+    """Verdict of an interval against a tolerance."""
+    if -tolerance <= low and high <= tolerance:
+        return "shown"
+    return "violated" if low > tolerance or high < -tolerance else "undecided"

@@ -6,9 +6,18 @@ are words that papers define in their own ways; the formulas here are those of e
 
 from __future__ import annotations
 
-from .benchmark import BenchmarkRow, BenchmarkTable, Case, benchmark, cases
-from .feats import CellErrors, cell_errors, to_cells
-from .mapped import MapMetrics, compare, compare_resultants
+from .benchmark import BenchmarkRow, BenchmarkTable, Case, NoiseSlope, benchmark, cases, noise_slope
+from .mapped import (
+    CellErrors,
+    MapMetrics,
+    ResultantErrors,
+    cell_errors,
+    compare,
+    compare_resultants,
+    resultant,
+    resultant_errors,
+    to_cells,
+)
 from .measures import (
     centroid,
     centroid_error,
@@ -17,15 +26,14 @@ from .measures import (
     dtma,
     dtmb,
     iou,
+    known,
+    means,
     patches,
     peak_ratio,
     relative_error,
     snr,
     spread,
 )
-from .resultants import ResultantErrors, resultant, resultant_errors
-from .slope import NoiseSlope, noise_slope
-from .truth import known, means
 
 __all__ = [
     "BenchmarkRow",

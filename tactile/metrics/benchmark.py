@@ -1,4 +1,4 @@
-"""Several sensors on the same presses and the same noise: accuracy, fidelity, and what noise does to each."""
+"""Several sensors on the same presses and the same noise: accuracy, fidelity, and the slope of the error with noise."""
 
 from __future__ import annotations
 
@@ -12,14 +12,95 @@ from numpy.typing import ArrayLike
 
 from structures.errors import InputError
 
-from ..forcemap import ForceMap
+from ..results.forcemap import ForceMap
 from .mapped import MapMetrics, compare
-from .settled import Array, field, finite, places
-from .slope import DRAWS, LEVELS, NoiseSlope, noise_slope
-from .truth import means
+from .measures import Array, field, finite, means, places
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+LEVELS, DRAWS = 4, 10
+
+
+@dataclass(frozen=True)
+class NoiseSlope:
+    """Straight line through relative error against marker noise.
+
+    Parameters
+    ----------
+    slope, std : float
+        Relative error per metre of marker noise, and its std from the scatter of the draws.
+    intercept : float
+        Error of the line at zero noise: what the model, the mesh and the prior cost. Regularised maps bend here.
+    misfit : float
+        Largest distance of a level's mean from the line, as share of the range of errors: beyond some 0.1 the relation
+        is no line, and the slope holds for these levels only.
+    levels : tuple of float
+        Marker noise std (m).
+    errors : tuple of float
+        Mean relative error at each level.
+    draws : int
+        Of each level.
+    """
+
+    slope: float
+    std: float
+    intercept: float
+    misfit: float
+    levels: tuple[float, ...]
+    errors: tuple[float, ...]
+    draws: int
+
+    def __str__(self) -> str:
+        return (
+            f"{1e-6 * self.slope:.4g} +- {1e-6 * self.std:.2g} per um of marker noise, {self.intercept:.3g} at none "
+            f"({len(self.levels)} levels from {1e6 * min(self.levels):.3g} to {1e6 * max(self.levels):.3g} um, "
+            f"{self.draws} draws each)"
+        )
+
+
+def noise_slope(levels: Any, errors: Any) -> NoiseSlope:
+    """Fit relative error against marker noise.
+
+    Parameters
+    ----------
+    levels : array (L,)
+        Marker noise std (m); at least four different ones.
+    errors : array (L, draws)
+        Relative error of the map in each draw; at least ten draws.
+
+    Raises
+    ------
+    InputError
+        Too few levels or draws, or shapes that do not fit.
+    """
+    x, e = finite(levels, "levels"), finite(errors, "errors")
+    if x.ndim != 1 or e.ndim != 2 or len(e) != len(x) or len(np.unique(x)) < LEVELS or e.shape[1] < DRAWS:
+        raise InputError(
+            "too little for a slope of error against noise",
+            where="metrics.noise_slope",
+            found=f"{len(np.unique(x))} levels, errors of shape {e.shape}",
+            expected=f"at least {LEVELS} different levels, errors (levels, draws) of at least {DRAWS} draws",
+            hint="for example noise of 2, 5, 10 and 20 um, ten draws each",
+        )
+    mean = e.mean(axis=1)
+    away = x - x.mean()
+    weight = away / np.sum(away**2)
+    slope = float(weight @ mean)
+    intercept = float(mean.mean() - slope * x.mean())
+    reach = float(np.ptp(mean))
+    off = float(np.abs(mean - intercept - slope * x).max())
+    return NoiseSlope(
+        slope,
+        float(np.sqrt(weight**2 @ (e.var(axis=1, ddof=1) / e.shape[1]))),
+        intercept,
+        off / reach if reach > 0 else 0.0,
+        tuple(x.tolist()),
+        tuple(mean.tolist()),
+        e.shape[1],
+    )
+
 
 Sensor = Callable[[Array], Any]
 NOISE = (2e-6, 5e-6, 10e-6, 20e-6)
@@ -121,10 +202,10 @@ class BenchmarkTable:
         return self.table()
 
     def plot(self, path: str | os.PathLike | None = None) -> Figure:
-        """Error, cosine and resultant against marker noise; see `tactile.plots.benchmark`."""
-        from ..plots.benchmark import draw
+        """Error, cosine and resultant against marker noise; see `tactile.results.pictures`."""
+        from ..results.pictures import draw_benchmark
 
-        return draw(self, path)
+        return draw_benchmark(self, path)
 
 
 def cases(

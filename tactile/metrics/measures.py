@@ -1,4 +1,4 @@
-"""Numbers of one map against its truth, each a pure function that knows no units.
+"""Maps and true tractions as arrays that can be compared, and numbers of one map against its truth, without units.
 
 Sources: DTMA, DMA, DTMB and SNR after Huang et al., Sci. Rep. 9:539 (2019), eqs 9-12. There and here |.| is the
 magnitude of the vector at a point, P_i are the loaded patches of the truth, O is what lies outside all of them, and
@@ -7,15 +7,211 @@ means are weighted with the areas of the points.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
-from structures.values import number, plain
+from structures.errors import InputError, number, plain, positive, reals
 
-from .settled import Array, field, pair, places, size, weights
+if TYPE_CHECKING:
+    from loadid.validate import Known
+
+
+Array = NDArray[np.float64]
+
+
+def finite(values: Any, name: str, *, where: str = "metrics") -> Array:
+    """A finite real array.
+
+    Raises
+    ------
+    InputError
+        Texts, complex numbers, NaN or infinity.
+    """
+    array = reals(values, where=f"{where}, {name}")
+    if not np.isfinite(array).all():
+        raise InputError(
+            f"{name}: {int(np.sum(~np.isfinite(array)))} values are NaN or infinite",
+            where=where,
+            found=f"shape {array.shape}",
+            expected="finite numbers",
+            hint="leave out the points that the map does not reach, from the truth too",
+        )
+    return array
+
+
+def field(values: Any, name: str) -> Array:
+    """A map (points, components): three components, or fewer of a map that has no others.
+
+    Raises
+    ------
+    InputError
+        Another shape, or values that are not finite.
+    """
+    array = finite(values, name)
+    array = array[:, None] if array.ndim == 1 else array
+    if array.ndim != 2 or not array.size or array.shape[1] > 3:
+        raise InputError(
+            f"{name} is no map",
+            where="metrics",
+            found=f"shape {array.shape}",
+            expected="(points, 3), or (points,) of one component",
+            hint="reshape a flat vector of three components per point with .reshape(-1, 3)",
+        )
+    return array
+
+
+def pair(found: Any, truth: Any) -> tuple[Array, Array]:
+    """An estimate and its truth on the same points.
+
+    Raises
+    ------
+    InputError
+        Shapes that differ, or a truth without any load: nothing relative is defined there.
+    """
+    a, b = field(found, "found"), field(truth, "truth")
+    if a.shape != b.shape:
+        raise InputError(
+            "estimate and truth are on different points",
+            where="metrics",
+            found=a.shape,
+            expected=b.shape,
+            hint="evaluate the truth at the nodes of the estimate",
+        )
+    if not np.any(b):
+        raise InputError(
+            "the truth is zero everywhere", where="metrics, truth", found="no load", expected="a load",
+            hint="judge an unloaded frame by its noise, not by relative errors",
+        )  # fmt: skip
+    return a, b
+
+
+def weights(areas: ArrayLike | None, points: int) -> Array:
+    """Tributary areas (points,), equal ones where none are given; their sum is one.
+
+    Raises
+    ------
+    InputError
+        Another number of areas, or one that is not positive.
+    """
+    if areas is None:
+        return np.full(points, 1 / points)
+    found = finite(areas, "areas")
+    if found.shape != (points,) or not (found > 0).all():
+        raise InputError(
+            "areas do not fit the map",
+            where="metrics, areas",
+            found=f"shape {found.shape}, smallest {found.min(initial=np.inf):.3g}",
+            expected=f"{points} positive areas",
+            hint="pass surface.areas, or nothing on a regular grid",
+        )
+    return found / found.sum()
+
+
+def places(points: ArrayLike, count: int) -> Array:
+    """Places of the map's points (points, dim).
+
+    Raises
+    ------
+    InputError
+        Another number of places.
+    """
+    found = finite(points, "points")
+    if found.ndim != 2 or len(found) != count or found.shape[1] not in (2, 3):
+        raise InputError(
+            "places do not fit the map",
+            where="metrics, points",
+            found=f"shape {found.shape}",
+            expected=f"({count}, 2) or ({count}, 3)",
+            hint="one place for each point of the map",
+        )
+    return found
+
+
+def size(t: Array) -> Array:
+    """Magnitude of the vector at each point."""
+    return np.linalg.norm(t, axis=1)
+
+
+PARTS = 6  # sub-cells of a pitch along each direction; a hat is taken as constant in each
+
+
+def means(press: Any, nodes: Array, pitch: float | tuple[float, float], shape: str = "hat") -> Array:
+    """Mean tractions of one press (Pa), (P, 3), about nodes (P, 2) of a regular grid.
+
+    Parameters
+    ----------
+    press : Press
+    nodes : array (P, 2)
+        Places (m).
+    pitch : float or (along X, along Y)
+        Distance of the nodes (m).
+    shape : {"hat", "patch"}
+        Weight of the mean: bilinear, twice as wide as a cell, or constant over the cell.
+
+    Raises
+    ------
+    InputError
+        Another shape, or a pitch that is not positive.
+    """
+    if shape not in ("hat", "patch"):
+        raise InputError("unknown shape", where="metrics.means", found=repr(shape), expected='"hat" or "patch"',
+                         hint="nodal forces of finite elements are means over hats")  # fmt: skip
+    d = np.array([positive("pitch", p, where="metrics.means", unit="m") for p in np.broadcast_to(pitch, 2)])
+    near = np.all(np.abs(nodes - np.asarray(press.at)) <= press.radius + d, axis=1)
+    found = np.zeros((len(nodes), 3))
+    if not near.any():
+        return found
+    if shape == "patch":
+        found[near] = press.mean_tractions(_cells(nodes[near], d))
+        return found
+    steps = (np.arange(2 * PARTS) + 0.5) / PARTS - 1
+    for x in steps:
+        for y in steps:
+            weight = (1 - abs(x)) * (1 - abs(y)) / PARTS**2
+            found[near] += weight * press.mean_tractions(_cells(nodes[near] + d * [x, y], d / PARTS))
+    return found
+
+
+def known(
+    presses: Sequence[Any],
+    nodes: Array,
+    areas: ArrayLike,
+    *,
+    pitch: float | tuple[float, float],
+    source: str = "presses of known force and place",
+) -> Known:
+    """Nodal forces of known presses, as `loadid.validate` takes them: level "distribution".
+
+    A resultant alone (``loadid.validate.Wrench``) stays partial there.
+
+    Parameters
+    ----------
+    presses : sequence of Press
+        Acting together.
+    nodes : array (P, 2 or 3)
+        Places of the estimate's nodes (m).
+    areas : array (P,)
+        Their tributary areas (m^2).
+    pitch : float or (along X, along Y)
+        Distance of the nodes (m).
+    source : str
+        What the reference is, in words.
+    """
+    from loadid.validate import Known
+
+    at = finite(nodes, "nodes")[:, :2]
+    total = np.sum([means(p, at, pitch) for p in presses], axis=0) * finite(areas, "areas")[:, None]
+    return Known(total.ravel(), source=source)
+
+
+def _cells(middles: Array, d: Array) -> Array:
+    """Corners (P, 4, 2), counter-clockwise."""
+    corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    return middles[:, None] + corners * d
+
 
 THETA = 0.2  # share of its peak from which a map counts as contact
 FLOOR = 1e-9  # share of the truth's peak below which a point is unloaded: rounding

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from .detect import Detected, Detector, detect
+from .detect import Detected, Detector, detect, size_of_dots
 from .frames import Frames, frames
-from .match import match
-from .motion import Motion
-from .motions import Motions, read_motions
-from .noise import Jitter, jitter
-from .scale import size_of_dots
-from .tracker import MarkerTracker
+from .motion import Jitter, Motion, Motions, jitter, read_motions
+from .tracker import MarkerTracker, match
 
 __all__ = [
     "Detected",

@@ -1,4 +1,4 @@
-"""Dots of a marker pattern, found to a few hundredths of a pixel.
+"""Dots of a marker pattern, found to a few hundredths of a pixel; their size and their distance.
 
 The image is binned as far as the dots allow, smoothed to 0.8 of their radius and subtracted from its local mean over
 about one pitch; every local maximum above a share of the usual one is a dot, and a parabola through the maximum and its
@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.errors import InputError
-from structures.values import positive
+from structures.advice import Advice, Spelling
+from structures.errors import InputError, positive
 
-from .backend import Backend, Image, backend
-from .grey import Grey, grey
+from .images import Backend, Grey, Image, backend, grey
 
 BLUR = 0.8  # standard deviation of the smoothing over the radius of a dot
 COARSEST = {"parabola": 2.5, "centroid": 3.0}  # px of a radius in the binned image
@@ -190,8 +189,6 @@ def detect(
         No image; settings that are none; no dots where the size of one is to be estimated.
     """
     if radius is None or pitch is None:
-        from .scale import size_of_dots
-
         radius, pitch = size_of_dots(image, radius=radius, pitch=pitch, dark=dark, backend=backend)
     found = Detector(radius, pitch, dark, method, threshold, margin, backend)
     return found(image)
@@ -266,3 +263,82 @@ def _centroid(image: Image, y: NDArray, x: NDArray, reach: int) -> NDArray[np.fl
     weights = np.maximum(heights - HALF * heights[:, reach : reach + 1, reach : reach + 1], 0)
     total, offset = weights.sum(axis=(1, 2)), np.arange(-reach, reach + 1)
     return np.column_stack([x + (weights.sum(axis=1) @ offset) / total, y + (weights.sum(axis=2) @ offset) / total])
+
+
+SMALLEST, LARGEST = 1.5, 0.08  # radius in px, and as a share of the shorter side of the image
+STEPS = 1.15  # ratio of neighbouring radii that are tried
+WIDER = 1.6  # ratio of the two Gaussians whose difference is a blob detector
+WINDOW = 5.0  # pitch over radius that is taken until the pitch is known
+FINE = 6.0  # px of radius above which the image is binned before it is searched
+
+BRIGHT = Spelling("dark=False looks for bright dots", "in the pad file, [markers] dark = false looks for bright dots")
+SIZE = Spelling("; radius= and pitch= state their size in px", "; radius and pitch state their size in px")
+
+
+def size_of_dots(
+    image: Any,
+    *,
+    radius: float | None = None,
+    pitch: float | None = None,
+    dark: bool = True,
+    backend: str | None = None,
+) -> tuple[float, float]:
+    """Radius and pitch of the dots in px; what is given stays as it is.
+
+    The radius is that of the scale at which the difference of two Gaussians, normalised by scale, answers most strongly
+    (Lindeberg 1998: a disc of radius r answers at sigma = r / sqrt 2); the pitch is the median distance of the dots
+    found with it to their nearest neighbours.
+
+    Raises
+    ------
+    InputError
+        Fewer than three dots.
+    """
+    where = "size of the dots"
+    picture = grey(image)
+    r = best_radius(picture, dark=dark, backend=backend) if radius is None else positive("radius", radius, where=where)
+    if pitch is not None:
+        return r, positive("pitch", pitch, where=where)
+    found = Detector(r, WINDOW * r, dark, backend=backend)(picture)
+    if len(found.points) < 3:
+        raise InputError(
+            "no pattern of dots in the image",
+            where=where,
+            found=f"{len(found.points)} {'dark' if dark else 'bright'} dots",
+            expected="at least three",
+            hint=Advice(BRIGHT, SIZE),
+        )
+    return r, max(found.pitch, 2 * r)
+
+
+def best_radius(image: Any, *, dark: bool = True, backend: str | None = None) -> float:
+    """Radius in px of the dots that stand out most.
+
+    Raises
+    ------
+    InputError
+        If nothing stands out of the noise.
+    """
+    picture = grey(image)
+    largest = max(LARGEST * min(picture.shape), 2 * SMALLEST)
+    radii = SMALLEST * STEPS ** np.arange(np.ceil(np.log(largest / SMALLEST) / np.log(STEPS)) + 1)
+    answers = np.array([_answer(picture, float(r), dark, backend) for r in radii])
+    best = int(np.argmax(answers))
+    if answers[best] <= 0:
+        raise InputError("no dots stand out of the noise", where="image", hint=Advice(BRIGHT))
+    if 0 < best < len(radii) - 1:  # parabola over log r
+        a, b, c = answers[best - 1 : best + 2]
+        return float(radii[best] * STEPS ** (0.5 * (c - a) / (2 * b - a - c)))
+    return float(radii[best])
+
+
+def _answer(picture: Any, radius: float, dark: bool, name: str | None) -> float:
+    """Usual height of the maxima of the blob detector of one radius; 0 where nothing exceeds the noise."""
+    tools: Backend = backend(name)
+    bins = max(1, int(radius / FINE))
+    coarse, sigma = binned(picture, bins), radius / bins / np.sqrt(2 * WIDER)  # the pair's mean scale is r / sqrt 2
+    narrow, wide = tools.smooth(coarse, sigma), tools.smooth(coarse, WIDER * sigma)
+    blobs: Image = wide - narrow if dark else narrow - wide
+    floor = NOISE * pixel_noise(picture) / (2 * np.sqrt(np.pi) * sigma * bins)
+    y, x = maxima(blobs, floor)
+    return usual(blobs[y, x]) if len(y) >= 3 else 0.0

@@ -1,19 +1,162 @@
-"""Frames from wherever they are: a folder of images, NPY and NPZ stacks, video files, any iterator of arrays."""
+"""Frames from wherever they are: folders of images, NPY and NPZ stacks, video files, any iterator of arrays."""
 
 from __future__ import annotations
 
+import contextlib
 import re
+import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from structures.advice import Advice, Spelling
 from structures.errors import InputError
 from structures.flags import Flag
 
-from ..guards.vision import missing_frames
-from .grey import Grey, grey
+from ..guards import lossy, missing_frames
+from .images import Grey, grey, installed, opencv
+
+PIXELS = "uifb"
+SMALLEST = 8  # px along an axis, below which an array is no image
+
+
+def read_stack(path: Path, key: str | None = None) -> np.ndarray:
+    """Array of images of an NPY file (mapped, not loaded) or of an NPZ file.
+
+    Raises
+    ------
+    InputError
+        Damaged; Python objects inside; no array, or several, that could be images.
+    """
+    try:
+        if path.suffix.lower() == ".npy":
+            return _checked(np.load(path, mmap_mode="r", allow_pickle=False), path)
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return _checked(archive[_member(archive, path, key)], path)
+    except InputError:
+        raise
+    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, NotImplementedError) as error:
+        raise InputError(
+            "the file cannot be read",
+            where=str(path),
+            found=str(error)[:200],
+            expected="arrays of numbers, undamaged and without Python objects",
+            hint="export it again with numpy.save or numpy.savez of plain arrays; objects are never unpickled",
+        ) from None
+
+
+def _member(archive: Any, path: Path, key: str | None) -> str:
+    if key is not None:
+        if key not in archive.files:
+            raise InputError("there is no such array", where=str(path), found=key, expected=", ".join(archive.files))
+        return key
+    images = [name for name in archive.files if _may_be_images(archive[name])]
+    if len(images) > 1:
+        eight = [name for name in images if archive[name].dtype == np.uint8]
+        images = eight or images
+    if len(images) != 1:
+        raise InputError(
+            "no images in the archive" if not images else "several arrays may be the images",
+            where=str(path),
+            found=", ".join(images or archive.files),
+            expected="one array (T, H, W), (T, H, W, 3) or one image",
+            hint=Advice(Spelling("key= names it", "save the images alone in a file")),
+        )
+    return images[0]
+
+
+def _may_be_images(array: np.ndarray) -> bool:
+    shape = array.shape[:-1] if array.ndim >= 3 and array.shape[-1] in (1, 3, 4) else array.shape
+    return array.dtype.kind in PIXELS and len(shape) in (2, 3) and min(shape[-2:]) >= SMALLEST
+
+
+def _checked(array: np.ndarray, path: Path) -> np.ndarray:
+    if array.dtype.kind not in PIXELS or array.ndim < 2:
+        raise InputError(
+            "no images",
+            where=str(path),
+            found=f"{array.dtype} of shape {array.shape}",
+            expected="numbers, (T, H, W), (T, H, W, 3) or one image",
+        )
+    return array
+
+
+LOSSLESS = ("FFV1", "HFYU", "FFVH", "DIB ", "RGBA", "I420", "YV12", "Y800", "GREY", "RAW ", "\0\0\0\0", "ULRG", "LAGS")
+
+
+def open_video(path: Path) -> tuple[Iterator[np.ndarray], int | None, tuple[Flag, ...]]:
+    """Frames (H, W, 3) with red first, their number where the file states it, and W406 for a lossy codec.
+
+    Raises
+    ------
+    InputError
+        OpenCV is not installed; no video, or damaged; while iterating, a video that ends early.
+    """
+    if not installed():
+        raise InputError(
+            "a video needs OpenCV",
+            where=str(path),
+            hint='pip install "loadid[vision]"; or export the frames as PNG images into a folder',
+        )
+    cv2 = opencv()
+    capture = _opened(cv2, path)
+    count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    codec = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=False).decode("latin-1")
+    flags = () if codec.upper() in LOSSLESS else (lossy(codec),)
+    return _images(cv2, capture, path, count), count if count > 0 else None, flags
+
+
+def _opened(cv2: Any, path: Path) -> Any:
+    with _quiet(cv2):
+        capture = cv2.VideoCapture(str(path))
+    if not capture.isOpened():
+        raise InputError(
+            "the video cannot be read",
+            where=str(path),
+            found=f"{path.stat().st_size} bytes",
+            expected="a video that OpenCV can decode",
+            hint="convert it with ffmpeg, or export its frames as PNG images into a folder",
+        )
+    return capture
+
+
+@contextlib.contextmanager
+def _quiet(cv2: Any) -> Iterator[None]:
+    """OpenCV prints nothing: what it would say is in the error that follows."""
+    logs = getattr(getattr(cv2, "utils", None), "logging", None)
+    if logs is None:
+        yield
+        return
+    level = logs.getLogLevel()
+    logs.setLogLevel(logs.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logs.setLogLevel(level)
+
+
+def _images(cv2: Any, capture: Any, path: Path, count: int) -> Iterator[np.ndarray]:
+    delivered = 0
+    try:
+        while True:
+            there, image = capture.read()
+            if not there:
+                break
+            delivered += 1
+            yield image if image.ndim == 2 else image[..., ::-1]
+    finally:
+        capture.release()
+    if delivered == 0 or delivered < count - 1:  # a container without an index may state one too many
+        raise InputError(
+            "the video ends early",
+            where=f"{path}: frame {delivered + 1}",
+            found=f"{delivered} frames",
+            expected=f"{count} frames, as the file states" if count > 0 else "at least one",
+            hint="transfer it again; the frames before may be used",
+        )
+
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm")
 VIDEOS = (".avi", ".mp4", ".mkv", ".mov", ".m4v", ".mpg", ".mpeg", ".webm", ".wmv")
@@ -107,12 +250,8 @@ def _from_path(path: Path, key: str | None) -> Frames:
         raise InputError("there is no such file or folder", where=str(path))
     suffix = path.suffix.lower()
     if suffix in (".npy", ".npz"):
-        from .stacks import read_stack
-
         return _from_stack(read_stack(path, key), path.name)
     if suffix in VIDEOS:
-        from .video import open_video
-
         images, count, flags = open_video(path)
         return Frames(images, name=path.name, count=count, flags=flags)
     if suffix in IMAGES:

@@ -15,12 +15,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.inverse.convolved.circulant import Circulant
-from loadid.inverse.convolved.operator import Operator
+from loadid.inverse.convolution import Operator
 from loadid.inverse.convolved.path import ConvolvedPath
-from loadid.inverse.convolved.pcg import Sides, solve
-from loadid.inverse.convolved.scale import largest
-from loadid.inverse.windows import solve_in_windows
+from loadid.inverse.convolved.pcg import Circulant, Sides, largest, solve
+from loadid.inverse.convolved.windows import solve_in_windows
 
 from .forward import cpu
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from case_studies import contact_inversion, impact_plate
 from loadid import Deconvolution, StaticInversion
-from loadid.validate import coverage
+from loadid.validate import checks as coverage
 
 
 def from_the_prior(draws: int, m: int = 16, n: int = 24) -> tuple[str, float]:
@@ -53,7 +53,7 @@ def impacts(draws: int) -> tuple[str, float]:
 
 def failing(share: float) -> str:
     """What the summary of an estimate says when it knows this coverage."""
-    from loadid.flags import no_coverage
+    from loadid.guards import no_coverage
     from loadid.validate import Coverage
 
     flag = no_coverage(Coverage(share, 0.95, 0, ""))

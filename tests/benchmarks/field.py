@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 
 from loadid import FieldDeconvolution, NotIdentifiable
 from loadid.inverse.convolution import Convolution
-from structures import ForwardModel, bases, plates, sensors
-from structures.beams import materials
+from structures import ForwardModel, bases
+from structures.elements import plates
+from structures.elements.beams import materials
+from structures.system import sensors
 
 DT, NOISE, SEEDS = 1 / 500, 0.05, 2
 SMOOTH = {"space": "gradient", "time": "first_difference"}

@@ -28,10 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import FrequencyInversion, Spectra
-from loadid.families.spectral.fitting import Rule, fit
-from loadid.inverse.spectral import ruled
-from loadid.inverse.spectral.compressed import compress
-from loadid.inverse.spectral.posterior import factor
+from loadid.families.posing.fitting import Rule, fit
+from loadid.inverse import ruled
+from loadid.inverse.spectral import compress, factor
 from structures import FrfModel
 from tests import frfplate
 from tests.frfplate import KINDS, Lines

@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 
 from loadid import LoadTracker
 from loadid.families.tracking.tracker import Tracker
-from structures import ForwardModel, beams, chains, loads, plates, sensors
+from structures import ForwardModel
+from structures.elements import beams, chains, plates
+from structures.system import loads, sensors
 
 Array = NDArray[np.float64]
 SAMPLES, FINE = 800, 10

@@ -17,11 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid.inverse.kalman.augment import augment
-from loadid.inverse.kalman.loops import Loop
 from loadid.inverse.kalman.priors import Matern32
+from loadid.inverse.kalman.settled import Loop
 from loadid.inverse.kalman.steady import steady
-from structures import ForwardModel, chains, loads, sensors
-from structures.damping import Rayleigh
+from structures import ForwardModel
+from structures.elements import chains
+from structures.system import loads, sensors
+from structures.system.damping import Rayleigh
 
 from .. import tracked
 

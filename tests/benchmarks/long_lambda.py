@@ -29,9 +29,11 @@ from loadid import Deconvolution
 from loadid.families.data import gather
 from loadid.families.posing import pose
 from loadid.inverse.statespace.path import StateSpacePath
-from structures import ForwardModel, beams, damping, loads, sensors
+from structures import ForwardModel
+from structures.elements import beams
 from structures.model import Model
-from structures.statespace import StateSpace
+from structures.models.statespace import StateSpace
+from structures.system import damping, loads, sensors
 from tests.halfsine import DAMPING, FREQUENCIES, RATE, SIGNS
 
 DRAWS = 8  # of the noise, for the expectation

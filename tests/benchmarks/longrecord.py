@@ -21,18 +21,16 @@ from scipy.sparse.linalg import LinearOperator
 
 from loadid import Deconvolution
 from loadid.inverse.choice import choose
-from loadid.inverse.confirm import confirm
+from loadid.inverse.convolution import toeplitz
 from loadid.inverse.problem import LinearProblem
-from loadid.inverse.statespace.augmented import Augmented, augment
-from loadid.inverse.statespace.coarse import windows_of
-from loadid.inverse.statespace.covariance import spread
+from loadid.inverse.statespace.coarse import confirm, windows_of
 from loadid.inverse.statespace.passes import Solved, solve
 from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.record import record
+from loadid.inverse.statespace.posterior import spread
+from loadid.inverse.statespace.record import Augmented, augment, record
 from loadid.inverse.statespace.riccati import gains
 from loadid.inverse.svd import SVDPath
-from loadid.inverse.toeplitz import toeplitz
-from structures.statespace import StateSpace
+from structures.models.statespace import StateSpace
 
 from .forward import exponent
 

@@ -21,14 +21,12 @@ from scipy.linalg import svd, toeplitz
 from scipy.optimize import minimize, nnls
 
 from loadid.inverse import rules
+from loadid.inverse.constrained.methods import gap
+from loadid.inverse.constrained.nonnegative import NonNegativeRecord, discrepancy
+from loadid.inverse.constrained.normal import BlockNormal
 from loadid.inverse.convolution import Convolution
-from loadid.inverse.nonnegative.certificate import gap
-from loadid.inverse.nonnegative.discrepancy import discrepancy
-from loadid.inverse.nonnegative.normal import BlockNormal
-from loadid.inverse.nonnegative.solver import NonNegativeRecord
-from loadid.inverse.statespace.augmented import augment
 from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.record import Record, record
+from loadid.inverse.statespace.record import Record, augment, record
 from tests import halfsine
 
 SEEDS = 3

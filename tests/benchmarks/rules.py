@@ -144,7 +144,7 @@ def by_rule(found: list[Outcome], known: bool) -> None:
 
 
 def by_verdict(found: list[Outcome], known: bool) -> None:
-    """Print the shares and odds of the verdicts, and the lines that `loadid.inverse.odds` holds."""
+    """Print the shares and odds of the verdicts, and the lines that `loadid.inverse.rules` holds."""
     groups = {"white": [o for o in found if o.case[4] == "white"], "smooth": [o for o in found if o.case[4] != "white"]}
     for name, group in groups.items():
         flagged = [o.verdict[known] in GRADES[2:] for o in group]

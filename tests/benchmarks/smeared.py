@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import Deconvolution
-from loadid.families.shapes import half_width, kurtosis
-from structures import ForwardModel, loads, sensors
+from loadid.families.histories import half_width, kurtosis
+from structures import ForwardModel
+from structures.system import loads, sensors
 
 from ..guards.test_expected import beam, blows, impact, plate
 

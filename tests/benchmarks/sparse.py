@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import Deconvolution, SparseDeconvolution
-from loadid.inverse.sparse import dictionaries, lasso, workingset
+from loadid.inverse.sparse import dictionaries, lasso
+from loadid.inverse.sparse import lasso as workingset
 from loadid.inverse.sparse.atoms import ShiftedAtoms
 from structures import ImpulseModel
 from tests import halfsine

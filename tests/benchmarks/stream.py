@@ -26,8 +26,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.families.tracking import checkpoint
-from loadid.families.tracking.tracker import Fitted, Tracker
+from loadid.families.tracking import tracker as checkpoint
+from loadid.families.tracking.fit import Fitted
+from loadid.families.tracking.tracker import Tracker
 from loadid.inverse.kalman.augment import augment
 from loadid.inverse.kalman.priors import OU, Matern32, Sum
 from loadid.inverse.kalman.steady import steady

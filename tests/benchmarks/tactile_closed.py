@@ -15,11 +15,10 @@ import numpy as np
 from scipy.integrate import quad
 from scipy.special import jv
 
-from tactile.gridded import LayerGrid
-from tactile.influence import influence
-from tactile.layer import Layer
-from tactile.presses import Press
-from tactile.profiles import PROFILES
+from tactile.closed.gridded import LayerGrid, influence
+from tactile.closed.layer import Layer
+from tactile.closed.presses import Press
+from tactile.closed.profiles import PROFILES
 
 LAYER = Layer(3e-3, 147e3, 0.3223)
 PRESS = Press(radius=2.5e-3, force=1.0, shear=(0.25, 0.1))

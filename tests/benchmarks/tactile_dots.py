@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import sys
 
-from tactile.plots.overlay import overlay
+from tactile.results.film import overlay
 from tactile.vision import MarkerTracker, detect
-from tactile.vision.backend import installed
-from tactile.vision.frames import read_image
-from tactile.vision.stacks import read_stack
+from tactile.vision.frames import read_image, read_stack
+from tactile.vision.images import installed
 
 from ..data import data_folder
 

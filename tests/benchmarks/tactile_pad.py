@@ -18,11 +18,11 @@ import time
 
 import numpy as np
 
-from structures import condensation
-from structures.factor import Factor
-from tactile.meshfiles import elastic
-from tactile.pad import Pad
-from tactile.presses import Press
+from structures.system import condensation
+from structures.system.factor import Factor
+from tactile.closed.presses import Press
+from tactile.pad.meshfiles import elastic
+from tactile.pad.pad import Pad
 from tests.data import data_folder
 from tests.tactile.padtruth import consistent, map_error, recovered
 from tests.tactile.test_pad_layer import HERTZ, PRESS, WAVES, pad

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from tactile.interpolation import Interpolation
-from tactile.optics import View
-from tactile.rendering import Scene, grid
 from tactile.vision import Detector, MarkerTracker
-from tactile.vision.backend import installed, opencv
+from tactile.vision.eye import View
+from tactile.vision.images import Scene, grid, installed, opencv
+from tactile.vision.interpolation import Interpolation
 
 Points = NDArray[np.float64]
 FRAMES = 8

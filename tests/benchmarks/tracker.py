@@ -17,10 +17,10 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from scipy.linalg import solve_discrete_are
 
-from loadid.inverse.kalman.lag import LagLine, fixed_lag
-from loadid.inverse.kalman.loops import Loop
 from loadid.inverse.kalman.model import FilterModel
 from loadid.inverse.kalman.periodic import PeriodicLoop, periodic
+from loadid.inverse.kalman.settled import Loop
+from loadid.inverse.kalman.smoothing import LagLine, fixed_lag
 from loadid.inverse.kalman.squareroot import SquareRoot
 from loadid.inverse.kalman.steady import Steady, steady
 

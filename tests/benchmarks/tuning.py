@@ -14,8 +14,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.families.tracking.named import NAMES
-from loadid.families.tracking.posed import Posing
+from loadid.families.tracking.filters import NAMES, Posing
 from loadid.families.tracking.tuning import STARTS, likelihood, tune
 from loadid.inverse.kalman.augment import augment
 from loadid.inverse.kalman.priors import RandomWalk

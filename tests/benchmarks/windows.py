@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from loadid import Deconvolution
-from loadid.inverse.convolved.operator import Operator
+from loadid.inverse.convolution import Operator
 from structures import ImpulseModel
 
 from .convolved import RATE, responses

@@ -7,9 +7,11 @@ from loadid import Deconvolution, Record, StaticInversion, read
 from loadid.families.data import gather, health
 from loadid.families.noise import resolve
 from loadid.quality import masked
-from structures import Channel, ForwardModel, ImpulseModel, InputError, MatrixModel, StateSpace, loads, sensors
-from structures import damping as dampings
-from structures.beams import Section, materials, simply_supported
+from structures import Channel, ForwardModel, ImpulseModel, InputError, MatrixModel, StateSpace
+from structures.elements.beams import materials, simply_supported
+from structures.elements.members import Section
+from structures.system import damping as dampings
+from structures.system import loads, sensors
 
 DT, N = 1 / 5000, 120
 RNG = np.random.default_rng(0)

@@ -5,10 +5,11 @@ import os
 import numpy as np
 import pytest
 
-from loadid.families.tracking import checkpoint, packing
+from loadid.families.tracking import fit as packing
+from loadid.families.tracking import tracker as checkpoint
 from loadid.families.tracking.tracker import Tracker
-from structures import storage
 from structures.errors import InputError
+from structures.files import storage
 from tests.killed import fitted
 
 

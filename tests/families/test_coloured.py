@@ -6,7 +6,7 @@ import pytest
 from loadid import Deconvolution
 from loadid.families.data import gather
 from loadid.families.posing import Settings
-from loadid.families.posing.coloured import coloured
+from loadid.families.posing.paths import coloured
 from loadid.inverse.noise_source import NoiseSource
 from structures import MeasuredModel
 

@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 
 from loadid import FieldDeconvolution, HarmonicInversion, InputError, NotIdentifiable
-from loadid.estimate import Axis
-from loadid.families import spatial
+from loadid.families import smoothness as spatial
 from loadid.families.field import told_apart
 from loadid.families.harmonic import complex_load
 from loadid.inverse import penalties
-from loadid.inverse.mapped import MappedPosterior
+from loadid.inverse.convolution import toeplitz
 from loadid.inverse.posterior import from_arrays
-from loadid.inverse.toeplitz import toeplitz
+from loadid.inverse.statespace.posterior import MappedPosterior
+from loadid.results.estimate import Axis
 from loadid.zones import harmonic_power, mean_power
-from structures import ForwardModel, ImpulseModel, bases, beams, damping, sensors
-from structures.mapped import mapped
-from structures.motion import harmonic_motion
+from structures import ForwardModel, ImpulseModel, bases
+from structures.elements import beams
+from structures.models.mapped import mapped
+from structures.models.motion import harmonic_motion
+from structures.system import damping, sensors
 from tests.benchmarks import field as plate
 
 DT, N, LENGTH = 1 / 400, 50, 0.4

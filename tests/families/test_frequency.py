@@ -8,18 +8,9 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, FrequencyInversion, Record, Spectra
-from structures import (
-    CrossSpectra,
-    ForwardModel,
-    FrfModel,
-    InputError,
-    NotIdentifiable,
-    beams,
-    cross_spectra,
-    damping,
-    loads,
-    sensors,
-)
+from structures import CrossSpectra, ForwardModel, FrfModel, InputError, NotIdentifiable, cross_spectra
+from structures.elements import beams
+from structures.system import damping, loads, sensors
 
 from ..linecases import BAND95, Case, case, model, normals
 
@@ -169,7 +160,7 @@ def test_noise_alone_understates_what_errors_of_the_frf_do():
 
 def test_calibration_undoes_the_attenuation(monkeypatch):
     """Of two close loads under large errors of the FRF: without it the band does not cover."""
-    from loadid.families.spectral import fitting
+    from loadid.families.posing import fitting
 
     def covered():
         found = []

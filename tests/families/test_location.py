@@ -11,13 +11,17 @@ import pytest
 
 from case_studies.impact_location import DT, NODES, SAMPLES, beam, half_sine, noisy, recorded
 from loadid import LocationResult, LocationSearch, NotIdentifiable
-from loadid.families.locating import posed as posed_module
-from loadid.families.locating.candidates import Candidates
-from loadid.families.locating.grid import grid_of
-from loadid.inverse.locating import alike, fits, scan, several
-from loadid.inverse.locating.refine import refine
-from loadid.inverse.toeplitz import toeplitz
-from structures import Channel, ForwardModel, ImpulseModel, InputError, MatrixModel, beams, damping, loads, sensors
+from loadid.families.posing import locating as posed_module
+from loadid.families.posing.locating import Candidates, grid_of
+from loadid.inverse.convolution import toeplitz
+from loadid.inverse.convolved import fits
+from loadid.inverse.convolved import fits as alike
+from loadid.inverse.convolved import fits as scan
+from loadid.inverse.convolved import places as several
+from loadid.inverse.convolved.places import refine
+from structures import Channel, ForwardModel, ImpulseModel, InputError, MatrixModel
+from structures.elements import beams
+from structures.system import damping, loads, sensors
 
 CLEAR = (5, 17, 29)
 SPACING = 0.1

@@ -7,7 +7,9 @@ import pytest
 
 from loadid import Deconvolution
 from loadid.inverse.constraints import Bounds, NonNegative
-from structures import ForwardModel, ImpulseModel, InputError, StateSpace, beams, damping, loads, sensors
+from structures import ForwardModel, ImpulseModel, InputError, StateSpace
+from structures.elements import beams
+from structures.system import damping, loads, sensors
 
 DT, N = 1 / 2000, 300
 BEAM = beams.simply_supported(

@@ -9,8 +9,8 @@ import pytest
 
 from loadid import Record, recommend
 from loadid.families import recommend as advice
-from loadid.families.processes import of_sparse
-from loadid.families.sparsity import pose, posing
+from loadid.families.posing.sparsity import pose, posing
+from loadid.families.recommend import of_sparse
 from structures import ImpulseModel, InputError, StateSpace
 from tests.tracked import Tracked, bm2
 

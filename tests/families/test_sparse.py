@@ -9,8 +9,10 @@ import pytest
 
 from loadid import Deconvolution, LoadEstimate, SparseDeconvolution, recommend
 from loadid.families import recommend as advice
-from loadid.families import sparsity
-from structures import ForwardModel, ImpulseModel, InputError, NotIdentifiable, beams, damping, loads, sensors
+from loadid.families.posing import sparsity
+from structures import ForwardModel, ImpulseModel, InputError, NotIdentifiable
+from structures.elements import beams
+from structures.system import damping, loads, sensors
 from tests import halfsine
 
 DT, STEP = 1 / 2000, 1 / halfsine.RATE

@@ -8,8 +8,10 @@ import pytest
 from loadid import Absolute, InputError, NotIdentifiable, Record, StaticInversion, load
 from loadid.families.frozen import Frozen
 from loadid.inverse.constraints import NonNegative, Resultant, Support
-from structures import Channel, ForwardModel, MatrixModel, bases, beams, loads, sensors
+from structures import Channel, ForwardModel, MatrixModel, bases
+from structures.elements import beams
 from structures.flags import codes
+from structures.system import loads, sensors
 
 BEAM = {"length": 2.0, "EI": 1e4, "mass_per_length": 1.0, "elements": 20}
 

@@ -8,7 +8,8 @@ import pytest
 from loadid import Absolute, InputError, NotIdentifiable, Record, StaticInversion, load
 from loadid.families.frozen import Frozen
 from loadid.inverse.constraints import Bounds, NonNegative, Resultant, Support
-from structures import Channel, ForwardModel, MatrixModel, bases, beams
+from structures import Channel, ForwardModel, MatrixModel, bases
+from structures.elements import beams
 
 from .test_static import BEAM, bump, gauges, smooth
 

@@ -11,18 +11,10 @@ import pytest
 from loadid import Record
 from loadid.families.kalman import LoadTracker
 from loadid.inverse.kalman import priors
-from structures import (
-    Channel,
-    ForwardModel,
-    InputError,
-    NotIdentifiable,
-    StateSpace,
-    chains,
-    damping,
-    loads,
-    sensors,
-)
-from structures.mapped import mapped
+from structures import Channel, ForwardModel, InputError, NotIdentifiable, StateSpace
+from structures.elements import chains
+from structures.models.mapped import mapped
+from structures.system import damping, loads, sensors
 from tests.tracked import Score, Tracked, bm2, matern32, score
 
 MATERN = priors.Matern32(100.0, 0.08)

@@ -7,8 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from loadid.families.tracking.bands import in_words, spectra, told_bands
-from loadid.families.tracking.certificate import banded, certify
+from loadid.families.tracking.certificate import banded, certify, in_words, spectra, told_bands
 from loadid.inverse.kalman.augment import Ambient, augment
 from loadid.inverse.kalman.model import FilterModel
 from loadid.inverse.kalman.priors import Matern32, RandomWalk

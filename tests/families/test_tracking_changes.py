@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from loadid.families.kalman import LoadTracker
-from loadid.families.tracking.tracker import Fitted, Tracker
+from loadid.families.tracking.fit import Fitted
+from loadid.families.tracking.tracker import Tracker
 from loadid.inverse.kalman import priors
-from structures import ForwardModel, InputError, chains, damping, loads, sensors
+from structures import ForwardModel, InputError
+from structures.elements import chains
+from structures.system import damping, loads, sensors
 from tests.tracked import Tracked, bm2
 
 MATERN = priors.Matern32(100.0, 0.08)

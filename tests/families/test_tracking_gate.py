@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from loadid.families.tracking.means import Means
+from loadid.families.tracking.running import Means
 from loadid.families.tracking.tracker import Tracker
 from tests.benchmarks.gate import GUARDS, WORSE, Campaign, campaign, followed
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from loadid.families.kalman import LoadTracker
-from loadid.families.tracking.patchy import Patchy
-from loadid.families.tracking.posed import rescaled
-from loadid.families.tracking.rhythm import Listener
-from loadid.families.tracking.tracker import Fitted, Tracker
+from loadid.families.tracking.filters import rescaled
+from loadid.families.tracking.fit import Fitted
+from loadid.families.tracking.likelihood import Listener, Patchy
+from loadid.families.tracking.tracker import Tracker
 from loadid.inverse.kalman import priors
 from loadid.inverse.kalman.squareroot import SquareRoot
 from loadid.inverse.kalman.squareroot import filter as recursive
@@ -112,7 +112,7 @@ def test_sets_of_channels_are_forgotten(monkeypatch):
     """A stream whose sets never come again takes no memory, and what came last is known all the same."""
     from types import SimpleNamespace
 
-    from loadid.families.tracking import rhythm
+    from loadid.families.tracking import likelihood as rhythm
 
     monkeypatch.setattr(rhythm, "NAMES", 150)
     listener, rng = Listener(SimpleNamespace(model=SimpleNamespace(m=20))), np.random.default_rng(0)

@@ -35,20 +35,9 @@ from loadid import (
 )
 from loadid.inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from loadid.inverse.kalman.priors import OU, Matern32, Matern52, Periodic, RandomWalk, White
-from structures import (
-    Channel,
-    ForwardModel,
-    FrfModel,
-    ImpulseModel,
-    MatrixModel,
-    MeasuredModel,
-    bases,
-    beams,
-    chains,
-    damping,
-    loads,
-    sensors,
-)
+from structures import Channel, ForwardModel, FrfModel, ImpulseModel, MatrixModel, MeasuredModel, bases
+from structures.elements import beams, chains
+from structures.system import damping, loads, sensors
 from tactile import GelForce, GelSlim, HalfSpace, MultilayerPad, Pad, Press
 from tests.data import measured
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from structures import FrfModel, cross_spectra
 from structures.flags import Flag
-from structures.frfs import estimate
+from structures.testing.frfs import estimate
 
 from .cases import Case, refused
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from case_studies.impact_location import DT, NODES, SAMPLES, beam, half_sine, noisy, plate, plate_grid, recorded
 from loadid import LocationSearch
-from structures import ForwardModel, sensors
+from structures import ForwardModel
 from structures.flags import Flag
+from structures.system import sensors
 
 from .cases import Case, refused
 

@@ -7,9 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from loadid import Deconvolution, SparseDeconvolution
-from structures import ForwardModel, beams, damping, loads, sensors
+from structures import ForwardModel
+from structures.elements import beams
 from structures.errors import NotIdentifiable
 from structures.flags import Flag
+from structures.system import damping, loads, sensors
 
 from ..inverse.statespace.dense import operator
 from .cases import Case, refused

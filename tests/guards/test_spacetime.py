@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from loadid import FieldDeconvolution
-from structures import ForwardModel, bases, beams, sensors
+from structures import ForwardModel, bases
+from structures.elements import beams
+from structures.system import sensors
 
 from .cases import Case, refused
 

@@ -8,10 +8,11 @@ from unittest import mock
 import numpy as np
 
 from loadid import Deconvolution, SparseDeconvolution
-from loadid.flags import sparsity
-from loadid.inverse.sparse import workingset
-from structures import ForwardModel, ImpulseModel, loads, sensors
+from loadid.guards import families as sparsity
+from loadid.inverse.sparse import lasso as workingset
+from structures import ForwardModel, ImpulseModel
 from structures.flags import Flag
+from structures.system import loads, sensors
 from tests import halfsine
 
 from .cases import Case, refused

@@ -6,16 +6,19 @@ import numpy as np
 import pytest
 
 from loadid import Absolute, StaticInversion
-from loadid import flags as guards
-from loadid.inverse.constrained import ConstrainedPath, ConstrainedSolution
+from loadid import guards as guards
+from loadid.inverse.constrained.path import ConstrainedPath
+from loadid.inverse.constrained.solver import ConstrainedSolution
 from loadid.inverse.constraints import Bounds, NonNegative, Resultant
-from loadid.inverse.decay import decay
+from loadid.inverse.diagnosis.picard import decay
 from loadid.inverse.noise_source import NoiseSource
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
 from loadid.validate import Known, Wrench, validate
-from structures import Channel, ForwardModel, MatrixModel, beams, loads, sensors, solids
+from structures import Channel, ForwardModel, MatrixModel
+from structures.elements import beams, solids
 from structures.flags import Flag
+from structures.system import loads, sensors
 from tests.inverse.test_choice import coloured, in_the_null_space
 
 from .cases import Case, of, refused

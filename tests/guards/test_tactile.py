@@ -7,15 +7,15 @@ from datetime import datetime
 import numpy as np
 
 from structures.flags import Flag
-from tactile.contact import Hertz
-from tactile.forcemap import ForceMap
-from tactile.gelslim import GelSlim
-from tactile.guards import labels, monitor
-from tactile.guards import pad as mesh
-from tactile.guards.material import one_of_two
-from tactile.indenters import Sphere
-from tactile.optics import View
-from tactile.pad import Pad
+from tactile import guards as mesh
+from tactile.closed.contact import Hertz, Sphere
+from tactile.guards import one_of_two
+from tactile.pad.pad import Pad
+from tactile.results import guards as labels
+from tactile.results import guards as monitor
+from tactile.results.forcemap import ForceMap
+from tactile.sensors.gelslim import GelSlim
+from tactile.vision.eye import View
 
 from ..tactile import rigs
 from .cases import Case, refused

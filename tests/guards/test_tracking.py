@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from loadid.flags.tracking import (
+from loadid.guards.tracking import (
     believed,
     beyond_the_fit,
     biases,
+    cures,
     drifting,
     kept_out,
     moved_off,
@@ -21,10 +22,11 @@ from loadid.flags.tracking import (
     undetermined,
     untuned,
 )
-from loadid.inverse.kalman.cure import cures
 from loadid.inverse.kalman.observe import observability
-from structures import ForwardModel, chains, loads, sensors
+from structures import ForwardModel
+from structures.elements import chains
 from structures.flags import Flag
+from structures.system import loads, sensors
 from tests.tracked import Prior, bm2, building, d2, filter_model, judged, matern32, reference, walk
 
 from .cases import Case

@@ -15,8 +15,10 @@ from loadid import (
     StaticInversion,
 )
 from loadid.inverse.choice import CLEARLY, GRADES, unexplained
-from loadid.report import fragment
-from structures import ForwardModel, beams, damping, loads, sensors
+from loadid.results.report import fragment
+from structures import ForwardModel
+from structures.elements import beams
+from structures.system import damping, loads, sensors
 
 from .cases import Case
 

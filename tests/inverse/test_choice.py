@@ -6,15 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loadid import flags as guards
+from loadid import guards as guards
 from loadid.inverse import choice as choices
-from loadid.inverse import odds, rules
-from loadid.inverse.choice import DEFAULT_RULES, RuleResult, agreement, choose
+from loadid.inverse import rules
+from loadid.inverse import rules as odds
+from loadid.inverse.choice import DEFAULT_RULES, agreement, choose
+from loadid.inverse.convolution import toeplitz
 from loadid.inverse.noise_source import NoiseSource
 from loadid.inverse.path import PathPoint, RegularizationPath
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
-from loadid.inverse.toeplitz import toeplitz
+from loadid.inverse.sweep import RuleResult
 from structures.errors import InputError
 from tests.benchmarks.fredholm import NOISES, PROBLEMS
 

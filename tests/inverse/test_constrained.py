@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from loadid.inverse import cones
+from loadid.inverse import constraints as cones
 from loadid.inverse.choice import choose
-from loadid.inverse.constrained import ConstrainedPath
+from loadid.inverse.constrained.path import ConstrainedPath
 from loadid.inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from loadid.inverse.path import RegularizationPath
 from loadid.inverse.posterior import from_arrays

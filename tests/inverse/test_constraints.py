@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.flags import fighting, stopped
-from loadid.inverse.constrained import ConstrainedPath
+from loadid.guards import fighting, stopped
+from loadid.inverse.constrained.path import ConstrainedPath
 from loadid.inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath

@@ -8,17 +8,15 @@ from numpy.typing import NDArray
 
 from loadid.inverse import penalties
 from loadid.inverse.choice import choose
-from loadid.inverse.convolved import probes
-from loadid.inverse.convolved.circulant import Circulant
-from loadid.inverse.convolved.displacement import diagonals, profile
-from loadid.inverse.convolved.operator import Operator
+from loadid.inverse.convolution import Operator, toeplitz
+from loadid.inverse.convolved import posterior as probes
 from loadid.inverse.convolved.path import ConvolvedPath
-from loadid.inverse.convolved.pcg import Sides, solve
+from loadid.inverse.convolved.pcg import Circulant, Sides, solve
+from loadid.inverse.convolved.posterior import diagonals, profile
 from loadid.inverse.path import RegularizationPath
 from loadid.inverse.posterior import Posterior, from_arrays
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
-from loadid.inverse.toeplitz import toeplitz
 from structures.errors import InputError, NotIdentifiable
 
 from .reference import augmented, penalty

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from loadid.inverse import diagnose
+from loadid.inverse.convolution import SpectralPath, toeplitz
+from loadid.inverse.diagnosis import diagnose
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
-from loadid.inverse.toeplitz import SpectralPath, toeplitz
 from structures.errors import InputError, NotIdentifiable
-from structures.spectra import padded_length
+from structures.testing.spectra import padded_length
 
 FWHM = 2 * np.sqrt(2 * np.log(2))
 

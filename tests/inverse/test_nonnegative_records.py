@@ -9,16 +9,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from loadid.inverse.constrained import ConstrainedPath
+from loadid.inverse.constrained.methods import gap
+from loadid.inverse.constrained.nonnegative import NonNegativeRecord, discrepancy, minimise
+from loadid.inverse.constrained.normal import BlockNormal
+from loadid.inverse.constrained.path import ConstrainedPath
 from loadid.inverse.constraints import NonNegative
-from loadid.inverse.nonnegative.certificate import gap
-from loadid.inverse.nonnegative.discrepancy import discrepancy
-from loadid.inverse.nonnegative.normal import BlockNormal
-from loadid.inverse.nonnegative.solver import NonNegativeRecord, minimise
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.rules import discrepancy_level
-from loadid.inverse.statespace.augmented import augment
-from loadid.inverse.statespace.record import Record, record
+from loadid.inverse.statespace.record import Record, augment, record
 from loadid.inverse.svd import SVDPath
 from structures.errors import InputError, NotIdentifiable
 from tests import halfsine

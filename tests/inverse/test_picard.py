@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loadid.inverse.decay import decay
-from loadid.inverse.picard import plateau
+from loadid.inverse.diagnosis.picard import decay, plateau
 from structures.errors import InputError
 
 R = 60

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from loadid.inverse.convolution import SpectralPath, toeplitz
 from loadid.inverse.posterior import DensePosterior, Posterior, SpectralPosterior, from_arrays
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
-from loadid.inverse.toeplitz import SpectralPath, toeplitz
 from structures.errors import InputError
-from structures.spectra import padded_length
+from structures.testing.spectra import padded_length
 
 from .reference import augmented, echo, ill_conditioned, penalty
 

@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from loadid.inverse import odds, rules
+from loadid.inverse import rules
+from loadid.inverse import rules as odds
 from loadid.inverse.choice import GRADES
+from loadid.inverse.convolution import SpectralPath, toeplitz
 from loadid.inverse.path import PathPoint, RegularizationPath
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
-from loadid.inverse.toeplitz import SpectralPath, toeplitz
 from structures.errors import InputError
-from structures.spectra import padded_length
+from structures.testing.spectra import padded_length
 from tests.benchmarks.fredholm import PROBLEMS
 from tests.benchmarks.rules import PENALTIES, Outcome, Setting, outcomes
 

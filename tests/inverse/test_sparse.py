@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse.sparse import debias, dictionaries, groups, lasso, workingset
+from loadid.inverse.sparse import dictionaries, groups, lasso
+from loadid.inverse.sparse import lasso as workingset
+from loadid.inverse.sparse import path as debias
 from loadid.inverse.sparse.atoms import DenseAtoms, MatrixAtoms, ShiftedAtoms
 from loadid.inverse.sparse.path import SparsePath, ebic
 from structures import InputError

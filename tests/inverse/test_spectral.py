@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from loadid.inverse import rules
+from loadid.inverse import ruled, rules
+from loadid.inverse import spectral as pooled
 from loadid.inverse.problem import LinearProblem
-from loadid.inverse.spectral import pooled, ruled
-from loadid.inverse.spectral.compressed import Compressed, compress
-from loadid.inverse.spectral.posterior import factor, identifiable, posterior
-from loadid.inverse.spectral.zeros import nearest_zeros
+from loadid.inverse.spectral import Compressed, compress, factor, identifiable, posterior
 from loadid.inverse.svd import SVDPath
+from loadid.results.functionals import nearest_zeros
 from structures import InputError
 
 from ..linecases import case, normals

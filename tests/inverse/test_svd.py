@@ -7,7 +7,8 @@ import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loadid.inverse import gsvd, rules
+from loadid.inverse import rules
+from loadid.inverse import svd as gsvd
 from loadid.inverse.choice import choose
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from loadid.inverse.convolution import SpectralPath, toeplitz
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
-from loadid.inverse.toeplitz import SpectralPath, toeplitz
 from structures.errors import InputError, NotIdentifiable
-from structures.spectra import padded_length
+from structures.testing.spectra import padded_length
 
 from .reference import augmented, echo, penalty
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loadid.inverse.weights import roughness
+from loadid.families.posing.posed import roughness
 
 N = 1024
 

@@ -4,18 +4,11 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from loadid.inverse.convolution import toeplitz
 from loadid.inverse.path import RegularizationPath
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
-from loadid.inverse.toeplitz import toeplitz
-from loadid.inverse.whiteness import (
-    COLOURED,
-    KS,
-    effective_number,
-    ncp_statistic,
-    plateau_test,
-    residual_test,
-)
+from loadid.inverse.sweep import COLOURED, KS, effective_number, ncp_statistic, plateau_test, residual_test
 from structures.errors import InputError
 from tests.benchmarks.fredholm import NOISES, PROBLEMS
 

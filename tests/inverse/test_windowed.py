@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse import windowed
 from loadid.inverse.choice import choose
-from loadid.inverse.confirm import confirm
+from loadid.inverse.convolution import toeplitz
+from loadid.inverse.convolved import windows as windowed
 from loadid.inverse.convolved.path import ConvolvedPath
+from loadid.inverse.convolved.windows import WindowedPath, beginning_of
 from loadid.inverse.problem import LinearProblem
+from loadid.inverse.statespace.coarse import confirm
 from loadid.inverse.svd import SVDPath
-from loadid.inverse.toeplitz import toeplitz
-from loadid.inverse.windowed import WindowedPath, beginning_of
 from structures.errors import InputError
 
 from .test_convolved import ringing

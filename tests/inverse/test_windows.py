@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from loadid.inverse.convolved.path import ConvolvedPath
-from loadid.inverse.windows import solve_in_windows
+from loadid.inverse.convolved.windows import solve_in_windows
 from structures.errors import InputError
 
 from .test_convolved import ringing

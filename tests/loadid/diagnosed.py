@@ -4,12 +4,12 @@ from functools import cache
 
 import numpy as np
 
-from loadid.estimate import Axis, LoadEstimate
-from loadid.inverse import diagnose
 from loadid.inverse.choice import Choice, choose
+from loadid.inverse.diagnosis import diagnose
 from loadid.inverse.noise_source import NoiseSource
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
+from loadid.results.estimate import Axis, LoadEstimate
 
 
 @cache

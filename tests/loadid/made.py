@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loadid.estimate import Axis, LoadEstimate
-from loadid.inverse.choice import Choice, RuleResult, Sweep
+from loadid.inverse.choice import Choice, Sweep
 from loadid.inverse.noise_source import NoiseSource
+from loadid.inverse.sweep import RuleResult
+from loadid.results.estimate import Axis, LoadEstimate
 from structures.flags import Evidence, Flag
 from structures.model import Certificate
 

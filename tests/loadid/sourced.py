@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from loadid.estimate import Axis, LoadEstimate
+from loadid.results.estimate import Axis, LoadEstimate
 from structures import Channel
-from structures.tabulated import FrfModel
+from structures.models.tabulated import FrfModel
 
 LINES = np.arange(5.0, 101.0, 0.5)  # Hz
 

@@ -12,12 +12,12 @@ import pytest
 from loadid import cli, commands
 from loadid.commands import check as checking
 from loadid.commands import demo as demonstration
-from loadid.commands._logs import units
+from loadid.commands._arguments import units
+from loadid.commands._outputs import Bar
 from loadid.commands.calibrate import calibrate
 from loadid.commands.identify import identify, relative_error
-from loadid.estimate import LoadEstimate
-from loadid.progress import Bar
 from loadid.record import Record
+from loadid.results.estimate import LoadEstimate
 from structures.channels import Channel
 from structures.errors import InputError, NotIdentifiable
 from tests.data import measured

@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from loadid import InputError, design
-from loadid.design import search
-from structures import Channel, ForwardModel, MatrixModel, beams, loads, sensors
+from loadid.design import layout as search
+from structures import Channel, ForwardModel, MatrixModel
+from structures.elements import beams
+from structures.system import loads, sensors
 
 
 def dense(A):

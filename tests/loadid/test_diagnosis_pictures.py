@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from loadid import plots
-from loadid.estimate import LoadEstimate
+from loadid.results.estimate import LoadEstimate
 from structures.errors import InputError
 from tests.loadid.diagnosed import line, surface
 from tests.loadid.made import impact
@@ -197,7 +197,7 @@ def test_scattered_places_and_wrong_questions():
 
 # -- report, summary, file --------------------------------------------------------------------------------------------
 def test_the_report_says_what_the_data_can_tell(estimate):
-    from loadid.report import page
+    from loadid.results.report import page
 
     read = Page(page(estimate))
     for word in (

@@ -9,11 +9,11 @@ import types
 import numpy as np
 import pytest
 
-from loadid import estimate as module
-from loadid.estimate import Axis, LoadEstimate
-from loadid.summary import plus_minus, quantity
-from structures import storage
+from loadid.results import estimate as module
+from loadid.results.estimate import Axis, LoadEstimate
+from loadid.results.summary import plus_minus, quantity
 from structures.errors import InputError
+from structures.files import storage
 from tests.loadid.made import CERTIFICATE, Gaussian, impact, static
 
 

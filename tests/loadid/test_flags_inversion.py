@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from loadid import flags
+from loadid import guards as flags
 from loadid.codes import GUARDS
-from loadid.inverse.decay import decay
-from loadid.inverse.refine import Refinement
+from loadid.inverse.diagnosis.picard import decay
+from loadid.inverse.diagnosis.resolution import Refinement
 
 
 def test_nodal_forces_are_no_pressure():

@@ -14,7 +14,7 @@ from loadid.readers import outline
 from structures import Channel, MatrixModel
 from structures.advice import Option
 from structures.errors import InputError
-from structures.measured import MeasuredModel
+from structures.models.measured import MeasuredModel
 from tests.loadid.made import impact
 from tests.loadid.readers.files import small_files
 from tests.loadid.test_cli import RATE, hit, installed, logs, model, run

@@ -78,7 +78,7 @@ def test_a_report_that_fails_leaves_no_result(run, logs, model, tmp_path, monkey
     def fail(*args, **kwargs):
         raise InputError("broken")
 
-    monkeypatch.setattr("loadid.report.page", fail)
+    monkeypatch.setattr("loadid.results.report.page", fail)
     code, _, err = run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", "--report", tmp_path / "p.html")
     assert code == 3
     assert "broken" in err
@@ -96,7 +96,9 @@ def test_a_run_that_is_stopped_leaves_no_partial_result(run, logs, model, tmp_pa
         if where == "while it writes" or args[1] >= 0.5:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(*("os.fsync", stop) if where == "while it writes" else ("loadid.progress.Bar.__call__", stop))
+    monkeypatch.setattr(
+        *("os.fsync", stop) if where == "while it writes" else ("loadid.commands._outputs.Bar.__call__", stop)
+    )
     code, out, err = run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5")
     assert (code, out) == (130, "")
     assert "interrupted" in err

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loadid.estimate import Axis, LoadEstimate
+from loadid.results.estimate import Axis, LoadEstimate
 from loadid.sources import contributions, synthesise
-from structures import ForwardModel, InputError, chains, loads, sensors
+from structures import ForwardModel, InputError
+from structures.elements import chains
+from structures.system import loads, sensors
 from tests.loadid import sourced
 from tests.loadid.made import Gaussian
 from tests.loadid.sourced import LINES, densities, estimated, table

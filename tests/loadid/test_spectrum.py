@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from loadid import FrequencyInversion, Spectra, load
-from loadid.spectrum import Spectrum, in_words
+from loadid.results.functionals import Spectrum, in_words
 from structures import CrossSpectra, FrfModel, InputError
 from tests import frfplate
 from tests.linecases import case, model, normals

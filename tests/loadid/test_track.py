@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from loadid import cli
-from loadid.families.tracking import checkpoint
+from loadid.families.tracking import tracker as checkpoint
 from loadid.families.tracking.tracker import Tracker
 from loadid.stream import follow
-from structures import storage
+from structures.files import storage
 from tests.killed import fitted, text
 
 

@@ -11,8 +11,11 @@ from loadid.commands.check import check
 from loadid.commands.identify import identify
 from loadid.families import kalman
 from loadid.families.tracking.tracker import Tracker
-from structures import ForwardModel, MeasuredModel, beams, damping, loads, sensors, storage
+from structures import ForwardModel, MeasuredModel
+from structures.elements import beams
 from structures.errors import NotIdentifiable
+from structures.files import storage
+from structures.system import damping, loads, sensors
 
 DT = 0.005
 

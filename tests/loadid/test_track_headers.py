@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from loadid import cli
-from loadid.families.tracking import checkpoint
+from loadid.families.tracking import tracker as checkpoint
 from loadid.families.tracking.tracker import Tracker
 from loadid.stream import follow
 from loadid.stream.clock import Clock

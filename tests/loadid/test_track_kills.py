@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from loadid.families.tracking import checkpoint
+from loadid.families.tracking import tracker as checkpoint
 from loadid.stream import follow
 from tests.killed import Nursery, fitted, leaves, tortured, troubled
 

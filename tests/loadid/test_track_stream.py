@@ -8,13 +8,12 @@ import time
 import numpy as np
 import pytest
 
+from loadid.commands.track import BINS, History, live
 from loadid.stream.clock import LONGEST, REGULAR, Clock
 from loadid.stream.framing import LONGEST as LINE
 from loadid.stream.framing import Lines
-from loadid.stream.history import BINS, History
 from loadid.stream.output import Output
 from loadid.stream.sources import GrowingFile, Pumped, open_source
-from loadid.stream.terminal import live
 from structures.channels import Channel
 from structures.errors import InputError
 

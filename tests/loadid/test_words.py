@@ -5,8 +5,8 @@ import pytest
 
 from loadid.codes import GUARDS, known_codes
 from loadid.inverse.choice import Choice
-from loadid.report import page
-from loadid.summary import against, allowed, cannot_tell, comparison, share
+from loadid.results.report import page
+from loadid.results.summary import against, allowed, cannot_tell, comparison, share
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
 from tests.loadid.made import half_sine, impact

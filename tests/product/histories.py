@@ -10,7 +10,9 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from loadid.inverse.constraints import NonNegative
-from structures import ForwardModel, ImpulseModel, MeasuredModel, beams, damping, loads, sensors
+from structures import ForwardModel, ImpulseModel, MeasuredModel
+from structures.elements import beams
+from structures.system import damping, loads, sensors
 
 from . import reference
 from .reference import Problem

@@ -10,7 +10,8 @@ import pytest
 from loadid import FieldDeconvolution
 from loadid.inverse import penalties
 from loadid.inverse.constraints import NonNegative
-from structures import ForwardModel, InputError, bases, sensors
+from structures import ForwardModel, InputError, bases
+from structures.system import sensors
 
 from . import histories, reference
 from .histories import BEAM, DT

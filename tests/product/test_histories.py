@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, NotIdentifiable
-from loadid.inverse import penalties, rules, windows
+from loadid.inverse import penalties, rules
+from loadid.inverse.convolved import windows
 from structures import ImpulseModel, InputError
 
 from . import histories, reference

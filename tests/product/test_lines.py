@@ -9,8 +9,9 @@ import pytest
 
 from loadid import FrequencyInversion, HarmonicInversion, Spectra
 from loadid.inverse import rules
-from structures import ForwardModel, InputError, bases, loads, sensors
-from structures.spectra import padded_length
+from structures import ForwardModel, InputError, bases
+from structures.system import loads, sensors
+from structures.testing.spectra import padded_length
 
 from . import reference
 from .histories import BEAM, DT

@@ -10,7 +10,9 @@ import pytest
 from loadid import Absolute, StaticInversion
 from loadid.inverse import penalties, rules
 from loadid.inverse.constraints import Bounds, NonNegative, Resultant, Support
-from structures import ForwardModel, InputError, MatrixModel, bases, beams, sensors
+from structures import ForwardModel, InputError, MatrixModel, bases
+from structures.elements import beams
+from structures.system import sensors
 
 from . import reference
 

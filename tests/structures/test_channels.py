@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from structures import Channel, ForwardModel, InputError, MeasuredModel, chains, units
-from structures.loads import Moment, MovingPoint, Patch, Point
-from structures.sensors import Accelerometer, Displacement, StrainGauge, Velocity
+from structures import Channel, ForwardModel, InputError, MeasuredModel, units
+from structures.elements import chains
+from structures.system.loads import Moment, MovingPoint, Patch, Point
+from structures.system.sensors import Accelerometer, Displacement, StrainGauge, Velocity
 
 
 @pytest.mark.parametrize("quantity", units.QUANTITIES)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from structures import InputError, NotIdentifiable, plates, solids
-from structures import condensation as c
-from structures import factor as f
-from structures.beams import Material
-from structures.condensation import Condensed, condense, mirrored
-from structures.factor import Factor
-from structures.materials import steel
+from structures import InputError, NotIdentifiable
+from structures.elements import plates, solids
+from structures.elements.members import Material, steel
+from structures.system import condensation as c
+from structures.system import factor as f
+from structures.system.condensation import Condensed, condense, mirrored
+from structures.system.factor import Factor
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from structures import beams, loads, plates, sensors
+from structures.elements import beams, plates
+from structures.system import loads, sensors
 
 from .exact import beam_roots, frequencies, solve
 from .kinds import SQUARE, UNIT

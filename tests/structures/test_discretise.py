@@ -3,8 +3,8 @@ import pytest
 from scipy import signal
 
 from structures import InputError
-from structures.discretise import blocks, discretise, filter_step, markov, sequence
-from structures.reduction import ReducedModel
+from structures.models.discretise import blocks, discretise, filter_step, markov, sequence
+from structures.models.reduction import ReducedModel
 
 
 def taylor(F):

@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
 
-from structures import ForwardModel, InputError, NotIdentifiable, Structure, beams, chains, loads, sensors
-from structures.damping import Modal
-from structures.materials import steel
+from structures import ForwardModel, InputError, NotIdentifiable, Structure
+from structures.elements import beams, chains
+from structures.elements.members import steel
+from structures.system import loads, sensors
+from structures.system.damping import Modal
 
 L, EI, MASS = 1.2, 800.0, 3.0
 SETTINGS = {"length": L, "EI": EI, "mass_per_length": MASS}
@@ -171,9 +173,9 @@ def test_moving_the_mesh_changes_nothing():
     [
         ({"sensors": []}, "no sensors"),
         ({"loads": []}, "no loads"),
-        ({"sensors": ["3+Z"]}, "objects of structures.sensors"),
-        ({"sensors": [loads.Point("3+Z")]}, "objects of structures.sensors"),
-        ({"loads": [sensors.Displacement("3+Z")]}, "objects of structures.loads"),
+        ({"sensors": ["3+Z"]}, "objects of structures.system.sensors"),
+        ({"sensors": [loads.Point("3+Z")]}, "objects of structures.system.sensors"),
+        ({"loads": [sensors.Displacement("3+Z")]}, "objects of structures.system.loads"),
         ({"sensors": [sensors.Displacement("3+Z"), sensors.Displacement("3+Z")]}, "different labels"),
         ({"sensors": [sensors.Displacement("33+Z")]}, "no such DOF"),
         ({"loads": [loads.Point("0+Z")]}, "LID-E104"),

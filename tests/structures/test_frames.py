@@ -5,11 +5,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from structures import ForwardModel, NotIdentifiable, beams, frames, loads, sensors
+from structures import ForwardModel, NotIdentifiable
+from structures.elements import beams, frames
+from structures.elements.framefield import At
+from structures.elements.framemesh import LineLoad, Member
+from structures.elements.members import Element, Section
 from structures.errors import InputError
-from structures.factor import Factor
-from structures.frames import At, LineLoad, Member, Section
-from structures.members import Element
+from structures.system import loads, sensors
+from structures.system.factor import Factor
 
 from .exact import assembled, beam_roots, frequencies, solve
 

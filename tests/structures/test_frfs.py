@@ -5,7 +5,7 @@ import pytest
 
 from structures import Channel, CrossSpectra, InputError, NotIdentifiable, cross_spectra
 from structures.flags import codes
-from structures.frfs import estimate
+from structures.testing.frfs import estimate
 
 N, DT = 128, 1e-3
 LINES = np.fft.rfftfreq(N, DT)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from structures import Structure, solids
-from structures.beams import Material
-from structures.condensation import compliance, schur
-from structures.factor import Factor
-from structures.layered import condense
-from structures.symmetry import SymmetricFactor, blocks, reflections
+from structures import Structure
+from structures.elements import solids
+from structures.elements.members import Material
+from structures.system.condensation import compliance, schur
+from structures.system.factor import Factor
+from structures.system.layered import SymmetricFactor, blocks, condense, reflections
 
 GEL = Material(E=1e5, rho=1e3, nu=0.45)
 

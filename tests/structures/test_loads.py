@@ -3,9 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from structures import beams, loads, plates
+from structures.elements import beams, plates
 from structures.errors import InputError
-from structures.loads import Moment, MovingPoint, Patch, Point, near_support
+from structures.system import loads
+from structures.system.loads import Moment, MovingPoint, Patch, Point, near_support
 
 from .kinds import EVERY, SQUARE, UNIT
 from .test_sensors import BEAM, ORIGIN, PLATE, P, Q, beam_field, plate_field
@@ -69,7 +70,7 @@ def test_a_couple_is_two_forces():
 
 
 def test_loads_and_sensors_are_reciprocal():
-    from structures.sensors import Displacement
+    from structures.system.sensors import Displacement
 
     for dof in ("3+Z", "3-Z"):
         assert np.array_equal(Point(dof).column(BEAM), Displacement(dof).row(BEAM))

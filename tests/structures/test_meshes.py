@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from structures import InputError, bases, solids
-from structures.beams import Material
-from structures.evaluation import interpolants, largest_strain, motions, strains
-from structures.factor import Factor
+from structures import InputError, bases
+from structures.elements import solids
+from structures.elements.cells import HEX8, TET10
+from structures.elements.members import Material
+from structures.elements.meshfield import interpolants, largest_strain, motions, strains
 from structures.flags import codes
-from structures.isoparametric import HEX8, TET10
+from structures.system.factor import Factor
 
 GEL = Material(E=2e5, rho=1e3, nu=0.45)
 SIDES = (6e-3, 4e-3, 3e-3)

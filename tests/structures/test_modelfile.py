@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
-from structures import ForwardModel, MatrixModel, bases, beams, damping, loads, modelfile, sensors, storage
+from structures import ForwardModel, MatrixModel, bases
+from structures.elements import beams
 from structures.errors import InputError
-from structures.statespace import StateSpace
-from structures.structure import Structure
+from structures.files import modelfile, storage
+from structures.models.statespace import StateSpace
+from structures.system import damping, loads, sensors
+from structures.system.structure import Structure
 
 
 def mast(**settings):

@@ -3,9 +3,10 @@ from itertools import product
 import numpy as np
 import pytest
 
-from structures import loads, plates, sensors
-from structures.beams import Material
+from structures.elements import plates
+from structures.elements.members import Material
 from structures.errors import InputError
+from structures.system import loads, sensors
 
 from .exact import frequencies, levy_roots, navier, solve
 from .kinds import PLAIN, SQUARE

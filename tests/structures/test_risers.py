@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from structures import ForwardModel, bases, beams, damping, loads, risers, sensors
+from structures import ForwardModel, bases
+from structures.elements import beams
+from structures.elements import beams as risers
 from structures.errors import InputError
-from structures.motion import motion
+from structures.models.motion import motion
+from structures.system import damping, loads, sensors
 
 RISER = {"length": 9.63, "EI": 135.4, "mass_per_length": 0.85}
 DT = 1 / 64

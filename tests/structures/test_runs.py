@@ -8,7 +8,7 @@ from scipy import signal
 
 from structures import Channel, FrfModel, InputError, MeasuredModel, NotIdentifiable, cross_spectra
 from structures.flags import codes
-from structures.hits import digests
+from structures.testing.impact import digests
 
 from .impacts import DT, response, transfer
 

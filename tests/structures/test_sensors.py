@@ -3,10 +3,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from structures import beams, plates, sensors
-from structures.dofs import Dof
+from structures.channels import Dof
+from structures.elements import beams, plates
 from structures.errors import InputError
-from structures.sensors import Accelerometer, Displacement, StrainGauge, Velocity
+from structures.system import sensors
+from structures.system.sensors import Accelerometer, Displacement, StrainGauge, Velocity
 
 from .kinds import EVERY, SQUARE, UNIT
 

@@ -5,11 +5,13 @@ import pytest
 from scipy import sparse
 from scipy.linalg import eigh
 
-from structures import ForwardModel, InputError, NotIdentifiable, loads, sensors, solids
-from structures.beams import Material
-from structures.factor import Factor
-from structures.hexcell import ELEMENTS, Brick
-from structures.hexfield import FACES
+from structures import ForwardModel, InputError, NotIdentifiable
+from structures.elements import solids
+from structures.elements.cells import ELEMENTS, Brick
+from structures.elements.hexfield import FACES
+from structures.elements.members import Material
+from structures.system import loads, sensors
+from structures.system.factor import Factor
 from tests.benchmarks import locking
 
 SOFT = Material(E=2e5, rho=1100.0, nu=0.4)
@@ -316,7 +318,7 @@ class TestField:
             sensor.row(block())
 
     def test_gauges_and_tractions_of_solids_need_a_solid(self):
-        from structures import beams
+        from structures.elements import beams
 
         beam = beams.cantilever(length=1.0, EI=1.0, mass_per_length=1.0)
         with pytest.raises(InputError, match="needs a solid"):

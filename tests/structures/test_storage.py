@@ -17,8 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from structures import storage
 from structures.errors import InputError
+from structures.files import storage
 
 TREE = {
     "real": np.linspace(0, 1, 7),

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from structures import beams, chains, loads, plates
-from structures.dofs import Dof
+from structures.channels import Dof
+from structures.elements import beams, chains, plates
 from structures.errors import InputError
-from structures.structure import Structure
+from structures.system import loads
+from structures.system.structure import Structure
 
 from .exact import assembled, norm, solve
 from .kinds import EVERY, MASS, SQUARE, UNIT

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from structures import InputError, solids
-from structures.beams import Material
-from structures.hexfield import FACES
+from structures import InputError
+from structures.elements import solids
+from structures.elements.hexfield import FACES
+from structures.elements.members import Material
 
 SIDES, ORIGIN = (0.03, 0.02, 0.01), (1.0, -2.0, 0.5)
 BLOCK = solids.block(

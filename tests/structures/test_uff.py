@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError
-from structures.files.uff import parse_uff, read_uff
-from structures.files.uff_functions import unrounded
+from structures.files.uff import System, parse_uff, ratio, read_uff, unit_of
+from structures.files.uff_datasets import unrounded
 from structures.files.uff_records import Axis
-from structures.files.uff_units import System, ratio, unit_of
 
 from .uff_made import END, binary58, block, frfs, head, text58, units
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from structures.hexcell import Brick
-from tactile.layer import Layer
+from structures.elements.cells import Brick
+from tactile.closed.layer import Layer
 
 GEL = {"E": 147e3, "thickness": 3e-3}
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from loadid.inverse.choice import Choice, Sweep
-from loadid.inverse.rules import RuleResult
+from loadid.inverse.sweep import RuleResult
 from structures.errors import InputError
-from tactile.choosing import END, RULES, chosen
-from tactile.multilayer import MultilayerPad
-from tactile.pad import Pad
-from tactile.presses import Press
+from tactile.closed.presses import Press
+from tactile.pad.pad import Pad
+from tactile.sensors.multilayer import MultilayerPad
+from tactile.sensors.posing import END, RULES, chosen
 
 from .padtruth import consistent
 from .rigs import NOISE, markers, motion, nodal, pad

@@ -14,14 +14,15 @@ import pytest
 
 from loadid.cli import main
 from structures.errors import InputError
-from tactile import padfile
-from tactile.commands import _eyes, demo
-from tactile.commands._inputs import depth_maps, is_motion
+from tactile.closed.presses import Press
+from tactile.commands import _sources as _eyes
+from tactile.commands import tactile as demo
+from tactile.commands._sources import depth_maps, is_motion
 from tactile.commands.tactile import EXAMPLES, span
-from tactile.forcemap import ForceMap
-from tactile.plots import film
-from tactile.presses import Press
-from tactile.rendering import Scene, grid
+from tactile.pad import padfile
+from tactile.results import film
+from tactile.results.forcemap import ForceMap
+from tactile.vision.images import Scene, grid
 
 FILE = """\
 [pad]

@@ -8,9 +8,9 @@ from scipy.integrate import quad
 
 from structures import InputError, NotIdentifiable
 from structures.flags import codes
-from tactile.contact import Hertz, Mindlin
-from tactile.guards import closed
-from tactile.halfspace import point_forces
+from tactile.closed import halfspace as closed
+from tactile.closed.contact import Hertz, Mindlin
+from tactile.closed.halfspace import point_forces
 
 SPHERE = Hertz(4.0, 1.0, 0.147, 0.3223)
 

@@ -13,11 +13,11 @@ from structures import MatrixModel
 from structures.errors import InputError
 from structures.flags import codes
 from tactile import design
+from tactile.closed.layer import Layer
+from tactile.closed.presses import Press
 from tactile.design import Skin
 from tactile.design.modes import modes, spectrum
-from tactile.layer import Layer
-from tactile.presses import Press
-from tactile.resolution import noise_std
+from tactile.design.resolution import noise_std
 
 GEL = {"h": 3e-3, "E": 0.147e6, "nu": 0.3223}
 

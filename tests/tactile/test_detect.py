@@ -7,11 +7,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from structures.errors import InputError
-from tactile.plots.overlay import overlay
-from tactile.rendering import Scene, grid
+from tactile.results.film import overlay
 from tactile.vision import Detector, detect, size_of_dots
-from tactile.vision.backend import installed
 from tactile.vision.frames import frames, read_image
+from tactile.vision.images import Scene, grid, installed
 
 from ..data import measured
 from .scenes import PITCH, camera, errors, pattern, pressed

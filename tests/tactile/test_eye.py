@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError
-from tactile.eye import Eye
-from tactile.forcemap import ForceMap
-from tactile.multilayer import MultilayerPad
-from tactile.optics import View
-from tactile.pad import Pad
-from tactile.presses import Press
-from tactile.reading import DepthMap
-from tactile.rendering import Scene, grid
+from tactile.closed.presses import Press
+from tactile.pad.pad import Pad
+from tactile.results.forcemap import ForceMap
+from tactile.sensors.multilayer import MultilayerPad
+from tactile.sensors.observation import DepthMap
+from tactile.vision.eye import Eye, View
+from tactile.vision.images import Scene, grid
 
 SIDE, H = 24e-3, 3e-3
 SCENE = Scene(radius=0.22e-3, blur=1.0, noise=2.0)

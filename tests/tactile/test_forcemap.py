@@ -9,8 +9,8 @@ import pytest
 
 from loadid import LoadEstimate
 from structures.errors import InputError
-from tactile.forcemap import ForceMap
-from tactile.gelslim import GelSlim
+from tactile.results.forcemap import ForceMap
+from tactile.sensors.gelslim import GelSlim
 
 from .rigs import NOISE, PRESS, markers, motion, nodal, pad, sensor
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError, NotIdentifiable
-from tactile.gelforce import GelForce, influence
-from tactile.layer import HalfSpace, Layer
-from tactile.presses import Press
+from tactile.closed.layer import HalfSpace, Layer
+from tactile.closed.presses import Press
+from tactile.sensors.gelforce import GelForce, influence
 
 GROUND = HalfSpace(E=0.147e6, nu=0.49)
 # condition number, relative error of the pseudo-inverse at 5 um: 11 x 11 forces 2 mm apart, markers under them

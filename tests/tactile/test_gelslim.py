@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError
-from tactile.completion import Completion
-from tactile.gelslim import GelSlim
-from tactile.indenters import Cylinder, Sphere
-from tactile.interpolation import Interpolation
-from tactile.reading import Wrench
+from tactile.closed.contact import Cylinder, Sphere
+from tactile.pad.stiffness import Completion
+from tactile.sensors.gelslim import GelSlim
+from tactile.sensors.observation import Wrench
+from tactile.vision.interpolation import Interpolation
 
 from .rigs import NOISE, depth, markers, motion, pad
 

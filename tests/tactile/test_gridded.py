@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from structures import InputError, NotIdentifiable
-from tactile.gridded import LayerGrid
-from tactile.influence import influence
-from tactile.layer import HalfSpace, Layer
-from tactile.presses import Press
-from tactile.resolution import noise_std
+from tactile.closed.gridded import LayerGrid, influence
+from tactile.closed.layer import HalfSpace, Layer
+from tactile.closed.presses import Press
+from tactile.design.resolution import noise_std
 
 LAYER = Layer(3e-3, 147e3, 0.3223)
 PRESS = Press(at=(0.1e-3, -0.2e-3), radius=2.5e-3, force=1.0, shear=(0.25, 0.1))

@@ -7,10 +7,9 @@ import pytest
 from scipy.integrate import dblquad
 
 from structures import InputError
-from tactile.halfspace import point_forces
-from tactile.layer import HalfSpace
-from tactile.patches import rectangle
-from tactile.radial import moved, radial
+from tactile.closed.halfspace import point_forces, rectangle
+from tactile.closed.layer import HalfSpace
+from tactile.closed.presses import moved, radial
 
 GROUND = HalfSpace(0.147, 0.3223)
 

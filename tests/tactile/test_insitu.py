@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError
-from tactile.insitu import Gain, gain, poisson
-from tactile.multilayer import MultilayerPad
-from tactile.pad import Pad
-from tactile.presses import Press
+from tactile.closed.presses import Press
+from tactile.material.identify import Gain, gain, poisson
+from tactile.pad.pad import Pad
+from tactile.sensors.multilayer import MultilayerPad
 
 from .rigs import NOISE, markers, motion, nodal, sensor
 

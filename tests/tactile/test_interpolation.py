@@ -10,9 +10,8 @@ from scipy.interpolate import LinearNDInterpolator
 
 from structures.errors import InputError
 from structures.flags import codes
-from tactile.interpolation import Interpolation
-from tactile.localfit import fitted_weights
-from tactile.rendering import grid
+from tactile.vision.images import grid
+from tactile.vision.interpolation import Interpolation, fitted_weights
 
 
 def scattered(seed: int = 0, count: int = 120) -> np.ndarray:

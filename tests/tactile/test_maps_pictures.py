@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
-from tactile import report, video, words
-from tactile.forcemap import ForceMap
-from tactile.pad import Pad
-from tactile.plots import film, maps
-from tactile.presses import Press
-from tactile.recording import record, shared
-from tactile.surface import channels, of_pad
+from tactile.closed.presses import Press
+from tactile.pad.pad import Pad
+from tactile.results import film, report
+from tactile.results import film as video
+from tactile.results import pictures as maps
+from tactile.results import report as words
+from tactile.results.forcemap import ForceMap, record, shared
+from tactile.sensors.posing import channels, of_pad
 
 STD = 150.0  # Pa
 
@@ -246,7 +247,7 @@ def test_nothing_half_is_written(tmp_path: Path) -> None:
 def test_videos_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"no kind of video.*\.gif"):
         video.require_video(tmp_path / "a.mkv")
-    monkeypatch.setattr("tactile.vision.backend.installed", lambda: False)
+    monkeypatch.setattr("tactile.vision.images.installed", lambda: False)
     with pytest.raises(InputError, match=r"needs OpenCV.*loadid\[vision\].*\.gif"):
         video.require_video(tmp_path / "a.mp4")
     assert video.require_video(tmp_path / "a.gif") == ".gif"

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from structures.errors import InputError
-from tactile.vision.match import Dots, Neighbourhood, match
+from tactile.vision.tracker import Dots, Neighbourhood, match
 
 from .scenes import PITCH, pattern, pressed
 

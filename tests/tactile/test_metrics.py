@@ -14,9 +14,9 @@ from structures import Channel, MatrixModel
 from structures.errors import InputError
 from structures.flags import codes
 from tactile import metrics
-from tactile.layer import Layer
+from tactile.closed.layer import Layer
+from tactile.closed.presses import Press
 from tactile.metrics.mapped import compare_resultants
-from tactile.presses import Press
 
 PITCH = 1e-3
 

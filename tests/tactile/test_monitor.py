@@ -11,11 +11,10 @@ import pytest
 
 from structures.errors import InputError
 from structures.flags import codes
-from tactile.guards import labels
-from tactile.layer import Layer
-from tactile.monitor import GelMonitor
-from tactile.presses import Press
-from tactile.shifts import tangents
+from tactile.closed.layer import Layer
+from tactile.closed.presses import Press
+from tactile.material.monitor import GelMonitor, tangents
+from tactile.results import guards as labels
 
 LAYER = Layer(h=3e-3, E=0.147e6, nu=0.45)
 PRESSES = [Press(at=(1e-3, 0), radius=r, force=1.0, shear=(0.3, 0.1)) for r in (1e-3, 2.5e-3, 4e-3)]

@@ -10,7 +10,8 @@ from scipy.optimize import minimize_scalar
 
 from structures.errors import InputError
 from structures.flags import codes
-from tactile.optics import Parallel, View, Window, projection_shift
+from tactile.vision.eye import View
+from tactile.vision.rays import Parallel, Window, projection_shift
 
 from ..data import measured
 from .scenes import camera
@@ -173,7 +174,7 @@ def test_tangential_motion_is_refused_without_rays_or_normal_motion() -> None:
 
 
 def test_the_refusal_can_be_turned_into_a_flag() -> None:
-    from tactile.guards.vision import tangential
+    from tactile.guards import tangential
 
     flag = tangential(False, True, allow=["LID-E603"])
     assert flag is not None

@@ -5,9 +5,9 @@ import pytest
 
 from structures import InputError
 from structures.flags import codes
-from tactile import outline
-from tactile.guards import pad as guards
-from tactile.pad import Pad
+from tactile import guards as guards
+from tactile.pad import body as outline
+from tactile.pad.pad import Pad
 
 GEL = {"size": (8e-3, 8e-3), "thickness": 3e-3, "E": 147e3, "nu": 0.3223, "pitch": 2e-3}
 

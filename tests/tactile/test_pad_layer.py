@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tactile.pad import Pad
-from tactile.presses import Press
+from tactile.closed.presses import Press
+from tactile.pad.pad import Pad
 
 from .padtruth import consistent, map_error, recovered
 

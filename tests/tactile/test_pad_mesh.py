@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from structures import InputError
-from structures.symmetry import reflections
-from tactile import outline
-from tactile.meshfiles import elastic, read
-from tactile.pad import Pad
-from tactile.padmesh import placed
+from structures.system.layered import reflections
+from tactile.pad import body as outline
+from tactile.pad.mesh import placed
+from tactile.pad.meshfiles import elastic, read
+from tactile.pad.pad import Pad
 from tests.data import measured
 from tests.structures.test_meshes import tets
 

@@ -9,14 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from structures.flags import Flag
-from tactile.eye import Eye
-from tactile.gelforce import GelForce
-from tactile.gelslim import GelSlim
-from tactile.layer import Layer
-from tactile.multilayer import MultilayerPad
-from tactile.optics import View
-from tactile.presses import Press
-from tactile.rigid import away
+from tactile.closed.layer import Layer
+from tactile.closed.presses import Press
+from tactile.results.guards import away
+from tactile.sensors.gelforce import GelForce
+from tactile.sensors.gelslim import GelSlim
+from tactile.sensors.multilayer import MultilayerPad
+from tactile.vision.eye import Eye, View
 
 from .rigs import NOISE, markers, pad, sensor
 

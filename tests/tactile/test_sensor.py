@@ -9,11 +9,10 @@ import pytest
 
 from loadid import StaticInversion
 from structures.errors import InputError
-from tactile.forcemap import ForceMap
-from tactile.multilayer import MultilayerPad
-from tactile.observation import Depths, Markers
-from tactile.presses import Press
-from tactile.reading import DepthMap, Wrench
+from tactile.closed.presses import Press
+from tactile.results.forcemap import ForceMap
+from tactile.sensors.multilayer import MultilayerPad
+from tactile.sensors.observation import DepthMap, Depths, Markers, Wrench
 
 from .rigs import NOISE, PRESS, depth, markers, motion, nodal, pad, sensor
 

@@ -7,10 +7,10 @@ import pytest
 
 from structures.errors import InputError
 from structures.flags import codes
-from tactile.plots.overlay import overlay
-from tactile.rendering import Scene
+from tactile.results.film import overlay
 from tactile.vision import Detector, MarkerTracker, jitter
 from tactile.vision.frames import frames, read_image
+from tactile.vision.images import Scene
 
 from ..data import measured
 from .scenes import PITCH, pattern, pressed

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from structures.errors import InputError
 from structures.model import Model
-from structures.statespace import StateSpace
+from structures.models.statespace import StateSpace
 
 from .. import noise as noises
 from ..data import Data
-from .convolved import convolved, convolved_measured
-from .dense import DENSE, dense
-from .lines import lines, measured_lines
-from .posed import PATHS, UNUSABLE, Posed, Settings, diagonal, shift
-from .states import MOST, TAPS, at_rest_in_place, state_space_of, states
+from .paths import DENSE, MOST, TAPS, at_rest_in_place, convolved, convolved_measured, dense, state_space_of, states
+from .posed import PATHS, UNUSABLE, Posed, Settings, diagonal, lines, measured_lines, shift
 
 __all__ = ["PATHS", "UNUSABLE", "Posed", "Settings", "diagonal", "pose"]
 

@@ -1,4 +1,4 @@
-"""What is asked of a problem, and the problem as posed."""
+"""What is asked of a problem, the problem as posed, and its path by lines of the zero-padded spectrum."""
 
 from __future__ import annotations
 
@@ -8,17 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.discretise import HOLDS
-from structures.errors import InputError
+from structures.advice import Advice
+from structures.errors import InputError, number, reals
 from structures.model import Model
-from structures.values import number, reals
+from structures.models.discretise import HOLDS
+from structures.testing.spectra import padded_length, smooth_lines
 
-from ... import flags as guards
+from ... import guards as guards
+from ...inverse import penalties
+from ...inverse.constrained.nonnegative import NonNegativeRecord
+from ...inverse.convolution import SpectralPath
+from ...inverse.diagnosis import diagnose
 from ...inverse.noise_source import NoiseSource
-from ...inverse.nonnegative.solver import NonNegativeRecord
 from ...inverse.path import RegularizationPath
 from ...inverse.penalties import order
 from .. import noise as noises
+from ..data import AS_RECORDED, Data
 
 PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
 PADDED = "zero-padded FFT"  # name of the path that goes line by line
@@ -226,3 +231,182 @@ def shift(h: NDArray, model: Model, allow: tuple[str, ...]) -> int:
     if first[worst] > len(h) // 2:
         raise guards.index_offset(float(level[0, worst] / largest[worst]), model.loads[worst].label, int(first[worst]))
     return int(first.min())
+
+
+LOCAL = 5  # lines on each side
+EXPECTED_LOG = np.exp(np.euler_gamma)  # mean over geometric mean of an exponential variable: the periodogram's scatter
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """Error energy (lines, sensors) of the load spectrum that each sensor gives alone.
+
+    Parameters
+    ----------
+    typical : array
+        Geometric mean over a wide band: for weights, where a single antiresonance must not speak for its neighbours.
+    local : array
+        Arithmetic mean over a few lines: for the band of uncertainty, where every line counts.
+    relative : array
+        `typical` over the power of the load.
+    """
+
+    typical: NDArray[np.float64]
+    local: NDArray[np.float64]
+    relative: NDArray[np.float64]
+
+
+def roughness(G: NDArray, band: float = 1 / 16) -> Roughness:
+    """Error of the load spectrum that each sensor gives alone, from its roughness over the lines.
+
+    A load that lasts a small part of the record has a spectrum that is smooth from line to line once it is shifted to
+    its own time; what is rough is error. The second difference over lines keeps the noise that fills the record, by
+    a known factor, and removes the load.
+
+    Parameters
+    ----------
+    G : array, shape (lines, sensors)
+        Load spectrum of each sensor alone, padded to twice the record.
+    band : float
+        Share of all lines on each side over which the typical error is averaged.
+    """
+    padded = 2 * (len(G) - 1)
+    g = np.fft.irfft(G, axis=0)[: padded // 2]
+    best = int(np.argmax(np.max(np.abs(g), axis=0) / np.maximum(np.median(np.abs(g), axis=0), np.finfo(float).tiny)))
+    start = int(np.argmax(np.abs(g[:, best])))
+    shift = np.exp(2j * np.pi * np.arange(len(G)) * start / padded)
+    # the second difference multiplies sample t by 4 sin^2(pi t / padded): what is left of noise that fills the record
+    kept = np.mean((2 * np.sin(np.pi * (np.arange(padded // 2) - start) / padded)) ** 4)
+    rough = np.abs(np.diff(G * shift[:, None], n=2, axis=0)) ** 2 / kept
+    rough = np.concatenate([rough[:1], rough, rough[-1:]])
+    half = max(1, round(band * len(G)))
+    tiny = np.finfo(float).tiny
+    typical = np.exp(smooth_lines(np.log(np.maximum(rough, tiny)), half)) * EXPECTED_LOG
+    power = np.exp(smooth_lines(np.log(np.maximum(np.abs(G[:, best]) ** 2, tiny)), half))
+    return Roughness(typical, smooth_lines(rough, LOCAL), typical / power[:, None])
+
+
+SILENT = 0.01  # share of the lines on which an FRF may be zero
+ROUGH = 0.5  # relative error of the best sensor above which the load fills the record and roughness tells nothing
+
+
+def lines(h: NDArray, values: NDArray, noise: noises.Noise, data: Data, settings: Settings) -> Posed:
+    """Problem of impulse responses (samples, sensors, loads) with the same noise on every line.
+
+    Right where the response has decayed within the record.
+
+    Raises
+    ------
+    InputError
+        Missing samples, a covariance, or a penalty without a name.
+    """
+    settings.refuse_special("line by line")
+    H = np.fft.rfft(h, padded_length(len(values)), axis=0)
+    return _lines(H, h, values, noises.white(noise, len(values), len(H)), data, settings)
+
+
+def measured_lines(model: Model, data: Data, settings: Settings) -> Posed:
+    """Problem of a measured model, with the variance of its FRFs and the noise that its training left on each line.
+
+    Raises
+    ------
+    InputError
+        A record of another step, an FRF that is not causal, missing samples, or a penalty without a name.
+    """
+    H, f = _measured_lines(model, data)
+    h = np.fft.irfft(H, axis=0)
+    samples = len(data.values)
+    shift(h[:samples, data.rows], model, settings.allow)  # lines hold what comes before zero: only a refusal counts
+    variance = model.frf_variance(f)
+    variance = None if variance is None else variance[:, data.rows]
+    noise = _measured_noise(model, data, settings, H[:, data.rows], model.noise_spectrum(f))
+    return _lines(H, h[: min(samples, model.samples or samples)], data.values, noise, data, settings, variance)
+
+
+def measured_response(model: Model, data: Data, settings: Settings) -> tuple[NDArray[np.float64], noises.LineNoise]:
+    """Impulse responses (taps, sensors, loads) of a measured model, and its noise line by line."""
+    H, f = _measured_lines(model, data)
+    h = np.fft.irfft(H, axis=0)[: min(len(data.values), model.samples or len(data.values))]
+    shift(h[:, data.rows], model, settings.allow)
+    return h, _measured_noise(model, data, settings, H[:, data.rows], model.noise_spectrum(f))
+
+
+def _measured_lines(model: Model, data: Data) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """FRFs at the lines of the padded transform of a record, and their frequencies."""
+    own = float(model.dt or data.dt)
+    if abs(data.dt / own - 1) > 1e-6:
+        raise InputError(
+            "the record and the model have different steps",
+            where="estimate",
+            found=f"dt = {data.dt:.9g} s",
+            expected=f"dt = {own:.9g} s",
+            hint=Advice(AS_RECORDED, ", or resample"),
+        )
+    f = np.linspace(0, 0.5 / own, padded_length(len(data.values)) // 2 + 1)
+    return model.frf(f), f
+
+
+def _lines(
+    H: NDArray,
+    h: NDArray,
+    values: NDArray,
+    noise: noises.LineNoise,
+    data: Data,
+    settings: Settings,
+    variance: NDArray | None = None,
+) -> Posed:
+    if data.missing.any():
+        raise InputError("the path by lines takes no missing samples", where="record", found=data.gaps,
+                         expected="complete channels", hint="path='auto' and method='tikhonov'")  # fmt: skip
+    penalty = "identity" if settings.penalty is None else settings.penalty
+    if not isinstance(penalty, str):
+        raise InputError(
+            "the path by lines takes a named penalty",
+            where="penalty",
+            found="a matrix",
+            expected=f"one of {penalties.names()}",
+        )
+    used = H[:, data.rows]
+    path = SpectralPath(
+        used,
+        values,
+        noise.power,
+        penalty=penalty,
+        variance=variance,
+        excess=noise.excess,
+        truncated=settings.truncated,
+    )
+    full = None
+    if len(data.rows) < H.shape[1]:
+        scale = np.sqrt(np.mean(np.abs(H) ** 2, axis=(0, 2)))
+        full = diagnose.layout(np.linalg.svd(H / scale[:, None], compute_uv=False).ravel(), len(H) * H.shape[2])
+
+    def predict(g: NDArray) -> NDArray:
+        G = np.fft.rfft(g, path.padded, axis=0)
+        return np.fft.irfft(np.einsum("ksl,kl->ks", used, G), path.padded, axis=0)[: len(values)]
+
+    kappa, _, _ = diagnose.layout(path.c, path.unknowns)
+    layout = kappa, path.rank, max(path.unknowns - path.rank, 0)
+    compare = by_prediction(values, predict)
+    return Posed(path, noise.noise, compare, values, PADDED, h[:, data.rows], layout, full, path.unknowns, path)
+
+
+def _measured_noise(
+    model: Model, data: Data, settings: Settings, H: NDArray, spectrum: NDArray | None
+) -> noises.LineNoise:
+    """Noise of each line: of the user, of the training hits, of the roughness of one short load, or of the record."""
+    samples = len(data.values)
+    if settings.noise is None and spectrum is not None:
+        hits = sum(h.used for h in model.hits)
+        said = f"residual power of {hits} training hits, averaged over neighbouring lines"
+        return noises.LineNoise(samples * spectrum[:, data.rows], None, NoiseSource("residual", said))
+    if settings.noise is None and model.training and H.shape[2] == 1 and np.mean(H == 0) < SILENT:
+        own = np.where(H[..., 0] == 0, np.max(np.abs(H)), H[..., 0])  # a silent line tells nothing: no roughness there
+        size = np.abs(own) ** 2
+        told = roughness(np.fft.rfft(data.values, 2 * (len(H) - 1), axis=0) / own)
+        if np.median(np.min(told.relative, axis=1)) <= ROUGH:
+            excess = np.maximum(told.local - told.typical, 0.0) * size
+            source = NoiseSource("residual", "roughness of the load spectrum that each sensor gives alone")
+            return noises.LineNoise(told.typical * size, excess, source)
+    noise = noises.resolve(settings.noise, settings.noise_source, model, data)
+    return noises.white(noise, samples, len(H))

@@ -1,1 +1,1 @@
-"""The rooms of load tracking: priors by name, tuning, the engine that answers every sample, the certificate."""
+"""Load tracking: priors by name, tuning, the engine that answers every sample, the certificate."""

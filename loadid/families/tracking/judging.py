@@ -1,4 +1,4 @@
-"""What a sample is worth: wrong channels kept out, events of the load taken up, and two filters while it is in doubt.
+"""What a sample is worth: wrong channels kept out, events of the load taken up, two filters while it is in doubt.
 
 Innovations beyond the gate are wrong channels or an event: a load that the prior did not expect, or, before the filter
 has settled once, a structure that moved already (`gate.weighed`). The likelier of the two speaks, a rival filter
@@ -16,11 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flags.tracking import FAR
+from ...guards.tracking import FAR
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.squareroot import Innovation, SquareRoot, State
-from .gate import RARE, missed, onset, reach, usual, weighed
-from .plain import CALM, DOUBLINGS, OVER, Plain, plain_of
+from .gate import CALM, DOUBLINGS, OVER, RARE, Plain, missed, onset, plain_of, reach, usual, weighed
 
 GATE = 6.0  # std of an innovation beyond which a sample is looked at
 PATIENCE = 20  # samples: of good behaviour at most, until a channel is believed again; of a lost state, that it is held

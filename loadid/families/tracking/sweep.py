@@ -17,15 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.errors import InputError, NotIdentifiable
+from structures.errors import InputError, NotIdentifiable, positive
 from structures.model import Model
-from structures.values import positive
 
 from ...inverse.kalman.steady import Steady, steady
 from ...inverse.rules import curvature
 from ..data import gather
-from .numbers import complete
-from .tuning import density, settled_samples
+from .tuning import complete, density, settled_samples
 
 FEWEST = 9  # points of a curve
 MOVING = 0.1  # of the largest speed along the curve, below which it stands still and its bends are rounding
@@ -172,8 +170,8 @@ def q_sweep(
 
 def _judged(filtered: Steady, Y: NDArray) -> tuple[float, float, NDArray, float, float]:
     """Innovations and residuals over noise, steps of each load, NIS per channel, log-likelihood."""
-    from ...inverse.kalman.loops import Loop
-    from ...inverse.kalman.roots import backward, forward
+    from ...inverse.kalman.model import backward, forward
+    from ...inverse.kalman.settled import Loop
 
     model, use = filtered.model, settled_samples(len(Y))
     load, e = np.empty((len(Y), model.p)), np.empty(Y.shape)

@@ -1,4 +1,10 @@
-"""Numbers of a filter by the likelihood of its innovations.
+"""Numbers of a filter by the likelihood of its innovations: what is tuned, on which stretch, wrong samples out.
+
+An innovation cannot tell a wrong number from an impact, as both surprise. What the smoother leaves of the data can: it
+has seen what came later, and a load that is there moves all sensors, so that little is left; of a wrong number nearly
+all is left, in one channel alone.
+
+Source: A. C. Harvey, S. J. Koopman, J. Business & Economic Statistics 10 (1992) 377-389 (auxiliary residuals).
 
 The steady filter predicts every sample; the density of what the samples said beyond that is the likelihood. A common
 factor on process and measurement noise leaves the gain alone: its optimum is the mean NIS, in closed form, where the
@@ -10,20 +16,131 @@ has its likelihood in `patchy`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError, NotIdentifiable
+from structures.flags import Flag
 
+from ...guards.tracking import spoilt, undetermined
 from ...inverse.kalman.model import FilterModel
 from ...inverse.kalman.steady import Steady, steady
-from .patchy import Patchy
-from .posed import rescaled
-from .search import Point, climb
-from .wrong import wrong_samples
+from ..data import Data
+from .filters import Named, Posing, rescaled
+from .likelihood import Patchy, Point, climb
+
+BEYOND = 8.0  # stds of what is left of a channel, and of its noise
+AHEAD = 3.0  # times what is left of the other channels around: no load moves one sensor only
+AROUND = 2  # samples before and after, in which they are asked
+APART = 10  # samples, within which only the largest is taken at once: a wrong number spoils what is left around it
+MOST = 0.02  # of the samples of a record that may be wrong: more is no matter of single samples
+TURNS = 12  # in which new ones are looked for
+ROUNDS = 3  # of the numbers that stand in for wrong ones
+SMALLEST = 1e-3  # share of a number that is left of it: less is no matter of one sample
+QUARTILE = 0.6745  # of a normal number's size, which has the median one
+
+
+@dataclass(frozen=True, eq=False)
+class Wrong:
+    """Wrong samples, and the record as the others have it.
+
+    Parameters
+    ----------
+    mask : array of bool, shape (samples, m)
+    values : array, shape (samples, m)
+        The record; where the mask holds, what all other samples say of it.
+    """
+
+    mask: NDArray[np.bool_]
+    values: NDArray[np.float64]
+
+    @property
+    def count(self) -> int:
+        """Of all channels."""
+        return int(self.mask.sum())
+
+
+def wrong_samples(settled: Steady, Y: NDArray) -> Wrong:
+    """Numbers of a complete record Y (samples, m) that no load explains, by a smoother at the numbers of a filter.
+
+    Where the load itself moves as it seldom does (an impact, a step) a prior may fit it badly, and that is left alone.
+    """
+    none = np.zeros(Y.shape, bool)
+    mask, kept, values, share = none, none, Y, None
+    for _ in range(TURNS):
+        new = _apart(settled, left(settled, values)[0]) & ~mask & ~kept
+        if not new.any():
+            return Wrong(mask, values)
+        mask = mask | new
+        if mask.any(axis=1).mean() > MOST:
+            break
+        if share is None:
+            share = own_share(settled, len(Y))
+        values = _replaced(settled, Y, mask, values, share)
+        moved = mask & _event(left(settled, values)[1])[:, None]
+        if moved.any():
+            mask, kept = mask & ~moved, kept | moved
+            values = _replaced(settled, Y, mask, values, share)
+    return Wrong(none, Y)
+
+
+def _replaced(settled: Steady, Y: NDArray, mask: NDArray, values: NDArray, share: NDArray) -> NDArray[np.float64]:
+    """The record with what all others say where the mask holds: numbers that the smoother leaves nothing of."""
+    values = np.where(mask, values, Y)
+    for _ in range(ROUNDS):
+        values = np.where(mask, values - left(settled, values)[0] / share, Y)
+    return values
+
+
+def _event(load: NDArray) -> NDArray[np.bool_]:
+    """Where a load (samples, p) moves within a few samples as it seldom does (samples,)."""
+    moved = np.zeros(load.shape)
+    moved[AROUND:-AROUND] = np.abs(load[2 * AROUND :] - load[: -2 * AROUND])
+    usual = np.median(moved, axis=0) / QUARTILE
+    return np.any(moved > BEYOND * usual, axis=1)
+
+
+def own_share(settled: Steady, samples: int) -> NDArray[np.float64]:
+    """What is left of a one amid a record of zeros, for each channel (m,)."""
+    m, at = len(settled.Se_root), samples // 2
+    found = np.empty(m)
+    for i in range(m):
+        one = np.zeros((samples, m))
+        one[at, i] = 1.0
+        found[i] = left(settled, one)[0][at, i]
+    return np.maximum(found, SMALLEST)
+
+
+def left(settled: Steady, Y: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What a smoother at the settled gain leaves of a complete record (samples, m), and its loads (samples, p)."""
+    from ...inverse.kalman.settled import Loop, back_mean
+
+    model = settled.model
+    load, change = np.empty((len(Y), model.p)), np.empty((len(Y), model.p))
+    e, rest = np.empty(Y.shape), np.empty(Y.shape)
+    loop = Loop(settled.rows(), model.p, model.m, model.x0)
+    loop.compile()
+    loop.block(Y, load, e)
+    back_mean(settled, e, np.zeros(model.n), change, rest)
+    return rest, load - change
+
+
+def _apart(settled: Steady, rest: NDArray) -> NDArray[np.bool_]:
+    """Where one channel is far out, alone and more so than the samples around (samples, m)."""
+    from scipy.ndimage import maximum_filter1d
+
+    noise = np.linalg.norm(settled.model.LR, axis=1)
+    usual = np.median(np.abs(rest), axis=0) / QUARTILE
+    size = np.abs(rest) / np.maximum(np.where(usual > 0, usual, np.inf), noise)
+    around = maximum_filter1d(size, 2 * AROUND + 1, axis=0)
+    ranked = np.sort(around, axis=1)
+    others = np.where(around == ranked[:, -1:], ranked[:, -2:-1] if size.shape[1] > 1 else 0.0, ranked[:, -1:])
+    highest = maximum_filter1d(size.max(axis=1), 2 * APART + 1)[:, None]
+    return (size > BEYOND) & (size >= highest) & (size > AHEAD * others)
+
 
 SKIPPED = 0.05  # of a record, in which the filter settles
 STARTS = 2  # of the grid from which the search goes on
@@ -162,7 +279,7 @@ def settled_samples(count: int) -> NDArray[np.bool_]:
 
 def density(root: NDArray, e: NDArray, free_scale: bool) -> tuple[float, float]:
     """Log-likelihood of innovations (samples, m) of a covariance given by its root, and the scale of the noises."""
-    from ...inverse.kalman.roots import forward
+    from ...inverse.kalman.model import forward
 
     white = forward(root, e.T)
     squares, number = float(np.sum(white**2)), white.size
@@ -178,7 +295,7 @@ def likelihood(filtered: Steady, Y: NDArray, free_scale: bool) -> tuple[float, f
 
 def innovations(filtered: Steady, Y: NDArray) -> NDArray[np.float64]:
     """What each sample of a complete record (samples, sensors) says beyond the steady prediction."""
-    from ...inverse.kalman.loops import Loop
+    from ...inverse.kalman.settled import Loop
 
     model = filtered.model
     load, e = np.empty((len(Y), model.p)), np.empty(Y.shape)
@@ -186,3 +303,111 @@ def innovations(filtered: Steady, Y: NDArray) -> NDArray[np.float64]:
     loop.compile()  # a search asks many times
     loop.block(Y, load, e)
     return e
+
+
+LONGEST = 60_000  # samples that a fit is tuned on
+PATCHY = 2000  # of a record with gaps everywhere
+SHORTEST, ENOUGH = 50, 500  # samples without a gap: that a fit takes, and that it prefers to all with gaps
+FACTORS = (0.3, 1.0, 3.0, 10.0)  # on a noise that is to be found beside priors that are given
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """What a search has found.
+
+    Parameters
+    ----------
+    x : array
+        Logarithms, as `Posing` takes them.
+    scale : float
+        Variance on all noises.
+    words : mapping of str to float
+        The numbers by name.
+    flags : tuple of Flag
+        Numbers that the record does not tell (W523), wrong samples (W524).
+    """
+
+    x: NDArray[np.float64]
+    scale: float
+    words: Mapping[str, float]
+    flags: tuple[Flag, ...]
+
+
+def numbers_of(
+    posing: Posing, data: Data, size: float, known: bool, progress: Callable[[float], None] = lambda share: None
+) -> Numbers:
+    """The most likely numbers of all priors that are named, of scales of the model, of a noise that is not known.
+
+    Parameters
+    ----------
+    posing : Posing
+    data : Data
+    size : float
+        Std of a white load that moves the sensors as they move.
+    known : bool
+        The noise is stated.
+    progress : callable
+
+    Raises
+    ------
+    InputError
+        The record is too short; no filter exists for any numbers.
+    """
+    if posing.shared is None and not posing.scales and known:
+        return Numbers(np.zeros(0), 1.0, {}, ())
+    Y = stretch(data)
+    own = [g.starts(size, data.dt, len(data.values)) for g in posing.given if isinstance(g, Named)]
+    starts = [np.concatenate(parts) for parts in zip(*own, strict=False)] or [np.zeros(0)]
+    factors = np.log(FACTORS)[:, None] if posing.free_noise else np.zeros((1, 0))
+    grid = [np.r_[s, np.zeros(len(posing.scales)), factor] for s in starts for factor in factors]
+    free = not (known or posing.free_noise)
+    found = tune(posing.build, grid, Y, free_scale=free, progress=progress)
+    words = dict(zip(posing.names, np.exp(found.parameters).tolist(), strict=True))
+    if free:
+        words["noise scale"] = float(np.sqrt(found.scale))
+    words["log-likelihood"] = found.loglik
+    labels = [c.label for c in data.channels]
+    said = (
+        undetermined([posing.names[i] for i in found.bounded]),
+        spoilt(found.wrong, labels) if found.wrong else None,
+    )
+    return Numbers(found.parameters, found.scale, words, tuple(flag for flag in said if flag is not None))
+
+
+def stretch(data: Data) -> NDArray[np.float64]:
+    """What a fit is tuned on: a complete stretch where there is a long one, else the record with its gaps (NaN).
+
+    Raises
+    ------
+    InputError
+        Too few samples.
+    """
+    if np.any(data.missing.all(axis=0)) or not (tail := ~data.missing.all(axis=1)).any():
+        return complete(data)  # refuses, and says why
+    runs = np.diff(np.flatnonzero(np.r_[True, data.missing.any(axis=1), True])) - 1
+    if runs.max(initial=0) >= min(ENOUGH, len(data.values) // 2):
+        return complete(data)
+    start, stop = np.flatnonzero(tail)[[0, -1]]
+    Y = np.where(data.missing, np.nan, data.values)[start : min(stop + 1, start + PATCHY)]
+    return np.ascontiguousarray(Y) if len(Y) >= SHORTEST else complete(data)
+
+
+def complete(data: Data) -> NDArray[np.float64]:
+    """The longest stretch of a record without gaps, at most `LONGEST` samples.
+
+    Raises
+    ------
+    InputError
+        There is none, or it is too short to tune on.
+    """
+    good = np.concatenate([[False], ~data.missing.any(axis=1), [False]])
+    edges = np.flatnonzero(np.diff(good)).reshape(-1, 2)
+    if not len(edges):
+        raise InputError("no sample of the record is complete", where="fit", found="every sample lacks a channel",
+                         expected="a stretch with all channels", hint="fit with fewer sensors (sensors=)")  # fmt: skip
+    start, stop = edges[np.argmax(np.ptp(edges, axis=1))]
+    stop = min(stop, start + LONGEST)
+    if stop - start < SHORTEST:
+        raise InputError("the record is too short to tune on", where="fit", found=f"{stop - start} complete samples",
+                         expected=f"at least {SHORTEST}", hint="record longer, or state prior and noise")  # fmt: skip
+    return np.ascontiguousarray(data.values[start:stop])

@@ -1,1 +1,1 @@
-"""Tikhonov deconvolution of long records behind impulse responses, by FFT products and conjugate gradients."""
+"""Tikhonov behind impulse responses of any length, by FFT products and conjugate gradients; candidate places."""

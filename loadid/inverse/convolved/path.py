@@ -9,16 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
 
+from ..convolution import Operator
+from ..interpolation import STEP, Table, Traces, logs
 from ..path import PathPoint, RegularizationPath, Solution
-from . import probes
-from .between import STEP, Table, Traces, logs
-from .circulant import Circulant
-from .displacement import SWEPT, columns, profile
-from .moments import Moments, chain, moments, slopes
-from .operator import Operator
-from .pcg import Reached, refined
-from .posterior import ConvolvedPosterior
-from .scale import largest
+from . import posterior as probes
+from .pcg import Circulant, Reached, largest, refined
+from .posterior import SWEPT, ConvolvedPosterior, Moments, chain, columns, moments, profile, slopes
 
 SCALARS, TIGHT = 1e-9, 1e-11  # tolerance of solves whose answers are only sums; the second one below `WEAK`
 WEAK = 100.0  # times the smallest lambda

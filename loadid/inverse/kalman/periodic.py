@@ -14,10 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 
-from .doubling import fixed_point, joined
-from .loops import Loop
-from .model import FilterModel
-from .roots import backward
+from .model import FilterModel, backward, fixed_point, joined_maps
+from .settled import Loop
 from .squareroot import SquareRoot
 from .steady import RADIUS, RESIDUAL, Steady, distance, refused, sample_map
 
@@ -71,7 +69,7 @@ def periodic(model: FilterModel, masks: ArrayLike, dt: float = 1.0) -> Periodic:
                          expected=f"bool, (phases, {model.m})")  # fmt: skip
     core, T = SquareRoot(model), len(masks)
     parts = [core.seen(mask) for mask in masks]
-    L, count, settled = fixed_point(reduce(joined, map(sample_map, parts)))
+    L, count, settled = fixed_point(reduce(joined_maps, map(sample_map, parts)))
     if not settled:
         raise refused("the variance of the periodic filter grows on")
     steps, residual = _walked(core, masks, core.update_root(parts[0], L))

@@ -36,10 +36,9 @@ from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.errors import InputError
-from structures.values import positive, shown
+from structures.errors import InputError, positive, shown
 
-from .quadrature import step
+from .model import step
 
 WIDE = 1e4  # seconds^(1/2) of a walk before the first sample: three years; wider costs digits of what follows
 MISSING = 1e-6  # share of the variance that may lie beyond the harmonics that are kept

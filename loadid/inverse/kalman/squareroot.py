@@ -18,12 +18,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
-from structures.values import plain
+from structures.errors import InputError, plain
 
-from .model import FilterModel
-from .present import Present, present
-from .roots import forward, joined, lower, square
+from .model import FilterModel, Present, forward, joined, lower, present, square
 
 MASKS = 512  # sets of channels whose arrays are kept
 LOG2PI = float(np.log(2 * np.pi))

@@ -1,4 +1,4 @@
-"""Dictionaries of load histories: spikes, cubic B-splines, Daubechies wavelets, given by their waveforms and shifts."""
+"""Dictionaries of load histories: spikes, cubic B-splines, Daubechies wavelets, given by waveforms and shifts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""The two passes of a solve: backward from the data to what drives the inputs, forward to inputs, loads and responses.
+"""The two passes of a solve, backward from the data and forward to the loads, in blocks; and how exactly it solved.
+
+    x <- A x + B u,   out = C x + D u
+
+A block of b samples is one row: its outputs are a Toeplitz matrix times its inputs and an observability matrix times
+the state at its start. These states advance by A^b, all those of a stretch together in log2 steps (Hillis & Steele,
+Commun. ACM 29 (1986) 1170). All is a matrix product, and no temporary is longer than a stretch.
 
 With the gains of `riccati` and L g = w,
 
@@ -11,14 +17,240 @@ change with time, and run as products of blocks of samples (`blocks`); the rest 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import blocks, loops
+from ..compiled import Compiled
 from .record import Record
-from .riccati import Gains
+from .riccati import Gains, feedback
+
+STRETCH = 256  # blocks that advance together
+SMALLEST, LARGEST = 8, 64  # samples of a block
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Matrices of ``x <- A x + B u, out = C x + D u``: (n, n), (n, inputs), (outputs, n), (outputs, inputs)."""
+
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    D: NDArray[np.float64]
+
+
+def run_blocks(
+    system: Filter, x: NDArray, inputs: Sequence[NDArray], outputs: Sequence[NDArray], backwards: bool = False
+) -> NDArray[np.float64]:
+    """Fill the outputs from the state `x` at the first sample, and return the state after the last.
+
+    Parameters
+    ----------
+    inputs, outputs : sequence of array, each (samples, columns)
+        Columns of u and of out, side by side.
+    backwards : bool
+        From the last sample to the first.
+    """
+    samples, width = len(inputs[0]), _width(system)
+    done = samples // width * width
+    parts = (
+        (slice(0, done), slice(done, samples))
+        if not backwards
+        else (slice(samples - done, samples), slice(0, samples - done))
+    )
+    if done:
+        x = _blocks(system, x, [u[parts[0]] for u in inputs], [o[parts[0]] for o in outputs], width, backwards)
+    return _rest(system, x, [u[parts[1]] for u in inputs], [o[parts[1]] for o in outputs], backwards)
+
+
+def _width(system: Filter) -> int:
+    """Samples of a block, a power of two: near the least work of the products."""
+    n, (outputs, inputs) = len(system.A), system.D.shape
+    best = np.log2(max(3.0 * n / np.sqrt(inputs * outputs), 1.0))
+    return int(np.clip(2 ** round(best), SMALLEST, LARGEST))
+
+
+def _blocks(
+    system: Filter, x: NDArray, inputs: Sequence[NDArray], outputs: Sequence[NDArray], width: int, backwards: bool
+) -> NDArray[np.float64]:
+    """Whole blocks, a stretch of them at a time."""
+    n, (outs, ins) = len(x), system.D.shape
+    made, pushed, jump = _matrices(system, width, backwards)
+    count, order = len(inputs[0]) // width, slice(None, None, -1 if backwards else 1)
+    jumps = _jumps(jump, min(STRETCH, count))
+    for first in range(0, count, STRETCH):
+        size = min(STRETCH, count - first)
+        low = (count - first - size if backwards else first) * width
+        part = slice(low, low + size * width)
+        rows = np.empty((size, width * ins + n))  # inputs of a block, and the state at its start
+        fed = rows[:, : width * ins]
+        fed.reshape(size, width, ins)[:] = np.concatenate([u[part] for u in inputs], axis=1).reshape(size, width, ins)[
+            order
+        ]
+        rows[:, width * ins :], x = _advance(jumps, x, fed @ pushed)
+        found = (rows @ made).reshape(size, width, outs)[order]
+        column = 0
+        for out in outputs:
+            out[part] = found[:, :, column : column + out.shape[1]].reshape(size * width, -1)
+            column += out.shape[1]
+    return x
+
+
+def _matrices(system: Filter, width: int, backwards: bool) -> tuple[NDArray, NDArray, NDArray]:
+    """From inputs and state of a block to its outputs; from its inputs to the next state; A to the power of a block.
+
+    Samples stand in the order of the record.
+    """
+    A, B, C, D = system.A, system.B, system.C, system.D
+    n, (outs, ins) = len(A), D.shape
+    powers = [np.eye(n)]
+    for _ in range(width):
+        powers.append(A @ powers[-1])
+    before = np.stack(powers[:width])
+    order = slice(None, None, -1 if backwards else 1)
+    toeplitz, answer = np.zeros((width, ins, width, outs)), np.concatenate([D[None], C @ before[:-1] @ B])
+    for k in range(width):
+        toeplitz[k, :, k:] = answer[: width - k].transpose(2, 0, 1)
+    direct = toeplitz[order, :, order].reshape(width * ins, width * outs)
+    observe = (C @ before)[order].transpose(2, 0, 1).reshape(n, width * outs)
+    reach = (before[::-1] @ B)[order].transpose(0, 2, 1).reshape(width * ins, n)
+    return np.vstack([direct, observe]), reach, powers[width]
+
+
+def _jumps(A: NDArray, most: int) -> list[NDArray[np.float64]]:
+    """Transposes of A, A^2, A^4, ... for states up to `most` steps apart."""
+    out = [A]
+    while 1 << len(out) < most:
+        out.append(out[-1] @ out[-1])
+    return [np.ascontiguousarray(P.T) for P in out]
+
+
+def _advance(jumps: list[NDArray], x: NDArray, pushed: NDArray) -> tuple[NDArray, NDArray]:
+    """States (rows, n) before each push, and the one after the last: ``x <- A x + pushed[i]``."""
+    pushed[0] += x @ jumps[0]
+    for k, jump in enumerate(jumps):
+        step = 1 << k
+        if step < len(pushed):
+            pushed[step:] += pushed[:-step] @ jump
+    return np.vstack([x, pushed[:-1]]), pushed[-1]
+
+
+def _rest(
+    system: Filter, x: NDArray, inputs: Sequence[NDArray], outputs: Sequence[NDArray], backwards: bool
+) -> NDArray[np.float64]:
+    """Sample by sample."""
+    edges = np.cumsum([o.shape[1] for o in outputs])[:-1]
+    places = range(len(inputs[0]))
+    for k in reversed(places) if backwards else places:
+        u = np.concatenate([part[k] for part in inputs])
+        for o, value in zip(outputs, np.split(system.C @ x + system.D @ u, edges), strict=True):
+            o[k] = value
+        x = system.A @ x + system.B @ u
+    return x
+
+
+def backward_by_samples(
+    record: Record, gains: Gains, part: slice, y: NDArray, a: NDArray | None, u: NDArray, v: NDArray
+) -> tuple[NDArray[np.float64], float]:
+    """Fill u of some samples; v before them, and the sum of s^T u."""
+    kind, which = record.kind[part], gains.which[part]
+    v, linear = np.array(v), a is not None
+    value = _backward(*record.entries, record.G, record.C, record.D, record.E, kind, gains.K, gains.R, which, y,
+                      y[:0] if a is None else a, linear, u, v)  # fmt: skip
+    return v, float(value)
+
+
+def forward_by_samples(
+    record: Record, gains: Gains, part: slice, u: NDArray, x: NDArray, w: NDArray, g: NDArray, r: NDArray
+) -> NDArray[np.float64]:
+    """Fill inputs, load and response of some samples; the state after them."""
+    kind, which = record.kind[part], gains.which[part]
+    x = np.array(x)
+    _forward(*record.entries, record.G, record.C, record.D, record.E, kind, gains.K, which, u, x, w, g, r)
+    return x
+
+
+@Compiled
+def _backward(
+    at: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, E: NDArray, kind: NDArray, K: NDArray, R: NDArray,
+    which: NDArray, y: NDArray, a: NDArray, linear: bool, u: NDArray, v: NDArray,
+) -> float:  # fmt: skip
+    """Fill u and v; F holds its entries at the places `at` (rows, columns) only. The sum of s^T u."""
+    n, p, m, entries = G.shape[1], G.shape[2], C.shape[1], at.shape[1]
+    s, new, value = np.empty(p), np.empty(n), 0.0
+    for k in range(len(kind) - 1, -1, -1):
+        j, row = kind[k], which[k]
+        for i in range(p):
+            total = a[k, i] if linear else 0.0
+            for q in range(n):
+                total += G[j, q, i] * v[q]
+            for q in range(m):
+                total += D[j, q, i] * y[k, q]
+            s[i] = total
+        for i in range(n):
+            total = 0.0
+            for q in range(m):
+                total += C[j, q, i] * y[k, q]
+            for q in range(p):
+                total -= K[row, q, i] * s[q]
+            if linear:
+                for q in range(p):
+                    total += E[q, i] * a[k, q]
+            new[i] = total
+        for e in range(entries):
+            new[at[1, e]] += F[j, e] * v[at[0, e]]
+        for i in range(n):
+            v[i] = new[i]
+        for i in range(p):  # R^T z = s
+            z = s[i]
+            for q in range(i):
+                z -= R[row, q, i] * u[k, q]
+            u[k, i] = z / R[row, i, i]
+            value += u[k, i] * u[k, i]
+        for i in range(p - 1, -1, -1):  # R u = z
+            z = u[k, i]
+            for q in range(i + 1, p):
+                z -= R[row, i, q] * u[k, q]
+            u[k, i] = z / R[row, i, i]
+    return value
+
+
+@Compiled
+def _forward(
+    at: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, E: NDArray, kind: NDArray, K: NDArray,
+    which: NDArray, u: NDArray, x: NDArray, w: NDArray, g: NDArray, r: NDArray,
+) -> None:  # fmt: skip
+    """Fill inputs, load and response from the state x at the first sample."""
+    n, p, m, entries = G.shape[1], G.shape[2], C.shape[1], at.shape[1]
+    new = np.empty(n)
+    for k in range(len(kind)):
+        j, row = kind[k], which[k]
+        for i in range(p):
+            total, load = u[k, i], 0.0
+            for q in range(n):
+                total -= K[row, i, q] * x[q]
+                load += E[i, q] * x[q]
+            w[k, i] = total
+            g[k, i] = load + total
+        for i in range(m):
+            total = 0.0
+            for q in range(n):
+                total += C[j, i, q] * x[q]
+            for q in range(p):
+                total += D[j, i, q] * w[k, q]
+            r[k, i] = total
+        for i in range(n):
+            total = 0.0
+            for q in range(p):
+                total += G[j, i, q] * w[k, q]
+            new[i] = total
+        for e in range(entries):
+            new[at[0, e]] += F[j, e] * x[at[1, e]]
+        for i in range(n):
+            x[i] = new[i]
+
 
 STEADY = 4096  # samples with one gain from which blocks pay
 PART = 1 << 14  # samples of a temporary
@@ -93,7 +325,7 @@ def backward(record: Record, gains: Gains, y: NDArray, a: NDArray | None) -> tup
             v = _backward_steady(record, gains, first, *data, u[part], v)
             value += _to_inputs(gains.R[gains.which[first]], u[part])
         else:
-            v, more = loops.backward(record, gains, part, *data, u[part], v)
+            v, more = backward_by_samples(record, gains, part, *data, u[part], v)
             value += more
     return u, v, value
 
@@ -104,7 +336,7 @@ def forward(record: Record, gains: Gains, u: NDArray, start: NDArray) -> tuple[N
     g = np.empty_like(u) if record.E.any() else w
     for first, length, steady in runs(record, gains):
         part = slice(first, first + length)
-        walk = _forward_steady if steady else loops.forward
+        walk = _forward_steady if steady else forward_by_samples
         x = walk(record, gains, part, u[part], x, w[part], g[part], r[part])
     return w, g, r
 
@@ -137,7 +369,7 @@ def _backward_steady(
     into, feed, inputs = (C - D @ K).T, D.T, [y]
     if a is not None:
         into, feed, inputs = np.hstack([into, (E - K).T]), np.hstack([feed, np.eye(record.p)]), [y, a]
-    return blocks.run(blocks.Filter((F - G @ K).T, into, G.T, feed), v, inputs, [s], backwards=True)
+    return run_blocks(Filter((F - G @ K).T, into, G.T, feed), v, inputs, [s], backwards=True)
 
 
 def _to_inputs(R: NDArray, s: NDArray) -> float:
@@ -162,4 +394,14 @@ def _forward_steady(
     seen, fed, outputs = [-K, C - D @ K], [np.eye(p), D], [w, r]
     if g is not w and E.any():
         seen, fed, outputs = [*seen, E - K], [*fed, np.eye(p)], [*outputs, g]
-    return blocks.run(blocks.Filter(F - G @ K, G, np.vstack(seen), np.vstack(fed)), x, [u], outputs)
+    return run_blocks(Filter(F - G @ K, G, np.vstack(seen), np.vstack(fed)), x, [u], outputs)
+
+
+def gradient(record: Record, lam: float, solved: Solved) -> float:
+    """Norm of ``H^T (H g - y) + lam^2 L^T L g`` over that of ``H^T y``, by inputs and free states."""
+    still, free = feedback(record), record.free
+    rest, start, _ = backward(record, still, solved.response - record.y, None)
+    whole, first, _ = backward(record, still, record.y, None)
+    rest += lam**2 * solved.inputs
+    size = np.hypot(np.linalg.norm(whole), np.linalg.norm(first[free]))
+    return float(np.hypot(np.linalg.norm(rest), np.linalg.norm(start[free])) / max(size, np.finfo(float).tiny))

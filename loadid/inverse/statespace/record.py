@@ -1,17 +1,116 @@
-"""A record over a state space: what every recursion reads."""
+"""A record over a state space as every recursion reads it: penalty as state, raw data, gaps, start, moving loads.
+
+With ``w = L g`` as input, ``min |H g - y|^2 + lambda^2 |L g|^2`` is a linear-quadratic problem over the record:
+
+    xi_{k+1} = F xi_k + G w_k,    y_k = C xi_k + D w_k,    g_k = E xi_k + w_k.
+
+=================  ===================  =======================  ==============  =============  ===========
+penalty            state                F                        G               C              E
+=================  ===================  =======================  ==============  =============  ===========
+identity           x                    A                        B               C              0
+first difference   x, g_{k-1}           [A B; 0 I]               [B; I]          [C D]          [0 I]
+second difference  x, g_{k-1}, d_{k-1}  [A B B; 0 I I; 0 0 I]    [B; I; I]       [C D D]        [0 I I]
+leaky difference   x, g_{k-1}           [A phi B; 0 phi I]       [B; I]          [C phi D]      [0 phi I]
+=================  ===================  =======================  ==============  =============  ===========
+
+A difference of any order adds as many states: the last load, its first difference, and so on.
+
+Correlated noise and a missing channel do not commute: what is left of a covariance is whitened by a root of its own,
+one for each pattern of channels that occurs. A moving load gives every sample its own matrices.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
+from structures.models.statespace import StateSpace
 
-from .augmented import Augmented
-from .settling import STRIDE
+from ..compiled import STRIDE
+from ..penalties import order
+from ..problem import LEAVES, Cholesky, Noise, Whitener, whitener
+
+
+@dataclass(frozen=True)
+class Augmented:
+    """A model with its penalty, sensors whitened: states n, inputs p, sensors m.
+
+    Parameters
+    ----------
+    F, G, C, D, E : array, shapes (n, n), (n, p), (m, n), (m, p), (p, n)
+    nx : int
+        States of the model itself; the rest is the load's history.
+    free : array of int
+        States that start free: load states (unless the load starts at zero), and all of x where it is not known.
+    """
+
+    F: NDArray[np.float64]
+    G: NDArray[np.float64]
+    C: NDArray[np.float64]
+    D: NDArray[np.float64]
+    E: NDArray[np.float64]
+    nx: int
+    free: NDArray[np.int_]
+
+    @property
+    def n(self) -> int:
+        """States."""
+        return len(self.F)
+
+    @property
+    def p(self) -> int:
+        """Loads."""
+        return self.G.shape[1]
+
+    @property
+    def m(self) -> int:
+        """Sensors."""
+        return len(self.C)
+
+
+def augment(
+    A: NDArray, B: NDArray, C: NDArray, D: NDArray, penalty: str = "identity", *, leak: float | None = None,
+    from_zero: bool = False, unknown_start: bool | int = False,
+) -> Augmented:  # fmt: skip
+    """State space of a penalty over a model; C and D whitened.
+
+    Parameters
+    ----------
+    A, B, C, D : array
+        Discrete model.
+    penalty : str
+        Named penalty, a difference of any order.
+    leak : float, optional
+        The first difference becomes ``g_k - leak g_{k-1}``, 0 < leak < 1.
+    from_zero : bool
+        The load is zero before the record, and its first difference counts; else its start is free.
+    unknown_start : bool or int
+        The state of the model at the first sample is an unknown of the data; a number: its first so many states.
+    """
+    degree, nx, p = order(penalty), len(A), B.shape[1]
+    if leak is not None and (degree != 1 or not 0 < leak < 1):
+        raise InputError("a leak belongs to the first difference", where="penalty", found=f"{penalty!r}, leak {leak!r}",
+                         expected="penalty='first_difference' and a leak between 0 and 1")  # fmt: skip
+    phi, one = 1.0 if leak is None else float(leak), np.eye(p)
+    E = np.hstack([np.zeros((p, nx)), *([phi * one] * degree)])
+    history = np.kron(np.triu(np.ones((degree, degree))), phi * one)
+    F = np.block([[np.hstack([A, np.zeros((nx, degree * p))]) + B @ E], [np.zeros((degree * p, nx)), history]])
+    G = np.vstack([B, *([one] * degree)])
+    Caug = np.hstack([C, np.zeros((len(C), degree * p))]) + D @ E
+    # a leaky load has a proper prior: it comes from zero, whatever was asked
+    loose = np.arange(nx, nx + degree * p) if not from_zero and leak is None else np.arange(0)
+    free = np.concatenate([np.arange(nx if unknown_start is True else int(unknown_start)), loose]).astype(int)
+    return Augmented(F, G, Caug, np.array(D, float), E, nx, free)
+
+
+def of_model(system: StateSpace, rows: NDArray, W: NDArray, penalty: str, **options: object) -> Augmented:
+    """As `augment`, from some sensors of a model whitened by the matrix `W` (kept, rows)."""
+    return augment(system.A, system.B, W @ system.C[rows], W @ system.D[rows], penalty, **options)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -117,3 +216,130 @@ def record(system: Augmented, y: NDArray, missing: NDArray | None = None) -> Rec
         np.ascontiguousarray(system.C * shown[:, :, None]), np.ascontiguousarray(system.D * shown[:, :, None]),
         np.ascontiguousarray(system.E), kind, y, system.free, int(np.sum(shown.sum(axis=1)[kind])),
     )  # fmt: skip
+
+
+def measured(systems: Augmented | Sequence[Augmented], y: ArrayLike, noise: Noise | None = None) -> Record:
+    """Record of raw data over systems that are not whitened.
+
+    Parameters
+    ----------
+    systems : Augmented, or one for each sample
+        In the units of the sensors; those of a moving load from `moving`.
+    y : array, shape (samples, sensors)
+        NaN where nothing was measured.
+    noise : array or Cholesky, optional
+        Std (sensors,), covariance (sensors, sensors), which may be singular, or a Cholesky factor of it; default 1.
+
+    Raises
+    ------
+    InputError
+        Data that do not fit the systems or the range of a singular covariance, inf in the data, or no noise.
+    """
+    each = [systems] if isinstance(systems, Augmented) else list(systems)
+    y, first = np.array(y, float), each[0]
+    if y.ndim != 2 or y.shape[1] != first.m or len(each) not in (1, len(y)):
+        raise InputError("the data do not fit the system", where="state-space path", found=f"shape {y.shape}",
+                         expected=f"({'samples' if len(each) == 1 else len(each)}, {first.m})")  # fmt: skip
+    if np.any(np.isinf(y)):
+        raise InputError("inf in the data", where="state-space path", expected="finite numbers, NaN where missing",
+                         hint="declare clipped samples as missing")  # fmt: skip
+    noise = np.ones(first.m) if noise is None else noise
+    whitener(noise, first.m)  # judged as a whole, whatever is missing
+    patterns, pattern = np.ones((1, first.m), bool), np.zeros(len(y), np.intp)
+    if np.isnan(y).any():
+        patterns, places = np.unique(~np.isnan(y), axis=0, return_inverse=True)
+        pattern = np.asarray(places).reshape(-1)
+    roots, data = [_root(noise, there) for there in patterns], np.zeros(y.shape)
+    for i, (there, root) in enumerate(zip(patterns, roots, strict=True)):
+        own = pattern == i
+        data[own, : root.shape[0]] = _white(noise, there, root, y[own])
+    # a fixed system has one kind for each pattern, a moving one for each sample
+    at = np.arange(len(patterns)) if len(each) == 1 else pattern
+    parts = each * len(patterns) if len(each) == 1 else each
+    kind = pattern if len(each) == 1 else np.arange(len(y))
+    C, D = (np.zeros((len(at), first.m, width)) for width in (first.n, first.p))
+    for j, one in enumerate(parts):
+        root = roots[at[j]]
+        C[j, : len(root)], D[j, : len(root)] = root @ one.C, root @ one.D
+    total = int(np.array([len(root) for root in roots])[pattern].sum())
+    F, G = np.array([one.F for one in parts]), np.array([one.G for one in parts])
+    return Record(F, G, C, D, np.ascontiguousarray(first.E), kind.astype(np.int32), data, first.free, total)
+
+
+def moving(
+    A: NDArray, B: NDArray, C: NDArray, D: NDArray, samples: int, penalty: str = "identity", *,
+    leak: float | None = None, from_zero: bool = False, unknown_start: bool | int = False,
+) -> list[Augmented]:  # fmt: skip
+    """One augmented system for each sample; B and D may be led by time, other parameters as in `augment`."""
+    options = {"leak": leak, "from_zero": from_zero, "unknown_start": unknown_start}
+    Bs, Ds = (np.broadcast_to(M, (samples, *M.shape[-2:])) for M in (B, D))
+    return [augment(A, b, C, d, penalty, **options) for b, d in zip(Bs, Ds, strict=True)]  # type: ignore[arg-type]
+
+
+def _root(noise: Noise, there: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Whitening matrix (kept, sensors) of the channels that are there, zero in the columns of those that are not."""
+    root = np.zeros((0, len(there)))
+    if there.any():
+        own = _part(noise, there).apply(np.eye(int(there.sum())), 0)
+        root = np.zeros((len(own), len(there)))
+        root[:, there] = own
+    return root
+
+
+def _white(noise: Noise, there: NDArray[np.bool_], root: NDArray, y: NDArray) -> NDArray[np.float64]:
+    """Whitened data (samples, kept) of one pattern."""
+    if there.any():
+        share = _part(noise, there).outside(y[:, there], axis=1)
+        if share > LEAVES:
+            raise InputError(
+                "the data leave the range of the singular noise covariance", where="noise",
+                found=f"a share of {share:.3g} of their norm outside it", expected=f"at most {LEAVES:g}",
+                hint="give the covariance of the data as they are, or invert the readings before interpolation",
+            )  # fmt: skip
+    return np.where(there, y, 0.0) @ root.T
+
+
+def _part(noise: Noise, there: NDArray[np.bool_]) -> Whitener:
+    """Whitener of some channels."""
+    if isinstance(noise, Cholesky):
+        # rows of a factor are a root of their covariance; their QR makes it triangular, without squares
+        lower = np.asarray(np.linalg.qr(np.asarray(noise.factor, float)[there].T, mode="r")).T
+        return whitener(Cholesky(lower * np.where(np.diag(lower) < 0, -1.0, 1.0)), int(there.sum()))
+    values = np.asarray(noise, float)
+    return whitener(values[there] if values.ndim == 1 else values[np.ix_(there, there)], int(there.sum()))
+
+
+HORIZON = 4096  # samples over which a state may show itself
+UNSEEN = 1e-10  # of the largest singular value of the free responses
+
+
+def observed_first(A: NDArray, B: NDArray, C: NDArray, samples: int) -> tuple[NDArray, NDArray, NDArray, int]:
+    """The same system in coordinates whose first ones are what the sensors see of the state at the first sample.
+
+    Parameters
+    ----------
+    A, B, C : array, shapes (n, n), ([samples,] n, p), (m, n)
+        C in units of the noise.
+    samples : int
+        Length of the record.
+
+    Returns
+    -------
+    A, B : array
+        In the new coordinates z, x = back z; unchanged where all states are seen.
+    back : array, shape (n, n)
+    seen : int
+    """
+    rows, block = [], np.array(C)
+    for _ in range(min(samples, HORIZON)):
+        rows.append(block)
+        block = block @ A
+    free = np.concatenate(rows)
+    size = np.linalg.norm(free, axis=0)
+    size = np.maximum(size, 1e-12 * size.max(initial=1e-300))
+    _, s, Vt = np.linalg.svd(free / size, full_matrices=False)
+    seen = int(np.sum(s > UNSEEN * s.max(initial=0.0)))
+    if seen == len(A):
+        return A, B, np.eye(len(A)), seen
+    to, back = Vt * size, Vt.T / size[:, None]
+    return to @ A @ back, to @ B, back, seen

@@ -14,13 +14,11 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
-from .covariance import spread
 from .passes import Solved, solve
-from .path import LOWEST, Scalars, StateSpacePath
-from .posterior import SLOPE, StateSpacePosterior
+from .path import LONG, LOWEST, Scalars, StateSpacePath, beginning, transfer
+from .posterior import SLOPE, StateSpacePosterior, spread
 from .record import Record
 from .riccati import Gains, gains
-from .scale import LONG, beginning, transfer
 
 
 class SizedPath(StateSpacePath):

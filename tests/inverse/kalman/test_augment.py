@@ -17,15 +17,16 @@ from loadid.inverse.kalman.model import FilterModel
 from loadid.inverse.kalman.priors import OU, Matern32, Matern52, Periodic, RandomWalk, Sum, White
 from loadid.inverse.kalman.smoothing import smooth
 from loadid.inverse.kalman.squareroot import filter
-from loadid.inverse.statespace.augmented import of_model
 from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.record import record
-from structures import Channel, ForwardModel, MeasuredModel, Structure, beams, chains, loads, sensors
-from structures.continuous import continuous
-from structures.damping import Modal, Rayleigh, Structural
+from loadid.inverse.statespace.record import of_model, record
+from structures import Channel, ForwardModel, MeasuredModel, Structure
+from structures.elements import beams, chains
 from structures.errors import InputError, NotIdentifiable
-from structures.mapped import MappedModel, mapped
-from structures.statespace import StateSpace
+from structures.models.discretise import continuous
+from structures.models.mapped import MappedModel, mapped
+from structures.models.statespace import StateSpace
+from structures.system import loads, sensors
+from structures.system.damping import Modal, Rayleigh, Structural
 
 from ... import tracked
 from ...benchmarks import holds

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman.ccode import c_source, write_c
-from loadid.inverse.kalman.loops import Loop
+from loadid.inverse.kalman.exports import c_source, write_c
+from loadid.inverse.kalman.settled import Loop
 from loadid.inverse.kalman.steady import Steady, steady
 from structures import InputError
 from tests.tracked import Tracked, ar1, bm2, bm3, filter_model, matern32

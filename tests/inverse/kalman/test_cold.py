@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from loadid.inverse.compiled import Compiled
-from loadid.inverse.kalman import loops
-from loadid.inverse.kalman.loops import Loop
+from loadid.inverse.kalman import settled as loops
+from loadid.inverse.kalman.settled import Loop
 
 ROOT = Path(__file__).resolve().parents[3]
 

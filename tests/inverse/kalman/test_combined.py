@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from loadid.inverse.kalman.augment import augment
-from loadid.inverse.kalman.combined import combined_std
-from loadid.inverse.kalman.loops import Loop
 from loadid.inverse.kalman.priors import OU
-from loadid.inverse.kalman.steady import steady
+from loadid.inverse.kalman.settled import Loop
+from loadid.inverse.kalman.steady import combined_std, steady
 from structures.errors import InputError
 from tests.tracked import Setup, reference, selector, tridiagonal
 

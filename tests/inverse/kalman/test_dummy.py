@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from loadid.inverse.kalman.augment import Ambient, augment
-from loadid.inverse.kalman.dummy import words
-from loadid.inverse.kalman.model import FilterModel
+from loadid.inverse.kalman.model import FilterModel, words
 from loadid.inverse.kalman.priors import Matern32, RandomWalk
 from loadid.inverse.kalman.smoothing import smooth
 from loadid.inverse.kalman.squareroot import filter as filtered
 from loadid.inverse.kalman.steady import steady
-from structures import ForwardModel, InputError, NotIdentifiable, chains, damping, loads, sensors
-from structures.mapped import mapped
+from structures import ForwardModel, InputError, NotIdentifiable
+from structures.elements import chains
+from structures.models.mapped import mapped
+from structures.system import damping, loads, sensors
 
 DT, STD = 0.01, 0.02
 

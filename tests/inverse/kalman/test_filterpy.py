@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman.filterpy import FilterpyEngine, from_filterpy, to_filterpy
+from loadid.inverse.kalman.exports import FilterpyEngine, from_filterpy, to_filterpy
 from loadid.inverse.kalman.model import FilterModel
 from loadid.inverse.kalman.squareroot import SquareRoot
 from structures import InputError

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from loadid.inverse.kalman import squareroot
-from loadid.inverse.kalman.lag import LagLine, delayed, fixed_lag, phased, resumed
-from loadid.inverse.kalman.loops import Loop
-from loadid.inverse.kalman.model import FilterModel
+from loadid.inverse.kalman.model import FilterModel, lower
 from loadid.inverse.kalman.periodic import periodic
-from loadid.inverse.kalman.roots import lower
-from loadid.inverse.kalman.smoothing import rts
+from loadid.inverse.kalman.settled import Loop
+from loadid.inverse.kalman.smoothing import LagLine, delayed, fixed_lag, phased, resumed, rts
 from loadid.inverse.kalman.squareroot import SquareRoot, State
 from loadid.inverse.kalman.steady import Steady, steady
 from structures.errors import InputError

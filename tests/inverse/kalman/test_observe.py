@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.signal import ss2zpk
 
-from loadid.inverse.kalman.cure import cures
-from loadid.inverse.kalman.observe import UNSEEN, Observability, observability
-from loadid.inverse.kalman.zeros import delay, invariant_zeros
-from structures import ForwardModel, InputError, StateSpace, chains, loads, sensors
+from loadid.guards.tracking import cures
+from loadid.inverse.kalman.observe import UNSEEN, Observability, delay, invariant_zeros, observability
+from structures import ForwardModel, InputError, StateSpace
+from structures.elements import chains
+from structures.system import loads, sensors
 from tests.tracked import (
     Array,
     Prior,

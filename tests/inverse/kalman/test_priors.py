@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import linalg
 
-from loadid.inverse.kalman import quadrature
+from loadid.inverse.kalman import model as quadrature
 from loadid.inverse.kalman.priors import OU, Matern32, Matern52, Periodic, Prior, RandomWalk, Sum, White
 from structures.errors import InputError
 

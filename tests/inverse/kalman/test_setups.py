@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from loadid.inverse.kalman.model import FilterModel
-from structures import ForwardModel, chains, damping, loads, sensors
+from structures import ForwardModel
+from structures.elements import chains
+from structures.system import damping, loads, sensors
 from tests.tracked import (
     Setup,
     ar1,

@@ -7,12 +7,11 @@ import pytest
 
 from loadid.inverse.kalman import squareroot
 from loadid.inverse.kalman.model import FilterModel
-from loadid.inverse.kalman.records import filter_settling, smooth_settling
+from loadid.inverse.kalman.settled import filter_settling, smooth_settling
 from loadid.inverse.kalman.smoothing import bryson_frazier, rts, smooth
 from loadid.inverse.kalman.steady import steady
-from loadid.inverse.statespace.augmented import augment
 from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.record import record
+from loadid.inverse.statespace.record import augment, record
 from structures.errors import InputError
 
 from .gaussian import building, conditioned, drawn, small

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from loadid.inverse.kalman import squareroot
-from loadid.inverse.kalman.model import FilterModel
-from loadid.inverse.kalman.roots import joined, lower, square
+from loadid.inverse.kalman.model import FilterModel, joined, lower, square
 from loadid.inverse.kalman.squareroot import SquareRoot
 from structures.errors import InputError
 

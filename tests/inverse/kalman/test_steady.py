@@ -14,9 +14,9 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from loadid.inverse.kalman import squareroot
-from loadid.inverse.kalman.loops import Loop
 from loadid.inverse.kalman.model import FilterModel
 from loadid.inverse.kalman.periodic import PeriodicLoop, periodic
+from loadid.inverse.kalman.settled import Loop
 from loadid.inverse.kalman.squareroot import SquareRoot
 from loadid.inverse.kalman.steady import Steady, steady
 from structures.errors import InputError, NotIdentifiable

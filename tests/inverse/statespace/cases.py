@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.inverse.statespace.augmented import augment
 from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.record import Record, record
-from structures import ForwardModel, beams, loads, sensors
-from structures.damping import Modal
-from structures.discretise import blocks
-from structures.statespace import StateSpace
+from loadid.inverse.statespace.record import Record, augment, record
+from structures import ForwardModel
+from structures.elements import beams
+from structures.models.discretise import blocks
+from structures.models.statespace import StateSpace
+from structures.system import loads, sensors
+from structures.system.damping import Modal
 
 from .dense import Dense, problem, starts
 

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from loadid.inverse.choice import DEFAULT_RULES, Choice, choose
-from loadid.inverse.confirm import confirm
-from loadid.inverse.rules import RuleResult, run
-from loadid.inverse.statespace.coarse import windows_of
+from loadid.inverse.rules import run
+from loadid.inverse.statespace.coarse import confirm, windows_of
 from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.sweeping import Sweep
+from loadid.inverse.sweep import RuleResult, Sweep
 
 from .cases import Case, beam
 

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from loadid.inverse.statespace.augmented import augment
-from loadid.inverse.statespace.measured import measured, moving
+from loadid.inverse.problem import Cholesky
 from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.whitening import Cholesky
-from structures import ForwardModel, InputError, beams, loads
-from structures.damping import Modal
+from loadid.inverse.statespace.record import augment, measured, moving
+from structures import ForwardModel, InputError
+from structures.elements import beams
+from structures.system import loads
+from structures.system.damping import Modal
 
 from .cases import DT, PENALTIES, PLACES, beam, case, holes, off
 from .dense import problem

@@ -6,7 +6,7 @@ import pytest
 from loadid.inverse.statespace.coarse import COUNT, LENGTH, windows_of
 from loadid.inverse.statespace.passes import solve
 from loadid.inverse.statespace.riccati import gains
-from structures.statespace import StateSpace
+from structures.models.statespace import StateSpace
 
 from .cases import PENALTIES, Case, beam, case, off
 from .dense import Dense, problem

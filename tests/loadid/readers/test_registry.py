@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import loadid
-from loadid.readers import formats, read, read_all, registry, scan
-from loadid.readers.registry import register
-from loadid.readers.source import Table
+from loadid.readers import formats, read, read_all, scan
+from loadid.readers import source as registry
+from loadid.readers.source import Table, register
 from structures.errors import InputError
 from tests.benchmarks.fuzz import outcomes
 

@@ -1,0 +1,431 @@
+"""Loads of every line: whitened, regularised, with the errors of the FRF; how far other rules agree with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError, NotIdentifiable, real, reals
+
+from ...inverse import choice as choosing
+from ...inverse import ruled, rules
+from ...inverse.choice import Choice
+from ...inverse.noise_source import NoiseSource
+from ...inverse.ruled import JoinedPath, joint_sweep
+from ...inverse.rules import MEANING
+from ...inverse.spectral import (
+    Compressed,
+    Factored,
+    Identifiable,
+    Posterior,
+    Prior,
+    compress,
+    factor,
+    identifiable,
+    posterior,
+    prior,
+    window,
+)
+from ...inverse.sweep import RuleResult
+
+ROUNDS = 3  # of FRF errors, whose share of the noise depends on the loads
+LEAST = 0.01  # share of the shown noise that stays noise of the response
+SMALLEST = 1e-100  # relative lambda whose square is still a number
+POOL = 20  # lines to either side that a noise level of a rule rests on
+OVER = ("neighbours", "line", "band")
+METHODS = ("tikhonov", "tsvd")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How lines are regularised.
+
+    Parameters
+    ----------
+    method : ``"tikhonov"`` or ``"tsvd"``
+    choice : str, float or None
+        Rule, relative lambda or threshold; None is the evidence of the neighbouring lines (Tikhonov).
+    over : ``"neighbours"``, ``"line"`` or ``"band"``
+        Who decides: each line with its neighbours, alone, or all together.
+    neighbours : int
+        Lines to either side.
+    count : int, optional
+        Singular values kept on each line (truncated SVD).
+    size : array (loads,), optional
+        Expected relative size of the loads, which the penalty measures them by.
+    """
+
+    method: str = "tikhonov"
+    choice: str | float | None = None
+    over: str = "neighbours"
+    neighbours: int = 40
+    count: int | None = None
+    size: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        def need(good: bool, what: str, where: str, found: object, expected: str) -> None:
+            if not good:
+                raise InputError(what, where=where, found=repr(found)[:80], expected=expected)
+
+        need(self.method in METHODS, "unknown method", "method", self.method, " or ".join(METHODS))
+        need(self.over in OVER, "who decides lambda?", "over", self.over, ", ".join(OVER))
+        whole = isinstance(self.neighbours, int | np.integer) and not isinstance(self.neighbours, bool)
+        need(whole and self.neighbours >= 0, "no number of lines", "neighbours", self.neighbours, "an integer >= 0")
+        whole = isinstance(self.count, int | np.integer) and not isinstance(self.count, bool)
+        need(self.count is None or (whole and self.count >= 1), "no number of singular values", "count", self.count,
+             "an integer >= 1")  # fmt: skip
+        need(self.count is None or (self.method == "tsvd" and self.choice is None), "count is for truncation alone",
+             "count", self.count, "method='tsvd' without choice=")  # fmt: skip
+        if self.choice is not None and not isinstance(self.choice, str):
+            value = real(self.choice)
+            need(value is not None and np.isfinite(value) and value >= 0, "no relative lambda", "choice", self.choice,
+                 "a number >= 0, the name of a rule, or None")  # fmt: skip
+        need(self.size is None or not self.pooled, "the evidence of the lines finds the sizes itself", "size",
+             self.size, "no size, or a rule (choice=)")  # fmt: skip
+        if isinstance(self.choice, str):
+            known = (*ruled.FUNCTIONS, *ruled.CROSSINGS)
+            need(self.choice in known, "unknown rule", "choice", self.choice, ", ".join(known))
+
+    @property
+    def pooled(self) -> bool:
+        """Whether the variances of loads and noise around each line are the regularisation."""
+        return self.method == "tikhonov" and self.choice is None
+
+    @property
+    def free(self) -> bool:
+        """Least squares, without regularisation."""
+        return self.count is None and not isinstance(self.choice, str | None) and self.choice == 0
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Loads of every line with what is known of them; arrays are (lines, loads) unless said.
+
+    Parameters
+    ----------
+    load : array, shape (lines, loads, snapshots)
+    covariance : array, shape (lines, loads, loads)
+    told : Identifiable
+    expected : array
+        Size of the load around each line.
+    noise : array, shape (lines,)
+        Variance of the whitened noise.
+    total : array, shape (lines, sensors)
+        Variance of response noise and FRF errors that whitened the data.
+    errors : array, shape (lines, sensors), or None
+        The part of `total` that FRF errors make.
+    lam : array, shape (lines,)
+        Relative to the largest singular value of the weighted line.
+    edf : array, shape (lines,)
+    path : LinesPath
+        Of the weighted lines, for the other rules.
+    used : float
+        Lambda in use on the joined path of these lines, absolute.
+    excess : float
+        Noise over the stated level where that is contradicted, else 1 (variances).
+    frf_part : array
+        The part of `variance` that errors of the FRF make: no average reduces it.
+    prior_part : array
+        The part of `variance` that is the expected size of what the line does not tell: no average reduces it either.
+    blind : array, shape (lines, loads, loads)
+        What regularisation takes away from a load: one less the resolution.
+    """
+
+    load: NDArray[np.complex128]
+    covariance: NDArray[np.complex128]
+    told: Identifiable
+    expected: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    total: NDArray[np.float64]
+    errors: NDArray[np.float64] | None
+    lam: NDArray[np.float64]
+    edf: NDArray[np.float64]
+    path: ruled.LinesPath
+    used: float
+    excess: float
+    frf_part: NDArray[np.float64]
+    prior_part: NDArray[np.float64]
+    blind: NDArray[np.complex128]
+
+    @property
+    def variance(self) -> NDArray[np.float64]:
+        """``E|error|^2`` of one realisation, (lines, loads)."""
+        return np.maximum(np.einsum("kjj->kj", self.covariance).real, 0.0)
+
+
+def fit(
+    H: NDArray,
+    X: NDArray,
+    power: NDArray,
+    *,
+    known: bool,
+    rule: Rule,
+    variance: NDArray | None = None,
+    averages: float = 1.0,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Fit:
+    """Solve all lines.
+
+    Parameters
+    ----------
+    H : array, shape (lines, sensors, loads)
+    X : array, shape (lines, sensors, snapshots)
+    power : array, shape (lines, sensors)
+        Variance of the noise, or a scale where it is not `known`.
+    variance : array like H, optional
+        ``E|error|^2`` of H. An error of the FRF times the load is noise of the response: ``Y = H g + n - E g``. Given
+        the loads, its variance is ``sum_j var H_ij |g_j|^2``, so that whitening and loads are settled in turn (errors
+        in variables with known variances; Fuller, Measurement Error Models, 1987, ch. 3).
+    averages : float
+        Behind the data.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, a rule that cannot run.
+    """
+    errors: NDArray | None = None
+    rounds = 1 if variance is None else ROUNDS
+    for k in range(rounds + (variance is not None)):
+        total = power if errors is None else power + errors
+        w = 1 / np.sqrt(total)
+        lines = compress(H * w[..., None], X * w[..., None])
+        left_over = None
+        if variance is not None and not rule.free:
+            lines, left_over = calibrated(lines, np.einsum("ksj,ks->kj", variance, w**2))
+            _refuse_lost(lines)
+        guess = prior(lines, neighbours=rule.neighbours, known=known, averages=averages)
+        f = factor(lines, guess.load)
+        first = posterior(f, guess.noise)
+        progress((k + 1) / (rounds + 2))
+        if variance is None or k == rounds:
+            break
+        second = first.load @ first.load.conj().swapaxes(1, 2) + first.covariance
+        size = np.maximum(np.einsum("kjj->kj", second).real, 0.0)
+        errors = np.einsum("ksj,kj->ks", variance, size)
+        if left_over is not None:
+            errors = errors * left_over(second)[:, None]
+        if not known:
+            power, known = _alone(power * guess.noise[:, None], errors), True
+    told = identifiable(f)
+    solved = _pooled(f, guess, first) if rule.pooled else _ruled(lines, f, guess, rule, known)
+    frf_part = np.zeros(told.gain.shape) if errors is None else _share(H * w[..., None], solved[0], errors * w**2)
+    answer, noise, lam, path, used = solved
+    return Fit(
+        load=answer.load, covariance=answer.covariance, told=told, expected=np.sqrt(guess.probable), noise=noise,
+        total=total, errors=errors, lam=lam, edf=answer.edf, path=path, used=used, excess=guess.excess,
+        frf_part=frf_part, prior_part=_beyond(answer, noise),
+        blind=np.eye(lines.shape[2]) - answer.gain @ lines.R,
+    )  # fmt: skip
+
+
+def calibrated(lines: Compressed, size: NDArray) -> tuple[Compressed, Callable[[NDArray], NDArray]]:
+    """The FRF that is expected given the measured one, and the share of its errors that stays.
+
+    Errors of an FRF make its small singular values too large, on average by the number of sensors times their variance,
+    and the loads in these directions too small: attenuation. The expected FRF, with the rows of a line drawn from what
+    the line shows less its errors, has ``(s^2 - 1)+ / s`` in place of each singular value s over those of the errors.
+    Regression calibration: Carroll, Ruppert, Stefanski & Crainiceanu, Measurement Error in Nonlinear Models, 2006,
+    ch. 4.
+
+    Parameters
+    ----------
+    lines : Compressed
+    size : array, shape (lines, loads)
+        Variance of each column of the whitened FRF, summed over the sensors.
+    """
+    root = np.sqrt(np.maximum(size, 1e-30 * np.max(size, axis=1, keepdims=True) + 1e-300))
+    U, s, Vh = np.linalg.svd(lines.scaled(1 / root).R, full_matrices=False)
+    kept = np.maximum(1 - 1 / np.maximum(s, 1e-150) ** 2, 0.0)
+    R = (U * (s * kept)[:, None, :]) @ (Vh * root[:, None, :])
+
+    def share(second: NDArray) -> NDArray[np.float64]:
+        T = Vh * root[:, None, :]
+        q = np.einsum("krj,kji,kri->kr", T, second, T.conj()).real
+        return np.sum(kept * q, axis=1) / np.maximum(np.sum(q, axis=1), 1e-300)
+
+    return Compressed(R, lines.b, lines.outside, lines.left), share
+
+
+def _refuse_lost(lines: Compressed) -> None:
+    if not np.any(lines.R):
+        raise NotIdentifiable(
+            "the errors of the FRF are larger than the FRF: no line tells any load",
+            advice="average longer, check the units of variance=, or leave it out where it is not believed",
+            code="LID-E306",
+        )
+
+
+Solved = tuple[Posterior, NDArray, NDArray, ruled.LinesPath, float]
+
+
+def _pooled(f: Factored, guess: Prior, answer: Posterior) -> Solved:
+    path = ruled.LinesPath(f)
+    lam = np.sqrt(guess.noise) / np.maximum(path.scale, 1e-300)
+    return answer, guess.noise, lam, path, float(np.sqrt(np.median(guess.noise)))
+
+
+def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: Rule, known: bool) -> Solved:
+    """A named rule or a given lambda: one penalty |g / size|^2 for all loads of a line."""
+    size = _sizes(lines, rule.size)
+    plain = factor(lines, np.broadcast_to(size**2, lines.R.shape[::2]))
+    path = ruled.LinesPath(plain, rule.method == "tsvd")
+    lam = _lambda(path, rule, known)
+    absolute = _absolute(lam, np.asarray(path.scale))
+    used = float(np.median(absolute))
+    if rule.free:
+        return posterior(f, guess.noise, np.zeros(len(lam))), guess.noise, lam, path, used
+    cut = absolute if rule.method == "tsvd" else None
+    answer = posterior(plain, absolute**2 if cut is None else guess.noise, cut)
+    noise = guess.noise if known else _noise(lines, answer, rule)
+    scale = noise / np.maximum(absolute**2, 1e-300) if cut is None else np.ones(len(noise))
+    covariance = answer.covariance * scale[:, None, None]
+    if cut is not None:  # what was left out is as large as the loads around the line
+        covariance = posterior(f, noise, _matching(f, answer)).covariance
+    return Posterior(answer.gain, answer.load, covariance, answer.edf), noise, lam, path, used
+
+
+def _lambda(path: ruled.LinesPath, rule: Rule, known: bool) -> NDArray[np.float64]:
+    lines = len(path.c)
+    if rule.count is not None:
+        k = min(rule.count, path.c.shape[1]) - 1
+        return path.c[:, k] / np.maximum(path.scale, 1e-300)
+    if rule.choice is None:  # truncation where the directions are noise
+        return ruled.choose("gcv", ruled.LineSweep.over(path, 1.0 if known else None, rule.neighbours))
+    if not isinstance(rule.choice, str):
+        if rule.over == "band":  # one absolute lambda
+            return float(rule.choice) * path.scale.max() / np.maximum(path.scale, 1e-300)
+        return np.full(lines, float(rule.choice))
+    sigma = 1.0 if known else None
+    if rule.over == "band":
+        joined = ruled.JoinedPath(path)
+        return ruled.together(rule.choice, joined, sigma) * joined.scale / np.maximum(path.scale, 1e-300)
+    near = rule.neighbours if rule.over == "neighbours" else 0
+    return ruled.choose(rule.choice, ruled.LineSweep.over(path, sigma, near))
+
+
+def _absolute(lam: NDArray, scale: NDArray) -> NDArray[np.float64]:
+    """Lambda of every line in the units of its singular values; one that no load reaches takes that of the others."""
+    reached = scale > 0
+    absolute = np.maximum(lam, SMALLEST) * scale
+    return np.where(reached, absolute, np.median(absolute[reached]))
+
+
+def _sizes(lines: Compressed, given: ArrayLike | None) -> NDArray[np.float64]:
+    """Relative size of the loads: as given, or what each needs to move the sensors as much as the others."""
+    loads = lines.shape[2]
+    if given is None:
+        strength = np.sqrt(np.mean(np.einsum("kij,kij->kj", lines.R.conj(), lines.R).real, axis=0))
+        return np.where(strength > 0, strength.max() / np.where(strength > 0, strength, 1.0), 1.0)
+    size = reals(given, what="the sizes are no real numbers", where="size")
+    if size.shape != (loads,) or not np.all(np.isfinite(size)) or np.any(size <= 0):
+        raise InputError("the sizes do not fit the loads", where="size", found=f"shape {size.shape}",
+                         expected=f"({loads},), positive")  # fmt: skip
+    return size
+
+
+def _noise(lines: Compressed, answer: Posterior, rule: Rule) -> NDArray[np.float64]:
+    """Variance of the whitened noise that the residual of neighbouring lines shows."""
+    rest = lines.b - lines.R @ answer.load
+    left = np.maximum(lines.shape[1] + lines.left - answer.edf, 0.0)
+    near, _ = window(len(lines.R), max(rule.neighbours, POOL))
+    energy = np.einsum("kin,kin->k", rest.conj(), rest).real + lines.outside
+    return np.maximum(near(energy) / np.maximum(near(left), 0.2), 1e-300)
+
+
+def _matching(f: Factored, answer: Posterior) -> NDArray[np.float64]:
+    """Threshold over the loads of expected size that keeps as many directions as the answer has."""
+    kept = np.clip(np.round(answer.edf).astype(int), 0, f.s.shape[1])
+    walled = np.concatenate([np.full((len(kept), 1), np.inf), f.s], axis=1)
+    return walled[np.arange(len(kept)), kept]
+
+
+def _alone(shown: NDArray, errors: NDArray) -> NDArray[np.float64]:
+    """Noise of the response: what the data show, less what FRF errors explain of it."""
+    return np.maximum(shown - errors, LEAST * shown)
+
+
+def _beyond(answer: Posterior, noise: NDArray) -> NDArray[np.float64]:
+    """Variance of the loads that noise does not make, (lines, loads)."""
+    if answer.gain.ndim != 3:  # least squares have no prior
+        return np.zeros(answer.variance.shape)
+    made = noise[:, None] * np.sum(np.abs(answer.gain) ** 2, axis=2)
+    return np.maximum(answer.variance - made, 0.0)
+
+
+def _share(H: NDArray, answer: Posterior, errors: NDArray) -> NDArray[np.float64]:
+    """Variance of the loads that FRF errors make, (lines, loads); errors are those of the whitened data."""
+    Q, _ = np.linalg.qr(H)
+    gain = answer.gain @ Q.conj().swapaxes(1, 2)
+    return np.einsum("kjs,ks->kj", np.abs(gain) ** 2, errors)
+
+
+ASKED = ("discrepancy", "upre", "gcv", "robust_gcv", "l_curve", "quasi_optimality", "evidence")
+VOICES = ("upre", "gcv", "robust_gcv", "evidence")
+MODES = 4096  # of the lines, evenly chosen, that are asked
+POINTS = 49
+
+
+def judged(fit: Fit, rule: Rule, known: bool, source: NoiseSource) -> Choice:
+    """The lambda in use beside what each rule says of all lines together.
+
+    Notes
+    -----
+    The lines are weighted by the expected size of their loads, so that noise over load is the same number everywhere:
+    the lambda of the joined lines is comparable with that of the neighbours' evidence.
+    """
+    step = max(1, -(-fit.path.c.size // MODES))
+    joined = JoinedPath(fit.path, slice(None, None, step))
+    sweep = joint_sweep(joined, 1.0 if known else None, POINTS)
+    asked = {name: rules.run(name, sweep) for name in ASKED}
+    used = fit.used / float(joined.scale)
+    name = _name(rule)
+    if name == "given":
+        spread, verdict, odds = 0.0, "not asked", "lambda was given: no rule decided"
+    else:
+        spread, verdict = _agreement(asked, used)
+        odds = f"{MEANING[verdict]}; how often that goes well was not measured for frequency lines"
+    point = sweep.point
+    return Choice(
+        lam=used,
+        scale=float(joined.scale),
+        rule=name,
+        rules=tuple(asked.values()),
+        spread=spread,
+        verdict=verdict,
+        odds=odds,
+        sigma=1.0 if known else None,
+        source=source,
+        edf=float(np.sum(fit.edf)),
+        sweep=choosing.Sweep(
+            sweep.lam,
+            np.sqrt(point.residual2),
+            np.sqrt(point.penalty2),
+            point.edf,
+            None if point.left is None else rules.gcv_function(joined, point),
+        ),
+    )
+
+
+def _name(rule: Rule) -> str:
+    if rule.pooled:
+        return "evidence"
+    return rule.choice if isinstance(rule.choice, str) else ("gcv" if rule.choice is None and rule.count is None else
+                                                             "given")  # fmt: skip
+
+
+def _agreement(asked: dict[str, RuleResult], used: float) -> tuple[float, str]:
+    """Spread in decades between the lambda in use and the rules that have an optimum inside, and the verdict.
+
+    The L-curve and quasi-optimality have no voice: over thousands of lines of equal strength the first has no sharp
+    corner, and the second ends at the edge.
+    """
+    inside = (asked[name] for name in VOICES)
+    lams = [r.lam for r in inside if r.lam is not None and not r.edge]
+    if not lams or used <= 0:
+        return float("inf"), choosing.GRADES[-1]
+    spread = float(np.ptp(np.log10([used, *lams])))
+    return spread, choosing.GRADES[int(np.searchsorted(choosing.LIMITS, spread, side="right"))]

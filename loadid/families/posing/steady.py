@@ -1,0 +1,375 @@
+"""How static readings and a transfer matrix become a problem with a path; facts, flags and draws of the estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.channels import Channel
+from structures.errors import InputError
+from structures.flags import Flag
+from structures.model import Model
+
+from ... import guards as guards
+from ...inverse import rules
+from ...inverse import sweep as whiteness
+from ...inverse.choice import Choice, choose, residual_level
+from ...inverse.constrained.path import ConstrainedPath
+from ...inverse.constrained.solver import soft
+from ...inverse.diagnosis import diagnose
+from ...inverse.noise_source import NOT_KNOWN, NoiseSource
+from ...inverse.path import RegularizationPath, Solution
+from ...inverse.problem import LinearProblem, whiten
+from ...inverse.svd import SVDPath
+from .. import noise as noises
+from .. import smoothness
+from ..data import Readings
+from ..noise import noise_level
+
+if TYPE_CHECKING:
+    from ..static import StaticInversion
+
+
+@dataclass(frozen=True)
+class Absolute:
+    """A lambda in the units of the problem, kept only where it must be (flag W307).
+
+    Parameters
+    ----------
+    lam : float
+        Absolute lambda of the whitened problem.
+    """
+
+    lam: float
+
+    def relative(self, path: RegularizationPath) -> float:
+        """The relative lambda that it is on this path."""
+        if isinstance(self.lam, bool) or not (np.isfinite(self.lam) and self.lam >= 0):
+            raise InputError("no lambda", where="choice", found=self.lam, expected="a finite number >= 0")
+        return float(self.lam / path.scale)
+
+
+@dataclass(frozen=True)
+class Steady:
+    """A static problem as posed.
+
+    Parameters
+    ----------
+    H : array, shape (used sensors, loads)
+        Transfer matrix in the units of the sensors.
+    base : SVDPath
+        Path of the problem without its constraints.
+    path : RegularizationPath
+        With them.
+    noise : Noise
+    full : (kappa, rank, nullity) or None
+        Conditioning with all sensors of the model, where only some are used.
+    channels : tuple of Channel
+        The used sensors.
+    """
+
+    H: NDArray[np.float64]
+    base: SVDPath
+    path: Any
+    noise: noises.Noise
+    full: tuple[float, int, int] | None
+    channels: tuple[Channel, ...]
+
+    @property
+    def constrained(self) -> bool:
+        """Whether there are constraints."""
+        return self.path is not self.base
+
+    @property
+    def rank(self) -> int:
+        """Rank of the whitened transfer matrix."""
+        return self.base.rank
+
+    @property
+    def layout(self) -> tuple[float, int, int]:
+        """Condition number of the visible part, rank and nullity."""
+        return diagnose.layout(self.base.singular_values, self.H.shape[1])
+
+    @property
+    def solved_by(self) -> str:
+        """Which path it is."""
+        first = "SVD" if self.base.problem.L is None else "generalised SVD"
+        return f"{first}, then constraints by active sets" if self.constrained else first
+
+    @property
+    def band(self) -> str:
+        """What the band holds, in words."""
+        if self.constrained:
+            return (
+                "noise and prior on the active face of the constraints: an active-set approximation; a load that a "
+                "constraint holds shows no spread, which does not say that it is known"
+            )
+        if not self.base.smooth:
+            return "noise only: what the cut-off leaves out is not in the band"
+        return "noise and Gaussian prior; a load that does not fit the prior may lie outside"
+
+    @property
+    def soft(self) -> bool:
+        """Whether measured resultants weigh against the readings."""
+        return self.constrained and bool(soft(self.path.constraints))
+
+    @property
+    def correlated(self) -> Flag | None:
+        """W203 of the noise covariance."""
+        R = self.noise.level
+        if not self.noise.known or not isinstance(R, np.ndarray) or R.ndim == 1:
+            return None
+        size = np.sqrt(np.diag(R))
+        found = whiteness.effective_number(np.eye(len(R)), R / size / size[:, None])
+        return guards.interpolated(found.nominal, found.effective, found.rank, self.base.problem.dropped)
+
+    def fought(self, choice: Choice, sigma: float) -> list[Flag | None]:
+        """What the constraints did: W308 where they fight the data, W410 where the solver ended on its limit."""
+        if not self.constrained:
+            return []
+        solution = self.path.solve(choice.lam)
+        return [
+            guards.fighting(solution, self.path.constraints, sigma, self.path.m),
+            guards.stopped(solution, sigma, self.path.m),
+        ]
+
+    @property
+    def whitening(self) -> NDArray[np.float64]:
+        """Matrix that whitens readings."""
+        return whiten(np.eye(len(self.H)), self.noise.level, axis=0)
+
+    def inverse(self, lam: float) -> NDArray[np.float64]:
+        """Regularised inverse (loads, sensors) of readings in their own units, without constraints."""
+        return self.base.inverse(lam) @ self.whitening
+
+    def solver(self, lam: float) -> Callable[..., NDArray[np.float64]]:
+        """Solver of one reading after another under the constraints, each started from the one before."""
+        prepared, W, last = self.path.prepare(lam), self.whitening, [None]
+
+        def solve(y: NDArray[np.float64], resultants: Sequence[ArrayLike] | None = None) -> NDArray[np.float64]:
+            found = prepared.solve(W @ y, warm=last[0], resultants=resultants)
+            last[0] = found
+            return found.load
+
+        return solve
+
+
+def transfer(model: Model, allow: Sequence[str]) -> NDArray[np.float64]:
+    """Static transfer matrix of a model, checked.
+
+    Raises
+    ------
+    InputError
+        If it has no coupling at all (LID-E102): each sensor would paint force where there is motion.
+    """
+    H = np.asarray(model.static(), float)
+    refusal = guards.diagonal(H)
+    if refusal is not None and "LID-E102" not in allow:
+        raise refusal
+    return H
+
+
+def pose(
+    model: Model,
+    given: Readings,
+    *,
+    H: NDArray[np.float64],
+    L: NDArray[np.float64] | None,
+    truncated: bool,
+    constraints: Sequence[Any],
+    noise: Any,
+    source: NoiseSource | None,
+    interpolation: ArrayLike | None,
+) -> Steady:
+    """Whiten, factorise, constrain.
+
+    Raises
+    ------
+    InputError
+        A sensor that no load moves, noise that does not fit, constraints that do not fit.
+    NotIdentifiable
+        Loads that neither the sensors nor the penalty see.
+    """
+    rows = H[given.rows]
+    _refuse_silent(rows, given.channels)
+    level = noises.steady(noise, source, interpolation, model, given)
+    y = given.values[0] if given.axis is None else given.values
+    labels = [c.label for c in model.loads]
+    base = SVDPath(LinearProblem.whitened(rows, y, level.level, L), truncated=truncated, labels=labels)
+    path = ConstrainedPath(base, constraints, sigma=level.sigma or _shown(base)) if constraints else base
+    full = None
+    if len(rows) < len(H):
+        scale = np.sqrt(np.mean(H**2, axis=1))
+        seen = H[scale > 0] / scale[scale > 0, None]
+        full = diagnose.layout(np.linalg.svd(seen, compute_uv=False), H.shape[1])
+    return Steady(rows, base, path, level, full, given.channels)
+
+
+def _shown(base: SVDPath) -> float:
+    """Noise level that the data show without constraints: what soft resultants weigh against if nobody stated it."""
+    return noise_level(base, choose(base), noises.Noise(None, False, NOT_KNOWN)) or 1.0
+
+
+def _refuse_silent(H: NDArray[np.float64], channels: Sequence[Channel]) -> None:
+    """Rows of zeros: what such a sensor reads is no answer to any load."""
+    silent = [c.label for c, row in zip(channels, H, strict=True) if not np.any(row)]
+    if silent:
+        raise InputError(
+            f"{len(silent)} sensor{'s' if len(silent) > 1 else ''} see no static load",
+            where="transfer matrix",
+            found=", ".join(silent[:8]) + (", ..." if len(silent) > 8 else ""),
+            expected="strains or displacements that a load moves",
+            hint="leave them out (sensors=[...]); velocity, acceleration and AC-coupled sensors see no constant load",
+        )
+
+
+def discrepancy(posed: Steady, factor: float) -> float | None:
+    """Lambda of the discrepancy rule at a multiple of the noise level."""
+    return rules.discrepancy(rules.Sweep.over(posed.path, posed.noise.sigma), factor).lam
+
+
+def drawn(posed: Steady, choice: Choice, sigma: float, draws: int, seed: int) -> NDArray[np.float64]:
+    """See `StaticInversion.sample`.
+
+    Raises
+    ------
+    InputError
+        If the number of draws is no positive integer.
+    """
+    if isinstance(draws, bool) or not isinstance(draws, int | np.integer) or draws < 1:
+        raise InputError("no number of draws", where="sample", found=repr(draws)[:40], expected="a positive integer")
+    if posed.constrained:
+        return posed.path.sample(choice.lam, sigma, int(draws), seed=seed)
+    solution, rng = posed.base.solution(choice.lam, sigma), np.random.default_rng(seed)
+    factor = solution.posterior.factor  # type: ignore[union-attr]
+    lead = solution.load.shape[:-1]
+    return solution.load + rng.standard_normal((int(draws), *lead, factor.shape[1])) @ factor.T
+
+
+MANY = 16  # loads from which their mesh can be called fine
+
+
+def facts(
+    posed: Steady, choice: Choice, sigma: float, solution: Solution, diagnosis: diagnose.Diagnosis
+) -> dict[str, Any]:
+    """Numbers that are printed with every result."""
+    path, load, posterior = posed.path, solution.load, solution.posterior
+    kappa, rank, nullity = posed.layout
+    point = path.at(choice.lam)
+    return {
+        "path": posed.solved_by,
+        "m": len(posed.H),
+        "n": posed.H.shape[1],
+        "frames": 1 if load.ndim == 1 else len(load),
+        "rank": rank,
+        "nullity": nullity,
+        "kappa": kappa,
+        "edf": None if point.edf is None else float(point.edf),
+        "residual_to_noise": residual_level(path, choice.lam) if posed.noise.known else None,
+        "noise_share": _noise_share(posterior, load),
+        "noise_level": float(sigma),
+        **posed.noise.source.facts,
+        "band": posed.band,
+        "resolution": diagnosis.width,
+        "resolution_unit": diagnosis.width_unit,
+        "peak_bias": diagnosis.peak_bias,
+    }
+
+
+def flags(
+    family: StaticInversion,
+    given: Readings,
+    posed: Steady,
+    choice: Choice,
+    facts: dict[str, Any],
+    diagnosis: diagnose.Diagnosis,
+) -> tuple[Flag, ...]:
+    """Findings of the guards."""
+    model, lost = family.model, [s.label for i, s in enumerate(family.model.sensors) if i not in given.rows]
+    after = (facts["kappa"], facts["rank"], facts["nullity"])
+    unseen = [c.label for c, column in zip(model.loads, posed.H.T, strict=True) if not np.any(column)]
+    simulated = "" if given.data is None else given.data.record.simulated_by
+    return guards.collect(
+        [
+            *_overridden(family, posed),
+            *model.flags,
+            guards.not_verified(model.certificate),
+            *given.flags,
+            guards.null_space(facts["m"], facts["n"], facts["rank"], unseen),
+            None if posed.full is None else guards.lost_channels(posed.full, after, lost),
+            posed.correlated,
+            guards.mixed_kinds(given.channels, posed.noise.known),
+            *_resolved(family, posed, choice, diagnosis),
+            *posed.fought(choice, posed.noise.sigma or facts["noise_level"]),
+            *(() if family.free else guards.parameter(choice, lambda factor: discrepancy(posed, factor))),
+            guards.absolute_lambda(family.choice.lam, choice.scale) if isinstance(family.choice, Absolute) else None,
+            guards.inverse_crime(simulated, model.fingerprint),
+            guards.no_coverage(family.coverage),
+            guards.used_for_training("the record", given.fingerprints & model.training),
+            guards.resolution(
+                facts["nullity"],
+                smoothness.words(family.penalty, family.basis),
+                facts["resolution"],
+                facts["resolution_unit"],
+                facts["peak_bias"],
+            ),
+        ]
+    )
+
+
+def settings(family: StaticInversion, posed: Steady) -> dict[str, Any]:
+    """Settings of an inversion, for the provenance."""
+    given = family.choice.lam if isinstance(family.choice, Absolute) else family.choice
+    return {
+        "method": family.method,
+        "penalty": family.penalty if isinstance(family.penalty, str | None) else "matrix",
+        "choice": given,
+        "calibration": None if family.calibration is None else str(family.calibration),
+        "constraints": [str(c) for c in family.constraints],
+        "constraint_kinds": [type(c).__name__ for c in family.constraints],
+        "path": posed.solved_by,
+        "noise_source": posed.noise.source.text,
+        "interpolated": family.interpolation is not None,
+        "sensors": None if family.sensors is None else [str(s) for s in family.sensors],
+    }
+
+
+def _resolved(
+    family: StaticInversion, posed: Steady, choice: Choice, diagnosis: diagnose.Diagnosis
+) -> list[Flag | None]:
+    """W304, W310, and W107 where no penalty ties neighbouring loads together."""
+    edf = None if choice.edf is None else choice.edf / diagnosis.frames
+    found = [
+        guards.over_smoothed(edf, diagnosis.plateau),
+        guards.recoverable(diagnosis.plateau, diagnosis.seen, edf),
+    ]
+    smooth = family.basis is not None and family.basis.kind == "polynomials"
+    if family.L is None and not smooth and diagnosis.n >= MANY:
+        basis = family.basis
+        parts = {} if basis is None else {"components": len(basis.components), "edges": basis.edges}
+        found.append(guards.refined(diagnose.against_half(posed.base.problem.H, diagnosis.eta, **parts)))
+    return found
+
+
+def _overridden(family: StaticInversion, posed: Steady) -> list[Flag]:
+    """Refusals that `allow` took away."""
+    found = []
+    if "LID-E102" in family.allow and guards.diagonal(family.H) is not None:
+        found.append(guards.overridden("E102", "off-diagonal entries", 0, 1))
+    if "LID-E306" in family.allow and family.free and posed.rank < family.H.shape[1]:
+        found.append(guards.overridden("E306", "rank", posed.rank, family.H.shape[1]))
+    return found
+
+
+def _noise_share(posterior: Any, load: NDArray[np.float64]) -> float | None:
+    """Share of the variance of the largest load that is noise; None where the posterior does not tell."""
+    noise = getattr(posterior, "noise_std", None)
+    if noise is None:
+        return None
+    at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
+    noise, std = np.broadcast_to(noise, load.shape), np.broadcast_to(posterior.std, load.shape)
+    return float((noise[at] / std[at]) ** 2) if std[at] > 0 else None

@@ -1,1 +1,0 @@
-"""The rooms of frequency inversion: what comes in, how its lines are solved, how far the rules agree."""

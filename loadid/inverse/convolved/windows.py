@@ -1,0 +1,444 @@
+"""Records of any length behind impulse responses: window by window with a bound on the error, and their path.
+
+A window begins where the load is settled: the response to what lies before is subtracted, and the penalty ties the
+window to it. Given the load before, this is the problem of the whole record, but for the data after the window: what
+they would change decays over the overlap, which is given up. Then the gradient of the whole problem, which is zero at
+its solution, says how far off the load is; windows solved for that gradient correct it (restricted additive Schwarz;
+Cai & Sarkis, SIAM J. Sci. Comput. 21 (1999) 792).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError
+
+from ..convolution import Operator, Stream, heard
+from .path import ConvolvedPath
+from .pcg import Circulant, Reached, Sides, solve
+
+SHORT = 4096  # samples of the first window that is tried
+FADED = 3e-4  # relative height of what the end of a window still does beyond the overlap: sweeps make up for it
+LARGEST = 12  # the overlap is at most this part of the record: where influences last longer, more sweeps are needed
+POWER = 12  # steps of the power method for the smallest curvature
+SAFE = 1.5
+TOLERANCE, CORRECTED = 1e-11, 1e-5  # accuracy of the windows of the first sweep, and of corrections
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Windowed:
+    """Load of a record that was solved in windows.
+
+    Parameters
+    ----------
+    load : array, shape (samples, loads)
+    bound : float
+        Norm by which the load can differ from that of the whole record in one piece: norm of the gradient over the
+        smallest curvature of the objective. With the identity penalty that curvature is at least lambda^2, and the
+        bound is rigorous; for differences it is estimated on one window, with a margin of 1.5.
+    gradient : float
+        Norm of half the gradient of the whole record's objective over that at load zero.
+    changes : tuple of float
+        Relative change of the load by each sweep after the first.
+    window, overlap, count : int
+        Samples in a window, samples given up at its end (in corrections at both), and number of windows.
+    """
+
+    load: NDArray[np.float64]
+    bound: float
+    gradient: float
+    changes: tuple[float, ...]
+    window: int
+    overlap: int
+    count: int
+
+
+def solve_in_windows(
+    h: NDArray,
+    y: NDArray,
+    lam: float,
+    penalty: str = "identity",
+    *,
+    weight: NDArray | None = None,
+    window: int | None = None,
+    overlap: int | None = None,
+    memory: int | None = None,
+    tolerance: float = 1e-4,
+    sweeps: int = 4,
+    progress: Progress | None = None,
+) -> Windowed:
+    """Solve ``min |H g - y|^2 + lam^2 |L g|^2`` window by window; the work space is that of some windows.
+
+    Parameters
+    ----------
+    h : array, shape (taps, sensors, loads)
+        Whitened impulse responses.
+    y : array, shape (samples, sensors)
+        Whitened data.
+    lam : float
+        Absolute lambda.
+    penalty : str
+        Named penalty.
+    weight : array, shape (samples, sensors), optional
+        0 where a datum is missing.
+    window, overlap : int, optional
+        Samples in a window and given up at its end. Default: the overlap over which the influence of a window's end
+        falls to 3e-4, at most a twelfth of the record, and six times that.
+    memory : int, optional
+        Taps that the windows use of `h`; the gradient and the bound use all, and further sweeps make up for it.
+    tolerance : float
+        Sweeps end once the bound is below this times the norm of the load.
+    sweeps : int
+        Most sweeps.
+    progress : callable, optional
+        ``progress(fraction, text)``.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, NaN, no positive lambda, or an overlap of half a window and more.
+    """
+    h, y, w = _checked(h, y, weight, lam)
+    windows = Windows(h, y.shape[1], lam, penalty, w, window=window, overlap=overlap, memory=memory)
+    return windows.solve(y, tolerance=tolerance, sweeps=sweeps, progress=progress)
+
+
+class Windows:
+    """Windows of a record that is solved at one lambda; arguments as in `solve_in_windows`, time on the last axis.
+
+    Parameters
+    ----------
+    h : array, shape (taps, sensors, loads)
+    samples : int
+    weight : array, shape (sensors, samples)
+    """
+
+    def __init__(
+        self, h: NDArray, samples: int, lam: float, penalty: str, weight: NDArray, *, window: int | None = None,
+        overlap: int | None = None, memory: int | None = None, accuracy: float = TOLERANCE,
+    ) -> None:  # fmt: skip
+        used = h if memory is None else h[: max(int(memory), 1)]
+        self.samples, self.lam, self.weight = samples, lam, weight
+        self.width, self.overlap = _layout(used, samples, lam, penalty, window, overlap)
+        self.all, self.near = Stream(h, self.width), Stream(used, self.width)
+        self.rules = Operator(np.zeros((1, 1, 1)), min(samples, 8), penalty)  # for its differences alone
+        self.locals = _Locals(used, self.width, penalty, lam, weight, accuracy)
+
+    def solve(
+        self, y: NDArray, *, tolerance: float = 1e-4, sweeps: int = 4, progress: Progress | None = None
+    ) -> Windowed:
+        """Load of data (sensors, samples), and the bound on its error."""
+        ahead, pieces = self._ahead(), list(_pieces(self.samples, self.width, self.overlap))
+        total = len(ahead) + len(pieces) * (max(sweeps, 1) - 1)
+
+        def told(done: int, text: str) -> None:
+            if progress is not None:
+                progress(min(done / total, 1.0), text)
+
+        load = self.first(y, progress=told)
+        least = self.locals.curvature()
+        first = float(np.linalg.norm(self.all.whole_adjoint(self.weight**2 * y)))
+        slope = self.slope(load, y)
+        changes: list[float] = []
+        for sweep in range(1, sweeps):
+            size, far = float(np.linalg.norm(load)), float(np.linalg.norm(slope)) / least
+            if far <= tolerance * size:
+                break
+            change = np.zeros_like(load)
+            for k, (start, keep) in enumerate(pieces):
+                x = self.locals.solve(start, Sides(b=slope[None, :, start : start + self.width]), CORRECTED)
+                change[:, keep] = x[0][:, keep.start - start : keep.stop - start]
+                told(len(ahead) + (sweep - 1) * len(pieces) + k + 1, "corrections")
+            after = self.slope(load + change, y)
+            if np.linalg.norm(after) >= np.linalg.norm(slope):  # the overlap is too short for this, or rounding
+                break
+            load, slope = load + change, after
+            changes.append(float(np.linalg.norm(change)) / size if size else 0.0)
+        told(total, "done")
+        height = float(np.linalg.norm(slope))
+        return Windowed(
+            np.ascontiguousarray(load.T), height / least, height / first if first else 0.0, tuple(changes), self.width,
+            self.overlap, len(ahead),
+        )  # fmt: skip
+
+    def first(
+        self, y: NDArray | None = None, c: NDArray | None = None, progress: Callable[[int, str], None] | None = None
+    ) -> NDArray[np.float64]:
+        """Load (loads, samples) by one sweep for data y (sensors, samples) and roughnesses c (loads, rows).
+
+        It minimises ``|y - H g|^2 + |c - lam L g|^2``, of which None is zero.
+        """
+        load = np.zeros((self.all.lines.shape[1], self.samples))
+        for k, (start, stop) in enumerate(self._ahead()):
+            end = min(start + self.width, self.samples)
+            rest = -self.near.response(load, start, end, before=start)
+            if y is not None:
+                rest += y[:, start:end]
+            own = None if c is None else c[:, max(start - self.rules.order, 0) : end - self.rules.order]
+            load[:, start:stop] = self.locals.follow(start, rest, load, own)[:, : stop - start]
+            if progress is not None:
+                progress(k + 1, "windows")
+        return load
+
+    def slope(self, load: NDArray, y: NDArray) -> NDArray[np.float64]:
+        """Half the negative gradient of the whole record's objective, (loads, samples)."""
+        out = self.all.whole_adjoint(self.weight**2 * (y - self.all.whole(load)))
+        return out - self.lam**2 * self.rules.rough_adjoint(self.rules.rough(load))
+
+    def _ahead(self) -> list[tuple[int, int]]:
+        return list(_ahead(self.samples, self.width, self.overlap))
+
+
+class _Tied(Operator):
+    """Operator of a window whose penalty goes on from the load before it; differences with zeros in its place."""
+
+    @property
+    def rows(self) -> int:
+        """Rows of the penalty for one load."""
+        return self.samples
+
+    def rough(self, g: NDArray) -> NDArray[np.float64]:
+        """L g."""
+        return super().rough(np.pad(g, ((0, 0), (0, 0), (self.order, 0))))
+
+    def rough_adjoint(self, d: NDArray) -> NDArray[np.float64]:
+        """L^T d."""
+        return super().rough_adjoint(d)[..., self.order :]
+
+    def from_before(self, load: NDArray) -> NDArray[np.float64]:
+        """What the load before the window (loads, samples) adds to L g."""
+        last = load[None, :, load.shape[1] - self.order :]
+        return super().rough(np.pad(last, ((0, 0), (0, 0), (0, self.samples))))
+
+
+class _Locals:
+    """The windows' own problems; one preconditioner for all of them where no data are missing."""
+
+    def __init__(
+        self, h: NDArray, width: int, penalty: str, lam: float, weight: NDArray, accuracy: float = TOLERANCE
+    ) -> None:
+        self.h, self.width, self.penalty, self.lam, self.weight = h, width, penalty, lam, weight
+        self.accuracy = accuracy
+        self.operator = Operator(h, width, penalty)
+        self.circulant = Circulant(self.operator, lam)
+        self.kept: dict[tuple[int, bool], tuple[Operator, Circulant]] = {}
+
+    def solve(self, start: int, sides: Sides, accuracy: float | None = None) -> NDArray[np.float64]:
+        accuracy = self.accuracy if accuracy is None else accuracy
+        weight = self.weight[:, start : start + self.width]
+        if np.all(weight == 1.0):
+            return solve(self.operator, self.circulant, sides, accuracy).x
+        operator = Operator(self.h, self.width, self.penalty, weight.T)
+        return solve(operator, Circulant(operator, self.lam), sides, accuracy).x
+
+    def follow(self, start: int, rest: NDArray, load: NDArray, rough: NDArray | None = None) -> NDArray[np.float64]:
+        """Load of the window at `start`, (loads, samples), given all load before it.
+
+        `rest` is what that leaves of the data, `rough` (loads, rows) what ``lam L g`` is drawn to, if not to zero.
+        """
+        width = rest.shape[1]
+        weight = self.weight[:, start : start + width]
+        side = (rest * weight)[None]
+        c = None if rough is None else rough[None]
+        if start == 0 and width == self.width:
+            return self.solve(0, Sides(y=side, c=c))[0]
+        key = (width, start > 0)
+        if not np.all(weight == 1.0) or key not in self.kept:
+            kind = _Tied if start else Operator
+            operator = kind(self.h, width, self.penalty, None if np.all(weight == 1.0) else weight.T)
+            found = operator, Circulant(operator, self.lam)
+            if np.all(weight == 1.0):
+                self.kept[key] = found
+        else:
+            found = self.kept[key]
+        operator, circulant = found
+        if isinstance(operator, _Tied):
+            c = (0.0 if c is None else c) - self.lam * operator.from_before(load[:, :start])
+        return solve(operator, circulant, Sides(y=side, c=c), self.accuracy).x[0]
+
+    def curvature(self) -> float:
+        """Smallest curvature of the objective: lambda^2 with the identity, else by the power method on a window."""
+        if self.operator.order == 0:
+            return self.lam**2
+        v = np.random.default_rng(0).standard_normal((1, self.operator.loads, self.width))
+        size = 0.0
+        for _ in range(POWER):
+            v = solve(self.operator, self.circulant, Sides(b=v / np.linalg.norm(v)), 1e-6).x
+            size = float(np.linalg.norm(v))
+        return 1.0 / (SAFE * size)
+
+
+def _ahead(samples: int, width: int, overlap: int) -> Iterator[tuple[int, int]]:
+    """Start of each window of the first sweep, and where what is kept of it ends; the last one may be shorter."""
+    start = 0
+    while start < samples:
+        stop = samples if start + width >= samples else start + width - overlap
+        yield start, stop
+        start = stop
+
+
+def _pieces(samples: int, width: int, overlap: int) -> Iterator[tuple[int, slice]]:
+    """Start of each window of a correction and the samples that are kept of it; all windows have one length."""
+    done, start = 0, 0
+    while done < samples:
+        start = min(max(done - overlap, 0), samples - width)
+        stop = samples if start == samples - width else start + width - overlap
+        yield start, slice(done, stop)
+        done = stop
+
+
+def _layout(
+    h: NDArray, samples: int, lam: float, penalty: str, window: int | None, overlap: int | None
+) -> tuple[int, int]:
+    """Window and overlap as asked for, or as the memory of the problem wants them."""
+    if overlap is None:
+        overlap = _faded(h, samples if window is None else min(window, samples), lam, penalty)
+    width = min(samples, max(6 * overlap, SHORT) if window is None else int(window))
+    if width < samples and not 0 <= 2 * overlap < width:
+        raise InputError("the overlap leaves nothing of a window", where="windows", found=f"{overlap} of {width}",
+                         expected="less than half the window", hint="a longer window")  # fmt: skip
+    return width, int(overlap)
+
+
+def _faded(h: NDArray, samples: int, lam: float, penalty: str) -> int:
+    """Distance from the end of a window at which its last data and load no longer matter."""
+    width, most = min(SHORT, samples), max(samples // LARGEST, 1)
+    while True:
+        operator = Operator(h, width, penalty)
+        y = np.zeros((operator.sensors, operator.sensors, width))
+        y[np.arange(operator.sensors), np.arange(operator.sensors), -1] = 1.0
+        x = np.abs(solve(operator, Circulant(operator, lam), Sides(y=y), 1e-8).x)
+        level = np.maximum.accumulate(np.max(x / x.max(axis=(1, 2), keepdims=True), axis=(0, 1)))  # from the far end
+        reach = width - int(np.searchsorted(level, FADED))
+        if 4 * reach <= width or width == samples or reach > most:
+            return min(reach, most)
+        width = min(2 * width, samples)
+
+
+def _checked(h: NDArray, y: NDArray, weight: NDArray | None, lam: float) -> tuple[NDArray, NDArray, NDArray]:
+    h, y = np.asarray(h, float), np.asarray(y, float)
+    if h.ndim != 3 or y.ndim != 2 or y.shape[1] != h.shape[1] or 0 in h.shape + y.shape:
+        raise InputError("impulse responses and data do not fit", where="windows", found=f"h {h.shape}, y {y.shape}",
+                         expected="(taps, sensors, loads) and (samples, sensors)")  # fmt: skip
+    if not (np.isfinite(lam) and lam > 0):
+        raise InputError("no lambda", where="windows", found=lam, expected="a finite number above 0")
+    w = np.ones(y.shape) if weight is None else np.asarray(weight, float)
+    if w.shape != y.shape:
+        raise InputError("the weights do not fit the data", where="windows", found=f"shape {w.shape}",
+                         expected=f"{y.shape}")  # fmt: skip
+    if not (np.all(np.isfinite(h)) and np.all(np.isfinite(w)) and np.all(np.isfinite(y[w != 0]))):
+        raise InputError("NaN or inf in the model or the data", where="windows", expected="finite numbers",
+                         hint="weight 0 where a sample is missing")  # fmt: skip
+    return h[: len(y)], np.where(w != 0, y, 0.0).T.copy(), w.T.copy()
+
+
+CLOSE, SWEEPS = 5e-4, 6  # bound over the norm of the load at which sweeps end; most sweeps
+PLAIN = 1e-7  # accuracy of the windows where only sums are asked for
+FIRST, LIVELY = 8192, 0.25  # samples of the beginning; its power over that of the record, at least
+
+
+class WindowedPath(ConvolvedPath):
+    """As `ConvolvedPath`, with every solution of the record made of windows (`windows`): memory of a few records.
+
+    Loads come with a bound on what they differ by from the solution in one piece (`solve`). The scalars of `at` come
+    from one sweep of windows, which leaves the load off by some 1e-4, more where influences last long. Traces and
+    variances are those of `ConvolvedPath`: they need windows only, unless data are missing.
+
+    Raises
+    ------
+    InputError
+        As `ConvolvedPath`, and for weights other than 0 and 1.
+    """
+
+    def __init__(
+        self, h: NDArray, y: NDArray, penalty: str = "identity", weight: NDArray | None = None,
+        *, scale: float | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(h, y, penalty, weight, scale=scale)
+        if weight is not None and not np.all((np.asarray(weight) == 0) | (np.asarray(weight) == 1)):
+            raise InputError("windows know data and missing data", where="weight", found="other weights",
+                             expected="0 or 1", hint="whiten model and data instead")  # fmt: skip
+        self._last: tuple[float, Windowed] | None = None
+
+    @cached_property
+    def _stream(self) -> Stream:
+        return Stream(heard(np.moveaxis(self.operator.h, -1, 0)))
+
+    def solve(self, lam: float, progress: Progress | None = None) -> Windowed:
+        """Windows at a relative lambda; the last ones are kept."""
+        self._check(np.asarray(lam))
+        if self._last is None or self._last[0] != float(lam):
+            self._last = (
+                float(lam),
+                self._windows(lam).solve(self.y[0], tolerance=CLOSE, sweeps=SWEEPS, progress=progress),
+            )
+        return self._last[1]
+
+    def precompute(self, lam: float, progress: Progress) -> None:
+        """Solve the windows at a relative lambda, and say how far it is."""
+        self.solve(lam, progress)
+
+    def bound(self, lam: float) -> float | None:
+        """Largest norm of what the windows at a relative lambda may differ by from the solution in one piece."""
+        return self.solve(lam).bound
+
+    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+        """What would be estimated from the noise-free response of `load` (samples, loads)."""
+        self._check(np.asarray(lam))
+        g = np.ascontiguousarray(np.asarray(load, float).T)[None]
+        return self._windows(lam).solve(self._response(g)[0]).load
+
+    # -- inside -------------------------------------------------------------------------------------------------------
+    def _windows(self, lam: float, accuracy: float = TOLERANCE) -> Windows:
+        weight = self.operator.weight
+        ones = np.broadcast_to(1.0, self.y.shape[1:]) if weight is None else weight
+        h = np.moveaxis(self.operator.h[..., : self._stream.taps], -1, 0)
+        absolute = float(lam) * float(self.scale)
+        return Windows(h, self.samples, absolute, self.operator.penalty, ones, accuracy=accuracy)
+
+    def _response(self, load: NDArray) -> NDArray[np.float64]:
+        out = np.stack([self._stream.whole(g) for g in load])
+        return out if self.operator.weight is None else out * self.operator.weight
+
+    def _solved(self, lam: float) -> Reached:
+        """Solution at a relative lambda, in the form of one in one piece."""
+        found = self.solve(lam)
+        x = np.ascontiguousarray(found.load.T)[None]
+        q = -float(lam) * float(self.scale) * self.operator.rough(x)
+        return Reached(x, self.y - self._response(x), q, found.gradient, found.count)
+
+    def _chain(self, lam: float, y: NDArray) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
+        windows, absolute = self._windows(lam, PLAIN), float(lam) * float(self.scale)
+        loads: list[NDArray] = []
+        responses: list[NDArray] = []
+        roughs: list[NDArray] = []
+        for _ in range(3):
+            side = {"c": roughs[-1][0]} if roughs else {"y": y[0]}
+            loads.append(windows.first(**side)[None])
+            responses.append(self._response(loads[-1]))
+            roughs.append(absolute * self.operator.rough(loads[-1]))
+        return loads, responses, roughs
+
+
+def beginning_of(path: ConvolvedPath) -> ConvolvedPath | None:
+    """Path of the beginning of a long record, on which lambda is sought before the whole is asked.
+
+    It is at rest before its first sample as the whole is, so that nothing has to be guessed, and its lambda is that of
+    the whole. It is lengthened until it is about as lively as the record is on average; None where most of the record
+    would be needed, or data are missing.
+    """
+    operator, y = path.operator, path.y[0]
+    power, length = np.mean(y**2), FIRST
+    while operator.weight is None and 2 * length <= y.shape[1]:
+        if np.mean(y[:, :length] ** 2) >= LIVELY * power:
+            h = np.moveaxis(operator.h[..., :length], -1, 0)
+            return ConvolvedPath(h, y[:, :length].T, operator.penalty, scale=float(path.scale))
+        length *= 2
+    return None

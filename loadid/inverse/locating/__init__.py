@@ -1,1 +1,0 @@
-"""Which of many candidate operators made the data, all regularised alike, and where between them the load was."""

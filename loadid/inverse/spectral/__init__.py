@@ -1,1 +1,0 @@
-"""Many frequency lines at once: compressed, with a prior from the neighbouring lines, or with a rule for each line."""

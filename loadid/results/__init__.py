@@ -1,0 +1,1 @@
+"""The answer: estimates, their numbers, archive, summary and report."""

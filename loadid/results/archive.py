@@ -1,0 +1,176 @@
+"""A load estimate as a tree for files and for JSON, and back; where a result comes from."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+
+from structures.errors import InputError
+from structures.files import storage
+from structures.flags import Flag
+from structures.model import Certificate
+
+from ..inverse.choice import Choice, Sweep
+from ..inverse.noise_source import NOT_KNOWN, NoiseSource
+from ..inverse.sweep import RuleResult
+from .estimate import Axis, LoadEstimate
+
+STATIC = "static inversion"  # name of the family whose loads are of readings, whatever their axis
+
+
+def provenance(
+    family: str, *, settings: Mapping[str, Any], inputs: Mapping[str, str], model: str, prior: str
+) -> dict[str, Any]:
+    """Record of how an estimate was made.
+
+    Parameters
+    ----------
+    family : str
+    settings : mapping
+    inputs : mapping
+        Name -> sha256.
+    model : str
+        Fingerprint of the forward model.
+    prior : str
+        The prior, in words.
+    """
+    return {
+        "family": family,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {"python": platform.python_version(), **{p: _version(p) for p in ("loadid", "numpy", "scipy")}},
+        "settings": dict(settings),
+        "inputs": dict(inputs),
+        "model": model,
+        "prior": prior,
+    }
+
+
+@cache
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+KIND = "load estimate"
+# first words of the constraints in files of release 0.1, and their kinds
+_WRITTEN = {
+    "non-negative": "NonNegative", "bounds": "Bounds", "support": "Support", "resultant": "Resultant",
+    "friction": "FrictionCone",
+}  # fmt: skip
+
+
+def read(path: str | os.PathLike) -> LoadEstimate:
+    """Read a result file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, of another kind, or damaged.
+    """
+    tree = storage.read(path, KIND)
+    try:
+        return from_tree(tree)
+    except InputError:
+        raise
+    except Exception as error:  # a whole file that another release wrote
+        raise InputError(
+            "its content is not what this release expects",
+            where=str(path),
+            found=f"{type(error).__name__}: {error}",
+            hint="read it with the release that wrote it",
+        ) from error
+
+
+def plain(value: Any) -> Any:
+    """Nested lists, text, finite numbers and None."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(v) for v in (sorted(value) if isinstance(value, set | frozenset) else value)]
+    if isinstance(value, complex):
+        return [plain(value.real), plain(value.imag)]
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)
+
+
+def without_arrays(tree: dict[str, Any]) -> dict[str, Any]:
+    """A plain tree of an estimate without what is as long as the record: shapes and ends stand in for it."""
+    short = {k: v for k, v in tree.items() if k not in ("load", "std", "bias", "response", "residual")}
+    if tree.get("diagnosis") is not None:
+        lists = {k for k, v in tree["diagnosis"].items() if isinstance(v, list)}
+        short["diagnosis"] = {k: v for k, v in tree["diagnosis"].items() if k not in lists}
+    short.pop("geometry", None)
+    short.pop("spectrum", None)
+    load = tree["load"]
+    short["shape"] = [len(load), len(load[0])] if isinstance(load[0], list) else [len(load)]
+    if (axis := tree["axis"]) is not None:
+        x = axis["values"]
+        short["axis"] = {"name": axis["name"], "unit": axis["unit"], "first": x[0], "last": x[-1], "samples": len(x)}
+    if tree["choice"] is not None:
+        short["choice"] = {k: v for k, v in tree["choice"].items() if k != "sweep"}
+    return short
+
+
+def to_tree(e: LoadEstimate) -> dict[str, Any]:
+    """Nested dictionary of everything, as `structures.files.storage` takes it."""
+    tree: dict[str, Any] = {f.name: getattr(e, f.name) for f in fields(e)}
+    tree["axis"] = e.axis and asdict(e.axis)
+    tree["choice"] = e.choice and {**asdict(e.choice), "sigma_source": e.choice.sigma_source}
+    tree["certificate"] = e.certificate and asdict(e.certificate)
+    tree["flags"] = [f.to_dict() for f in e.flags]
+    tree["posterior"] = None if e.posterior is None else e.posterior.to_arrays()
+    tree["geometry"] = None if e.geometry is None else dict(e.geometry)
+    tree["diagnosis"] = None if e.diagnosis is None else e.diagnosis.to_dict()
+    tree["validation"] = None if e.validation is None else e.validation.to_dict()
+    tree["spectrum"] = None if e.spectrum is None else e.spectrum.to_dict()
+    return tree
+
+
+def from_tree(tree: dict[str, Any]) -> LoadEstimate:
+    """Inverse of `to_tree`."""
+    settings = (tree.get("provenance") or {}).get("settings") or {}
+    if settings.get("constraints") and "constraint_kinds" not in settings:  # a file of release 0.1
+        settings["constraint_kinds"] = [_WRITTEN.get(str(c).split(" ")[0], "") for c in settings["constraints"]]
+    if tree["axis"] is not None:
+        tree["axis"] = Axis(**tree["axis"])
+    if (choice := tree["choice"]) is not None:
+        choice["rules"] = tuple(RuleResult(**r) for r in choice["rules"])
+        said, source = choice.pop("sigma_source", None), choice.pop("source", None)
+        origin = NoiseSource(**source) if source else NoiseSource.of(said)  # files of release 0.1 have the text only
+        choice["source"] = origin or NOT_KNOWN
+        choice["sweep"] = choice["sweep"] and Sweep(**choice["sweep"])
+        tree["choice"] = Choice(**choice)
+    if (certificate := tree["certificate"]) is not None:
+        known: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in certificate.items()}
+        tree["certificate"] = Certificate(**known)
+    tree["flags"] = [Flag.from_dict(f) for f in tree["flags"]]
+    if tree["posterior"] is not None:
+        from ..inverse.posterior import from_arrays
+
+        tree["posterior"] = from_arrays(tree["posterior"])
+    if tree.get("diagnosis") is not None:
+        from ..inverse.diagnosis.diagnose import Diagnosis
+
+        tree["diagnosis"] = Diagnosis.from_dict(tree["diagnosis"])
+    if tree.get("validation") is not None:
+        from ..validate import Validation
+
+        tree["validation"] = Validation.from_dict(tree["validation"])
+    if tree.get("spectrum") is not None:
+        from .functionals import Spectrum
+
+        tree["spectrum"] = Spectrum.from_dict(tree["spectrum"])
+    return LoadEstimate(**tree)

@@ -1,0 +1,406 @@
+"""Validation against references of every kind, held-out channels included, and the level that it reaches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+from structures.flags import Flag
+from structures.model import Model
+from structures.testing.impact import digests
+
+from .. import guards as guards
+from ..guards.measurement import NECESSARY
+from ..inverse.constraints import Resultant
+from ..quality import require_finite
+from ..record import Record
+from ..results.archive import STATIC
+from ..results.estimate import LoadEstimate
+from .checks import Check, DistributionCheck, ResultantCheck, SensorCheck, from_dict, to_dict
+from .pairs import against_known, against_mat, against_wrench
+from .references import Known, PressureMat, Wrench, numbers
+
+RECORD = 8  # frames from which equal columns are the same record, and no coincidence
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Prediction of channels from an estimated load.
+
+    Parameters
+    ----------
+    predicted, measured : array, shape (samples, sensors); static, (frames, sensors) or (sensors,)
+    error : tuple of float
+        Per channel, norm of the difference over norm of the measured. Of a single static reading, over the rms of all
+        channels of its unit: one channel may well read nothing.
+    labels : tuple of str
+    flags : tuple of Flag
+        W704 where a channel was used in the inversion, or the record in making the model.
+    noise_ratio : tuple of float, optional
+        Per channel, rms of the difference over the noise std, where the model states that.
+    """
+
+    predicted: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    error: tuple[float, ...]
+    labels: tuple[str, ...]
+    flags: tuple[Flag, ...]
+    noise_ratio: tuple[float, ...] | None = None
+
+
+def held_out(estimate: LoadEstimate, model: Model, record: Record | ArrayLike) -> HeldOut:
+    """Predict the channels of `model` from an estimated load and compare them with what was measured there.
+
+    Parameters
+    ----------
+    estimate : LoadEstimate
+        Load histories with a time axis, or a static load (loads,) or (frames, loads).
+    model : Model
+        Forward model from the same loads to the validation channels.
+    record : Record or array
+        Holds those channels. Static readings may be bare, (sensors,) or (frames, sensors), in the order of
+        ``model.sensors``; a record of many samples against one static load is averaged.
+
+    Raises
+    ------
+    InputError
+        Channels, samples or units that do not fit, another step, NaN, or an estimate over another axis.
+    """
+    static = _is_static(estimate)
+    if not static and (estimate.axis is None or estimate.axis.name != "time"):
+        raise InputError(
+            "only static loads and load histories can be validated on held-out channels",
+            where="held_out",
+            found="no time axis",
+            expected="an estimate over time, or a static one",
+            hint="transform the estimate to time first",
+        )
+    predicted, measured, whole = (_static if static else _in_time)(estimate, model, record)
+    labels = tuple(s.label for s in model.sensors)
+    error = _errors(predicted, measured, model)
+    flag = guards.used_for_training("a validation channel", set(labels) & set(estimate.sensors))
+    if flag is None and len(whole) >= RECORD:
+        flag = guards.used_for_training("the validation record", set(digests(whole)) & _seen(estimate, model))
+    return HeldOut(predicted, measured, error, labels, guards.collect([flag]), _ratio(predicted, measured, model))
+
+
+def _is_static(estimate: LoadEstimate) -> bool:
+    axis = estimate.axis
+    return axis is None or axis.name == "frame" or estimate.provenance.get("family") == STATIC
+
+
+def _in_time(estimate: LoadEstimate, model: Model, record: Any) -> tuple[NDArray, NDArray, NDArray]:
+    """Predicted and measured histories of equal length, and the measured one in full."""
+    if not isinstance(record, Record):
+        raise InputError(
+            "a load history is validated on a Record",
+            where="held_out",
+            found=f"an object of type {type(record).__name__}",
+            expected="a Record with its step and channels",
+            hint="Record(values, dt, labels)",
+        )
+    assert estimate.axis is not None
+    if abs(estimate.axis.step / record.dt - 1) > 1e-6:
+        raise InputError(
+            "the record and the estimate have different steps",
+            where="held_out",
+            found=f"dt = {record.dt:.9g} s",
+            expected=f"dt = {estimate.axis.step:.9g} s",
+            hint="resample one of the two",
+        )
+    whole = _select(model, record)
+    measured = whole[: len(estimate.load)]
+    predicted = model.predict(_ordered(estimate, model), record.dt)[: len(measured)]
+    return predicted, measured[: len(predicted)], whole
+
+
+def _static(estimate: LoadEstimate, model: Model, record: Any) -> tuple[NDArray, NDArray, NDArray]:
+    """Predicted and measured static readings in the shape of the load, and the measured ones as a table."""
+    predicted = _ordered(estimate, model) @ np.asarray(model.static(), float).T
+    if isinstance(record, Record):
+        measured = _select(model, record)
+        if estimate.load.ndim == 1:
+            measured = measured.mean(axis=0)
+    else:
+        measured = _readings(record)
+    if measured.ndim == 2 and estimate.load.ndim == 1 and len(measured) == 1:
+        measured = measured[0]
+    if measured.shape != predicted.shape:
+        raise InputError(
+            "the readings do not fit the estimate and the model",
+            where="held_out",
+            found=f"shape {measured.shape}",
+            expected=f"shape {predicted.shape} for the sensors {[s.label for s in model.sensors][:12]}",
+            hint="one number per sensor (and frame), in the order of model.sensors",
+        )
+    return predicted, measured, np.atleast_2d(measured)
+
+
+def _select(model: Model, record: Record) -> NDArray[np.float64]:
+    kept = record.select([s.label for s in model.sensors])
+    require_finite(kept)
+    _check_units(model, kept)
+    return np.asarray(kept.values)
+
+
+def _readings(values: Any) -> NDArray[np.float64]:
+    hint = "leave lost sensors out of the model and of the readings"
+    return numbers(values, "the readings", hint, where="held_out")
+
+
+def _errors(predicted: NDArray, measured: NDArray, model: Model) -> tuple[float, ...]:
+    if measured.ndim == 1:
+        units = np.array([s.unit for s in model.sensors])
+        size = np.array([np.sqrt(np.mean(measured[units == u] ** 2)) for u in units])
+    else:
+        size = np.linalg.norm(measured, axis=0)
+    if np.any(size == 0):
+        raise InputError(
+            "a validation channel is zero",
+            where="held_out",
+            found=[s.label for s, x in zip(model.sensors, size, strict=True) if x == 0],
+            expected="measured responses",
+            hint="leave it out",
+        )
+    difference = measured - predicted
+    found = np.abs(difference) if measured.ndim == 1 else np.linalg.norm(difference, axis=0)
+    return tuple(float(e) for e in found / size)
+
+
+def _ratio(predicted: NDArray, measured: NDArray, model: Model) -> tuple[float, ...] | None:
+    noise = model.noise
+    if noise is None:
+        return None
+    std = noise if noise.ndim == 1 else np.sqrt(np.diagonal(noise))
+    rms = np.sqrt(np.mean(np.atleast_2d(measured - predicted) ** 2, axis=0))
+    return tuple(float(r) for r in rms / std)
+
+
+def _seen(estimate: LoadEstimate, model: Model) -> set[str]:
+    """Digests of the responses that were inverted, and of those that the validation model was made from."""
+    inverted = () if estimate.response is None else digests(np.atleast_2d(estimate.response))
+    return {*inverted, *model.training}
+
+
+def _ordered(estimate: LoadEstimate, model: Model) -> NDArray[np.float64]:
+    """Loads of the estimate in the order of the model, where both name the same ones."""
+    have, want = list(estimate.labels), [c.label for c in model.loads]
+    if len(have) != len(want):
+        raise InputError(
+            "the model and the estimate have different loads",
+            where="held_out",
+            found=f"{len(want)} loads in the model",
+            expected=f"{len(have)} loads",
+            hint="build the validation model with the loads of the inversion",
+        )
+    return estimate.load[..., [have.index(w) for w in want]] if sorted(have) == sorted(want) else estimate.load
+
+
+def _check_units(model: Model, record: Record) -> None:
+    for row, channel in zip(model.sensors, record.channels, strict=True):
+        if "arbitrary" not in (row.unit, channel.unit) and row.unit != channel.unit:
+            raise InputError(
+                "the unit of a channel does not fit the sensor of the model",
+                where=f"channel {channel.label}",
+                found=channel.unit,
+                expected=row.unit,
+                hint="state the unit in which the channel was recorded",
+            )
+
+
+LEVELS = ("none", "held-out sensors", "resultant", "distribution")
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What an estimate was compared with, and how far that reaches.
+
+    Parameters
+    ----------
+    checks : tuple of SensorCheck, ResultantCheck or DistributionCheck
+    flags : tuple of Flag
+        N701 where resultants alone were compared, W704 where a reference was used in the inversion.
+    date : str
+        ISO date and time, UTC.
+
+    Attributes
+    ----------
+    level : str
+        ``"none"`` < ``"held-out sensors"`` < ``"resultant"`` < ``"distribution"``: the highest with a check.
+    agrees : bool
+        Every check agrees within its limits, which the classes of the checks name.
+    """
+
+    checks: tuple[Check, ...] = ()
+    flags: tuple[Flag, ...] = ()
+    date: str = ""
+
+    @property
+    def level(self) -> str:
+        """Highest level at which there is a check."""
+        return LEVELS[max((LEVELS.index(c.kind) for c in self.checks), default=0)]
+
+    @property
+    def agrees(self) -> bool:
+        """Every check agrees; false where there is none."""
+        return bool(self.checks) and all(c.agrees for c in self.checks)
+
+    @property
+    def partial(self) -> bool:
+        """The checks leave the distribution open."""
+        return any(f.code == "LID-N701" for f in self.flags) or self.level in LEVELS[:2]
+
+    @property
+    def resultants(self) -> tuple[ResultantCheck, ...]:
+        """Checks of resultants."""
+        return tuple(c for c in self.checks if isinstance(c, ResultantCheck))
+
+    @property
+    def distributions(self) -> tuple[DistributionCheck, ...]:
+        """Checks of distributions."""
+        return tuple(c for c in self.checks if isinstance(c, DistributionCheck))
+
+    @property
+    def sensors(self) -> tuple[SensorCheck, ...]:
+        """Checks on held-out sensors."""
+        return tuple(c for c in self.checks if isinstance(c, SensorCheck))
+
+    def __str__(self) -> str:
+        if not self.checks:
+            return "level: none"
+        text = f"level: {self.level}" + (", partial" if self.partial else "") + ("" if self.agrees else ", disagrees")
+        parts = [f"{_source(c)}{c}" for c in self.checks]
+        parts += [NECESSARY for f in self.flags if f.code == "LID-N701"]
+        return f"{text}. " + ". ".join(parts)
+
+    def table(self) -> str:
+        """One line for each check, as text."""
+        rows = [(c.kind, c.source, "agrees" if c.agrees else "disagrees", str(c)) for c in self.checks]
+        wide = [max((len(r[i]) for r in rows), default=0) for i in range(3)]
+        lines = ["  ".join([*(x.ljust(w) for x, w in zip(r, wide, strict=False)), r[3]]) for r in rows]
+        return "\n".join([f"level reached: {self.level}{' (partial)' if self.partial else ''}", *lines])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain texts, numbers and lists, for files."""
+        return {
+            "level": self.level,
+            "checks": [to_dict(c) for c in self.checks],
+            "flags": [f.to_dict() for f in self.flags],
+            "date": self.date,
+        }
+
+    @classmethod
+    def from_dict(cls, tree: Mapping[str, Any]) -> Validation:
+        """Inverse of `to_dict`."""
+        checks = tuple(from_dict(c) for c in tree["checks"])
+        return cls(checks, tuple(Flag.from_dict(f) for f in tree["flags"]), str(tree["date"]))
+
+
+def validate(estimate: LoadEstimate, *references: Any, level: float = 0.95) -> Validation:
+    """Hold an estimate of any family against what is known of the load, and say at which level that validates it.
+
+    Parameters
+    ----------
+    estimate : LoadEstimate
+    *references
+        One or more of: `Known`, `PressureMat` (distribution); `Wrench`, or a resultant constraint with ``C`` and
+        ``value`` (resultant); the answer of `held_out` (held-out sensors). An array, a function of the places, a pair
+        ``(coordinates, values)`` and a Record with channels named as the loads are taken as `Known`.
+    level : float
+        Probability of the band whose coverage is counted.
+
+    Returns
+    -------
+    Validation
+        ``estimate.validated(validation)`` keeps it with the result.
+
+    Raises
+    ------
+    InputError
+        No reference, shapes or units that do not fit, NaN, a reference that is zero.
+
+    Notes
+    -----
+    A resultant is a few well-conditioned numbers of a distribution: agreement there is necessary, and not sufficient.
+    """
+    if not isinstance(estimate, LoadEstimate):
+        raise InputError(
+            "no estimate", where="validate", found=type(estimate).__name__, expected="a LoadEstimate",
+            hint="validate(family.estimate(...), reference)",
+        )  # fmt: skip
+    if estimate.load.dtype.kind == "c":
+        raise InputError(
+            "complex loads have no level", where="validate", found="a load over frequency", expected="a real load",
+            hint="transform it to time first",
+        )  # fmt: skip
+    if not references:
+        raise InputError(
+            "nothing to validate against", where="validate", found="no reference",
+            expected="a known load, a pressure mat, a wrench or held-out sensors",
+            hint="validate(estimate, Wrench(value, std=...)), for example",
+        )  # fmt: skip
+    if isinstance(level, bool) or not isinstance(level, int | float) or not 0 < level < 1:
+        raise InputError(
+            "no probability", where="level", found=repr(level), expected="between 0 and 1", hint="level=0.95"
+        )
+    checks: list[Check] = []
+    raised: list[Flag | None] = []
+    known = 0  # independent numbers of the load that the resultants fix
+    for reference in map(_settled, references):
+        if isinstance(reference, HeldOut):
+            checks.append(SensorCheck(reference.labels, reference.error, reference.noise_ratio, "held-out sensors"))
+            raised += reference.flags
+        elif isinstance(reference, Wrench):
+            check, rank = against_wrench(estimate, reference)
+            checks, known = [*checks, check], max(known, rank)
+            raised.append(_imposed(estimate))
+        elif isinstance(reference, PressureMat):
+            cells, rank = against_mat(estimate, reference, level)
+            checks, known = [*checks, cells], max(known, rank)
+        else:
+            checks += against_known(estimate, reference, level)
+    kinds = {c.kind for c in checks}
+    raised.append(guards.resultant_only(kinds, known, estimate.load.shape[-1]))
+    return Validation(tuple(checks), guards.collect(raised), datetime.now(UTC).isoformat(timespec="seconds"))
+
+
+def _settled(reference: Any) -> Known | PressureMat | Wrench | HeldOut:
+    """The reference as one of the four kinds."""
+    if isinstance(reference, Known | PressureMat | Wrench | HeldOut):
+        return reference
+    if isinstance(reference, Record):
+        return Known(reference, source=reference.name or reference.source or "a record")  # type: ignore[arg-type]
+    if hasattr(reference, "C") and hasattr(reference, "value"):  # a constraint of the inversion, or its like
+        return _wrench(reference)
+    if isinstance(reference, tuple) and len(reference) == 2 and not any(_scalar(r) for r in reference):
+        return Known(reference[1], coordinates=reference[0])
+    return Known(reference)
+
+
+def _wrench(constraint: Any) -> Wrench:
+    import numpy as np
+
+    covariance = getattr(constraint, "covariance", None)
+    std = None if covariance is None else np.sqrt(np.diagonal(np.atleast_2d(np.asarray(covariance, float))))
+    return Wrench(constraint.value, std, tuple(getattr(constraint, "labels", ())), constraint.C)
+
+
+def _scalar(x: Any) -> bool:
+    return not callable(x) and not isinstance(x, Sequence) and getattr(x, "ndim", 0) == 0
+
+
+def _imposed(estimate: LoadEstimate) -> Flag | None:
+    """W704: the resultant was a constraint of this very inversion."""
+    settings = estimate.provenance.get("settings") or {}
+    kinds = settings.get("constraint_kinds") or () if isinstance(settings, Mapping) else ()
+    return guards.used_for_training("the resultant", {"resultant constraint"} if Resultant.__name__ in kinds else set())
+
+
+def _source(check: Check) -> str:
+    return f"{check.source}: " if check.source and check.source != check.kind else ""

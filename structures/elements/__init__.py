@@ -1,0 +1,1 @@
+"""Finite elements: beams, frames, plates, circular plates, chains, solids."""

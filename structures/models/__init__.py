@@ -1,0 +1,1 @@
+"""Forward models: reduction, discretisation, state space, arrays, measured and tabulated FRFs."""

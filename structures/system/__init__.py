@@ -1,0 +1,1 @@
+"""The structure and what touches it: K, M, C, DOFs, damping, factorisation, condensation, sensors, loads."""

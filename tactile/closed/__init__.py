@@ -1,0 +1,1 @@
+"""Closed forms: layers, half-spaces, presses, contacts."""

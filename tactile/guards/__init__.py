@@ -1,1 +1,0 @@
-"""Guards of the tactile route: one module for each room."""

@@ -1,0 +1,1 @@
+"""The gel pad as finite elements, from its table to its stiffness."""

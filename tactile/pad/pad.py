@@ -1,0 +1,260 @@
+"""The gel pad as finite elements: bonded base, free edges, any number of layers, seen from its loaded surface.
+
+x and y lie in the plane of the pad with the origin at its centre, z = 0 is the bonded base, z = h the surface.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures import bases
+from structures.elements.members import Material
+from structures.elements.surfaces import Surface
+from structures.errors import InputError, integer, positive
+from structures.flags import Flag
+from structures.system.structure import Structure
+
+from .. import guards as guards
+from .body import Body, rectangle, sides
+from .stiffness import Loaded
+
+if TYPE_CHECKING:
+    from structures.bases import Basis
+
+    from ..closed.layer import Layer
+
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Pad(Loaded):
+    """A gel pad bonded to a rigid window.
+
+    Parameters
+    ----------
+    size : (a, b)
+        Sides along x and y (m); those of the mesh where one is given.
+    thickness : float
+        From the bonded base to the surface (m); likewise.
+    E, nu : float
+        Young's modulus (Pa) and Poisson's ratio.
+    pitch : float, optional
+        Side of the cells in the plane (m); a side that it does not divide gets the nearest number of cells. A quarter
+        of the thickness where neither `pitch` nor `elements` is given.
+    elements : (nx, ny), optional
+        Or the number of cells along each side.
+    layers : int
+        Cells through the thickness.
+    element : {"bbar", "standard", "incompatible"}
+        B-bar unless history is to be repeated: one layer of ``"standard"`` bricks is the baseline of the field, whose
+        map of tractions is wrong by half (W115).
+    outline : optional
+        What is left of the rectangle, `tactile.pad.body`.
+    density : float
+        kg/m^3; static maps do not ask for it.
+    material : str
+        ``"elastomer"`` questions a modulus that none has (W111); another word does not.
+    allow : sequence of str
+        ``("E109",)``: plain bricks above nu = 0.49, flagged; ``("W115",)``: few layers that were compared with many.
+    mesh : optional
+        A mesh instead of dimensions: `Pad.from_mesh`.
+    counts : (cells, nodes), optional
+        Published counts of the mesh that this pad stands for: refused where no mesh of so many layers has them (E110),
+        never built from.
+
+    Attributes
+    ----------
+    structure : Structure
+        The finite elements, base bonded.
+    surface : Surface
+        The loaded surface: nodes, cells, areas, boundary mass.
+    flags : tuple of Flag
+        What the guards of material and mesh found.
+
+    Raises
+    ------
+    InputError
+        If a value is not possible, or the mesh is none.
+
+    Notes
+    -----
+    Vectors at points are flattened with the point first, 3 * point + component. Forces are consistent nodal forces (N);
+    `surface.tractions` turns them into Pa. What the base carries is `reactions` and never part of a load.
+    """
+
+    E: float
+    nu: float
+    size: tuple[float, float] = (0.0, 0.0)
+    thickness: float = 0.0
+    pitch: float | None = None
+    elements: tuple[int, int] | None = None
+    layers: int = 4
+    element: str = "bbar"
+    outline: Any = None
+    density: float = 1000.0
+    material: str = "elastomer"
+    allow: Sequence[str] = ()
+    mesh: Any = None
+    counts: tuple[int, int] | None = None
+    structure: Structure = field(init=False, repr=False)
+    surface: Surface = field(init=False, repr=False)
+    flags: tuple[Flag, ...] = field(init=False, repr=False)
+    _levels: Index | None = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        fix = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731  (a frozen dataclass needs it)
+        material = Material(E=self.E, rho=self.density, nu=self.nu)
+        fix("allow", (self.allow,) if isinstance(self.allow, str) else tuple(self.allow))
+        if self.counts is not None:
+            guards.published(self.counts, self.layers)
+        body = self._rectangle(material) if self.mesh is None else self._meshed(material)
+        for name, value in body.dimensions.items():
+            fix(name, value)
+        fix("structure", body.structure)
+        fix("_levels", body.levels)
+        fix("surface", body.surface)
+        fix("flags", self._found(body))
+
+    def _rectangle(self, material: Material) -> Body:
+        size, h = sides(self.size), positive("the thickness", self.thickness, where="Pad", unit="m")
+        return rectangle(
+            size,
+            h,
+            pitch=self.pitch,
+            elements=self.elements,
+            layers=self.layers,
+            material=material,
+            element=self.element,
+            outline=self.outline,
+            allow=tuple(self.allow),
+        )
+
+    def _meshed(self, material: Material) -> Body:
+        if self.pitch is None:
+            return self.mesh.built(material, self.element, self.allow)
+        from .mesh import rebuilt
+
+        layers = integer("layers", self.layers, where="Pad, layers", limit=100)
+        return rebuilt(self.mesh, self.pitch, layers, material, self.element, self.allow)
+
+    @classmethod
+    def from_mesh(
+        cls,
+        file: str | os.PathLike,
+        *,
+        E: float,
+        nu: float,
+        pitch: float | None = None,
+        layers: int = 4,
+        unit: str | None = None,
+        axis: str | None = None,
+        base: str | None = None,
+        top: str | None = None,
+        element: str = "bbar",
+        **settings: Any,
+    ) -> Pad:
+        """Pad from a mesh file: Abaqus or CalculiX ``.inp``, also with ``.gz``, or arrays in NPZ or HDF5.
+
+        Parameters
+        ----------
+        file : path
+            `tactile.pad.meshfiles.read` says what it may hold.
+        E, nu : float
+            Pa; `tactile.pad.meshfiles.elastic` reads them from an input file.
+        pitch, layers : optional
+            With a pitch (m), rebuild the body from columns of B-bar bricks: outline of the base, height of the surface.
+            Without, the cells of the file are used as they are; the loads of ten-node tetrahedra are then tractions
+            that fall linearly from a corner to its neighbours, of 1 N each.
+        unit, axis, base, top : optional
+            As in `tactile.pad.mesh.placed`: what the file does not say is found, and told by ``repr(pad.mesh)``.
+        element : str
+            Of hexahedra.
+        **settings
+            Other settings of `Pad`.
+
+        Raises
+        ------
+        InputError
+            If the file holds no mesh of a pad; code LID-E110 where Euler's formula says so.
+        """
+        from .mesh import placed
+        from .meshfiles import read
+
+        allow = settings.get("allow", ())
+        allow = (allow,) if isinstance(allow, str) else tuple(allow)
+        mesh = placed(read(file), unit=unit, axis=axis, base=base, top=top, allow=allow)
+        return cls(E=E, nu=nu, mesh=mesh, pitch=pitch, layers=layers, element=element, **settings)
+
+    @classmethod
+    def from_toml(cls, file: str | os.PathLike) -> Pad:
+        """Pad of a TOML file: its table ``[pad]``; `tactile.pad.padfile` says what it may hold.
+
+        Raises
+        ------
+        InputError
+            If it holds no pad, or as `Pad`.
+        """
+        from .padfile import read
+
+        return read(file).pad()
+
+    def _found(self, body: Body) -> tuple[Flag, ...]:
+        """What the guards of mesh and material found."""
+        found = [guards.modulus(self.E) if self.material == "elastomer" else None]
+        if body.layered:
+            found.append(guards.too_coarse(self.layers, self.nu, self.element))
+        waived = {str(code).upper().removeprefix("LID-") for code in self.allow}
+        kept = [f for f in found if f is not None and f.code.removeprefix("LID-") not in waived]
+        return (*body.flags, *kept)
+
+    def __repr__(self) -> str:
+        a, b = (1e3 * side for side in self.size)
+        cells = f"{len(self.surface.cells)} cells x {self.layers} layers" if self.mesh is None else repr(self.mesh)
+        return f"Pad({a:g} x {b:g} x {1e3 * self.thickness:g} mm, E={self.E:g} Pa, nu={self.nu:g}, {cells})"
+
+    # -- geometry -------------------------------------------------------------------------------------------------
+    @cached_property
+    def edge(self) -> NDArray[np.bool_]:
+        """Whether a surface node lies on the rim (P,)."""
+        cells = self.surface.cells
+        pairs = np.sort(np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], axis=1), axis=1)
+        pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+        sides, times = np.unique(pairs, axis=0, return_counts=True)
+        out = np.zeros(self.points, bool)
+        out[sides[times == 1].ravel()] = True
+        return out
+
+    @cached_property
+    def layer(self) -> Layer:
+        """The bonded layer of the same thickness and material, without edges."""
+        from ..closed.layer import Layer
+
+        return Layer(self.thickness, self.E, self.nu)
+
+    @cached_property
+    def basis(self) -> Basis:
+        """Nodal forces on the surface along X, Y and Z: what `ForwardModel` takes as loads.
+
+        Raises
+        ------
+        InputError
+            For ten-node tetrahedra.
+        """
+        if self._quadratic:
+            raise InputError(
+                "ten-node tetrahedra have no load basis",
+                where="Pad, basis",
+                found=repr(self.mesh),
+                expected="hexahedra",
+                hint="Pad.from_mesh(file, pitch=) rebuilds the body from bricks; solve and transfer serve both",
+            )
+        return bases.nodal(self.structure, self.surface, components=("+X", "+Y", "+Z"))

@@ -1,0 +1,1 @@
+"""Force maps, their guards, pictures, films and reports."""

@@ -1,0 +1,1 @@
+"""Sensors that turn motion of markers into force maps."""
