@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .sources import PACKAGES, ROOT, imports, modules, within
+from .sources import PACKAGES, ROOT, imported, modules, within
 
 MOST_FILES, MOST_PARAMETERS = 20, 10
 HEAVY = ("numpy", "scipy", "matplotlib", "h5py", "numba", "casadi", "filterpy", "clarabel", "cv2", "pyuff", "skfem")
@@ -43,18 +43,31 @@ def crowded() -> dict[str, int]:
 
 @cache
 def graph() -> dict[str, set[str]]:
-    """Module -> modules of the house that it loads, at its top or inside a function, for types too.
+    """Module -> modules of the house that it loads, at its top or inside a function; for types alone does not count.
 
     The doors of the three packages are left out: they name what they offer, and load it when it is asked for.
     """
     names = {name for name, _ in modules(*PACKAGES)} - {f"{package}.__init__" for package in PACKAGES}
-    found = {}
-    for name, path in modules(*PACKAGES):
-        if name not in names:
-            continue
-        loaded = imports(path.read_text("utf-8"), name)
-        found[name] = {m for x in loaded for m in (x, f"{x}.__init__") if m in names} - {name}
+    return {name: _loaded(trees()[name], name, names) - {name} for name in names}
+
+
+def _loaded(tree: ast.Module, name: str, names: set[str]) -> set[str]:
+    """Which of `names` a module loads when it runs: a submodule that is asked for, not the package it lies in."""
+    found: set[str] = set()
+    for node in _running(tree):
+        for base, *asked in imported(node, name):
+            for full in (f"{base}.{one}" for one in asked) if asked else [base]:
+                places = (full, f"{full}.__init__", base, f"{base}.__init__")
+                found |= {next((place for place in places if place in names), name)}
     return found
+
+
+def _running(tree: ast.AST) -> Iterator[ast.AST]:
+    """Nodes outside ``if TYPE_CHECKING``."""
+    for node in ast.iter_child_nodes(tree):
+        if not (isinstance(node, ast.If) and _last(node.test) == "TYPE_CHECKING"):
+            yield node
+            yield from _running(node)
 
 
 def circles() -> list[set[str]]:

@@ -24,19 +24,24 @@ def imports(source: str, module: str) -> set[str]:
 
     ``from a import b`` gives ``a`` and ``a.b``, since `b` may be a module. A package is named ``a.__init__``.
     """
-    package = module.split(".")[:-1]
     found: set[str] = set()
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            base = _absolute(node.module or "", node.level, package)
-            found |= {base} | {f"{base}.{alias.name}" for alias in node.names}
-        elif isinstance(node, ast.Call) and called(node) in IMPORTERS and node.args:
-            found |= _by_name(node.args[0], package)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and _own(node.value):
-            found.add(node.value.split(":")[0])  # tables such as {"Deconvolution": "loadid.families.deconvolution"}
+        for base, *asked in imported(node, module):
+            found |= {base} | {f"{base}.{one}" for one in asked}
     return found
+
+
+def imported(node: ast.AST, module: str) -> Iterator[tuple[str, ...]]:
+    """What one node of a module's tree may load: a dotted name, and the names that are taken from it."""
+    package = module.split(".")[:-1]
+    if isinstance(node, ast.Import):
+        yield from ((alias.name,) for alias in node.names)
+    elif isinstance(node, ast.ImportFrom):
+        yield _absolute(node.module or "", node.level, package), *(alias.name for alias in node.names)
+    elif isinstance(node, ast.Call) and called(node) in IMPORTERS and node.args:
+        yield from ((name,) for name in _by_name(node.args[0], package))
+    elif isinstance(node, ast.Constant) and isinstance(node.value, str) and _own(node.value):
+        yield (node.value.split(":")[0],)  # tables such as {"Deconvolution": "loadid.families.deconvolution"}
 
 
 def called(node: ast.Call) -> str:
