@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,9 @@ from structures.errors import InputError, plain
 from structures.flags import Evidence, Flag
 
 from .inverse.noise_source import NoiseSource
-from .record import Record
+
+if TYPE_CHECKING:
+    from .record import Record
 
 Runs = list[tuple[int, int]]  # half-open sample ranges
 Vector = NDArray[np.float64]

@@ -170,7 +170,7 @@ def test_files_keep_the_kind_and_those_of_release_0_1_are_read(tmp_path: Any) ->
         old["choice"] |= {"sigma_source": text, "rules": [{k: v for k, v in vars(r).items() if k != "free"}
                                                           for r in e.choice.rules]}  # fmt: skip
         old["choice"]["sweep"] = old["choice"]["sweep"] and vars(e.choice.sweep)
-        found = archive.from_tree({**old, "posterior": None}).choice.source
+        found = archive.arguments({**old, "posterior": None})["choice"].source
         assert (found.kind, found.text) == (kind, text)
 
 

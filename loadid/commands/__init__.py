@@ -45,3 +45,10 @@ def emit(args: Namespace, data: Any, text: str) -> None:
 def names(text: str) -> list[str]:
     """``"a,b"`` as a list, for options that take several channels."""
     return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def table(rows: list[list[str]]) -> str:
+    """Rows as aligned columns; the first row is the head."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+    return "\n".join(f"  {line}" for line in lines)

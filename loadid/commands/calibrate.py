@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from structures.errors import InputError
 
-from . import Command, emit
+from . import Command, emit, table
 from ._arguments import add_log_options, channels, read_records, resolved, settings
 from ._outputs import require_outputs
-from .info import table
 
 if TYPE_CHECKING:
     from structures.models.measured import MeasuredModel

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from . import Command, emit
+from . import Command, emit, table
 from ._arguments import add_log_options, read_records, settings
 
 
@@ -143,13 +143,6 @@ def _outline(tree: Any) -> Any:
     if isinstance(tree, list):
         return [_outline(v) for v in tree] if len(tree) <= 32 else f"list of {len(tree)}"
     return f"array {tree.shape} {tree.dtype}" if hasattr(tree, "shape") else tree
-
-
-def table(rows: list[list[str]]) -> str:
-    """Rows as aligned columns; the first row is the head."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
-    return "\n".join(f"  {line}" for line in lines)
 
 
 def show_record(record: dict[str, Any]) -> str:

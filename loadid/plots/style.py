@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, plain, reals
 
-from ..results.estimate import NOT_VERIFIED
-from ..results.summary import allowed, overridden, sort
+from ..results.summary import NOT_VERIFIED, allowed, overridden, sort
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

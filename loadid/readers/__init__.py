@@ -186,6 +186,19 @@ def _scan(
     return found, source, options
 
 
+def asked_for(request: dict[str, Any]) -> list[Table]:
+    """Tables of a file that was asked for in the child process (`child.load_apart`)."""
+    place, shown = Path(request["path"]), Path(request["shown"])
+    try:
+        with place.open("rb") as file:
+            source = Source(shown, os.fstat(file.fileno()).st_size, file.read(4096), place)
+    except OSError as error:
+        raise InputError("the file cannot be opened", where=str(shown), found=str(error)) from None
+    form = next(f for f in formats() if f.name == request["form"])
+    tables: list[Table] = guarded(source, lambda: form.load(source, Options(axis=request["axis"])), form.name)
+    return tables
+
+
 def _open(path: str | os.PathLike[str]) -> Source:
     if not isinstance(path, str | os.PathLike):
         raise InputError(

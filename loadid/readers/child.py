@@ -13,6 +13,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -26,7 +27,7 @@ from .source import BUDGET, Options, Source, Table
 
 PATIENCE = 4.0  # seconds that a small file may take
 SPEED = 1e7  # bytes per second that a large one must at least be read with
-_START = "import sys; sys.path.append(sys.argv[1]); from loadid.readers.child import serve; serve()"
+_START = "import sys; sys.path.append(sys.argv[1]); from loadid.readers import asked_for, child; child.serve(asked_for)"
 _lock = threading.Lock()
 _process: subprocess.Popen[bytes] | None = None
 _owner = 0
@@ -81,8 +82,8 @@ def stop() -> None:
                 pipe.close()
 
 
-def serve() -> None:
-    """The child: answer requests until the caller is gone."""
+def serve(tables: Callable[[dict[str, Any]], list[Table]]) -> None:
+    """The child: answer requests by `tables` until the caller is gone."""
     _restrict()
     wanted, out = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what a library prints must not get into the answers
@@ -93,7 +94,7 @@ def serve() -> None:
         except EOFError:
             return
         try:
-            packed = [_pack(t) for t in _tables(request)]
+            packed = [_pack(t) for t in tables(request)]
         except InputError as error:
             parts = {k: getattr(error, k) for k in ("what", "where", "found", "expected", "hint", "code")}
             _send(
@@ -109,20 +110,6 @@ def serve() -> None:
         for _, data in packed:
             out.write(data)
         out.flush()
-
-
-def _tables(request: dict[str, Any]) -> list[Table]:
-    import loadid.readers as readers
-
-    place, shown = Path(request["path"]), Path(request["shown"])
-    try:
-        with place.open("rb") as file:
-            source = Source(shown, os.fstat(file.fileno()).st_size, file.read(4096), place)
-    except OSError as error:
-        raise InputError("the file cannot be opened", where=str(shown), found=str(error)) from None
-    form = next(f for f in readers.formats() if f.name == request["form"])
-    tables: list[Table] = readers.guarded(source, lambda: form.load(source, Options(axis=request["axis"])), form.name)
-    return tables
 
 
 def _running() -> subprocess.Popen[bytes]:

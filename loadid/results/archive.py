@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,7 +21,9 @@ from structures.model import Certificate
 from ..inverse.choice import Choice, Sweep
 from ..inverse.noise_source import NOT_KNOWN, NoiseSource
 from ..inverse.sweep import RuleResult
-from .estimate import Axis, LoadEstimate
+
+if TYPE_CHECKING:
+    from .estimate import LoadEstimate
 
 STATIC = "static inversion"  # name of the family whose loads are of readings, whatever their axis
 
@@ -69,8 +71,8 @@ _WRITTEN = {
 }  # fmt: skip
 
 
-def read(path: str | os.PathLike) -> LoadEstimate:
-    """Read a result file.
+def read(path: str | os.PathLike, of_tree: Callable[[dict[str, Any]], LoadEstimate]) -> LoadEstimate:
+    """Read a result file, whose tree `of_tree` makes an estimate of.
 
     Raises
     ------
@@ -79,7 +81,7 @@ def read(path: str | os.PathLike) -> LoadEstimate:
     """
     tree = storage.read(path, KIND)
     try:
-        return from_tree(tree)
+        return of_tree(tree)
     except InputError:
         raise
     except Exception as error:  # a whole file that another release wrote
@@ -139,13 +141,11 @@ def to_tree(e: LoadEstimate) -> dict[str, Any]:
     return tree
 
 
-def from_tree(tree: dict[str, Any]) -> LoadEstimate:
-    """Inverse of `to_tree`."""
+def arguments(tree: dict[str, Any]) -> dict[str, Any]:
+    """Inverse of `to_tree`: what an estimate is made of, but for its axis, which stays a dictionary."""
     settings = (tree.get("provenance") or {}).get("settings") or {}
     if settings.get("constraints") and "constraint_kinds" not in settings:  # a file of release 0.1
         settings["constraint_kinds"] = [_WRITTEN.get(str(c).split(" ")[0], "") for c in settings["constraints"]]
-    if tree["axis"] is not None:
-        tree["axis"] = Axis(**tree["axis"])
     if (choice := tree["choice"]) is not None:
         choice["rules"] = tuple(RuleResult(**r) for r in choice["rules"])
         said, source = choice.pop("sigma_source", None), choice.pop("source", None)
@@ -166,11 +166,11 @@ def from_tree(tree: dict[str, Any]) -> LoadEstimate:
 
         tree["diagnosis"] = Diagnosis.from_dict(tree["diagnosis"])
     if tree.get("validation") is not None:
-        from ..validate import Validation
+        from ..validate.checks import Validation
 
         tree["validation"] = Validation.from_dict(tree["validation"])
     if tree.get("spectrum") is not None:
         from .functionals import Spectrum
 
         tree["spectrum"] = Spectrum.from_dict(tree["spectrum"])
-    return LoadEstimate(**tree)
+    return tree

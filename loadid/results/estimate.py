@@ -18,13 +18,11 @@ from structures.model import Certificate
 
 from ..inverse.choice import Choice
 from .functionals import Functional, functional, resultants
+from .summary import NOT_VERIFIED, summary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-NOT_VERIFIED = "forward model not verified"
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,8 +323,6 @@ class LoadEstimate:
     # -- words, pictures, files -----------------------------------------------------------------------------------
     def summary(self) -> str:
         """What a user must read, as text."""
-        from .summary import summary
-
         return summary(self)
 
     def plot(
@@ -406,7 +402,16 @@ class LoadEstimate:
         """
         from . import archive
 
-        return archive.read(path)
+        return archive.read(path, cls.from_tree)
+
+    @classmethod
+    def from_tree(cls, tree: dict[str, Any]) -> LoadEstimate:
+        """Inverse of `loadid.results.archive.to_tree`."""
+        from . import archive
+
+        given = archive.arguments(tree)
+        axis = given.pop("axis")
+        return cls(axis=axis and Axis(**axis), **given)
 
 
 load = LoadEstimate.read

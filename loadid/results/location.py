@@ -239,12 +239,10 @@ class LocationResult:
         """
         from structures.files import storage
 
-        from . import archive
-
         tree = storage.read(path, KIND)
         try:
             if tree["estimate"] is not None:
-                tree["estimate"] = archive.from_tree(tree["estimate"])
+                tree["estimate"] = LoadEstimate.from_tree(tree["estimate"])
             tree["flags"] = [Flag.from_dict(f) for f in tree["flags"]]
             tree["rivals"] = [Rival(**(r | {"place": tuple(r["place"])})) for r in tree["rivals"]]
             return cls(**tree)

@@ -43,6 +43,7 @@ FACTS = {
     "window_bound": "bound on the error of solving in windows / std",
 }
 _SAID = {"resolution_unit", "noise_level", "noise_source", "noise_kind", "guards_checked", "band"}
+NOT_VERIFIED = "forward model not verified"
 _MANY = 8
 NARROW = 0.9  # share of a pulse inside its 95 % band below which the band is called too narrow there
 UNEXPLAINED = "LID-W412"  # the load does not explain its data: said before all else

@@ -21,8 +21,8 @@ from structures.testing.impact import digests
 from .. import guards as guards
 from ..record import Record
 from ..results.estimate import Axis, LoadEstimate
-from ..validate.checks import SensorCheck
-from ..validate.validation import RECORD, Validation, held_out
+from ..validate.checks import SensorCheck, Validation
+from ..validate.validation import RECORD, held_out
 from . import comparison
 from .comparison import Comparison
 from .synthesis import DENSITIES, HISTORIES, SPECTRA, Response, kind_of, reliable, synthesise

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from .checks import Coverage, DistributionCheck, ResultantCheck, SensorCheck, coverage
+from .checks import Coverage, DistributionCheck, ResultantCheck, SensorCheck, Validation, coverage
 from .references import Known, PressureMat, Wrench
-from .validation import HeldOut, Validation, held_out, validate
+from .validation import HeldOut, held_out, validate
 
 __all__ = [
     "Coverage",

@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, plain
+from structures.flags import Flag
 from structures.model import Model
 
+from ..guards.measurement import NECESSARY
 from .references import numbers
 
 SHAPE = 0.98  # cosine of two maps from which on their shape is the same
@@ -193,6 +195,98 @@ def from_dict(tree: Mapping[str, Any]) -> Check:
     names = {f.name for f in fields(kind)}
     settled: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in tree.items() if k in names}
     return kind(**settled)
+
+
+LEVELS = ("none", "held-out sensors", "resultant", "distribution")
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What an estimate was compared with, and how far that reaches.
+
+    Parameters
+    ----------
+    checks : tuple of SensorCheck, ResultantCheck or DistributionCheck
+    flags : tuple of Flag
+        N701 where resultants alone were compared, W704 where a reference was used in the inversion.
+    date : str
+        ISO date and time, UTC.
+
+    Attributes
+    ----------
+    level : str
+        ``"none"`` < ``"held-out sensors"`` < ``"resultant"`` < ``"distribution"``: the highest with a check.
+    agrees : bool
+        Every check agrees within its limits, which the classes of the checks name.
+    """
+
+    checks: tuple[Check, ...] = ()
+    flags: tuple[Flag, ...] = ()
+    date: str = ""
+
+    @property
+    def level(self) -> str:
+        """Highest level at which there is a check."""
+        return LEVELS[max((LEVELS.index(c.kind) for c in self.checks), default=0)]
+
+    @property
+    def agrees(self) -> bool:
+        """Every check agrees; false where there is none."""
+        return bool(self.checks) and all(c.agrees for c in self.checks)
+
+    @property
+    def partial(self) -> bool:
+        """The checks leave the distribution open."""
+        return any(f.code == "LID-N701" for f in self.flags) or self.level in LEVELS[:2]
+
+    @property
+    def resultants(self) -> tuple[ResultantCheck, ...]:
+        """Checks of resultants."""
+        return tuple(c for c in self.checks if isinstance(c, ResultantCheck))
+
+    @property
+    def distributions(self) -> tuple[DistributionCheck, ...]:
+        """Checks of distributions."""
+        return tuple(c for c in self.checks if isinstance(c, DistributionCheck))
+
+    @property
+    def sensors(self) -> tuple[SensorCheck, ...]:
+        """Checks on held-out sensors."""
+        return tuple(c for c in self.checks if isinstance(c, SensorCheck))
+
+    def __str__(self) -> str:
+        if not self.checks:
+            return "level: none"
+        text = f"level: {self.level}" + (", partial" if self.partial else "") + ("" if self.agrees else ", disagrees")
+        parts = [f"{_source(c)}{c}" for c in self.checks]
+        parts += [NECESSARY for f in self.flags if f.code == "LID-N701"]
+        return f"{text}. " + ". ".join(parts)
+
+    def table(self) -> str:
+        """One line for each check, as text."""
+        rows = [(c.kind, c.source, "agrees" if c.agrees else "disagrees", str(c)) for c in self.checks]
+        wide = [max((len(r[i]) for r in rows), default=0) for i in range(3)]
+        lines = ["  ".join([*(x.ljust(w) for x, w in zip(r, wide, strict=False)), r[3]]) for r in rows]
+        return "\n".join([f"level reached: {self.level}{' (partial)' if self.partial else ''}", *lines])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain texts, numbers and lists, for files."""
+        return {
+            "level": self.level,
+            "checks": [to_dict(c) for c in self.checks],
+            "flags": [f.to_dict() for f in self.flags],
+            "date": self.date,
+        }
+
+    @classmethod
+    def from_dict(cls, tree: Mapping[str, Any]) -> Validation:
+        """Inverse of `to_dict`."""
+        checks = tuple(from_dict(c) for c in tree["checks"])
+        return cls(checks, tuple(Flag.from_dict(f) for f in tree["flags"]), str(tree["date"]))
+
+
+def _source(check: Check) -> str:
+    return f"{check.source}: " if check.source and check.source != check.kind else ""
 
 
 def compare(
