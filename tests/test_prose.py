@@ -31,8 +31,7 @@ from loadid.inverse.kalman.priors import Matern32
 from loadid.inverse.noise_source import KINDS, WRITTEN
 from loadid.inverse.sweep import Refusal, RuleResult
 from loadid.results import archive
-from loadid.validate import Wrench, validate
-from loadid.validate import validation as held_out
+from loadid.validate import Wrench, held_out, validate
 from structures import Channel, FrfModel, ImpulseModel, MatrixModel
 from structures.advice import Advice, Option, Spelling, from_plain, on_command_line, to_plain
 from structures.errors import InputError

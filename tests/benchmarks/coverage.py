@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from case_studies import contact_inversion, impact_plate
 from loadid import Deconvolution, StaticInversion
-from loadid.validate import checks as coverage
+from loadid.validate import coverage
 
 
 def from_the_prior(draws: int, m: int = 16, n: int = 24) -> tuple[str, float]:

@@ -5,8 +5,7 @@ import pytest
 
 from loadid import StaticInversion
 from loadid.inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
-from loadid.validate import Known, validate
-from loadid.validate import checks as coverage
+from loadid.validate import Known, coverage, validate
 from structures import ForwardModel, InputError, MatrixModel, bases, files
 from structures.elements import beams
 from structures.errors import reals

@@ -11,8 +11,7 @@ import pytest
 
 from loadid import Deconvolution, Record, read
 from loadid.commands.check import check
-from loadid.validate import Coverage
-from loadid.validate import validation as held_out
+from loadid.validate import Coverage, held_out
 from structures import Channel, ForwardModel, ImpulseModel, InputError, MeasuredModel
 from structures.elements import beams
 from structures.flags import Flag

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from loadid import InputError, Record
 from loadid.guards.measurement import resultant_only
 from loadid.results.estimate import Axis, LoadEstimate
-from loadid.validate import Known, PressureMat, Validation, Wrench, validate
-from loadid.validate import validation as held_out
+from loadid.validate import Known, PressureMat, Validation, Wrench, held_out, validate
 from structures import Channel, MatrixModel
 from structures.files import storage
 from tests.loadid.made import impact

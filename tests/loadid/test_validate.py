@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, Record
-from loadid.validate import Coverage
-from loadid.validate import checks as coverage
-from loadid.validate import validation as held_out
+from loadid.validate import Coverage, coverage, held_out
 from structures import Channel, ImpulseModel, InputError, MatrixModel, MeasuredModel
 from tests.structures.impacts import blow, hits
 
