@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 import numpy as np
@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..advice import Advice
 from ..channels import Channel
-from ..errors import InputError, as_array, digest, plain
+from ..errors import InputError, as_array, digest, lines, plain
+from ..files import storage
 from ..flags import Evidence, Flag
 from ..model import Certificate, Model
 from ..testing import kinds
 from ..testing import kinds as causality
-from .measured import CHANNEL, tuples
-from .statespace import lines
+from .measured import tuples
 
 if TYPE_CHECKING:
     from ..testing.welch import CrossSpectra
@@ -379,14 +379,10 @@ class FrfModel(Model):
     # -- files ------------------------------------------------------------------------------------------------------
     def save(self, path: str | os.PathLike) -> None:
         """Write the model to HDF5, whole or not at all, with checksums."""
-        from ..files import storage
-
         tree: dict[str, Any] = {
             **{name: getattr(self, name) for name in ("frequencies", "H", "variance", "coherence", "interpolate")},
-            "sensors": [{k: getattr(c, k) for k in CHANNEL} for c in self.sensors],
-            "loads": [{k: getattr(c, k) for k in CHANNEL} for c in self.loads],
             "flags": [f.to_dict() for f in self.flags],
-            "certificate": None if self.certificate is None else asdict(self.certificate),
+            **self._told(),
         }
         storage.write(path, tree, FILE)
 
@@ -399,8 +395,6 @@ class FrfModel(Model):
         InputError
             A damaged file, or one of another kind.
         """
-        from ..files import storage
-
         tree = storage.read(path, FILE)
         known = tree.pop("certificate")
         return cls(
