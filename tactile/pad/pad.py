@@ -23,7 +23,9 @@ from structures.system.structure import Structure
 
 from .. import guards as guards
 from .body import Body, rectangle, sides
+from .padfile import SensorFile, read
 from .stiffness import Loaded
+from .table import Table
 
 if TYPE_CHECKING:
     from structures.bases import Basis
@@ -203,9 +205,23 @@ class Pad(Loaded):
         InputError
             If it holds no pad, or as `Pad`.
         """
-        from .padfile import read
+        return cls.from_settings(read(file))
 
-        return read(file).pad()
+    @classmethod
+    def from_settings(cls, given: SensorFile, *, allow: Sequence[str] = ()) -> Pad:
+        """Pad of a sensor that `tactile.pad.padfile.read` gave; `allow` overrides guards of model and mesh.
+
+        Raises
+        ------
+        InputError
+            As `Pad`; the message names the file.
+        """
+        settings = dict(given.body)
+        allowed = [*settings.pop("allow", ()), *allow]
+        with Table(given.path, "pad", {}).named():
+            if "mesh" in settings:
+                return cls.from_mesh(settings.pop("mesh"), allow=allowed, **settings)
+            return cls(allow=allowed, **settings)
 
     def _found(self, body: Body) -> tuple[Flag, ...]:
         """What the guards of mesh and material found."""
