@@ -18,6 +18,7 @@ from ..flags import Evidence, Flag
 from ..model import Certificate, Model
 from ..testing import kinds
 from ..testing import kinds as causality
+from ..testing.runs import of_spectra, tabulated
 from .measured import tuples
 
 if TYPE_CHECKING:
@@ -189,8 +190,6 @@ class FrfModel(Model):
         A line that no force excites is left out, as is 0 Hz where the mean was taken off. The variance knows the noise
         that the segments show, and not the bias by leakage: W508 speaks of that.
         """
-        from ..testing.runs import tabulated
-
         cut = {"dt": dt, "channels": channels, "window": window, "segment": segment, "overlap": overlap}
         cut["detrend"] = detrend
         made = tabulated(records, forces, responses, kind, least_coherence, estimator, cut)
@@ -209,8 +208,6 @@ class FrfModel(Model):
         interpolate: bool = False,
     ) -> Self:
         """FRFs from cross spectra of forces and responses; parameters and errors as for `from_records`."""
-        from ..testing.runs import of_spectra
-
         made = of_spectra(spectra, forces, responses, kind, least_coherence, estimator)
         return cls(**made, interpolate=interpolate).judged()
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError, plain
 
+from ..guards import counts
 from .table import Table
 
 if TYPE_CHECKING:
@@ -214,8 +215,6 @@ def _counted(t: Table, layers: int) -> None:
         return
     if cells is None or nodes is None:
         raise t.refused("cells" if cells is None else "nodes", "counts belong together", "one", "cells and nodes")
-    from ..guards import counts
-
     counts(cells, nodes, layers=layers, where=f"{t.file}: [pad]")
 
 
