@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import operator
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -153,6 +154,7 @@ class Dof:
 
 
 ARBITRARY = "arbitrary"
+CHANNEL = ("label", "quantity", "unit", "noise", "highpass", "measure")  # what a file keeps of one
 # What nearly every channel is: it passes without a look at the table of units.
 _USUAL = {
     ("displacement", "m"), ("velocity", "m/s"), ("acceleration", "m/s^2"), ("strain", "m/m"), ("strain", "1"),
@@ -216,6 +218,25 @@ class Channel:
                 )
         if (self.quantity, self.unit) not in _USUAL and not self.quantity == self.unit == ARBITRARY:
             _check_unit(self)
+
+
+def named(given: Sequence[Any] | None, number: int, prefix: str, where: str) -> tuple[Channel, ...]:
+    """Channels from channels or labels; ``prefix0, prefix1, ...`` where nothing is given."""
+    if given is None:
+        return tuple(Channel(label=f"{prefix}{i}") for i in range(number))
+    out = tuple(
+        c if isinstance(c, Channel) else Channel(label=str(c)) for c in ([given] if isinstance(given, str) else given)
+    )
+    labels = [c.label for c in out]
+    if len(out) != number or len(set(labels)) != number:
+        raise InputError(
+            "labels do not fit",
+            where=where,
+            found=labels,
+            expected=f"{number} different labels",
+            hint="one text or Channel each",
+        )
+    return out
 
 
 def positive(value: object) -> bool:

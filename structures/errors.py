@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .advice import on_command_line
 
@@ -247,6 +247,56 @@ def integer(name: str, value: Any, *, where: str, limit: int) -> int:
             hint=f"six {name} per shortest wavelength are enough" if found > limit else f"pass {name} as an integer",
         )
     return found
+
+
+def frozen(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Read-only float copy; refuses NaN, infinity, complex numbers and text."""
+    try:
+        raw = np.asarray(plain(values))
+        if np.iscomplexobj(raw):
+            raise TypeError("complex")
+        array = np.array(raw, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            "not a real array", where=name, found=str(error), expected="numbers", hint="pass an array of numbers"
+        ) from None
+    if not np.all(np.isfinite(array)):
+        raise InputError(
+            "NaN or infinity",
+            where=name,
+            found=f"{np.sum(~np.isfinite(array))} of {array.size} entries",
+            expected="finite",
+            hint="repair or leave out what is missing",
+        )
+    array.flags.writeable = False
+    return array
+
+
+def lines(frequencies: ArrayLike, nyquist: float = np.inf) -> NDArray[np.float64]:
+    """Frequencies in Hz as a checked array (lines,)."""
+    f = np.atleast_1d(frozen(frequencies, "frequencies"))
+    if f.ndim != 1 or np.any(f < 0) or np.any(f > nyquist * (1 + 1e-9)):
+        raise InputError(
+            "no list of frequencies",
+            where="frequencies",
+            found=f"shape {f.shape}, {f.min(initial=0):g} to {f.max(initial=0):g} Hz",
+            expected=f"one axis, 0 to {nyquist:g} Hz",
+            hint="frequencies are in Hz, not rad/s",
+        )
+    return f
+
+
+def count(samples: int) -> int:
+    """A number of samples, checked."""
+    if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or samples < 1:
+        raise InputError(
+            "no number of samples",
+            where="samples",
+            found=repr(samples),
+            expected="an integer >= 1",
+            hint="samples = duration / dt",
+        )
+    return int(samples)
 
 
 def digest(*parts: Any) -> str:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any, ClassVar, NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .channels import Channel
+from .channels import CHANNEL, Channel
 from .errors import InputError, digest, plain, shown
 from .flags import Flag
 
@@ -473,6 +473,22 @@ class Model:
             expected=f"{shape}; loads: {[c.label for c in self.loads]}",
             hint="one column per load, in the order of model.loads",
         )
+
+    def _told(self) -> dict[str, Any]:
+        """Channels and certificate, as a file keeps them; refuses loads that move."""
+        if self.moving:
+            raise InputError(
+                "a load that moves is not kept in a file",
+                where="modelfile.save",
+                found=type(self).__name__,
+                expected="a ForwardModel or a StateSpace whose loads stay in place",
+                hint="keep its path as a table, and build the model from it",
+            )
+        return {
+            "sensors": [{k: getattr(c, k) for k in CHANNEL} for c in self.sensors],
+            "loads": [{k: getattr(c, k) for k in CHANNEL} for c in self.loads],
+            "certificate": None if self.certificate is None else asdict(self.certificate),
+        }
 
     def _noise_std(self) -> NDArray | None:
         noise = self.noise

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from .house import places, probed, trespassed
+from .house import circles, graph, places, probed, trespassed
 from .sources import PACKAGES, imports, modules, within
 
 # package -> what nothing in it may import, at module level, inside a function, for a type or by name
@@ -92,6 +92,13 @@ CLEAN = [
     ("loadid.inverse.svd", "from structures.errors import InputError\nfrom .path import Solution\nfrom . import rules"),
     ("tactile.pad.pad", "from loadid import LoadEstimate\nfrom loadid.families.static import StaticInversion"),
 ]
+
+
+def test_no_import_circles() -> None:
+    """Also none that a function closes by loading late."""
+    package = lambda name: name.split(".")[0]  # noqa: E731
+    assert {package(name) for name in graph()} == set(PACKAGES)
+    assert [sorted(c) for c in circles() if {package(name) for name in c} & {"structures", "tactile"}] == []
 
 
 @pytest.mark.parametrize(("module", "source"), OFFENDERS)

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from ..elements.beams import BeamField
+from ..elements.plates import PlateField
 from ..errors import InputError, plain, shown
 from ..system.loads import Load, refuse_supported
 
@@ -200,9 +202,6 @@ class Basis(Sequence[Load]):
 
     @property
     def _place(self) -> str:
-        from ..elements.beams import BeamField
-        from ..elements.plates import PlateField
-
         own = self.own_structure.field
         return "a beam" if isinstance(own, BeamField) else "a plate" if isinstance(own, PlateField) else ""
 

@@ -9,21 +9,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ..channels import Dof
+from ..elements.beams import BeamField
+from ..elements.plates import PlateField
 from ..errors import InputError
 from ..system.fields import gauss, shape
+from ..system.structure import Structure
 from .grids import SNAP, merged
-
-if TYPE_CHECKING:
-    from ..elements.beams import BeamField
-    from ..elements.plates import PlateField
-    from ..system.structure import Structure
-
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -410,8 +408,6 @@ def selector(structure: Structure, nodes: Index, axis: int) -> sparse.csr_array:
     InputError
         If a node has no such DOF.
     """
-    from ..channels import Dof
-
     columns = np.array([structure.index(Dof(int(node), axis)) for node in nodes], np.intp)
     signs = np.array([float(structure.dofs[i].sign) for i in columns])
     return sparse.coo_array((signs, (np.arange(len(nodes)), columns)), shape=(len(nodes), structure.n)).tocsr()
@@ -419,9 +415,6 @@ def selector(structure: Structure, nodes: Index, axis: int) -> sparse.csr_array:
 
 def domain_of(structure: Structure, surface: Any = None) -> Domain | None:
     """Domain of a structure that has one: a beam, a plate, or the named or given face of a solid."""
-    from ..elements.beams import BeamField
-    from ..elements.plates import PlateField
-
     field = structure.field
     if isinstance(field, BeamField):
         return Span(structure, field)

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, plain, shown
+from ..system.structure import Structure
 from .domains import Domain, Face, domain_of, frames
 from .grids import PAIRS, SNAP, merged
-
-if TYPE_CHECKING:
-    from ..system.structure import Structure
-
 
 Array = NDArray[np.float64]
 
@@ -133,9 +130,7 @@ def region_of(structure: Structure, region: Any, where: str) -> Region:
     InputError
         If the structure has nothing to distribute a load over, or the region does not fit it.
     """
-    from ..system.structure import Structure as Kind
-
-    if not isinstance(structure, Kind):
+    if not isinstance(structure, Structure):
         raise InputError(
             "no structure",
             where=where,

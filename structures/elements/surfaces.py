@@ -12,6 +12,7 @@ from scipy import sparse
 
 from ..channels import direction_code, direction_label
 from ..errors import InputError, plain, shown
+from ..system.factor import Factor
 from ..system.fields import Span, field_of, gauss
 from ..system.loads import Load
 from ..system.sensors import fixed_quantity
@@ -91,8 +92,6 @@ class Surface:
         InputError
             If the forces do not fit or are not finite.
         """
-        from ..system.factor import Factor
-
         return Factor(self.mass).solve(self._on_nodes(forces, "forces"))
 
     def traction_resultant(self, tractions: ArrayLike, about: ArrayLike | None = None) -> Array:

@@ -9,23 +9,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ..bases.basis import Basis
 from ..channels import Channel, Dof
 from ..errors import InputError
 from ..flags import Flag
 from ..model import Certificate, Model, as_model
+from ..models import forward, statespace
 from ..models.forward import ForwardModel
-from ..models.measured import CHANNEL, tuples
+from ..models.measured import tuples
 from ..models.statespace import StateSpace
 from ..system.damping import Damping, Modal, Rayleigh, Structural
-from ..system.loads import Load, sparse_matrix
+from ..system.loads import Load
 from ..system.sensors import Sensor
 from ..system.structure import Structure
 from . import storage
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ..system.fields import Span
 
 
-KIND, SPACE = "forward model", "state space"
+KIND, SPACE = forward.FILE, statespace.FILE
 KINDS = (KIND, SPACE)
 DAMPING: dict[str, type] = {kind.__name__: kind for kind in (Modal, Rayleigh, Structural)}
 Array = NDArray[np.float64]
@@ -115,30 +115,6 @@ def save(model: Model, path: str | os.PathLike) -> None:
     as_model(model, "modelfile.save").save(path)
 
 
-def write(model: ForwardModel, path: str | os.PathLike) -> None:
-    """As `save`, of a `ForwardModel`."""
-    _stays(model)
-    storage.write(path, _tree(model), KIND)
-
-
-def write_space(model: StateSpace, path: str | os.PathLike) -> None:
-    """As `save`, of a `StateSpace`."""
-    _stays(model)
-    matrices = {"A": model.A, "B": model.B, "C": model.C, "D": model.D}
-    storage.write(path, {**matrices, "dt": model.dt, "hold": model.hold, **_told(model)}, SPACE)
-
-
-def _stays(model: Model) -> None:
-    if model.moving:
-        raise InputError(
-            "a load that moves is not kept in a file",
-            where="modelfile.save",
-            found=type(model).__name__,
-            expected="a ForwardModel or a StateSpace whose loads stay in place",
-            hint="keep its path as a table, and build the model from it",
-        )
-
-
 def load(path: str | os.PathLike) -> ForwardModel | StateSpace:
     """Read a model that `save` wrote.
 
@@ -161,37 +137,6 @@ def load(path: str | os.PathLike) -> ForwardModel | StateSpace:
     known = tree["certificate"]
     model.certificate = None if known is None else Certificate(**tuples(known))
     return model
-
-
-# -- what a file holds ------------------------------------------------------------------------------------------------
-def _tree(model: ForwardModel) -> dict[str, Any]:
-    s = model.structure
-    every = np.array([sensor.row(s) for sensor in model.sensors])  # type: ignore[attr-defined]
-    drawn = model.basis.columns(s) if isinstance(model.basis, Basis) else sparse_matrix(s, model.loads)  # type: ignore[arg-type]
-    return {
-        "matrices": {name: _parts(m) for name, m in (("K", s.K), ("M", s.M), ("C", s.C)) if m is not None},
-        "terms": {name: _parts(m) for name, m in s.terms.items()},
-        "dofs": [str(dof) for dof in s.dofs],
-        "supports": [str(dof) for dof in s.supports],
-        "coordinates": s.coordinates,
-        "damping": _damping_tree(s.damping),
-        "parameters": dict(s.parameters),
-        "rows": _parts(sparse.csr_array(every)),
-        "columns": _parts(sparse.csr_array(drawn.T)),
-        "derivatives": [int(getattr(sensor, "derivative", 0)) for sensor in model.sensors],
-        "settings": dict(model.settings),
-        "flags": [f.to_dict() for f in model.flags],
-        **_told(model),
-    }
-
-
-def _told(model: ForwardModel | StateSpace) -> dict[str, Any]:
-    """Channels and certificate."""
-    return {
-        "sensors": [{k: getattr(c, k) for k in CHANNEL} for c in model.sensors],
-        "loads": [{k: getattr(c, k) for k in CHANNEL} for c in model.loads],
-        "certificate": None if model.certificate is None else asdict(model.certificate),
-    }
 
 
 def _forward(tree: Mapping[str, Any]) -> ForwardModel:
@@ -220,24 +165,11 @@ def _space(tree: Mapping[str, Any]) -> StateSpace:
     return StateSpace(A, B, C, D, tree["dt"], tree["hold"], sensors=sensors, loads=loads)
 
 
-# -- parts ------------------------------------------------------------------------------------------------------------
-def _parts(matrix: sparse.csr_array) -> dict[str, Any]:
-    """A sparse matrix as arrays."""
-    return {"data": matrix.data, "indices": matrix.indices, "starts": matrix.indptr, "shape": list(matrix.shape)}
-
-
 def _matrix(parts: Mapping[str, Any]) -> sparse.csr_array:
     arrays = tuple(np.asarray(parts[name]) for name in ("data", "indices", "starts"))
     made = sparse.csr_array(arrays, shape=tuple(parts["shape"]))
     made.check_format()  # indices that leave the matrix would be read from anywhere
     return made
-
-
-def _damping_tree(damping: Damping | None) -> dict[str, Any] | None:
-    if damping is None:
-        return None
-    own = {f.name: getattr(damping, f.name) for f in fields(damping)}
-    return {"kind": type(damping).__name__, **{k: list(v) if isinstance(v, tuple) else v for k, v in own.items()}}
 
 
 def _damping(tree: Mapping[str, Any] | None) -> Damping | None:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InputError, digest
+from ..channels import named
+from ..errors import InputError, count, digest, frozen, lines
 from ..model import Model
 from .discretise import check
-from .statespace import channels, count, frozen, lines
 
 TAIL = 0.1  # share of the impulse response, at its end, that tells whether it has decayed
 DECAYED = 1e-3  # largest value of that tail over the peak, for every sensor and load
@@ -45,8 +45,8 @@ class MatrixModel(Model):
                 expected="(sensors, loads)",
                 hint="one row per sensor, one column per load; ImpulseModel takes a response in time",
             )
-        self.sensors = channels(sensors, self.H.shape[0], "y", "sensors")
-        self.loads = channels(loads, self.H.shape[1], "u", "loads")
+        self.sensors = named(sensors, self.H.shape[0], "y", "sensors")
+        self.loads = named(loads, self.H.shape[1], "u", "loads")
         _moves(self.H, "MatrixModel")
 
     def __repr__(self) -> str:
@@ -132,8 +132,8 @@ class ImpulseModel(Model):
         array = array.reshape(*array.shape, *[1] * (3 - array.ndim))
         self.h = frozen(array * dt, "h") if kind == "continuous" else array
         self.dt, self.kind, self.hold = float(dt), kind, hold
-        self.sensors = channels(sensors, array.shape[1], "y", "sensors")
-        self.loads = channels(loads, array.shape[2], "u", "loads")
+        self.sensors = named(sensors, array.shape[1], "y", "sensors")
+        self.loads = named(loads, array.shape[2], "u", "loads")
         _moves(self.h, "ImpulseModel")
 
     def __repr__(self) -> str:

@@ -1,8 +1,9 @@
-"""How a forward model is put together: rows of sensors, columns of loads, and how it is reduced."""
+"""How a forward model is put together: rows of sensors, columns of loads, its reduction, and what its file keeps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ..bases.basis import Basis
-from ..channels import Channel
+from ..channels import Channel, named
 from ..errors import InputError, positive, shown
-from ..system.damping import loss_factor
+from ..system.damping import Damping, loss_factor
 from ..system.loads import Load, sparse_matrix
 from ..system.structure import Structure
 from . import krylov
 from .reduction import DENSE, Modes, ReducedModel, modal_damping, modes, static_residual
-from .statespace import channels
 
 
 def placed(given: Sequence[Any], method: str, where: str, other: str = "") -> tuple[Channel, ...]:
@@ -40,7 +40,7 @@ def placed(given: Sequence[Any], method: str, where: str, other: str = "") -> tu
             expected=f"objects of structures.{where}",
             hint='[sensors.Accelerometer("12+Z")]' if where == "sensors" else '[loads.Point("12+Z")]',
         )
-    return channels(items, len(items), "", where)
+    return named(items, len(items), "", where)
 
 
 def rows(structure: Structure, sensors: Sequence[Any]) -> sparse.csr_array:
@@ -265,3 +265,35 @@ def described(settings: Mapping[str, Any], size: int, shapes: Modes | None, basi
         return f"modes up to {BAND_FACTOR:g} x {band:g} Hz{rest}"
     k = len(shapes.lam) if shapes is not None else wanted(size, settings)
     return f"all {size} modes" if k == size else f"{k} of {size} modes{rest}"
+
+
+# -- what a file keeps; `structures.files.modelfile` reads it ----------------------------------------------------------
+def kept(structure: Structure, sensors: Sequence[Any], loads: Any) -> dict[str, Any]:
+    """A structure, the rows of its sensors and the columns of its loads, which stay in place: arrays and texts."""
+    every = np.array([sensor.row(structure) for sensor in sensors])
+    drawn = loads.columns(structure) if isinstance(loads, Basis) else sparse_matrix(structure, loads)
+    matrices = (("K", structure.K), ("M", structure.M), ("C", structure.C))
+    return {
+        "matrices": {name: _parts(m) for name, m in matrices if m is not None},
+        "terms": {name: _parts(m) for name, m in structure.terms.items()},
+        "dofs": [str(dof) for dof in structure.dofs],
+        "supports": [str(dof) for dof in structure.supports],
+        "coordinates": structure.coordinates,
+        "damping": _damping(structure.damping),
+        "parameters": dict(structure.parameters),
+        "rows": _parts(sparse.csr_array(every)),
+        "columns": _parts(sparse.csr_array(drawn.T)),
+        "derivatives": [int(getattr(sensor, "derivative", 0)) for sensor in sensors],
+    }
+
+
+def _parts(matrix: sparse.csr_array) -> dict[str, Any]:
+    """A sparse matrix as arrays."""
+    return {"data": matrix.data, "indices": matrix.indices, "starts": matrix.indptr, "shape": list(matrix.shape)}
+
+
+def _damping(damping: Damping | None) -> dict[str, Any] | None:
+    if damping is None:
+        return None
+    own = {f.name: getattr(damping, f.name) for f in fields(damping)}
+    return {"kind": type(damping).__name__, **{k: list(v) if isinstance(v, tuple) else v for k, v in own.items()}}

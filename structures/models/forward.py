@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ..bases.basis import Basis
-from ..errors import InputError, NotIdentifiable, digest, shown
+from ..errors import InputError, NotIdentifiable, count, digest, lines, shown
+from ..files import storage
 from ..model import Model
 from ..system.damping import Modal, causal, loss_factor
 from ..system.factor import Factor
@@ -25,8 +26,9 @@ from . import krylov
 from .discretise import check, discretise, markov
 from .krylov import Krylov, ReductionError
 from .reduction import Modes, ReducedModel, highpass, modal_damping, modes, needs_mass, on_resonance, unbounded
-from .statespace import StateSpace, count, lines
+from .statespace import StateSpace
 
+FILE = "forward model"  # what its file calls itself
 DENSE_DIRECT = 2000  # largest structure whose modal damping is written out as a matrix
 
 
@@ -417,10 +419,17 @@ class ForwardModel(Model):
 
     # -- inside ---------------------------------------------------------------------------------------------------
     def save(self, path: str | os.PathLike) -> None:
-        """Write the model to HDF5, whole or not at all, with checksums; `modelfile.load` reads it."""
-        from ..files.modelfile import write
+        """Write the model to HDF5, whole or not at all, with checksums; `modelfile.load` reads it.
 
-        write(self, path)
+        Raises
+        ------
+        InputError
+            A load that moves, a file that cannot be written.
+        """
+        told = self._told()  # refuses loads that move
+        parts = placing.kept(self.structure, self.sensors, self.loads if self.basis is None else self.basis)
+        flags = [f.to_dict() for f in self.flags]
+        storage.write(path, {**parts, "settings": dict(self.settings), "flags": flags, **told}, FILE)
 
     def _fixed(self, method: str) -> None:
         if self.moving:

@@ -14,10 +14,10 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..channels import Channel
+from ..channels import Channel, named
 from ..errors import InputError, NotIdentifiable, digest, reals
 from ..model import Model
-from .statespace import StateSpace, channels
+from .statespace import StateSpace
 
 
 class MappedModel(Model):
@@ -51,7 +51,7 @@ class MappedModel(Model):
         self.sensors, self.certificate, self.flags = model.sensors, model.certificate, model.flags
         self.dt, self.frequencies = model.dt, model.frequencies
         square = self.T.shape[1] == loads and labels is None
-        self.loads = model.loads if square else channels(labels, self.T.shape[1], "u", "unknowns")
+        self.loads = model.loads if square else named(labels, self.T.shape[1], "u", "unknowns")
 
     def __repr__(self) -> str:
         return f"MappedModel({self.T.shape[1]} unknowns of {self.model!r})"
@@ -258,9 +258,9 @@ def _full(positions: ArrayLike, directions: ArrayLike, centre: ArrayLike, what: 
     rank = int(np.sum(s > RANK * s[0]))
     if rank < 6:
         lost = np.max(np.abs(Vh[rank:]), axis=0) > 0.5
-        named = ", ".join(m for m, gone in zip(MOTIONS, lost, strict=True) if gone) or "a combination of motions"
+        left = ", ".join(m for m, gone in zip(MOTIONS, lost, strict=True) if gone) or "a combination of motions"
         raise NotIdentifiable(
-            f"these {what} leave a motion of the virtual point open: {named} (rank {rank} of 6)",
+            f"these {what} leave a motion of the virtual point open: {left} (rank {rank} of 6)",
             advice="add channels off the others' axes, or give the combinations that exist as a matrix "
             "(structures.models.mapped.mapped)",
             code="LID-W201",

@@ -14,17 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 from ..advice import Advice, Option
 from ..channels import Channel
 from ..errors import InputError, as_array, plain
+from ..files import storage
 from ..flags import Flag
 from ..model import Certificate, Model
 from ..testing import kinds
 from ..testing import kinds as causality
-from ..testing.impact import Hit
+from ..testing.impact import Hit, from_hits
 from ..testing.impact import digests as digests
-from ..testing.spectra import resample_lines
+from ..testing.runs import full
+from ..testing.spectra import checked_decay, exponential, resample_lines, taken_out
 
 ARRAYS = ("frequencies", "H", "variance", "noise_power", "coherence")
 PARTS = (*ARRAYS, "sensors", "loads", "hits", "samples")
-CHANNEL = ("label", "quantity", "unit", "noise", "highpass", "measure")
 
 
 class MeasuredModel(Model):
@@ -124,8 +125,6 @@ class MeasuredModel(Model):
         H1 = S_fy / S_ff over the zero-padded records (Bendat & Piersol, Random Data, ch. 6). With two hits or more the
         residual of the hits gives its variance, and each hit predicted from the others gives the certificate.
         """
-        from ..testing.impact import from_hits
-
         return cls(**from_hits(records, dt, force, responses, reject, gate, decay))
 
     @classmethod
@@ -163,8 +162,6 @@ class MeasuredModel(Model):
         Each record predicted from the others, or each half of one from the other, gives the certificate. A line
         without excitation takes the FRF of the nearest one that has it.
         """
-        from ..testing.runs import full
-
         cut = {"dt": dt, "channels": channels, "window": window, "segment": segment, "overlap": overlap}
         cut["detrend"] = detrend
         return cls(**full(records, forces, responses, kind, estimator, cut))
@@ -250,8 +247,6 @@ class MeasuredModel(Model):
         that of H. Where the window was on the response alone and began with the hit, the force being short, it is the
         same. The variance grows by one over the mean square of the window: noise was recorded before it was windowed.
         """
-        from ..testing.spectra import checked_decay, exponential, taken_out
-
         period = 2 * (len(self.frequencies) - 1)
         samples = period // 2 if duration is None else round(duration / self.dt)
         if not 1 <= samples <= period:
@@ -382,16 +377,12 @@ class MeasuredModel(Model):
     # -- files ------------------------------------------------------------------------------------------------------
     def save(self, path: str | os.PathLike) -> None:
         """Write the model to HDF5, whole or not at all, with checksums."""
-        from ..files import storage
-
         tree: dict[str, Any] = {
             **{name: getattr(self, name) for name in ARRAYS},
             "samples": self.samples,
-            "sensors": [{k: getattr(c, k) for k in CHANNEL} for c in self.sensors],
-            "loads": [{k: getattr(c, k) for k in CHANNEL} for c in self.loads],
             "hits": [asdict(h) for h in self.hits],
             "flags": [f.to_dict() for f in self._given_flags],
-            "certificate": None if self.certificate is None else asdict(self.certificate),
+            **self._told(),
         }
         storage.write(path, tree, "measured model")
 
@@ -404,8 +395,6 @@ class MeasuredModel(Model):
         InputError
             A damaged file, or one of another kind.
         """
-        from ..files import storage
-
         tree = storage.read(path, "measured model")
         known = tree.pop("certificate")
         return cls(

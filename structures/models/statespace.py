@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..channels import Channel
-from ..errors import InputError, NotIdentifiable, digest, plain
+from ..channels import named
+from ..errors import InputError, NotIdentifiable, count, digest, frozen, lines
+from ..files import storage
 from ..model import Model
 from ..system.factor import MECHANISM
 from .discretise import check
 
+FILE = "state space"  # what its file calls itself
 BLOCK = 64  # Markov parameters per matrix product
 ON_POLE = 1e-13  # distance of a line from an eigenvalue, on the unit circle, that is rounding
 STABLE = 1 + 1e-6  # largest |eigenvalue|: rounding moves the double pole of a free body by the root of 1e-16
@@ -62,8 +64,8 @@ class StateSpace(Model):
         self.A, self.B, self.C, self.D = (frozen(x, name) for x, name in ((A, "A"), (B, "B"), (C, "C"), (D, "D")))
         self.dt, self.hold = float(dt), hold
         self._check_shapes()
-        self.sensors = channels(sensors, self.C.shape[0], "y", "sensors")
-        self.loads = channels(loads, self.B.shape[-1], "u", "loads")
+        self.sensors = named(sensors, self.C.shape[0], "y", "sensors")
+        self.loads = named(loads, self.B.shape[-1], "u", "loads")
 
     def _check_shapes(self) -> None:
         shapes = {name: getattr(self, name).shape for name in "ABCD"}
@@ -285,10 +287,15 @@ class StateSpace(Model):
         return digest("StateSpace", self.A, self.B, self.C, self.D, self.dt, self.hold, self.sensors, self.loads)
 
     def save(self, path: str | os.PathLike) -> None:
-        """Write the model to HDF5, whole or not at all, with checksums; `modelfile.load` reads it."""
-        from ..files.modelfile import write_space
+        """Write the model to HDF5, whole or not at all, with checksums; `modelfile.load` reads it.
 
-        write_space(self, path)
+        Raises
+        ------
+        InputError
+            A load that moves, a file that cannot be written.
+        """
+        matrices = {"A": self.A, "B": self.B, "C": self.C, "D": self.D}
+        storage.write(path, {**matrices, "dt": self.dt, "hold": self.hold, **self._told()}, FILE)
 
     def _own(self, dt: float, hold: str | None, method: str) -> None:
         same = np.ndim(dt) == 0 and np.isfinite(dt) and abs(dt - self.dt) <= 1e-9 * self.dt
@@ -331,72 +338,3 @@ class StateSpace(Model):
                 expected="fixed loads",
                 hint="simulate(), or a family that uses state_space()",
             )
-
-
-def frozen(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Read-only float copy; refuses NaN, infinity, complex numbers and text."""
-    try:
-        raw = np.asarray(plain(values))
-        if np.iscomplexobj(raw):
-            raise TypeError("complex")
-        array = np.array(raw, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            "not a real array", where=name, found=str(error), expected="numbers", hint="pass an array of numbers"
-        ) from None
-    if not np.all(np.isfinite(array)):
-        raise InputError(
-            "NaN or infinity",
-            where=name,
-            found=f"{np.sum(~np.isfinite(array))} of {array.size} entries",
-            expected="finite",
-            hint="repair or leave out what is missing",
-        )
-    array.flags.writeable = False
-    return array
-
-
-def lines(frequencies: ArrayLike, nyquist: float = np.inf) -> NDArray[np.float64]:
-    """Frequencies in Hz as a checked array (lines,)."""
-    f = np.atleast_1d(frozen(frequencies, "frequencies"))
-    if f.ndim != 1 or np.any(f < 0) or np.any(f > nyquist * (1 + 1e-9)):
-        raise InputError(
-            "no list of frequencies",
-            where="frequencies",
-            found=f"shape {f.shape}, {f.min(initial=0):g} to {f.max(initial=0):g} Hz",
-            expected=f"one axis, 0 to {nyquist:g} Hz",
-            hint="frequencies are in Hz, not rad/s",
-        )
-    return f
-
-
-def count(samples: int) -> int:
-    """A number of samples, checked."""
-    if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or samples < 1:
-        raise InputError(
-            "no number of samples",
-            where="samples",
-            found=repr(samples),
-            expected="an integer >= 1",
-            hint="samples = duration / dt",
-        )
-    return int(samples)
-
-
-def channels(given: Sequence[Any] | None, number: int, prefix: str, where: str) -> tuple[Channel, ...]:
-    """Channels from channels or labels; ``prefix0, prefix1, ...`` where nothing is given."""
-    if given is None:
-        return tuple(Channel(label=f"{prefix}{i}") for i in range(number))
-    out = tuple(
-        c if isinstance(c, Channel) else Channel(label=str(c)) for c in ([given] if isinstance(given, str) else given)
-    )
-    labels = [c.label for c in out]
-    if len(out) != number or len(set(labels)) != number:
-        raise InputError(
-            "labels do not fit",
-            where=where,
-            found=labels,
-            expected=f"{number} different labels",
-            hint="one text or Channel each",
-        )
-    return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 import numpy as np
@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..advice import Advice
 from ..channels import Channel
-from ..errors import InputError, as_array, digest, plain
+from ..errors import InputError, as_array, digest, lines, plain
+from ..files import storage
 from ..flags import Evidence, Flag
 from ..model import Certificate, Model
 from ..testing import kinds
 from ..testing import kinds as causality
-from .measured import CHANNEL, tuples
-from .statespace import lines
+from ..testing.runs import of_spectra, tabulated
+from .measured import tuples
 
 if TYPE_CHECKING:
     from ..testing.welch import CrossSpectra
@@ -189,8 +190,6 @@ class FrfModel(Model):
         A line that no force excites is left out, as is 0 Hz where the mean was taken off. The variance knows the noise
         that the segments show, and not the bias by leakage: W508 speaks of that.
         """
-        from ..testing.runs import tabulated
-
         cut = {"dt": dt, "channels": channels, "window": window, "segment": segment, "overlap": overlap}
         cut["detrend"] = detrend
         made = tabulated(records, forces, responses, kind, least_coherence, estimator, cut)
@@ -209,8 +208,6 @@ class FrfModel(Model):
         interpolate: bool = False,
     ) -> Self:
         """FRFs from cross spectra of forces and responses; parameters and errors as for `from_records`."""
-        from ..testing.runs import of_spectra
-
         made = of_spectra(spectra, forces, responses, kind, least_coherence, estimator)
         return cls(**made, interpolate=interpolate).judged()
 
@@ -379,14 +376,10 @@ class FrfModel(Model):
     # -- files ------------------------------------------------------------------------------------------------------
     def save(self, path: str | os.PathLike) -> None:
         """Write the model to HDF5, whole or not at all, with checksums."""
-        from ..files import storage
-
         tree: dict[str, Any] = {
             **{name: getattr(self, name) for name in ("frequencies", "H", "variance", "coherence", "interpolate")},
-            "sensors": [{k: getattr(c, k) for k in CHANNEL} for c in self.sensors],
-            "loads": [{k: getattr(c, k) for k in CHANNEL} for c in self.loads],
             "flags": [f.to_dict() for f in self.flags],
-            "certificate": None if self.certificate is None else asdict(self.certificate),
+            **self._told(),
         }
         storage.write(path, tree, FILE)
 
@@ -399,8 +392,6 @@ class FrfModel(Model):
         InputError
             A damaged file, or one of another kind.
         """
-        from ..files import storage
-
         tree = storage.read(path, FILE)
         known = tree.pop("certificate")
         return cls(

@@ -5,8 +5,6 @@ The compliance is asked for as a result here, and every entry of it: that is the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,56 +18,6 @@ MIRROR = 512  # rows and columns mirrored at once
 TRUST = 1e-9  # relative residual of a random combination of all solutions, above which each is checked and refined
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-
-
-@dataclass(frozen=True, eq=False)
-class Condensed:
-    """A structure seen from a few of its DOFs, all others unloaded.
-
-    Parameters
-    ----------
-    dofs : int array (s,)
-        Rows of the matrix that was condensed.
-    stiffness : array (s, s)
-        Forces from displacements of these DOFs, F = Kbar U.
-    """
-
-    dofs: Index
-    stiffness: Array
-
-    @cached_property
-    def compliance(self) -> Array:
-        """Displacements from forces on these DOFs (s, s).
-
-        Raises
-        ------
-        InputError
-            If the stiffness is not positive definite.
-        """
-        return compliance(self.stiffness.copy(order="F"))
-
-
-def condense(K: Any, dofs: Any) -> Condensed:
-    """Stiffness and compliance of a symmetric matrix on `dofs`.
-
-    Parameters
-    ----------
-    K : sparse or dense matrix (n, n)
-        Symmetric, such as ``structure.K_free``.
-    dofs : int array (s,)
-        Distinct rows.
-
-    Raises
-    ------
-    InputError
-        If `dofs` are no distinct indices, or as `Factor`.
-    NotIdentifiable
-        If the DOFs between them leave a mechanism.
-    """
-    from .factor import Factor
-
-    factor = Factor(K)
-    return Condensed(np.atleast_1d(np.asarray(dofs)), factor.condense(dofs))
 
 
 def schur(K: Any, s: Index, interior: Any) -> NDArray:

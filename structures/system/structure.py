@@ -17,6 +17,7 @@ from ..channels import Dof
 from ..errors import InputError, plain, positive
 from . import checks
 from .damping import Damping, Rayleigh, settled
+from .fields import field_of
 
 if TYPE_CHECKING:
     from .checks import RigidBodyMotion
@@ -256,9 +257,7 @@ class Structure:
 
     @cached_property
     def _motions(self) -> tuple[RigidBodyMotion, ...]:
-        from .checks import motions
-
-        return motions(self)
+        return checks.motions(self)
 
     # -- changed copies -------------------------------------------------------------------------------------------
     def with_damping(self, damping: Damping | float | None) -> Structure:
@@ -315,12 +314,7 @@ class Structure:
                 expected="a DOF or at=",
                 hint="pass one of the two",
             )
-        if at is None:
-            row = self.unit_row(dof)
-        else:
-            from .fields import field_of
-
-            row = field_of(self, "with_mass").motion(at, 3)
+        row = self.unit_row(dof) if at is None else field_of(self, "with_mass").motion(at, 3)
         column = sparse.csr_array(row[:, None])
         return replace(self, M=self.M + kg * (column @ column.T))
 

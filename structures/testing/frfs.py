@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..channels import Channel
 from ..errors import InputError, NotIdentifiable
 from ..flags import Evidence, Flag
+from .impact import check_quantities
 from .welch import CrossSpectra
 
 ESTIMATORS = ("H1", "H2", "Hv", "Hs")
@@ -330,8 +331,6 @@ def channels_of(spectra: CrossSpectra, forces: Any, responses: Any) -> tuple[tup
     InputError
         A channel that is not there, a force that is no force, a response that is one.
     """
-    from .impact import check_quantities
-
     loads = tuple(spectra.channels[i] for i in spectra.index(forces))
     sensors = tuple(spectra.channels[i] for i in spectra.index(responses))
     for load in loads:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from ..channels import Channel
 from ..errors import InputError, number, positive
 from ..flags import Evidence, Flag
+
+BLOCK = 4_000_000  # numbers that are transformed at once
 
 
 def padded_length(samples: int) -> int:
@@ -165,6 +167,28 @@ def taken_out(H: NDArray, decay: float, samples: int) -> NDArray[np.complex128]:
     return fft.rfft(moved, axis=0)
 
 
+def transforms(table: NDArray, w: NDArray, hop: int, detrend: str | None) -> Iterator[NDArray[np.complex128]]:
+    """Transforms (segments, lines, channels) of the windowed segments of one table, some segments at a time."""
+    from scipy import fft
+
+    for pieces in segments(table, len(w), hop, detrend):
+        yield fft.rfft(pieces * w[:, None], axis=1)
+
+
+def segments(table: NDArray, n: int, hop: int, detrend: str | None) -> Iterator[NDArray[np.float64]]:
+    """Segments (some, n, channels) of one table, each freed of its mean or its straight line."""
+    view = np.lib.stride_tricks.sliding_window_view(table, n, axis=0)[::hop].transpose(0, 2, 1)
+    some = max(1, BLOCK // (n * table.shape[1]))
+    for first in range(0, len(view), some):
+        pieces = view[first : first + some]
+        if detrend is not None:
+            pieces = pieces - pieces.mean(axis=1, keepdims=True)
+        if detrend == "linear":
+            ramp = np.arange(n) - (n - 1) / 2
+            pieces = pieces - ramp[:, None] * (np.einsum("t,stc->sc", ramp, pieces) / np.sum(ramp**2))[:, None]
+        yield pieces
+
+
 BURST = 30.0  # energy of the loudest over that of the middle segment; 9 segments of narrow-band noise stay below 10
 NARROW = 0.1  # share by which half the resolution lowers a peak; a peak as wide as the window loses a sixth
 SMEARED = 0.05  # share of the lines that a box window may lift
@@ -274,8 +298,6 @@ def smeared(
 
 def _decayed(tables: Sequence[NDArray], n: int, hop: int) -> NDArray[np.bool_]:
     """Channels (channels,) that are near rest at the end of every other segment or more."""
-    from .welch import segments
-
     ratios = []
     for table in tables:
         for pieces in segments(table, n, hop, None):
@@ -296,14 +318,12 @@ def _energies(table: NDArray, n: int, hop: int) -> NDArray[np.float64]:
 def _autospectra(
     tables: Sequence[NDArray], dt: float, w: NDArray, hop: int, detrend: str | None
 ) -> NDArray[np.float64]:
-    from .welch import density, transforms
-
     n, total, count = len(w), np.zeros((len(w) // 2 + 1, tables[0].shape[1])), 0
     for table in tables:
         for X in transforms(table, w, max(1, min(hop, n // 2)), detrend):
             total += np.sum(np.abs(X) ** 2, axis=0)
             count += len(X)
-    return total * (density(n) * dt / np.sum(w**2) / count)[:, None]
+    return total * (multiplicity(n) * dt / np.sum(w**2) / count)[:, None]
 
 
 def _names(channels: Sequence[Channel], index: NDArray) -> str:

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..channels import Channel
-from ..errors import InputError, as_array, plain
+from ..channels import Channel, named
+from ..errors import InputError, as_array, frozen, plain
+from ..errors import lines as checked_lines
 from ..flags import Flag
-from ..models.statespace import channels as named
-from ..models.statespace import frozen
-from ..models.statespace import lines as checked_lines
+from .spectra import leakage, multiplicity, transforms
 
 SKEW = 1e-6  # of the two autospectra: rounding of single precision that a Hermitian matrix may show
 ABOVE_ONE = 1e-4  # by how much rounding may lift a coherence above one
 SEGMENTS = 8  # disjoint segments that a record is cut into where no length is given
-BLOCK = 4_000_000  # numbers that are transformed at once
 DETREND = ("constant", "linear", None)
 
 
@@ -225,9 +223,7 @@ def cross_spectra(
             counts[-1] += len(X)
             lined = X.transpose(1, 2, 0)
             total += lined @ lined.conj().transpose(0, 2, 1)
-    matrix = total * (density(n) * step / np.sum(w**2) / sum(counts))[:, None, None]
-    from .spectra import leakage
-
+    matrix = total * (multiplicity(n) * step / np.sum(w**2) / sum(counts))[:, None, None]
     return CrossSpectra(
         frequencies=np.fft.rfftfreq(n, step).astype(float),
         matrix=matrix.astype(complex),
@@ -275,35 +271,6 @@ def effective_averages(w: NDArray, hop: int, counts: Sequence[int]) -> float:
     rho = np.array([np.dot(w[:-m], w[m:]) for m in shifts]) ** 2 / np.sum(w**2) ** 2
     spread = sum(k + 2 * float(np.sum(rho[: k - 1] * (k - np.arange(1, len(rho) + 1)[: k - 1]))) for k in counts)
     return float(sum(counts) ** 2 / spread)
-
-
-def density(samples: int) -> NDArray[np.float64]:
-    """How often each line of a real transform counts in a one-sided density: 1 at 0 Hz and Nyquist, else 2."""
-    from .spectra import multiplicity
-
-    return multiplicity(samples)
-
-
-def transforms(table: NDArray, w: NDArray, hop: int, detrend: str | None) -> Iterator[NDArray[np.complex128]]:
-    """Transforms (segments, lines, channels) of the windowed segments of one table, some segments at a time."""
-    from scipy import fft
-
-    for pieces in segments(table, len(w), hop, detrend):
-        yield fft.rfft(pieces * w[:, None], axis=1)
-
-
-def segments(table: NDArray, n: int, hop: int, detrend: str | None) -> Iterator[NDArray[np.float64]]:
-    """Segments (some, n, channels) of one table, each freed of its mean or its straight line."""
-    view = np.lib.stride_tricks.sliding_window_view(table, n, axis=0)[::hop].transpose(0, 2, 1)
-    some = max(1, BLOCK // (n * table.shape[1]))
-    for first in range(0, len(view), some):
-        pieces = view[first : first + some]
-        if detrend is not None:
-            pieces = pieces - pieces.mean(axis=1, keepdims=True)
-        if detrend == "linear":
-            ramp = np.arange(n) - (n - 1) / 2
-            pieces = pieces - ramp[:, None] * (np.einsum("t,stc->sc", ramp, pieces) / np.sum(ramp**2))[:, None]
-        yield pieces
 
 
 # -- what comes in ----------------------------------------------------------------------------------------------------

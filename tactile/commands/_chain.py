@@ -20,11 +20,11 @@ from structures.errors import InputError
 from structures.flags import Flag
 
 from ..pad import padfile
+from ..pad.pad import Pad
 from ..sensors.posing import RULES, chosen
 from ._sources import DepthMaps, Seen, depth_maps, look
 
 if TYPE_CHECKING:
-    from ..pad.pad import Pad
     from ..results.forcemap import ForceMap
 
 
@@ -118,7 +118,7 @@ def reconstruct(
     settings = padfile.read(pad_file)
     codes = tuple(c.upper().removeprefix("LID-") for c in allow)
     tell(0.02, "building the pad")
-    pad = settings.pad(allow=[c for c in codes if c[1:2] == "1"])
+    pad = Pad.from_settings(settings, allow=[c for c in codes if c[1:2] == "1"])
     tell(0.05, "finding markers")
     seen = look(Path(source), settings, pad, unloaded, codes)
     maps = None if depth is None else depth_maps(Path(depth), settings.depth, settings.path).zeroed(seen.inside)

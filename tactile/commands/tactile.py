@@ -129,9 +129,11 @@ def simulate(
     """Write the pad file, images and depth maps of the unloaded and the loaded pad."""
     from structures.files.storage import replace
 
+    from ..pad.pad import Pad
+
     replace(pad_file, padfile.EXAMPLE.encode())
     settings = padfile.read(pad_file)
-    pad = settings.pad()
+    pad = Pad.from_settings(settings)
     noise = np.random.default_rng(seed)
     for old in frames.glob("frame*.png"):  # those of a demonstration that was longer
         old.unlink()

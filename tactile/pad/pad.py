@@ -22,13 +22,16 @@ from structures.flags import Flag
 from structures.system.structure import Structure
 
 from .. import guards as guards
+from ..closed.layer import Layer
+from . import meshfiles
 from .body import Body, rectangle, sides
+from .mesh import placed, rebuilt
+from .padfile import SensorFile, read
 from .stiffness import Loaded
+from .table import Table
 
 if TYPE_CHECKING:
     from structures.bases import Basis
-
-    from ..closed.layer import Layer
 
 
 Array = NDArray[np.float64]
@@ -141,8 +144,6 @@ class Pad(Loaded):
     def _meshed(self, material: Material) -> Body:
         if self.pitch is None:
             return self.mesh.built(material, self.element, self.allow)
-        from .mesh import rebuilt
-
         layers = integer("layers", self.layers, where="Pad, layers", limit=100)
         return rebuilt(self.mesh, self.pitch, layers, material, self.element, self.allow)
 
@@ -186,12 +187,9 @@ class Pad(Loaded):
         InputError
             If the file holds no mesh of a pad; code LID-E110 where Euler's formula says so.
         """
-        from .mesh import placed
-        from .meshfiles import read
-
         allow = settings.get("allow", ())
         allow = (allow,) if isinstance(allow, str) else tuple(allow)
-        mesh = placed(read(file), unit=unit, axis=axis, base=base, top=top, allow=allow)
+        mesh = placed(meshfiles.read(file), unit=unit, axis=axis, base=base, top=top, allow=allow)
         return cls(E=E, nu=nu, mesh=mesh, pitch=pitch, layers=layers, element=element, **settings)
 
     @classmethod
@@ -203,9 +201,23 @@ class Pad(Loaded):
         InputError
             If it holds no pad, or as `Pad`.
         """
-        from .padfile import read
+        return cls.from_settings(read(file))
 
-        return read(file).pad()
+    @classmethod
+    def from_settings(cls, given: SensorFile, *, allow: Sequence[str] = ()) -> Pad:
+        """Pad of a sensor that `tactile.pad.padfile.read` gave; `allow` overrides guards of model and mesh.
+
+        Raises
+        ------
+        InputError
+            As `Pad`; the message names the file.
+        """
+        settings = dict(given.body)
+        allowed = [*settings.pop("allow", ()), *allow]
+        with Table(given.path, "pad", {}).named():
+            if "mesh" in settings:
+                return cls.from_mesh(settings.pop("mesh"), allow=allowed, **settings)
+            return cls(allow=allowed, **settings)
 
     def _found(self, body: Body) -> tuple[Flag, ...]:
         """What the guards of mesh and material found."""
@@ -236,8 +248,6 @@ class Pad(Loaded):
     @cached_property
     def layer(self) -> Layer:
         """The bonded layer of the same thickness and material, without edges."""
-        from ..closed.layer import Layer
-
         return Layer(self.thickness, self.E, self.nu)
 
     @cached_property

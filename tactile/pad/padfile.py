@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError, plain
 
+from ..guards import counts
 from .table import Table
 
 if TYPE_CHECKING:
     from ..sensors.observation import DepthMap
     from ..vision.eye import View
-    from .pad import Pad
 
 
 EXAMPLE = """\
@@ -114,7 +114,7 @@ class SensorFile:
     path : Path
         The file.
     body : mapping
-        Settings of `tactile.pad.pad.Pad`.
+        Settings of `tactile.pad.pad.Pad`, for `Pad.from_settings`.
     view : View or None
         How the camera sees the markers.
     tracking : mapping
@@ -136,23 +136,6 @@ class SensorFile:
     unit: str | float = "px"
     depth: DepthKind | None = None
     contact: Mapping[str, Any] = field(default_factory=dict)
-
-    def pad(self, *, allow: Sequence[str] = ()) -> Pad:
-        """Build the pad; `allow` overrides guards of model and mesh.
-
-        Raises
-        ------
-        InputError
-            What `Pad` refuses.
-        """
-        from .pad import Pad
-
-        settings = dict(self.body)
-        allowed = [*settings.pop("allow", ()), *allow]
-        with Table(self.path, "pad", {}).named():
-            if "mesh" in settings:
-                return Pad.from_mesh(settings.pop("mesh"), allow=allowed, **settings)
-            return Pad(allow=allowed, **settings)
 
 
 def read(path: str | os.PathLike) -> SensorFile:
@@ -232,8 +215,6 @@ def _counted(t: Table, layers: int) -> None:
         return
     if cells is None or nodes is None:
         raise t.refused("cells" if cells is None else "nodes", "counts belong together", "one", "cells and nodes")
-    from ..guards import counts
-
     counts(cells, nodes, layers=layers, where=f"{t.file}: [pad]")
 
 

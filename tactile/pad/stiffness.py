@@ -15,6 +15,7 @@ from structures.elements.surfaces import Surface
 from structures.errors import InputError, reals
 from structures.flags import Flag
 from structures.system import condensation, layered
+from structures.system.factor import Factor
 from structures.system.layered import SymmetricFactor, reflections
 from structures.system.structure import Structure
 
@@ -51,8 +52,6 @@ class Completion:
     @classmethod
     def of(cls, pad: Pad, known: NDArray[np.bool_], K: Any = None) -> Completion:
         """Of a pad, with a mask (P, 3) of the displacements that are given; `K` is its surface stiffness if at hand."""
-        from structures.system.factor import Factor
-
         K = surface_stiffness(pad) if K is None else K
         flat = np.asarray(known, bool).ravel()
         k, o = np.flatnonzero(flat), np.flatnonzero(~flat)

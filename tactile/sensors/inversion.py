@@ -23,6 +23,7 @@ from loadid.inverse.constrained.feasible import Feasible, compile_
 from loadid.inverse.constrained.quadratic import Quadratic, gram_of
 from loadid.inverse.constraints import Constraint, FrictionCone, NonNegative, Resultant
 from structures.errors import InputError
+from structures.system.condensation import compliance
 
 from .observation import Wrench
 
@@ -266,8 +267,6 @@ class _Region:
     def spread(self, wrench: Wrench | None) -> Answer:
         """Std of the load on the region without constraints, covariance of its resultant, conditioned on a wrench."""
         if self._spread is None:
-            from structures.system.condensation import compliance
-
             C = compliance(np.asfortranarray(self.gram.copy()))
             reach = C @ self.R.T
             self._spread = Answer(np.zeros(len(C)), np.sqrt(np.diag(C)), self.R @ reach, reach)

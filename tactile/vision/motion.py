@@ -17,7 +17,7 @@ from structures.errors import InputError, reals
 from structures.flags import Flag
 
 from ..guards import frozen, missing_frames, vanished
-from .frames import missing_numbers
+from .frames import missing_numbers, read_stack
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,6 @@ def read_motions(source: str | Path | ArrayLike, *, rest: int = 0) -> Motions:
     if not path.is_file():
         raise InputError("there is no such file", where=str(path))
     if path.suffix.lower() == ".npy":
-        from .frames import read_stack
-
         return _from_array(reals(read_stack(path), where=str(path)), rest, str(path))
     header, table, flags = _table(path)
     found = None

@@ -20,6 +20,7 @@ from tactile.commands import tactile as demo
 from tactile.commands._sources import depth_maps, is_motion
 from tactile.commands.tactile import EXAMPLES, span
 from tactile.pad import padfile
+from tactile.pad.pad import Pad
 from tactile.results import film
 from tactile.results.forcemap import ForceMap
 from tactile.vision.images import Scene, grid
@@ -57,7 +58,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "pad.toml").write_text(FILE, encoding="utf-8")
     settings = padfile.read(folder / "pad.toml")
     view, rng = settings.view, np.random.default_rng(3)
-    fine = replace(settings, body={**settings.body, "pitch": 0.5e-3, "layers": 6}).pad()
+    fine = Pad.from_settings(replace(settings, body={**settings.body, "pitch": 0.5e-3, "layers": 6}))
     assert view is not None
 
     def motion(press: Press | None, rows: Any) -> np.ndarray:

@@ -9,6 +9,7 @@ import pytest
 
 from structures.errors import InputError
 from tactile.pad import padfile
+from tactile.pad.pad import Pad
 from tactile.vision.eye import View
 
 BODY = '[pad]\nsize = ["6 mm", "4 mm"]\nthickness = "2 mm"\nE = "0.147 MPa"\nnu = 0.3\npitch = "1 mm"\nlayers = 3\n'
@@ -22,7 +23,7 @@ def written(folder: Path, text: str) -> Path:
 
 def test_the_example_says_what_it_says(tmp_path: Path) -> None:
     found = padfile.read(written(tmp_path, padfile.EXAMPLE))
-    pad = found.pad()
+    pad = Pad.from_settings(found)
     assert pad.size == pytest.approx((0.024, 0.024), rel=1e-12)
     assert (pad.thickness, pad.E, pad.nu, pad.layers) == pytest.approx((3e-3, 147e3, 0.3223, 4), rel=1e-12)
     assert pad.points == 25 * 25
@@ -45,8 +46,8 @@ def test_the_example_says_what_it_says(tmp_path: Path) -> None:
     ],
 )
 def test_units_do_not_matter(tmp_path: Path, body: str) -> None:
-    first = padfile.read(written(tmp_path, BODY)).pad()
-    other = padfile.read(written(tmp_path, f"[pad]\nnu = 0.3\nlayers = 3\n{body}")).pad()
+    first = Pad.from_toml(written(tmp_path, BODY))
+    other = Pad.from_toml(written(tmp_path, f"[pad]\nnu = 0.3\nlayers = 3\n{body}"))
     assert other.nodes2d == pytest.approx(first.nodes2d, abs=1e-15)
     push = np.zeros((first.points, 3))
     push[first.points // 2, 2] = -0.1
@@ -54,9 +55,9 @@ def test_units_do_not_matter(tmp_path: Path, body: str) -> None:
 
 
 def test_outlines(tmp_path: Path) -> None:
-    whole = padfile.read(written(tmp_path, BODY)).pad()
+    whole = Pad.from_toml(written(tmp_path, BODY))
     for line in ('rounded = "1.5 mm"\n', 'polygon = [["-3 mm", "-2 mm"], ["3 mm", "-2 mm"], ["-3 mm", "2 mm"]]\n'):
-        cut = padfile.read(written(tmp_path, BODY + line)).pad()
+        cut = Pad.from_toml(written(tmp_path, BODY + line))
         assert cut.surface.areas.sum() < whole.surface.areas.sum()
 
 
@@ -137,7 +138,7 @@ def test_a_mistake_names_file_table_and_key(tmp_path: Path, old: str, new: str, 
     assert old in BODY
     path = written(tmp_path, BODY.replace(old, new, 1))
     with pytest.raises(InputError) as caught:
-        padfile.read(path).pad()
+        Pad.from_toml(path)
     for part in (str(path), *words.split(" ... ")):
         assert part in str(caught.value)
 
