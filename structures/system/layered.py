@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ..errors import plain
-from .condensation import compliance, schur
-from .factor import Factor
+from .factor import Factor, compliance, schur
 from .structure import Structure
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from structures.elements import meshfield as evaluation
 from structures.elements.surfaces import Surface
 from structures.errors import InputError, reals
 from structures.flags import Flag
-from structures.system import condensation, layered
+from structures.system import factor, layered
 from structures.system.factor import Factor
 from structures.system.layered import SymmetricFactor, reflections
 from structures.system.structure import Structure
@@ -199,7 +199,7 @@ class Loaded:
             return layered.condense(self.structure, self.dofs, self._levels)
         A = self._under_loads(self.loads.T)
         A = np.asfortranarray((A + A.T) / 2)
-        return condensation.compliance(A.copy(order="F")), A
+        return factor.compliance(A.copy(order="F")), A
 
     def _under_loads(self, rows: Any) -> Array:
         """``rows K^-1 loads`` (rows, 3 P), a strip of loads at a time."""

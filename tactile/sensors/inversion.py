@@ -23,7 +23,7 @@ from loadid.inverse.constrained.feasible import Feasible, compile_
 from loadid.inverse.constrained.quadratic import Quadratic, gram_of
 from loadid.inverse.constraints import Constraint, FrictionCone, NonNegative, Resultant
 from structures.errors import InputError
-from structures.system.condensation import compliance
+from structures.system.factor import compliance
 
 from .observation import Wrench
 

@@ -18,7 +18,7 @@ import time
 
 import numpy as np
 
-from structures.system import condensation
+from structures.system import factor
 from structures.system.factor import Factor
 from tactile.closed.presses import Press
 from tactile.pad.meshfiles import elastic
@@ -137,7 +137,7 @@ def cost() -> None:
     )
     start = time.process_time()
     s = np.searchsorted(gel.structure.free, gel.dofs)
-    condensation.compliance(condensation.schur(gel.structure.K_free, s, Factor))
+    factor.compliance(factor.schur(gel.structure.K_free, s, Factor))
     print(f"  by a sparse factor of the interior and {len(U)} solves: {time.process_time() - start:.1f} CPU s")
     points = np.random.default_rng(1).uniform(-11e-3, 11e-3, (520, 2))
     start = time.process_time()

@@ -7,10 +7,9 @@ from scipy import sparse
 from structures import InputError, NotIdentifiable
 from structures.elements import plates, solids
 from structures.elements.members import Material, steel
-from structures.system import condensation as c
+from structures.system import factor as c
 from structures.system import factor as f
-from structures.system.condensation import compliance, mirrored
-from structures.system.factor import Factor
+from structures.system.factor import Factor, compliance, mirrored
 
 
 @pytest.fixture(scope="module")

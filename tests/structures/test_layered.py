@@ -6,8 +6,7 @@ import pytest
 from structures import Structure
 from structures.elements import solids
 from structures.elements.members import Material
-from structures.system.condensation import compliance, schur
-from structures.system.factor import Factor
+from structures.system.factor import Factor, compliance, schur
 from structures.system.layered import SymmetricFactor, blocks, condense, reflections
 
 GEL = Material(E=1e5, rho=1e3, nu=0.45)
