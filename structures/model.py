@@ -459,7 +459,7 @@ class Model:
         load = load[:, None] if load.ndim == 1 else load
         if load.ndim != 2 or load.shape[1] != len(self.loads) or len(load) == 0:
             raise self._bad_load("predict", f"shape {load.shape}", "(samples, loads)")
-        h = self.impulse_response(dt, len(load), hold or self.default_hold)
+        h = impulse_of(self, dt, len(load), hold or self.default_hold)
         response = np.zeros((len(load), len(self.sensors)))
         for j in range(len(self.loads)):
             response += fftconvolve(h[:, :, j], load[:, j, None], axes=0)[: len(load)]
@@ -512,6 +512,14 @@ def as_model(given: Any, where: str, *methods: str) -> Model:
         If it derives from no `Model`, or gives none of the methods.
     """
     if isinstance(given, Model):
+        for name in ("sensors", "loads"):
+            channels = getattr(given, name, None)
+            if not isinstance(channels, tuple | list) or not all(isinstance(c, Channel) for c in channels):
+                raise InputError(
+                    f"{type(given).__name__} does not say what its {name} are", where=where,
+                    found=f"{name} = {shown(channels)}", expected="a tuple of structures.channels.Channel",
+                    hint=f'self.{name} = (Channel(label="a", quantity="arbitrary"),)',
+                )  # fmt: skip
         if methods:
             given.require(*methods, family=where)
         return given
@@ -522,6 +530,24 @@ def as_model(given: Any, where: str, *methods: str) -> Model:
         expected="a structures.Model, such as ForwardModel or StateSpace",
         hint="a class of your own derives from structures.model.Model and overrides what it can give",
     )
+
+
+def impulse_of(model: Model, dt: float, samples: int, hold: str) -> NDArray[np.float64]:
+    """Impulse response (samples, sensors, loads) of a model, held against its channels.
+
+    Raises
+    ------
+    InputError
+        If it is no such array.
+    """
+    h = np.asarray(model.impulse_response(dt, samples, hold))
+    if h.ndim != 3 or h.shape[1:] != (len(model.sensors), len(model.loads)):
+        raise InputError(
+            f"impulse_response() of {type(model).__name__} does not fit its channels", where="forward model",
+            found=f"shape {h.shape}", expected=f"shape {(samples, len(model.sensors), len(model.loads))}",
+            hint="samples first, then sensors, then loads",
+        )  # fmt: skip
+    return h
 
 
 def _finite(values: ArrayLike, name: str) -> NDArray[np.float64]:

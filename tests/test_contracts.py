@@ -417,6 +417,32 @@ def test_what_is_no_model_is_refused_by_every_family():
                 make(np.eye(3))
 
 
+def test_a_model_without_its_channels_is_refused():
+    class Nameless(Model):
+        def impulse_response(self, dt, samples, hold="foh"):
+            return np.ones((samples, 1, 1))
+
+    class Texts(OwnImpulse):
+        sensors = ("s0", "s1", "s2")
+
+    for model, name in ((Nameless(), "Nameless"), (Texts(), "Texts")):
+        with pytest.raises(InputError, match=f"{name} does not say what its sensors are"):
+            Deconvolution(model)
+
+
+@pytest.mark.parametrize("slip", [lambda h: h[:, 0, 0], lambda h: h[:, :, :1], lambda h: h[:, 0], lambda h: None])
+def test_an_impulse_response_that_does_not_fit_its_channels_is_refused(slip):
+    class Slip(OwnImpulse):
+        def impulse_response(self, dt, samples, hold="foh"):
+            return slip(super().impulse_response(dt, samples, hold))
+
+    (y, dt), _ = data_for("Deconvolution", "OwnImpulse")
+    for asked in (lambda: Deconvolution(Slip()).estimate(y, dt), lambda: Slip().predict(pulse(), dt)):
+        with pytest.raises(InputError, match=r"impulse_response\(\) of Slip does not fit its channels") as refused:
+            asked()
+        assert f"({SAMPLES}, 3, 2)" in str(refused.value)
+
+
 def test_a_model_that_says_nothing_of_itself_is_told_by_its_answers():
     """The same class is the same model each time; another answer, another class or another channel is another."""
 

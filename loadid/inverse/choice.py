@@ -256,7 +256,7 @@ def whiteness_of(path: RegularizationPath, asked: dict[str, RuleResult], lam: fl
     -------
     dict
         ``below``: decades by which the chosen lambda lies below quasi-optimality. ``fine``, ``coarse``: statistic of
-        the residual (`whiteness.residual_test`) over its limit, at the chosen lambda and at the larger of the two.
+        the residual (`residual_test`) over its limit, at the chosen lambda and at the larger of the two.
         ``spent``, ``left``: degrees of freedom at the chosen lambda over the data, and data beyond them. ``chance``:
         of the data coefficients' plateau at the larger lambda under white noise; ``modes``: how many noise modes it
         has. ``followed`` (1 or 0): the chosen lambda follows what may be correlated noise.

@@ -394,7 +394,13 @@ def matrix(penalty: str | ArrayLike, samples: int, loads: int = 1) -> NDArray[np
                 expected=f"more than {degree} for {penalty}",
             )
         return np.asarray(np.kron(difference(samples, degree), np.eye(loads)), float)
-    L = np.atleast_2d(reals(penalty, what="the penalty is no matrix of real numbers", where="penalty"))
+    L = reals(penalty, what="the penalty is no matrix of real numbers", where="penalty")
+    if L.ndim == 1 and L.shape == (samples * loads,):
+        raise InputError(
+            "a vector is no penalty matrix", where="penalty", found=f"shape {L.shape}",
+            expected=f"shape (rows, {samples * loads})", hint="np.diag(w) weighs each unknown; w[None] is one row",
+        )  # fmt: skip
+    L = np.atleast_2d(L)
     if L.ndim != 2 or L.shape[1] != samples * loads or not np.all(np.isfinite(L)):
         raise InputError(
             "the penalty matrix does not fit the unknowns",

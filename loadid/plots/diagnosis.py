@@ -325,7 +325,7 @@ def _diagnosis(estimate: LoadEstimate) -> Diagnosis:
         raise InputError(
             "the estimate carries no diagnosis",
             where="plot",
-            hint="loadid.inverse.diagnosis.diagnose.diagnose(path, lam)",
+            hint="estimates of StaticInversion carry one; histories show theirs by plot('path')",
         )
     return d
 

@@ -4,8 +4,7 @@ A new format is one file in this folder. It registers a function that turns the 
 step, units and errors are then treated as in every other format::
 
     # loadid/readers/myformat.py
-    from .registry import register
-    from .source import Options, Source, Table
+    from .source import Options, Source, Table, register
 
     @register("my format", suffixes=(".my",), sniff=lambda head: head.startswith(b"MYFT"))
     def load(source: Source, options: Options) -> list[Table]:
@@ -13,7 +12,8 @@ step, units and errors are then treated as in every other format::
         return [Table(values, name="run 1", columns=("F", "a"), units=("N", "g"), dt=1e-3)]
 
 A reader compares what a file declares with what it delivers (`truncated` gives the flag), asks `source.allow(bytes)`
-before it unpacks, and never evaluates or unpickles anything. Whatever else it raises leaves `read` as an InputError.
+before it unpacks, and never evaluates or unpickles anything. `rows_of` (`numbers.py`) turns lines of text into numbers
+and names the line and the cell that is none. Whatever else a reader raises leaves `read` as an InputError.
 With ``native=True`` it runs in a child process, as a C library must that a damaged file can crash.
 """
 

@@ -61,6 +61,13 @@ def test_too_few_samples_are_refused() -> None:
         penalties.matrix("second_difference", 2)
 
 
+def test_a_vector_of_weights_is_no_matrix() -> None:
+    with pytest.raises(InputError, match=r"np\.diag\(w\)"):
+        penalties.matrix(np.ones(6), 3, 2)
+    assert penalties.matrix(np.ones((1, 6)), 3, 2).shape == (1, 6)
+    assert penalties.matrix(np.diag(np.ones(6)), 3, 2).shape == (6, 6)
+
+
 # -- over places -----------------------------------------------------------------------------------------------------
 RNG = np.random.default_rng(6)
 X, Z = np.cumsum(RNG.uniform(0.5, 1.5, 7)), np.cumsum(RNG.uniform(0.2, 0.6, 5))  # uneven axes of a grid

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from structures.errors import InputError
-from structures.model import Model
+from structures.model import Model, impulse_of
 from structures.models.statespace import StateSpace
 
 from .. import noise as noises
@@ -43,7 +43,7 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
     kind, system = _kind(model, data, settings)
     taps = min(samples, TAPS) if kind == "statespace" else samples
     still = system is not None and system.moving
-    h = (at_rest_in_place(system) if still and system else model).impulse_response(data.dt, taps, hold)
+    h = impulse_of(at_rest_in_place(system) if still and system else model, data.dt, taps, hold)
     late = 0 if still else shift(h[:, data.rows], model, settings.allow)
     noise = noises.resolve(settings.noise, settings.noise_source, model, data)
     if kind == "statespace":

@@ -87,7 +87,8 @@ class Rule:
              self.size, "no size, or a rule (choice=)")  # fmt: skip
         if isinstance(self.choice, str):
             known = (*ruled.FUNCTIONS, *ruled.CROSSINGS)
-            need(self.choice in known, "unknown rule", "choice", self.choice, ", ".join(known))
+            what = "no rule for frequency lines" if self.choice in rules.RULES else "unknown rule"
+            need(self.choice in known, what, "choice", self.choice, ", ".join(known))
 
     @property
     def pooled(self) -> bool:

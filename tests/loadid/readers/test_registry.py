@@ -1,3 +1,5 @@
+import importlib
+import re
 import subprocess
 import sys
 
@@ -5,6 +7,7 @@ import numpy as np
 import pytest
 
 import loadid
+from loadid import readers
 from loadid.readers import formats, read, read_all, scan
 from loadid.readers import source as registry
 from loadid.readers.source import Table, register
@@ -12,6 +15,22 @@ from structures.errors import InputError
 from tests.benchmarks.fuzz import outcomes
 
 from .files import A, F, csv, npy, small_files
+
+SMALL = ["csv", "lvm", "npy", "npz", "h5", "uff", "ufb", "mat"]  # suffixes of the small files
+
+
+def test_every_format_has_a_small_file(tmp_path):
+    assert set(small_files(tmp_path)) == set(SMALL)
+    without = [f.name for f in formats() if not any(f".{suffix}" in f.suffixes for suffix in SMALL)]
+    assert not without, f"write one in tests/loadid/readers/files.py, and name its suffix here: {without}"
+
+
+def test_the_recipe_imports_what_is_there():
+    lines = re.findall(r"^ +from (\S+) import (.+)$", readers.__doc__, re.MULTILINE)
+    assert lines
+    for module, names in lines:
+        found = importlib.import_module(module, "loadid.readers")
+        assert all(hasattr(found, name) for name in names.split(", ")), module
 
 
 def test_public_names():
@@ -119,7 +138,7 @@ print([m for m in ("scipy", "h5py", "matplotlib") if m in sys.modules])
     assert done.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("suffix", ["csv", "lvm", "npy", "npz", "h5", "uff", "ufb", "mat"])
+@pytest.mark.parametrize("suffix", SMALL)
 def test_damaged_files(tmp_path, suffix):
     """300 mutants: nothing but an InputError leaves a reader, nothing hangs, no declared length is cut silently."""
     path = small_files(tmp_path)[suffix]
