@@ -173,9 +173,9 @@ def test_moving_the_mesh_changes_nothing():
     [
         ({"sensors": []}, "no sensors"),
         ({"loads": []}, "no loads"),
-        ({"sensors": ["3+Z"]}, "objects of structures.system.sensors"),
-        ({"sensors": [loads.Point("3+Z")]}, "objects of structures.system.sensors"),
-        ({"loads": [sensors.Displacement("3+Z")]}, "objects of structures.system.loads"),
+        ({"sensors": ["3+Z"]}, "objects of structures.sensors"),
+        ({"sensors": [loads.Point("3+Z")]}, "objects of structures.sensors"),
+        ({"loads": [sensors.Displacement("3+Z")]}, "objects of structures.loads"),
         ({"sensors": [sensors.Displacement("3+Z"), sensors.Displacement("3+Z")]}, "different labels"),
         ({"sensors": [sensors.Displacement("33+Z")]}, "no such DOF"),
         ({"loads": [loads.Point("0+Z")]}, "LID-E104"),

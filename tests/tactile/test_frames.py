@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -156,7 +157,7 @@ def test_videos_are_read_and_a_truncated_one_names_the_frame(clip: np.ndarray, t
 
 def test_without_opencv_a_video_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.avi").write_bytes(b"RIFF")
-    monkeypatch.setattr("tactile.vision.frames.installed", lambda: False)
+    monkeypatch.setattr(sys.modules["tactile.vision.frames"], "installed", lambda: False)  # the name is its function
     monkeypatch.setattr(backend, "installed", lambda: False)
     with pytest.raises(InputError, match=r"loadid\[vision\]"):
         frames(tmp_path / "a.avi")
