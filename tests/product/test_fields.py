@@ -80,8 +80,8 @@ def cells():
     for path, time, space, option in product(
         ("auto", "dense", "statespace", "toeplitz", "fft"), times, SPACES, OPTIONS
     ):
-        few = time in ("identity", "second_difference") or (path == "auto" and time == "third_difference")
-        if not few or (space == "gradient" and option in ("", "ratio") and path not in ("auto", "toeplitz")):
+        full = time == "first_difference" or (time == "third_difference" and path in ("dense", "statespace", "fft"))
+        if full or (space == "gradient" and option in ("", "ratio") and path not in ("auto", "toeplitz")):
             yield path, time, space, option
 
 
