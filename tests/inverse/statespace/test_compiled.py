@@ -11,11 +11,11 @@ from loadid.inverse.compiled import Compiled
 
 from .cases import beam, case, holes
 
-MODULES = ("covariance", "loops", "riccati", "rooted", "settling", "small")
+MODULES = ("compiled", "statespace.passes", "statespace.posterior", "statespace.riccati")
 
 
 def loops() -> set[Compiled]:
-    modules = [import_module(f"loadid.inverse.statespace.{name}") for name in MODULES]
+    modules = [import_module(f"loadid.inverse.{name}") for name in MODULES]
     return {loop for module in modules for loop in vars(module).values() if isinstance(loop, Compiled)}
 
 
