@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .sources import PACKAGES, ROOT, imported, modules, within
+from .sources import PACKAGES, ROOT, imported, modules, parsed, within
 
 MOST_FILES, MOST_PARAMETERS = 20, 10
 HEAVY = ("numpy", "scipy", "matplotlib", "h5py", "numba", "casadi", "filterpy", "clarabel", "cv2", "pyuff", "skfem")
@@ -27,7 +27,7 @@ HEAVY = ("numpy", "scipy", "matplotlib", "h5py", "numba", "casadi", "filterpy", 
 @cache
 def trees() -> dict[str, ast.Module]:
     """Module name -> its tree."""
-    return {name: ast.parse(path.read_text("utf-8")) for name, path in modules(*PACKAGES)}
+    return {name: parsed(path) for name, path in modules(*PACKAGES)}
 
 
 def lines() -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -17,6 +18,12 @@ def modules(*folders: str) -> Iterator[tuple[str, Path]]:
         for path in sorted((ROOT / folder).rglob("*.py")):
             parts = path.relative_to(ROOT).with_suffix("").parts
             yield ".".join(parts), path
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    """A file as a tree, read once; nobody changes it."""
+    return ast.parse(path.read_text("utf-8"))
 
 
 def imports(source: str, module: str) -> set[str]:

@@ -20,7 +20,7 @@ from loadid.inverse.spectral import compress, factor, posterior
 from loadid.inverse.svd import SVDPath
 from structures.testing.spectra import padded_length
 
-from .sources import PACKAGES, called, imports, modules, within
+from .sources import PACKAGES, called, imports, modules, parsed, within
 
 Found = Iterator[tuple[int, str]]
 Rule = Callable[[ast.Module, str], Found]
@@ -87,9 +87,7 @@ RULES: tuple[Rule, ...] = (explicit_inverses, normal_equations, unsafe, prints)
 def test_the_sources_keep_the_rule(rule: Rule) -> None:
     folders = (*PACKAGES, "case_studies") if rule is unsafe else PACKAGES
     found = [
-        f"{path}:{line}: {text}"
-        for module, path in modules(*folders)
-        for line, text in rule(ast.parse(path.read_text("utf-8")), module)
+        f"{path}:{line}: {text}" for module, path in modules(*folders) for line, text in rule(parsed(path), module)
     ]
     assert not found, "\n".join(found)
 
