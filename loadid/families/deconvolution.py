@@ -13,7 +13,7 @@ from structures.errors import InputError, NotIdentifiable, real
 from structures.flags import Flag, codes
 from structures.model import Model, as_model
 
-from .. import guards as guards
+from .. import guards
 from ..guards import families as told
 from ..guards.inversion import windows_apart
 from ..inverse import rules

@@ -14,7 +14,7 @@ from structures.model import Model, as_model
 from structures.models.mapped import mapped
 from structures.models.motion import Motion, motion
 
-from .. import guards as guards
+from .. import guards
 from ..guards.inversion import undetermined_field
 from ..inverse.penalties import names
 from ..inverse.statespace.posterior import MappedPosterior

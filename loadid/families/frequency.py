@@ -13,7 +13,7 @@ from structures.errors import InputError, NotIdentifiable, real
 from structures.flags import Flag
 from structures.model import Model, as_model
 
-from .. import guards as guards
+from .. import guards
 from ..guards import families as told
 from ..inverse.choice import CLEARLY, Choice
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike

@@ -15,7 +15,7 @@ from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable, reals
 from structures.files import storage
 
-from .. import guards as guards
+from .. import guards
 from ..inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from ..inverse.posterior import FramesPosterior
 from ..results.estimate import LoadEstimate

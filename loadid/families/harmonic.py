@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, NotIdentifiable, plain, positive
 from structures.model import Model, as_model
 
-from .. import guards as guards
+from .. import guards
 from ..inverse import rules
 from ..inverse.choice import choose, residual_level
 from ..inverse.diagnosis import diagnose

@@ -13,7 +13,7 @@ from structures.errors import InputError, NotIdentifiable
 from structures.flags import Evidence, Flag
 from structures.model import Model
 
-from .. import guards as guards
+from .. import guards
 from ..inverse import penalties
 from ..inverse.choice import Choice
 from ..inverse.constrained.nonnegative import CONVERGED, NonNegativeSolution, discrepancy

@@ -14,7 +14,7 @@ from structures.flags import Flag
 from structures.model import Model, as_model
 from structures.models.statespace import StateSpace
 
-from .. import guards as guards
+from .. import guards
 from ..guards import tracking as told
 from ..inverse.kalman.model import words as near_rest_in_words
 from ..inverse.kalman.observe import Observability, observability

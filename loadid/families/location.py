@@ -13,7 +13,7 @@ from structures.errors import InputError
 from structures.flags import Flag
 from structures.model import Model, as_model
 
-from .. import guards as guards
+from .. import guards
 from ..design.candidates import of_model
 from ..guards import families as found_flags
 from ..inverse.convolved import fits

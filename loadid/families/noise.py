@@ -12,7 +12,7 @@ from structures.advice import Advice, Spelling
 from structures.errors import InputError, reals
 from structures.model import Model
 
-from .. import guards as guards
+from .. import guards
 from ..inverse.choice import Choice, residual_level, unexplained, ungraded
 from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
 from ..inverse.path import RegularizationPath

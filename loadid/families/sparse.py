@@ -12,7 +12,7 @@ from structures.errors import InputError, as_array
 from structures.flags import Flag
 from structures.model import Model, as_model
 
-from .. import guards as guards
+from .. import guards
 from ..guards import families as told
 from ..inverse.choice import Choice, Sweep, unexplained
 from ..inverse.convolution import Convolution

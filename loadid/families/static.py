@@ -12,7 +12,7 @@ from structures.errors import InputError, real
 from structures.model import Model, as_model
 from structures.models.arrays import MatrixModel
 
-from .. import guards as guards
+from .. import guards
 from ..inverse import penalties
 from ..inverse.choice import Choice, choose
 from ..inverse.diagnosis import diagnose

@@ -18,7 +18,7 @@ from structures.flags import Flag
 from structures.model import Model
 from structures.testing.impact import digests
 
-from .. import guards as guards
+from .. import guards
 from ..record import Record
 from ..results.estimate import Axis, LoadEstimate
 from ..validate.checks import SensorCheck, Validation

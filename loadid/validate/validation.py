@@ -15,7 +15,7 @@ from structures.flags import Flag
 from structures.model import Model
 from structures.testing.impact import digests
 
-from .. import guards as guards
+from .. import guards
 from ..inverse.constraints import Resultant
 from ..quality import require_finite
 from ..record import Record

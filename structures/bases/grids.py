@@ -74,11 +74,6 @@ def _no_grid(found: Any, names: Sequence[str], where: str) -> InputError:
     )
 
 
-def midpoints(lines: Sequence[Array]) -> Array:
-    """Centres of the boxes of a grid, first axis fastest, (boxes, axes)."""
-    return product([(x[:-1] + x[1:]) / 2 for x in lines])
-
-
 def product(values: Sequence[Array]) -> Array:
     """All combinations of one value per axis, first axis fastest, (points, axes)."""
     mesh = np.meshgrid(*values[::-1], indexing="ij")

@@ -20,7 +20,6 @@ from ..model import Certificate, Model
 from ..testing import kinds
 from ..testing import kinds as causality
 from ..testing.impact import Hit, from_hits
-from ..testing.impact import digests as digests
 from ..testing.runs import full
 from ..testing.spectra import checked_decay, exponential, resample_lines, taken_out
 

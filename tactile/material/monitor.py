@@ -21,7 +21,7 @@ from structures.flags import Flag
 
 from ..closed.layer import Layer
 from ..closed.presses import Press
-from ..results import guards as guards
+from ..results import guards
 
 Array = NDArray[np.float64]
 FEWEST = 6

@@ -21,7 +21,7 @@ from structures.errors import InputError, integer, positive
 from structures.flags import Flag
 from structures.system.structure import Structure
 
-from .. import guards as guards
+from .. import guards
 from ..closed.layer import Layer
 from . import meshfiles
 from .body import Body, rectangle, sides

@@ -19,7 +19,7 @@ from structures.system.factor import Factor
 from structures.system.layered import SymmetricFactor, reflections
 from structures.system.structure import Structure
 
-from .. import guards as guards
+from .. import guards
 
 if TYPE_CHECKING:
     from .pad import Pad

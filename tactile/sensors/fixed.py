@@ -17,7 +17,7 @@ from loadid.families.static import StaticInversion
 from structures.errors import InputError, plain
 from structures.flags import Flag
 
-from ..results import guards as guards
+from ..results import guards
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, prepare
 from .observation import Markers, Wrench
 

@@ -21,7 +21,7 @@ from ..closed import halfspace as closed
 from ..closed.halfspace import point_forces
 from ..closed.layer import HalfSpace, Layer
 from ..closed.presses import matrices, unit_point
-from ..results import guards as guards
+from ..results import guards
 from .inversion import prepare
 from .linear import LinearSensor, Settings
 from .observation import Markers

@@ -24,7 +24,7 @@ from structures.flags import Flag
 
 from ..closed.contact import Indenter
 from ..pad.stiffness import Completion, surface_stiffness
-from ..results import guards as guards
+from ..results import guards
 from ..results.forcemap import ForceMap
 from ..results.guards import away, completed, contact, typical
 from ..vision.interpolation import Interpolation

@@ -18,7 +18,7 @@ from loadid.results.estimate import LoadEstimate
 from structures.errors import InputError, positive
 from structures.flags import Flag, codes
 
-from ..results import guards as guards
+from ..results import guards
 from ..results.forcemap import ForceMap
 from ..results.guards import away, completed, contact, typical
 from .fixed import QuickMap, not_built_for_depth, paired, readings_of

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from loadid import Deconvolution, SparseDeconvolution
+from loadid.inverse.constraints import NonNegative
 from structures import ForwardModel
 from structures.elements import beams
 from structures.errors import NotIdentifiable
@@ -93,6 +94,17 @@ def test_an_offset_is_an_unknown_of_the_problem(penalty: str, gap: bool) -> None
     level = np.sqrt(np.sum(np.linalg.inv(R) ** 2, axis=1))[:-2]
     ratio = found.posterior.std[:, 0] / level
     assert np.ptp(ratio) < 1e-8 * ratio.min()
+
+
+@pytest.mark.parametrize("start", ["rest", "unknown"])
+def test_loads_that_only_push_take_it_out_too(start: str) -> None:
+    load = hit()
+    (clean, sigma), (shifted, _) = measured(ACCELEROMETERS, load), measured(ACCELEROMETERS, load, 0.3)
+    family = Deconvolution(model(ACCELEROMETERS, 6), noise=sigma, constraints=[NonNegative()], initial=start)
+    best, found = family.estimate(clean, DT), family.estimate(shifted, DT)
+    assert off(found.load, load) < 2 * off(best.load, load)
+    # the offset is in the prediction: what is left is noise
+    assert np.sqrt(np.mean((found.residual / sigma) ** 2)) < 1.1
 
 
 def test_without_a_quiet_part_the_velocity_tells() -> None:

@@ -145,7 +145,6 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
         A, B, C = _with_constants(A, B, C, constants)
         start = np.r_[np.zeros(count), start] if isinstance(start, np.ndarray) else start
         unknown, seen = True, seen + count
-    rest = np.zeros(len(A))
 
     def respond(load: NDArray, first: NDArray) -> NDArray:
         """Response (samples, sensors) of the used sensors to a load, from a state at the first sample."""
@@ -164,9 +163,10 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     judged = (windows_of(path) or path) if long and sizes is None else path
 
     def compare(load: NDArray, lam: float, first: NDArray | None) -> tuple[NDArray, NDArray]:
-        if unknown and first is None:
-            first = path.start(lam)
-        predicted = known + respond(load, rest if first is None or not unknown else first[: len(rest)])
+        begin = np.zeros(len(A))
+        if unknown:  # the free states come first, in what a path and what a solver of signs calls its start
+            begin[:seen] = (path.start(lam) if first is None else first)[:seen]
+        predicted = known + respond(load, begin)
         shown = np.where(missing, predicted, values)
         return shown, shown - predicted
 

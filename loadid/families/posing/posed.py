@@ -14,7 +14,7 @@ from structures.model import Model
 from structures.models.discretise import HOLDS
 from structures.testing.spectra import padded_length, smooth_lines
 
-from ... import guards as guards
+from ... import guards
 from ...inverse import penalties
 from ...inverse.constrained.nonnegative import NonNegativeRecord
 from ...inverse.convolution import SpectralPath

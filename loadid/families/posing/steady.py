@@ -14,7 +14,7 @@ from structures.errors import InputError
 from structures.flags import Flag
 from structures.model import Model
 
-from ... import guards as guards
+from ... import guards
 from ...inverse import rules
 from ...inverse import sweep as whiteness
 from ...inverse.choice import Choice, choose, residual_level

@@ -20,7 +20,7 @@ from structures.errors import InputError
 from structures.flags import Evidence, Flag
 from structures.model import Model, as_model
 
-from ... import guards as guards
+from ... import guards
 from ...guards.tracking import other_model
 from ...inverse.kalman import priors
 from ...inverse.kalman.augment import augment

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from structures.errors import InputError, number, real, shown
 from structures.flags import Flag
 
-from ... import guards as guards
+from ... import guards
 from ...record import Record
 from ...results.archive import provenance
 from ...results.estimate import Axis, LoadEstimate
