@@ -333,9 +333,7 @@ def backward(record: Record, gains: Gains, y: NDArray, a: NDArray | None) -> tup
 def forward(record: Record, gains: Gains, u: NDArray, start: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     """Inputs, load and response, (samples, p), (samples, p), (samples, m)."""
     w, r, x = np.empty_like(u), np.empty((record.samples, record.m)), np.array(start, float)
-    assert x.shape == (record.n,), (
-        f"a start of shape {x.shape} for {record.n} states"
-    )  # loops do not look where they write
+    assert x.shape == (record.n,), f"a start of shape {x.shape} for {record.n} states"
     g = np.empty_like(u) if record.E.any() else w
     for first, length, steady in runs(record, gains):
         part = slice(first, first + length)
