@@ -32,6 +32,8 @@ from numpy.typing import NDArray
 
 from structures.errors import NotIdentifiable
 from tactile import GelForce, HalfSpace, Layer, Press, metrics
+from tactile.sensors.observation import Markers
+from tactile.sensors.settings import Extent
 
 E, NU, NOISE = 0.147e6, 0.49, 5e-6
 COUNT, PITCH = 11, 2e-3
@@ -55,10 +57,12 @@ def grid(count: int = COUNT, pitch: float = PITCH) -> Array:
     return np.stack(np.meshgrid(x, x), axis=-1).reshape(-1, 2)
 
 
-def sensor(ground: Any, places: Array, depths: Sequence[float], *, axes: str = "XYZ", **settings: Any) -> GelForce:
+def sensor(
+    ground: Any, places: Array, depths: Sequence[float], *, noise: float, axes: str = "XYZ", **settings: Any
+) -> GelForce:
     """A sensor with markers under its forces, at two depths."""
     under = np.concatenate([np.column_stack([places, np.full(len(places), ground.top - d)]) for d in depths])
-    return GelForce(ground, places, under, axes=axes, **settings)
+    return GelForce(ground, places, Markers(under, noise, axes), **settings)
 
 
 # -- what depth costs -----------------------------------------------------------------------------------------------
@@ -166,8 +170,8 @@ def bonded(ratio: float, side: int = SIDE, seed: int = 0) -> tuple[Reading, Read
     near = np.hypot(*(places - PRESS.at).T) < 1.5 * PRESS.radius
     found = []
     for name, ground in (("half-space", layer.half_space), ("layer", layer)):
-        settings: dict[str, Any] = {"thickness": layer.h, "contact_radius": PRESS.radius}
-        one = sensor(ground, places, DEEP, noise=QUIET, allow=("E602",), **settings)
+        extent = Extent(layer.h, PRESS.radius)
+        one = sensor(ground, places, DEEP, noise=QUIET, allow=("E602",), extent=extent)
         at = one.markers.points + np.array([0.0, 0.0, layer.h - ground.top])
         u = PRESS.displacement(layer, at)
         estimate = one.estimate(u + QUIET * np.random.default_rng(seed).standard_normal(u.shape))
@@ -182,11 +186,9 @@ def bonded(ratio: float, side: int = SIDE, seed: int = 0) -> tuple[Reading, Read
 
 def refused(ratio: float, size: float | None = None) -> str:
     """What the sensor on a half-space says of a contact of that radius over thickness, in a pad of that size."""
-    settings: dict[str, Any] = {"noise": NOISE, "contact_radius": 1e-3, "thickness": 1e-3 / ratio}
-    if size is not None:
-        settings["size"] = (size, size)
+    extent = Extent(1e-3 / ratio, 1e-3, None if size is None else (size, size))
     try:
-        one = sensor(HalfSpace(E=E, nu=GEL), grid(5), DEPTHS[0], **settings)
+        one = sensor(HalfSpace(E=E, nu=GEL), grid(5), DEPTHS[0], noise=NOISE, extent=extent)
     except NotIdentifiable as caught:
         return f"refused, {caught}"
     found = list(one.model.flags)

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from loadid.validate import Validation, Wrench, validate
 from tactile import DepthMap, ForceMap, GelSlim, Layer, Press, Sphere, metrics
+from tactile.sensors.observation import Markers
 
 from .pads import NU, PITCH, SIZE, THICKNESS, E, Rule, off, pad, patch, rules
 
@@ -67,7 +68,7 @@ def single_layer() -> Exact:
     f = patch(gel)
     u = gel.displacements(f)
     s = np.linalg.svd(gel.compliance, compute_uv=False)
-    force = GelSlim(gel, gel.nodes2d, noise=NOISE, axes="XYZ", interpolation="linear").estimate(u)
+    force = GelSlim(gel, Markers(gel.nodes2d, NOISE, "XYZ"), interpolation="linear").estimate(u)
     size, r = np.linalg.norm(u, axis=1), np.linalg.norm(gel.nodes2d, axis=1)
     return Exact(
         float(1e3 * np.abs(u[:, 2]).max()), float(1e3 * s[0]), float(1e3 * s[-1]),
@@ -96,7 +97,7 @@ class Trap:
 def trap(layers: Sequence[int] = (2, 4, 6)) -> list[Trap]:
     """F = K U of one layer on the motion of several; held against the resultant alone, as a force sensor would."""
     one, rows = pad(), []
-    sensor = GelSlim(one, one.nodes2d, noise=NOISE, axes="XYZ", interpolation="linear")
+    sensor = GelSlim(one, Markers(one.nodes2d, NOISE, "XYZ"), interpolation="linear")
     for n in layers:
         several = pad(n)
         f = patch(several)
@@ -205,7 +206,7 @@ def push_and_slide(push: int = 10, slide: int = 14) -> Run:
         cases = metrics.cases(presses, LAYER, places[:1], gel.nodes2d, pitch=PITCH)
         for source in ("sphere", "depth map"):
             measured = source == "depth map"
-            sensor = GelSlim(gel, places, noise=NOISE, depth=depths[0] if measured else None)
+            sensor = GelSlim(gel, Markers(places, NOISE), depth=depths[0] if measured else None)
             maps = [
                 sensor.estimate(u, depth) if measured else sensor.estimate(u, indenter=ball)
                 for u, (_, ball, _), depth in zip(motion, frames, depths, strict=True)

@@ -32,6 +32,8 @@ from scipy import sparse
 
 from tactile import GelSlim, MultilayerPad, Pad, Press, metrics
 from tactile.material.identify import Gain, Shape, gain, poisson
+from tactile.sensors.observation import Markers
+from tactile.sensors.settings import ContactLaw
 
 from .pads import NU, PITCH, SIZE, THICKNESS, E, Rule, off, pad, patch, rules
 
@@ -139,7 +141,7 @@ def noisy_patch(
     """The Hertz patch under noise: one standard layer, and four B-bar layers with the ridge of `MultilayerPad`."""
     found = {}
     for name, gel in (("1 layer", square(1, "standard", side=side)), ("4 layers", square(4, "bbar", side=side))):
-        sensor = MultilayerPad(gel, gel.nodes2d, noise=noise[0], axes="XYZ")
+        sensor = MultilayerPad(gel, Markers(gel.nodes2d, noise[0], "XYZ"))
         mass = sparse.csr_array(sparse.kron(gel.surface.mass, sparse.eye_array(3)))
         motion, f = truth(gel)
         found[name] = rules(sensor.model.H, motion.ravel(), f.ravel(), noise, draws, forces=mass)
@@ -177,7 +179,7 @@ def calibrated(where: float | None = WITHIN, **fine: Any) -> tuple[Gain, Shape]:
     def build(nu: float) -> MultilayerPad:
         gel = guessed(nu)
         support = None if where is None else np.linalg.norm(gel.nodes2d, axis=1) < where
-        return MultilayerPad(gel, places, noise=CALM, axes="XYZ", choice=0.003, support=support)
+        return MultilayerPad(gel, Markers(places, CALM, "XYZ"), choice=0.003, contact=ContactLaw(support=support))
 
     there = build(TRUE_NU)
     estimated = [there.estimate(u).resultant().value for u in motion]
@@ -211,13 +213,13 @@ def benchmark(
     cases = metrics.cases(BENCH, several.layer, nodes, nodes, pitch=PITCH)
     first = cases[0].displacements
     first = first + frozen * np.random.default_rng(99).standard_normal(first.shape)
-    settings: dict[str, Any] = {"noise": frozen, "axes": "XYZ"}
+    markers = Markers(nodes, frozen, "XYZ")
     sensors = {
-        "GelSlim, 1 layer": GelSlim(single, nodes, interpolation="linear", **settings),
-        "GelSlim, 4 layers": GelSlim(several, nodes, interpolation="linear", **settings),
+        "GelSlim, 1 layer": GelSlim(single, markers, interpolation="linear"),
+        "GelSlim, 4 layers": GelSlim(several, markers, interpolation="linear"),
     }
     for rule in chosen:
-        sensors[f"MultilayerPad, {rule}"] = ridge = MultilayerPad(several, nodes, choice=rule, **settings)
+        sensors[f"MultilayerPad, {rule}"] = ridge = MultilayerPad(several, markers, choice=rule)
         ridge.calibrate([first])
     called = {name: lambda u, s=s: s.estimate(u).forces() for name, s in sensors.items()}
     return metrics.benchmark(called, cases, areas=areas, points=nodes, noise=noise, draws=draws)

@@ -16,12 +16,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile import GelSlim, MultilayerPad, Pad, Press, metrics
+from tactile import GelSlim, Markers, MultilayerPad, Pad, Press, metrics
 
 E, NU, SIZE, THICKNESS, PITCH = 147e3, 0.45, (20e-3, 16e-3), 3e-3, 1e-3
 PRESS = Press(radius=3.6e-3, force=1.0, shear=(0.15, 0.0))
@@ -115,9 +114,10 @@ def proportional(motion: Array, normal: float) -> Array:
 def models(noise: float, seen: Array) -> dict[str, Callable[[Array], Array]]:
     """Nodal forces from motion; lambda of the multilayer pad is frozen on what was `seen`."""
     thick, thin = pad(), pad(1, "standard")
-    settings: dict[str, Any] = {"noise": noise, "axes": "XYZ"}
-    single, several = (GelSlim(gel, gel.nodes2d, interpolation="linear", **settings) for gel in (thin, thick))
-    regularised = MultilayerPad(thick, thick.nodes2d, choice="upre", **settings)  # discrepancy takes 8 % more of Fz
+    single, several = (
+        GelSlim(gel, Markers(gel.nodes2d, noise, "XYZ"), interpolation="linear") for gel in (thin, thick)
+    )
+    regularised = MultilayerPad(thick, several.markers, choice="upre")  # discrepancy takes 8 % more of Fz
     regularised.calibrate([seen])
     return {
         "GelSlim, 1 layer": lambda u: single.estimate(u).forces(),

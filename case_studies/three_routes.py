@@ -43,6 +43,8 @@ from numpy.typing import NDArray
 
 from tactile import DepthMap, ForceMap, GelForce, GelSlim, HalfSpace, Layer, MultilayerPad, Pad, Press, metrics
 from tactile.closed import halfspace as closed
+from tactile.sensors.observation import Markers
+from tactile.sensors.settings import ContactLaw
 
 H, E, NU = 3e-3, 0.147e6, 0.3223
 SIDE, SEEN, PITCH, DEPTHS = 28e-3, 20e-3, 1e-3, (0.5e-3, 1e-3)
@@ -122,11 +124,12 @@ def routes(rig: Rig, known: Sequence[Frame]) -> dict[str, Reader]:
         Pad(size=(rig.side, rig.side), thickness=H, E=E, nu=NU, pitch=PITCH, layers=n, element=e)
         for n, e in ((4, "bbar"), (1, "standard"))
     )
-    slim = GelSlim(single, rig.places, noise=MARKER, depth=known[0].depth)
-    settings: dict[str, Any] = {"noise": MARKER, "depth": known[0].depth, "support": rig.inside(pad.nodes2d)}
-    ridge = MultilayerPad(pad, rig.places, **settings)
+    slim = GelSlim(single, Markers(rig.places, MARKER), depth=known[0].depth)
+    settings: dict[str, Any] = {"markers": Markers(rig.places, MARKER), "depth": known[0].depth}
+    inside = rig.inside(pad.nodes2d)
+    ridge = MultilayerPad(pad, **settings, contact=ContactLaw(support=inside))
     lam = ridge.calibrate([f.surface[:, :2] for f in known], [f.depth for f in known]).lam
-    held = MultilayerPad(pad, rig.places, choice=lam, no_pull=True, **settings)
+    held = MultilayerPad(pad, choice=lam, **settings, contact=ContactLaw(no_pull=True, support=inside))
     found = {
         f"GelForce, {name}": _point_forces(rig, known, ground, axes)
         for name, ground, axes in (
@@ -145,7 +148,7 @@ def _point_forces(rig: Rig, known: Sequence[Frame], ground: Layer | HalfSpace, a
     """GelForce on a ground, with lambda by the discrepancy over the known presses."""
     under = rig.body - [0.0, 0.0, H - ground.top]
     noise = np.array([MARKER, MARKER, DEEP])[: len(axes)]
-    sensor = GelForce(ground, rig.places, under, noise=noise, axes=axes, choice="discrepancy")
+    sensor = GelForce(ground, rig.places, Markers(under, noise, axes), choice="discrepancy")
     sensor.calibrate([f.body[:, : len(axes)] for f in known])
     return lambda f: sensor.estimate(f.body[:, : len(axes)])
 

@@ -12,8 +12,10 @@ import logging
 from typing import Any
 
 _PUBLIC = {
+    "ContactLaw": "tactile.sensors.settings",
     "Cylinder": "tactile.closed.contact",
     "DepthMap": "tactile.sensors.observation",
+    "Extent": "tactile.sensors.settings",
     "Eye": "tactile.vision.eye",
     "ForceMap": "tactile.results.forcemap",
     "GelForce": "tactile.sensors.gelforce",
@@ -25,6 +27,7 @@ _PUBLIC = {
     "Layer": "tactile.closed.layer",
     "LayerGrid": "tactile.closed.gridded",
     "MarkerTracker": "tactile.vision.tracker",
+    "Markers": "tactile.sensors.observation",
     "Mindlin": "tactile.closed.contact",
     "MultilayerPad": "tactile.sensors.multilayer",
     "Pad": "tactile.pad.pad",

@@ -138,7 +138,9 @@ REFUSING: dict[str, tuple[Callable[[Any], Any], Any]] = {
     "image": (grey, np.arange(4096).reshape(64, 64) % 251),
     "markers": (lambda x: Markers(x, 1e-6), MARKERS[:, :2]),
     "wrench": (Wrench, [0.0, 0.0, -1.0]),
-    "GelForce": (lambda x: tactile.GelForce(tactile.HalfSpace(1e5, 0.45), FORCES, x, noise=1e-6), MARKERS),
+    "GelForce": (
+        lambda x: tactile.GelForce(tactile.HalfSpace(1e5, 0.45), FORCES, Markers(x, 1e-6, "XYZ")), MARKERS
+    ),
 }  # fmt: skip
 
 
@@ -203,7 +205,7 @@ def test_what_is_masked_in_a_tactile_reading_is_lost():
     motions = read_motions(hidden(places, at=14))
     assert np.isnan(motions.places[1, 2]).all()
     assert np.isfinite(motions.places).sum() == places.size - 2
-    sensor = tactile.GelForce(tactile.HalfSpace(1e5, 0.45), FORCES, MARKERS, noise=1e-6, choice=0.1)
+    sensor = tactile.GelForce(tactile.HalfSpace(1e5, 0.45), FORCES, tactile.Markers(MARKERS, 1e-6, "XYZ"), choice=0.1)
     moved = 1e-5 * rng.standard_normal((len(MARKERS), 3))
     lost = moved.copy()
     lost[0, 1] = np.nan

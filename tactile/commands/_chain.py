@@ -21,8 +21,11 @@ from structures.flags import Flag
 
 from ..pad import padfile
 from ..pad.pad import Pad
+from ..sensors.gelslim import GelSlim
+from ..sensors.multilayer import MultilayerPad
 from ..sensors.posing import RULES, chosen
-from ._sources import DepthMaps, Seen, depth_maps, look
+from ..sensors.settings import ContactLaw
+from ._sources import DepthMaps, MarkerSource, depth_maps, look
 
 if TYPE_CHECKING:
     from ..results.forcemap import ForceMap
@@ -44,7 +47,7 @@ class Reconstruction:
     map : ForceMap
         (frames, 3 P).
     pad : Pad
-    seen : Seen
+    seen : MarkerSource
         Markers, their noise, and which frames are the rest.
     lost : list of int
         Markers lost in each frame.
@@ -58,7 +61,7 @@ class Reconstruction:
 
     map: ForceMap
     pad: Pad
-    seen: Seen
+    seen: MarkerSource
     lost: list[int]
     lam: str
     normal: str
@@ -151,26 +154,21 @@ class _Tracked:
 
 
 def _sensor(
-    name: str, pad: Pad, seen: Seen, maps: DepthMaps | None, contact: dict[str, Any], codes: tuple[str, ...]
+    name: str, pad: Pad, seen: MarkerSource, maps: DepthMaps | None, contact: dict[str, Any], codes: tuple[str, ...]
 ) -> tuple[Any, float | None]:
     """The sensor, and lambda where it is stated as a number."""
     from loadid.codes import GUARDS
 
     given: dict[str, Any] = {
-        "markers": seen.markers, "noise": seen.noise, "axes": seen.axes, "slope": seen.slope,
-        "no_pull": contact.get("no_pull", False), "friction": contact.get("friction"),
+        "markers": seen.markers, "contact": ContactLaw(contact.get("no_pull", False), contact.get("friction")),
         "depth": None if maps is None else maps[0], "allow": [c for c in codes if c in GUARDS],
     }  # fmt: skip
     if name == "gelslim":
-        from ..sensors.gelslim import GelSlim
-
         ignored = [key for key in ("lam", "penalty") if key in contact]
         if ignored:
             raise InputError("F = K U has no lambda and no penalty", where="--sensor gelslim", found=", ".join(ignored),
                              expected="neither", hint="leave them out, or take --sensor multilayer")  # fmt: skip
         return GelSlim(pad, **given), None
-    from ..sensors.multilayer import MultilayerPad
-
     choice = contact.get("lam")
     fixed = None if choice is None or isinstance(choice, str) else float(choice)
     built = MultilayerPad(
@@ -180,7 +178,7 @@ def _sensor(
 
 
 def _tracked(
-    seen: Seen, maps: DepthMaps | None, wanted: tuple[int, int] | None, tell: Callable[[float, str], None]
+    seen: MarkerSource, maps: DepthMaps | None, wanted: tuple[int, int] | None, tell: Callable[[float, str], None]
 ) -> _Tracked:
     """Motion of all frames that are asked for."""
     first, last = wanted or (1, seen.count or 10**9)
@@ -250,7 +248,7 @@ def _strongest(built: Any, tracked: _Tracked, maps: DepthMaps | None) -> tuple[A
 
 
 def _inverted(
-    built: Any, pad: Pad, seen: Seen, tracked: _Tracked, maps: DepthMaps | None, words: str, rate: float | None,
+    built: Any, pad: Pad, seen: MarkerSource, tracked: _Tracked, maps: DepthMaps | None, words: str, rate: float | None,
     tell: Callable[[float, str], None],
 ) -> Reconstruction:  # fmt: skip
     """Maps of all frames as one result."""

@@ -15,6 +15,7 @@ from loadid.inverse.noise_source import NoiseSource
 from structures.errors import InputError
 
 from ..pad.padfile import DepthKind, SensorFile
+from ..sensors.observation import Markers
 
 if TYPE_CHECKING:
     from structures.flags import Flag
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from ..sensors.observation import DepthMap
     from ..vision.eye import Eye
     from ..vision.frames import Frames
-    from ..vision.motion import Motion, Motions
+    from ..vision.motion import MarkerMotion, MarkerMotions
 
 
 Array = NDArray[np.float64]
@@ -59,7 +60,7 @@ def images(path: Path) -> Frames:
     return frames(path)
 
 
-def motions(path: Path) -> Motions:
+def motions(path: Path) -> MarkerMotions:
     """Marker motions of a file."""
     from ..vision.motion import read_motions
 
@@ -185,7 +186,7 @@ MOVED = 5.0  # stds of a mean motion that unloaded frames may show
 
 
 @dataclass(frozen=True)
-class Seen:
+class MarkerSource:
     """Marker motion, frame by frame, and what is known of it.
 
     Parameters
@@ -194,12 +195,7 @@ class Seen:
         Of what `read` takes.
     read : callable
         ``read(frame, depth) -> (motion (N, 2 or 3) in m, flags)``.
-    markers, noise : array
-        Places at rest (m) and std of their motion (m).
-    axes : str
-    slope : array or None
-        As `tactile.sensors.observation.Markers`.
-    eye : Eye or None
+    markers : Markers
     reference, noise_size : str
         Which frames are the rest; the noise in px and um, where there is an image.
     noise_source : NoiseSource
@@ -212,11 +208,7 @@ class Seen:
 
     frames: Iterator[Any]
     read: Callable[[Any, DepthMap | None], tuple[Array, list[Flag | None]]]
-    markers: Array
-    noise: Any
-    axes: str
-    slope: Array | None
-    eye: Eye | None
+    markers: Markers
     reference: str
     noise_size: str
     noise_source: NoiseSource
@@ -231,7 +223,7 @@ class Seen:
         return ", ".join(part for part in (self.noise_size, self.noise_source.text) if part)
 
 
-def look(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, allow: tuple[str, ...]) -> Seen:
+def look(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, allow: tuple[str, ...]) -> MarkerSource:
     """Motion of the markers of an input.
 
     Parameters
@@ -256,7 +248,7 @@ def look(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, all
 
 
 # -- images -----------------------------------------------------------------------------------------------------------
-def _images(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, allow: tuple[str, ...]) -> Seen:
+def _images(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, allow: tuple[str, ...]) -> MarkerSource:
     coming = images(source)
     chosen, rest = _unloaded(coming, source.name, settings, unloaded, images)
     eye = _eye(settings, pad, chosen.frames[0], chosen.frames, allow)
@@ -299,7 +291,7 @@ def _moved(eye: Eye, frames: list[Any]) -> list[str]:
 
 
 # -- places that somebody else tracked --------------------------------------------------------------------------------
-class Followed:
+class PlaceTracker:
     """A tracker whose markers come told apart: takes their places (N, 2) in px, NaN where one is lost.
 
     Parameters
@@ -312,22 +304,22 @@ class Followed:
         self.points = points
         self._frame = 0
 
-    def step(self, places: Array) -> Motion:
+    def step(self, places: Array) -> MarkerMotion:
         """Motion of the markers in a frame."""
         from ..guards import vanished
-        from ..vision.motion import Motion
+        from ..vision.motion import MarkerMotion
 
         self._frame += 1
         moved = places - self.points
         lost = np.asarray(np.isnan(moved).any(axis=1))
         gone = vanished(len(lost), int(lost.sum()), 0, 0)
         flags = () if gone is None else (gone,)
-        return Motion(self.points, moved, lost, np.zeros_like(lost), 0, self._frame, flags)
+        return MarkerMotion(self.points, moved, lost, np.zeros_like(lost), 0, self._frame, flags)
 
 
 def _pixels(
-    source: Path, found: Motions, settings: SensorFile, pad: Pad, unloaded: str | None, allow: tuple[str, ...]
-) -> Seen:
+    source: Path, found: MarkerMotions, settings: SensorFile, pad: Pad, unloaded: str | None, allow: tuple[str, ...]
+) -> MarkerSource:
     """Places in px through a view."""
     if found.heights is not None:
         raise InputError("marker motion in px has two coordinates", where=str(source), found="three",
@@ -336,11 +328,11 @@ def _pixels(
     places = found.places[:, kept]
     chosen, rest = _unloaded(iter(places), source.name, settings, unloaded, lambda p: iter(motions(p).places[:, kept]))
     eye = _eye(settings, pad, found.points[kept], chosen.frames, allow)
-    eye.tracker = Followed(eye.tracker.points)  # type: ignore[assignment]  # it asks for points and step only
+    eye.tracker = PlaceTracker(eye.tracker.points)  # type: ignore[assignment]  # it asks for points and step only
     return _seen(eye, rest, eye.read, settings, chosen, len(places), found.flags, list(found.notes))
 
 
-def _metres(source: Path, found: Motions, settings: SensorFile, unloaded: str | None) -> Seen:
+def _metres(source: Path, found: MarkerMotions, settings: SensorFile, unloaded: str | None) -> MarkerSource:
     """Places in a length, in two or three coordinates: no camera."""
     factor = float(settings.unit)
     kept = np.isfinite(found.points).all(axis=1)
@@ -353,8 +345,10 @@ def _metres(source: Path, found: Motions, settings: SensorFile, unloaded: str | 
     def read(frame: Array, depth: DepthMap | None) -> tuple[Array, list[Flag | None]]:
         return frame - zero, []
 
-    return Seen(rest, read, zero[:, :2], noise, "XY" if found.heights is None else "XYZ", None, None, chosen.words,
-                "", origin, chosen.inside, len(places), found.flags, list(found.notes))  # fmt: skip
+    markers = Markers(zero[:, :2], noise, "XY" if found.heights is None else "XYZ")
+    return MarkerSource(
+        rest, read, markers, chosen.words, "", origin, chosen.inside, len(places), found.flags, list(found.notes)
+    )
 
 
 def _no_other(path: Path) -> Iterator[Any]:
@@ -386,13 +380,13 @@ def _measured(count: int) -> NoiseSource:
 def _seen(
     eye: Eye, frames: Iterator[Any], read: Any, settings: SensorFile, chosen: Unloaded, count: int | None,
     flags: tuple[Flag, ...], notes: list[str],
-) -> Seen:  # fmt: skip
+) -> MarkerSource:  # fmt: skip
     px = " x ".join(f"{s:.3g}" for s in eye.noise_px)
     um = " x ".join(f"{1e6 * s:.3g}" for s in np.median(eye.noise, axis=0))
     source = AS_STATED if settings.noise is not None else _measured(len(chosen.frames))
     size = f"{px} px = {um} um"
-    return Seen(frames, read, eye.markers, eye.noise, "XY", eye.slope, eye, chosen.words, size, source, chosen.inside,
-                count, flags, notes)  # fmt: skip
+    markers = Markers(eye.markers, eye.noise, slope=eye.slope)
+    return MarkerSource(frames, read, markers, chosen.words, size, source, chosen.inside, count, flags, notes)
 
 
 def _unloaded(

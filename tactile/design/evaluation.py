@@ -14,7 +14,7 @@ from structures.flags import Flag
 
 from ..closed.presses import Press
 from ..guards import LINEAR, modulus
-from .modes import Skin, Spectrum, effective_markers, modes, resolution, spectrum
+from .modes import Skin, SkinSpectrum, effective_markers, modes, resolution, spectrum
 from .resolution import cutoff, largest_strain
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class SkinDesign:
         The same without a prior; None where a wave is not seen.
     strain_load : float
         Force of the reference press at 10 % of principal strain (N): beyond it linear elasticity ends.
-    spectrum : Spectrum
+    spectrum : SkinSpectrum
         What is known of waves of growing wave number.
     flags : tuple of Flag
         W111.
@@ -76,7 +76,7 @@ class SkinDesign:
     pressure_raw: float | None
     shear_raw: float | None
     strain_load: float
-    spectrum: Spectrum
+    spectrum: SkinSpectrum
     flags: tuple[Flag, ...] = ()
 
     @property

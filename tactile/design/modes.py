@@ -152,7 +152,7 @@ TINY = 1e-13  # share of the largest singular value below which a wave is not se
 
 
 @dataclass(frozen=True, eq=False)
-class Modes:
+class SkinModes:
     """All waves that a grid of patches can hold.
 
     Parameters
@@ -195,7 +195,7 @@ class Modes:
         return float(seen.max() / seen.min())
 
 
-def modes(skin: Skin) -> Modes:
+def modes(skin: Skin) -> SkinModes:
     """Waves of a periodic pad whose tractions are constant on patches; each is a 3 x 3 problem of its own.
 
     Notes
@@ -219,7 +219,7 @@ def modes(skin: Skin) -> Modes:
     raw = None
     if (s > TINY * s.max()).all():
         raw = skin.load * np.sqrt(np.mean(np.einsum("nsc,ns->nc", shares, 1 / s**2), axis=0))
-    return Modes(np.hypot(kx, ky), s, posterior, raw)
+    return SkinModes(np.hypot(kx, ky), s, posterior, raw)
 
 
 def _read(skin: Skin, kx: Array, ky: Array) -> NDArray[np.complex128]:
@@ -258,7 +258,7 @@ def _over_noise(skin: Skin, G: NDArray[np.complex128], kx: Array, ky: Array) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
+class SkinSpectrum:
     """What is learnt of waves of growing wave number, along one direction.
 
     Parameters
@@ -277,17 +277,17 @@ class Spectrum:
     singular: Array
 
 
-def spectrum(skin: Skin, points: int = 400) -> Spectrum:
+def spectrum(skin: Skin, points: int = 400) -> SkinSpectrum:
     """Waves from the pad's length down to a fiftieth of its thickness, without the limits of markers and patches."""
     k = np.geomspace(np.pi / max(skin.size), 100 * np.pi / min(skin.h, skin.patch), points)
     A = _over_noise(skin, skin.layer.interior(k, 0 * k, skin.height), k, 0 * k)
     _, s, V = np.linalg.svd(A)
     s = np.concatenate([s, np.zeros((len(s), 3 - s.shape[1]))], axis=1)
     known = np.einsum("nsc,ns->nc", np.abs(V) ** 2, s**2 / (1 + s**2))
-    return Spectrum(k, known[:, 2], np.minimum(known[:, 0], known[:, 1]), s)
+    return SkinSpectrum(k, known[:, 2], np.minimum(known[:, 0], known[:, 1]), s)
 
 
-def resolution(found: Spectrum, known: Array) -> float | None:
+def resolution(found: SkinSpectrum, known: Array) -> float | None:
     """Half the shortest wave of which half the variance is known (m); None where there is no such wave."""
     above = np.flatnonzero(known >= 0.5)
     if not len(above):

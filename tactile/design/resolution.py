@@ -19,7 +19,7 @@ NAMES = {"zz": "pressure", "kk": "shear along the wave", "tt": "shear across the
 
 
 @dataclass(frozen=True)
-class Peak:
+class CompliancePeak:
     """The wave that moves the surface most.
 
     Parameters
@@ -37,7 +37,7 @@ class Peak:
     uniform: float
 
 
-def peak(layer: Layer, component: str = "zz") -> Peak:
+def peak(layer: Layer, component: str = "zz") -> CompliancePeak:
     """The strongest wave of a layer.
 
     Parameters
@@ -60,7 +60,7 @@ def peak(layer: Layer, component: str = "zz") -> Peak:
     still = float(_one(layer, component, np.zeros(1))[0])
     i = int(values.argmax())
     if i == 0 or values[i] <= still * (1 + 1e-12):
-        return Peak(still, np.inf, 1.0)
+        return CompliancePeak(still, np.inf, 1.0)
     best = minimize_scalar(
         lambda s: -_one(layer, component, np.array([s / h]))[0] / values[i],
         bounds=(x[i - 1], x[i + 1]),
@@ -68,7 +68,7 @@ def peak(layer: Layer, component: str = "zz") -> Peak:
         options={"xatol": 1e-10},
     ).x
     top = float(_one(layer, component, np.array([best / h]))[0])
-    return Peak(top, float(2 * np.pi * h / best), still / top)
+    return CompliancePeak(top, float(2 * np.pi * h / best), still / top)
 
 
 def cutoff(layer: Layer, component: str = "zz", share: float = 0.1) -> float:

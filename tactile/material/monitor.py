@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, positive, reals
 from structures.flags import Flag
 
+from .. import guards
 from ..closed.layer import Layer
 from ..closed.presses import Press
-from ..results import guards
 
 Array = NDArray[np.float64]
 FEWEST = 6

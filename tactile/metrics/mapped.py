@@ -17,6 +17,7 @@ from loadid.guards.measurement import resultant_only
 from structures.errors import InputError, number
 from structures.flags import Flag
 
+from ..guards import no_map
 from . import measures
 from .measures import Array, finite, pair, places, weights
 
@@ -289,14 +290,14 @@ def compare(
 
 
 def compare_resultants(found: Any, truth: Any, *, loads: int = 10**9) -> MapMetrics:
-    """Hold the resultant of a map against a force sensor: level "resultant", which validates no map (N701).
+    """Hold the resultant of a map against a force sensor: level "resultant", which validates no map (N701, N610).
 
     Parameters
     ----------
     found, truth : array (R,)
         Fx, Fy, Fz (N), and Mx, My, Mz (N m).
     loads : int
-        Unknowns of the map.
+        Unknowns of the map; 0 of a method that gives resultants and no map (N610).
 
     Raises
     ------
@@ -307,7 +308,7 @@ def compare_resultants(found: Any, truth: Any, *, loads: int = 10**9) -> MapMetr
     if a.shape != b.shape or a.ndim != 1 or not 1 <= len(a) <= len(LABELS):
         raise InputError("resultants do not fit", where="metrics.compare_resultants", found=f"{a.shape} and {b.shape}",
                          expected="both (6,), or fewer", hint="Fx, Fy, Fz, Mx, My, Mz")  # fmt: skip
-    flag = resultant_only({"resultant"}, len(a), loads)
+    flag = resultant_only({"resultant"}, len(a), loads) if loads else no_map(len(a))
     return MapMetrics("resultant", resultant=tuple(a.tolist()), reference=tuple(b.tolist()),
                       flags=() if flag is None else (flag,))  # fmt: skip
 

@@ -24,7 +24,7 @@ HALVINGS = 20  # rounds in which nodes that flatten a corner go back by half
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
+class PadOutline:
     """The region that a pad covers, seen from above, in the frame of the pad.
 
     Parameters
@@ -84,7 +84,7 @@ class Outline:
         return self.cells
 
 
-def polygon(corners: ArrayLike, *, fitted: bool = True) -> Outline:
+def polygon(corners: ArrayLike, *, fitted: bool = True) -> PadOutline:
     """Outline by a simple polygon: a pad that was built larger and cropped.
 
     Parameters
@@ -92,7 +92,7 @@ def polygon(corners: ArrayLike, *, fitted: bool = True) -> Outline:
     corners : array (n, 2)
         In cyclic order (m), the origin at the centre of the rectangle.
     fitted : bool
-        As in `Outline`.
+        As in `PadOutline`.
 
     Raises
     ------
@@ -107,10 +107,10 @@ def polygon(corners: ArrayLike, *, fitted: bool = True) -> Outline:
             found=f"shape {found.shape}",
             expected="3 and more finite (x, y) in m",
         )
-    return Outline(corners=found, fitted=fitted)
+    return PadOutline(corners=found, fitted=fitted)
 
 
-def rounded(radius: float, *, fitted: bool = True) -> Outline:
+def rounded(radius: float, *, fitted: bool = True) -> PadOutline:
     """Rounded corners of the rectangle, `radius` in m.
 
     Raises
@@ -118,10 +118,10 @@ def rounded(radius: float, *, fitted: bool = True) -> Outline:
     InputError
         If the radius is not positive; in `Pad`, if it is more than half a side.
     """
-    return Outline(radius=positive("the radius", radius, where="outline.rounded", unit="m"), fitted=fitted)
+    return PadOutline(radius=positive("the radius", radius, where="outline.rounded", unit="m"), fitted=fitted)
 
 
-def mask(cells: Any) -> Outline:
+def mask(cells: Any) -> PadOutline:
     """Outline by cells: ``cells[j, i]`` says whether cell i along x, j along y stays.
 
     Raises
@@ -137,7 +137,7 @@ def mask(cells: Any) -> Outline:
             found=f"{found.dtype} {found.shape}",
             expected="truth values (ny, nx)",
         )
-    return Outline(cells=found.copy())
+    return PadOutline(cells=found.copy())
 
 
 def inside(corners: Array, points: Array) -> NDArray[np.bool_]:
@@ -337,7 +337,7 @@ def rectangle(
     nz = integer("layers", layers, where="Pad, layers", limit=CELLS)
     dimensions = {"size": size, "thickness": thickness, "elements": (nx, ny), "pitch": None, "layers": nz}
     if outline is not None:
-        if not isinstance(outline, Outline):
+        if not isinstance(outline, PadOutline):
             raise InputError(
                 "no outline",
                 where="Pad, outline",

@@ -28,7 +28,7 @@ from .body import Body, rectangle, sides
 from .mesh import placed, rebuilt
 from .padfile import SensorFile, read
 from .stiffness import Loaded
-from .table import Table
+from .table import TomlTable
 
 if TYPE_CHECKING:
     from structures.bases import Basis
@@ -214,7 +214,7 @@ class Pad(Loaded):
         """
         settings = dict(given.body)
         allowed = [*settings.pop("allow", ()), *allow]
-        with Table(given.path, "pad", {}).named():
+        with TomlTable(given.path, "pad", {}).named():
             if "mesh" in settings:
                 return cls.from_mesh(settings.pop("mesh"), allow=allowed, **settings)
             return cls(allow=allowed, **settings)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from structures.errors import InputError, plain
 
 from ..guards import counts
-from .table import Table
+from .table import TomlTable
 
 if TYPE_CHECKING:
     from ..sensors.observation import DepthMap
@@ -149,16 +149,16 @@ def read(path: str | os.PathLike) -> SensorFile:
     """
     place = Path(os.fspath(path))
     tables = _tables(place)
-    markers = Table(place, "markers", tables.get("markers", {}))
+    markers = TomlTable(place, "markers", tables.get("markers", {}))
     found = SensorFile(
         path=place,
-        body=_body(Table(place, "pad", tables["pad"])),
-        view=_view(Table(place, "camera", tables["camera"])) if "camera" in tables else None,
+        body=_body(TomlTable(place, "pad", tables["pad"])),
+        view=_view(TomlTable(place, "camera", tables["camera"])) if "camera" in tables else None,
         noise=markers.noise("noise"),
         unit=markers.unit("unit", default="px"),
         tracking=_tracking(markers),
-        depth=_depth(Table(place, "depth", tables["depth"])) if "depth" in tables else None,
-        contact=_contact(Table(place, "contact", tables.get("contact", {}))),
+        depth=_depth(TomlTable(place, "depth", tables["depth"])) if "depth" in tables else None,
+        contact=_contact(TomlTable(place, "contact", tables.get("contact", {}))),
     )
     markers.end()
     return found
@@ -173,7 +173,7 @@ def _tables(place: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError("the pad file cannot be read", where=str(place), found=str(error)[:200], expected="TOML",
                          hint='texts stand in quotes: thickness = "3 mm"') from None  # fmt: skip
-    top = Table(place, "", tables)
+    top = TomlTable(place, "", tables)
     for name in TABLES:
         top.table(name)
     top.end()
@@ -183,7 +183,7 @@ def _tables(place: Path) -> dict[str, Any]:
     return tables
 
 
-def _body(t: Table) -> dict[str, Any]:
+def _body(t: TomlTable) -> dict[str, Any]:
     """Settings of the pad; those that the file leaves out are left out."""
     t.bare_numbers(t.word("length_unit", ("m", "cm", "mm", "um"), None), t.word("E_unit", ("Pa", "kPa", "MPa"), None))
     found: dict[str, Any] = {"E": t.positive("E", "pressure"), "nu": t.number("nu")}
@@ -208,7 +208,7 @@ def _body(t: Table) -> dict[str, Any]:
     return {name: value for name, value in found.items() if value is not None}
 
 
-def _counted(t: Table, layers: int) -> None:
+def _counted(t: TomlTable, layers: int) -> None:
     """Counts of a mesh that somebody published: held against Euler's formula, never built from."""
     cells, nodes = t.count("cells", None), t.count("nodes", None)
     if cells is None and nodes is None:
@@ -218,7 +218,7 @@ def _counted(t: Table, layers: int) -> None:
     counts(cells, nodes, layers=layers, where=f"{t.file}: [pad]")
 
 
-def _outline(t: Table) -> Any:
+def _outline(t: TomlTable) -> Any:
     from . import body as outline
 
     radius, corners = t.quantity("rounded", "displacement", None), t.places("polygon", "displacement", None)
@@ -229,7 +229,7 @@ def _outline(t: Table) -> Any:
     return None if corners is None else outline.polygon(corners)
 
 
-def _view(t: Table) -> View:
+def _view(t: TomlTable) -> View:
     """The camera: a lens, a matrix, or points and their pixels."""
     from ..vision.eye import View
 
@@ -255,14 +255,14 @@ def _view(t: Table) -> View:
     return view
 
 
-def _rays(t: Table) -> dict[str, Any]:
+def _rays(t: TomlTable) -> dict[str, Any]:
     """Directions of the rays beside a homography, as far as the file states them."""
     found = {name: t.quantity(name, "angle", None) for name in ("alpha", "azimuth")}
     found |= {"gamma": t.number("gamma", None), "window": _lens(t)}
     return {name: value for name, value in found.items() if value is not None}
 
 
-def _lens(t: Table) -> Any:
+def _lens(t: TomlTable) -> Any:
     from ..vision.rays import Window
 
     lens = t.table("lens")
@@ -279,7 +279,7 @@ def _lens(t: Table) -> Any:
     return found
 
 
-def _tracking(t: Table) -> dict[str, Any]:
+def _tracking(t: TomlTable) -> dict[str, Any]:
     found = {
         "radius": t.pixels("radius", None),
         "pitch": t.pixels("pitch", None),
@@ -292,7 +292,7 @@ def _tracking(t: Table) -> dict[str, Any]:
     return {name: value for name, value in found.items() if value is not None}
 
 
-def _lam(t: Table) -> float | str | None:
+def _lam(t: TomlTable) -> float | str | None:
     """A relative lambda, or the rule that chooses it."""
     if not isinstance(t.values.get("lam"), str):
         found: float | None = t.number("lam", None)
@@ -303,7 +303,7 @@ def _lam(t: Table) -> float | str | None:
     return rule
 
 
-def _depth(t: Table) -> DepthKind:
+def _depth(t: TomlTable) -> DepthKind:
     sign = {"negative": 1.0, "positive": -1.0}[t.word("pressed", ("negative", "positive"), "negative")]
     found = DepthKind(
         pixel=t.positive("pixel", "displacement"),
@@ -316,7 +316,7 @@ def _depth(t: Table) -> DepthKind:
     return found
 
 
-def _contact(t: Table) -> dict[str, Any]:
+def _contact(t: TomlTable) -> dict[str, Any]:
     found = {
         "no_pull": t.flag("no_pull", None),
         "friction": t.number("friction", None),

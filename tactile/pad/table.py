@@ -21,7 +21,7 @@ WORDS = {"displacement": "a length", "pressure": "a modulus", "angle": "an angle
 MISSING: Any = object()
 
 
-class Table:
+class TomlTable:
     """The values of one table.
 
     Parameters
@@ -153,10 +153,10 @@ class Table:
         """A file that is named relative to this one."""
         return self.file.parent / name
 
-    def table(self, key: str) -> Table | None:
+    def table(self, key: str) -> TomlTable | None:
         """A table inside; None where there is none."""
         value = self._take(key, None)
-        return None if value is None else Table(self.file, f"{self.name}.{key}" if self.name else key, value)
+        return None if value is None else TomlTable(self.file, f"{self.name}.{key}" if self.name else key, value)
 
     # -- values with units --------------------------------------------------------------------------------------------
     def bare_numbers(self, length: str | None, modulus: str | None) -> None:

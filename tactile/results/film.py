@@ -20,7 +20,7 @@ from structures.files.storage import as_path, replace
 
 from ..vision.detect import Detected
 from ..vision.images import grey
-from ..vision.motion import Motion
+from ..vision.motion import MarkerMotion
 from .pictures import (
     COLOURS,
     KPA,
@@ -50,20 +50,20 @@ ENLARGED = 10.0  # length of the arrows over the motion, where that is small
 
 def overlay(
     image: Any,
-    found: Detected | Motion,
+    found: Detected | MarkerMotion,
     *,
     title: str = "",
     scale: float | None = None,
     axes: Axes | None = None,
     figure: Figure | None = None,
 ) -> Figure:
-    """Image with the dots found in it, numbered where they are few; with a `Motion`, arrows, and lost markers crossed.
+    """Image with the dots found in it, numbered where they are few; of a `MarkerMotion` arrows, and lost ones crossed.
 
     Parameters
     ----------
     image : array, shape (H, W) or (H, W, 3)
         The frame, grey or colour.
-    found : Detected or Motion
+    found : Detected or MarkerMotion
         What was found in it.
     title : str
         Printed above, with the numbers of dots.
@@ -83,7 +83,7 @@ def overlay(
     colour = shown.ndim == 3 and shown.shape[2] >= 3
     axes.imshow(shown[..., :3] if colour else seen, cmap=None if colour else "gray", interpolation="nearest")
     axes.set_axis_off()
-    if isinstance(found, Motion):
+    if isinstance(found, MarkerMotion):
         words = _draw_motion(axes, found, seen.shape[1], scale)
     else:
         words = _draw_dots(axes, found.points, found.radius)
@@ -99,7 +99,7 @@ def _draw_dots(axes: Axes, points: NDArray[np.float64], radius: float) -> str:
     return f"{len(points)} dots"
 
 
-def _draw_motion(axes: Axes, motion: Motion, width: int, scale: float | None) -> str:
+def _draw_motion(axes: Axes, motion: MarkerMotion, width: int, scale: float | None) -> str:
     places, moved = motion.places, motion.moved
     seen = motion.seen
     largest = float(np.hypot(*moved[seen].T).max(initial=0.0))

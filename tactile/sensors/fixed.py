@@ -5,100 +5,20 @@ What the others predict for a reading is known from the inverse alone: its resid
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from loadid.families.static import StaticInversion
-from structures.errors import InputError, plain
+from structures.errors import InputError
 from structures.flags import Flag
 
-from ..results import guards
+from .. import guards
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, prepare
-from .observation import Markers, Wrench
-
-if TYPE_CHECKING:
-    from ..vision.eye import Eye
-    from .observation import DepthMap
-
-
-def is_image(found: NDArray, markers: int) -> bool:
-    """Whether an array is a picture: bytes, three axes, or more columns than a motion has."""
-    if found.dtype == np.uint8 or found.ndim == 3:
-        return True
-    return found.ndim == 2 and found.shape[1] > 3 and len(found) != markers
-
-
-def readings_of(
-    found: ArrayLike, markers: Markers, eye: Eye | None, depth: DepthMap | None
-) -> tuple[NDArray[np.float64], list[Flag | None]]:
-    """Readings (N axes,) of the markers in m, NaN where one is lost, and what the eye found.
-
-    Raises
-    ------
-    InputError
-        An image for a sensor without an eye; displacements that do not fit.
-    """
-    seen: Any = np.asarray(plain(found))
-    flags: list[Flag | None] = []
-    _refuse_turned(seen, len(markers))
-    if is_image(seen, len(markers)):
-        if eye is None:
-            raise InputError(
-                "this sensor has no eye: it cannot read images",
-                where="frame",
-                found=f"an image {seen.shape}",
-                expected="displacements (markers, 2 or 3) in m",
-                hint="build it with eye=tactile.Eye(view, reference)",
-            )
-        seen, flags = eye.read(seen, depth)
-    return markers.readings(seen), flags
-
-
-def paired(frames: Iterable[Any], depths: Iterable[DepthMap]) -> Iterator[tuple[Any, DepthMap]]:
-    """Frames with their depth maps.
-
-    Raises
-    ------
-    InputError
-        When one of them ends before the other.
-    """
-    end = object()
-    for i, (frame, depth) in enumerate(zip_longest(frames, depths, fillvalue=end)):
-        if frame is end or depth is end:
-            raise InputError(
-                "frames and depth maps do not go together", where=f"frame {i}",
-                found=f"no {'frame' if frame is end else 'depth map'} {i}", expected="one depth map for each frame",
-            )  # fmt: skip
-        yield frame, depth  # type: ignore[misc]
-
-
-def _refuse_turned(seen: NDArray, markers: int) -> None:
-    """Many frames at once, and motions with rows and columns swapped, are no images."""
-    if seen.dtype == np.uint8:
-        return
-    if seen.ndim == 3 and seen.shape[1:] in ((markers, 2), (markers, 3)):
-        raise InputError("many frames at once", where="frame", found=f"shape {seen.shape}",
-                         expected=f"({markers}, 2 or 3)", hint="sensor.stream(frames)")  # fmt: skip
-    if seen.ndim == 2 and seen.shape in ((2, markers), (3, markers)) and seen.shape[0] != markers:
-        raise InputError("rows and columns are swapped", where="displacements", found=f"shape {seen.shape}",
-                         expected=f"({markers}, {seen.shape[0]})", hint="motion.T")  # fmt: skip
-
-
-def not_built_for_depth() -> InputError:
-    """A depth map for a sensor that expects none."""
-    return InputError(
-        "this sensor was not built for a depth map",
-        where="depth",
-        found="a depth map",
-        expected="none",
-        hint="build it with depth= a map of the kind that it will see",
-    )
-
+from .observation import Wrench
+from .settings import ContactLaw
 
 Array = NDArray[np.float64]
 MANY = 12  # markers from which one can be told to contradict the others
@@ -159,12 +79,12 @@ class Consistency:
 
         Alone it might explain itself, so it is held against what all others say without both.
         """
-        far = self._missed(before, y, stray)
+        far = self._distance(before, y, stray)
         seen = [int(j) for j in self.near[stray][:TURNS] if np.isfinite(y[j * self.axes])]
-        missed = [self._missed(before, self._left_out(y, j), j) for j in seen]
-        return seen[int(np.argmax(missed))] if missed and max(missed) > ALIKE * far else None
+        away = [self._distance(before, self._left_out(y, j), j) for j in seen]
+        return seen[int(np.argmax(away))] if away and max(away) > ALIKE * far else None
 
-    def _missed(self, before: Array, y: Array, marker: int) -> float:
+    def _distance(self, before: Array, y: Array, marker: int) -> float:
         """Whitened distance of a marker that was left out from what the others predict for it."""
         here = slice(marker * self.axes, (marker + 1) * self.axes)
         return float(np.linalg.norm(before[here] / self.inverse.spread[here] - self.inverse.filled(y)[0][here]))
@@ -211,7 +131,7 @@ CLEAR = 2.0  # stds of the unconstrained map
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FrameAnswer:
     """What came of one frame: load (n,) and std, covariance of the resultant (6, 6), facts, flags."""
 
     load: Array
@@ -242,9 +162,7 @@ class QuickMap:
         Radius (m) of the press whose recovery is told.
     about : array (3,)
         Middle of the surface.
-    pressing : bool
-        No pulling.
-    friction : float or None
+    contact : ContactLaw
     """
 
     family: StaticInversion
@@ -255,8 +173,7 @@ class QuickMap:
     axes: int
     reach: float
     about: Array
-    pressing: bool = False
-    friction: float | None = None
+    contact: ContactLaw
     _solver: RegionSolver | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -272,23 +189,18 @@ class QuickMap:
         self.consistency = Consistency(self.inverse, self.markers, self.axes)
         self.recovery = self.inverse.recovery(self._press())
 
-    @property
-    def constrained(self) -> bool:
-        """Whether the map may not pull, or not leave its friction cone."""
-        return self.pressing or self.friction is not None
-
-    def __call__(self, y: Array, wrench: Wrench | None = None) -> Found:
+    def __call__(self, y: Array, wrench: Wrench | None = None) -> FrameAnswer:
         """Map of readings (m,), NaN where one is lost."""
         inverse = self.inverse
         y, strays, misfit = self.consistency.checked(y)
-        answer = inverse(y, None if self.constrained else wrench)
+        answer = inverse(y, None if self.contact.constrains else wrench)
         load, std, covariance, path = answer.load, answer.std, answer.wrench, "frozen inverse"
         flags: list[Flag | None] = [guards.strays(strays), guards.misfit(misfit)]
         if wrench is None:
             hidden = inverse.hidden(load)
             flags += [guards.unseen(self.recovery), guards.taken(hidden, inverse.resultant @ load, covariance)]
             covariance = covariance + np.outer(hidden, hidden) + self._blind(inverse.resultant @ load)
-        if self.constrained:
+        if self.contact.constrains:
             found = self.pressed(y, wrench, answer)
             load, std = found.load, found.std
             covariance = found.wrench if wrench is not None or found.touched else covariance
@@ -307,7 +219,7 @@ class QuickMap:
             "lambda": inverse.lam,
             "lambda_rule": inverse.rule,
         }
-        return Found(load, std, covariance, facts, flags)
+        return FrameAnswer(load, std, covariance, facts, flags)
 
     def pressed(self, y: Array, wrench: Wrench | None = None, answer: Answer | None = None) -> Pressed:
         """The map that only presses, looked for where the unconstrained answer does.
@@ -318,7 +230,7 @@ class QuickMap:
             For penalties that couple loads; a resultant that no contact of this friction carries.
         """
         if wrench is not None:
-            carried(wrench, self.friction)
+            carried(wrench, self.contact.friction)
         answer = self.inverse(y) if answer is None else answer
         pressure, spread = -answer.load[2::3], answer.std[2::3]
         touched = pressure > TOUCH * pressure.max()
@@ -345,7 +257,7 @@ class QuickMap:
             inverse = self.inverse
             prior = np.full(inverse.shape[0], inverse.lam * inverse.scale)
             H = self.family.H[: inverse.shape[1]] / inverse.spread[:, None]  # markers first, depth after them
-            self._solver = RegionSolver(H, prior, inverse.resultant, self.neighbours, self.friction)
+            self._solver = RegionSolver(H, prior, inverse.resultant, self.neighbours, self.contact.friction)
         return self._solver
 
     def _press(self) -> Array:

@@ -14,18 +14,21 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, as_array, plain, reals
+from structures.errors import InputError, plain
 from structures.flags import Flag
 
+from .. import guards
+from ..checks import PLANE, shaped
 from ..closed import halfspace as closed
 from ..closed.halfspace import point_forces
 from ..closed.layer import HalfSpace, Layer
 from ..closed.presses import matrices, unit_point
-from ..results import guards
-from .inversion import prepare
-from .linear import LinearSensor, Settings
+from .inversion import Inverse, prepare
+from .linear import LinearSensor, PressedBody
+from .marked import observed
 from .observation import Markers
 from .posing import of_points
+from .settings import Extent, InversionSettings, spelled_before
 
 Array = NDArray[np.float64]
 TOUCHED = 0.2  # of the largest force, from which a point counts as touched
@@ -40,21 +43,14 @@ class GelForce(LinearSensor):
         What the forces act on. A half-space is what the method was published with; a layer knows the window behind it.
     forces : array (n, 2)
         Places of the forces (m), a grid.
-    markers : array (N, 3)
-        Markers under the surface (m), in the frame of the ground: z = 0 is the surface of a half-space and depths are
-        negative; z = h is the surface of a layer.
-    noise : float or array
-        Std of their motion (m).
-    axes : {"XYZ", "XY"}
-        Two layers of markers under one camera give in-plane motion; with known optics all three components.
-    thickness, contact_radius : float, optional
-        Of the pad and of the contacts expected (m): a half-space is flagged above a/t = 0.1 (W601) and refused above
-        0.3 (E602). A layer needs neither.
-    size : (a, b), optional
-        Sides of the pad (m): contacts nearer to its edge than four thicknesses are flagged (W601), as neither ground
-        knows an edge.
-    penalty, choice, noise_source, no_pull, friction, support, allow
-        See `tactile.sensors.linear.Settings`. ``choice=0`` is the pseudo-inverse of the publication, by SVD.
+    markers : Markers
+        Places (N, 3) under the surface (m), in the frame of the ground: z = 0 is the surface of a half-space and depths
+        are negative; z = h is the surface of a layer. Two layers of markers under one camera give in-plane motion, axes
+        "XY"; with known optics all three components.
+    extent : Extent, optional
+        Of the pad, for the guards of a ground that knows no base (W601, E602) or no edge (W601).
+    penalty, choice, noise_source, contact, allow
+        See `tactile.sensors.settings.InversionSettings`. ``choice=0`` is the pseudo-inverse of the publication, by SVD.
 
     Raises
     ------
@@ -64,46 +60,46 @@ class GelForce(LinearSensor):
 
     name = "GelForce"
 
+    @spelled_before("markers", "contact", "extent", axes="XYZ")
     def __init__(
         self,
         ground: HalfSpace | Layer,
         forces: ArrayLike,
-        markers: ArrayLike,
+        markers: Markers,
         *,
-        noise: Any,
-        axes: str = "XYZ",
-        thickness: float | None = None,
-        contact_radius: float | None = None,
-        size: tuple[float, float] | None = None,
-        **settings: Unpack[Settings],
+        extent: Extent | None = None,
+        **settings: Unpack[InversionSettings],
     ) -> None:
-        self.ground = ground
-        places = _grid(forces)
-        seen = Markers(as_array(markers, where="markers"), noise, axes)
-        if seen.points.shape[1] != 3 or np.any(seen.points[:, 2] >= ground.top):
+        self.ground, extent = ground, extent or Extent()
+        places = shaped(forces, PLANE, where="GelForce, forces", what="no places of forces", fewest=2)
+        markers = observed(markers, None)
+        if markers.points.shape[1] != 3 or np.any(markers.points[:, 2] >= ground.top):
             raise InputError(
                 "markers must lie under the surface", where="GelForce, markers", found="markers on or above it",
                 expected="(N, 3) with z below the surface", hint="a point force moves its own point without bound",
             )  # fmt: skip
         area = _cell(places)
-        self._size, self._h = size, _thickness(ground, thickness, size)
+        self._size, self._h = extent.size, ground.h if isinstance(ground, Layer) else extent.thickness
+        if self._size is not None and self._h is None:
+            raise InputError(
+                "how near an edge is depends on the thickness of the pad", where="GelForce, extent",
+                found="no thickness", expected="thickness= in m beside size=",
+            )  # fmt: skip
         thin = None
-        if isinstance(ground, HalfSpace) and thickness is not None and contact_radius is not None:
-            thin = closed.thin_pad(contact_radius, thickness, ground.nu, allow=settings.get("allow", ()))
+        if isinstance(ground, HalfSpace) and extent.thickness is not None and extent.contact_radius is not None:
+            allow = settings.get("allow", ())
+            thin = closed.thin_pad(extent.contact_radius, extent.thickness, ground.nu, allow=allow)
         surface = np.column_stack([places, np.full(len(places), ground.top)])
 
         def transfer(points: Array, pick: Callable[[Any], Any]) -> Array:
             return np.asarray(pick(influence(ground, points, places)))
 
-        super().__init__(
-            seen,
-            transfer,
-            of_points(surface, area, (0.0, 0.0, ground.top)),
-            flags=() if thin is None else (thin,),
-            body=ground,
-            about={"ground": repr(ground), "forces": len(places), "markers": len(seen)},
-            **settings,
-        )
+        body = PressedBody(
+            ground, ground.h if isinstance(ground, Layer) else None, transfer,
+            of_points(surface, area, (0.0, 0.0, ground.top)), flags=() if thin is None else (thin,),
+            about={"ground": repr(ground), "forces": len(places), "markers": len(markers)},
+        )  # fmt: skip
+        super().__init__(body, markers, **settings)
 
     def expected_error(self, forces: ArrayLike) -> float:
         """Relative error that the noise makes of these forces (n, 3) or (3 n,) without regularisation.
@@ -115,7 +111,7 @@ class GelForce(LinearSensor):
         values = np.linalg.svd(self.model.H / spread[:, None], compute_uv=False)
         return float(np.sqrt(np.sum(1 / values**2)) / np.linalg.norm(f))
 
-    def flagged(self, forces: ArrayLike) -> Any:
+    def flagged(self, forces: ArrayLike) -> Flag | None:
         """W304 where noise alone would make more than 30 % error of these forces."""
         return guards.too_deep(self.expected_error(forces))
 
@@ -134,7 +130,7 @@ class GelForce(LinearSensor):
         """Condition number of the block matrix."""
         return float(np.linalg.cond(self.model.H))
 
-    def at(self, lam: float) -> Any:
+    def at(self, lam: float) -> Inverse:
         """The frozen inverse at another relative lambda."""
         return prepare(self.family, self.resultant, float(lam))
 
@@ -151,25 +147,6 @@ def influence(ground: HalfSpace | Layer, points: Array, forces: Array) -> Array:
         more = unit_point(ground, np.hypot(flat[:, 0], flat[:, 1]), heights)
         blocks = blocks + matrices(more, flat[:, :2]).reshape(blocks.shape)
     return blocks.transpose(0, 2, 1, 3).reshape(3 * len(points), 3 * len(forces))
-
-
-def _thickness(ground: HalfSpace | Layer, thickness: float | None, size: tuple[float, float] | None) -> float | None:
-    """Thickness of the pad (m), where it is known."""
-    h = ground.h if isinstance(ground, Layer) else thickness
-    if size is not None and h is None:
-        raise InputError(
-            "how near an edge is depends on the thickness of the pad", where="GelForce, size", found="no thickness",
-            expected="thickness= in m beside size=",
-        )  # fmt: skip
-    return h
-
-
-def _grid(forces: ArrayLike) -> Array:
-    found = reals(forces, what="the places of the forces are no real numbers", where="GelForce, forces")
-    if found.ndim != 2 or found.shape[1] != 2 or len(found) < 2 or not np.all(np.isfinite(found)):
-        raise InputError("no places of forces", where="GelForce, forces", found=f"shape {found.shape}, or NaN",
-                         expected="finite (n, 2) in m, two or more")  # fmt: skip
-    return found
 
 
 def _cell(places: Array) -> float:

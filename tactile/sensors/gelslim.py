@@ -8,9 +8,9 @@ markers do not reach is taken to be free of load, never extrapolated.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,20 +19,22 @@ from scipy import sparse
 from loadid.guards import collect
 from loadid.results.archive import provenance
 from structures.advice import Advice, Spelling
-from structures.errors import InputError, digest, positive
+from structures.errors import InputError, digest
 from structures.flags import Flag
 
+from .. import guards
 from ..closed.contact import Indenter
 from ..pad.stiffness import Completion, surface_stiffness
-from ..results import guards
 from ..results.forcemap import ForceMap
-from ..results.guards import away, completed, contact, typical
 from ..vision.interpolation import Interpolation
-from .fixed import CLEAR, TOUCH, not_built_for_depth, paired, readings_of
+from .fixed import CLEAR, TOUCH
 from .inversion import Answer, RegionSolver, fused
-from .multilayer import observed, windows
-from .observation import DepthMap, Wrench
-from .posing import StrainWatch, channels, neighbours, of_pad, supported
+from .marked import MarkedSensor, not_built_for_depth
+from .multilayer import windows
+from .observation import DepthMap, Markers, Wrench
+from .posing import StrainWatch, channels, neighbours, of_pad
+from .rigid import whole_motion
+from .settings import ContactLaw, spelled_before
 
 if TYPE_CHECKING:
     from ..pad.pad import Pad
@@ -40,27 +42,27 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 ROUNDS = 20  # in which nodes that would be pulled are let go of an indenter
 PASSES = 3  # of projection correction, where the normal motion follows from the solution
 
 
-class GelSlim:
+class GelSlim(MarkedSensor):
     """Nodal contact forces by F = K U from markers and a normal motion that is known at every node.
 
     Parameters
     ----------
     pad : Pad
         One layer of standard bricks as in the paper (its map is wrong by half, W115), or better.
-    markers, noise, axes, slope, eye
+    markers, eye
         As in `MultilayerPad`.
     depth : DepthMap, optional
         A map of the kind that will be measured.
     interpolation : {"local", "linear"}
         Of markers onto nodes, as `tactile.Interpolation`.
-    no_pull, friction
-        Constraints: least squares on K^-1 F = U under them, in the region of contact.
-    support : array, optional
-        Nodes of the surface that may be loaded: a mask (P,) or their numbers. The others carry nothing, whatever moves.
+    contact : ContactLaw, optional
+        Constraints make it least squares on K^-1 F = U under them, in the region of contact; nodes outside the support
+        carry nothing, whatever moves.
     allow : sequence of str
         Guard codes whose refusal was overridden on the way here (that of the eye); they stand in every result.
 
@@ -72,39 +74,31 @@ class GelSlim:
 
     name = "inverse FEM, F = K U"
 
+    @spelled_before("markers", "contact")
     def __init__(
         self,
         pad: Pad,
-        markers: ArrayLike | None = None,
+        markers: Markers | ArrayLike | None = None,
         *,
-        noise: Any = None,
-        axes: str = "XY",
         depth: DepthMap | None = None,
-        slope: ArrayLike | None = None,
         interpolation: str = "local",
-        no_pull: bool = False,
-        friction: float | None = None,
-        support: ArrayLike | None = None,
+        contact: ContactLaw | None = None,
         allow: Sequence[str] = (),
         eye: Eye | None = None,
     ) -> None:
-        self.pad, self.eye, self.allow, self.interpolation = pad, eye, tuple(allow), interpolation
-        self.no_pull = bool(no_pull)
-        self.friction = None if friction is None else positive("the friction coefficient", friction, where="friction")
-        self.markers = observed(markers, noise, axes, slope, eye)
+        windowed = None if depth is None else windows(pad, depth, None)
+        super().__init__(markers, eye, windowed, contact or ContactLaw())
+        self.pad, self.allow, self.interpolation = pad, tuple(allow), interpolation
         places = self.markers.points
         if places.shape[1] == 3 and np.any(places[:, 2] < pad.thickness * (1 - 1e-6)):
             raise InputError(
                 "F = K U takes markers on the surface", where="GelSlim, markers", found="markers under it",
                 expected="(N, 2), or z = the thickness", hint="MultilayerPad and GelForce take markers at any depth",
             )  # fmt: skip
-        self.depth = None if depth is None else windows(pad, depth, None)
         self.geometry = of_pad(pad, "nodal")
         self.K = surface_stiffness(pad)
         self._loads = channels(pad.points, "nodal")
-        self._offset = np.zeros((len(self.markers), len(axes)))
-        self._rest: Any = 0.0
-        kept = supported(support, pad.points)
+        kept = self.contact.loads(pad.points)
         self._may = np.ones(pad.points, bool)
         if kept is not None:
             self._may = np.isin(np.arange(pad.points), kept // 3)
@@ -150,40 +144,18 @@ class GelSlim:
         InputError
             If neither markers, depth nor an indenter give the normal motion, or readings do not fit.
         """
-        motion, flags = self._motion(found, depth)
+        y, flags = self._readings(found, depth)
+        motion = y[: self.markers.readings_count].reshape(len(self.markers), -1)
         seen = np.asarray(np.isfinite(motion).all(axis=1))
         field = self._interpolation(seen)
-        z, how = self._normal(motion, seen, field, depth, indenter)
+        z, how = self._normal(motion, seen, field, None if depth is None else y[motion.size :], indenter)
         known, U, completion = self._solved(motion, seen, field, z, how)
         answer = self._answer(known, U, completion, field, seen, how)
         flags = [*flags, self._moved(motion, answer, completion)]
         return self._map(answer, U, completion, flags, seen, field, how, wrench)
 
-    def stream(self, frames: Iterable[Any], depths: Iterable[DepthMap] | None = None) -> Iterator[ForceMap]:
-        """Force maps of frames, one after another, as they come."""
-        if depths is None:
-            yield from (self.estimate(frame) for frame in frames)
-        else:
-            yield from (self.estimate(f, d) for f, d in paired(frames, depths))
-
-    def zero(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Self:
-        """Take the mean motion of unloaded frames as zero. Returns the sensor."""
-        self._offset = np.zeros_like(self._offset)
-        listed = [self._motion(f, None if depths is None else depths[i])[0] for i, f in enumerate(frames)]
-        if not listed:
-            raise InputError("no frames to take zero from", where="zero", found="none", expected="unloaded frames")
-        stack = np.array(listed)
-        self._offset = _mean(stack)
-        if self.depth is not None and depths is not None:
-            self._rest = _mean(np.array([self.depth.readings(d) for d in depths]))
-        return self
-
     # -- steps --------------------------------------------------------------------------------------------------------
-    def _motion(self, found: ArrayLike, depth: DepthMap | None) -> tuple[Array, list[Flag | None]]:
-        seen, flags = readings_of(found, self.markers, self.eye, depth)
-        return seen.reshape(len(self.markers), -1) - self._offset, flags
-
-    def _interpolation(self, seen: NDArray[np.bool_]) -> Interpolation:
+    def _interpolation(self, seen: Mask) -> Interpolation:
         key = seen.tobytes()
         if key not in self._interpolations:
             if len(self._interpolations) > 32:
@@ -194,14 +166,19 @@ class GelSlim:
         return self._interpolations[key]
 
     def _normal(
-        self, motion: Array, seen: NDArray, field: Interpolation, depth: DepthMap | None, indenter: Indenter | None
+        self,
+        motion: Array,
+        seen: Mask,
+        field: Interpolation,
+        deep: Array | None,
+        indenter: Indenter | None,
     ) -> tuple[Array, str]:
         """Normal motion at the nodes (P,), NaN where it is not given, and where it comes from."""
-        if depth is not None:
+        if deep is not None:
             if self.depth is None:
                 raise not_built_for_depth()
             z = np.full(self.pad.points, np.nan)
-            z[self._deep] = self.depth.readings(depth) - self._rest
+            z[self._deep] = deep
             return z, "measured"
         if self.markers.axes == "XYZ":
             return np.where(field.inside, field.W @ motion[seen, 2], np.nan), "tracked"
@@ -218,8 +195,8 @@ class GelSlim:
         )  # fmt: skip
 
     def _solved(
-        self, motion: Array, seen: NDArray, field: Interpolation, z: Array, how: str
-    ) -> tuple[NDArray, Array, Completion]:
+        self, motion: Array, seen: Mask, field: Interpolation, z: Array, how: str
+    ) -> tuple[Mask, Array, Completion]:
         """What is known (P, 3), its values, and the completion; nodes that an indenter would pull are let go."""
         known = np.column_stack([field.inside, field.inside, np.isfinite(z)]) & self._may[:, None]
         values = np.column_stack([field.W @ motion[seen, 0], field.W @ motion[seen, 1], np.where(known[:, 2], z, 0.0)])
@@ -254,7 +231,7 @@ class GelSlim:
         """Rows of the normal motion of the markers from that of the nodes."""
         return sparse.csr_array(self.pad.from_surface(self.markers.points))[2::3][:, 2::3]
 
-    def _completion(self, known: NDArray[np.bool_]) -> Completion:
+    def _completion(self, known: Mask) -> Completion:
         key = known.tobytes()
         if key not in self._completions:
             if len(self._completions) > 32:
@@ -263,7 +240,13 @@ class GelSlim:
         return self._completions[key]
 
     def _answer(
-        self, known: NDArray, U: Array, completion: Completion, field: Interpolation, seen: NDArray, how: str
+        self,
+        known: Mask,
+        U: Array,
+        completion: Completion,
+        field: Interpolation,
+        seen: Mask,
+        how: str,
     ) -> Answer:
         """Forces with their std: the noise of the markers is carried through interpolation and stiffness."""
         half = sparse.csr_array(self._half(field, seen, how)[known.ravel()])
@@ -274,7 +257,7 @@ class GelSlim:
         reach[completion.known] = np.asarray(moved @ felt.T)
         return Answer(completion.forces(U), completion.spread(half), felt @ felt.T, reach)
 
-    def _half(self, field: Interpolation, seen: NDArray, how: str) -> sparse.csr_array:
+    def _half(self, field: Interpolation, seen: Mask, how: str) -> sparse.csr_array:
         """Factor (3 P, r) of the covariance of the motion of the nodes."""
         noise, unit = self.markers.noise[seen], np.eye(3)
         tracked = range(3 if how == "tracked" else 2)  # a measured normal motion brings its own noise, not the markers'
@@ -286,11 +269,6 @@ class GelSlim:
         return sparse.hstack(parts).tocsr()
 
     # -- the answer ---------------------------------------------------------------------------------------------------
-    @property
-    def constrained(self) -> bool:
-        """Whether the map may not pull, or not leave its friction cone."""
-        return self.no_pull or self.friction is not None
-
     def _pressed(self, answer: Answer, U: Array, completion: Completion, wrench: Wrench | None) -> tuple[Answer, Any]:
         spread = np.sqrt(np.median(self.markers.noise**2))
         if self._solver is None:
@@ -302,7 +280,7 @@ class GelSlim:
                 np.full(n, 1e-6 * self._scale / spread),
                 self.geometry["resultant"],
                 order,
-                self.friction,
+                self.contact.friction,
             )
         pressure, std = -answer.load[2::3], answer.std[2::3]
         touched = (pressure > TOUCH * pressure.max()) & (pressure > CLEAR * std) & self._may
@@ -311,23 +289,20 @@ class GelSlim:
 
     def _moved(self, motion: Array, answer: Answer, completion: Completion) -> Flag | None:
         """W611 of the motion of the markers and the forces found."""
-        places, noise, nodes = self.markers.points[:, :2], self.markers.noise[:, :2], self.pad.nodes2d
+        nodes = self.pad.nodes2d
 
-        def alone(field: Array) -> Array:
-            moved = np.column_stack([np.broadcast_to(field, nodes.shape), np.zeros(len(nodes))])
+        def alone(field: Callable[[Array], Array]) -> Array:
+            moved = np.column_stack([field(nodes), np.zeros(len(nodes))])
             return completion.forces(moved.ravel()[completion.known])
 
-        shift = typical(motion[:, :2], noise)
-        local = answer.load - alone(shift) if shift.any() else answer.load
+        def explained(load: Array) -> Array:
+            U = self.pad.displacements(load).ravel()
+            return np.asarray(self._seen @ U).reshape(len(motion), -1)[:, :2]
 
-        def explained(near: NDArray[np.bool_]) -> Array:
-            U = self.pad.displacements(local * np.repeat(near, 3)).ravel()
-            return np.asarray(self._seen @ U).reshape(len(places), -1)[:, :2]
-
-        touched = contact(local, answer.std)
-        found = away(motion[:, :2], explained, touched, nodes, places, noise, self.pad.thickness)
-        force = np.zeros(3) if found is None else self.geometry["resultant"][:3] @ alone(found.field(nodes))
-        return guards.moved(found, force, None if self.eye is None else self.eye.pixel)
+        return whole_motion(
+            motion[:, :2], answer.load, answer.std, self.markers, nodes, self.pad.thickness, alone, explained,
+            self.geometry["resultant"], None if self.eye is None else self.eye.pixel,
+        )  # fmt: skip
 
     @cached_property
     def _seen(self) -> Any:
@@ -351,7 +326,7 @@ class GelSlim:
         return float(np.linalg.norm(self.pad.compliance, ord=1))
 
     def _map(
-        self, answer: Answer, U: Array, completion: Completion, flags: list[Flag | None], seen: NDArray,
+        self, answer: Answer, U: Array, completion: Completion, flags: list[Flag | None], seen: Mask,
         field: Interpolation, how: str, wrench: Wrench | None,
     ) -> ForceMap:  # fmt: skip
         stopped = None
@@ -362,7 +337,7 @@ class GelSlim:
         provided = {"x": "tracked", "y": "tracked", "z": how}
         lost = int(np.sum(~seen)) * len(self.markers.axes)
         own = [
-            *self.pad.flags, *flags, stopped, completed(provided), self._correlated(field),
+            *self.pad.flags, *flags, stopped, guards.completed(provided), self._correlated(field),
             self._strain.check(answer.load.reshape(-1, 3)),
             guards.lost(lost, self.markers.readings_count),
         ]  # fmt: skip
@@ -385,15 +360,9 @@ class GelSlim:
             },
             provenance=provenance(
                 self.name,
-                settings={"pad": repr(self.pad), "no_pull": self.no_pull, "friction": self.friction},
+                settings={"pad": repr(self.pad), "no_pull": self.contact.no_pull, "friction": self.contact.friction},
                 inputs={},
                 model=self._fingerprint,
                 prior="none: the map is a product of the stiffness with what was observed",
             ),
         )
-
-
-def _mean(values: Array) -> Array:
-    """Mean over the first axis of what is finite; zero where nothing is."""
-    known = np.isfinite(values)
-    return np.asarray(np.where(known, values, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))

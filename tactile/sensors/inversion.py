@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 LARGE = 4_000_000  # entries from which the products run in single precision: 1e-6 of the load, half the memory traffic
 
 
@@ -71,7 +72,7 @@ class Inverse:
         Who chose it.
     """
 
-    matrix: NDArray
+    matrix: NDArray[np.floating[Any]]
     influence: Array
     spread: Array
     std: Array
@@ -112,7 +113,7 @@ class Inverse:
     def _times(self, z: Array) -> Array:
         return np.asarray(self.matrix @ z.astype(self.matrix.dtype, copy=False), float)
 
-    def filled(self, y: Array) -> tuple[Array, NDArray[np.intp]]:
+    def filled(self, y: Array) -> tuple[Array, Index]:
         """Whitened readings with the lost ones as the others predict them, and which those are."""
         z = y / self.spread
         lost = np.flatnonzero(~np.isfinite(z))
@@ -124,7 +125,7 @@ class Inverse:
             z[lost] = cho_solve(self._left(lost), self.influence[lost] @ z)
         return z, lost
 
-    def _left(self, lost: NDArray[np.intp]) -> Any:
+    def _left(self, lost: Index) -> Any:
         """Cholesky factor of I - A_MM."""
         left = np.eye(lost.size) - self.influence[np.ix_(lost, lost)]
         try:
@@ -136,7 +137,7 @@ class Inverse:
                 hint="a larger lambda, or a look at the image: light, focus, occlusion",
             ) from None  # fmt: skip
 
-    def _widened(self, z: Array, lost: NDArray[np.intp]) -> Answer:
+    def _widened(self, z: Array, lost: Index) -> Answer:
         """The answer of filled readings, with the std of those that were read."""
         factor = self._left(lost)
         columns = self.matrix[:, lost].astype(float)
@@ -235,7 +236,7 @@ def carried(wrench: Wrench, friction: float | None) -> None:
 class _Region:
     """The problem on some nodes: matrix, Gram matrix, feasible set, posterior of its unconstrained answer."""
 
-    def __init__(self, owner: RegionSolver, nodes: NDArray, lost: NDArray) -> None:
+    def __init__(self, owner: RegionSolver, nodes: Index, lost: Index) -> None:
         self.nodes, self.lost = nodes, lost
         self.columns = (3 * nodes[:, None] + np.arange(3)).ravel()
         self.flip = np.tile(FLIP, len(nodes))
@@ -290,7 +291,7 @@ class RegionSolver:
     """
 
     def __init__(
-        self, H: NDArray, prior: Array, resultant: Array, neighbours: Any, friction: float | None = None
+        self, H: Array, prior: Array, resultant: Array, neighbours: Any, friction: float | None = None
     ) -> None:
         self.H, self.prior, self.resultant = np.asfortranarray(H), prior, resultant
         self.neighbours, self.friction = neighbours.tocsr().astype(bool), friction
@@ -318,7 +319,7 @@ class RegionSolver:
     def _grown(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         return np.asarray(self.neighbours @ mask, bool) | mask
 
-    def _region(self, wanted: NDArray, lost: NDArray) -> _Region:
+    def _region(self, wanted: NDArray[np.bool_], lost: Index) -> _Region:
         """The last region while it still covers the contact and the same markers are lost."""
         last = self._last
         if last is not None and np.array_equal(last.lost, lost):

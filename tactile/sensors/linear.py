@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,14 +15,14 @@ from loadid.guards import collect
 from loadid.inverse.noise_source import NoiseSourceLike
 from loadid.results.archive import provenance
 from loadid.results.estimate import LoadEstimate
-from structures.errors import InputError, positive
+from structures.errors import InputError
 from structures.flags import Flag, codes
 
-from ..results import guards
+from .. import guards
 from ..results.forcemap import ForceMap
-from ..results.guards import away, completed, contact, typical
-from .fixed import QuickMap, not_built_for_depth, paired, readings_of
+from .fixed import QuickMap
 from .inversion import Inverse, Pressed, prepare
+from .marked import MarkedSensor
 from .observation import DepthMap, Depths, Markers, Wrench, stacked
 from .posing import (
     PadModel,
@@ -35,8 +35,9 @@ from .posing import (
     fewer,
     neighbours,
     resultant_covariance,
-    supported,
 )
+from .rigid import whole_motion
+from .settings import ContactLaw, spelled_before
 
 if TYPE_CHECKING:
     from loadid.families.frozen import Calibration
@@ -48,111 +49,85 @@ Array = NDArray[np.float64]
 FEWEST = 3  # markers of a frame
 
 
-class Settings(TypedDict, total=False):
-    """Settings of every linear sensor.
+@dataclass(frozen=True, eq=False)
+class PressedBody:
+    """What is pressed, and how loads on it move its markers.
 
-    Attributes
+    Parameters
     ----------
-    penalty : str or matrix
-        ``identity`` (ridge; point-like contacts), ``gradient`` or ``laplacian`` (smooth ones), as `StaticInversion`;
-        None for plain least squares.
-    choice : str, float or None
-        Rule for lambda, or a relative lambda; `calibrate` freezes it. None takes UPRE at the noise of the markers, or
-        GCV where the data show that this is not all there is (errors of the mesh, a level that is too low).
-    noise_source : NoiseSource, str or (str, str)
-        Where the noise level comes from, as in `loadid.StaticInversion`.
-    no_pull : bool
-        Pressures are not negative.
-    friction : float
-        Coefficient of friction: tractions stay in their cone.
-    support : array
-        Nodes of the surface that may be loaded: a mask (P,) or their numbers. The others carry nothing.
-    allow : sequence of str
-        Guard codes whose refusal is overridden.
+    body : Pad, Layer or HalfSpace
+        Its E.
+    thickness : float or None
+        m; None for a half-space.
+    transfer : callable
+        Takes points (n, 2 or 3) and a function that combines rows of their motion; returns the rows (rows, loads).
+    geometry : mapping
+        As `tactile.sensors.posing` makes it.
+    basis : Basis, optional
+        For penalties between neighbours.
+    flags : sequence of Flag
+        What was found of the body.
+    about : mapping
+        What goes into the provenance.
     """
 
-    penalty: Any
-    choice: Any
-    noise_source: NoiseSourceLike
-    no_pull: bool
-    friction: float | None
-    support: ArrayLike | None
-    allow: Sequence[str]
+    body: Any
+    thickness: float | None
+    transfer: Callable[[Array, Callable[[Any], Any]], Array]
+    geometry: dict[str, Any]
+    basis: Any = None
+    flags: Sequence[Flag] = ()
+    about: Mapping[str, Any] = field(default_factory=dict)
 
 
-class LinearSensor:
+class LinearSensor(MarkedSensor):
     """A tactile sensor whose readings are a linear function of the load on its surface.
 
     Build one of its kinds: `MultilayerPad`, `GelForce`.
 
     Parameters
     ----------
-    markers : Markers
-    transfer : callable
-        Takes points (n, 2 or 3) and a function that combines rows of their motion; returns the rows (rows, loads).
-    geometry : dict
-        As `tactile.sensors.posing` makes it.
-    body : Pad, Layer or HalfSpace
-        What is pressed: its E, and its thickness where it has one.
-    basis : Basis, optional
-        For penalties between neighbours.
-    depth : Depths, optional
-        Windows of a depth map that is measured beside the markers.
-    flags : sequence of Flag
-        What was found of the body.
-    eye : Eye, optional
-        Turns images into motion.
-    about : dict, optional
-        What goes into the provenance.
-    penalty, choice, noise_source, no_pull, friction, support, allow
-        See `Settings`.
+    body : PressedBody
+    markers, eye, depth
+        As `MarkedSensor`.
+    penalty, choice, noise_source, contact, allow
+        See `tactile.sensors.settings.InversionSettings`.
     """
 
-    name = "tactile sensor"
-
+    @spelled_before("markers", "contact")
     def __init__(
         self,
-        markers: Markers,
-        transfer: Callable[[Array, Callable[[Any], Any]], Array],
-        geometry: dict[str, Any],
+        body: PressedBody,
+        markers: Markers | ArrayLike | None = None,
         *,
-        body: Any,
-        basis: Any = None,
-        depth: Depths | None = None,
-        flags: Sequence[Flag] = (),
         eye: Eye | None = None,
-        about: dict[str, Any] | None = None,
+        depth: Depths | None = None,
         penalty: Any = "identity",
         choice: Any = None,
         noise_source: NoiseSourceLike = None,
-        no_pull: bool = False,
-        friction: float | None = None,
-        support: ArrayLike | None = None,
+        contact: ContactLaw | None = None,
         allow: Sequence[str] = (),
     ) -> None:
-        self.markers, self.geometry, self.depth, self.eye, self.body = markers, geometry, depth, eye, body
-        self.no_pull = bool(no_pull)
-        self.friction = None if friction is None else positive("the friction coefficient", friction, where="friction")
-        rows, sensors = [transfer(markers.points, markers.rows)], list(markers.channels)
+        super().__init__(markers, eye, depth, contact or ContactLaw())
+        self.pressed_body, self.geometry = body, body.geometry
+        rows, sensors = [body.transfer(self.markers.points, self.markers.rows)], list(self.markers.channels)
         if depth is not None:
-            rows.append(transfer(depth.samples, depth.rows))
+            rows.append(body.transfer(depth.samples, depth.rows))
             sensors += depth.channels
-        points = len(geometry["coordinates"])
-        self.loads = channels(points, geometry["kind"])
-        kept = supported(support, points)
+        points, basis = len(self.geometry["coordinates"]), body.basis
+        self.loads = channels(points, self.geometry["kind"])
+        kept = self.contact.loads(points)
         self.kept = np.arange(3 * points) if kept is None else kept
         self._whole = kept is None
-        H, resultant = stacked(rows), geometry["resultant"]
+        H, resultant = stacked(rows), self.geometry["resultant"]
         if kept is not None:
             penalty, basis = cut(penalty, basis, kept), None
             H, resultant = H[:, kept], resultant[:, kept]
         self.resultant = resultant
-        self.model = PadModel(H, sensors, [self.loads[i] for i in self.kept], basis, flags)
+        self.model = PadModel(H, sensors, [self.loads[i] for i in self.kept], basis, body.flags)
         self.family = StaticInversion(
             self.model, penalty=penalty, choice=choice, noise_source=noise_source, allow=list(allow)
         )
-        self._about = about or {}
-        self._offset = np.zeros(len(sensors))
         self._quick: dict[bool, QuickMap] = {}
 
     def __repr__(self) -> str:
@@ -198,31 +173,6 @@ class LinearSensor:
             )
         return self._at_once(y, wrench, flags) if self.frozen else self._thorough(y, wrench, flags)
 
-    def stream(self, frames: Iterable[Any], depths: Iterable[DepthMap] | None = None) -> Iterator[ForceMap]:
-        """Force maps of frames, one after another, as they come."""
-        if depths is None:
-            yield from (self.estimate(frame) for frame in frames)
-        else:
-            yield from (self.estimate(frame, depth) for frame, depth in paired(frames, depths))
-
-    def zero(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Self:
-        """Take the mean of unloaded frames as zero. Returns the sensor.
-
-        Raises
-        ------
-        InputError
-            Without frames.
-        """
-        self._offset = np.zeros(len(self.model.sensors))
-        listed = [self.readings(f, None if depths is None else depths[i]) for i, f in enumerate(frames)]
-        if not listed:
-            raise InputError("no frames to take zero from", where="zero", found="none", expected="unloaded frames")
-        stack = np.array(listed)
-        seen = np.isfinite(stack).sum(axis=0)
-        total = np.where(np.isfinite(stack), stack, 0.0).sum(axis=0)
-        self._offset = np.where(seen > 0, total / np.maximum(seen, 1), 0.0)
-        return self
-
     def calibrate(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Calibration:
         """Choose one lambda over calibration presses, and freeze it.
 
@@ -233,7 +183,7 @@ class LinearSensor:
         InputError
             Without frames, or if too few markers are seen in all of them.
         """
-        listed = [self.readings(f, None if depths is None else depths[i]) for i, f in enumerate(frames)]
+        listed = self._listed(frames, depths)
         whole = [y for y in listed if np.all(np.isfinite(y))]
         listed = whole or listed
         seen: NDArray[np.bool_] = np.zeros(len(self.model.sensors), bool)
@@ -256,10 +206,6 @@ class LinearSensor:
         self.family.calibration = calibrated(family, [y[seen] for y in listed])
         return self.family.calibration
 
-    def readings(self, found: ArrayLike, depth: DepthMap | None = None) -> Array:
-        """Readings (m,) of a frame in the order of ``sensor.model.sensors``, zero taken off; NaN where lost."""
-        return self._readings(found, depth)[0]
-
     def pressed(self, y: Array) -> Pressed:
         """Load of readings (m,) that only presses, within its friction cone if there is one, in the region of contact.
 
@@ -279,17 +225,12 @@ class LinearSensor:
     @property
     def E(self) -> float:
         """Young's modulus that the sensor was built with (Pa)."""
-        return float(self.body.E)
+        return float(self.pressed_body.body.E)
 
     @property
     def thickness(self) -> float | None:
         """Thickness of what is pressed (m); None for a half-space."""
-        return getattr(self.body, "thickness", None) or getattr(self.body, "h", None)
-
-    @property
-    def constrained(self) -> bool:
-        """Whether the map may not pull, or not leave its friction cone."""
-        return self.no_pull or self.friction is not None
+        return self.pressed_body.thickness
 
     @property
     def frozen(self) -> bool:
@@ -313,17 +254,6 @@ class LinearSensor:
         return {"x": "tracked", "y": "tracked", "z": z}
 
     # -- steps --------------------------------------------------------------------------------------------------------
-    def _readings(self, found: ArrayLike, depth: DepthMap | None) -> tuple[Array, list[Flag | None]]:
-        """Readings in the order of the model, NaN where there is none, and what was found on the way."""
-        seen, flags = readings_of(found, self.markers, self.eye, depth)
-        parts = [seen]
-        if self.depth is not None:
-            rows = len(self.depth.points)
-            parts.append(np.full(rows, np.nan) if depth is None else self.depth.readings(depth))
-        elif depth is not None and self.eye is None:
-            raise not_built_for_depth()
-        return np.concatenate(parts) - self._offset, flags
-
     def _quick_map(self, with_depth: bool) -> QuickMap:
         if with_depth not in self._quick:
             nodes = self.kept[::3] // 3
@@ -338,8 +268,7 @@ class LinearSensor:
                 len(self.markers.axes),
                 self._thick,
                 np.asarray(self.geometry["about"], float),
-                self.no_pull,
-                self.friction,
+                self.contact,
             )
         return self._quick[with_depth]
 
@@ -369,7 +298,7 @@ class LinearSensor:
     def _thorough(self, y: Array, wrench: Wrench | None, flags: list[Flag | None]) -> ForceMap:
         """The map at a lambda that is chosen on this frame, with everything that the static family tells."""
         seen = np.isfinite(y)
-        held = constraints(len(self.kept), self.no_pull, self.friction, self.resultant, wrench)
+        held = constraints(len(self.kept), self.contact, self.resultant, wrench)
         family = self.family if seen.all() else fewer(self.family, self._named(seen))
         found = estimated(constrained(family, held), y[seen])
         measured = self.depth is not None and bool(seen[self.markers.readings_count :].any())
@@ -402,39 +331,33 @@ class LinearSensor:
     def _moved(self, y: Array, load: Array, std: Array, rows: Any, inverse: Callable[[], Inverse]) -> Flag | None:
         """W611 of readings (m,) and the loads (n,) found; `inverse`, of `rows`, is asked where most markers moved."""
         markers, count = self.markers, self.markers.readings_count
-        places, noise, shape = markers.points[:, :2], markers.noise[:, :2], (len(markers), len(markers.axes))
-        motion = y[:count].reshape(shape)[:, :2]
+        places, shape = markers.points[:, :2], (len(markers), len(markers.axes))
 
-        def alone(field: Array) -> Array:
+        def alone(motion: Callable[[Array], Array]) -> Array:
             only = np.zeros(len(y))
-            only[:count].reshape(shape)[:, :2] = field
+            only[:count].reshape(shape)[:, :2] = motion(places)
             maps = inverse()
             return np.asarray(maps.matrix @ (only[rows] / maps.spread))
 
-        shift = typical(motion, noise)
-        local = load - alone(shift) if shift.any() else load
-
-        def explained(near: NDArray[np.bool_]) -> Array:
-            return np.asarray(self.model.H[:count] @ (local * np.repeat(near, 3))).reshape(shape)[:, :2]
-
-        nodes = self.geometry["coordinates"][self.kept[::3] // 3, :2]
-        found = away(motion, explained, contact(local, std), nodes, places, noise, self._thick)
-        force = np.zeros(3) if found is None else self.resultant[:3] @ alone(found.field(places))
-        return guards.moved(found, force, None if self.eye is None else self.eye.pixel)
+        return whole_motion(
+            y[:count].reshape(shape)[:, :2], load, std, markers, self.geometry["coordinates"][self.kept[::3] // 3, :2],
+            self._thick, alone, lambda g: np.asarray(self.model.H[:count] @ g).reshape(shape)[:, :2], self.resultant,
+            None if self.eye is None else self.eye.pixel,
+        )  # fmt: skip
 
     @cached_property
     def _thick(self) -> float:
         """Thickness (m); of a half-space a sixth of the side."""
         return self.thickness or float(np.ptp(self.geometry["coordinates"][:, :2])) / 6
 
-    def _named(self, seen: NDArray) -> list[str]:
+    def _named(self, seen: NDArray[np.bool_]) -> list[str]:
         """Labels of the readings that are there."""
         return [s.label for s, there in zip(self.model.sensors, seen, strict=True) if there]
 
     def _own(self, load: Array, facts: dict[str, Any]) -> list[Flag | None]:
         """What is found in every map."""
         lost = guards.lost(facts["lost"], facts["m"] + facts["lost"])
-        return [completed(facts["provided"]), lost, *self._checked(load)]
+        return [guards.completed(facts["provided"]), lost, *self._checked(load)]
 
     def _checked(self, load: Array) -> list[Flag | None]:
         """What a kind of sensor finds in a map (3 P,) beyond that."""
@@ -462,10 +385,10 @@ class LinearSensor:
         return provenance(
             self.name,
             settings={
-                **self._about,
+                **self.pressed_body.about,
                 "penalty": family.penalty if isinstance(family.penalty, str | None) else "matrix",
-                "no_pull": self.no_pull,
-                "friction": self.friction,
+                "no_pull": self.contact.no_pull,
+                "friction": self.contact.friction,
                 "calibration": None if family.calibration is None else str(family.calibration),
             },
             inputs={},

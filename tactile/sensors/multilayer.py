@@ -11,12 +11,13 @@ from scipy import sparse
 
 from loadid.inverse.noise_source import NoiseSource
 from structures import bases
-from structures.errors import InputError, as_array
 from structures.flags import Flag
 
-from .linear import LinearSensor, Settings
+from .linear import LinearSensor, PressedBody
+from .marked import observed
 from .observation import DepthMap, Depths, Markers
 from .posing import StrainWatch, of_pad
+from .settings import InversionSettings, spelled_before
 
 if TYPE_CHECKING:
     from ..pad.pad import Pad
@@ -36,22 +37,16 @@ class MultilayerPad(LinearSensor):
     Parameters
     ----------
     pad : Pad
-    markers : array (N, 2) or (N, 3), optional
-        Places of the markers at rest (m); those of the `eye` where not given.
-    noise : float or array
-        Std of their motion (m): of the unloaded sensor. That of the `eye` where not given.
-    axes : {"XY", "XYZ"}
-        In-plane motion, or all three components.
+    markers : Markers, optional
+        Places at rest (N, 2) or (N, 3), noise and axes of their motion; those of the `eye` where not given.
     depth : DepthMap, optional
         A map of the kind that will be measured: its pixel and noise count, its values do not.
     depth_width : float, optional
         Side of the windows about the surface nodes over which depth is averaged (m); the pitch of the mesh.
-    slope : array (N, 2), optional
-        Apparent in-plane motion per unit of normal motion, where the readings are apparent; of the `eye` otherwise.
     eye : Eye, optional
         Turns images into motion.
-    penalty, choice, noise_source, no_pull, friction, support, allow
-        See `tactile.sensors.linear.Settings`.
+    penalty, choice, noise_source, contact, allow
+        See `tactile.sensors.settings.InversionSettings`.
 
     Raises
     ------
@@ -61,71 +56,36 @@ class MultilayerPad(LinearSensor):
 
     name = "multilayer pad"
 
+    @spelled_before("markers", "contact")
     def __init__(
         self,
         pad: Pad,
-        markers: ArrayLike | None = None,
+        markers: Markers | ArrayLike | None = None,
         *,
-        noise: Any = None,
-        axes: str = "XY",
         depth: DepthMap | None = None,
         depth_width: float | None = None,
-        slope: ArrayLike | None = None,
         eye: Eye | None = None,
-        **settings: Unpack[Settings],
+        **settings: Unpack[InversionSettings],
     ) -> None:
         self.pad, self._strain = pad, StrainWatch(pad)
         if eye is not None:
             settings.setdefault("noise_source", NoiseSource("quiet", "unloaded frames"))
-        seen = observed(markers, noise, axes, slope, eye)
         mass = sparse.kron(pad.surface.mass, sparse.eye_array(3)).tocsr()
 
         def transfer(points: Array, pick: Callable[[Any], Any]) -> Array:
             per_force = pick(pad.from_surface(points)) @ pad.compliance
             return np.asarray((mass.T @ per_force.T).T)
 
+        basis = bases.hats(pad.structure, region=pad.surface, components=("+X", "+Y", "+Z"))
+        given = observed(markers, eye)
         super().__init__(
-            seen,
-            transfer,
-            of_pad(pad),
-            basis=bases.hats(pad.structure, region=pad.surface, components=("+X", "+Y", "+Z")),
-            depth=None if depth is None else windows(pad, depth, depth_width),
-            flags=pad.flags,
-            eye=eye,
-            body=pad,
-            about={"pad": repr(pad), "markers": len(seen)},
-            **settings,
-        )
+            PressedBody(pad, pad.thickness, transfer, of_pad(pad), basis, pad.flags,
+                        {"pad": repr(pad), "markers": len(given)}),
+            given, eye=eye, depth=None if depth is None else windows(pad, depth, depth_width), **settings,
+        )  # fmt: skip
 
     def _checked(self, load: Array) -> list[Flag | None]:
         return [self._strain.check(self.pad.surface.mass @ load.reshape(-1, 3))]
-
-
-def observed(markers: ArrayLike | None, noise: Any, axes: str, slope: ArrayLike | None, eye: Eye | None) -> Markers:
-    """Markers as a user gave them, or as an eye sees them.
-
-    Raises
-    ------
-    InputError
-        If neither gives them, or their noise.
-    """
-    if eye is not None:
-        markers = eye.markers if markers is None else markers
-        noise = eye.noise if noise is None else noise
-        slope = eye.slope if slope is None else slope
-    if markers is None or noise is None:
-        raise InputError(
-            "it is not known where the markers are, or how noisy their motion is", where="sensor",
-            found=f"markers {'given' if markers is not None else 'missing'}, noise {noise!r}",
-            expected="markers=(N, 2) in m and noise= their std in m, or an eye that knows both",
-            hint="the std of the motion of markers of the unloaded sensor",
-        )  # fmt: skip
-    return Markers(
-        as_array(markers, where="markers"),
-        noise,
-        axes,
-        None if slope is None else as_array(slope, where="markers, slope"),
-    )
 
 
 def windows(pad: Pad, depth: DepthMap, width: float | None) -> Depths:

@@ -13,10 +13,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import sparse
 
+from loadid.families import smoothness
 from loadid.families.static import StaticInversion
+from loadid.inverse.constraints import Bounds, Constraint, FrictionCone, Resultant
 from loadid.inverse.rules import discrepancy_level
 from structures.channels import Channel
 from structures.errors import InputError, plain
@@ -25,6 +27,7 @@ from structures.models.arrays import MatrixModel
 
 from ..guards import large_strain
 from .observation import Wrench
+from .settings import ContactLaw
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -97,7 +100,7 @@ def channels(points: int, kind: str) -> list[Channel]:
     return [Channel(label=f"n{i}+{a}", quantity=quantity, unit=unit) for i in range(points) for a in AXES]
 
 
-def neighbours(cells: NDArray | None, places: Array) -> sparse.csr_array:
+def neighbours(cells: NDArray[np.intp] | None, places: Array) -> sparse.csr_array:
     """Which points share a cell; on a grid without cells, which lie within one and a half pitches."""
     count = len(places)
     if cells is not None:
@@ -239,32 +242,8 @@ class PadModel(MatrixModel):
         self.basis, self.flags = basis, tuple(flags)
 
 
-def supported(support: ArrayLike | None, points: int) -> NDArray[np.intp] | None:
-    """Loads (3 k,) at the nodes of a support: a mask (P,) or node numbers; None is all.
-
-    Raises
-    ------
-    InputError
-        If it does not fit, or is empty.
-    """
-    if support is None:
-        return None
-    given = np.asarray(plain(support))
-    mask = given.dtype == bool
-    nodes = np.flatnonzero(given) if mask else np.unique(given)
-    fits = given.shape == (points,) if mask else given.dtype.kind in "iu" and np.all((nodes >= 0) & (nodes < points))
-    if not fits or nodes.size == 0:
-        raise InputError(
-            "the support does not fit the surface", where="support", found=f"{given.dtype} {given.shape}",
-            expected=f"a mask ({points},) or numbers of nodes, not empty",
-        )  # fmt: skip
-    return (3 * nodes[:, None] + np.arange(3)).ravel()
-
-
 def cut(penalty: Any, basis: Any, kept: NDArray[np.intp]) -> Any:
     """A penalty on the loads that may act."""
-    from loadid.families import smoothness
-
     if penalty is None or (isinstance(penalty, str) and penalty == "identity"):
         return penalty
     if basis is None and isinstance(penalty, str):
@@ -277,15 +256,13 @@ def cut(penalty: Any, basis: Any, kept: NDArray[np.intp]) -> Any:
     return dense[np.any(dense != 0, axis=1)]
 
 
-def constraints(loads: int, no_pull: bool, friction: float | None, resultant: Array, wrench: Wrench | None) -> list:
+def constraints(loads: int, contact: ContactLaw, resultant: Array, wrench: Wrench | None) -> list[Constraint]:
     """Constraints of the static family: friction cones or pressures that are not negative, and a resultant."""
-    from loadid.inverse.constraints import Bounds, FrictionCone, Resultant
-
     triples = np.arange(loads).reshape(-1, 3)
-    out: list[Any] = []
-    if friction is not None:
-        out.append(FrictionCone(friction, triples, normals=np.tile([0.0, 0.0, -1.0], (len(triples), 1))))
-    elif no_pull:
+    out: list[Constraint] = []
+    if contact.friction is not None:
+        out.append(FrictionCone(contact.friction, triples, normals=np.tile([0.0, 0.0, -1.0], (len(triples), 1))))
+    elif contact.no_pull:
         out.append(Bounds(upper=0.0, loads=triples[:, 2]))
     if wrench is not None:
         spread = None if wrench.std is None else wrench.std**2

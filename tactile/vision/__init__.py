@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .detect import Detected, Detector, detect, size_of_dots
 from .frames import Frames, frames
-from .motion import Jitter, Motion, Motions, jitter, read_motions
+from .motion import Jitter, MarkerMotion, MarkerMotions, jitter, read_motions
 from .tracker import MarkerTracker, match
 
 __all__ = [
@@ -12,9 +12,9 @@ __all__ = [
     "Detector",
     "Frames",
     "Jitter",
+    "MarkerMotion",
+    "MarkerMotions",
     "MarkerTracker",
-    "Motion",
-    "Motions",
     "detect",
     "frames",
     "jitter",

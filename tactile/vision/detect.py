@@ -115,7 +115,7 @@ class Detector:
         inside = self._inside(points, np.shape(image))
         return Detected(points[inside], levels[inside].astype(float), self.radius)
 
-    def response(self, image: Grey) -> Response:
+    def response(self, image: Grey) -> DotResponse:
         """The image in which every dot is one smooth maximum, and its noise."""
         tools: Backend = backend(self.backend)
         bins = max(1, int(self.radius / COARSEST[self.method]))
@@ -125,9 +125,9 @@ class Detector:
         mean, smoothed = tools.box(coarse, width), tools.smooth(coarse, sigma)
         contrast = mean - smoothed if self.dark else smoothed - mean
         noise = pixel_noise(image) / (2 * np.sqrt(np.pi) * sigma * bins)
-        return Response(contrast, bins, sigma, float(noise))
+        return DotResponse(contrast, bins, sigma, float(noise))
 
-    def _peaks(self, response: Response) -> tuple[NDArray, NDArray, NDArray]:
+    def _peaks(self, response: DotResponse) -> tuple[NDArray, NDArray, NDArray]:
         """Rows, columns and levels of the maxima that are dots."""
         y, x = maxima(response.image, NOISE * response.noise)
         levels = response.image[y, x]
@@ -136,7 +136,7 @@ class Detector:
         alone = levels[keep] >= _patches(response.image, y, x, self._reach(response)).max(axis=(1, 2))
         return y[alone], x[alone], levels[keep][alone]
 
-    def _reach(self, response: Response) -> int:
+    def _reach(self, response: DotResponse) -> int:
         """Half width in binned px of the square that holds one dot only."""
         return max(2, round(min(self.radius * 1.3, 0.45 * self.pitch) / response.bins))
 
@@ -147,7 +147,7 @@ class Detector:
 
 
 @dataclass(frozen=True)
-class Response:
+class DotResponse:
     """The image in which every dot is one smooth maximum.
 
     Parameters

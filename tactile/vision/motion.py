@@ -21,7 +21,7 @@ from .frames import missing_numbers, read_stack
 
 
 @dataclass(frozen=True)
-class Motion:
+class MarkerMotion:
     """Motion of the markers in one frame.
 
     Parameters
@@ -66,7 +66,7 @@ FEWEST = 3
 
 
 @dataclass(frozen=True)
-class Motions:
+class MarkerMotions:
     """Places of markers over many frames.
 
     Parameters
@@ -100,15 +100,15 @@ class Motions:
         """Motion from rest, shape (T, N, 2); NaN = lost."""
         return self.places - self.points
 
-    def __getitem__(self, k: int) -> Motion:
+    def __getitem__(self, k: int) -> MarkerMotion:
         moved = self.places[k] - self.points
         lost = np.isnan(moved).any(axis=1)
         gone = vanished(len(lost), int(lost.sum()), 0, 0)
         number = self.numbers[k] if self.numbers else k + 1
-        return Motion(self.points, moved, lost, np.zeros_like(lost), 0, number, (gone,) if gone else ())
+        return MarkerMotion(self.points, moved, lost, np.zeros_like(lost), 0, number, (gone,) if gone else ())
 
 
-def read_motions(source: str | Path | ArrayLike, *, rest: int = 0) -> Motions:
+def read_motions(source: str | Path | ArrayLike, *, rest: int = 0) -> MarkerMotions:
     """Marker motion of a file, or of an array.
 
     Parameters
@@ -147,7 +147,7 @@ def read_motions(source: str | Path | ArrayLike, *, rest: int = 0) -> Motions:
     )
 
 
-def _from_array(x: NDArray[np.float64], rest: int, where: str) -> Motions:
+def _from_array(x: NDArray[np.float64], rest: int, where: str) -> MarkerMotions:
     if x.ndim != 3 or x.shape[2] not in (2, 3) or x.shape[0] == 0:
         raise InputError("no marker motion", where=where, found=f"shape {x.shape}", expected="(T, N, 2) or (T, N, 3)")
     if np.isinf(x).any():
@@ -157,16 +157,16 @@ def _from_array(x: NDArray[np.float64], rest: int, where: str) -> Motions:
         raise InputError("there is no such frame", where=where, found=f"rest={rest}", expected=f"0 to {len(x) - 1}")
     _enough(int(np.isfinite(x[rest, :, 0]).sum()), where)
     heights = x[..., 2] if x.shape[2] == 3 else None
-    return Motions(x[rest, :, :2], x[..., :2], heights, tuple(range(1, len(x) + 1)))
+    return MarkerMotions(x[rest, :, :2], x[..., :2], heights, tuple(range(1, len(x) + 1)))
 
 
-def _generic(table: NDArray[np.float64], rest: int, where: str) -> Motions:
+def _generic(table: NDArray[np.float64], rest: int, where: str) -> MarkerMotions:
     frame, marker = _whole(table[:, 0], "frame", where), _whole(table[:, 1], "id", where)
     numbers, k = np.unique(frame, return_inverse=True)
     ids, i = np.unique(marker, return_inverse=True)
     found = _from_array(_spread(k, i, table[:, 2:], where), rest, where)
     flag = missing_frames(missing_numbers([str(n) for n in numbers]), Path(where).name)
-    return Motions(
+    return MarkerMotions(
         found.points,
         found.places,
         found.heights,
@@ -176,7 +176,7 @@ def _generic(table: NDArray[np.float64], rest: int, where: str) -> Motions:
     )
 
 
-def _gsrobotics(table: NDArray[np.float64], where: str) -> Motions:
+def _gsrobotics(table: NDArray[np.float64], where: str) -> MarkerMotions:
     frame, row, column = (_whole(table[:, k], name, where) for k, name in enumerate(("frame", "row", "col")))
     numbers, k = np.unique(frame, return_inverse=True)
     pairs, i = np.unique(np.column_stack([row, column]), axis=0, return_inverse=True)
@@ -192,7 +192,7 @@ def _gsrobotics(table: NDArray[np.float64], where: str) -> Motions:
         "dots out of view are inferred by that tracker and cannot be told from those that were seen",
     ]
     notes += [f"{int(outside.sum())} places left of or above the image are taken as lost"] if outside.any() else []
-    return Motions(points, places, None, tuple(map(int, numbers)), (flag,) if flag else (), tuple(notes))
+    return MarkerMotions(points, places, None, tuple(map(int, numbers)), (flag,) if flag else (), tuple(notes))
 
 
 def _spread(k: NDArray, i: NDArray, values: NDArray[np.float64], where: str) -> NDArray[np.float64]:

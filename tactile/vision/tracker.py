@@ -17,7 +17,7 @@ from structures.flags import Flag
 from ..guards import leapt, vanished
 from .detect import BRIGHT, SIZE, Detected, Detector, size_of_dots
 from .interpolation import NEAREST, fitted_weights
-from .motion import Jitter, Motion, jitter
+from .motion import Jitter, MarkerMotion, jitter
 
 NONE = -1  # index of a marker without a dot
 NEIGHBOURS = 8
@@ -242,7 +242,7 @@ class MarkerTracker:
         """Median distance of neighbouring markers at rest, px."""
         return self._around.pitch
 
-    def step(self, frame: Any) -> Motion:
+    def step(self, frame: Any) -> MarkerMotion:
         """Motion of the markers in the next frame.
 
         Parameters
@@ -264,12 +264,12 @@ class MarkerTracker:
         self._leap = self._leap or leapt(common, self.pitch, self._frame)
         return self._motion(rejected, len(dots.points) - int(taken.sum()))
 
-    def _motion(self, rejected: NDArray[np.bool_], unmatched: int) -> Motion:
+    def _motion(self, rejected: NDArray[np.bool_], unmatched: int) -> MarkerMotion:
         moved = np.where(self._found[:, None], self._now - self._rest, np.nan)
         lost = np.isnan(moved).any(axis=1) & ~rejected
         gone = vanished(len(lost), int(lost.sum()), int(rejected.sum()), unmatched)
         flags = tuple(flag for flag in (gone, self._leap) if flag is not None)
-        return Motion(self.points, moved, lost, rejected, unmatched, self._frame, flags)
+        return MarkerMotion(self.points, moved, lost, rejected, unmatched, self._frame, flags)
 
     def zero(self, frames: Iterable[Any] | None = None) -> None:
         """Take the present places as rest; with unloaded frames, their mean.

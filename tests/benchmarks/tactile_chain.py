@@ -18,6 +18,7 @@ import numpy as np
 from tactile.closed.presses import Press
 from tactile.results.forcemap import ForceMap
 from tactile.sensors.multilayer import MultilayerPad
+from tactile.sensors.settings import ContactLaw
 from tactile.vision.images import Scene, grid
 
 from .tactile_rate import SIDE, Rig, rig
@@ -106,8 +107,8 @@ def table(elements: int = 24, frames: int = 16) -> dict[str, list[Row]]:
     for name, settings, share, depth in (
         ("all markers, depth", {}, 0.0, True),
         ("10 % of markers removed", {}, 0.1, True),
-        ("no pull", {"no_pull": True}, 0.0, True),
-        ("friction cones", {"friction": 0.6}, 0.0, True),
+        ("no pull", {"contact": ContactLaw(no_pull=True)}, 0.0, True),
+        ("friction cones", {"contact": ContactLaw(friction=0.6)}, 0.0, True),
         ("in-plane markers alone", {}, 0.0, False),
     ):
         r = fresh(base)

@@ -19,6 +19,7 @@ from tactile.closed.presses import Press
 from tactile.pad.pad import Pad
 from tactile.sensors.multilayer import MultilayerPad
 from tactile.sensors.observation import DepthMap
+from tactile.sensors.settings import ContactLaw
 from tactile.vision.eye import Eye, View
 from tactile.vision.images import Scene, grid
 
@@ -100,7 +101,7 @@ def table(elements: int = 42, count: int = FRAMES) -> dict[str, tuple[float, flo
     deep = MultilayerPad(r.pad, eye=r.eye, depth=r.depths[0], choice=0.02)
     deep.inverse  # noqa: B018
     row("image and depth to map", lambda k: deep.estimate(r.images[k], r.depths[k]))
-    cones = MultilayerPad(r.pad, eye=r.eye, depth=r.depths[0], choice=0.02, friction=0.6)
+    cones = MultilayerPad(r.pad, eye=r.eye, depth=r.depths[0], choice=0.02, contact=ContactLaw(friction=0.6))
     cones.inverse  # noqa: B018
     row("image and depth to map, friction cones", lambda k: cones.estimate(r.images[k], r.depths[k]))
     _alternatives(r, deep, row)

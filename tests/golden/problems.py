@@ -39,6 +39,8 @@ from structures import Channel, ForwardModel, FrfModel, ImpulseModel, MatrixMode
 from structures.elements import beams, chains
 from structures.system import damping, loads, sensors
 from tactile import GelForce, GelSlim, HalfSpace, MultilayerPad, Pad, Press
+from tactile.sensors.observation import Markers
+from tactile.sensors.settings import ContactLaw
 from tests.data import measured
 
 from .answers import Answer, answer, kept
@@ -634,13 +636,13 @@ def mapped(e: Any) -> Answer:
 def pressed(axes: str = "XYZ", **settings: Any) -> Answer:
     """Force map of the multilayer pad."""
     at, u = moved()
-    return mapped(MultilayerPad(pad(), at, noise=2e-6, axes=axes, **SAID, **settings).estimate(u[:, : len(axes)]))
+    return mapped(MultilayerPad(pad(), Markers(at, 2e-6, axes), **SAID, **settings).estimate(u[:, : len(axes)]))
 
 
 def slim() -> Answer:
     """F = K U, the baseline of the field."""
     at, u = moved(1, "standard")
-    return mapped(GelSlim(pad(1, "standard"), at, noise=2e-6, axes="XYZ", interpolation="linear").estimate(u))
+    return mapped(GelSlim(pad(1, "standard"), Markers(at, 2e-6, "XYZ"), interpolation="linear").estimate(u))
 
 
 def gel(**settings: Any) -> Answer:
@@ -648,7 +650,7 @@ def gel(**settings: Any) -> Answer:
     line = np.arange(5) * 2e-3 - 4e-3
     at = np.array([(x, y) for y in line for x in line])
     under = np.vstack([np.column_stack([at, np.full(25, -1e-3 * d)]) for d in (0.5, 1)])
-    s = GelForce(HalfSpace(E=0.147e6, nu=0.49), at, under, noise=5e-6, **SAID, **settings)
+    s = GelForce(HalfSpace(E=0.147e6, nu=0.49), at, Markers(under, 5e-6, "XYZ"), **SAID, **settings)
     f = np.zeros((25, 3))
     f[12], f[13] = (0.3, 0.0, -1.0), (0.0, 0.0, -0.5)
     u = (s.model.static() @ f.ravel()).reshape(-1, 3) + 5e-6 * np.random.default_rng(10).standard_normal((50, 3))
@@ -658,8 +660,8 @@ def gel(**settings: Any) -> Answer:
 add("tactile/pad/given", lambda: pressed(choice=LAM))
 add("tactile/pad/default", pressed)
 add("tactile/pad in the plane, laplacian/given", lambda: pressed("XY", penalty="laplacian", choice=LAM))
-add("tactile/pad, no pull/given", lambda: pressed(choice=LAM, no_pull=True))
-add("tactile/pad, friction/given", lambda: pressed(choice=LAM, friction=0.5))
+add("tactile/pad, no pull/given", lambda: pressed(choice=LAM, contact=ContactLaw(no_pull=True)))
+add("tactile/pad, friction/given", lambda: pressed(choice=LAM, contact=ContactLaw(friction=0.5)))
 add("tactile/stiffness product", slim)
 add("tactile/point forces/least squares", lambda: gel(choice=0, penalty=None))
 add("tactile/point forces/discrepancy", lambda: gel(choice="discrepancy"))

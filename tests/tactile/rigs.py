@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from tactile.closed.presses import Press
 from tactile.pad.pad import Pad
 from tactile.sensors.multilayer import MultilayerPad
-from tactile.sensors.observation import DepthMap
+from tactile.sensors.observation import DepthMap, Markers
+from tactile.sensors.settings import ContactLaw
 
 NOISE = 2e-6
 PRESS = Press(at=(0.4e-3, -0.3e-3), radius=2.5e-3, force=1.0, shear=(0.25, 0.0))
@@ -48,10 +49,13 @@ def motion(seed: int | None = None, noise: float = NOISE) -> NDArray[np.float64]
     return u if seed is None else u + noise * np.random.default_rng(seed).standard_normal(u.shape)
 
 
+NO_PULL = ContactLaw(no_pull=True)
+
+
 @cache
 def sensor(choice: float = 0.01, axes: str = "XYZ", **settings: object) -> MultilayerPad:
     """A multilayer pad with a frozen lambda."""
-    return MultilayerPad(pad(), markers(), noise=NOISE, axes=axes, choice=choice, **settings)  # type: ignore[arg-type]
+    return MultilayerPad(pad(), Markers(markers(), NOISE, axes), choice=choice, **settings)  # type: ignore[arg-type]
 
 
 @cache

@@ -303,7 +303,7 @@ def test_spans() -> None:
 def test_kinds_of_input(made: Path) -> None:
     kinds = {n: is_motion(made / n) for n in ("frames", "stack.npy", "moved.npy", "places.csv")}
     assert kinds == {"frames": False, "stack.npy": False, "moved.npy": True, "places.csv": True}
-    followed = _eyes.Followed(np.zeros((3, 2)))
+    followed = _eyes.PlaceTracker(np.zeros((3, 2)))
     motion = followed.step(np.array([[1.0, 2.0], [np.nan, np.nan], [0.0, 0.0]]))
     assert motion.lost.tolist() == [False, True, False]
     assert motion.moved[0].tolist() == [1.0, 2.0]

@@ -13,6 +13,7 @@ from tactile.pad.pad import Pad
 from tactile.results.forcemap import ForceMap
 from tactile.sensors.multilayer import MultilayerPad
 from tactile.sensors.observation import DepthMap
+from tactile.sensors.settings import ContactLaw
 from tactile.vision.eye import Eye, View
 from tactile.vision.images import Scene, grid
 
@@ -46,7 +47,7 @@ def unloaded() -> tuple[np.ndarray, ...]:
 def chained(watch: Eye, **settings: object) -> MultilayerPad:
     """A sensor whose map may lie anywhere but near the rim."""
     inner = np.all(np.abs(pad().nodes2d) < 7.6e-3, axis=1)
-    return MultilayerPad(pad(), eye=watch, choice=0.01, support=inner, **settings)  # type: ignore[arg-type]
+    return MultilayerPad(pad(), eye=watch, choice=0.01, **settings, contact=ContactLaw(support=inner))  # type: ignore[arg-type]
 
 
 def eye(**settings: object) -> Eye:

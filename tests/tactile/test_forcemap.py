@@ -11,8 +11,9 @@ from loadid import LoadEstimate
 from structures.errors import InputError
 from tactile.results.forcemap import ForceMap
 from tactile.sensors.gelslim import GelSlim
+from tactile.sensors.observation import Markers
 
-from .rigs import NOISE, PRESS, markers, motion, nodal, pad, sensor
+from .rigs import NO_PULL, NOISE, PRESS, markers, motion, nodal, pad, sensor
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,7 @@ def test_forces_are_the_boundary_mass_times_tractions(found: ForceMap) -> None:
 
 
 def test_nodal_forces_and_tractions_are_kept_apart() -> None:
-    s = GelSlim(pad(), markers(), noise=NOISE, axes="XYZ")
+    s = GelSlim(pad(), Markers(markers(), NOISE, "XYZ"))
     slim = s.estimate(motion(1))
     assert set(slim.units) == {"N"}
     assert np.allclose(pad().surface.forces(slim.traction()), slim.forces(), atol=1e-12)
@@ -55,7 +56,7 @@ def test_the_std_of_a_torque_moves_with_its_point(found: ForceMap) -> None:
 
 
 def test_contact_is_that_of_the_press(found: ForceMap) -> None:
-    touch = sensor(no_pull=True).estimate(motion(1)).contact()
+    touch = sensor(contact=NO_PULL).estimate(motion(1)).contact()
     assert touch.radius == pytest.approx(PRESS.radius, rel=0.08)
     assert np.allclose(touch.centre, PRESS.at, atol=1e-4)
     assert touch.peak == pytest.approx(PRESS.peak, rel=0.1)
@@ -77,7 +78,7 @@ def test_files_give_the_same_map_back(found: ForceMap, tmp_path: Path) -> None:
     assert np.array_equal(again.resultant().std, found.resultant().std)
     assert again.provided == found.provided
     assert again.codes == found.codes
-    slim = GelSlim(pad(), markers(), noise=NOISE, axes="XYZ").estimate(motion(1))
+    slim = GelSlim(pad(), Markers(markers(), NOISE, "XYZ")).estimate(motion(1))
     slim.save(tmp_path / "slim.h5")
     assert np.allclose(ForceMap.read(tmp_path / "slim.h5").traction(), slim.traction())
 

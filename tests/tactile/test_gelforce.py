@@ -9,6 +9,8 @@ from structures.errors import InputError, NotIdentifiable
 from tactile.closed.layer import HalfSpace, Layer
 from tactile.closed.presses import Press
 from tactile.sensors.gelforce import GelForce, influence
+from tactile.sensors.observation import Markers
+from tactile.sensors.settings import Extent
 
 GROUND = HalfSpace(E=0.147e6, nu=0.49)
 # condition number, relative error of the pseudo-inverse at 5 um: 11 x 11 forces 2 mm apart, markers under them
@@ -25,7 +27,7 @@ def rig(
 ) -> GelForce:
     at = places(count)
     under = [np.column_stack([at, np.full(len(at), ground.top - 1e-3 * d)]) for d in depths]
-    return GelForce(ground, at, np.vstack(under), noise=5e-6, **{"choice": 0, "penalty": None, **settings})  # type: ignore[arg-type]
+    return GelForce(ground, at, Markers(np.vstack(under), 5e-6, "XYZ"), **{"choice": 0, "penalty": None, **settings})  # type: ignore[arg-type]
 
 
 def truth(count: int = 11) -> np.ndarray:
@@ -82,40 +84,51 @@ def test_the_layer_knows_the_window_and_the_half_space_does_not() -> None:
     markers = np.vstack([np.column_stack([at, np.full(len(at), 3e-3 - d)]) for d in (1.5e-3, 2.2e-3)])
     press = Press(radius=3e-3, force=1.0)
     u = press.displacement(layer, markers)
-    inside = GelForce(layer, at, markers, noise=1e-6, choice=1e-3).estimate(u)
+    inside = GelForce(layer, at, Markers(markers, 1e-6, "XYZ"), choice=1e-3).estimate(u)
     down = markers - [0.0, 0.0, 3e-3]
-    half = GelForce(layer.half_space, at, down, noise=1e-6, choice=1e-3).estimate(u)
+    half = GelForce(layer.half_space, at, Markers(down, 1e-6, "XYZ"), choice=1e-3).estimate(u)
     assert inside.resultant().value[2] == pytest.approx(-1.0, abs=0.03)
     assert abs(half.resultant().value[2] + 1) > 0.2
 
 
 def test_a_thin_pad_is_flagged_then_refused() -> None:
-    assert "W601" in rig((0.5, 1), thickness=5e-3, contact_radius=1e-3, count=5).codes
-    assert not rig((0.5, 1), thickness=20e-3, contact_radius=1e-3, count=5).codes
+    assert "W601" in rig((0.5, 1), extent=Extent(5e-3, 1e-3), count=5).codes
+    assert not rig((0.5, 1), extent=Extent(20e-3, 1e-3), count=5).codes
     with pytest.raises(NotIdentifiable, match="half-space"):
-        rig((0.5, 1), thickness=3e-3, contact_radius=1e-3, count=5)
-    assert "E602" in rig((0.5, 1), thickness=3e-3, contact_radius=1e-3, count=5, allow=("E602",)).codes
+        rig((0.5, 1), extent=Extent(3e-3, 1e-3), count=5)
+    assert "E602" in rig((0.5, 1), extent=Extent(3e-3, 1e-3), count=5, allow=("E602",)).codes
 
 
 def test_a_contact_near_an_edge_is_flagged() -> None:
-    s = rig((0.5, 1), thickness=3e-3, size=(20e-3, 20e-3), count=7)
-    wide = rig((0.5, 1), thickness=3e-3, size=(60e-3, 60e-3), count=7)
+    s = rig((0.5, 1), extent=Extent(3e-3, size=(20e-3, 20e-3)), count=7)
+    wide = rig((0.5, 1), extent=Extent(3e-3, size=(60e-3, 60e-3)), count=7)
     u = (s.model.H @ truth(7).ravel()).reshape(-1, 3)
     assert "W601" in s.estimate(u).codes
     assert "W601" not in wide.estimate(u).codes
     with pytest.raises(InputError, match="thickness"):
-        rig((0.5, 1), size=(20e-3, 20e-3), count=5)
+        rig((0.5, 1), extent=Extent(size=(20e-3, 20e-3)), count=5)
 
 
 @pytest.mark.parametrize("depth", [0.0, -1e-3])
 def test_markers_on_the_surface_are_refused(depth: float) -> None:
     at = places(3)
     with pytest.raises(InputError, match="under the surface"):
-        GelForce(GROUND, at, np.column_stack([at, np.full(9, -depth)]), noise=1e-6)
+        GelForce(GROUND, at, Markers(np.column_stack([at, np.full(9, -depth)]), 1e-6, "XYZ"))
 
 
 @pytest.mark.parametrize("forces", [np.zeros((1, 2)), np.zeros((4, 3)), np.full((4, 2), np.nan)])
 def test_places_of_forces(forces: np.ndarray) -> None:
     at = places(3)
     with pytest.raises(InputError):
-        GelForce(GROUND, forces, np.column_stack([at, np.full(9, -1e-3)]), noise=1e-6)
+        GelForce(GROUND, forces, Markers(np.column_stack([at, np.full(9, -1e-3)]), 1e-6, "XYZ"))
+
+
+def test_the_keywords_of_the_first_version_go_on_working() -> None:
+    now = rig((0.5, 1), count=5, extent=Extent(20e-3, 1e-3))
+    with pytest.warns(DeprecationWarning, match=r"GelForce, noise=: spelled markers=Markers\(points, noise=\.\.\.\)"):
+        before = GelForce(GROUND, places(5), now.markers.points, noise=5e-6, choice=0, penalty=None)
+    assert before.markers.axes == "XYZ"
+    assert np.array_equal(before.model.H, now.model.H)
+    with pytest.warns(DeprecationWarning, match=r"extent=Extent\(thickness=\.\.\., contact_radius=\.\.\.\)"):
+        thin = GelForce(GROUND, places(5), now.markers, thickness=5e-3, contact_radius=1e-3)
+    assert "W601" in thin.codes

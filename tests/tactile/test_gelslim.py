@@ -9,7 +9,8 @@ from structures.errors import InputError
 from tactile.closed.contact import Cylinder, Sphere
 from tactile.pad.stiffness import Completion
 from tactile.sensors.gelslim import GelSlim
-from tactile.sensors.observation import Wrench
+from tactile.sensors.observation import Markers, Wrench
+from tactile.sensors.settings import ContactLaw
 from tactile.vision.interpolation import Interpolation
 
 from .rigs import NOISE, depth, markers, motion, pad
@@ -31,13 +32,13 @@ def bump(seed: int = 0) -> np.ndarray:
 @pytest.mark.parametrize("layers", [1, 3])
 def test_a_product_with_the_stiffness_is_exact_on_its_own_data(layers: int) -> None:
     here, f = pad(layers, "standard" if layers == 1 else "bbar"), bump()
-    s = GelSlim(here, here.nodes2d, noise=NOISE, axes="XYZ", interpolation="linear")
+    s = GelSlim(here, Markers(here.nodes2d, NOISE, "XYZ"), interpolation="linear")
     assert relative(s.estimate(here.displacements(f)).forces(), f) < 1e-11
 
 
 def test_reactions_are_no_contact() -> None:
     here, f = pad(1, "standard"), bump()
-    found = GelSlim(here, here.nodes2d, noise=NOISE, axes="XYZ", interpolation="linear").estimate(here.displacements(f))
+    found = GelSlim(here, Markers(here.nodes2d, NOISE, "XYZ"), interpolation="linear").estimate(here.displacements(f))
     assert np.allclose(here.reactions(found.forces()).sum(axis=0), -f.sum(axis=0), atol=1e-12)
     assert np.allclose(found.resultant().value, f.sum(axis=0), atol=1e-12)
 
@@ -45,7 +46,7 @@ def test_reactions_are_no_contact() -> None:
 def test_what_the_markers_do_not_reach_carries_nothing() -> None:
     here, f = pad(1, "standard"), bump()
     inner = np.all(np.abs(here.nodes2d) < [5.1e-3, 4.1e-3], axis=1)
-    s = GelSlim(here, here.nodes2d[inner], noise=NOISE, axes="XYZ", interpolation="linear")
+    s = GelSlim(here, Markers(here.nodes2d[inner], NOISE, "XYZ"), interpolation="linear")
     found = s.estimate(here.displacements(f)[inner])
     assert relative(found.forces(), f) < 1e-9
     assert found.facts["outside_hull"] == int(np.sum(~inner))
@@ -54,17 +55,22 @@ def test_what_the_markers_do_not_reach_carries_nothing() -> None:
 def test_a_support_carries_all_and_less_noise() -> None:
     here, f = pad(1, "standard"), bump()
     near = np.hypot(*here.nodes2d.T) < 4e-3
-    free = GelSlim(here, here.nodes2d, noise=NOISE, axes="XYZ", interpolation="linear")
-    s = GelSlim(here, here.nodes2d, noise=NOISE, axes="XYZ", interpolation="linear", support=near)
+    free = GelSlim(here, Markers(here.nodes2d, NOISE, "XYZ"), interpolation="linear")
+    s = GelSlim(here, Markers(here.nodes2d, NOISE, "XYZ"), interpolation="linear", contact=ContactLaw(support=near))
     u = here.displacements(f)
     assert relative(s.estimate(u).forces(), f) < 1e-9
     y = u + NOISE * np.random.default_rng(0).standard_normal(u.shape)
     assert not np.any(s.estimate(y).forces()[~near])
     assert relative(s.estimate(y).forces(), f) < 0.7 * relative(free.estimate(y).forces(), f)
-    held = GelSlim(here, here.nodes2d, noise=NOISE, axes="XYZ", interpolation="linear", support=near, no_pull=True)
+    held = GelSlim(
+        here,
+        Markers(here.nodes2d, NOISE, "XYZ"),
+        interpolation="linear",
+        contact=ContactLaw(no_pull=True, support=near),
+    )
     assert not np.any(held.estimate(y).forces()[~near])
     with pytest.raises(InputError, match="support"):
-        GelSlim(here, here.nodes2d, noise=NOISE, axes="XYZ", support=[-1])
+        GelSlim(here, Markers(here.nodes2d, NOISE, "XYZ"), contact=ContactLaw(support=[-1]))
 
 
 def test_completion_is_condensation() -> None:
@@ -83,7 +89,7 @@ def test_a_sphere_completes_the_normal_motion() -> None:
     here = pad(1, "standard")
     ball = Sphere(radius=8e-3, depth=0.4e-3)
     u = np.zeros((here.points, 2))
-    found = GelSlim(here, here.nodes2d, noise=NOISE, interpolation="linear").estimate(u, indenter=ball)
+    found = GelSlim(here, Markers(here.nodes2d, NOISE), interpolation="linear").estimate(u, indenter=ball)
     force = found.forces()[:, 2]
     touched = force < -1e-9 * np.abs(force).max()
     z = here.displacements(found.forces())[:, 2]
@@ -107,7 +113,7 @@ def test_indenters_are_what_they_are(shape: type, where: tuple[float, float]) ->
 def test_the_band_is_that_of_the_noise_and_the_correlation_counts() -> None:
     here = pad(1, "standard")
     m = markers(12, 10)  # coarser than the nodes: what is interpolated shares markers
-    s = GelSlim(here, m, noise=NOISE, axes="XYZ")
+    s = GelSlim(here, Markers(m, NOISE, "XYZ"))
     rng = np.random.default_rng(0)
     d = 1e-5 * rng.standard_normal((len(m), 3))
     truth = s.estimate(d).load
@@ -127,14 +133,14 @@ def test_the_band_is_that_of_the_noise_and_the_correlation_counts() -> None:
 
 def test_the_resultant_has_the_std_of_its_scatter() -> None:
     here, m = pad(1, "standard"), markers(12, 10)
-    s, rng = GelSlim(here, m, noise=NOISE, axes="XYZ"), np.random.default_rng(0)
+    s, rng = GelSlim(here, Markers(m, NOISE, "XYZ")), np.random.default_rng(0)
     drawn = [s.estimate(NOISE * rng.standard_normal((len(m), 3))).resultant() for _ in range(200)]
     assert np.std([r.value for r in drawn], axis=0) == pytest.approx(drawn[0].std, rel=0.2)
 
 
 def test_measured_depth_counts_with_its_noise() -> None:
     here = pad()
-    s = GelSlim(here, markers(), noise=NOISE, depth=depth())
+    s = GelSlim(here, Markers(markers(), NOISE), depth=depth())
     found = s.estimate(motion(1)[:, :2], depth())
     assert found.provided["z"] == "measured"
     assert abs(found.resultant().value[2] + 1) < 0.08
@@ -142,30 +148,30 @@ def test_measured_depth_counts_with_its_noise() -> None:
 
 
 def test_measured_depth_brings_its_own_noise_whatever_the_markers_track() -> None:
-    plane = GelSlim(pad(), markers(), noise=NOISE, depth=depth())
-    space = GelSlim(pad(), markers(), noise=[NOISE, NOISE, 1e-4], axes="XYZ", depth=depth())
+    plane = GelSlim(pad(), Markers(markers(), NOISE), depth=depth())
+    space = GelSlim(pad(), Markers(markers(), [NOISE, NOISE, 1e-4], "XYZ"), depth=depth())
     a, b = plane.estimate(motion(1)[:, :2], depth()), space.estimate(motion(1), depth())
     assert np.allclose(a.std, b.std, rtol=1e-9, atol=0)
     with pytest.raises(InputError, match="friction"):
-        GelSlim(pad(), markers(), noise=NOISE, friction=-1.0)
+        GelSlim(pad(), Markers(markers(), NOISE), contact=ContactLaw(friction=-1.0))
 
 
 def test_projection_is_taken_off_with_the_normal_motion() -> None:
     here = pad()
     slope = np.tile([0.3, -0.2], (len(markers()), 1))
     apparent = motion()[:, :2] + slope * motion()[:, 2:]
-    right = GelSlim(here, markers(), noise=NOISE, depth=depth(noise=1e-8), slope=slope)
-    blind = GelSlim(here, markers(), noise=NOISE, depth=depth(noise=1e-8))
+    right = GelSlim(here, Markers(markers(), NOISE, slope=slope), depth=depth(noise=1e-8))
+    blind = GelSlim(here, Markers(markers(), NOISE), depth=depth(noise=1e-8))
     plain = blind.estimate(motion()[:, :2], depth(noise=1e-8)).resultant().value
     assert np.allclose(right.estimate(apparent, depth(noise=1e-8)).resultant().value, plain, atol=0.02)
     assert abs(blind.estimate(apparent, depth(noise=1e-8)).resultant().value[0] - plain[0]) > 0.05
 
 
 def test_constraints_and_a_force_sensor() -> None:
-    s = GelSlim(pad(), markers(), noise=NOISE, axes="XYZ", friction=0.6)
+    s = GelSlim(pad(), Markers(markers(), NOISE, "XYZ"), contact=ContactLaw(friction=0.6))
     t = s.estimate(motion(1)).forces()
     assert np.all(np.hypot(t[:, 0], t[:, 1]) <= -0.6 * t[:, 2] + 1e-6 * np.abs(t).max())
-    free = GelSlim(pad(), markers(), noise=NOISE, axes="XYZ")
+    free = GelSlim(pad(), Markers(markers(), NOISE, "XYZ"))
     found = free.estimate(motion(1), wrench=Wrench([0.3, 0.0, -1.1]))
     assert np.allclose(found.resultant().value, [0.3, 0.0, -1.1], atol=1e-9)
 
@@ -173,14 +179,14 @@ def test_constraints_and_a_force_sensor() -> None:
 def test_lost_markers_are_left_out() -> None:
     y = motion(1).copy()
     y[[40, 97]] = np.nan
-    s = GelSlim(pad(), markers(), noise=NOISE, axes="XYZ")
+    s = GelSlim(pad(), Markers(markers(), NOISE, "XYZ"))
     assert relative(s.estimate(y).forces(), s.estimate(motion(1)).forces()) < 0.2
     assert s.estimate(y).facts["lost"] == 6
 
 
 def test_in_plane_markers_alone_are_not_enough() -> None:
     with pytest.raises(InputError, match="normal motion is not known"):
-        GelSlim(pad(), markers(), noise=NOISE).estimate(motion()[:, :2])
+        GelSlim(pad(), Markers(markers(), NOISE)).estimate(motion()[:, :2])
 
 
 @pytest.mark.parametrize("bad", [{"depth": 9e-3}, {"depth": -1e-3}, {"at": (np.nan, 0.0)}])

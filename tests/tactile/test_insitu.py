@@ -12,6 +12,7 @@ from tactile.closed.presses import Press
 from tactile.material.identify import Gain, gain, poisson
 from tactile.pad.pad import Pad
 from tactile.sensors.multilayer import MultilayerPad
+from tactile.sensors.observation import Markers
 
 from .rigs import NOISE, markers, motion, nodal, sensor
 
@@ -39,7 +40,7 @@ def known() -> tuple[tuple[np.ndarray, ...], np.ndarray]:
 
 
 def build(nu: float) -> MultilayerPad:
-    return MultilayerPad(body(nu, 147e3, (14, 12), 4), markers(), noise=1e-6, axes="XYZ", choice=0.003)
+    return MultilayerPad(body(nu, 147e3, (14, 12), 4), Markers(markers(), 1e-6, "XYZ"), choice=0.003)
 
 
 def test_a_modulus_is_a_gain() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from structures import InputError
 from structures.flags import codes
-from tactile import guards as guards
+from tactile import guards
 from tactile.pad import body as outline
 from tactile.pad.pad import Pad
 

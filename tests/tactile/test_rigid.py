@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from structures.flags import Flag
 from tactile.closed.layer import Layer
 from tactile.closed.presses import Press
-from tactile.results.guards import away
 from tactile.sensors.gelforce import GelForce
 from tactile.sensors.gelslim import GelSlim
 from tactile.sensors.multilayer import MultilayerPad
+from tactile.sensors.observation import Markers
+from tactile.sensors.rigid import away
 from tactile.vision.eye import Eye, View
 
 from .rigs import NOISE, markers, pad, sensor
@@ -40,9 +41,9 @@ def made(kind: str) -> tuple[Any, Array]:
     if kind == "GelForce":
         x, y = np.meshgrid(np.linspace(-5e-3, 5e-3, 8), np.linspace(-4e-3, 4e-3, 7))
         places = np.column_stack([x.ravel(), y.ravel()])
-        return GelForce(LAYER, places, deep(), noise=NOISE, choice=0.003), deep()
+        return GelForce(LAYER, places, Markers(deep(), NOISE, "XYZ"), choice=0.003), deep()
     if kind == "GelSlim":
-        return GelSlim(pad(), markers(), noise=NOISE, axes="XYZ"), markers()
+        return GelSlim(pad(), Markers(markers(), NOISE, "XYZ")), markers()
     return sensor(0.005, "XY" if kind == "XY" else "XYZ"), markers()
 
 
@@ -94,7 +95,7 @@ def test_a_slip_beside_a_press_is_said(kind: str) -> None:
 
 
 def test_a_lambda_that_is_chosen_on_the_frame_says_so_too() -> None:
-    s = MultilayerPad(pad(), markers(9, 8), noise=NOISE, axes="XYZ")
+    s = MultilayerPad(pad(), Markers(markers(9, 8), NOISE, "XYZ"))
     y = noisy(slipped(markers(9, 8), (0.0, 30e-6)), 1)
     y[[5, 17]] = np.nan
     (flag,) = flags(s.estimate(y))

@@ -11,10 +11,12 @@ from loadid import StaticInversion
 from structures.errors import InputError
 from tactile.closed.presses import Press
 from tactile.results.forcemap import ForceMap
+from tactile.sensors.gelslim import GelSlim
 from tactile.sensors.multilayer import MultilayerPad
 from tactile.sensors.observation import DepthMap, Depths, Markers, Wrench
+from tactile.sensors.settings import ContactLaw
 
-from .rigs import NOISE, PRESS, depth, markers, motion, nodal, pad, sensor
+from .rigs import NO_PULL, NOISE, PRESS, depth, markers, motion, nodal, pad, sensor
 
 
 def relative(a: np.ndarray, b: np.ndarray) -> float:
@@ -77,7 +79,7 @@ def test_lost_markers_cost_themselves_and_nothing_else() -> None:
 def test_lost_markers_where_lambda_is_chosen_on_the_frame() -> None:
     y = motion(1).copy()
     y[[40, 41, 97, 100]] = np.nan
-    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ")
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"))
     found = s.estimate(y)
     assert found.choice is not None
     keep = np.isfinite(y.ravel())
@@ -89,7 +91,7 @@ def test_lost_markers_where_lambda_is_chosen_on_the_frame() -> None:
 
 
 def test_calibration_that_is_refused_changes_nothing() -> None:
-    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ", choice=0.02)
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"), choice=0.02)
     with pytest.raises(InputError):
         s.calibrate([np.full((195, 3), np.nan)])
     assert s.inverse.lam == 0.02
@@ -139,7 +141,7 @@ def test_a_dot_taken_for_its_neighbour_is_left_out() -> None:
 
 
 def test_units_of_force_do_not_matter() -> None:
-    stiff = MultilayerPad(replace(pad(), E=147e9, material="any"), markers(), noise=NOISE, axes="XYZ", choice=0.01)
+    stiff = MultilayerPad(replace(pad(), E=147e9, material="any"), Markers(markers(), NOISE, "XYZ"), choice=0.01)
     soft = sensor().estimate(motion(1))
     assert relative(stiff.estimate(motion(1)).load, 1e6 * soft.load) < 1e-9
 
@@ -176,8 +178,8 @@ def test_a_measured_resultant_counts_when_markers_are_lost() -> None:
 
 def test_no_pull_and_friction_hold() -> None:
     free = sensor().estimate(motion(1))
-    pressed = sensor(no_pull=True).estimate(motion(1))
-    held = sensor(friction=0.3).estimate(motion(1))
+    pressed = sensor(contact=NO_PULL).estimate(motion(1))
+    held = sensor(contact=ContactLaw(friction=0.3)).estimate(motion(1))
     assert free.pressure().min() < -1e-3 * free.pressure().max()
     assert pressed.pressure().min() >= -1e-9 * pressed.pressure().max()
     t = held.traction()
@@ -188,7 +190,7 @@ def test_no_pull_and_friction_hold() -> None:
 def test_the_constrained_answer_is_that_of_an_interior_point_solver() -> None:
     from scipy.optimize import lsq_linear
 
-    s = sensor(no_pull=True)
+    s = sensor(contact=NO_PULL)
     found = s.estimate(motion(1))
     region = s._quick[True]._region._last
     assert region is not None
@@ -201,18 +203,18 @@ def test_the_constrained_answer_is_that_of_an_interior_point_solver() -> None:
 
 
 def test_a_resultant_is_met_under_friction() -> None:
-    found = sensor(friction=0.6).estimate(motion(1), wrench=Wrench([0.2, 0.0, -1.05]))
+    found = sensor(contact=ContactLaw(friction=0.6)).estimate(motion(1), wrench=Wrench([0.2, 0.0, -1.05]))
     assert np.allclose(found.resultant().value, [0.2, 0.0, -1.05], atol=1e-7)
 
 
 def test_what_is_not_touched_carries_nothing() -> None:
     rng = np.random.default_rng(0)
-    found = sensor(no_pull=True).estimate(NOISE * rng.standard_normal((len(markers()), 3)))
+    found = sensor(contact=NO_PULL).estimate(NOISE * rng.standard_normal((len(markers()), 3)))
     assert np.count_nonzero(found.load) < 0.1 * found.load.size
 
 
 def test_frames_start_warm_and_give_the_same() -> None:
-    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ", choice=0.01, friction=0.5)
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"), choice=0.01, contact=ContactLaw(friction=0.5))
     cold = s.estimate(motion(1)).load
     s.estimate(1.3 * motion(2))
     assert relative(s.estimate(motion(1)).load, cold) < 1e-8
@@ -221,7 +223,7 @@ def test_frames_start_warm_and_give_the_same() -> None:
 def test_a_support_carries_all() -> None:
     here = pad()
     near = np.hypot(*(here.nodes2d - np.array(PRESS.at)).T) < 4e-3
-    s = MultilayerPad(here, markers(), noise=NOISE, axes="XYZ", choice=0.01, support=near)
+    s = MultilayerPad(here, Markers(markers(), NOISE, "XYZ"), choice=0.01, contact=ContactLaw(support=near))
     found = s.estimate(motion(1))
     assert np.all(found.forces()[~_touching(near)] == 0)
     assert relative(found.forces(), nodal()) < relative(sensor().estimate(motion(1)).forces(), nodal())
@@ -237,7 +239,7 @@ def _touching(nodes: np.ndarray) -> np.ndarray:
 
 
 def test_depth_is_measured_and_its_absence_is_said() -> None:
-    s = MultilayerPad(pad(), markers(), noise=NOISE, depth=depth(), choice=0.01)
+    s = MultilayerPad(pad(), Markers(markers(), NOISE), depth=depth(), choice=0.01)
     y = motion(1)[:, :2]
     both, alone = s.estimate(y, depth()), s.estimate(y)
     assert both.provided["z"] == "measured"
@@ -280,7 +282,7 @@ def test_windows_lie_on_their_nodes_whatever_the_pixels(count: int) -> None:
 def test_missing_pixels_cost_themselves() -> None:
     full, rng = depth(), np.random.default_rng(0)
     y = motion(1)[:, :2]
-    s = MultilayerPad(pad(), markers(), noise=NOISE, depth=full, choice=0.003)
+    s = MultilayerPad(pad(), Markers(markers(), NOISE), depth=full, choice=0.003)
     z = full.values.copy()
     z[rng.random(z.shape) < 0.03] = np.nan
     holed = s.estimate(y, DepthMap(z, full.pixel, full.noise))
@@ -295,35 +297,35 @@ def test_a_dot_that_is_broken_for_good_costs_that_dot() -> None:
     y = [motion(k).copy() for k in (1, 2)]
     for frame in y:
         frame[3] = np.nan
-    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ")
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"))
     lam = s.calibrate(y).lam
-    whole = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ").calibrate([motion(1), motion(2)]).lam
+    whole = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ")).calibrate([motion(1), motion(2)]).lam
     assert lam == pytest.approx(whole, rel=0.1)
     assert s.estimate(y[0]).facts["lost"] == 3
 
 
 def test_what_a_contact_cannot_carry_is_refused() -> None:
     with pytest.raises(InputError, match="cannot carry"):
-        sensor(friction=0.5).estimate(motion(1), wrench=Wrench([1.0, 0.0, -1.0]))
+        sensor(contact=ContactLaw(friction=0.5)).estimate(motion(1), wrench=Wrench([1.0, 0.0, -1.0]))
     with pytest.raises(InputError, match="cannot carry"):
-        sensor(no_pull=True).estimate(motion(1), wrench=Wrench([0.0, 0.0, 1.0]))
+        sensor(contact=NO_PULL).estimate(motion(1), wrench=Wrench([0.0, 0.0, 1.0]))
 
 
 def test_no_contact_is_not_known_to_be_none() -> None:
-    found = sensor(no_pull=True).estimate(0 * motion())
+    found = sensor(contact=NO_PULL).estimate(0 * motion())
     assert not np.any(found.load)
     assert np.all(found.resultant().std > 0)
 
 
 def test_a_constrained_band_knows_the_force_sensor() -> None:
-    s = sensor(no_pull=True)
+    s = sensor(contact=NO_PULL)
     given = Wrench([0.25, 0.0, -1.0])
     assert np.all(s.estimate(motion(1), wrench=given).resultant().std < 1e-6)
     assert np.all(s.estimate(motion(1)).resultant().std > 1e-4)
 
 
 def test_zero_takes_a_constant_off() -> None:
-    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ", choice=0.01)
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"), choice=0.01)
     offset = 1e-5 * np.random.default_rng(3).standard_normal((len(markers()), 3))
     before = s.estimate(motion(1)).load
     s.zero([offset, offset])
@@ -334,15 +336,15 @@ def test_apparent_motion_is_told_apart_by_its_slopes() -> None:
     slope = np.tile([0.3, -0.2], (len(markers()), 1))
     u = motion()
     apparent = u[:, :2] + slope * u[:, 2:]
-    s = MultilayerPad(pad(), markers(), noise=NOISE, depth=depth(), slope=slope, choice=1e-3)
-    blind = MultilayerPad(pad(), markers(), noise=NOISE, depth=depth(), choice=1e-3)
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, slope=slope), depth=depth(), choice=1e-3)
+    blind = MultilayerPad(pad(), Markers(markers(), NOISE), depth=depth(), choice=1e-3)
     truth = nodal().sum(axis=0)
     assert np.linalg.norm(s.estimate(apparent, depth()).resultant().value - truth) < 0.03
     assert abs(blind.estimate(apparent, depth()).resultant().value[0] - truth[0]) > 0.05
 
 
 def test_lambda_is_chosen_over_presses_and_kept() -> None:
-    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ")
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"))
     assert not s.frozen
     first = s.estimate(motion(1))
     assert first.choice is not None
@@ -353,7 +355,9 @@ def test_lambda_is_chosen_over_presses_and_kept() -> None:
 
 
 def test_smoothness_and_constraints_refuse_each_other_at_frame_rate() -> None:
-    s = MultilayerPad(pad(), markers(), noise=NOISE, axes="XYZ", choice=0.01, penalty="gradient", no_pull=True)
+    s = MultilayerPad(
+        pad(), Markers(markers(), NOISE, "XYZ"), choice=0.01, penalty="gradient", contact=ContactLaw(no_pull=True)
+    )
     with pytest.raises(InputError, match="identity"):
         s.estimate(motion(1))
 
@@ -380,14 +384,14 @@ BAD = {
     "all lost": lambda: sensor().estimate(np.full((195, 3), np.nan)),
     "no eye": lambda: sensor().estimate(np.zeros((48, 64), np.uint8)),
     "no depth": lambda: sensor().estimate(motion(), depth()),
-    "another depth": lambda: MultilayerPad(pad(), markers(), noise=NOISE, depth=depth(), choice=0.1).estimate(
+    "another depth": lambda: MultilayerPad(pad(), Markers(markers(), NOISE), depth=depth(), choice=0.1).estimate(
         motion(), depth(pixel=2.5e-4)
     ),
     "depth elsewhere": lambda: MultilayerPad(
-        pad(), markers(), noise=NOISE, depth=DepthMap(np.zeros((9, 9)), 1e-4, 1e-5, (1.0, 1.0))
+        pad(), Markers(markers(), NOISE), depth=DepthMap(np.zeros((9, 9)), 1e-4, 1e-5, (1.0, 1.0))
     ),
-    "friction": lambda: MultilayerPad(pad(), markers(), noise=NOISE, friction=-1.0),
-    "support": lambda: MultilayerPad(pad(), markers(), noise=NOISE, support=np.zeros(7, bool)),
+    "friction": lambda: MultilayerPad(pad(), Markers(markers(), NOISE), contact=ContactLaw(friction=-1.0)),
+    "support": lambda: MultilayerPad(pad(), Markers(markers(), NOISE), contact=ContactLaw(support=np.zeros(7, bool))),
     "wrench": lambda: Wrench([1.0, 2.0]),
     "wrench std": lambda: Wrench([1.0, 2.0, 3.0], std=[1.0] * 6),
     "no frames": lambda: sensor().zero([]),
@@ -395,7 +399,7 @@ BAD = {
     "turned": lambda: sensor().estimate(motion().T),
     "too few left": lambda: sensor(1e-8).estimate(np.where((np.arange(195) % 90 == 0)[:, None], motion(1), np.nan)),
     "depth maps end": lambda: list(sensor().stream([motion()] * 2, [depth()])),
-    "negative node": lambda: MultilayerPad(pad(), markers(), noise=NOISE, support=[-1, 3]),
+    "negative node": lambda: MultilayerPad(pad(), Markers(markers(), NOISE), contact=ContactLaw(support=[-1, 3])),
     "nothing to calibrate": lambda: sensor().calibrate([]),
     "no point": lambda: sensor().estimate(motion()).torque((0.0, 0.0)),
     "depth map": lambda: DepthMap(np.zeros(5), 1e-4, 1e-5),
@@ -428,3 +432,15 @@ def test_a_benchmark_takes_sensors_as_they_stand() -> None:
     rows = {row.sensor: row for row in table.rows}
     assert rows["as it stands"].metrics.error == pytest.approx(rows["forces"].metrics.error, rel=1e-9)
     assert rows["as it stands"].metrics.error < 0.3
+
+
+@pytest.mark.parametrize("kind", [MultilayerPad, GelSlim], ids=lambda k: k.__name__)
+def test_the_keywords_of_the_first_version_go_on_working(kind: type) -> None:
+    slope = np.full((len(markers()), 2), 0.1)
+    with pytest.warns(DeprecationWarning, match=r"markers=Markers\(points, noise=\.\.\., axes=\.\.\., slope=\.\.\.\)"):
+        seen = kind(pad(), markers(), noise=NOISE, axes="XYZ", slope=slope).markers
+    assert (seen.axes, seen.noise[0, 0]) == ("XYZ", NOISE)
+    assert np.array_equal(seen.slope, slope)
+    with pytest.warns(DeprecationWarning, match=r"contact=ContactLaw\(no_pull=\.\.\., friction=\.\.\.\)"):
+        law = kind(pad(), markers=Markers(markers(), NOISE), no_pull=True, friction=0.4).contact
+    assert (law.no_pull, law.friction, law.support) == (True, 0.4, None)

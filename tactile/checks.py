@@ -1,0 +1,76 @@
+"""Arrays and words as users give them, settled or refused: what every room of this package asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError, reals, shown
+
+Array = NDArray[np.float64]
+Shape = tuple[int | None, ...]
+PLANE: Shape = (None, 2)
+SPACE: Shape = (None, 3)
+
+
+def shaped(
+    values: Any, *shapes: Shape, where: str, what: str = "", fewest: int = 0, lost: bool = False, hint: str = ""
+) -> Array:
+    """Real numbers in one of some shapes, as a new array; None stands for any length.
+
+    Parameters
+    ----------
+    values : array_like
+        An empty list is an array of no rows.
+    *shapes : tuple of int or None
+    where, what, hint : str
+        Of the error.
+    fewest : int
+        Rows.
+    lost : bool
+        NaN may be among them.
+
+    Raises
+    ------
+    InputError
+        No numbers, another shape, too few rows, infinity, or NaN that may not be.
+    """
+    found = reals(values, where=where, hint=hint)
+    if found.shape == (0,) and shapes[0][0] is None:
+        found = found.reshape(0, *(n or 0 for n in shapes[0][1:]))
+    fits = any(
+        len(s) == found.ndim and all(n in (None, m) for n, m in zip(s, found.shape, strict=True)) for s in shapes
+    )
+    sound = not np.isinf(found).any() and (lost or not np.isnan(found).any())
+    if fits and sound and (not fewest or len(found) >= fewest):
+        return found
+    words = " or ".join(f"({', '.join('n' if n is None else str(n) for n in s)}{',' * (len(s) == 1)})" for s in shapes)
+    bad = "" if sound else ", infinity" if lost else ", NaN or infinity"
+    raise InputError(
+        what or "an array that does not fit",
+        where=where,
+        found=f"shape {found.shape}{bad}",
+        expected=f"{'' if lost else 'finite '}{words}" + (f", n at least {fewest}" if fewest else ""),
+        hint=hint,
+    )
+
+
+def _alike(wanted: int | None, length: int) -> bool:
+    return wanted is None or wanted == length
+
+
+def one_of(value: Any, choices: Iterable[str], *, where: str, what: str = "unknown word", hint: str = "") -> str:
+    """One of some words.
+
+    Raises
+    ------
+    InputError
+        Another one.
+    """
+    listed = list(choices)
+    if not isinstance(value, str) or value not in listed:
+        raise InputError(what, where=where, found=shown(value), expected=" or ".join(map(repr, listed)), hint=hint)
+    return value
