@@ -7,13 +7,12 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.advice import Advice, Spelling
 from structures.errors import InputError, integer
 from structures.flags import Evidence, Flag
 
-Array = NDArray[np.float64]
+from .arrays import Array
 
 
 def above(code: str, name: str, value: float, limit: float, message: str, advice: str) -> Flag | None:
@@ -47,10 +46,7 @@ def counts(
     where : str
         Named in the error.
 
-    Raises
-    ------
-    InputError
-        Code LID-E110.
+    Raises `InputError`: Code LID-E110.
 
     Notes
     -----
@@ -73,10 +69,7 @@ def counts(
 def published(pair: Any, layers: Any) -> None:
     """E110 for the counts (cells, nodes) that a publication gives for its mesh, and the layers of the pad.
 
-    Raises
-    ------
-    InputError
-        If they are no two positive integers; code LID-E110 as `counts`.
+    Raises `InputError`: if they are no two positive integers; code LID-E110 as `counts`.
     """
     found = list(pair) if isinstance(pair, tuple | list) else []
     if len(found) != 2:
@@ -220,10 +213,7 @@ def tangential(optics_known: bool, normal_known: bool, *, allow: Sequence[str] =
     allow : sequence of str
         ``("E603",)`` turns the refusal into a flag.
 
-    Raises
-    ------
-    InputError
-        With code ``LID-E603``, where it is not allowed.
+    Raises `InputError`: With code ``LID-E603``, where it is not allowed.
     """
     if optics_known and normal_known:
         return None
@@ -303,7 +293,7 @@ def interpolation_noise(nodes: int, effective: float, rank: int) -> Flag | None:
     rank : int
         Rank of C.
     """
-    from loadid.guards.measurement import CORRELATED
+    from loadid.guards.measurement import CORRELATED  # the command line reads pad files without scipy
 
     if rank == nodes and effective > CORRELATED * nodes:
         return None
@@ -347,7 +337,7 @@ def taken(hidden: Array, resultant: Array, covariance: Array) -> Flag | None:
         return None
     along = resultant[:3] / size
     loss = -float(along @ hidden[:3]) / size
-    noise = float(np.sqrt(max(along @ covariance[:3, :3] @ along, 0.0))) / size
+    noise = float(np.sqrt(max(float(along @ covariance[:3, :3] @ along), 0.0))) / size
     if not loss > noise:
         return None
     return above(
@@ -428,7 +418,6 @@ def drift(offset: float, expected: float, calibrated: datetime) -> Flag | None:
     ----------
     offset, expected : float
         Rms offset of the unloaded markers, and what the noise explains of it (m).
-    calibrated : datetime
     """
     return above(
         "W607", "rms offset of the unloaded markers in m", offset, DRIFT * expected,

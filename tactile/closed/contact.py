@@ -20,22 +20,21 @@ from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, number, pair, positive, reals
 from structures.flags import Flag
 
+from ..arrays import Array, Mask
 from .halfspace import thin_pad
 from .layer import HalfSpace, Layer
 from .presses import Press, Presses
-
-Array = NDArray[np.float64]
 
 
 class Indenter(Protocol):
     """What completes the normal motion of a surface from a known shape."""
 
-    def normal(self, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def normal(self, points: Array) -> tuple[Array, Mask]:
         """Motion u_z (n,) in m at points (n, 2), and where the shape lies under the surface at rest."""
         ...
 
@@ -59,7 +58,7 @@ class Sphere:
     def __post_init__(self) -> None:
         _checked(self.radius, self.depth, self.at, "Sphere")
 
-    def normal(self, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def normal(self, points: Array) -> tuple[Array, Mask]:
         """Motion u_z (n,) and where the sphere lies under the surface at rest."""
         r = np.hypot(points[:, 0] - self.at[0], points[:, 1] - self.at[1])
         return _cap(r, self.radius, self.depth)
@@ -78,13 +77,13 @@ class Cylinder:
         _checked(self.radius, self.depth, self.at, "Cylinder")
         number("the angle", self.angle, where="Cylinder", unit="rad")
 
-    def normal(self, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def normal(self, points: Array) -> tuple[Array, Mask]:
         """Motion u_z (n,) and where the cylinder lies under the surface at rest."""
         across = np.array([-np.sin(self.angle), np.cos(self.angle)])
         return _cap(np.abs((points - np.asarray(self.at)) @ across), self.radius, self.depth)
 
 
-def _cap(r: Array, radius: float, depth: float) -> tuple[Array, NDArray[np.bool_]]:
+def _cap(r: Array, radius: float, depth: float) -> tuple[Array, Mask]:
     under = depth - radius + np.sqrt(np.maximum(radius**2 - r**2, 0.0))
     inside = (r < radius) & (under > 0)
     return np.where(inside, -under, 0.0), inside
@@ -185,7 +184,7 @@ def sphere_law(nu: float) -> Callable[[Array], Array]:
             )  # fmt: skip
         inside = np.maximum(x, low[0])
         found = np.exp(spline(np.log(inside)))
-        return np.where(x >= low[0], found, low[1] * (np.maximum(x, 0) / low[0]) ** 1.5)
+        return np.asarray(np.where(x >= low[0], found, low[1] * (np.maximum(x, 0) / low[0]) ** 1.5))
 
     return law
 
@@ -215,7 +214,7 @@ def _cosines(alphas: tuple[float, ...]) -> Array:
     """Waves on the Gauss points of the contact and on its rim, for each contact radius; the same for every material."""
     t, _ = _gauss(NODES, 1.0)
     x, _ = _gauss(WAVES, END)
-    return np.cos(np.multiply.outer(np.array(alphas), np.outer(np.append(t, 1.0), x)))
+    return np.asarray(np.cos(np.multiply.outer(np.array(alphas), np.outer(np.append(t, 1.0), x))))
 
 
 @lru_cache(maxsize=64)
@@ -223,7 +222,7 @@ def _excess(nu: float) -> Array:
     """Omega: what the base takes from the compliance of a half-space, on the Gauss points of k h."""
     x, _ = _gauss(WAVES, END)
     unit = Layer(h=1.0, E=1.0, nu=nu)
-    return 1 - unit.components(x).zz * unit.mu * x / (1 - nu)
+    return np.asarray(1 - unit.components(x).zz * unit.mu * x / (1 - nu))
 
 
 @lru_cache(maxsize=8)

@@ -9,20 +9,22 @@ free of wrap-around; the way back is regularised.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, NotIdentifiable, integer, number, positive, reals, shown
+from structures.errors import InputError, NotIdentifiable, integer, number, positive, reals
 
+from ..arrays import PLANE, SPACE, Array, Mask, one_of, shaped
 from .halfspace import point_forces, rectangle
 from .layer import HalfSpace, Layer
 from .presses import matrices, unit_point
 from .profiles import drawn, gauss
 
-Array = NDArray[np.float64]
+SHAPES = ("patch", "hat")
 BATCH = 200_000  # pairs of point and node at a time
 
 
@@ -49,28 +51,28 @@ def influence(
     ndarray, (3 m, 3 n)
         Rows and columns point-major (X, Y, Z of the first, ...).
 
-    Raises
-    ------
-    InputError
-        If an argument is not possible.
+    Raises `InputError`: if an argument is not possible.
 
     Notes
     -----
     Patches are exact to rounding on a half-space and to 3e-7 of the largest entry on the surface of a layer, hats to
     1e-5.
     """
-    points, nodes = np.atleast_2d(reals(points, where="points")), np.atleast_2d(reals(nodes, where="nodes"))
+    points = shaped(
+        np.atleast_2d(reals(points, where="points")),
+        PLANE,
+        SPACE,
+        where="points",
+        what="points must be finite rows of coordinates",
+    )
+    nodes = shaped(
+        np.atleast_2d(reals(nodes, where="nodes")),
+        PLANE,
+        where="nodes",
+        what="nodes must be finite rows of coordinates",
+    )
     pitch = positive("pitch", pitch, where="influence", unit="m")
-    if shape not in ("patch", "hat"):
-        raise InputError("no shape of a traction", where="shape", found=shown(shape), expected="'patch' or 'hat'")
-    for name, value, columns in (("points", points, (2, 3)), ("nodes", nodes, (2,))):
-        if value.ndim != 2 or value.shape[1] not in columns or not np.isfinite(value).all():
-            raise InputError(
-                f"{name} must be finite rows of {' or '.join(map(str, columns))} coordinates",
-                where=name,
-                found=f"an array of shape {value.shape}",
-                expected="metres",
-            )
+    one_of(shape, SHAPES, where="shape", what="no shape of a traction")
     heights = points[:, 2] if points.shape[1] == 3 else np.full(len(points), ground.top)
     found = np.empty((len(points), 3, len(nodes), 3))
     step = max(1, BATCH // max(1, len(nodes)))
@@ -118,10 +120,11 @@ def _hats(ground: HalfSpace, offsets: Array, pitch: float) -> Array:
         # on a grid most pairs see the same few offsets
         unique, back = np.unique(np.round(offsets[near] / pitch, 9), axis=0, return_inverse=True)
         found[near] = _near_hats(ground, unique * pitch, pitch)[back.ravel()]
-    for here, (s, w), motion, area in (
+    rules: tuple[tuple[Mask, tuple[Array, Array], Callable[[Array], Array], float], ...] = (
         (middle, _rule("patch", 3), lambda at: rectangle(ground, at, (pitch, pitch)), 1.0),
         (rest, _rule("hat", 3), lambda at: point_forces(ground, at), pitch**2),
-    ):
+    )
+    for here, (s, w), motion, area in rules:
         if here.any():
             found[here] = area * sum(
                 wi * wj * motion(offsets[here] - pitch * np.array([i, j, 0.0]))
@@ -184,8 +187,7 @@ class LayerGrid:
         ny, nx = (integer("nodes", n, where="LayerGrid", limit=LIMIT) for n in self.shape)
         object.__setattr__(self, "shape", (ny, nx))
         object.__setattr__(self, "pitch", positive("pitch", self.pitch, where="LayerGrid", unit="m"))
-        if self.load not in ("patch", "hat"):
-            raise InputError("no load of a grid", where="load", found=shown(self.load), expected="'patch' or 'hat'")
+        one_of(self.load, SHAPES, where="load", what="no load of a grid")
 
     @cached_property
     def nodes(self) -> Array:
@@ -265,7 +267,7 @@ class LayerGrid:
         )
         if left:
             raise _unseen("the inversion on the grid did not settle in 500 steps")
-        return found.reshape(u.shape)
+        return np.asarray(found.reshape(u.shape))
 
     def influence(self, points: ArrayLike) -> Array:
         """Motion of points (m, 2) or (m, 3) per traction at the nodes (m/Pa), shape (3 m, 3 ny nx)."""
@@ -303,16 +305,11 @@ class LayerGrid:
         return np.fft.rfft2(full, axes=(0, 1))
 
     def _checked(self, values: ArrayLike, name: str) -> Array:
-        found = reals(values, where=name)
-        if found.shape != (*self.shape, 3) or not np.isfinite(found).all():
-            raise InputError(
-                f"{name} must be finite, three components at every node",
-                where=name,
-                found=f"shape {found.shape}" if found.shape != (*self.shape, 3) else "NaN or infinity",
-                expected=f"{(*self.shape, 3)}",
-                hint="fill lost nodes by a fit first (tactile.vision.interpolation)",
-            )
-        return found
+        what, hint = (
+            f"{name} must be finite, three components at every node",
+            "fill lost nodes by a fit first (tactile.vision.interpolation)",
+        )
+        return shaped(values, (*self.shape, 3), where=name, what=what, hint=hint)
 
     def _padded(self, values: Array) -> NDArray[np.complex128]:
         return np.fft.rfft2(values, s=self._size, axes=(0, 1))

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, NotIdentifiable, positive, reals
 from structures.flags import Evidence, Flag, canonical
 
+from ..arrays import Array
 from .layer import HalfSpace, Layer
 from .presses import Press
-
-Array = NDArray[np.float64]
 
 
 def point_forces(ground: HalfSpace, offsets: ArrayLike) -> Array:
@@ -31,10 +30,7 @@ def point_forces(ground: HalfSpace, offsets: ArrayLike) -> Array:
     ndarray, (..., 3, 3)
         Motion X, Y, Z per force X, Y, Z, both outward.
 
-    Raises
-    ------
-    InputError
-        At the force itself, where the motion has no bound, and above the surface.
+    Raises `InputError`: At the force itself, where the motion has no bound, and above the surface.
 
     Notes
     -----
@@ -64,10 +60,7 @@ def point_forces(ground: HalfSpace, offsets: ArrayLike) -> Array:
 def split(offsets: ArrayLike) -> tuple[Array, Array, Array]:
     """Offsets (..., 2) or (..., 3) as x, y and the depth below the surface.
 
-    Raises
-    ------
-    InputError
-        If they are no finite offsets, or above the surface.
+    Raises `InputError`: if they are no finite offsets, or above the surface.
     """
     found = reals(offsets, where="offsets")
     if found.ndim == 0 or found.shape[-1] not in (2, 3) or not np.isfinite(found).all():
@@ -100,10 +93,7 @@ def rectangle(ground: HalfSpace, offsets: ArrayLike, sides: tuple[float, float])
     ndarray, (..., 3, 3)
         Motion X, Y, Z per traction X, Y, Z.
 
-    Raises
-    ------
-    InputError
-        If offsets or sides are not possible.
+    Raises `InputError`: if offsets or sides are not possible.
 
     Notes
     -----
@@ -195,10 +185,7 @@ def thin_pad(
     allow : iterable of str
         ``("E602",)`` turns the refusal into a flag.
 
-    Raises
-    ------
-    NotIdentifiable
-        Code LID-E602, with the number, unless it is allowed.
+    Raises `NotIdentifiable`: Code LID-E602, with the number, unless it is allowed.
     """
     ratio = positive("radius", radius, where=what, unit="m") / positive("thickness", thickness, where=what, unit="m")
     if not ratio > WARN:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, number, positive, real, reals, shown
 
-Array = NDArray[np.float64]
+from ..arrays import Array
 
 
 class Components(NamedTuple):

@@ -14,14 +14,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, integer, number, pair, plain, positive, reals, shown
 
+from ..arrays import PLANE, SPACE, Array, shaped
 from .layer import Components, HalfSpace, Layer
 from .profiles import Profile, gauss, polygon_means, profile
 
-Array = NDArray[np.float64]
 HEIGHTS = 21  # Chebyshev points over the thickness, where points have more heights than that: 1e-12
 TABLE = 4096  # points of a cubic spline in its stead for a great many distances: 1e-11
 BATCH = 20_000  # points at a time
@@ -47,10 +47,7 @@ def radial(ground: Layer | HalfSpace, shape: str, radius: float, r: ArrayLike, z
     z : array_like, (points,), optional
         Heights (m), as `Layer` and `HalfSpace` count them; None: on the surface.
 
-    Raises
-    ------
-    InputError
-        If distances or heights are no finite numbers or lie outside the body.
+    Raises `InputError`: if distances or heights are no finite numbers or lie outside the body.
     """
     form, a = profile(shape), positive("radius", radius, where="radial", unit="m")
     r, z = _places(ground, r, z)
@@ -69,7 +66,7 @@ def unit_point(layer: Layer, r: ArrayLike, z: ArrayLike | None = None) -> Array:
 
 def moved(functions: Array, offsets: Array, force: ArrayLike) -> Array:
     """Displacements (points, 3) at horizontal offsets (points, 2) from the axis of a load of resultant (X, Y, Z)."""
-    return np.einsum("pij,j->pi", matrices(functions, offsets), np.asarray(plain(force), float))
+    return np.asarray(np.einsum("pij,j->pi", matrices(functions, offsets), np.asarray(plain(force), float)))
 
 
 def matrices(functions: Array, offsets: Array) -> Array:
@@ -167,7 +164,7 @@ def _over_distance(
     from scipy.interpolate import CubicSpline
 
     at = np.linspace(0, reach, 1 + TABLE * max(1, round(reach / 16 / (layer.h + z))))
-    return CubicSpline(at, chebyshev.chebvander(2 * at / reach - 1, degree) @ coefficients)(r)
+    return np.asarray(CubicSpline(at, chebyshev.chebvander(2 * at / reach - 1, degree) @ coefficients)(r))
 
 
 def _integrals(layer: Layer, transform: Callable[[Array], Array], a: float, r: Array, heights: Array) -> Array:
@@ -185,7 +182,7 @@ def _integrals(layer: Layer, transform: Callable[[Array], Array], a: float, r: A
     waves = [_difference(layer, k, z) for z in heights]
 
     def summed(J: Array, part: Callable[[Components], Array]) -> Array:
-        return J @ np.column_stack([w * part(f) for f in waves])
+        return np.asarray(J @ np.column_stack([w * part(f) for f in waves]))
 
     return np.stack([
         summed(J0, lambda f: f.zz),
@@ -328,7 +325,7 @@ class Press(_Sum):
         return np.multiply.outer(means / self.radius**2, self.vector)
 
     def _offsets(self, points: Array) -> Array:
-        return points[:, :2] - np.asarray(self.at)
+        return np.asarray(points[:, :2] - np.asarray(self.at))
 
 
 @dataclass(frozen=True)
@@ -351,19 +348,19 @@ class Presses(_Sum):
 
     def traction(self, points: ArrayLike) -> Array:
         """As `Press.traction`."""
-        return np.sum([part.traction(points) for part in self.parts], axis=0)
+        return np.asarray(np.sum([part.traction(points) for part in self.parts], axis=0))
 
     def displacement(self, ground: Layer | HalfSpace, points: ArrayLike) -> Array:
         """As `Press.displacement`."""
-        return np.sum([part.displacement(ground, points) for part in self.parts], axis=0)
+        return np.asarray(np.sum([part.displacement(ground, points) for part in self.parts], axis=0))
 
     def resultant(self, about: Sequence[float] = (0.0, 0.0)) -> Array:
         """As `Press.resultant`."""
-        return np.sum([part.resultant(about) for part in self.parts], axis=0)
+        return np.asarray(np.sum([part.resultant(about) for part in self.parts], axis=0))
 
     def mean_tractions(self, cells: ArrayLike) -> Array:
         """As `Press.mean_tractions`."""
-        return np.sum([part.mean_tractions(cells) for part in self.parts], axis=0)
+        return np.asarray(np.sum([part.mean_tractions(cells) for part in self.parts], axis=0))
 
 
 def press_and_slide(
@@ -425,12 +422,4 @@ def press_and_slide(
 
 
 def _points(points: ArrayLike) -> Array:
-    found = np.atleast_2d(reals(points, where="points"))
-    if found.ndim != 2 or found.shape[1] not in (2, 3) or not np.isfinite(found).all():
-        raise InputError(
-            "points must be finite, two or three coordinates each",
-            where="points",
-            found=f"an array of shape {found.shape}",
-            expected="(n, 2) or (n, 3), in metres",
-        )
-    return found
+    return shaped(np.atleast_2d(reals(points, where="points")), PLANE, SPACE, where="points", hint="metres")

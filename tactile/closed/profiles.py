@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from structures.errors import InputError, shown
+from structures.errors import InputError
 
-Array = NDArray[np.float64]
+from ..arrays import Array, one_of, shaped
 
 
 @lru_cache(maxsize=64)
@@ -107,20 +106,10 @@ class Profile:
 def profile(name: str) -> Profile:
     """The profile of a name.
 
-    Raises
-    ------
-    InputError
-        If there is none.
+    Raises `InputError`: if there is none.
     """
-    if name not in PROFILES:
-        raise InputError(
-            "no profile of a press",
-            where="profile",
-            found=shown(name),
-            expected=" or ".join(PROFILES),
-            hint='"hertz" for a sphere or for partial slip, "uniform" for a flat patch',
-        )
-    return PROFILES[name]
+    hint = '"hertz" for a sphere or for partial slip, "uniform" for a flat patch'
+    return PROFILES[one_of(name, PROFILES, where="profile", what="no profile of a press", hint=hint)]
 
 
 def _hertz_shape(r: Array) -> Array:
@@ -128,7 +117,7 @@ def _hertz_shape(r: Array) -> Array:
 
 
 def _hertz_within(r: Array) -> Array:
-    return -np.expm1(1.5 * np.log1p(-(np.minimum(r, 1.0 - 1e-16) ** 2)))
+    return np.asarray(-np.expm1(1.5 * np.log1p(-(np.minimum(r, 1.0 - 1e-16) ** 2))))
 
 
 def _hertz_transform(s: Array) -> Array:
@@ -210,23 +199,14 @@ def polygon_means(profile: Profile, corners: Array) -> Array:
     -------
     ndarray, (polygons,)
 
-    Raises
-    ------
-    InputError
-        If the corners are no polygons with an area.
+    Raises `InputError`: if the corners are no polygons with an area.
 
     Notes
     -----
     By Green's theorem the integral is the sum over the edges of int F(r) dphi, 2 pi F(r) being the share of the
     resultant within r: outside the contact an angle, inside a smooth integrand.
     """
-    if corners.ndim != 3 or corners.shape[1] < 3 or corners.shape[2] != 2 or not np.isfinite(corners).all():
-        raise InputError(
-            "cells are no polygons",
-            where="cells",
-            found=f"shape {corners.shape}",
-            expected="(cells, corners, 2), finite",
-        )
+    corners = shaped(corners, (None, None, 2), where="cells", what="cells are no polygons")
     start, end = corners, np.roll(corners, -1, axis=1)
     cross = start[..., 0] * end[..., 1] - start[..., 1] * end[..., 0]
     area = cross.sum(axis=1) / 2
@@ -245,7 +225,7 @@ def polygon_means(profile: Profile, corners: Array) -> Array:
     at = first[..., None, :] + t[:, None] * (last - first)[..., None, :]
     square = np.maximum((at**2).sum(axis=-1), 1e-24)
     swept = ((high - low) * cross)[..., None] * profile.within(np.sqrt(square)) / square
-    return ((swept @ dt + outside).sum(axis=1) / (2 * np.pi)) / area
+    return np.asarray(((swept @ dt + outside).sum(axis=1) / (2 * np.pi)) / area)
 
 
 def _inside(start: Array, end: Array) -> tuple[Array, Array]:
@@ -260,4 +240,4 @@ def _inside(start: Array, end: Array) -> tuple[Array, Array]:
 def _angle(start: Array, end: Array) -> Array:
     """Angle swept about the origin from start to end; zero where they coincide."""
     cross = start[..., 0] * end[..., 1] - start[..., 1] * end[..., 0]
-    return np.arctan2(cross, (start * end).sum(axis=-1))
+    return np.asarray(np.arctan2(cross, (start * end).sum(axis=-1)))

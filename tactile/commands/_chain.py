@@ -9,29 +9,25 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from loadid.codes import collect
+from loadid.codes import GUARDS, collect
 from loadid.families.frozen import Calibration
 from structures.errors import InputError
 from structures.flags import Flag
 
+from ..arrays import Array
 from ..pad import padfile
 from ..pad.pad import Pad
+from ..results.forcemap import ForceMap, record
 from ..sensors.gelslim import GelSlim
 from ..sensors.multilayer import MultilayerPad
 from ..sensors.posing import RULES, chosen
 from ..sensors.settings import ContactLaw
 from ._sources import DepthMaps, MarkerSource, depth_maps, look
 
-if TYPE_CHECKING:
-    from ..results.forcemap import ForceMap
-
-
-Array = NDArray[np.float64]
 STRONGEST = 3  # frames on which lambda is chosen
 HALF = 0.5  # of the largest motion, that a frame must show to be asked
 SEARCHED = 30  # strongest frames among which whole ones are looked for
@@ -46,7 +42,6 @@ class Reconstruction:
     ----------
     map : ForceMap
         (frames, 3 P).
-    pad : Pad
     seen : MarkerSource
         Markers, their noise, and which frames are the rest.
     lost : list of int
@@ -70,7 +65,7 @@ class Reconstruction:
     @property
     def strongest(self) -> int:
         """Frame of the largest force, from 0."""
-        return int(np.argmax(np.linalg.norm(np.atleast_2d(self.map.resultant().value), axis=1)))
+        return self.map.strongest
 
 
 def reconstruct(
@@ -112,10 +107,7 @@ def reconstruct(
     progress : callable, optional
         Called as ``progress(fraction, text)``.
 
-    Raises
-    ------
-    InputError, NotIdentifiable
-        From the files, the guards, and the sensor.
+    Raises `InputError, NotIdentifiable`: From the files, the guards, and the sensor.
     """
     tell = progress or (lambda fraction, text: None)
     settings = padfile.read(pad_file)
@@ -157,8 +149,6 @@ def _sensor(
     name: str, pad: Pad, seen: MarkerSource, maps: DepthMaps | None, contact: dict[str, Any], codes: tuple[str, ...]
 ) -> tuple[Any, float | None]:
     """The sensor, and lambda where it is stated as a number."""
-    from loadid.codes import GUARDS
-
     given: dict[str, Any] = {
         "markers": seen.markers, "contact": ContactLaw(contact.get("no_pull", False), contact.get("friction")),
         "depth": None if maps is None else maps[0], "allow": [c for c in codes if c in GUARDS],
@@ -252,8 +242,6 @@ def _inverted(
     tell: Callable[[float, str], None],
 ) -> Reconstruction:  # fmt: skip
     """Maps of all frames as one result."""
-    from ..results.forcemap import record
-
     found, seconds = _maps(built, tracked, maps, tell)
     times = None if rate is None else np.array(tracked.numbers) / rate
     whole = record(found, numbers=[k + 1 for k in tracked.numbers], times=times)

@@ -6,9 +6,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from loadid.plots import rendered
 from loadid.results.summary import sort
+from structures.files.storage import replace
 
-from ..results.report import HOW, numbers
+from ..results.report import HOW, numbers, page
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -39,7 +41,7 @@ def markers(found: Reconstruction) -> str:
     assert found.map.axis is not None
     frame = found.lost.index(most)
     mean = sum(found.lost) / len(found.lost)
-    return f"{total} found; lost: {mean:.3g} on average, {most} at most ({_frame(found, frame)})"
+    return f"{total} found; lost: {mean:.3g} on average, {most} at most ({found.map.frame_name(frame)})"
 
 
 def text(found: Reconstruction) -> str:
@@ -48,7 +50,7 @@ def text(found: Reconstruction) -> str:
     strongest = found.map.frame(found.strongest)
     width = max(len(name) for name, _ in rows)
     lines = [f"{name:{width}s}  {said}" for name, said in rows]
-    lines.append(f"strongest of {len(found.map.load)} frames ({_frame(found, found.strongest)}):")
+    lines.append(f"strongest of {len(found.map.load)} frames ({found.map.frame_name(found.strongest)}):")
     lines += [f"  {name:{width - 2}s}  {value}  [{remark}]" for name, value, remark in numbers(strongest)]
     lines.append(f"flags: {len(found.map.flags) or 'none'}")
     lines += [f"  {flag.command}" for flag in sort(found.map.flags)]
@@ -86,12 +88,6 @@ def data(found: Reconstruction) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _frame(found: Reconstruction, k: int) -> str:
-    from ..results.pictures import named
-
-    return named(found.map, k)
-
-
 def write_all(
     found: Reconstruction,
     result: str | Path,
@@ -116,17 +112,11 @@ def write_all(
     wrenches : array (frames, 6), optional
         Known force and torque.
     """
-    from structures.files.storage import replace
-
     ready = []
     if report is not None:
-        from ..results.report import page
-
         text = page(found.map, truth=truth, wrenches=wrenches, about=about(found), compared=compared)
         ready.append((Path(report), text.encode()))
     if plot is not None:
-        from loadid.plots import rendered
-
         from ..results.pictures import sequence_figure
 
         ready.append((Path(plot), rendered(sequence_figure(found.map, truth=truth, wrenches=wrenches), plot)))

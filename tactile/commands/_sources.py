@@ -13,31 +13,27 @@ from numpy.typing import NDArray
 
 from loadid.inverse.noise_source import NoiseSource
 from structures.errors import InputError
+from structures.flags import Flag
 
+from ..arrays import Array
+from ..guards import vanished
 from ..pad.padfile import DepthKind, SensorFile
-from ..sensors.observation import Markers
+from ..sensors.observation import DepthMap, Markers
+from ..vision.eye import Eye, View
+from ..vision.frames import IMAGES, frames, natural, read_image, read_stack
+from ..vision.motion import MarkerMotion, MarkerMotions, jitter, read_motions
 
 if TYPE_CHECKING:
-    from structures.flags import Flag
-
     from ..pad.pad import Pad
-    from ..sensors.observation import DepthMap
-    from ..vision.eye import Eye
-    from ..vision.frames import Frames
-    from ..vision.motion import MarkerMotion, MarkerMotions
 
 
-Array = NDArray[np.float64]
 ARRAYS = (".npy", ".npz")
 
 
 def is_motion(path: Path) -> bool:
     """Whether a file holds marker motions (T, N, 2 or 3) and no images.
 
-    Raises
-    ------
-    InputError
-        There is no such file or folder.
+    Raises `InputError`: There is no such file or folder.
     """
     if not path.exists():
         raise InputError("there is no such file or folder", where=str(path),
@@ -47,24 +43,8 @@ def is_motion(path: Path) -> bool:
         return True
     if path.suffix.lower() != ".npy":
         return False
-    from ..vision.frames import read_stack
-
     found = read_stack(path)
     return found.ndim == 3 and found.shape[2] in (2, 3) and found.dtype.kind == "f"
-
-
-def images(path: Path) -> Frames:
-    """Frames of a folder, a stack or a video."""
-    from ..vision.frames import frames
-
-    return frames(path)
-
-
-def motions(path: Path) -> MarkerMotions:
-    """Marker motions of a file."""
-    from ..vision.motion import read_motions
-
-    return read_motions(path)
 
 
 @dataclass(frozen=True)
@@ -75,14 +55,11 @@ class DepthMaps:
     ----------
     load : callable
         Takes the number of a frame, from 0, and gives the numbers in the file.
-    count : int
-    kind : DepthKind
-    name : str
     zero : array or float
         What the unloaded pad shows (m).
     """
 
-    load: Callable[[int], NDArray]
+    load: Callable[[int], NDArray[Any]]
     count: int
     kind: DepthKind
     name: str
@@ -104,10 +81,7 @@ class DepthMaps:
     def zeroed(self, unloaded: int) -> DepthMaps:
         """The same maps with the mean of the first `unloaded` ones as zero, where the file says they are absolute.
 
-        Raises
-        ------
-        InputError
-            If none of them is unloaded.
+        Raises `InputError`: if none of them is unloaded.
         """
         if not self.kind.absolute:
             return self
@@ -121,10 +95,7 @@ class DepthMaps:
 def depth_maps(path: Path, kind: DepthKind | None, pad_file: Path) -> DepthMaps:
     """Depth maps of an NPY or NPZ stack (T, H, W), or of a folder of NPY files or 16-bit images, in natural order.
 
-    Raises
-    ------
-    InputError
-        No such maps, or the pad file has no table [depth].
+    Raises `InputError`: No such maps, or the pad file has no table [depth].
     """
     if kind is None:
         raise InputError("the depth maps are not described", where=str(pad_file), found="no table [depth]",
@@ -136,8 +107,6 @@ def depth_maps(path: Path, kind: DepthKind | None, pad_file: Path) -> DepthMaps:
     if path.suffix.lower() not in ARRAYS:
         raise InputError("no depth maps in a file of this kind", where=str(path), found=path.suffix or "no suffix",
                          expected="NPY, NPZ, or a folder of NPY files or 16-bit images")  # fmt: skip
-    from ..vision.frames import read_stack
-
     stack = read_stack(path)
     stack = stack[None] if stack.ndim == 2 else stack
     if stack.ndim != 3:
@@ -146,13 +115,11 @@ def depth_maps(path: Path, kind: DepthKind | None, pad_file: Path) -> DepthMaps:
 
 
 def _folder(folder: Path, kind: DepthKind) -> DepthMaps:
-    from ..vision.frames import IMAGES, natural, read_image, read_stack
-
     files = sorted((p for p in folder.iterdir() if p.suffix.lower() in (*IMAGES, ".npy")), key=natural)
     if not files:
         raise InputError("the folder holds no depth maps", where=str(folder), expected="NPY files or 16-bit images")
 
-    def load(k: int) -> NDArray:
+    def load(k: int) -> NDArray[Any]:
         return np.asarray(read_stack(files[k])) if files[k].suffix.lower() == ".npy" else read_image(files[k])
 
     return DepthMaps(load, len(files), kind, folder.name)
@@ -170,7 +137,6 @@ class Unloaded:
         Which they are.
     inside : int
         How many of them the input begins with.
-    flags : tuple of Flag
     """
 
     frames: list[Any]
@@ -195,15 +161,12 @@ class MarkerSource:
         Of what `read` takes.
     read : callable
         ``read(frame, depth) -> (motion (N, 2 or 3) in m, flags)``.
-    markers : Markers
     reference, noise_size : str
         Which frames are the rest; the noise in px and um, where there is an image.
-    noise_source : NoiseSource
     inside : int
         Unloaded frames that the input begins with.
     count : int or None
         Frames, where known.
-    flags : tuple of Flag
     """
 
     frames: Iterator[Any]
@@ -232,14 +195,11 @@ def look(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, all
         Number of frames that the input begins with, or a path; default the first frame where the noise is stated, else
         the first five.
 
-    Raises
-    ------
-    InputError
-        No frames, no camera, no noise, fewer than three markers.
+    Raises `InputError`: No frames, no camera, no noise, fewer than three markers.
     """
     if not is_motion(source):
         return _images(source, settings, pad, unloaded, allow)
-    found = motions(source)
+    found = read_motions(source)
     return (
         _pixels(source, found, settings, pad, unloaded, allow)
         if settings.unit == "px"
@@ -249,29 +209,27 @@ def look(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, all
 
 # -- images -----------------------------------------------------------------------------------------------------------
 def _images(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, allow: tuple[str, ...]) -> MarkerSource:
-    coming = images(source)
-    chosen, rest = _unloaded(coming, source.name, settings, unloaded, images)
+    coming = frames(source)
+    chosen, rest = _unloaded(coming, source.name, settings, unloaded, frames)
     eye = _eye(settings, pad, chosen.frames[0], chosen.frames, allow)
     flags = (*coming.flags, *chosen.flags)
     notes = _moved(eye, chosen.frames) if chosen.inside > 1 and unloaded is None else []
     return _seen(eye, rest, eye.read, settings, chosen, coming.count, flags, notes)
 
 
-def _eye(settings: SensorFile, pad: Pad, reference: Any, frames: list[Any], allow: tuple[str, ...]) -> Eye:
-    from ..vision.eye import Eye
-
+def _eye(settings: SensorFile, pad: Pad, reference: Any, still: list[Any], allow: tuple[str, ...]) -> Eye:
     noise = None if settings.noise is None else settings.noise[0]
     if settings.noise is not None and settings.noise[1] != "px":
         raise InputError("the noise of markers in images is in px", where=f"{settings.path}: [markers] noise",
                          found=f"{settings.noise[0]:g} m", expected='noise = "0.02 px"')  # fmt: skip
-    eye = Eye(_view(settings), reference, unloaded=frames if noise is None else None, noise=noise, size=pad.size,
+    eye = Eye(_view(settings), reference, unloaded=still if noise is None else None, noise=noise, size=pad.size,
               allow=allow, **settings.tracking)  # fmt: skip
-    if noise is not None and len(frames) > 1:
-        eye.tracker.zero(frames)
+    if noise is not None and len(still) > 1:
+        eye.tracker.zero(still)
     return eye
 
 
-def _view(settings: SensorFile) -> Any:
+def _view(settings: SensorFile) -> View:
     if settings.view is None:
         raise InputError("the camera is not described", where=str(settings.path), found="no table [camera]",
                          expected="[camera] with a lens, a homography, or points and their pixels",
@@ -306,9 +264,6 @@ class PlaceTracker:
 
     def step(self, places: Array) -> MarkerMotion:
         """Motion of the markers in a frame."""
-        from ..guards import vanished
-        from ..vision.motion import MarkerMotion
-
         self._frame += 1
         moved = places - self.points
         lost = np.asarray(np.isnan(moved).any(axis=1))
@@ -326,7 +281,9 @@ def _pixels(
                          expected="x and y", hint='[markers] unit = "mm" for places in a length')  # fmt: skip
     kept = np.isfinite(found.points).all(axis=1)
     places = found.places[:, kept]
-    chosen, rest = _unloaded(iter(places), source.name, settings, unloaded, lambda p: iter(motions(p).places[:, kept]))
+    chosen, rest = _unloaded(
+        iter(places), source.name, settings, unloaded, lambda p: iter(read_motions(p).places[:, kept])
+    )
     eye = _eye(settings, pad, found.points[kept], chosen.frames, allow)
     eye.tracker = PlaceTracker(eye.tracker.points)  # type: ignore[assignment]  # it asks for points and step only
     return _seen(eye, rest, eye.read, settings, chosen, len(places), found.flags, list(found.notes))
@@ -362,8 +319,6 @@ def _noise_in_metres(settings: SensorFile, stack: Array) -> tuple[Any, NoiseSour
             raise InputError("the noise of markers is in px, their motion in a length",
                              where=f"{settings.path}: [markers] noise", expected='noise = "5 um"')  # fmt: skip
         return settings.noise[0], AS_STATED
-    from ..vision.motion import jitter
-
     found = jitter(stack)
     if not np.all(found.std > 0):
         raise InputError("the unloaded frames show no noise at all", where="--unloaded", found="repeated places",

@@ -115,7 +115,7 @@ class SkinDesign:
     def __str__(self) -> str:
         return self.table()
 
-    def plot(self, path: str | os.PathLike | None = None) -> Figure:
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Picture of what is known of each wave; see `tactile.results.pictures`."""
         from ..results.pictures import draw_design
 
@@ -228,7 +228,7 @@ class SkinComparison:
     def __str__(self) -> str:
         return self.table()
 
-    def plot(self, path: str | os.PathLike | None = None) -> Figure:
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Picture: what is known of each wave, and the numbers of each design."""
         from ..results.pictures import draw_design
 

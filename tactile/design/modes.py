@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, number, pair, positive, reals
 
+from ..arrays import Array
 from ..closed.layer import Layer
 
 
@@ -110,7 +111,6 @@ class Skin:
         return self.size[0] * self.size[1] / self.pitch**2
 
 
-Array = NDArray[np.float64]
 REACH = 8.0  # correlation lengths summed over
 
 
@@ -139,12 +139,12 @@ def effective_markers(skin: Skin, kx: ArrayLike = 0.0, ky: ArrayLike = 0.0) -> A
 def _lattice(pitch: float, length: float, k: Array) -> Array:
     steps = max(1, int(np.ceil(REACH * length / pitch)))
     if steps > 200:  # a continuum: the sum is its integral to machine precision
-        return np.sqrt(2 * np.pi) * length / pitch * np.exp(-((k * length) ** 2) / 2)
+        return np.asarray(np.sqrt(2 * np.pi) * length / pitch * np.exp(-((k * length) ** 2) / 2))
     j = np.arange(1, steps + 1)
     weight = np.exp(-((j * pitch / length) ** 2) / 2)
     values, back = np.unique(k, return_inverse=True)
     found = 1 + 2 * np.cos(np.outer(values, j * pitch)) @ weight
-    return np.maximum(found, 0.0)[back].reshape(k.shape)  # below zero by rounding only
+    return np.asarray(np.maximum(found, 0.0)[back].reshape(k.shape))  # below zero by rounding only
 
 
 FINEST, IMAGES = 3, 3  # markers per patch and direction; images summed on each side
@@ -254,7 +254,7 @@ def _over_noise(skin: Skin, G: NDArray[np.complex128], kx: Array, ky: Array) -> 
     """
     std = [skin.noise, skin.noise] + ([] if skin.noise_z is None else [skin.noise_z])
     scale = skin.load * skin.patch / (skin.pitch * np.sqrt(common(skin, kx, ky)))
-    return G[:, : len(std)] * (scale[:, None, None] / np.array(std)[:, None])
+    return np.asarray(G[:, : len(std)] * (scale[:, None, None] / np.array(std)[:, None]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,15 +6,20 @@ Wave numbers k are in rad/m, wavelengths 2 pi / k in m. Everything scales with t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from structures.elements import solids
+from structures.elements.hexfield import HexField
+from structures.elements.members import Material
 from structures.errors import InputError, integer, number, positive, reals, shown
+from structures.system.factor import Factor
 
+from ..arrays import Array
 from ..closed.layer import Components, HalfSpace, Layer, turned
 
-Array = NDArray[np.float64]
 NAMES = {"zz": "pressure", "kk": "shear along the wave", "tt": "shear across the wave"}
 
 
@@ -47,10 +52,7 @@ def peak(layer: Layer, component: str = "zz") -> CompliancePeak:
     component : {"zz", "kk", "tt"}
         Pressure, shear along the wave, shear across it.
 
-    Raises
-    ------
-    InputError
-        If there is no such component.
+    Raises `InputError`: if there is no such component.
     """
     from scipy.optimize import minimize_scalar
 
@@ -83,10 +85,7 @@ def cutoff(layer: Layer, component: str = "zz", share: float = 0.1) -> float:
     share : float
         Above 0 and below 1; noise over signal, for example.
 
-    Raises
-    ------
-    InputError
-        If an argument is not possible.
+    Raises `InputError`: if an argument is not possible.
     """
     from scipy.optimize import brentq
 
@@ -151,10 +150,7 @@ def noise_std(
     nodes : int
         Nodes along each side of the grid.
 
-    Raises
-    ------
-    InputError
-        If a value is not possible.
+    Raises `InputError`: if a value is not possible.
 
     Notes
     -----
@@ -186,7 +182,7 @@ def _one(layer: Layer, component: str, k: Array) -> Array:
             found=shown(component),
             expected=", ".join(f"{name} ({what})" for name, what in NAMES.items()),
         )
-    return getattr(layer.components(k), component)
+    return np.asarray(getattr(layer.components(k), component))
 
 
 LEVELS, RADII = 20, 24
@@ -224,7 +220,11 @@ def strains(layer: Layer, radius: float, r: ArrayLike, z: float) -> Array:
 
 def largest_strain(layer: Layer, radius: float) -> float:
     """Largest principal strain, by size, per N of a Hertz press (1/N), between the base and 0.97 of the thickness."""
-    a = positive("radius", radius, where="design.largest_strain", unit="m")
+    return _largest_strain(layer, positive("radius", radius, where="design.largest_strain", unit="m"))
+
+
+@lru_cache(maxsize=64)
+def _largest_strain(layer: Layer, a: float) -> float:
     r = np.concatenate([np.linspace(0, 1.5 * a, RADII), np.linspace(1.6 * a, 1.6 * a + layer.h, RADII // 3)])
     near = 1 - np.geomspace(SHALLOWEST, 1.0, LEVELS)
     heights = np.unique(np.concatenate([near, np.linspace(0, 0.2, LEVELS // 4)])) * layer.h
@@ -309,11 +309,6 @@ def locking(
     float
         1 where plain bricks do as well; towards 0 as they lock. No modulus and no force enters.
     """
-    from structures.elements import solids
-    from structures.elements.hexfield import HexField
-    from structures.elements.members import Material
-    from structures.system.factor import Factor
-
     a = positive("size", size, where="design.locking", unit="m")
     half = positive("side", side, where="design.locking", unit="m") / 2
     depths = []

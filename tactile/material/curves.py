@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.errors import InputError, positive, reals
 
+from ..arrays import Array
 from ..closed.contact import WIDEST, flat_stiffness, sphere_law, sphere_limit
 from ..closed.layer import Layer
 
-Array = NDArray[np.float64]
 DEEPEST = 5.5  # depth times radius of a sphere over thickness squared: contact of some 3.5 thicknesses
 FEWEST = 5  # points of a curve: modulus, offset, curvature, and something left to see the noise
 
@@ -64,7 +63,7 @@ class Tensile:
     @property
     def motion(self) -> Array:
         """Abscissa of the curve (m)."""
-        return self.elongation
+        return np.asarray(self.elongation)
 
     @property
     def rate(self) -> float:
@@ -130,7 +129,7 @@ class Indentation:
     @property
     def motion(self) -> Array:
         """Abscissa of the curve (m)."""
-        return self.depth
+        return np.asarray(self.depth)
 
     @property
     def rate(self) -> float:

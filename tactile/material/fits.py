@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError
 
+from ..arrays import Array
 from .curves import Curve, Tensile
 
-Array = NDArray[np.float64]
 DIFFERENCE, STEPS = 1e-6, 60
 
 
@@ -22,7 +22,6 @@ class CurveFit:
 
     Parameters
     ----------
-    name : str
     rate : float
         Strain rate (1/s).
     E, std : float
@@ -50,14 +49,10 @@ def fit(curve: Curve, nu: float | None) -> CurveFit:
 
     Parameters
     ----------
-    curve : Tensile or Indentation
     nu : float or None
         Poisson's ratio; a tensile test needs none.
 
-    Raises
-    ------
-    InputError
-        A curve without stiffness: force that does not grow with the motion.
+    Raises `InputError`: A curve without stiffness: force that does not grow with the motion.
 
     Notes
     -----
@@ -123,14 +118,15 @@ class _Law:
 
     def force(self, p: Array) -> Array:
         deep = self.x - p[1]
-        return np.exp(p[0]) * self.g(deep) * (1 + p[2] * deep)
+        return np.asarray(np.exp(p[0]) * self.g(deep) * (1 + p[2] * deep))
 
     def slopes(self, p: Array) -> Array:
         """Derivatives by a, x0 and c."""
         moved = np.array([0.0, DIFFERENCE, 0.0])
         deep = self.x - p[1]
+        whole = np.exp(p[0]) * self.g(deep)
         by_place = (self.force(p + moved) - self.force(p - moved)) / (2 * DIFFERENCE)
-        return np.stack([self.force(p), by_place, np.exp(p[0]) * self.g(deep) * deep], axis=1)
+        return np.stack([whole * (1 + p[2] * deep), by_place, whole * deep], axis=1)
 
     def start(self, y: Array) -> Array:
         """The best of some places at which the load may start, with its modulus."""
@@ -146,18 +142,18 @@ class _Law:
 
 def _fitted(law: _Law, y: Array, p: Array, count: int) -> tuple[Array, Array]:
     """The first `count` unknowns by damped Gauss-Newton from p, and the derivatives there."""
-    damping, misfit = 1e-6, float(np.sum((y - law.force(p)) ** 2))
+    damping, rest = 1e-6, y - law.force(p)
     for _ in range(STEPS):
         J = law.slopes(p)[:, :count]
         size = np.linalg.norm(J, axis=0)
         A = np.concatenate([J, np.sqrt(damping) * np.diag(size)])
         step = np.zeros(3)
-        step[:count] = np.linalg.lstsq(A, np.append(y - law.force(p), np.zeros(count)), rcond=None)[0]
+        step[:count] = np.linalg.lstsq(A, np.append(rest, np.zeros(count)), rcond=None)[0]
         trial = np.clip(p + step, [-np.inf, -5.0, -0.95], [np.inf, 0.95, 20.0])
-        found = float(np.sum((y - law.force(trial)) ** 2))
-        if found <= misfit:
+        found = y - law.force(trial)
+        if np.sum(found**2) <= np.sum(rest**2):
             settled = np.max(np.abs(trial - p)) < 1e-7
-            p, misfit, damping = trial, found, 0.1 * damping
+            p, rest, damping = trial, found, 0.1 * damping
             if settled:
                 break
         else:

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, NotIdentifiable, number, positive, reals
 from structures.flags import Flag
 
+from ..arrays import Array, shaped
 from ..guards import modulus, one_of_two
 from .curves import Curve, Indentation, Tensile
 from .fits import BEND, RATE, CurveFit, Pooled, Verdict, fit, linearity, poisson_of_curves, pool, rate_independence
@@ -224,7 +225,6 @@ def _modulus(tests: Sequence[Curve], fits: Sequence[CurveFit], ratio: _Ratio) ->
     return E, E * float(found.std[0]), found.dof
 
 
-Array = NDArray[np.float64]
 AXES = 3
 
 
@@ -295,15 +295,10 @@ def gain(E: float, estimated: ArrayLike, measured: ArrayLike) -> Gain:
     estimated, measured : array (presses, 3) or (presses,)
         Resultants that the sensor gave, and those that a balance, weights or an F/T sensor told (N).
 
-    Raises
-    ------
-    InputError
-        Shapes that differ, NaN, no force at all.
+    Raises `InputError`: Shapes that differ, NaN, no force at all.
     """
-    a, b = (reals(v, what="the forces are no real numbers", where="gain") for v in (estimated, measured))
-    if a.shape != b.shape or a.size == 0 or not np.all(np.isfinite(a)) or not np.all(np.isfinite(b)):
-        raise InputError("the forces do not fit", where="gain", found=f"{a.shape} and {b.shape}, or NaN",
-                         expected="finite, one row per press in both")  # fmt: skip
+    a = shaped(estimated, (None,), (None, None), where="gain", what="the forces do not fit", fewest=1)
+    b = shaped(measured, a.shape, where="gain", what="the forces do not fit", hint="one row per press in both")
     x, y = a.ravel(), b.ravel()
     if not x @ x > 0:
         raise InputError("the estimated forces are zero", where="gain", found="no force", expected="presses that press")
@@ -348,14 +343,10 @@ def poisson(
         As `LinearSensor.estimate` takes them; presses of different sizes tell more.
     forces : array (presses, 3)
         N.
-    depths : sequence of DepthMap, optional
     force_std : float
         Std of the known forces over the largest of them.
 
-    Raises
-    ------
-    InputError
-        Fewer than four values, forces that do not fit, a sensor whose lambda is not frozen.
+    Raises `InputError`: Fewer than four values, forces that do not fit, a sensor whose lambda is not frozen.
     """
     nus = np.unique(reals(tried, where="poisson, tried"))
     F = reals(forces, where="poisson, forces")

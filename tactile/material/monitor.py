@@ -14,16 +14,16 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, positive, reals
 from structures.flags import Flag
 
 from .. import guards
+from ..arrays import PLANE, SPACE, Array, shaped
 from ..closed.layer import Layer
 from ..closed.presses import Press
 
-Array = NDArray[np.float64]
 FEWEST = 6
 NEIGHBOURS, SHIFT_STEP = 40, 0.02  # neighbours that carry a derivative; its difference, over the distance of neighbours
 
@@ -37,18 +37,13 @@ def tangents(points: ArrayLike, maps: Array) -> Array:
         Places (m), on a grid or not.
     maps : array (presses, N, C)
 
-    Raises
-    ------
-    InputError
-        Places that do not fit the maps, or fewer than six.
+    Raises `InputError`: Places that do not fit the maps, or fewer than six.
     """
     from scipy.interpolate import RBFInterpolator
     from scipy.spatial import cKDTree
 
-    x = reals(points, where="GelMonitor, points")
-    if x.ndim != 2 or x.shape[1] not in (2, 3) or len(x) != maps.shape[1] or len(x) < FEWEST:
-        raise InputError("places do not fit the maps", where="GelMonitor, points", found=f"shape {x.shape}",
-                         expected=f"({maps.shape[1]}, 2), at least {FEWEST}", hint="markers, in m")  # fmt: skip
+    n, what = maps.shape[1], "places do not fit the maps"
+    x = shaped(points, (n, 2), (n, 3), where="GelMonitor, points", what=what, fewest=FEWEST, hint="markers, in m")
     x = x[:, :2]
     near = float(np.median(cKDTree(x).query(x, k=2)[0][:, 1]))
     x = x / near
@@ -105,10 +100,7 @@ def attributed(
 ) -> tuple[Cause, ...]:
     """Causes, the best one first, for a change of displacements (presses, N, C) in m of noise std `sigma`.
 
-    Raises
-    ------
-    InputError
-        Presses or points that do not fit the maps.
+    Raises `InputError`: Presses or points that do not fit the maps.
     """
     kept = np.isfinite(moved)
     moved = np.where(kept, moved, 0.0)
@@ -381,28 +373,17 @@ class GelMonitor:
 def _maps(values: Any, name: str, like: Array | None = None) -> Array:
     array = reals(values, where=f"GelMonitor, {name}")
     array = array[None] if array.ndim == 2 else array
-    if (
-        array.ndim != 3
-        or not array.size
-        or (like is None and not np.isfinite(array).all())
-        or (like is not None and array.shape != like.shape)
-    ):
-        raise InputError(
-            "maps of the presses do not fit" if like is not None else "no maps of presses",
-            where=f"GelMonitor, {name}",
-            found=f"shape {array.shape}",
-            expected="finite values (presses, points, components)" if like is None else f"shape {like.shape}",
-            hint="the same presses at the same points, in the same order",
-        )
-    return array
+    return shaped(
+        array, (None, None, None) if like is None else like.shape, where=f"GelMonitor, {name}", fewest=1,
+        what="no maps of presses" if like is None else "maps of the presses do not fit", lost=like is not None,
+        hint="(presses, points, components): the same presses at the same points, in the same order",
+    )  # fmt: skip
 
 
 def _points(values: Any, shape: tuple[int, ...] | None) -> Array:
-    array = reals(values, where="GelMonitor, unloaded markers")
-    if array.ndim != 2 or array.shape[1] not in (2, 3) or (shape is not None and array.shape != shape):
-        raise InputError("unloaded markers do not fit", where="GelMonitor", found=f"shape {array.shape}",
-                         expected=f"{shape or '(markers, 2 or 3)'}", hint="the same markers, in order")  # fmt: skip
-    return array
+    shapes = (PLANE, SPACE) if shape is None else (shape,)
+    what, hint = "unloaded markers do not fit", "the same markers, in order"
+    return shaped(values, *shapes, where="GelMonitor, unloaded markers", what=what, lost=True, hint=hint)
 
 
 def _date(value: datetime | str, name: str) -> datetime:

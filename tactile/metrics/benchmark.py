@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 
 from structures.errors import InputError
 
+from ..arrays import Array
 from ..results.forcemap import ForceMap
 from .mapped import MapMetrics, compare
-from .measures import Array, field, finite, means, places
+from .measures import field, finite, means, places
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -201,7 +202,7 @@ class BenchmarkTable:
     def __str__(self) -> str:
         return self.table()
 
-    def plot(self, path: str | os.PathLike | None = None) -> Figure:
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
         """Error, cosine and resultant against marker noise; see `tactile.results.pictures`."""
         from ..results.pictures import draw_benchmark
 

@@ -17,9 +17,10 @@ from loadid.guards.measurement import resultant_only
 from structures.errors import InputError, number
 from structures.flags import Flag
 
+from ..arrays import Array
 from ..guards import no_map
 from . import measures
-from .measures import Array, finite, pair, places, weights
+from .measures import finite, pair, places, weights
 
 LABELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 UNITS = ("N", "N", "N", "N m", "N m", "N m")

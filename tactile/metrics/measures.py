@@ -11,44 +11,31 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from structures.errors import InputError, number, plain, positive, reals
+from structures.errors import InputError, number, plain, positive
+
+from ..arrays import Array, Index, Mask, one_of, shaped
 
 if TYPE_CHECKING:
     from loadid.validate import Known
 
 
-Array = NDArray[np.float64]
-
-
 def finite(values: Any, name: str, *, where: str = "metrics") -> Array:
     """A finite real array.
 
-    Raises
-    ------
-    InputError
-        Texts, complex numbers, NaN or infinity.
+    Raises `InputError`: Texts, complex numbers, NaN or infinity.
     """
-    array = reals(values, where=f"{where}, {name}")
-    if not np.isfinite(array).all():
-        raise InputError(
-            f"{name}: {int(np.sum(~np.isfinite(array)))} values are NaN or infinite",
-            where=where,
-            found=f"shape {array.shape}",
-            expected="finite numbers",
-            hint="leave out the points that the map does not reach, from the truth too",
-        )
-    return array
+    return shaped(
+        values, where=f"{where}, {name}", what=f"{name}: values are NaN or infinite",
+        hint="leave out the points that the map does not reach, from the truth too",
+    )  # fmt: skip
 
 
 def field(values: Any, name: str) -> Array:
     """A map (points, components): three components, or fewer of a map that has no others.
 
-    Raises
-    ------
-    InputError
-        Another shape, or values that are not finite.
+    Raises `InputError`: Another shape, or values that are not finite.
     """
     array = finite(values, name)
     array = array[:, None] if array.ndim == 1 else array
@@ -66,10 +53,7 @@ def field(values: Any, name: str) -> Array:
 def pair(found: Any, truth: Any) -> tuple[Array, Array]:
     """An estimate and its truth on the same points.
 
-    Raises
-    ------
-    InputError
-        Shapes that differ, or a truth without any load: nothing relative is defined there.
+    Raises `InputError`: Shapes that differ, or a truth without any load: nothing relative is defined there.
     """
     a, b = field(found, "found"), field(truth, "truth")
     if a.shape != b.shape:
@@ -91,48 +75,30 @@ def pair(found: Any, truth: Any) -> tuple[Array, Array]:
 def weights(areas: ArrayLike | None, points: int) -> Array:
     """Tributary areas (points,), equal ones where none are given; their sum is one.
 
-    Raises
-    ------
-    InputError
-        Another number of areas, or one that is not positive.
+    Raises `InputError`: Another number of areas, or one that is not positive.
     """
     if areas is None:
         return np.full(points, 1 / points)
-    found = finite(areas, "areas")
-    if found.shape != (points,) or not (found > 0).all():
-        raise InputError(
-            "areas do not fit the map",
-            where="metrics, areas",
-            found=f"shape {found.shape}, smallest {found.min(initial=np.inf):.3g}",
-            expected=f"{points} positive areas",
-            hint="pass surface.areas, or nothing on a regular grid",
-        )
-    return found / found.sum()
+    hint = "pass surface.areas, or nothing on a regular grid"
+    found = shaped(areas, (points,), where="metrics, areas", what="areas do not fit the map", hint=hint)
+    if not (found > 0).all():
+        raise InputError("areas do not fit the map", where="metrics, areas", found=f"smallest {found.min():.3g}",
+                         expected="positive areas", hint=hint)  # fmt: skip
+    return np.asarray(found / found.sum())
 
 
 def places(points: ArrayLike, count: int) -> Array:
     """Places of the map's points (points, dim).
 
-    Raises
-    ------
-    InputError
-        Another number of places.
+    Raises `InputError`: Another number of places.
     """
-    found = finite(points, "points")
-    if found.ndim != 2 or len(found) != count or found.shape[1] not in (2, 3):
-        raise InputError(
-            "places do not fit the map",
-            where="metrics, points",
-            found=f"shape {found.shape}",
-            expected=f"({count}, 2) or ({count}, 3)",
-            hint="one place for each point of the map",
-        )
-    return found
+    hint = "one place for each point of the map"
+    return shaped(points, (count, 2), (count, 3), where="metrics, points", what="places do not fit the map", hint=hint)
 
 
 def size(t: Array) -> Array:
     """Magnitude of the vector at each point."""
-    return np.linalg.norm(t, axis=1)
+    return np.asarray(np.linalg.norm(t, axis=1))
 
 
 PARTS = 6  # sub-cells of a pitch along each direction; a hat is taken as constant in each
@@ -156,9 +122,8 @@ def means(press: Any, nodes: Array, pitch: float | tuple[float, float], shape: s
     InputError
         Another shape, or a pitch that is not positive.
     """
-    if shape not in ("hat", "patch"):
-        raise InputError("unknown shape", where="metrics.means", found=repr(shape), expected='"hat" or "patch"',
-                         hint="nodal forces of finite elements are means over hats")  # fmt: skip
+    hint = "nodal forces of finite elements are means over hats"
+    one_of(shape, ("hat", "patch"), where="metrics.means", what="unknown shape", hint=hint)
     d = np.array([positive("pitch", p, where="metrics.means", unit="m") for p in np.broadcast_to(pitch, 2)])
     near = np.all(np.abs(nodes - np.asarray(press.at)) <= press.radius + d, axis=1)
     found = np.zeros((len(nodes), 3))
@@ -215,7 +180,7 @@ def _cells(middles: Array, d: Array) -> Array:
 
 THETA = 0.2  # share of its peak from which a map counts as contact
 FLOOR = 1e-9  # share of the truth's peak below which a point is unloaded: rounding
-Labels = NDArray[np.intp]
+Labels = Index
 
 
 def patches(truth: Any, points: ArrayLike | None = None, *, floor: float = FLOOR) -> Labels:
@@ -233,7 +198,7 @@ def patches(truth: Any, points: ArrayLike | None = None, *, floor: float = FLOOR
     magnitude = size(field(truth, "truth"))
     loaded = magnitude > number("floor", floor, where="metrics.patches") * magnitude.max()
     if points is None:
-        return loaded.astype(np.intp)
+        return np.asarray(loaded.astype(np.intp))
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -341,7 +306,7 @@ def centroid(t: Any, points: ArrayLike, areas: ArrayLike | None = None) -> Array
     if not w.any():
         raise InputError("an empty map has no centre", where="metrics.centroid", found="zero everywhere",
                          expected="a load")  # fmt: skip
-    return (w / w.sum()) @ places(points, len(values))
+    return np.asarray((w / w.sum()) @ places(points, len(values)))
 
 
 def centroid_error(found: Any, truth: Any, points: ArrayLike, areas: ArrayLike | None = None) -> float | None:
@@ -370,11 +335,11 @@ def _radius(t: Array, points: ArrayLike, areas: ArrayLike | None) -> float:
     return float(np.sqrt(w @ np.sum(away**2, axis=1) / w.sum()))
 
 
-def _mean(values: Array, w: Array, at: NDArray[np.bool_]) -> float:
+def _mean(values: Array, w: Array, at: Mask) -> float:
     return float(values[at] @ w[at] / w[at].sum())
 
 
-Split = tuple[Array, Array, Array, list[NDArray[np.bool_]], NDArray[np.bool_]]
+Split = tuple[Array, Array, Array, list[Mask], Mask]
 
 
 def _split(found: Any, truth: Any, labels: ArrayLike | None, areas: ArrayLike | None) -> Split:

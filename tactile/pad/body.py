@@ -6,17 +6,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.elements import solids
 from structures.elements.members import Material
 from structures.elements.surfaces import Surface
-from structures.errors import InputError, integer, pair, plain, positive, reals, shown
+from structures.errors import InputError, integer, pair, plain, positive, shown
 from structures.flags import Flag
 from structures.system.structure import Structure
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from ..arrays import PLANE, Array, Index, Mask, shaped
+
 ARC = 16  # chords of a rounded corner
 REACH = 0.75  # of a cell: rim nodes farther from the outline stay where they are
 SOUND = 0.1  # of a cell's area: the least Jacobian that fitting may leave at a corner
@@ -40,17 +40,15 @@ class PadOutline:
     """
 
     corners: Array | None = None
-    cells: NDArray[np.bool_] | None = None
+    cells: Mask | None = None
     fitted: bool = True
     radius: float | None = None
 
     def on(self, size: tuple[float, float], counts: tuple[int, int]) -> tuple[Array, Index]:
         """Nodes (V, 2) and quadrilaterals (Q, 4) of the part of a rectangle of cells that stays.
 
-        Raises
-        ------
-        InputError
-            If nothing or less than one piece is left, or the outline does not fit the rectangle.
+        Raises `InputError`: if nothing or less than one piece is left, or the outline does not fit the
+        rectangle.
         """
         (a, b), (nx, ny) = size, counts
         x, y = np.linspace(-a / 2, a / 2, nx + 1), np.linspace(-b / 2, b / 2, ny + 1)
@@ -71,7 +69,7 @@ class PadOutline:
             return _rounded(size, self.radius)
         return self.corners
 
-    def _mask(self, counts: tuple[int, int]) -> NDArray[np.bool_]:
+    def _mask(self, counts: tuple[int, int]) -> Mask:
         assert self.cells is not None
         if self.cells.shape != counts[::-1]:
             raise InputError(
@@ -94,29 +92,18 @@ def polygon(corners: ArrayLike, *, fitted: bool = True) -> PadOutline:
     fitted : bool
         As in `PadOutline`.
 
-    Raises
-    ------
-    InputError
-        If they are no polygon.
+    Raises `InputError`: if they are no polygon.
     """
-    found = reals(corners, where="outline.polygon", hint="an array (n, 2) in m")
-    if found.ndim != 2 or found.shape[1] != 2 or len(found) < 3 or not np.all(np.isfinite(found)) or not _area(found):
-        raise InputError(
-            "no polygon",
-            where="outline.polygon",
-            found=f"shape {found.shape}",
-            expected="3 and more finite (x, y) in m",
-        )
+    found = shaped(corners, PLANE, where="outline.polygon", what="no polygon", fewest=3, hint="an array (n, 2) in m")
+    if not _area(found):
+        raise InputError("no polygon", where="outline.polygon", found="no area", expected="corners in cyclic order")
     return PadOutline(corners=found, fitted=fitted)
 
 
 def rounded(radius: float, *, fitted: bool = True) -> PadOutline:
     """Rounded corners of the rectangle, `radius` in m.
 
-    Raises
-    ------
-    InputError
-        If the radius is not positive; in `Pad`, if it is more than half a side.
+    Raises `InputError`: if the radius is not positive; in `Pad`, if it is more than half a side.
     """
     return PadOutline(radius=positive("the radius", radius, where="outline.rounded", unit="m"), fitted=fitted)
 
@@ -124,10 +111,7 @@ def rounded(radius: float, *, fitted: bool = True) -> PadOutline:
 def mask(cells: Any) -> PadOutline:
     """Outline by cells: ``cells[j, i]`` says whether cell i along x, j along y stays.
 
-    Raises
-    ------
-    InputError
-        If it is no table of truth values.
+    Raises `InputError`: if it is no table of truth values.
     """
     found = np.asarray(plain(cells))
     if found.ndim != 2 or found.dtype != bool:
@@ -140,7 +124,7 @@ def mask(cells: Any) -> PadOutline:
     return PadOutline(cells=found.copy())
 
 
-def inside(corners: Array, points: Array) -> NDArray[np.bool_]:
+def inside(corners: Array, points: Array) -> Mask:
     """Whether points (n, 2) lie in a polygon (m, 2), by the parity of the sides that a ray crosses."""
     x, y = points.T
     odd = np.zeros(len(points), bool)
@@ -175,7 +159,7 @@ def _area(corners: Array) -> float:
     return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
 
 
-def _one_piece(stays: NDArray[np.bool_]) -> None:
+def _one_piece(stays: Mask) -> None:
     """Refuse an empty pad, and cells that hang together at a corner or not at all."""
     from scipy.ndimage import label
 
@@ -242,11 +226,8 @@ class Body:
 
     Parameters
     ----------
-    structure : Structure
-    surface : Surface
     dimensions : dict
         Settled settings of the pad.
-    flags : tuple of Flag
     layered : bool
         Whether it is made of layers of bricks, so that few of them are too few.
     levels : int array (nodes,), optional
@@ -258,16 +239,13 @@ class Body:
     dimensions: dict[str, Any]
     flags: tuple[Flag, ...] = ()
     layered: bool = True
-    levels: NDArray[np.intp] | None = None
+    levels: Index | None = None
 
 
 def sides(size: Any) -> tuple[float, float]:
     """Both sides, checked.
 
-    Raises
-    ------
-    InputError
-        If they are not two positive numbers.
+    Raises `InputError`: if they are not two positive numbers.
     """
     a, b = pair("size", size, where="Pad", unit="m")
     return positive("a side", a, where="Pad, size", unit="m"), positive("a side", b, where="Pad, size", unit="m")
@@ -276,10 +254,7 @@ def sides(size: Any) -> tuple[float, float]:
 def divisions(size: tuple[float, float], thickness: float, pitch: Any, elements: Any) -> tuple[int, int]:
     """Cells along x and y from the pitch or from their number.
 
-    Raises
-    ------
-    InputError
-        If both are given, or neither is possible.
+    Raises `InputError`: if both are given, or neither is possible.
     """
     if pitch is not None and elements is not None:
         raise InputError(
@@ -328,10 +303,7 @@ def rectangle(
 ) -> Body:
     """Rectangle of equal bricks, base bonded, centred on the origin.
 
-    Raises
-    ------
-    InputError
-        If a value is not possible.
+    Raises `InputError`: if a value is not possible.
     """
     nx, ny = divisions(size, thickness, pitch, elements)
     nz = integer("layers", layers, where="Pad, layers", limit=CELLS)
@@ -360,8 +332,8 @@ def rectangle(
 
 
 def extruded(
-    places: NDArray[np.float64],
-    quads: NDArray[np.intp],
+    places: Array,
+    quads: Index,
     thickness: float,
     layers: int,
     material: Material,
@@ -369,16 +341,13 @@ def extruded(
     allow: tuple[str, ...],
     dimensions: dict[str, Any],
     *,
-    height: NDArray[np.float64] | float = 1.0,
+    height: Array | float = 1.0,
 ) -> Body:
     """Layers of hexahedra over quadrilaterals (Q, 4) between nodes (V, 2), base bonded.
 
     The surface lies at ``thickness * height``, one height for all nodes or for each.
 
-    Raises
-    ------
-    InputError
-        As `structures.elements.solids.mesh`.
+    Raises `InputError`: As `structures.elements.solids.mesh`.
     """
     count = len(places)
     z = np.multiply.outer(np.linspace(0.0, thickness, layers + 1), np.broadcast_to(height, count)).ravel()

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.elements import solids
 from structures.elements.cells import CELLS, upright
@@ -17,11 +16,10 @@ from structures.elements.meshfield import MeshField
 from structures.errors import InputError, positive, shown
 from structures.flags import canonical
 
+from ..arrays import Array, Index
 from .body import Body, extruded, polygon
 from .meshfiles import MeshFile
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 LARGE = 0.5  # a pad that measures more than this in its file's unit was drawn in mm
 PLANE = 1e-6  # of the size: a bonded base is flat to this
@@ -69,10 +67,7 @@ class PadMesh:
     def built(self, material: Material, element: str, allow: Sequence[str]) -> Body:
         """Structure and loaded surface.
 
-        Raises
-        ------
-        InputError
-            As `structures.elements.solids.mesh`.
+        Raises `InputError`: As `structures.elements.solids.mesh`.
         """
         structure = solids.mesh(
             self.nodes,
@@ -105,7 +100,6 @@ def placed(
 
     Parameters
     ----------
-    file : MeshFile
     unit : {"m", "cm", "mm", "um"}, optional
         Unit of the file, which does not name it. Taken as mm where the largest side is more than half a unit, else m.
     axis : str, optional
@@ -117,11 +111,8 @@ def placed(
     allow : sequence of str
         ``("E110",)`` takes a solid with holes or tunnels.
 
-    Raises
-    ------
-    InputError
-        If the mesh is none, unit, axis or sets do not fit, there is no base or no surface; code LID-E110 if Euler's
-        formula says that the boundary is no simply connected surface.
+    Raises `InputError`: if the mesh is none, unit, axis or sets do not fit, there is no base or no surface; code
+    LID-E110 if Euler's formula says that the boundary is no simply connected surface.
     """
     cell = CELLS[file.kind]
     _used(file)
@@ -172,10 +163,7 @@ def placed(
 def rebuilt(mesh: PadMesh, pitch: float, layers: int, material: Material, element: str, allow: Sequence[str]) -> Body:
     """The same body by columns of bricks: its base as outline, its height over each node.
 
-    Raises
-    ------
-    InputError
-        If the base has no outline of one piece, or as `structures.elements.solids.mesh`.
+    Raises `InputError`: if the base has no outline of one piece, or as `structures.elements.solids.mesh`.
     """
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 

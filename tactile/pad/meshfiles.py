@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.elements.cells import CELLS
 from structures.errors import InputError
+from structures.files.container import open_npz
+from structures.files.hdf5 import open_hdf5
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from ..arrays import Array, Index
+
 LARGEST = 256_000_000  # bytes, unpacked
 ALIASES = {"C3D8R": "C3D8", "C3D8I": "C3D8", "C3D8H": "C3D8", "C3D10M": "C3D10", "C3D10H": "C3D10", "C3D10I": "C3D10"}
 
@@ -27,7 +28,6 @@ class MeshFile:
 
     Parameters
     ----------
-    path : str
     nodes : array (nodes, 3)
         In the file's unit.
     cells : int array (cells, 8 or 10)
@@ -50,10 +50,7 @@ class MeshFile:
     def named(self, name: str) -> Index:
         """A node set.
 
-        Raises
-        ------
-        InputError
-            If there is none of this name.
+        Raises `InputError`: if there is none of this name.
         """
         found = self.sets.get(str(name).upper())
         if found is None:
@@ -67,7 +64,7 @@ class MeshFile:
         return found
 
 
-def read(path: str | os.PathLike) -> MeshFile:
+def read(path: str | os.PathLike[str]) -> MeshFile:
     """Mesh of a file.
 
     Parameters
@@ -76,10 +73,8 @@ def read(path: str | os.PathLike) -> MeshFile:
         ``.inp`` or ``.inp.gz`` with C3D8 or C3D10 cells; ``.npz``, ``.h5`` or ``.hdf5`` with the arrays ``nodes``
         (nodes, 3) and ``cells`` (cells, 8 or 10), indices from 0 in the order of Abaqus.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is none of these, holds no solid cells or several kinds of them; the line is named.
+    Raises `InputError`: if the file cannot be read, is none of these, holds no solid cells or several kinds of
+    them; the line is named.
     """
     place = Path(os.fspath(path))
     if not place.is_file():
@@ -114,9 +109,6 @@ def _text(path: Path) -> str:
 
 
 def _arrays(path: Path) -> MeshFile:
-    from structures.files.container import open_npz
-    from structures.files.hdf5 import open_hdf5
-
     container = open_npz(path) if path.suffix.lower() == ".npz" else open_hdf5(path)
     nodes, cells = container.array("nodes"), container.array("cells")
     if nodes is None or cells is None or cells.ndim != 2:
@@ -139,12 +131,7 @@ def _arrays(path: Path) -> MeshFile:
 
 
 class _Inp:
-    """Reader of the keywords that hold a mesh; all others are passed over.
-
-    Parameters
-    ----------
-    path : str
-    """
+    """Reader of the keywords that hold a mesh; all others are passed over."""
 
     def __init__(self, path: str) -> None:
         self.path = path
@@ -155,10 +142,7 @@ class _Inp:
     def read(self, text: str) -> MeshFile:
         """The mesh.
 
-        Raises
-        ------
-        InputError
-            If there is none, or a line is none.
+        Raises `InputError`: if there is none, or a line is none.
         """
         for at, keyword, options, lines in _sections(text):
             if keyword == "NODE":
@@ -281,19 +265,15 @@ def _sections(text: str) -> Iterator[tuple[int, str, dict[str, str], list[tuple[
     yield start, keyword, options, lines
 
 
-def elastic(path: str | os.PathLike, name: str | None = None) -> dict[str, Any]:
+def elastic(path: str | os.PathLike[str], name: str | None = None) -> dict[str, Any]:
     """Elastic constants of an Abaqus or CalculiX input file: ``{"name", "E", "nu", "source"}``, E in the file's unit.
 
     Parameters
     ----------
-    path : path
     name : str, optional
         Of the material; the first that has constants otherwise.
 
-    Raises
-    ------
-    InputError
-        If it holds no such material.
+    Raises `InputError`: if it holds no such material.
 
     Notes
     -----

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures import bases
 from structures.elements.members import Material
@@ -22,6 +21,7 @@ from structures.flags import Flag
 from structures.system.structure import Structure
 
 from .. import guards
+from ..arrays import Index, Mask
 from ..closed.layer import Layer
 from . import meshfiles
 from .body import Body, rectangle, sides
@@ -32,10 +32,6 @@ from .table import TomlTable
 
 if TYPE_CHECKING:
     from structures.bases import Basis
-
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -114,7 +110,9 @@ class Pad(Loaded):
     _levels: Index | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        fix = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731  (a frozen dataclass needs it)
+        def fix(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
         material = Material(E=self.E, rho=self.density, nu=self.nu)
         fix("allow", (self.allow,) if isinstance(self.allow, str) else tuple(self.allow))
         if self.counts is not None:
@@ -143,14 +141,15 @@ class Pad(Loaded):
 
     def _meshed(self, material: Material) -> Body:
         if self.pitch is None:
-            return self.mesh.built(material, self.element, self.allow)
+            body: Body = self.mesh.built(material, self.element, self.allow)
+            return body
         layers = integer("layers", self.layers, where="Pad, layers", limit=100)
         return rebuilt(self.mesh, self.pitch, layers, material, self.element, self.allow)
 
     @classmethod
     def from_mesh(
         cls,
-        file: str | os.PathLike,
+        file: str | os.PathLike[str],
         *,
         E: float,
         nu: float,
@@ -193,7 +192,7 @@ class Pad(Loaded):
         return cls(E=E, nu=nu, mesh=mesh, pitch=pitch, layers=layers, element=element, **settings)
 
     @classmethod
-    def from_toml(cls, file: str | os.PathLike) -> Pad:
+    def from_toml(cls, file: str | os.PathLike[str]) -> Pad:
         """Pad of a TOML file: its table ``[pad]``; `tactile.pad.padfile` says what it may hold.
 
         Raises
@@ -235,7 +234,7 @@ class Pad(Loaded):
 
     # -- geometry -------------------------------------------------------------------------------------------------
     @cached_property
-    def edge(self) -> NDArray[np.bool_]:
+    def edge(self) -> Mask:
         """Whether a surface node lies on the rim (P,)."""
         cells = self.surface.cells
         pairs = np.sort(np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], axis=1), axis=1)

@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.errors import InputError, plain
 
+from ..arrays import Array
 from ..guards import counts
+from . import body as outline
 from .table import TomlTable
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ class DepthKind:
     factor: float = 1.0
     absolute: bool = False
 
-    def map(self, values: Any, zero: NDArray[np.float64] | float = 0.0) -> DepthMap:
+    def map(self, values: Any, zero: Array | float = 0.0) -> DepthMap:
         """Depth map of the numbers of a file, less `zero` (m)."""
         from ..sensors.observation import DepthMap
 
@@ -123,7 +124,6 @@ class SensorFile:
         Std of the place of a marker, in ``"px"`` or ``"m"``.
     unit : str or float
         Of marker motions in a file: ``"px"``, or metres of one unit.
-    depth : DepthKind or None
     contact : mapping
         Settings of the inversion: ``no_pull, friction, lam, penalty``.
     """
@@ -138,14 +138,11 @@ class SensorFile:
     contact: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read(path: str | os.PathLike) -> SensorFile:
+def read(path: str | os.PathLike[str]) -> SensorFile:
     """Sensor of a TOML file.
 
-    Raises
-    ------
-    InputError
-        A file that is none; a table or key that is not known, or is missing; a value without its unit, or with a unit
-        of something else. The message names the file, the table and the key.
+    Raises `InputError`: A file that is none; a table or key that is not known, or is missing; a value without its
+    unit, or with a unit of something else. The message names the file, the table and the key.
     """
     place = Path(os.fspath(path))
     tables = _tables(place)
@@ -219,8 +216,6 @@ def _counted(t: TomlTable, layers: int) -> None:
 
 
 def _outline(t: TomlTable) -> Any:
-    from . import body as outline
-
     radius, corners = t.quantity("rounded", "displacement", None), t.places("polygon", "displacement", None)
     if radius is not None and corners is not None:
         raise t.refused("polygon", "two outlines of one pad", "rounded and polygon", "one of them")

@@ -7,12 +7,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from structures.elements import meshfield as evaluation
 from structures.elements.surfaces import Surface
-from structures.errors import InputError, reals
+from structures.errors import InputError
 from structures.flags import Flag
 from structures.system import factor, layered
 from structures.system.factor import Factor
@@ -20,12 +20,10 @@ from structures.system.layered import SymmetricFactor, reflections
 from structures.system.structure import Structure
 
 from .. import guards
+from ..arrays import PLANE, SPACE, Array, Index, Mask, shaped
 
 if TYPE_CHECKING:
     from .pad import Pad
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +42,13 @@ class Completion:
         How those move with the known ones.
     """
 
-    known: NDArray[np.intp]
+    known: Index
     stiffness: Any
-    others: NDArray[np.intp]
+    others: Index
     follow: Any
 
     @classmethod
-    def of(cls, pad: Pad, known: NDArray[np.bool_], K: Any = None) -> Completion:
+    def of(cls, pad: Pad, known: Mask, K: Any = None) -> Completion:
         """Of a pad, with a mask (P, 3) of the displacements that are given; `K` is its surface stiffness if at hand."""
         K = surface_stiffness(pad) if K is None else K
         flat = np.asarray(known, bool).ravel()
@@ -96,7 +94,6 @@ def _dense(A: Any) -> Array:
     return np.asarray(A.toarray() if sparse.issparse(A) else A, float)
 
 
-Index = NDArray[np.intp]
 AXES = "XYZ"
 STRIP = 256  # right-hand sides at once
 NEAR = 0.2  # of a cell: how far from it a point of a curved surface may lie by its interpolated height
@@ -278,18 +275,12 @@ class Loaded:
         return guards.large_strain(float(np.abs(self.strain(forces)).max()))
 
     def _vectors(self, values: ArrayLike, what: str) -> Array:
-        found = reals(values, where=f"Pad, {what}")
-        if found.shape == (3 * self.points,):
-            found = found.reshape(-1, 3)
-        if found.shape != (self.points, 3) or not np.all(np.isfinite(found)):
-            raise InputError(
-                f"the {what} do not fit the surface of the pad",
-                where=f"Pad, {what}",
-                found=f"shape {found.shape}" if found.shape != (self.points, 3) else "NaN or infinity",
-                expected=f"finite numbers, ({self.points}, 3) or ({3 * self.points},)",
-                hint="rows in the order of pad.surface.nodes; interpolate markers onto the nodes first",
-            )
-        return found
+        found = shaped(
+            values, (self.points, 3), (3 * self.points,), where=f"Pad, {what}",
+            what=f"the {what} do not fit the surface of the pad",
+            hint="rows in the order of pad.surface.nodes; interpolate markers onto the nodes first",
+        )  # fmt: skip
+        return found.reshape(-1, 3)
 
     # -- points on and under the surface --------------------------------------------------------------------------
     def rows(self, points: ArrayLike) -> sparse.csr_array:
@@ -359,15 +350,8 @@ class Loaded:
 
     def _places(self, points: ArrayLike) -> tuple[Array, bool]:
         """Points (N, 3), and whether their height was found."""
-        found = reals(points, where="Pad, points", hint="an array (N, 2) or (N, 3) in m")
-        if found.ndim != 2 or found.shape[1] not in (2, 3):
-            raise InputError(
-                "no points of a pad",
-                where="Pad, points",
-                found=f"shape {found.shape}",
-                expected="(N, 2) on the surface or (N, 3), in m",
-                hint="x and y from the centre of the pad, z from its bonded base",
-            )
+        hint = "(N, 2) on the surface or (N, 3), in m: x and y from the centre of the pad, z from its bonded base"
+        found = shaped(points, PLANE, SPACE, where="Pad, points", what="no points of a pad", lost=True, hint=hint)
         if found.shape[1] == 3:
             return found, False
         return np.column_stack([found, self._height(found)]), True

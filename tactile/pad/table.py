@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures import units
 from structures.errors import InputError, real, shown
+
+from ..arrays import Array
 
 NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*")
 EXAMPLES = {"displacement": "3 mm", "pressure": "0.147 MPa", "angle": "12 deg", "px": "5.6 px"}
@@ -71,10 +72,7 @@ class TomlTable:
     def end(self) -> None:
         """Refuse keys that nobody asked for.
 
-        Raises
-        ------
-        InputError
-            With the nearest key that is known.
+        Raises `InputError`: With the nearest key that is known.
         """
         unknown = sorted(set(self.values) - self._asked)
         if not unknown:
@@ -141,7 +139,7 @@ class TomlTable:
             raise self.refused(key, "no list of texts", shown(value), f'{key} = ["W115"], for example')
         return tuple(value)
 
-    def matrix(self, key: str) -> NDArray[np.float64]:
+    def matrix(self, key: str) -> Array:
         """Three rows of three numbers."""
         value = self._take(key, MISSING)
         rows: list[Any] = value if isinstance(value, list) and len(value) == 3 else [None]

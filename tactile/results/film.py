@@ -15,11 +15,12 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from loadid.plots.style import INK, ORANGE, SKY, mark, new_figure, text
-from structures.errors import InputError, positive, reals
+from structures.errors import InputError, positive
 from structures.files.storage import as_path, replace
 
+from ..arrays import Array, shaped
 from ..vision.detect import Detected
-from ..vision.images import grey
+from ..vision.images import grey, installed, opencv
 from ..vision.motion import MarkerMotion
 from .pictures import (
     COLOURS,
@@ -27,11 +28,11 @@ from .pictures import (
     LONGEST,
     MM,
     QUIET,
+    arrow_key,
+    colour_bar,
     colours,
     draw_resultants,
     dress,
-    named,
-    nice,
     spread_evenly,
     surface,
 )
@@ -71,7 +72,6 @@ def overlay(
         Length of the arrows over the motion; default 1, or 10 where the largest motion is below 3 % of the image.
     axes : Axes, optional
         Where to draw instead of a new figure.
-    figure : Figure, optional
     """
     seen = grey(image)
     if axes is None:
@@ -93,7 +93,7 @@ def overlay(
     return drawn
 
 
-def _draw_dots(axes: Axes, points: NDArray[np.float64], radius: float) -> str:
+def _draw_dots(axes: Axes, points: Array, radius: float) -> str:
     _rings(axes, points, radius)
     _numbers(axes, points, radius)
     return f"{len(points)} dots"
@@ -122,7 +122,7 @@ def _draw_motion(axes: Axes, motion: MarkerMotion, width: int, scale: float | No
     return f"{seen.sum()} of {len(seen)} markers, {motion.lost.sum()} lost, {motion.rejected.sum()} rejected; {size}"
 
 
-def _rings(axes: Axes, points: NDArray[np.float64], radius: float) -> None:
+def _rings(axes: Axes, points: Array, radius: float) -> None:
     from matplotlib.collections import EllipseCollection
 
     size = np.full(len(points), 2 * radius)
@@ -134,7 +134,7 @@ def _rings(axes: Axes, points: NDArray[np.float64], radius: float) -> None:
     axes.plot(*points.T, ".", color=ORANGE, markersize=2)
 
 
-def _numbers(axes: Axes, points: NDArray[np.float64], radius: float) -> None:
+def _numbers(axes: Axes, points: Array, radius: float) -> None:
     if len(points) > NUMBERED:
         return
     for k, (x, y) in enumerate(points):
@@ -142,11 +142,10 @@ def _numbers(axes: Axes, points: NDArray[np.float64], radius: float) -> None:
             axes.annotate(str(k + 1), (x + radius, y - radius), color="white", fontsize=6, clip_on=True)
 
 
-def _pitch(points: NDArray[np.float64]) -> float:
+def _pitch(points: Array) -> float:
     return Detected(points[np.isfinite(points).all(axis=1)], np.empty(0), 1.0).pitch
 
 
-Array = NDArray[np.float64]
 DPI = 100
 
 
@@ -159,27 +158,21 @@ def pictures(force: ForceMap, *, truth: ArrayLike | None = None, progress: Any =
         A sequence.
     truth : array (frames, P, 3), optional
         Known tractions (Pa), drawn beside.
-    progress : callable, optional
 
-    Raises
-    ------
-    InputError
-        A single frame, a truth that does not fit.
+    Raises `InputError`: A single frame, a truth that does not fit.
     """
     if force.single:
         raise InputError("a video takes frames", where="film", found="one force map", expected="a sequence")
     t = force.traction()
-    known = None if truth is None else reals(truth, where="truth")
-    if known is not None and (known.shape != t.shape or not np.all(np.isfinite(known))):
-        raise InputError("the known maps do not fit", where="truth", found=f"shape {known.shape}, or NaN",
-                         expected=f"{t.shape} finite tractions in Pa")  # fmt: skip
+    what, hint = "the known maps do not fit", "tractions in Pa"
+    known = None if truth is None else shaped(truth, t.shape, where="truth", what=what, hint=hint)
     return _drawn(force, t, known, progress)
 
 
 def _drawn(force: ForceMap, t: Array, known: Array | None, progress: Any) -> Iterator[NDArray[np.uint8]]:
     shown = [("estimate", t), *([("truth", known)] if known is not None else [])]
     figure = Figure(figsize=(4.3 * len(shown) + 4.2, 4.3), dpi=DPI, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
+    canvas: Any = FigureCanvasAgg(figure)
     axes = figure.subplots(1, len(shown) + 1, width_ratios=[1.0] * len(shown) + [0.95])
     top = max(max(float(np.abs(x[..., 2]).max()) for _, x in shown) * KPA, 1e-300)
     low = -max(float(x[..., 2].max()) for _, x in shown) * KPA
@@ -199,7 +192,7 @@ def _drawn(force: ForceMap, t: Array, known: Array | None, progress: Any) -> Ite
     still = canvas.copy_from_bbox(figure.bbox)
     for k in range(len(force.load)):
         for panel, (_, x) in zip(panels, shown, strict=True):
-            panel.show(x[k], named(force, k))
+            panel.show(x[k], force.frame_name(k))
         line.set_xdata([at[k], at[k]])
         dots.set_offsets(np.column_stack([np.full(3, at[k]), values[k]]))
         canvas.restore_region(still)
@@ -217,9 +210,7 @@ class _Panel:
         low, top, shear = scale
         self.name, self.quiet = name, QUIET * max(top, shear)
         self.image = surface(ax, one, np.zeros(len(one.nodes)), **colours(low, top))
-        bar = ax.figure.colorbar(self.image, ax=ax, shrink=0.85, pad=0.02)
-        bar.set_label("pressure [kPa]", fontsize=8)
-        bar.ax.tick_params(labelsize=8)
+        colour_bar(ax, self.image, "pressure [kPa]")
         self.at, step = spread_evenly(one.nodes[:, :2])
         xy = MM * one.nodes[self.at, :2]
         size = shear if shear > 0 else 1.0
@@ -227,9 +218,7 @@ class _Panel:
         self.arrows = ax.quiver(*xy.T, zero, zero, angles="xy", scale_units="xy", scale=size / (LONGEST * MM * step),
                                 units="width", width=0.004, minlength=0.0, color=INK)  # fmt: skip
         if shear > QUIET * top:
-            length = nice(shear)
-            ax.quiverkey(self.arrows, 0.62, 1.035, length, f"shear {length:g} kPa", labelpos="E", coordinates="axes",
-                         fontproperties={"size": 8}, labelsep=0.06)  # fmt: skip
+            arrow_key(ax, self.arrows, shear, 0.62)
         dress(ax)
         self.title = ax.set_title(f"{name}, {'0' * 8}", loc="left", fontsize=9)
         self.moving: list[Artist] = [self.image, self.arrows, self.title, ax.spines["left"], ax.spines["bottom"]]
@@ -248,13 +237,10 @@ GIF = ".gif"
 FPS = 10.0
 
 
-def require_video(path: str | os.PathLike) -> str:
+def require_video(path: str | os.PathLike[str]) -> str:
     """Suffix of a video that can be written here.
 
-    Raises
-    ------
-    InputError
-        Another suffix; one that needs OpenCV where it is not installed.
+    Raises `InputError`: Another suffix; one that needs OpenCV where it is not installed.
     """
     suffix = as_path(path).suffix.lower()
     if suffix == GIF:
@@ -262,15 +248,13 @@ def require_video(path: str | os.PathLike) -> str:
     if suffix not in CODECS:
         raise InputError("no kind of video", where=str(path), found=suffix or "no suffix",
                          expected=", ".join((*CODECS, GIF)), hint="end the name with .mp4 or .gif")  # fmt: skip
-    from ..vision.images import installed
-
     if not installed():
         raise InputError(f"a {suffix} video needs OpenCV", where=str(path),
                          hint='pip install "loadid[vision]"; or end the name with .gif')  # fmt: skip
     return suffix
 
 
-def write_video(path: str | os.PathLike, images: Iterable[NDArray[np.uint8]], *, fps: float = FPS) -> int:
+def write_video(path: str | os.PathLike[str], images: Iterable[NDArray[np.uint8]], *, fps: float = FPS) -> int:
     """Write pictures as a video, and return their number.
 
     Parameters
@@ -282,11 +266,8 @@ def write_video(path: str | os.PathLike, images: Iterable[NDArray[np.uint8]], *,
     fps : float
         Pictures a second.
 
-    Raises
-    ------
-    InputError
-        No pictures, pictures of different sizes, a suffix that names no video, a file that cannot be written. The old
-        file is untouched then.
+    Raises `InputError`: No pictures, pictures of different sizes, a suffix that names no video, a file that cannot
+    be written. The old file is untouched then.
     """
     target = as_path(path)
     content, count = encoded(images, require_video(path), fps=fps, where=str(target))
@@ -307,7 +288,12 @@ def encoded(
 
 
 def film(
-    path: str | os.PathLike, force: ForceMap, *, truth: ArrayLike | None = None, fps: float = FPS, progress: Any = None
+    path: str | os.PathLike[str],
+    force: ForceMap,
+    *,
+    truth: ArrayLike | None = None,
+    fps: float = FPS,
+    progress: Any = None,
 ) -> int:
     """Write the maps of a sequence as a video; see `write_video` and `tactile.results.film`.
 
@@ -337,8 +323,6 @@ def _checked(images: Iterable[Any], where: str) -> Iterator[NDArray[np.uint8]]:
 
 
 def _coded(path: Path, images: Iterator[NDArray[np.uint8]], fps: float) -> int:
-    from ..vision.images import opencv
-
     cv2, writer, count = opencv(), None, 0
     try:
         for image in images:

@@ -13,15 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from loadid.results.estimate import Axis, LoadEstimate
-from structures.errors import InputError, plain, reals
+from loadid.results.summary import plus_minus
+from structures.errors import InputError
 from structures.flags import Flag
+
+from ..arrays import Array, Mask, shaped
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-Array = NDArray[np.float64]
 PROVIDED = ("tracked", "measured", "completed")
 SHARE = 0.1  # of the peak pressure, from which a point is taken to be in contact
 CLEAR = 3.0  # stds above zero that a pressure must lie to be contact
@@ -36,8 +38,6 @@ class Vector:
     unit: str
 
     def __str__(self) -> str:
-        from loadid.results.summary import plus_minus
-
         last = (np.atleast_2d(a)[-1] for a in (self.value, self.std))
         return f"({', '.join(plus_minus(v, s) for v, s in zip(*last, strict=True))}) {self.unit}"
 
@@ -64,7 +64,7 @@ class Contact:
         Pressure (Pa) above which a node counts as in contact.
     """
 
-    mask: NDArray[np.bool_]
+    mask: Mask
     area: float
     centre: Array
     radius: float
@@ -101,6 +101,33 @@ class ForceMap(LoadEstimate):
         return self.load.ndim == 1
 
     @property
+    def strongest(self) -> int:
+        """Frame of the largest force, from 0."""
+        return int(np.argmax(np.linalg.norm(np.atleast_2d(self.resultant().value), axis=1)))
+
+    def chosen(self, frame: int | None = None) -> int:
+        """The frame asked for, from 0, or the strongest.
+
+        Raises
+        ------
+        InputError
+            If it is not there.
+        """
+        count = 1 if self.single else len(self.load)
+        if frame is None:
+            return self.strongest
+        if not -count <= frame < count:
+            raise InputError("there is no such frame", where="frame", found=frame, expected=f"0 to {count - 1}")
+        return frame % count
+
+    def frame_name(self, k: int) -> str:
+        """``frame 7`` or ``1.25 s``; nothing of a single frame."""
+        if self.axis is None:
+            return ""
+        value = self.axis.values[k]
+        return f"{value:.3g} s" if self.axis.name == "time" else f"frame {value:.0f}"
+
+    @property
     def nodes(self) -> Array:
         """Places of the nodes (P, 3) in m."""
         return np.asarray(self._geometry["coordinates"], float)
@@ -112,11 +139,12 @@ class ForceMap(LoadEstimate):
 
     def frame(self, index: int) -> Self:
         """One frame of a sequence."""
-        from dataclasses import replace
-
         if self.single:
             return self
-        cut = {n: getattr(self, n)[index] for n in ("load", "std", "response", "residual") if _has(self, n)}
+        cut: dict[str, Any] = {
+            n: None if getattr(self, n) is None else getattr(self, n)[index]
+            for n in ("load", "std", "response", "residual")
+        }
         spread = self._covariance if self._covariance.ndim == 2 else self._covariance[index]
         return replace(self, axis=None, geometry={**self._geometry, "resultant_covariance": spread}, **cut)
 
@@ -140,6 +168,11 @@ class ForceMap(LoadEstimate):
         """Normal pressure at the nodes (..., P) in Pa, positive where the pad is pressed."""
         return -self.traction()[..., 2]
 
+    def pressure_std(self) -> Array:
+        """Std of the pressure at the nodes (..., P) in Pa; of nodal forces over the areas of their nodes."""
+        spread = self._vectors(self.std)[..., 2]
+        return spread / self.areas if self._geometry["kind"] == "nodal" else spread
+
     def resultant(self) -> Vector:
         """Force on the pad, (..., 3) in N, with its std."""
         return self._wrench(slice(0, 3), "N")
@@ -148,9 +181,7 @@ class ForceMap(LoadEstimate):
         """Moment of the load, (..., 3) in N m, about the centre of the loaded surface or another point (x, y, z)."""
         if about is None:
             return self._wrench(slice(3, 6), "N m")
-        point = np.asarray(plain(about), float)
-        if point.shape != (3,) or not np.all(np.isfinite(point)):
-            raise InputError("no point", where="torque, about", found=repr(about), expected="(x, y, z) in m")
+        point = shaped(about, (3,), where="torque, about", what="no point", hint="(x, y, z) in m")
         arm = np.asarray(self._geometry["about"], float) - point
         cross = np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
         turn = np.hstack([cross, np.eye(3)])
@@ -171,8 +202,7 @@ class ForceMap(LoadEstimate):
         if not 0 < share < 1:
             raise InputError("no share of the peak", where="contact", found=share, expected="between 0 and 1")
         t, areas = self.traction(), self.areas
-        p, spread = -t[:, 2], self._vectors(self.std)[:, 2]
-        spread = spread / areas if self._geometry["kind"] == "nodal" else spread
+        p, spread = -t[:, 2], self.pressure_std()
         peak = float(p.max())
         threshold = share * max(peak, 0.0)
         mask = (p > threshold) & (p > CLEAR * spread)
@@ -191,7 +221,7 @@ class ForceMap(LoadEstimate):
         *,
         truth: ArrayLike | None = None,
         ax: Axes | None = None,
-        path: str | os.PathLike | None = None,
+        path: str | os.PathLike[str] | None = None,
         show: bool = False,
     ) -> Figure:
         """Picture: ``"map"`` (pressure, shear, std; force and torque of a sequence below), or as `LoadEstimate.plot`.
@@ -217,14 +247,14 @@ class ForceMap(LoadEstimate):
             pyplot.show()
         return figure
 
-    def report(self, path: str | os.PathLike, *, truth: ArrayLike | None = None) -> None:
+    def report(self, path: str | os.PathLike[str], *, truth: ArrayLike | None = None) -> None:
         """Write one self-contained HTML page."""
         from .report import write_report
 
         write_report(self, path, truth=truth)
 
     @classmethod
-    def read(cls, path: str | os.PathLike) -> Self:
+    def read(cls, path: str | os.PathLike[str]) -> Self:
         """Read a result file.
 
         Raises
@@ -265,7 +295,7 @@ class ForceMap(LoadEstimate):
     def _covariance(self) -> Array:
         return np.asarray(self._geometry["resultant_covariance"], float)
 
-    def _vectors(self, values: NDArray) -> Array:
+    def _vectors(self, values: NDArray[Any]) -> Array:
         return values.reshape(*values.shape[:-1], -1, 3)
 
     def _apply(self, act: Any, g: Array) -> Array:
@@ -284,10 +314,6 @@ class ForceMap(LoadEstimate):
 def _spread(covariance: Array, values: Array) -> Array:
     variance = np.diagonal(covariance, axis1=-2, axis2=-1)
     return np.broadcast_to(np.sqrt(np.maximum(variance, 0.0)), values.shape)
-
-
-def _has(estimate: LoadEstimate, name: str) -> bool:
-    return getattr(estimate, name) is not None
 
 
 def record(
@@ -310,10 +336,8 @@ def record(
         ``load`` and ``std`` (frames, 3 P). What differs between frames in ``facts`` is a list; of a finding that
         several frames share the strongest is kept, with their number. Posterior and residuals stay with the frames.
 
-    Raises
-    ------
-    InputError
-        No frames, sequences among them, frames of different sensors, numbers or times that do not fit.
+    Raises `InputError`: No frames, sequences among them, frames of different sensors, numbers or times that do not
+    fit.
     """
     frames = list(maps)
     if not frames:
@@ -386,10 +410,10 @@ def _require_alike(frame: ForceMap, first: ForceMap, k: int) -> None:
 
 
 def _axis(count: int, numbers: list[int], times: ArrayLike | None) -> Axis:
-    values = np.asarray(numbers, float) if times is None else reals(times, where="record, times")
-    if values.shape != (count,) or not np.all(np.isfinite(values)) or not np.all(np.diff(values) > 0):
-        raise InputError("the axis does not fit the frames", where="record, times" if times is not None else "record",
-                         found=f"shape {values.shape}", expected=f"{count} finite numbers, ascending")  # fmt: skip
+    where, what = "record" if times is None else "record, times", "the axis does not fit the frames"
+    values = shaped(numbers if times is None else times, (count,), where=where, what=what)
+    if not np.all(np.diff(values) > 0):
+        raise InputError(what, where=where, found="values that do not grow", expected=f"{count} numbers, ascending")
     return Axis("frame", "", values) if times is None else Axis("time", "s", values)
 
 

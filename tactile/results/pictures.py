@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loadid.plots.style import BLUE, GREEN, GREY, INK, NARROW, ORANGE, PURPLE, SKY, mark, new_figure, save, text, tidy
-from structures.errors import InputError, reals
+from structures.errors import reals
+
+from ..arrays import Array, Index, shaped
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,11 +23,10 @@ if TYPE_CHECKING:
     from matplotlib.quiver import Quiver
 
     from ..design.evaluation import SkinDesign
-    from ..metrics.benchmark import BenchmarkTable
+    from ..metrics.benchmark import BenchmarkRow, BenchmarkTable
     from .forcemap import ForceMap
 
 
-Array = NDArray[np.float64]
 ARROWS = 21  # along the longer side
 LONGEST = 1.6  # length of the longest arrow over the distance of the arrows
 PULL = 0.1  # of the peak: the least that the scale of the colours shows below zero
@@ -48,19 +49,14 @@ def map_figure(
 
     Parameters
     ----------
-    force : ForceMap
     truth : array (P, 3) or (frames, P, 3), optional
         Known tractions (Pa) at the nodes.
     frame : int, optional
         Of a sequence, from 0; default that of the largest force.
-    figure : Figure, optional
     narrow : bool
         For a phone: panels below each other, without the std.
 
-    Raises
-    ------
-    InputError
-        A truth that does not fit.
+    Raises `InputError`: A truth that does not fit.
     """
     one, known, title = taken(force, truth, frame)
     figure = figure or new_figure()
@@ -107,10 +103,12 @@ def sequence_figure(
         above, below = _halves(figure, high, 2.6)
         maps, lines = above.subplots(1, len(kinds), squeeze=False), below.subplots(1, 2, squeeze=False)
     draw_maps(list(maps.ravel()), one, known, kinds, title)
-    known_wrenches = None if wrenches is None else _wrenches(wrenches, len(force.load))
-    at = chosen(force, frame)
+    if wrenches is not None:
+        what, hint = "the known wrenches do not fit", "Fx, Fy, Fz in N, Mx, My, Mz in N m"
+        wrenches = shaped(wrenches, (len(force.load), 6), where="wrenches", what=what, hint=hint)
+    at = force.chosen(frame)
     for ax, moment in zip(lines.ravel(), (False, True), strict=True):
-        draw_resultants(ax, force, torque=moment, truth=known_wrenches, at=at)
+        draw_resultants(ax, force, torque=moment, truth=wrenches, at=at)
     mark(figure, force)
     return figure
 
@@ -123,51 +121,23 @@ def _halves(figure: Figure, above: float, below: float) -> tuple[Any, Any]:
 def taken(force: ForceMap, truth: ArrayLike | None, frame: int | None) -> tuple[ForceMap, Array | None, str]:
     """One frame of a map, the truth of that frame, and its name.
 
-    Raises
-    ------
-    InputError
-        A truth that does not fit, a frame that is not there.
+    Raises `InputError`: A truth that does not fit, a frame that is not there.
     """
-    k = chosen(force, frame)
-    one, name = (force, "") if force.single else (force.frame(k), named(force, k))
+    k = force.chosen(frame)
+    one, name = (force, "") if force.single else (force.frame(k), force.frame_name(k))
     if truth is None:
         return one, None, name
     known = reals(truth, where="truth")
     known = known[k] if known.ndim == 3 and not force.single else known
-    if known.shape != (len(one.nodes), 3) or not np.all(np.isfinite(known)):
-        raise InputError("the known map does not fit", where="truth", found=f"shape {known.shape}, or NaN",
-                         expected=f"({len(one.nodes)}, 3) finite tractions in Pa at the nodes")  # fmt: skip
+    hint = "tractions in Pa at the nodes"
+    known = shaped(known, (len(one.nodes), 3), where="truth", what="the known map does not fit", hint=hint)
     return one, known, name
-
-
-def chosen(force: ForceMap, frame: int | None = None) -> int:
-    """The frame to show, from 0: the one asked for, or that of the largest force.
-
-    Raises
-    ------
-    InputError
-        If it is not there.
-    """
-    count = 1 if force.single else len(force.load)
-    if frame is None:
-        return int(np.argmax(np.linalg.norm(np.atleast_2d(force.resultant().value), axis=1)))
-    if not -count <= frame < count:
-        raise InputError("there is no such frame", where="frame", found=frame, expected=f"0 to {count - 1}")
-    return frame % count
-
-
-def named(force: ForceMap, k: int) -> str:
-    """``frame 7`` or ``1.25 s``."""
-    if force.axis is None:
-        return ""
-    value = force.axis.values[k]
-    return f"{value:.3g} s" if force.axis.name == "time" else f"frame {value:.0f}"
 
 
 # -- maps -------------------------------------------------------------------------------------------------------------
 def draw_maps(axes: list[Axes], one: ForceMap, truth: Array | None, kinds: list[str], title: str = "") -> None:
     """One panel for each kind; estimate and truth share the scale of their colours and arrows."""
-    t, std = one.traction(), pressure_std(one)
+    t, std = one.traction(), one.pressure_std()
     both = [t, *([truth] if truth is not None else [])]
     top = max(max(float(np.abs(x[:, 2]).max()) for x in both), 1e-300) * KPA
     pulled = max(float(x[:, 2].max()) for x in both) * KPA
@@ -175,7 +145,7 @@ def draw_maps(axes: list[Axes], one: ForceMap, truth: Array | None, kinds: list[
     for k, (ax, kind) in enumerate(zip(axes, kinds, strict=True)):
         if kind == "std":
             image = surface(ax, one, std * KPA, cmap="viridis", vmin=0.0, vmax=max(float(std.max()) * KPA, 1e-300))
-            _bar(ax, image, "std of the pressure [kPa]")
+            colour_bar(ax, image, "std of the pressure [kPa]")
             ax.set_title("std", loc="left", fontsize=9)
         else:
             values = t if kind == "estimate" else truth
@@ -183,22 +153,13 @@ def draw_maps(axes: list[Axes], one: ForceMap, truth: Array | None, kinds: list[
             image = surface(ax, one, -values[:, 2] * KPA, **colours(-pulled, top))
             arrows = draw_shear(ax, one, values, shear, top)
             if arrows is not None:
-                length = nice(shear)
-                ax.quiverkey(arrows, 0.66, 1.035, length, f"shear {length:g} kPa", labelpos="E", coordinates="axes",
-                             fontproperties={"size": 8}, labelsep=0.06)  # fmt: skip
-            _bar(ax, image, "pressure [kPa]")
+                arrow_key(ax, arrows, shear, 0.66)
+            colour_bar(ax, image, "pressure [kPa]")
             words = ", ".join(x for x in (kind if truth is not None else "", title) if x)
             ax.set_title(words, loc="left", fontsize=9)
             if kind == "estimate":
                 draw_contact(ax, one)
         dress(ax, label=k == 0)
-
-
-def pressure_std(one: ForceMap) -> Array:
-    """Std of the pressure at the nodes (P,) in Pa; of nodal forces over the areas of their nodes."""
-    spread = one.std.reshape(-1, 3)[:, 2]
-    nodal = one.geometry is not None and one.geometry["kind"] == "nodal"
-    return np.asarray(spread / one.areas if nodal else spread, float)
 
 
 def surface(ax: Axes, one: ForceMap, values: Array, **style: Any) -> Any:
@@ -234,7 +195,7 @@ def draw_shear(ax: Axes, one: ForceMap, t: Array, shear: float, top: float) -> Q
                      width=0.004, minlength=0.0, color=INK)  # fmt: skip
 
 
-def spread_evenly(xy: Array) -> tuple[NDArray[np.intp], float]:
+def spread_evenly(xy: Array) -> tuple[Index, float]:
     """Nodes at most about `ARROWS` along the longer side, in whole steps of their pitch, and that step."""
     from scipy.spatial import cKDTree
 
@@ -278,7 +239,15 @@ def nice(value: float) -> float:
     return float(max(m for m in (1.0, 2.0, 5.0) if m * power <= value * (1 + 1e-9)) * power)
 
 
-def _bar(ax: Axes, image: Any, label: str) -> None:
+def arrow_key(ax: Axes, arrows: Quiver, shear: float, at: float) -> None:
+    """What an arrow of a round length means, above the panel."""
+    length = nice(shear)
+    ax.quiverkey(arrows, at, 1.035, length, f"shear {length:g} kPa", labelpos="E", coordinates="axes",
+                 fontproperties={"size": 8}, labelsep=0.06)  # fmt: skip
+
+
+def colour_bar(ax: Axes, image: Any, label: str) -> None:
+    """The scale of the colours beside a panel."""
     bar = ax.figure.colorbar(image, ax=ax, shrink=0.85, pad=0.02)
     bar.set_label(label, fontsize=8)
     bar.ax.tick_params(labelsize=8)
@@ -321,14 +290,6 @@ def draw_resultants(
     tidy(ax)
 
 
-def _wrenches(wrenches: ArrayLike, frames: int) -> Array:
-    known = reals(wrenches, where="wrenches")
-    if known.shape != (frames, 6) or not np.all(np.isfinite(known)):
-        raise InputError("the known wrenches do not fit", where="wrenches", found=f"shape {known.shape}, or NaN",
-                         expected=f"({frames}, 6): Fx, Fy, Fz in N, Mx, My, Mz in N m")  # fmt: skip
-    return known
-
-
 LINES = [
     (BLUE, "-", "o"),
     (ORANGE, "--", "s"),
@@ -339,12 +300,12 @@ LINES = [
 ]
 
 
-def draw_benchmark(table: BenchmarkTable, path: str | os.PathLike | None = None) -> Figure:
+def draw_benchmark(table: BenchmarkTable, path: str | os.PathLike[str] | None = None) -> Figure:
     """One panel each for the error of the map, its cosine, the overlap of the contact and the error of the force."""
     figure = new_figure()
     figure.set_size_inches(10, 7)
     panels = figure.subplots(2, 2, sharex=True).ravel()
-    shown = (
+    shown: tuple[tuple[str, Callable[[BenchmarkRow], float | None]], ...] = (
         ("relative L2 error of the map (0 is right)", lambda r: r.metrics.error),
         ("cosine of the map (1 is right)", lambda r: r.metrics.cosine),
         ("IoU of the contact (1 is right)", lambda r: r.metrics.iou),
@@ -359,8 +320,7 @@ def draw_benchmark(table: BenchmarkTable, path: str | os.PathLike | None = None)
     for ax, (title, _) in zip(panels, shown, strict=True):
         ax.set_title(title, fontsize=10, loc="left")
         ax.grid(alpha=0.25)
-        for side in ("top", "right"):
-            ax.spines[side].set_visible(False)
+        _open(ax)
     for i in (0, 3):
         panels[i].set_ylim(bottom=0)
     figure.supxlabel("marker noise, std of each component (µm)", fontsize=10)
@@ -371,7 +331,7 @@ def draw_benchmark(table: BenchmarkTable, path: str | os.PathLike | None = None)
     return figure
 
 
-def draw_design(designs: Sequence[SkinDesign], path: str | os.PathLike | None = None) -> Figure:
+def draw_design(designs: Sequence[SkinDesign], path: str | os.PathLike[str] | None = None) -> Figure:
     """Above, the share of pressure and shear that is known of each wave; below, four numbers of each design."""
     figure = new_figure()
     figure.set_size_inches(11, 7.5)

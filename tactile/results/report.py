@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from loadid.results import report as parts
 from loadid.results.summary import plus_minus
 from structures.errors import InputError
+from structures.files.storage import as_path, replace
 
 if TYPE_CHECKING:
     from .forcemap import ForceMap
@@ -40,7 +41,7 @@ def numbers(one: ForceMap) -> list[tuple[str, str, str]]:
     force, torque, contact = one.resultant(), one.torque(), one.contact()
     rows = [_vector("force on the pad", force.value, force.std, "N", "(x, y, z), the pad is pressed along -z")]
     rows.append(_vector("torque", 1e3 * torque.value, 1e3 * torque.std, "N mm", "about the centre of the surface"))
-    spread = _peak_std(one)
+    spread = float(one.pressure_std()[int(np.argmax(one.pressure()))])
     rows.append(("peak pressure", f"{plus_minus(1e-3 * contact.peak, 1e-3 * spread)} kPa", "largest at a node"))
     if not contact.mask.any():
         return [*rows, ("contact", "none", "no pressure stands clear of its noise")]
@@ -66,19 +67,12 @@ def _vector(name: str, value: np.ndarray, std: np.ndarray, unit: str, remark: st
     return name, f"({parts}) {unit}", remark
 
 
-def _peak_std(one: ForceMap) -> float:
-    spread = one.std.reshape(-1, 3)[:, 2]
-    k = int(np.argmax(one.pressure()))
-    nodal = one.geometry is not None and one.geometry["kind"] == "nodal"
-    return float(spread[k] / one.areas[k] if nodal else spread[k])
-
-
 BITMAP = 10**6  # points: maps are bitmaps, a vector picture of them is many times larger
 
 
 def write_report(
     force: ForceMap,
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     *,
     truth: ArrayLike | None = None,
     wrenches: ArrayLike | None = None,
@@ -88,13 +82,8 @@ def write_report(
 ) -> None:
     """Write the page, whole or not at all; the settings are those of `page`.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be written, or the truth does not fit.
+    Raises `InputError`: if the file cannot be written, or the truth does not fit.
     """
-    from structures.files.storage import as_path, replace
-
     target = as_path(path)
     if not target.resolve().parent.is_dir():  # said before the pictures are drawn
         raise InputError("the folder does not exist", where=str(target), found=str(target.resolve().parent),
@@ -125,11 +114,9 @@ def page(
     compared : iterable of (str, str, str)
         What was compared with the truth: name, estimate, truth.
     """
-    from .pictures import chosen, named
-
-    k = chosen(force, frame)
+    k = force.chosen(frame)
     one = force if force.single else force.frame(k)
-    name = "" if force.single else f", {named(force, k)}"
+    name = "" if force.single else f", {force.frame_name(k)}"
     sections = [
         (f"Result{name}", _result(one) + _picture(force, one, truth, wrenches, frame)),
         ("Against the truth", _compared(compared)),

@@ -9,18 +9,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loadid.families.static import StaticInversion
 from structures.errors import InputError
 from structures.flags import Flag
 
 from .. import guards
+from ..arrays import Array, Index, Mask
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, prepare
 from .observation import Wrench
 from .settings import ContactLaw
 
-Array = NDArray[np.float64]
 MANY = 12  # markers from which one can be told to contradict the others
 STRAYS = 20  # of them that are left out, at most
 STRAY, PART = 10.0, 0.6  # distance over its std or the typical one, and over the largest motion
@@ -40,13 +39,12 @@ class Consistency:
     inverse : Inverse
         Readings of markers first, `axes` each.
     places : array (markers, 2)
-    axes : int
     """
 
     inverse: Inverse
     places: Array
     axes: int
-    near: NDArray[np.intp] = field(init=False)
+    near: Index = field(init=False)
 
     def __post_init__(self) -> None:
         from scipy.spatial import cKDTree
@@ -89,11 +87,11 @@ class Consistency:
         here = slice(marker * self.axes, (marker + 1) * self.axes)
         return float(np.linalg.norm(before[here] / self.inverse.spread[here] - self.inverse.filled(y)[0][here]))
 
-    def _misfit(self, gone: NDArray[np.bool_], rest: Array) -> float:
+    def _misfit(self, gone: Mask, rest: Array) -> float:
         kept = ~gone & self.told
         return float(np.sqrt(np.sum(rest[kept] ** 2) / max(np.sum(self.free[kept]), 1.0))) if kept.any() else 0.0
 
-    def _stray(self, y: Array, z: Array, gone: NDArray[np.bool_], rest: Array) -> int | None:
+    def _stray(self, y: Array, z: Array, gone: Mask, rest: Array) -> int | None:
         apart = self._apart(gone, rest)
         free = self.free.reshape(-1, self.axes)
         size = np.linalg.norm(apart, axis=1)
@@ -112,11 +110,11 @@ class Consistency:
         y[marker * self.axes : (marker + 1) * self.axes] = np.nan
         return y
 
-    def _apart(self, gone: NDArray[np.bool_], rest: Array) -> Array:
+    def _apart(self, gone: Mask, rest: Array) -> Array:
         """Whitened distance (markers, axes) from what the others predict."""
         return np.where(self.told & ~gone, rest / self.free, 0.0).reshape(-1, self.axes)
 
-    def _rest(self, y: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+    def _rest(self, y: Array) -> tuple[Array, Mask, Array]:
         """Whitened motion of the markers, which are lost, and the residual."""
         z, lost = self.inverse.filled(y)
         count = len(self.free)
@@ -162,7 +160,6 @@ class QuickMap:
         Radius (m) of the press whose recovery is told.
     about : array (3,)
         Middle of the surface.
-    contact : ContactLaw
     """
 
     family: StaticInversion
@@ -224,10 +221,8 @@ class QuickMap:
     def pressed(self, y: Array, wrench: Wrench | None = None, answer: Answer | None = None) -> Pressed:
         """The map that only presses, looked for where the unconstrained answer does.
 
-        Raises
-        ------
-        InputError
-            For penalties that couple loads; a resultant that no contact of this friction carries.
+        Raises `InputError`: For penalties that couple loads; a resultant that no contact of this friction
+        carries.
         """
         if wrench is not None:
             carried(wrench, self.contact.friction)

@@ -12,13 +12,13 @@ from collections.abc import Callable
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, plain
 from structures.flags import Flag
 
 from .. import guards
-from ..checks import PLANE, shaped
+from ..arrays import PLANE, Array, shaped
 from ..closed import halfspace as closed
 from ..closed.halfspace import point_forces
 from ..closed.layer import HalfSpace, Layer
@@ -30,7 +30,6 @@ from .observation import Markers
 from .posing import of_points
 from .settings import Extent, InversionSettings, spelled_before
 
-Array = NDArray[np.float64]
 TOUCHED = 0.2  # of the largest force, from which a point counts as touched
 
 

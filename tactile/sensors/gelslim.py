@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from loadid.guards import collect
@@ -23,6 +23,7 @@ from structures.errors import InputError, digest
 from structures.flags import Flag
 
 from .. import guards
+from ..arrays import Array, Index, Mask
 from ..closed.contact import Indenter
 from ..pad.stiffness import Completion, surface_stiffness
 from ..results.forcemap import ForceMap
@@ -41,8 +42,6 @@ if TYPE_CHECKING:
     from ..vision.eye import Eye
 
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 ROUNDS = 20  # in which nodes that would be pulled are let go of an indenter
 PASSES = 3  # of projection correction, where the normal motion follows from the solution
 
@@ -221,7 +220,7 @@ class GelSlim(MarkedSensor):
         return known, U, completion
 
     @property
-    def _deep(self) -> NDArray[np.intp]:
+    def _deep(self) -> Index:
         """Nodes at which depth is measured."""
         assert self.depth is not None
         return np.flatnonzero(~self.pad.edge)[self.depth.seen]

@@ -25,14 +25,13 @@ from loadid.inverse.constraints import Constraint, FrictionCone, NonNegative, Re
 from structures.errors import InputError
 from structures.system.factor import compliance
 
+from ..arrays import Array, Index, Mask
 from .observation import Wrench
 
 if TYPE_CHECKING:
     from loadid.families.static import StaticInversion
 
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 LARGE = 4_000_000  # entries from which the products run in single precision: 1e-6 of the load, half the memory traffic
 
 
@@ -91,10 +90,7 @@ class Inverse:
     def __call__(self, y: Array, wrench: Wrench | None = None) -> Answer:
         """Load of readings (m,) in their own units; NaN where one is lost.
 
-        Raises
-        ------
-        InputError
-            If no reading is left.
+        Raises `InputError`: if no reading is left.
         """
         z, lost = self.filled(y)
         plain = Answer(self._times(z), self.std, self.resultant @ self.reach, self.reach) if lost.size == 0 else None
@@ -218,10 +214,7 @@ class Pressed:
 def carried(wrench: Wrench, friction: float | None) -> None:
     """Refuse a resultant that no contact can carry that only presses, with this friction.
 
-    Raises
-    ------
-    InputError
-        An exact resultant that pulls, or shears more than friction allows.
+    Raises `InputError`: An exact resultant that pulls, or shears more than friction allows.
     """
     pull, shear = float(wrench.force[2]), float(np.hypot(*wrench.force[:2]))
     if wrench.std is None and (pull > 0 or (friction is not None and shear > -friction * pull)):
@@ -298,7 +291,7 @@ class RegionSolver:
         self._last: _Region | None = None
         self._point: Point | None = None
 
-    def solve(self, z: Array, touched: NDArray[np.bool_], wrench: Wrench | None, free: Answer) -> Pressed:
+    def solve(self, z: Array, touched: Mask, wrench: Wrench | None, free: Answer) -> Pressed:
         """Load for whitened readings; `touched` (P,) says where contact is, a ring about it is added.
 
         The ring makes room for what a first guess misses; where nothing is touched the load is zero, with the std
@@ -316,10 +309,10 @@ class RegionSolver:
         load[region.columns], std[region.columns] = point.h * region.flip, spread.std
         return Pressed(load, std, spread.wrench, point.steps, point.converged)
 
-    def _grown(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _grown(self, mask: Mask) -> Mask:
         return np.asarray(self.neighbours @ mask, bool) | mask
 
-    def _region(self, wanted: NDArray[np.bool_], lost: Index) -> _Region:
+    def _region(self, wanted: Mask, lost: Index) -> _Region:
         """The last region while it still covers the contact and the same markers are lost."""
         last = self._last
         if last is not None and np.array_equal(last.lost, lost):

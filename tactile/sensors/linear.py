@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loadid.families.static import StaticInversion
 from loadid.guards import collect
@@ -19,6 +19,7 @@ from structures.errors import InputError
 from structures.flags import Flag, codes
 
 from .. import guards
+from ..arrays import Array, Mask
 from ..results.forcemap import ForceMap
 from .fixed import QuickMap
 from .inversion import Inverse, Pressed, prepare
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
     from ..vision.eye import Eye
 
 
-Array = NDArray[np.float64]
 FEWEST = 3  # markers of a frame
 
 
@@ -186,7 +186,7 @@ class LinearSensor(MarkedSensor):
         listed = self._listed(frames, depths)
         whole = [y for y in listed if np.all(np.isfinite(y))]
         listed = whole or listed
-        seen: NDArray[np.bool_] = np.zeros(len(self.model.sensors), bool)
+        seen: Mask = np.zeros(len(self.model.sensors), bool)
         if listed:
             seen = np.asarray(np.isfinite(np.array(listed)).all(axis=0))
         if np.sum(seen[: self.markers.readings_count]) < FEWEST * len(self.markers.axes):
@@ -350,7 +350,7 @@ class LinearSensor(MarkedSensor):
         """Thickness (m); of a half-space a sixth of the side."""
         return self.thickness or float(np.ptp(self.geometry["coordinates"][:, :2])) / 6
 
-    def _named(self, seen: NDArray[np.bool_]) -> list[str]:
+    def _named(self, seen: Mask) -> list[str]:
         """Labels of the readings that are there."""
         return [s.label for s, there in zip(self.model.sensors, seen, strict=True) if there]
 

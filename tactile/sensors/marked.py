@@ -12,15 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, plain
 from structures.flags import Flag
 
+from ..arrays import Array
 from ..results.forcemap import ForceMap
 from .observation import DepthMap, Depths, Markers
 from .settings import ContactLaw, unknown_markers
 
 if TYPE_CHECKING:
     from ..vision.eye import Eye
-
-
-Array = NDArray[np.float64]
 
 
 class MarkedSensor:
@@ -117,10 +115,7 @@ class MarkedSensor:
 def observed(markers: Markers | ArrayLike | None, eye: Eye | None) -> Markers:
     """Markers as a user gave them, or as an eye sees them.
 
-    Raises
-    ------
-    InputError
-        If neither gives them, or their noise.
+    Raises `InputError`: if neither gives them, or their noise.
     """
     if isinstance(markers, Markers):
         return markers

@@ -6,13 +6,14 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from loadid.inverse.noise_source import NoiseSource
 from structures import bases
 from structures.flags import Flag
 
+from ..arrays import Array
 from .linear import LinearSensor, PressedBody
 from .marked import observed
 from .observation import DepthMap, Depths, Markers
@@ -22,9 +23,6 @@ from .settings import InversionSettings, spelled_before
 if TYPE_CHECKING:
     from ..pad.pad import Pad
     from ..vision.eye import Eye
-
-
-Array = NDArray[np.float64]
 
 
 class MultilayerPad(LinearSensor):

@@ -8,14 +8,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from structures.advice import Advice, Spelling
 from structures.channels import Channel
-from structures.errors import InputError, plain, positive, reals
+from structures.errors import InputError, plain, positive
 
-Array = NDArray[np.float64]
+from ..arrays import PLANE, SPACE, Array, Index, Mask, one_of, shaped
+
 HALF = 0.5  # share of a window's pixels that must be there
 
 
@@ -42,10 +43,9 @@ class DepthMap:
     centre: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        values = reals(self.values, what="the depth map is no real numbers", where="DepthMap")
-        if values.ndim != 2 or min(values.shape) < 2 or np.any(np.isinf(values)):
-            raise InputError("no depth map", where="DepthMap", found=f"shape {values.shape}, or infinity",
-                             expected="(H, W), NaN where there is none")  # fmt: skip
+        values = shaped(self.values, (None, None), where="DepthMap", what="no depth map", fewest=2, lost=True)
+        if values.shape[1] < 2:
+            raise InputError("no depth map", where="DepthMap", found=f"shape {values.shape}", expected="(H, W)")
         object.__setattr__(self, "values", values)
         positive("the pixel", self.pixel, where="DepthMap", unit="m")
         positive("the noise", self.noise, where="DepthMap", unit="m")
@@ -111,10 +111,10 @@ class Averaging:
 
     def std(self, noise: float) -> Array:
         """Std of the means (n,) for independent pixels; windows that share pixels at their rims count as apart."""
-        return noise * np.sqrt(np.asarray(self.weights.multiply(self.weights).sum(axis=1)).ravel())
+        return np.asarray(noise * np.sqrt(np.asarray(self.weights.multiply(self.weights).sum(axis=1)).ravel()))
 
 
-def _overlap(pixels: Array, centres: Array, width: float, pixel: float) -> list[tuple[NDArray[np.intp], Array]]:
+def _overlap(pixels: Array, centres: Array, width: float, pixel: float) -> list[tuple[Index, Array]]:
     """Pixels of a line that each window touches, and by how much (m)."""
     half, own = width / 2, pixel / 2
     first = np.searchsorted(pixels + own, centres - half, side="right")
@@ -147,15 +147,11 @@ class Wrench:
     std: Array | None = None
 
     def __post_init__(self) -> None:
-        for name, count in (("force", {3}), ("torque", {3}), ("std", {3, 6})):
+        for name, shapes in (("force", ((3,),)), ("torque", ((3,),)), ("std", ((3,), (6,)))):
             value = getattr(self, name)
-            if value is None:
-                continue
-            found = reals(value, what=f"the {name} is no real numbers", where="Wrench")
-            if found.shape not in {(c,) for c in count} or not np.all(np.isfinite(found)):
-                raise InputError(f"the {name} does not fit", where="Wrench", found=f"shape {found.shape}, or NaN",
-                                 expected=f"finite, ({' or '.join(map(str, sorted(count)))},)")  # fmt: skip
-            object.__setattr__(self, name, found)
+            if value is not None:
+                found = shaped(value, *shapes, where="Wrench", what=f"the {name} does not fit")
+                object.__setattr__(self, name, found)
         if self.std is not None and (len(self.std) != len(self.value) or not np.all(self.std > 0)):
             raise InputError("the stds do not fit what was measured", where="Wrench", found=self.std,
                              expected=f"{len(self.value)} numbers > 0")  # fmt: skip
@@ -199,33 +195,30 @@ class Markers:
     slope: Array | None = None
 
     def __post_init__(self) -> None:
-        points = reals(self.points, what="the markers are no real numbers", where="markers")
-        if points.ndim != 2 or points.shape[1] not in (2, 3) or not np.all(np.isfinite(points)):
-            raise InputError("no markers", where="markers", found=f"shape {points.shape}, or NaN",
-                             expected="finite places (N, 2) on the surface, or (N, 3), in m")  # fmt: skip
-        if len(points) < FEWEST:
-            raise InputError("too few markers", where="markers", found=len(points), expected=f"at least {FEWEST}",
-                             hint="three markers are the least that make a map of anything")  # fmt: skip
-        if self.axes not in ("XY", "XYZ"):
-            raise InputError("no axes of a motion", where="axes", found=repr(self.axes), expected="'XY' or 'XYZ'")
+        hint = "finite places (N, 2) on the surface, or (N, 3), in m: three are the least that make a map of anything"
+        points = shaped(
+            self.points, PLANE, SPACE, where="markers", what="no markers, or too few markers", fewest=FEWEST, hint=hint
+        )
+        one_of(self.axes, ("XY", "XYZ"), where="axes", what="no axes of a motion")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "noise", self._spread(points))
         if self.slope is not None:
-            slope = reals(self.slope, what="the slopes are no real numbers", where="markers, slope")
-            if slope.shape != (len(points), 2) or not np.all(np.isfinite(slope)):
-                raise InputError("the slopes do not fit the markers", where="markers, slope", found=slope.shape,
-                                 expected=f"({len(points)}, 2)")  # fmt: skip
+            what = "the slopes do not fit the markers"
+            slope = shaped(self.slope, (len(points), 2), where="markers, slope", what=what)
             object.__setattr__(self, "slope", slope)
 
     def _spread(self, points: Array) -> Array:
-        noise = reals(self.noise, what="the noise is no real number", where="markers, noise")
         count, axes = len(points), len(self.axes)
+        what, hint = (
+            "the noise does not fit the markers",
+            "the std > 0 of the motion of markers of the unloaded sensor, in m",
+        )
+        shapes: tuple[tuple[int, ...], ...] = ((), (axes,), (count,), (count, 1), (count, axes))
+        noise = shaped(self.noise, *shapes, where="markers, noise", what=what, hint=hint)
         if noise.shape == (count,) and count != axes:
             noise = noise[:, None]
-        if noise.shape not in ((), (axes,), (count, 1), (count, axes)) or not np.all(noise > 0):
-            raise InputError("the noise does not fit the markers", where="markers, noise", found=f"shape {noise.shape}",
-                             expected=f"a std > 0 in m, ({axes},), ({count},) or ({count}, {axes})",
-                             hint="the std of the motion of markers of the unloaded sensor")  # fmt: skip
+        if not np.all(noise > 0):
+            raise InputError(what, where="markers, noise", found=noise.min(), expected="stds > 0", hint=hint)
         return np.broadcast_to(noise, (count, axes)).copy()
 
     def __len__(self) -> int:
@@ -267,15 +260,12 @@ class Markers:
         InputError
             If it does not fit, or holds infinity.
         """
-        found = reals(motion, what="the displacements are no real numbers", where="displacements")
         axes = len(self.axes)
-        if found.shape not in ((len(self), axes), (len(self), 3)) or np.any(np.isinf(found)):
-            raise InputError(
-                "the displacements do not fit the markers", where="displacements",
-                found=f"shape {found.shape}" + (", infinity" if np.any(np.isinf(found)) else ""),
-                expected=f"({len(self)}, {axes}) in m, NaN where a marker is lost",
-                hint="one row per marker, in the order in which the sensor was built",
-            )  # fmt: skip
+        found = shaped(
+            motion, (len(self), axes), (len(self), 3), where="displacements", lost=True,
+            what="the displacements do not fit the markers",
+            hint="one row per marker in m, in the order in which the sensor was built, NaN where one is lost",
+        )  # fmt: skip
         found = found[:, :axes]
         return np.where(np.isnan(found).any(axis=1, keepdims=True), np.nan, found).ravel()
 
@@ -302,7 +292,7 @@ class Depths:
     template: DepthMap
     points: Array
     width: float
-    seen: NDArray[np.bool_] = field(init=False, repr=False)
+    seen: Mask = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         seen = Averaging.over(self.template, self.points, self.width).covered > COVERED
@@ -352,10 +342,7 @@ class Depths:
     def readings(self, depth: DepthMap) -> Array:
         """Mean motion in every window (n,); NaN where pixels are missing.
 
-        Raises
-        ------
-        InputError
-            If the map is of another size or scale than the template.
+        Raises `InputError`: if the map is of another size or scale than the template.
         """
         t = self.template
         same = isinstance(depth, DepthMap) and depth.values.shape == t.values.shape

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from loadid.families import smoothness
@@ -25,6 +24,7 @@ from structures.errors import InputError, plain
 from structures.flags import Flag
 from structures.models.arrays import MatrixModel
 
+from ..arrays import Array, Index
 from ..guards import large_strain
 from .observation import Wrench
 from .settings import ContactLaw
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from ..pad.pad import Pad
 
 
-Array = NDArray[np.float64]
 AXES = "XYZ"
 RESULTANTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
@@ -100,7 +99,7 @@ def channels(points: int, kind: str) -> list[Channel]:
     return [Channel(label=f"n{i}+{a}", quantity=quantity, unit=unit) for i in range(points) for a in AXES]
 
 
-def neighbours(cells: NDArray[np.intp] | None, places: Array) -> sparse.csr_array:
+def neighbours(cells: Index | None, places: Array) -> sparse.csr_array:
     """Which points share a cell; on a grid without cells, which lie within one and a half pitches."""
     count = len(places)
     if cells is not None:
@@ -123,18 +122,13 @@ REST = 25  # frames between two solves, at least: a solve costs as much as many 
 
 
 class StrainWatch:
-    """Guard W112 over frames. Strain is linear in the load: maps of one shape need one solve.
-
-    Parameters
-    ----------
-    pad : Pad
-    """
+    """Guard W112 over frames. Strain is linear in the load: maps of one shape need one solve."""
 
     def __init__(self, pad: Pad) -> None:
         self.pad = pad
         self._peak, self._ratio, self._rested = 0.0, 0.0, REST
 
-    def check(self, forces: NDArray[np.float64]) -> Flag | None:
+    def check(self, forces: Array) -> Flag | None:
         """W112 of nodal forces (P, 3) in N, if the pad is strained beyond the linear range."""
         peak = float(np.abs(forces).max(initial=0.0))
         if peak == 0:
@@ -180,7 +174,6 @@ def chosen(choice: Choice, count: int) -> str:
     ----------
     choice : Choice
         Over `count` data of known noise.
-    count : int
     """
     asked = {rule.rule: rule for rule in choice.rules if rule.lam is not None}
     lam = {name: float(rule.lam or 0.0) for name, rule in asked.items()}
@@ -242,7 +235,7 @@ class PadModel(MatrixModel):
         self.basis, self.flags = basis, tuple(flags)
 
 
-def cut(penalty: Any, basis: Any, kept: NDArray[np.intp]) -> Any:
+def cut(penalty: Any, basis: Any, kept: Index) -> Any:
     """A penalty on the loads that may act."""
     if penalty is None or (isinstance(penalty, str) and penalty == "identity"):
         return penalty

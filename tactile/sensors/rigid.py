@@ -14,15 +14,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.flags import Flag
 
 from .. import guards
+from ..arrays import Array, Mask
 from ..results.forcemap import CLEAR, SHARE
 from .observation import Markers
 
-Array = NDArray[np.float64]
 NEAR, FAR = 1.0, 2.0  # thicknesses from the contact: loads that count as its own, markers that it does not reach
 CELLS = 5  # fewest with far markers
 CHANCE = 1e-6  # of so large a motion in a frame at rest
@@ -38,7 +37,6 @@ class RigidMotion:
     Parameters
     ----------
     shift, about : array (2,)
-    turn : float
     ratio, threshold : float
         F statistic, and what chance exceeds once in a million frames.
     cells : int
@@ -67,14 +65,14 @@ def typical(motion: Array, noise: Array) -> Array:
     return np.asarray(shift if np.linalg.norm(shift) > np.sqrt(np.mean(noise**2)) else np.zeros(2))
 
 
-def contact(load: Array, std: Array) -> NDArray[np.bool_]:
+def contact(load: Array, std: Array) -> Mask:
     """Nodes (P,) that are pressed, of loads (3 P,)."""
     pressure = -load[2::3]
     return np.asarray((pressure > SHARE * pressure.max(initial=0.0)) & (pressure > CLEAR * std[2::3]))
 
 
 def away(
-    motion: Array, explained: Callable[[NDArray[np.bool_]], Array], touched: NDArray[np.bool_], nodes: Array,
+    motion: Array, explained: Callable[[Mask], Array], touched: Mask, nodes: Array,
     markers: Array, noise: Array, thickness: float,
 ) -> RigidMotion | None:  # fmt: skip
     """Rigid motion of the markers that the contact does not reach; None where it is chance, or cannot be told.
@@ -159,7 +157,6 @@ def whole_motion(
         In-plane motion of the markers (m), NaN where one is lost.
     load, std : array (3 P,)
         What was found of it.
-    markers : Markers
     nodes : array (P, 2)
         Places of the loads (m).
     thickness : float

@@ -10,11 +10,12 @@ from dataclasses import dataclass, fields
 from typing import Any, TypedDict
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from loadid.inverse.noise_source import NoiseSourceLike
 from structures.errors import InputError, plain, positive
 
+from ..arrays import Index
 from .observation import Markers
 
 
@@ -52,7 +53,7 @@ class ContactLaw:
         """Whether the map may not pull, or not leave its friction cone."""
         return self.no_pull or self.friction is not None
 
-    def loads(self, points: int) -> NDArray[np.intp] | None:
+    def loads(self, points: int) -> Index | None:
         """Loads (3 k,) at the nodes that may be loaded, of a surface of `points` nodes; None is all.
 
         Raises

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from structures.advice import Advice, Spelling
 from structures.errors import InputError, positive
 
+from ..arrays import Array, Index, Mask, one_of
 from .images import Backend, Grey, Image, backend, grey
 
 BLUR = 0.8  # standard deviation of the smoothing over the radius of a dot
@@ -40,8 +41,8 @@ class Detected:
         Radius of a dot in px, as given or as estimated.
     """
 
-    points: NDArray[np.float64]
-    strength: NDArray[np.float64]
+    points: Array
+    strength: Array
     radius: float
 
     @property
@@ -100,10 +101,7 @@ class Detector:
                 found=f"radius {self.radius:g} px, pitch {self.pitch:g} px",
                 expected="a pitch of at least two radii",
             )
-        if self.method not in COARSEST:
-            raise InputError(
-                "unknown method of detection", where="method", found=repr(self.method), expected=" or ".join(COARSEST)
-            )
+        one_of(self.method, COARSEST, where="method", what="unknown method of detection")
         backend(self.backend)
 
     def __call__(self, image: Any) -> Detected:
@@ -127,7 +125,7 @@ class Detector:
         noise = pixel_noise(image) / (2 * np.sqrt(np.pi) * sigma * bins)
         return DotResponse(contrast, bins, sigma, float(noise))
 
-    def _peaks(self, response: DotResponse) -> tuple[NDArray, NDArray, NDArray]:
+    def _peaks(self, response: DotResponse) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Rows, columns and levels of the maxima that are dots."""
         y, x = maxima(response.image, NOISE * response.noise)
         levels = response.image[y, x]
@@ -140,10 +138,10 @@ class Detector:
         """Half width in binned px of the square that holds one dot only."""
         return max(2, round(min(self.radius * 1.3, 0.45 * self.pitch) / response.bins))
 
-    def _inside(self, points: NDArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    def _inside(self, points: NDArray[Any], shape: tuple[int, ...]) -> Mask:
         margin = MARGIN * self.radius if self.margin is None else self.margin
         x, y = points.T
-        return (x >= margin) & (y >= margin) & (x <= shape[1] - 1 - margin) & (y <= shape[0] - 1 - margin)
+        return np.asarray((x >= margin) & (y >= margin) & (x <= shape[1] - 1 - margin) & (y <= shape[0] - 1 - margin))
 
 
 @dataclass(frozen=True)
@@ -217,10 +215,10 @@ def pixel_noise(image: Grey) -> float:
     """
     rows = image[:: max(1, image.shape[0] // 24)].astype(np.int16)
     second = np.abs(rows[:, 2:] - 2 * rows[:, 1:-1] + rows[:, :-2])
-    return max(float(np.median(second)) * 1.4826 / np.sqrt(6), 12**-0.5)
+    return float(max(float(np.median(second)) * 1.4826 / np.sqrt(6), 12**-0.5))
 
 
-def maxima(image: Image, floor: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def maxima(image: Image, floor: float) -> tuple[Index, Index]:
     """Rows and columns of the pixels above a floor that are the largest among themselves and their four neighbours."""
     core = image[1:-1, 1:-1]
     top = core > floor
@@ -232,7 +230,7 @@ def maxima(image: Image, floor: float) -> tuple[NDArray[np.intp], NDArray[np.int
     return y + 1, x + 1
 
 
-def usual(levels: NDArray) -> float:
+def usual(levels: NDArray[Any]) -> float:
     """Usual strength of a dot: median of the maxima that are not far below the third largest; 0 without any."""
     if len(levels) == 0:
         return 0.0
@@ -240,14 +238,14 @@ def usual(levels: NDArray) -> float:
     return float(np.median(levels[levels >= THRESHOLD * high]))
 
 
-def _patches(image: Image, y: NDArray, x: NDArray, reach: int) -> NDArray[np.float32]:
+def _patches(image: Image, y: NDArray[Any], x: NDArray[Any], reach: int) -> NDArray[np.float32]:
     """Squares around some pixels, shape (k, 2 reach + 1, 2 reach + 1); beyond the border -inf."""
     padded = np.pad(image, reach, constant_values=-np.inf)
     windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * reach + 1, 2 * reach + 1))
-    return windows[y, x]
+    return np.asarray(windows[y, x])
 
 
-def _parabola(image: Image, y: NDArray, x: NDArray, reach: int) -> NDArray[np.float64]:
+def _parabola(image: Image, y: NDArray[Any], x: NDArray[Any], reach: int) -> Array:
     """Vertices (x, y) of the parabolas through the maxima and their neighbours along each axis."""
     centre, left, right, up, down = (
         image[y + dy, x + dx].astype(float) for dy, dx in ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0))
@@ -257,7 +255,7 @@ def _parabola(image: Image, y: NDArray, x: NDArray, reach: int) -> NDArray[np.fl
     return np.column_stack([x + along_x, y + along_y])
 
 
-def _centroid(image: Image, y: NDArray, x: NDArray, reach: int) -> NDArray[np.float64]:
+def _centroid(image: Image, y: NDArray[Any], x: NDArray[Any], reach: int) -> Array:
     """Centroids (x, y) of what rises above half of each maximum, within the square that holds one dot."""
     heights = _patches(image, y, x, reach).astype(float)
     weights = np.maximum(heights - HALF * heights[:, reach : reach + 1, reach : reach + 1], 0)
@@ -314,10 +312,7 @@ def size_of_dots(
 def best_radius(image: Any, *, dark: bool = True, backend: str | None = None) -> float:
     """Radius in px of the dots that stand out most.
 
-    Raises
-    ------
-    InputError
-        If nothing stands out of the noise.
+    Raises `InputError`: if nothing stands out of the noise.
     """
     picture = grey(image)
     largest = max(LARGEST * min(picture.shape), 2 * SMALLEST)

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.advice import Advice, Spelling
 from structures.errors import InputError, number, pair, positive, reals
 from structures.flags import Flag
 
+from ..arrays import Array, shaped
 from ..guards import RAYS, not_tangential, tangential
 from .rays import Homography, Parallel, Window, bend, fitted, projection_shift
 from .tracker import MarkerTracker
@@ -38,17 +39,17 @@ __all__ = [
 class Rays(Protocol):
     """Directions in which the markers are seen."""
 
-    def slope(self, xy: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
+    def slope(self, xy: Array, height: Array) -> Array:
         """In-plane motion of the ray through each point per unit of height, shape (N, 2)."""
 
 
 class Plane(Protocol):
     """Pixels and points of the plane of the markers at rest."""
 
-    def to_plane(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_plane(self, pixels: Array) -> Array:
         """Points, shape (N, 2)."""
 
-    def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_pixels(self, points: Array) -> Array:
         """Pixels, shape (N, 2)."""
 
 
@@ -64,15 +65,14 @@ class Pinhole:
         Pixel of the optical axis, x and y.
     rotation : array, shape (3, 3)
         Rows: right, down and forward of the camera in the frame of the pad.
-    window : Window
     """
 
     focal: float
     centre: tuple[float, float]
-    rotation: NDArray[np.float64]
+    rotation: Array
     window: Window
 
-    def to_plane(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_plane(self, pixels: Array) -> Array:
         """Points at rest that pixels show, shape (N, 2)."""
         seen = np.column_stack([(pixels - np.array(self.centre)) / self.focal, np.ones(len(pixels))])
         world = seen @ self.rotation
@@ -80,7 +80,7 @@ class Pinhole:
             raise InputError("a pixel that does not look at the pad", where="camera", hint="tilt the camera less")
         return self.window.reached(world / world[:, 2:])
 
-    def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_pixels(self, points: Array) -> Array:
         """Pixels of points at rest, shape (N, 2)."""
         seen = self.window.direction(points) @ self.rotation.T
         return np.array(self.centre) + self.focal * seen[:, :2] / seen[:, 2:]
@@ -189,7 +189,7 @@ class View:
         """Whether the directions are known in which the markers are seen."""
         return self.rays is not None
 
-    def to_pad(self, pixels: ArrayLike) -> NDArray[np.float64]:
+    def to_pad(self, pixels: ArrayLike) -> Array:
         """Points of the plane at rest that pixels show, m, shape (N, 2); NaN stays NaN."""
         px = _points(pixels, "pixels", 2)
         known = np.isfinite(px).all(axis=1)
@@ -197,7 +197,7 @@ class View:
         found[known] = self.image.to_plane(px[known])
         return found
 
-    def in_plane(self, pixels: ArrayLike, heights: ArrayLike = 0.0) -> NDArray[np.float64]:
+    def in_plane(self, pixels: ArrayLike, heights: ArrayLike = 0.0) -> Array:
         """Where markers of known height are on the pad, m, shape (N, 2): projection and refraction undone.
 
         Parameters
@@ -219,9 +219,9 @@ class View:
             found[known] += height[known, None] * self._slope(at_rest[known], np.zeros(int(known.sum())))
         return found
 
-    def to_pixels(self, points: ArrayLike) -> NDArray[np.float64]:
+    def to_pixels(self, points: ArrayLike) -> Array:
         """Pixels of points, shape (N, 2); the third coordinate of a point, where it has one, is its height."""
-        xyz = _points(points, "points", None)
+        xyz = _points(points, "points", 2, 3)
         known = np.isfinite(xyz).all(axis=1)
         at_rest = xyz[known, :2]
         height = xyz[known, 2] if xyz.shape[1] == 3 else np.zeros(len(at_rest))
@@ -231,9 +231,7 @@ class View:
         found[known] = self.image.to_pixels(at_rest)
         return found
 
-    def motion(
-        self, rest: ArrayLike, now: ArrayLike, normal: ArrayLike | None, *, allow: Sequence[str] = ()
-    ) -> NDArray[np.float64]:
+    def motion(self, rest: ArrayLike, now: ArrayLike, normal: ArrayLike | None, *, allow: Sequence[str] = ()) -> Array:
         """Tangential motion of markers, m, shape (N, 2).
 
         Parameters
@@ -254,7 +252,7 @@ class View:
         heights: ArrayLike = 0.0 if normal is None or refused is not None else normal
         return self.in_plane(now, heights) - self.to_pad(rest)
 
-    def _slope(self, xy: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _slope(self, xy: Array, height: Array) -> Array:
         if self.rays is None:
             raise not_tangential([RAYS])
         return self.rays.slope(xy, height)
@@ -275,36 +273,27 @@ def _rays(alpha: float | None, gamma: float | None, azimuth: float, window: Wind
     return None if alpha is None or gamma is None else Parallel(alpha, gamma, azimuth)
 
 
-def _tilted(tilt: float, azimuth: float) -> NDArray[np.float64]:
+def _tilted(tilt: float, azimuth: float) -> Array:
     """Right, down and forward of a camera along +Z that is tilted towards an azimuth (Rodrigues), rows."""
     c, s = np.cos(azimuth), np.sin(azimuth)
     n = np.array([[0, 0, c], [0, 0, s], [-c, -s, 0]])  # cross product with the axis of the turn, (-s, c, 0)
-    return (np.eye(3) + np.sin(tilt) * n + (1 - np.cos(tilt)) * (n @ n)).T
+    return np.asarray((np.eye(3) + np.sin(tilt) * n + (1 - np.cos(tilt)) * (n @ n)).T)
 
 
-def _turn(roll: float) -> NDArray[np.float64]:
+def _turn(roll: float) -> Array:
     c, s = np.cos(roll), np.sin(roll)
     return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
 
 
-def _heights(heights: ArrayLike, count: int) -> NDArray[np.float64]:
-    found = reals(heights, where="heights")
-    if found.ndim > 1 or (found.ndim == 1 and len(found) != count):
-        raise InputError("heights do not fit the pixels", where="heights", found=found.shape, expected=(count,))
+def _heights(heights: ArrayLike, count: int) -> Array:
+    found = shaped(heights, (), (count,), where="heights", what="heights do not fit the pixels", lost=True)
     return np.broadcast_to(found, (count,))
 
 
-def _points(points: ArrayLike, name: str, columns: int | None) -> NDArray[np.float64]:
-    array = reals(points, where=name)
-    array = array.reshape(0, columns or 2) if array.size == 0 else array
-    if array.ndim != 2 or array.shape[1] not in ((columns,) if columns else (2, 3)) or np.isinf(array).any():
-        raise InputError(
-            "no points", where=name, found=f"shape {array.shape}", expected="(N, 2)" if columns else "(N, 2) or (N, 3)"
-        )
-    return array
+def _points(points: ArrayLike, name: str, *columns: int) -> Array:
+    return shaped(points, *((None, n) for n in columns), where=name, what="no points", lost=True)
 
 
-Array = NDArray[np.float64]
 STEP = 0.5  # px, of the difference that tells how large a pixel is on the pad
 
 
@@ -424,4 +413,4 @@ class Eye:
         columns = [
             (self.view.to_pad(at + STEP * unit) - self.view.to_pad(at - STEP * unit)) / (2 * STEP) for unit in np.eye(2)
         ]
-        return np.sqrt(sum((column * s) ** 2 for column, s in zip(columns, px, strict=True)))
+        return np.asarray(np.sqrt(sum((column * s) ** 2 for column, s in zip(columns, px, strict=True))))

@@ -25,10 +25,7 @@ SMALLEST = 8  # px along an axis, below which an array is no image
 def read_stack(path: Path, key: str | None = None) -> np.ndarray:
     """Array of images of an NPY file (mapped, not loaded) or of an NPZ file.
 
-    Raises
-    ------
-    InputError
-        Damaged; Python objects inside; no array, or several, that could be images.
+    Raises `InputError`: Damaged; Python objects inside; no array, or several, that could be images.
     """
     try:
         if path.suffix.lower() == ".npy":
@@ -64,7 +61,7 @@ def _member(archive: Any, path: Path, key: str | None) -> str:
             expected="one array (T, H, W), (T, H, W, 3) or one image",
             hint=Advice(Spelling("key= names it", "save the images alone in a file")),
         )
-    return images[0]
+    return str(images[0])
 
 
 def _may_be_images(array: np.ndarray) -> bool:
@@ -89,10 +86,7 @@ LOSSLESS = ("FFV1", "HFYU", "FFVH", "DIB ", "RGBA", "I420", "YV12", "Y800", "GRE
 def open_video(path: Path) -> tuple[Iterator[np.ndarray], int | None, tuple[Flag, ...]]:
     """Frames (H, W, 3) with red first, their number where the file states it, and W406 for a lossy codec.
 
-    Raises
-    ------
-    InputError
-        OpenCV is not installed; no video, or damaged; while iterating, a video that ends early.
+    Raises `InputError`: OpenCV is not installed; no video, or damaged; while iterating, a video that ends early.
     """
     if not installed():
         raise InputError(
@@ -285,10 +279,7 @@ def _from_stack(array: np.ndarray, name: str) -> Frames:
 def read_image(path: Path) -> np.ndarray:
     """Pixels of one image file, (H, W) or (H, W, 3).
 
-    Raises
-    ------
-    InputError
-        Damaged, or no image.
+    Raises `InputError`: Damaged, or no image.
     """
     from PIL import Image
 

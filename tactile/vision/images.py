@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, as_array, number, plain, positive, reals
+from structures.errors import InputError, as_array, number, plain, positive
+
+from ..arrays import PLANE, SPACE, Array, Shape, one_of, shaped
 
 if TYPE_CHECKING:
     from .eye import View
@@ -39,10 +41,7 @@ def grey(image: Any, *, where: str = "image") -> Grey:
     where : str
         What an error names: the file or the frame.
 
-    Raises
-    ------
-    InputError
-        No array of this kind, NaN or infinity in it, values out of range.
+    Raises `InputError`: No array of this kind, NaN or infinity in it, values out of range.
     """
     array = as_array(image, where=where)
     if array.dtype.kind not in "uifb":
@@ -59,10 +58,10 @@ def grey(image: Any, *, where: str = "image") -> Grey:
     mixed = eight[..., 0] * LUMA[0]
     mixed += eight[..., 1] * LUMA[1]
     mixed += eight[..., 2] * LUMA[2]
-    return (mixed >> 8).astype(np.uint8)
+    return np.asarray((mixed >> 8).astype(np.uint8))
 
 
-def _eight_bits(array: NDArray, where: str) -> Grey:
+def _eight_bits(array: NDArray[Any], where: str) -> Grey:
     if array.dtype == np.uint8:
         return array
     if array.dtype == np.uint16:
@@ -105,15 +104,11 @@ class Backend:
 def backend(name: str | None = None) -> Backend:
     """The backend of this name; by default OpenCV where it is installed, else scipy.
 
-    Raises
-    ------
-    InputError
-        Unknown name; ``"cv2"`` asked for and not installed.
+    Raises `InputError`: Unknown name; ``"cv2"`` asked for and not installed.
     """
     if name is None:
         return _opencv() if installed() else _scipy()
-    if name not in NAMES:
-        raise InputError("unknown image backend", where="backend", found=repr(name), expected=" or ".join(NAMES))
+    one_of(name, NAMES, where="backend", what="unknown image backend")
     if name == "cv2" and not installed():
         raise InputError(
             "OpenCV is not installed",
@@ -142,7 +137,7 @@ def gaussian(sigma: float) -> NDArray[np.float32]:
     """Weights of the Gaussian, sum 1, shape (2 r + 1,)."""
     reach = max(1, math.ceil(REACH * sigma))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    return (weights / weights.sum()).astype(np.float32)
+    return np.asarray((weights / weights.sum()).astype(np.float32))
 
 
 @cache
@@ -151,10 +146,10 @@ def _opencv() -> Backend:
 
     def smooth(image: Image, sigma: float) -> Image:
         weights = gaussian(sigma)
-        return cv2.sepFilter2D(image, cv2.CV_32F, weights, weights, borderType=cv2.BORDER_REPLICATE)
+        return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, weights, weights, borderType=cv2.BORDER_REPLICATE))
 
     def box(image: Image, width: int) -> Image:
-        return cv2.blur(image, (width, width), borderType=cv2.BORDER_REPLICATE)
+        return np.asarray(cv2.blur(image, (width, width), borderType=cv2.BORDER_REPLICATE))
 
     return Backend("cv2", smooth, box)
 
@@ -165,10 +160,12 @@ def _scipy() -> Backend:
 
     def smooth(image: Image, sigma: float) -> Image:
         weights = gaussian(sigma)
-        return ndimage.correlate1d(ndimage.correlate1d(image, weights, axis=0, mode="nearest"), weights, mode="nearest")
+        return np.asarray(
+            ndimage.correlate1d(ndimage.correlate1d(image, weights, axis=0, mode="nearest"), weights, mode="nearest")
+        )
 
     def box(image: Image, width: int) -> Image:
-        return ndimage.uniform_filter(image, width, mode="nearest")
+        return np.asarray(ndimage.uniform_filter(image, width, mode="nearest"))
 
     return Backend("scipy", smooth, box)
 
@@ -220,7 +217,7 @@ class Scene:
         seed : int or Generator
             Of the noise.
         """
-        places = _seen(centres, 2)
+        places = _finite(centres, PLANE)
         rows, columns, xy = self._windows(places, np.full(len(places), self.radius))
         distance = np.hypot(*np.moveaxis(xy - places[:, None, None], -1, 0))
         return self._finish(self._cover(rows, columns, distance - self._rim(np.array(self.radius))), seed)
@@ -237,7 +234,7 @@ class Scene:
         seed : int or Generator
             Of the noise.
         """
-        places = _seen(markers, None)
+        places = _finite(markers, PLANE, SPACE)
         centres = view.to_pixels(places)
         scale = _scale(view, centres)
         rows, columns, xy = self._windows(centres, self.radius * scale)
@@ -248,11 +245,11 @@ class Scene:
         px = scale[:, None, None]
         return self._finish(self._cover(rows, columns, distance * px - self._rim(self.radius * px)), seed)
 
-    def _rim(self, radius: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _rim(self, radius: Array) -> Array:
         """Radius in px at which a blurred disc is half dark: its area stays that of the disc."""
         return np.sqrt(np.maximum(radius**2 - self.blur**2, (0.1 * radius) ** 2))
 
-    def _windows(self, centres: NDArray, radius: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    def _windows(self, centres: NDArray[Any], radius: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Rows and columns of the squares around some dots, and their pixels (k, w, w, 2) as x, y."""
         reach = int(np.ceil(1.3 * radius.max(initial=1.0) + EDGE * self.blur)) + 1
         offset = np.arange(-reach, reach + 1)
@@ -262,7 +259,7 @@ class Scene:
         x, y = np.broadcast_to(columns[:, None, :], shape), np.broadcast_to(rows[:, :, None], shape)
         return rows, columns, np.stack([x, y], axis=-1).astype(float)
 
-    def _cover(self, rows: NDArray, columns: NDArray, outside: NDArray) -> NDArray[np.float64]:
+    def _cover(self, rows: NDArray[Any], columns: NDArray[Any], outside: NDArray[Any]) -> Array:
         """Share of every pixel that dots cover, from the distance outside their rims in px; the blur is in it."""
         from scipy.special import erfc
 
@@ -274,7 +271,7 @@ class Scene:
         np.maximum.at(share, (y, x), 0.5 * erfc(outside[inside] / (np.sqrt(2) * self.blur)))
         return share
 
-    def _finish(self, share: NDArray, seed: int | np.random.Generator) -> NDArray[np.uint8]:
+    def _finish(self, share: NDArray[Any], seed: int | np.random.Generator) -> NDArray[np.uint8]:
         h, w = self.size
         y, x = np.linspace(-1, 1, h)[:, None], np.linspace(-1, 1, w)[None, :]
         gel = self.background - 0.5 * self.shading * (x**2 + y**2)
@@ -283,22 +280,20 @@ class Scene:
         return np.clip(np.round(grey), 0, 255).astype(np.uint8)
 
 
-def grid(rows: int, columns: int, pitch: float, *, centre: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
+def grid(rows: int, columns: int, pitch: float, *, centre: tuple[float, float] = (0.0, 0.0)) -> Array:
     """Places of a regular pattern, shape (rows * columns, 2), row by row, x first."""
     y, x = np.mgrid[:rows, :columns]
     places = np.column_stack([x.ravel() - (columns - 1) / 2, y.ravel() - (rows - 1) / 2])
-    return pitch * places + np.asarray(plain(centre), float)
+    return np.asarray(pitch * places + np.asarray(plain(centre), float))
 
 
-def _seen(points: ArrayLike, columns: int | None) -> NDArray[np.float64]:
+def _finite(points: ArrayLike, *columns: Shape) -> Array:
     """The places that are finite."""
-    array = reals(points, where="places of the dots")
-    if array.ndim != 2 or array.shape[1] not in ((columns,) if columns else (2, 3)):
-        raise InputError("no places of dots", where="Scene", found=f"shape {array.shape}", expected="(N, 2)")
-    return array[np.isfinite(array).all(axis=1)]
+    found = shaped(points, *columns, where="places of the dots", what="no places of dots", lost=True)
+    return found[np.isfinite(found).all(axis=1)]
 
 
-def _scale(view: View, centres: NDArray) -> NDArray[np.float64]:
+def _scale(view: View, centres: NDArray[Any]) -> Array:
     """Pixels per metre around some pixels: root of the area that a square pixel covers on the pad, inverted."""
     a, b, c = (view.to_pad(centres + step) for step in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
     u, v = b - a, c - a

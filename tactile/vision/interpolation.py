@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, plain, reals
 from structures.flags import Flag
 
+from ..arrays import PLANE, Array, Index, Mask, one_of, shaped
 from ..guards import interpolation_noise
 
 NEAREST = 12
@@ -23,7 +24,7 @@ WIDTH = 0.5  # of the Gaussian weight, over the distance of the farthest of the 
 FLAT = 1e-4  # smallest over largest pivot, below which the markers do not determine the terms
 
 
-def fitted_weights(markers: NDArray[np.float64], nodes: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray]:
+def fitted_weights(markers: Array, nodes: Array) -> tuple[Index, NDArray[Any]]:
     """The nearest markers of each node, and the weights with which their values make the fitted value there.
 
     A quadratic is fitted to the nearest twelve markers, those nearby weighted more (moving least squares, Lancaster and
@@ -61,7 +62,7 @@ def fitted_weights(markers: NDArray[np.float64], nodes: NDArray[np.float64]) -> 
     return index, weights
 
 
-def _constant(terms: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+def _constant(terms: Array) -> tuple[Mask, Array]:
     """Which fits are determined, and the weights of their constant terms: the value of the polynomial at the node."""
     q, r = np.linalg.qr(terms)
     pivots = np.abs(np.diagonal(r, axis1=1, axis2=2))
@@ -105,19 +106,18 @@ class Interpolation:
         Fewer than three markers, or all on a line.
     """
 
-    markers: NDArray[np.float64]
-    nodes: NDArray[np.float64]
+    markers: Array
+    nodes: Array
     kind: str = "linear"
     W: Any = field(init=False, repr=False, compare=False)
-    inside: NDArray[np.bool_] = field(init=False, repr=False, compare=False)
-    used: NDArray[np.bool_] = field(init=False, repr=False, compare=False)
+    inside: Mask = field(init=False, repr=False, compare=False)
+    used: Mask = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         from scipy.sparse import csr_array
 
         markers, nodes = _plane(self.markers, "markers"), _plane(self.nodes, "nodes")
-        if self.kind not in KINDS:
-            raise InputError("unknown interpolation", where="kind", found=repr(self.kind), expected=" or ".join(KINDS))
+        one_of(self.kind, KINDS, where="kind", what="unknown interpolation")
         used = np.all(np.isfinite(markers), axis=1)
         if used.sum() < FEWEST:
             raise InputError(
@@ -138,7 +138,7 @@ class Interpolation:
         for name, value in (("markers", markers), ("nodes", nodes), ("W", W), ("inside", inside), ("used", used)):
             object.__setattr__(self, name, value)
 
-    def __call__(self, values: ArrayLike) -> NDArray[np.float64]:
+    def __call__(self, values: ArrayLike) -> Array:
         """Values at the nodes, shape (n, components); NaN outside the hull.
 
         Parameters
@@ -146,17 +146,15 @@ class Interpolation:
         values : array, shape (N, components)
             At the markers; where one is NaN its marker is lost, and the others are triangulated without it.
         """
-        found = reals(values, where="values at the markers")
-        if found.ndim != 2 or len(found) != len(self.markers):
-            raise InputError(
-                "values do not fit the markers", where="values", found=found.shape, expected=(len(self.markers), "n")
-            )
+        found = shaped(
+            values, (len(self.markers), None), where="values", what="values do not fit the markers", lost=True
+        )
         lost = self.used & np.isnan(found).any(axis=1)
         if lost.any():
             return self.without(lost)(found)
         at_nodes = self.W @ np.where(self.used[:, None], found, 0.0)
         at_nodes[~self.inside] = np.nan
-        return at_nodes
+        return np.asarray(at_nodes)
 
     def without(self, lost: ArrayLike) -> Interpolation:
         """The same nodes from the other markers.
@@ -194,15 +192,9 @@ class Interpolation:
         """
         from scipy.sparse import block_diag, csr_array, diags_array, kron
 
-        noise, count = reals(sigma, where="sigma"), len(self.markers)
-        shapes = ((), (count,), (count, 2), (count, 2, 2))
-        if noise.shape not in shapes:
-            raise InputError(
-                "noise does not fit the markers",
-                where="sigma",
-                found=noise.shape,
-                expected=" or ".join(map(str, shapes)),
-            )
+        count = len(self.markers)
+        shapes: tuple[tuple[int, ...], ...] = ((), (count,), (count, 2), (count, 2, 2))
+        noise = shaped(sigma, *shapes, where="sigma", what="noise does not fit the markers", lost=True)
         per_marker = np.broadcast_to(noise, (count,)) if noise.ndim < 2 else noise
         if not np.isfinite(per_marker[self.used]).all() or (noise.ndim < 3 and (per_marker[self.used] < 0).any()):
             raise InputError("noise is no standard deviation", where="sigma", expected="finite, not negative")
@@ -240,7 +232,7 @@ class Interpolation:
         return interpolation_noise(int(self.inside.sum()), effective, rank)
 
 
-def _triangles(markers: NDArray, nodes: NDArray) -> tuple[NDArray[np.bool_], NDArray[np.intp], NDArray[np.float64]]:
+def _triangles(markers: NDArray[Any], nodes: NDArray[Any]) -> tuple[Mask, Index, Array]:
     """Nodes inside the hull; for each of these its three markers and their barycentric weights."""
     from scipy.spatial import Delaunay, QhullError
 
@@ -264,8 +256,5 @@ def _triangles(markers: NDArray, nodes: NDArray) -> tuple[NDArray[np.bool_], NDA
     return inside, mesh.simplices[chosen[sound]], weights[sound]
 
 
-def _plane(points: ArrayLike, name: str) -> NDArray[np.float64]:
-    array = reals(points, where=name)
-    if array.ndim != 2 or array.shape[1] != 2 or np.isinf(array).any():
-        raise InputError("no points of a plane", where=name, found=f"shape {array.shape}", expected="(points, 2)")
-    return array
+def _plane(points: ArrayLike, name: str) -> Array:
+    return shaped(points, PLANE, where=name, what="no points of a plane", lost=True)

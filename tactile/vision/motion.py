@@ -16,6 +16,7 @@ from structures.advice import Advice, Spelling
 from structures.errors import InputError, reals
 from structures.flags import Flag
 
+from ..arrays import Array, Mask, shaped
 from ..guards import frozen, missing_frames, vanished
 from .frames import missing_numbers, read_stack
 
@@ -41,21 +42,21 @@ class MarkerMotion:
     flags : tuple of Flag
     """
 
-    points: NDArray[np.float64]
-    moved: NDArray[np.float64]
-    lost: NDArray[np.bool_]
-    rejected: NDArray[np.bool_]
+    points: Array
+    moved: Array
+    lost: Mask
+    rejected: Mask
     unmatched: int = 0
     frame: int = 0
     flags: tuple[Flag, ...] = ()
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def seen(self) -> Mask:
         """Markers whose motion is known, shape (N,)."""
         return ~(self.lost | self.rejected)
 
     @property
-    def places(self) -> NDArray[np.float64]:
+    def places(self) -> Array:
         """Where the markers are now, px, shape (N, 2); NaN where not seen."""
         return self.points + self.moved
 
@@ -85,9 +86,9 @@ class MarkerMotions:
         What was decided in reading.
     """
 
-    points: NDArray[np.float64]
-    places: NDArray[np.float64]
-    heights: NDArray[np.float64] | None = None
+    points: Array
+    places: Array
+    heights: Array | None = None
     numbers: tuple[int, ...] = ()
     flags: tuple[Flag, ...] = ()
     notes: tuple[str, ...] = ()
@@ -96,7 +97,7 @@ class MarkerMotions:
         return len(self.places)
 
     @property
-    def moved(self) -> NDArray[np.float64]:
+    def moved(self) -> Array:
         """Motion from rest, shape (T, N, 2); NaN = lost."""
         return self.places - self.points
 
@@ -147,11 +148,8 @@ def read_motions(source: str | Path | ArrayLike, *, rest: int = 0) -> MarkerMoti
     )
 
 
-def _from_array(x: NDArray[np.float64], rest: int, where: str) -> MarkerMotions:
-    if x.ndim != 3 or x.shape[2] not in (2, 3) or x.shape[0] == 0:
-        raise InputError("no marker motion", where=where, found=f"shape {x.shape}", expected="(T, N, 2) or (T, N, 3)")
-    if np.isinf(x).any():
-        raise InputError("places hold infinity", where=where, expected="finite numbers, or NaN for a lost marker")
+def _from_array(x: Array, rest: int, where: str) -> MarkerMotions:
+    x = shaped(x, (None, None, 2), (None, None, 3), where=where, what="no marker motion", fewest=1, lost=True)
     x = np.where(np.isnan(x).any(axis=2, keepdims=True), np.nan, x)
     if not 0 <= rest < len(x):
         raise InputError("there is no such frame", where=where, found=f"rest={rest}", expected=f"0 to {len(x) - 1}")
@@ -160,7 +158,7 @@ def _from_array(x: NDArray[np.float64], rest: int, where: str) -> MarkerMotions:
     return MarkerMotions(x[rest, :, :2], x[..., :2], heights, tuple(range(1, len(x) + 1)))
 
 
-def _generic(table: NDArray[np.float64], rest: int, where: str) -> MarkerMotions:
+def _generic(table: Array, rest: int, where: str) -> MarkerMotions:
     frame, marker = _whole(table[:, 0], "frame", where), _whole(table[:, 1], "id", where)
     numbers, k = np.unique(frame, return_inverse=True)
     ids, i = np.unique(marker, return_inverse=True)
@@ -176,7 +174,7 @@ def _generic(table: NDArray[np.float64], rest: int, where: str) -> MarkerMotions
     )
 
 
-def _gsrobotics(table: NDArray[np.float64], where: str) -> MarkerMotions:
+def _gsrobotics(table: Array, where: str) -> MarkerMotions:
     frame, row, column = (_whole(table[:, k], name, where) for k, name in enumerate(("frame", "row", "col")))
     numbers, k = np.unique(frame, return_inverse=True)
     pairs, i = np.unique(np.column_stack([row, column]), axis=0, return_inverse=True)
@@ -195,7 +193,7 @@ def _gsrobotics(table: NDArray[np.float64], where: str) -> MarkerMotions:
     return MarkerMotions(points, places, None, tuple(map(int, numbers)), (flag,) if flag else (), tuple(notes))
 
 
-def _spread(k: NDArray, i: NDArray, values: NDArray[np.float64], where: str) -> NDArray[np.float64]:
+def _spread(k: NDArray[Any], i: NDArray[Any], values: Array, where: str) -> Array:
     """Rows of a table as (T, N, columns), NaN where there is none."""
     order = k * (int(i.max()) + 1) + i
     if len(np.unique(order)) != len(order):
@@ -205,7 +203,7 @@ def _spread(k: NDArray, i: NDArray, values: NDArray[np.float64], where: str) -> 
     return x
 
 
-def _table(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64], tuple[Flag, ...]]:
+def _table(path: Path) -> tuple[tuple[str, ...], Array, tuple[Flag, ...]]:
     """Header, empty where there is none, and numbers of a CSV file; empty cells are NaN.
 
     The last row of a file that does not end with a line end is left out, and said, unless it is sure to be whole.
@@ -244,7 +242,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _whole(column: NDArray[np.float64], name: str, where: str) -> NDArray[np.int64]:
+def _whole(column: Array, name: str, where: str) -> NDArray[np.int64]:
     if not np.isfinite(column).all() or (column != np.round(column)).any() or np.abs(column).max() > 2**53:
         raise InputError(f"{name} must be whole numbers", where=where)
     return column.astype(np.int64)
@@ -281,9 +279,9 @@ class Jitter:
         W406 where the frames repeat themselves.
     """
 
-    std: NDArray[np.float64]
-    per_marker: NDArray[np.float64]
-    drift: NDArray[np.float64]
+    std: Array
+    per_marker: Array
+    drift: Array
     frames: int
     flags: tuple[Flag, ...] = ()
 
@@ -304,14 +302,8 @@ def jitter(positions: ArrayLike) -> Jitter:
     InputError
         Fewer than three frames, or none in which markers are seen twice running.
     """
-    x = reals(positions, where="jitter")
-    if x.ndim != 3 or len(x) < FEWEST:
-        raise InputError(
-            "too few frames for a noise level",
-            where="jitter",
-            found=f"shape {x.shape}",
-            expected=f"(frames, markers, axes) with at least {FEWEST} frames",
-        )
+    what = "too few frames for a noise level"
+    x = shaped(positions, (None, None, None), where="jitter", what=what, fewest=FEWEST, lost=True)
     steps = np.diff(x, axis=0)
     known = np.isfinite(steps).all(axis=2)
     if not known.any():
@@ -323,7 +315,7 @@ def jitter(positions: ArrayLike) -> Jitter:
     return Jitter(std, _each(steps - drifting), _drift(x), len(x), (flag,) if flag else ())
 
 
-def _each(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _each(steps: Array) -> Array:
     """Root of half the mean square step of every marker, NaN below two steps."""
     seen = np.isfinite(steps)
     count = seen.sum(axis=0)
@@ -332,7 +324,7 @@ def _each(steps: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(count >= 2, np.sqrt(0.5 * total.sum(axis=0) / count), np.nan)
 
 
-def _drift(x: NDArray[Any]) -> NDArray[np.float64]:
+def _drift(x: NDArray[Any]) -> Array:
     moved = x[-1] - x[0]
     both = np.isfinite(moved).all(axis=1)
     return np.median(moved[both], axis=0) if both.any() else np.full(x.shape[2], np.nan)

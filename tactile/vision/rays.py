@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, number, pair, positive, reals
 
+from ..arrays import PLANE, Array, shaped
+
 FEWEST = 4
 DEGENERATE = 1e-8  # smallest singular value that is not the solution, over the largest
 
@@ -30,30 +32,25 @@ class Homography:
     unit : float
         Metres of the matrix's unit of length.
 
-    Raises
-    ------
-    InputError
-        Another shape, NaN, or a matrix without an inverse.
+    Raises `InputError`: Another shape, NaN, or a matrix without an inverse.
     """
 
-    matrix: NDArray[np.float64]
+    matrix: Array
     unit: float = 1.0
 
     def __post_init__(self) -> None:
-        matrix = reals(self.matrix, where="homography")
+        matrix = shaped(self.matrix, (3, 3), where="homography", what="no homography")
         positive("unit", self.unit, where="homography", unit="m")
-        if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-            raise InputError("no homography", where="homography", found=f"shape {matrix.shape}", expected="(3, 3)")
         rows = np.linalg.norm(matrix, axis=1, keepdims=True)
         if not rows.all() or np.linalg.cond(matrix / rows) > 1 / np.finfo(float).eps:
             raise InputError("a homography without an inverse", where="homography", found=matrix.tolist())
         object.__setattr__(self, "matrix", matrix)
 
-    def to_pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_pixels(self, points: Array) -> Array:
         """Pixels of points of the plane (m), shape (N, 2)."""
         return _flat(np.column_stack([points / self.unit, np.ones(len(points))]) @ self.matrix.T)
 
-    def to_plane(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_plane(self, pixels: Array) -> Array:
         """Points of the plane (m) that pixels show, shape (N, 2)."""
         seen = np.column_stack([pixels, np.ones(len(pixels))])
         return self.unit * _flat(np.linalg.solve(self.matrix, seen.T).T)
@@ -67,19 +64,11 @@ def fitted(points: ArrayLike, pixels: ArrayLike) -> Homography:
     points, pixels : array, shape (n, 2)
         At least four, no three of them on a line.
 
-    Raises
-    ------
-    InputError
-        Fewer, different numbers, NaN, or points that leave the map open.
+    Raises `InputError`: Fewer, different numbers, NaN, or points that leave the map open.
     """
-    p, q = reals(points, where="points"), reals(pixels, where="pixels")
-    if p.ndim != 2 or p.shape != q.shape or p.shape[1] != 2 or len(p) < FEWEST or not np.isfinite([p, q]).all():
-        raise InputError(
-            "no corresponding points",
-            where="homography",
-            found=f"{p.shape} and {q.shape}",
-            expected=f"(n, 2) twice, finite, n at least {FEWEST}",
-        )
+    what = "no corresponding points"
+    p = shaped(points, PLANE, where="homography", what=what, fewest=FEWEST)
+    q = shaped(pixels, p.shape, where="homography", what=what)
     (P, T), (Q, S) = _normalised(p), _normalised(q)
     one, zero = np.ones((len(p), 1)), np.zeros((len(p), 3))
     A = np.hstack([P, one])
@@ -95,7 +84,7 @@ def fitted(points: ArrayLike, pixels: ArrayLike) -> Homography:
     return Homography(matrix / np.abs(matrix).max())
 
 
-def _normalised(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _normalised(points: Array) -> tuple[Array, Array]:
     """Points about their mean at a mean distance of sqrt 2, and the matrix that makes them so."""
     mean = points.mean(axis=0)
     size = np.hypot(*(points - mean).T).mean() / np.sqrt(2)
@@ -105,15 +94,15 @@ def _normalised(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
     return (points - mean) / size, matrix
 
 
-def _flat(homogeneous: NDArray[Any]) -> NDArray[np.float64]:
-    return homogeneous[:, :2] / homogeneous[:, 2:]
+def _flat(homogeneous: NDArray[Any]) -> Array:
+    return np.asarray(homogeneous[:, :2] / homogeneous[:, 2:])
 
 
 ITERATIONS = 60
 EXACT = 1e-15
 
 
-def bend(alpha: ArrayLike, gamma: float) -> NDArray[np.float64]:
+def bend(alpha: ArrayLike, gamma: float) -> Array:
     """Angle beta inside of a ray that meets the face at alpha (rad): sin(beta) = sin(alpha) / gamma."""
     angle = reals(alpha, where="alpha")
     if not (np.abs(angle) < np.pi / 2).all():
@@ -121,7 +110,7 @@ def bend(alpha: ArrayLike, gamma: float) -> NDArray[np.float64]:
     return np.arcsin(np.sin(angle) / _index(gamma))
 
 
-def projection_shift(d: ArrayLike, alpha: ArrayLike, gamma: float) -> NDArray[np.float64]:
+def projection_shift(d: ArrayLike, alpha: ArrayLike, gamma: float) -> Array:
     """In-plane shift that a normal motion d seems to be: d tan(beta), sin(beta) = sin(alpha) / gamma (Ma et al. 2019).
 
     Parameters
@@ -171,10 +160,7 @@ class Parallel:
         gamma : float
             Relative index of refraction.
 
-        Raises
-        ------
-        InputError
-            No normal motion, or an apparent one that no ray shows.
+        Raises `InputError`: No normal motion, or an apparent one that no ray shows.
         """
         seen = reals(apparent, where="apparent motion")
         height = np.broadcast_to(reals(normal, where="normal motion"), seen.shape[:1])
@@ -194,7 +180,7 @@ class Parallel:
             )
         return cls(float(np.arcsin(sine)), gamma, float(np.arctan2(slope[1], slope[0])))
 
-    def slope(self, xy: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
+    def slope(self, xy: Array, height: Array) -> Array:
         """In-plane motion of the ray through each point per unit of height, shape (N, 2)."""
         direction = np.array([np.cos(self.azimuth), np.sin(self.azimuth)])
         return np.broadcast_to(np.tan(bend(self.alpha, self.gamma)) * direction, xy.shape)
@@ -228,28 +214,28 @@ class Window:
             raise InputError("depth must not be negative", where="Window", found=self.depth)
         _index(self.gamma)
 
-    def slope(self, xy: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
+    def slope(self, xy: Array, height: Array) -> Array:
         """In-plane motion of the ray through each point per unit of height, shape (N, 2)."""
         offset, radius = self._from_eye(xy)
         return offset * _ratio(self.inside(self.outside(radius, height)), radius)
 
-    def direction(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    def direction(self, xy: Array) -> Array:
         """Direction (dx, dy, 1) outside of the ray from the lens to each marker at rest, shape (N, 3)."""
         offset, radius = self._from_eye(xy)
         sideways = offset * _ratio(self.outside(radius, np.zeros(len(xy))), radius)
         return np.column_stack([sideways, np.ones(len(xy))])
 
-    def reached(self, direction: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reached(self, direction: Array) -> Array:
         """Points at rest, shape (N, 2), that rays (dx, dy, 1) from the lens reach."""
         tangent = np.hypot(direction[:, 0], direction[:, 1])[:, None]
         out = direction[:, :2] * self.distance
         return np.array(self.eye) + out + direction[:, :2] * _ratio(self.depth * self.inside(tangent), tangent)
 
-    def inside(self, tangent: NDArray[np.float64]) -> NDArray[np.float64]:
+    def inside(self, tangent: Array) -> Array:
         """tan(beta) of tan(alpha)."""
         return tangent / np.sqrt(self.gamma**2 + (self.gamma**2 - 1) * tangent**2)
 
-    def outside(self, radius: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float64]:
+    def outside(self, radius: Array, height: Array) -> Array:
         """tan(alpha) of the ray to points at a distance in the plane from the lens, shape (N, 1).
 
         The radius grows with tan(alpha), concavely: Newton's method from zero climbs to the root without passing it.
@@ -271,12 +257,12 @@ class Window:
                 break
         return t
 
-    def _from_eye(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _from_eye(self, xy: Array) -> tuple[Array, Array]:
         offset = xy - np.array(self.eye)
         return offset, np.hypot(offset[:, 0], offset[:, 1])[:, None]
 
 
-def _ratio(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def _ratio(a: Array, b: Array) -> Array:
     """Quotient, 0 where b is 0: a ray along the normal is not bent."""
     return np.divide(a, b, out=np.zeros_like(a), where=b > 0)
 

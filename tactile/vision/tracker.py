@@ -14,6 +14,7 @@ from structures.advice import Advice
 from structures.errors import InputError, positive, reals
 from structures.flags import Flag
 
+from ..arrays import PLANE, Array, Index, Mask, shaped
 from ..guards import leapt, vanished
 from .detect import BRIGHT, SIZE, Detected, Detector, size_of_dots
 from .interpolation import NEAREST, fitted_weights
@@ -25,7 +26,7 @@ RING = 24  # neighbours asked where fewer than three of the nearest are seen
 ENOUGH = 3
 
 
-def match(predicted: ArrayLike, found: ArrayLike, *, gate: float) -> NDArray[np.intp]:
+def match(predicted: ArrayLike, found: ArrayLike, *, gate: float) -> Index:
     """Dot of every marker: each the nearest of the other, and not farther apart than the gate.
 
     Parameters
@@ -55,13 +56,13 @@ class Dots:
         Finite places.
     """
 
-    def __init__(self, points: NDArray[np.float64]) -> None:
+    def __init__(self, points: Array) -> None:
         from scipy.spatial import cKDTree
 
         self.points = points
         self._tree = cKDTree(points, balanced_tree=False) if len(points) else None
 
-    def mutual(self, expected: NDArray[np.float64], gate: float) -> NDArray[np.intp]:
+    def mutual(self, expected: Array, gate: float) -> Index:
         """Dot of every marker, each the nearest of the other within the gate; -1 for none, shape (N,)."""
         from scipy.spatial import cKDTree
 
@@ -75,7 +76,7 @@ class Dots:
         index[asked[both]] = dot[both]
         return index
 
-    def offers(self, expected: NDArray[np.float64], gate: float) -> NDArray[np.float64]:
+    def offers(self, expected: Array, gate: float) -> Array:
         """Vector from every marker to its nearest dot within the gate that is no nearer to another one, NaN for none.
 
         A quicker and looser question than `mutual`, for a first look; all places must be finite.
@@ -92,19 +93,14 @@ class Dots:
         return offered
 
 
-def places(points: ArrayLike, name: str) -> NDArray[np.float64]:
+def places(points: ArrayLike, name: str) -> Array:
     """Points of a plane, shape (n, 2); an empty list is none.
 
-    Raises
-    ------
-    InputError
-        Another shape.
+    Raises `InputError`: Another shape.
     """
-    array = reals(points, where=name)
-    array = array.reshape(0, 2) if array.size == 0 else array
-    if array.ndim != 2 or array.shape[1] != 2:
-        raise InputError("no points of a plane", where=name, found=f"shape {array.shape}", expected="(points, 2)")
-    return array
+    found = reals(points, where=name)
+    found = found.reshape(0, 2) if found.size == 0 else found
+    return shaped(found, PLANE, where=name, what="no points of a plane", lost=True)
 
 
 class Neighbourhood:
@@ -131,7 +127,7 @@ class Neighbourhood:
         self._ring = index[:, 1:]
         self._near = index[:, 1 : NEIGHBOURS + 1]
 
-    def median(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def median(self, values: Array) -> Array:
         """Median over the neighbours of each marker, per component; NaN where fewer than three are known.
 
         Parameters
@@ -146,7 +142,7 @@ class Neighbourhood:
         return middle
 
 
-def _median(values: NDArray[Any]) -> NDArray[np.float64]:
+def _median(values: NDArray[Any]) -> Array:
     """Median over the second axis that leaves NaN out, shape (n, components); NaN where fewer than three are known."""
     ordered = np.sort(values, axis=1)  # NaN last
     count = np.isfinite(values).sum(axis=1, keepdims=True)
@@ -230,10 +226,10 @@ class MarkerTracker:
         self._found = np.ones(len(rest), bool)
         self._frame = 0
         self._leap: Flag | None = None
-        self._fit: tuple[bytes, NDArray[np.intp], NDArray[np.float64]] | None = None
+        self._fit: tuple[bytes, Index, Array] | None = None
 
     @property
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> Array:
         """Places of the markers at rest, px, shape (N, 2)."""
         return self._rest.copy()
 
@@ -264,7 +260,7 @@ class MarkerTracker:
         self._leap = self._leap or leapt(common, self.pitch, self._frame)
         return self._motion(rejected, len(dots.points) - int(taken.sum()))
 
-    def _motion(self, rejected: NDArray[np.bool_], unmatched: int) -> MarkerMotion:
+    def _motion(self, rejected: Mask, unmatched: int) -> MarkerMotion:
         moved = np.where(self._found[:, None], self._now - self._rest, np.nan)
         lost = np.isnan(moved).any(axis=1) & ~rejected
         gone = vanished(len(lost), int(lost.sum()), int(rejected.sum()), unmatched)
@@ -301,12 +297,12 @@ class MarkerTracker:
         """Noise of the places over unloaded frames, per axis; see `tactile.vision.motion.jitter`."""
         return jitter([self._followed(frame) for frame in frames])
 
-    def _followed(self, frame: Any) -> NDArray[np.float64]:
+    def _followed(self, frame: Any) -> Array:
         """Places in the next frame, whether or not they are known at rest."""
         self.step(frame)
         return np.where(self._found[:, None], self._now, np.nan)
 
-    def _dots(self, frame: Any) -> NDArray[np.float64]:
+    def _dots(self, frame: Any) -> Array:
         if isinstance(frame, Detected):
             return frame.points
         if self.detector is None or _is_points(frame):
@@ -322,7 +318,7 @@ class MarkerTracker:
             )
         return self.detector(frame).points
 
-    def _expected(self, dots: Dots) -> tuple[NDArray[np.float64], float]:
+    def _expected(self, dots: Dots) -> tuple[Array, float]:
         """Where the markers should be, as their neighbours moved since the last frame; length of the common motion.
 
         The first look sees most dots where the pattern moves as one; the second, from there, sees the local motion.
@@ -334,7 +330,7 @@ class MarkerTracker:
         local = self._around.median(moved)
         return self._now + np.where(np.isfinite(local), local, common), float(np.hypot(*common))
 
-    def _without(self, expected: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _without(self, expected: Array, place: Array) -> Array:
         """Where the markers that were not found should be: as a smooth motion since rest of those around has it.
 
         Steps of the neighbours add up to a drift; the motion since rest does not. Where it would have to be
@@ -354,24 +350,24 @@ class MarkerTracker:
         guessed[gone[near]] = self._pattern[gone[near]] + moved
         return guessed
 
-    def _odd(self, place: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def _odd(self, place: Array) -> Mask:
         """Markers whose motion since rest is not like that of their neighbours."""
         moved = place - self._pattern
         middle = self._around.median(moved)
         return _length(moved - middle) > DISAGREE * self.pitch
 
 
-def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _length(vectors: Array) -> Array:
     return np.hypot(vectors[:, 0], vectors[:, 1])
 
 
-def _middle(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _middle(vectors: Array) -> Array:
     """Median per axis of those that are known, 0 where none is."""
     known = vectors[np.isfinite(vectors[:, 0])]
     return np.median(known, axis=0) if len(known) else np.zeros(2)
 
 
-def _finite(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _finite(points: Array) -> Array:
     return points[np.isfinite(points).all(axis=1)]
 
 

@@ -15,8 +15,8 @@ import pytest
 from loadid.cli import main
 from structures.errors import InputError
 from tactile.closed.presses import Press
+from tactile.commands import _demo as demo
 from tactile.commands import _sources as _eyes
-from tactile.commands import tactile as demo
 from tactile.commands._sources import depth_maps, is_motion
 from tactile.commands.tactile import EXAMPLES, span
 from tactile.pad import padfile

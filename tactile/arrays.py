@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from structures.errors import InputError, reals, shown
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 Shape = tuple[int | None, ...]
 PLANE: Shape = (None, 2)
 SPACE: Shape = (None, 3)
@@ -19,13 +21,12 @@ SPACE: Shape = (None, 3)
 def shaped(
     values: Any, *shapes: Shape, where: str, what: str = "", fewest: int = 0, lost: bool = False, hint: str = ""
 ) -> Array:
-    """Real numbers in one of some shapes, as a new array; None stands for any length.
+    """Real numbers in one of some shapes, any if none is named, as a new array; None stands for any length.
 
     Parameters
     ----------
     values : array_like
         An empty list is an array of no rows.
-    *shapes : tuple of int or None
     where, what, hint : str
         Of the error.
     fewest : int
@@ -33,15 +34,12 @@ def shaped(
     lost : bool
         NaN may be among them.
 
-    Raises
-    ------
-    InputError
-        No numbers, another shape, too few rows, infinity, or NaN that may not be.
+    Raises `InputError`: No numbers, another shape, too few rows, infinity, or NaN that may not be.
     """
     found = reals(values, where=where, hint=hint)
-    if found.shape == (0,) and shapes[0][0] is None:
+    if found.shape == (0,) and shapes and shapes[0][:1] == (None,):
         found = found.reshape(0, *(n or 0 for n in shapes[0][1:]))
-    fits = any(
+    fits = not shapes or any(
         len(s) == found.ndim and all(n in (None, m) for n, m in zip(s, found.shape, strict=True)) for s in shapes
     )
     sound = not np.isinf(found).any() and (lost or not np.isnan(found).any())
@@ -65,10 +63,7 @@ def _alike(wanted: int | None, length: int) -> bool:
 def one_of(value: Any, choices: Iterable[str], *, where: str, what: str = "unknown word", hint: str = "") -> str:
     """One of some words.
 
-    Raises
-    ------
-    InputError
-        Another one.
+    Raises `InputError`: Another one.
     """
     listed = list(choices)
     if not isinstance(value, str) or value not in listed:
