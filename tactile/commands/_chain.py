@@ -42,7 +42,7 @@ class Reconstruction:
     ----------
     map : ForceMap
         (frames, 3 P).
-    seen : MarkerSource
+    source : MarkerSource
         Markers, their noise, and which frames are the rest.
     lost : list of int
         Markers lost in each frame.
@@ -56,7 +56,7 @@ class Reconstruction:
 
     map: ForceMap
     pad: Pad
-    seen: MarkerSource
+    source: MarkerSource
     lost: list[int]
     lam: str
     normal: str

@@ -43,7 +43,7 @@ class Demonstration:
         The same as ratios and errors.
     """
 
-    found: Reconstruction
+    reconstruction: Reconstruction
     rows: list[tuple[str, str, str]]
     numbers: dict[str, float]
     written: list[str]
@@ -51,7 +51,7 @@ class Demonstration:
     @property
     def data(self) -> dict[str, Any]:
         """All of it, for JSON."""
-        return {**data(self.found), "against_truth": self.numbers, "written": self.written}
+        return {**data(self.reconstruction), "against_truth": self.numbers, "written": self.written}
 
 
 def presses() -> list[Press]:
@@ -203,7 +203,7 @@ def text(done: Demonstration) -> str:
     names = f"{folder / 'frames'} --pad {folder / 'pad.toml'} --depth {folder / 'depth.npy'}"
     lines = [
         f"{story}, photographed with {GREY:g} grey levels of noise, rebuilt from the images.",
-        in_words(done.found),
+        in_words(done.reconstruction),
         "against the truth, strongest frame:",
         *(f"  {name:{width}s}  {estimate}  truth {true}" for name, estimate, true in done.rows),
         f"written: {', '.join(done.written)}",

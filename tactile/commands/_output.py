@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def about(found: Reconstruction) -> list[tuple[str, str]]:
     """How the maps came about: names and texts."""
-    seen = found.seen
+    seen = found.source
     return [
         ("pad", f"{str(found.pad)[4:-1]}, {found.pad.points} nodes"),
         ("reference", seen.reference),
@@ -35,7 +35,7 @@ def about(found: Reconstruction) -> list[tuple[str, str]]:
 
 def markers(found: Reconstruction) -> str:
     """How many markers there are, and how many were lost."""
-    total, most = len(found.seen.markers), max(found.lost)
+    total, most = len(found.source.markers), max(found.lost)
     if most == 0:
         return f"{total} found, none lost in {len(found.lost)} frames"
     assert found.map.axis is not None
@@ -67,10 +67,10 @@ def data(found: Reconstruction) -> dict[str, Any]:
         "nodes": found.pad.points,
         "frames": len(force.load),
         "axis": {"name": force.axis.name, "unit": force.axis.unit, "values": force.axis.values},
-        "reference": found.seen.reference,
-        "markers": len(found.seen.markers),
+        "reference": found.source.reference,
+        "markers": len(found.source.markers),
         "lost": found.lost,
-        "noise": found.seen.noise_words,
+        "noise": found.source.noise_words,
         "provided": dict(force.provided),
         "lambda": force.facts.get("lambda"),
         "lambda_words": found.lam,
@@ -84,7 +84,7 @@ def data(found: Reconstruction) -> dict[str, Any]:
             "centre": contact.centre,
         },
         "flags": [flag.to_dict() for flag in sort(force.flags)],
-        "notes": found.seen.notes,
+        "notes": found.source.notes,
     }  # fmt: skip
 
 

@@ -241,7 +241,7 @@ def _moved(eye: Eye, frames: list[Any]) -> list[str]:
     """Whether frames that nobody called unloaded move: then they were not, and the rest is wrong."""
     last = eye.tracker.step(frames[-1])
     moved = np.abs(np.nanmean(last.moved[eye.kept], axis=0))
-    level = eye.noise_px / np.sqrt(max(int(last.seen.sum()), 1))
+    level = eye.noise_px / np.sqrt(max(int(last.tracked.sum()), 1))
     if np.all(moved < MOVED * level):
         return []
     words = f"the first {len(frames)} frames were taken as unloaded, but the markers move by {moved.max():.2g} px from"

@@ -374,12 +374,12 @@ def _misfit(
 ) -> tuple[float, Gain]:
     """Minus twice the log likelihood of one nu, and its modulus."""
     inverse, total, found = sensor.inverse, 0.0, []
-    H, lam = sensor.model.H / inverse.spread[:, None], inverse.lam * inverse.scale
+    H, lam = sensor.model.H / inverse.noise[:, None], inverse.lam * inverse.scale
     for i, frame in enumerate(frames):
         y = sensor.readings(frame, None if depths is None else depths[i])
         # a load anywhere would explain any motion: only one that presses, where the contact is, tells nu
         load = sensor.pressed(y).load
-        z = y / inverse.spread
+        z = y / inverse.noise
         rest = (z - H @ load)[np.isfinite(z)]
         total += float(rest @ rest) + float(np.sum((lam * load) ** 2))
         found.append(sensor.resultant[:3] @ load)

@@ -189,7 +189,7 @@ class BenchmarkTable:
         lines = [f"{self.presses} presses, {self.draws} draws of noise each, medians; accuracy | fidelity", head]
         for r in self.rows:
             m = r.metrics
-            fidelity = (m.cosine, m.iou, m.peak_ratio, m.spread, m.dtma, m.dtmb, m.snr)
+            fidelity = (m.cosine, m.iou, m.peak_ratio, m.radius_ratio, m.dtma, m.dtmb, m.snr)
             lines.append(
                 f"{r.sensor:{wide}s} {1e6 * r.noise:8.3g} | {100 * r.force:8.3g} {100 * r.force_z:+7.2f} "
                 f"{_shown(m.error)} {r.worst:7.3f} | "
@@ -362,7 +362,7 @@ def _row(name: str, level: float, found: Sequence[MapMetrics]) -> BenchmarkRow:
         values = [v for v in (getattr(m, field_name) for m in found) if v is not None]
         return float(np.median(values)) if values else None
 
-    names = ("error", "cosine", "iou", "peak_ratio", "spread", "dtma", "dma", "dtmb", "snr", "centroid_error")
+    names = ("error", "cosine", "iou", "peak_ratio", "radius_ratio", "dtma", "dma", "dtmb", "snr", "centroid_error")
     settled = replace(
         found[0],
         components=tuple(np.median([m.components for m in found], axis=0).tolist()),

@@ -137,13 +137,13 @@ class MapMetrics:
 
     Parameters
     ----------
-    level : {"distribution", "resultant"}
+    kind : {"distribution", "resultant"}
         What was compared. At level "resultant" there are no numbers of a map, and `flags` holds N701.
     error : float or None
         Relative L2 error; ideal 0.
     components : tuple of float
         The same for X, Y, Z, each against its own norm (against the whole one where the truth has none of it).
-    cosine, iou, peak_ratio, spread : float or None
+    cosine, iou, peak_ratio, radius_ratio : float or None
         Ideal 1. Same shape whatever the gain; overlap of the contact areas; largest magnitude; rms radius.
     dtma, dma, dtmb : float or None
         Ideal 0. Magnitude in the patches, largest magnitude there, leakage outside.
@@ -160,13 +160,13 @@ class MapMetrics:
     flags : tuple of Flag
     """
 
-    level: str
+    kind: str
     error: float | None = None
     components: tuple[float, ...] = ()
     cosine: float | None = None
     iou: float | None = None
     peak_ratio: float | None = None
-    spread: float | None = None
+    radius_ratio: float | None = None
     dtma: float | None = None
     dma: float | None = None
     dtmb: float | None = None
@@ -181,11 +181,11 @@ class MapMetrics:
     @property
     def partial(self) -> bool:
         """Resultants alone were compared: the distribution is open."""
-        return self.level == "resultant"
+        return self.kind == "resultant"
 
     def table(self) -> str:
         """One line for each number with its ideal, as text."""
-        lines = [f"level: {self.level}{' (partial)' if self.partial else ''}"]
+        lines = [f"level: {self.kind}{' (partial)' if self.partial else ''}"]
         for name, value, ideal in self._rows():
             if value is not None:
                 lines.append(f"{name:34s} {value:10.4g}   ideal {ideal}")
@@ -211,7 +211,7 @@ class MapMetrics:
             ("cosine", self.cosine, "1"),
             (f"IoU of contact (theta = {self.theta:g})", self.iou, "1"),
             ("peak ratio", self.peak_ratio, "1"),
-            ("spread (rms radius)", self.spread, "1"),
+            ("spread (rms radius)", self.radius_ratio, "1"),
             ("DTMA (magnitude in the patches)", self.dtma, "0"),
             ("DMA (peak in the patches)", self.dma, "0"),
             ("DTMB (leakage outside)", self.dtmb, "0"),
@@ -271,13 +271,13 @@ def compare(
         share = finite(areas, "areas")[:, None]
         totals = [tuple(resultant(t * share, points, about).tolist()) for t in (a, b)]
     return MapMetrics(
-        level="distribution",
+        kind="distribution",
         error=measures.relative_error(a, b, w),
         components=tuple(measures.relative_error(a, b, w, i) for i in range(a.shape[1])),
         cosine=measures.cosine(a, b, w),
         iou=measures.iou(a, b, w, theta=theta),
         peak_ratio=measures.peak_ratio(a, b),
-        spread=None if points is None else measures.spread(a, b, points, w),
+        radius_ratio=None if points is None else measures.spread(a, b, points, w),
         dtma=measures.dtma(a, b, own, w),
         dma=measures.dma(a, b, own),
         dtmb=measures.dtmb(a, b, own, w),

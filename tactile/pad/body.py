@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +17,10 @@ from structures.flags import Flag
 from structures.system.structure import Structure
 
 from ..arrays import PLANE, Array, Index, Mask, shaped
+
+if TYPE_CHECKING:
+    from .pad import Pad
+
 
 ARC = 16  # chords of a rounded corner
 REACH = 0.75  # of a cell: rim nodes farther from the outline stay where they are
@@ -242,6 +247,11 @@ class Body:
     levels: Index | None = None
 
 
+def locking_allowed(allow: Sequence[str]) -> list[str]:
+    """Of the codes that are allowed those that the elements ask about."""
+    return [code for code in allow if code.upper().endswith("E109")]
+
+
 def sides(size: Any) -> tuple[float, float]:
     """Both sides, checked.
 
@@ -289,43 +299,30 @@ def divisions(size: tuple[float, float], thickness: float, pitch: Any, elements:
     return counts[0], counts[1]
 
 
-def rectangle(
-    size: tuple[float, float],
-    thickness: float,
-    *,
-    pitch: Any,
-    elements: Any,
-    layers: Any,
-    material: Material,
-    element: str,
-    outline: Any,
-    allow: tuple[str, ...],
-) -> Body:
-    """Rectangle of equal bricks, base bonded, centred on the origin.
+def rectangle(pad: Pad, material: Material) -> Body:
+    """Rectangle of equal bricks as the settings of a pad have it, base bonded, centred on the origin.
 
     Raises `InputError`: if a value is not possible.
     """
-    nx, ny = divisions(size, thickness, pitch, elements)
-    nz = integer("layers", layers, where="Pad, layers", limit=CELLS)
+    size, thickness = sides(pad.size), positive("the thickness", pad.thickness, where="Pad", unit="m")
+    nx, ny = divisions(size, thickness, pad.pitch, pad.elements)
+    nz = integer("layers", pad.layers, where="Pad, layers", limit=CELLS)
     dimensions = {"size": size, "thickness": thickness, "elements": (nx, ny), "pitch": None, "layers": nz}
-    if outline is not None:
-        if not isinstance(outline, PadOutline):
+    if pad.outline is not None:
+        if not isinstance(pad.outline, PadOutline):
+            hint = "outline.rounded(radius), outline.polygon(corners) or outline.mask(cells) of tactile.pad.body"
             raise InputError(
-                "no outline",
-                where="Pad, outline",
-                found=shown(outline),
-                expected="an Outline",
-                hint="outline.rounded(radius), outline.polygon(corners) or outline.mask(cells) of tactile.pad.body",
+                "no outline", where="Pad, outline", found=shown(pad.outline), expected="an outline", hint=hint
             )
-        places, quads = outline.on(size, (nx, ny))
-        return extruded(places, quads, thickness, nz, material, element, allow, dimensions)
+        places, quads = pad.outline.on(size, (nx, ny))
+        return extruded(places, quads, thickness, nz, material, pad.element, pad.allow, dimensions)
     structure = solids.block(
         lengths=(*size, thickness),
         elements=(nx, ny, nz),
         material=material,
-        element=element,
+        element=pad.element,
         origin=(-size[0] / 2, -size[1] / 2, 0.0),
-        allow=[code for code in allow if code.upper().endswith("E109")],
+        allow=locking_allowed(pad.allow),
     )
     field: Any = structure.field
     return Body(structure, field.surface("top"), dimensions, field.flags)
@@ -338,7 +335,7 @@ def extruded(
     layers: int,
     material: Material,
     element: str,
-    allow: tuple[str, ...],
+    allow: Sequence[str],
     dimensions: dict[str, Any],
     *,
     height: Array | float = 1.0,
@@ -359,7 +356,7 @@ def extruded(
         material=material,
         element=element,
         fixed=np.arange(count),
-        allow=[code for code in allow if code.upper().endswith("E109")],
+        allow=locking_allowed(allow),
         where="Pad",
     )
     field: Any = structure.field

@@ -17,7 +17,7 @@ from structures.errors import InputError, positive, shown
 from structures.flags import canonical
 
 from ..arrays import Array, Index
-from .body import Body, extruded, polygon
+from .body import Body, extruded, locking_allowed, polygon
 from .meshfiles import MeshFile
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
@@ -76,7 +76,7 @@ class PadMesh:
             kind=self.kind,
             element=element,
             fixed=self.base,
-            allow=[code for code in allow if code.upper().endswith("E109")],
+            allow=locking_allowed(allow),
             where=self.source,
         )
         field: Any = structure.field
@@ -177,7 +177,7 @@ def rebuilt(mesh: PadMesh, pitch: float, layers: int, material: Material, elemen
     beside = ~np.isfinite(height)
     height[beside] = NearestNDInterpolator(nodes[:, :2], nodes[:, 2])(places[beside])
     dimensions = {**mesh.dimensions, "pitch": step, "layers": layers}
-    return extruded(places, quads, 1.0, layers, material, element, tuple(allow), dimensions, height=height)
+    return extruded(places, quads, 1.0, layers, material, element, allow, dimensions, height=height)
 
 
 def _used(file: MeshFile) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from structures import bases
 from structures.elements.members import Material
 from structures.elements.surfaces import Surface
-from structures.errors import InputError, integer, positive
+from structures.errors import InputError, integer
 from structures.flags import Flag
 from structures.system.structure import Structure
 
@@ -24,7 +24,7 @@ from .. import guards
 from ..arrays import Index, Mask
 from ..closed.layer import Layer
 from . import meshfiles
-from .body import Body, rectangle, sides
+from .body import Body, rectangle
 from .mesh import placed, rebuilt
 from .padfile import SensorFile, read
 from .stiffness import Loaded
@@ -117,27 +117,13 @@ class Pad(Loaded):
         fix("allow", (self.allow,) if isinstance(self.allow, str) else tuple(self.allow))
         if self.counts is not None:
             guards.published(self.counts, self.layers)
-        body = self._rectangle(material) if self.mesh is None else self._meshed(material)
+        body = rectangle(self, material) if self.mesh is None else self._meshed(material)
         for name, value in body.dimensions.items():
             fix(name, value)
         fix("structure", body.structure)
         fix("_levels", body.levels)
         fix("surface", body.surface)
         fix("flags", self._found(body))
-
-    def _rectangle(self, material: Material) -> Body:
-        size, h = sides(self.size), positive("the thickness", self.thickness, where="Pad", unit="m")
-        return rectangle(
-            size,
-            h,
-            pitch=self.pitch,
-            elements=self.elements,
-            layers=self.layers,
-            material=material,
-            element=self.element,
-            outline=self.outline,
-            allow=tuple(self.allow),
-        )
 
     def _meshed(self, material: Material) -> Body:
         if self.pitch is None:

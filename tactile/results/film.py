@@ -101,7 +101,7 @@ def _draw_dots(axes: Axes, points: Array, radius: float) -> str:
 
 def _draw_motion(axes: Axes, motion: MarkerMotion, width: int, scale: float | None) -> str:
     places, moved = motion.places, motion.moved
-    seen = motion.seen
+    seen = motion.tracked
     largest = float(np.hypot(*moved[seen].T).max(initial=0.0))
     factor = scale or (ENLARGED if largest < 0.03 * width else 1.0)
     pitch = _pitch(motion.points)

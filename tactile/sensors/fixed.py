@@ -53,7 +53,7 @@ class Consistency:
         count = min(AROUND + 1, len(self.places))
         self.near = np.atleast_2d(cKDTree(self.places).query(self.places, k=count)[1])[:, 1:]
         self.free = np.maximum(1 - np.diagonal(self.inverse.influence)[:rows], 1e-3)
-        self.told = np.repeat((self.free.reshape(-1, self.axes) > FREE).all(axis=1), self.axes)
+        self.judged = np.repeat((self.free.reshape(-1, self.axes) > FREE).all(axis=1), self.axes)
         # single precision where the products of the map are: it is asked for every frame
         self.rows = np.ascontiguousarray(self.inverse.influence[:rows], self.inverse.matrix.dtype)
 
@@ -85,10 +85,10 @@ class Consistency:
     def _distance(self, before: Array, y: Array, marker: int) -> float:
         """Whitened distance of a marker that was left out from what the others predict for it."""
         here = slice(marker * self.axes, (marker + 1) * self.axes)
-        return float(np.linalg.norm(before[here] / self.inverse.spread[here] - self.inverse.filled(y)[0][here]))
+        return float(np.linalg.norm(before[here] / self.inverse.noise[here] - self.inverse.filled(y)[0][here]))
 
     def _misfit(self, gone: Mask, rest: Array) -> float:
-        kept = ~gone & self.told
+        kept = ~gone & self.judged
         return float(np.sqrt(np.sum(rest[kept] ** 2) / max(np.sum(self.free[kept]), 1.0))) if kept.any() else 0.0
 
     def _stray(self, y: Array, z: Array, gone: Mask, rest: Array) -> int | None:
@@ -112,7 +112,7 @@ class Consistency:
 
     def _apart(self, gone: Mask, rest: Array) -> Array:
         """Whitened distance (markers, axes) from what the others predict."""
-        return np.where(self.told & ~gone, rest / self.free, 0.0).reshape(-1, self.axes)
+        return np.where(self.judged & ~gone, rest / self.free, 0.0).reshape(-1, self.axes)
 
     def _rest(self, y: Array) -> tuple[Array, Mask, Array]:
         """Whitened motion of the markers, which are lost, and the residual."""
@@ -231,7 +231,7 @@ class QuickMap:
         touched = pressure > TOUCH * pressure.max()
         if wrench is None:
             touched &= pressure > CLEAR * spread
-        return self._region.solve(y / self.inverse.spread, touched, wrench, answer)
+        return self._region.solve(y / self.inverse.noise, touched, wrench, answer)
 
     def _blind(self, resultant: Array) -> Array:
         """Variance of a normal force that the readings hardly see: as large as what they may hide."""
@@ -251,7 +251,7 @@ class QuickMap:
                 )  # fmt: skip
             inverse = self.inverse
             prior = np.full(inverse.shape[0], inverse.lam * inverse.scale)
-            H = self.family.H[: inverse.shape[1]] / inverse.spread[:, None]  # markers first, depth after them
+            H = self.family.H[: inverse.shape[1]] / inverse.noise[:, None]  # markers first, depth after them
             self._solver = RegionSolver(H, prior, inverse.resultant, self.neighbours, self.contact.friction)
         return self._solver
 

@@ -223,7 +223,7 @@ class GelSlim(MarkedSensor):
     def _deep(self) -> Index:
         """Nodes at which depth is measured."""
         assert self.depth is not None
-        return np.flatnonzero(~self.pad.edge)[self.depth.seen]
+        return np.flatnonzero(~self.pad.edge)[self.depth.inside]
 
     @cached_property
     def _at_markers(self) -> Any:

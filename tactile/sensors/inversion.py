@@ -55,7 +55,7 @@ class Inverse:
         G: loads per whitened reading; single precision where it is large.
     influence : array (m, m)
         A = H G: what is predicted at a reading per unit of another.
-    spread : array (m,)
+    noise : array (m,)
         Std of each reading: what whitens it.
     std : array (n,)
         Posterior std of the loads.
@@ -73,7 +73,7 @@ class Inverse:
 
     matrix: NDArray[np.floating[Any]]
     influence: Array
-    spread: Array
+    noise: Array
     std: Array
     resultant: Array
     reach: Array
@@ -111,7 +111,7 @@ class Inverse:
 
     def filled(self, y: Array) -> tuple[Array, Index]:
         """Whitened readings with the lost ones as the others predict them, and which those are."""
-        z = y / self.spread
+        z = y / self.noise
         lost = np.flatnonzero(~np.isfinite(z))
         if lost.size == len(z):
             raise InputError("no reading is left in this frame", where="frame", found="all markers lost",
@@ -129,7 +129,7 @@ class Inverse:
         except LinAlgError:
             raise InputError(
                 "too few readings are left for this lambda", where="frame",
-                found=f"{lost.size} of {len(self.spread)} lost", expected="readings that determine the map",
+                found=f"{lost.size} of {len(self.noise)} lost", expected="readings that determine the map",
                 hint="a larger lambda, or a look at the image: light, focus, occlusion",
             ) from None  # fmt: skip
 
@@ -184,7 +184,7 @@ def prepare(family: StaticInversion, resultant: Array, lam: float, rule: str = "
     return Inverse(
         matrix=np.ascontiguousarray(matrix, np.float32 if matrix.size > LARGE else float),
         influence=whitened @ matrix,
-        spread=spread,
+        noise=spread,
         std=np.asarray(known.std, float),
         resultant=resultant,
         reach=factor @ (factor.T @ resultant.T),

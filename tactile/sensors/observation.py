@@ -285,18 +285,18 @@ class Depths:
 
     Attributes
     ----------
-    seen : array of bool
+    inside : array of bool
         Which of the points that were given are covered.
     """
 
     template: DepthMap
     points: Array
     width: float
-    seen: Mask = field(init=False, repr=False)
+    inside: Mask = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        seen = Averaging.over(self.template, self.points, self.width).covered > COVERED
-        if not seen.any():
+        inside = Averaging.over(self.template, self.points, self.width).covered > COVERED
+        if not inside.any():
             raise InputError(
                 "the depth map does not lie on the pad",
                 where="depth",
@@ -304,8 +304,8 @@ class Depths:
                 expected="pixels over the surface",
                 hint=Advice(Spelling("centre=", "in the pad file, [depth] centre"), " places it"),
             )
-        object.__setattr__(self, "points", np.asarray(self.points, float)[seen])
-        object.__setattr__(self, "seen", seen)
+        object.__setattr__(self, "points", np.asarray(self.points, float)[inside])
+        object.__setattr__(self, "inside", inside)
 
     @cached_property
     def averaging(self) -> Averaging:

@@ -186,10 +186,8 @@ def detect(
     InputError
         No image; settings that are none; no dots where the size of one is to be estimated.
     """
-    if radius is None or pitch is None:
-        radius, pitch = size_of_dots(image, radius=radius, pitch=pitch, dark=dark, backend=backend)
-    found = Detector(radius, pitch, dark, method, threshold, margin, backend)
-    return found(image)
+    sizes = size_of_dots(image, radius=radius, pitch=pitch, dark=dark, backend=backend)
+    return Detector(*sizes, dark, method, threshold, margin, backend)(image)
 
 
 def binned(image: Grey, bins: int) -> Image:

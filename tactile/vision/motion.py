@@ -51,7 +51,7 @@ class MarkerMotion:
     flags: tuple[Flag, ...] = ()
 
     @property
-    def seen(self) -> Mask:
+    def tracked(self) -> Mask:
         """Markers whose motion is known, shape (N,)."""
         return ~(self.lost | self.rejected)
 

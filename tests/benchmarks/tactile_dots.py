@@ -41,7 +41,7 @@ def main(picture: str = "gelsight_dots.png") -> None:
                 print(f"{name:16s}{backend:>9s}{method:>10s}{dots:6d}{radius:11.2f}{pitch:10.2f}")
         overlay(image, detect(image), title=name, axes=ax)
     motion = MarkerTracker(images["unloaded"]).step(images["cuboid pressed"])
-    print(f"{motion.seen.sum()} of {PRINTED} followed from the unloaded image to the pressed one")
+    print(f"{motion.tracked.sum()} of {PRINTED} followed from the unloaded image to the pressed one")
     overlay(images["cuboid pressed"], motion, axes=axes[2])
     figure.savefig(picture, dpi=110)
     print(f"saved {picture}")

@@ -153,7 +153,7 @@ def test_nodal_forces_are_shown_as_pressures(pad: Pad, frames: list[ForceMap]) -
     force = Press(radius=2e-3, force=0.3).traction(pad.nodes2d) * pad.surface.areas[:, None]
     nodal = replace(frames[0], load=force.ravel(), std=np.full(force.size, 1e-3), units=["N"] * force.size,
                     geometry={**of_pad(pad, "nodal"), "resultant_covariance": np.eye(6)})  # fmt: skip
-    assert maps.pressure_std(nodal) == pytest.approx(1e-3 / pad.surface.areas, rel=1e-12)
+    assert nodal.pressure_std() == pytest.approx(1e-3 / pad.surface.areas, rel=1e-12)
 
 
 def test_lines_are_the_resultants_with_their_band(frames: list[ForceMap]) -> None:
@@ -247,7 +247,7 @@ def test_nothing_half_is_written(tmp_path: Path) -> None:
 def test_videos_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"no kind of video.*\.gif"):
         video.require_video(tmp_path / "a.mkv")
-    monkeypatch.setattr("tactile.vision.images.installed", lambda: False)
+    monkeypatch.setattr("tactile.results.film.installed", lambda: False)
     with pytest.raises(InputError, match=r"needs OpenCV.*loadid\[vision\].*\.gif"):
         video.require_video(tmp_path / "a.mp4")
     assert video.require_video(tmp_path / "a.gif") == ".gif"

@@ -45,10 +45,10 @@ def test_a_perfect_map_gives_the_ideals() -> None:
     m = metrics.compare(TRUTH, TRUTH, areas=AREAS, points=POINTS)
     assert (m.error, m.dtma, m.dma, m.dtmb, m.centroid_error) == (0, 0, 0, 0, 0)
     assert m.cosine == pytest.approx(1, abs=1e-14)
-    assert (m.iou, m.peak_ratio, m.spread, m.snr, m.patches) == (1, 1, 1, math.inf, 2)
+    assert (m.iou, m.peak_ratio, m.radius_ratio, m.snr, m.patches) == (1, 1, 1, math.inf, 2)
     assert m.components == (0, 0, 0)
     assert m.resultant == m.reference
-    assert m.level == "distribution"
+    assert m.kind == "distribution"
     assert not m.partial
 
 
@@ -56,7 +56,7 @@ def test_a_perfect_map_gives_the_ideals() -> None:
 def test_no_unit_of_force_or_length_matters(force: float, length: float) -> None:
     a = metrics.compare(NOISY, TRUTH, areas=AREAS, points=POINTS)
     b = metrics.compare(force * NOISY, force * TRUTH, areas=length**2 * AREAS, points=length * POINTS)
-    for name in ("error", "cosine", "iou", "peak_ratio", "spread", "dtma", "dma", "dtmb", "snr"):
+    for name in ("error", "cosine", "iou", "peak_ratio", "radius_ratio", "dtma", "dma", "dtmb", "snr"):
         assert getattr(b, name) == pytest.approx(getattr(a, name), rel=1e-9), name
     assert b.components == pytest.approx(a.components, rel=1e-9)
     assert b.centroid_error == pytest.approx(length * a.centroid_error, rel=1e-9)
@@ -94,7 +94,7 @@ def test_a_gain_changes_peak_and_magnitude_and_not_the_shape() -> None:
     m = metrics.compare(1.25 * TRUTH, TRUTH, areas=AREAS, points=POINTS)
     assert m.error == pytest.approx(0.25)
     assert (m.dtma, m.dma) == pytest.approx((0.25, 0.25))
-    assert (m.cosine, m.iou, m.spread, m.peak_ratio) == pytest.approx((1, 1, 1, 1.25))
+    assert (m.cosine, m.iou, m.radius_ratio, m.peak_ratio) == pytest.approx((1, 1, 1, 1.25))
 
 
 def test_a_shifted_and_a_widened_press_are_seen() -> None:
@@ -277,7 +277,7 @@ def test_an_empty_estimate_has_numbers_and_no_nan() -> None:
     m = metrics.compare(0 * TRUTH, TRUTH, areas=AREAS, points=POINTS)
     assert (m.error, m.cosine, m.iou, m.peak_ratio, m.dtma, m.dtmb) == pytest.approx((1, 0, 0, 0, -1, 0))
     assert m.centroid_error is None
-    assert m.spread is None
+    assert m.radius_ratio is None
     assert "nan" not in m.table()
 
 

@@ -272,7 +272,7 @@ def test_windows_lie_on_their_nodes_whatever_the_pixels(count: int) -> None:
     tilted = DepthMap(1e-2 * x - 3e-2 * y + 1e-4, pixel, 1e-6)
     at = np.array([[0.0, 0.0], [1e-3, -2e-3], [3.3e-3, 1.1e-3], [5.9e-3, 0.0]])
     window = Depths(tilted, at, 1e-3)
-    assert window.seen.tolist() == [True, True, True, False]  # the last reaches beyond the map
+    assert window.inside.tolist() == [True, True, True, False]  # the last reaches beyond the map
     assert np.allclose(window.readings(tilted), at[:3] @ [1e-2, -3e-2] + 1e-4, rtol=0, atol=1e-7)
     noisy = np.random.default_rng(0).standard_normal((400, count, count)) * 1e-6
     drawn = [window.readings(DepthMap(z, pixel, 1e-6)) for z in noisy]

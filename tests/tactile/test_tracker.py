@@ -33,7 +33,7 @@ def test_a_rendered_clip_that_loses_a_tenth_of_its_dots() -> None:
         truth = pressed(rest, 0.6 * k, 1.5 * k)
         lost = gone & (4 <= k < 9)
         motion = tracker.step(scene.draw(truth[~lost], seed=rng))
-        np.testing.assert_array_equal(motion.seen, ~lost)
+        np.testing.assert_array_equal(motion.tracked, ~lost)
         assert motion.lost.sum() == lost.sum()
         assert np.isnan(motion.moved[lost]).all()
         assert np.abs(motion.places[~lost] - truth[~lost]).max() < 0.3
@@ -72,8 +72,8 @@ def test_a_hidden_part_of_a_moving_pattern_is_found_again() -> None:
         gone = hidden & (8 <= k < 28)
         motion = tracker.step((truth + 0.03 * rng.standard_normal(truth.shape))[~gone])
         assert swapped(motion.places, truth) == 0
-        assert motion.seen[~hidden].all()
-    assert motion.seen.all()
+        assert motion.tracked[~hidden].all()
+    assert motion.tracked.all()
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 4, 2.0])
@@ -82,7 +82,7 @@ def test_a_motion_of_nearly_half_a_pitch_is_followed(angle: float) -> None:
     step = 0.47 * MarkerTracker(rest).pitch
     truth = rest + step * np.array([np.cos(angle), np.sin(angle)])
     motion = MarkerTracker(rest).step(truth)
-    assert motion.seen.all()
+    assert motion.tracked.all()
     np.testing.assert_allclose(motion.places, truth)
     assert motion.flags == ()
 
@@ -103,8 +103,8 @@ def test_a_dot_that_moves_unlike_its_neighbours_is_refused_and_only_it() -> None
     truth = rest.copy()
     truth[[100, 333, 402]] += PITCH * np.array([[0.48, 0.3], [-0.5, 0.2], [0.0, -0.44]])
     motion = MarkerTracker(rest).step(truth)
-    np.testing.assert_array_equal(np.flatnonzero(~motion.seen), [100, 333, 402])
-    np.testing.assert_allclose(motion.moved[motion.seen], 0, atol=1e-12)
+    np.testing.assert_array_equal(np.flatnonzero(~motion.tracked), [100, 333, 402])
+    np.testing.assert_allclose(motion.moved[motion.tracked], 0, atol=1e-12)
 
 
 def test_a_speck_that_wanders_off_is_let_go_and_no_stranger_is_taken_for_a_lost_marker() -> None:
@@ -114,14 +114,14 @@ def test_a_speck_that_wanders_off_is_let_go_and_no_stranger_is_taken_for_a_lost_
     for k in range(1, 9):
         truth = rest + k
         truth[250] += [0.1 * k * PITCH, 0.02 * k * PITCH]  # never far in one frame
-        seen.append(tracker.step(truth).seen[250])
+        seen.append(tracker.step(truth).tracked[250])
     assert seen[:4] == [True] * 4
     assert not any(seen[5:])
     gone = np.delete(rest + 9, 77, axis=0)
     assert tracker.step(gone).lost[77]
     stranger = np.vstack([gone, rest[77] + 10 + [0.3 * PITCH, 0]])
     assert tracker.step(stranger).rejected[77]
-    assert tracker.step(rest + 11).seen[77]
+    assert tracker.step(rest + 11).tracked[77]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -135,15 +135,15 @@ def test_a_quick_motion_under_a_press_swaps_none_though_half_the_dots_vanish(see
     motion = tracker.step(truth[~gone])
     assert swapped(motion.places, truth) == 0
     far = np.hypot(*(truth - rest).T) > 0.48 * tracker.pitch  # more than half a pitch is refused
-    assert motion.seen[~gone & ~far].mean() > 0.99
-    assert not motion.seen[gone].any()
+    assert motion.tracked[~gone & ~far].mean() > 0.99
+    assert not motion.tracked[gone].any()
 
 
 def test_an_empty_frame_loses_all_and_the_next_finds_them_again() -> None:
     scene, rest = Scene(), pattern()
     tracker = MarkerTracker(scene.draw(rest), detector=Detector(5, PITCH))
     assert tracker.step(np.full((480, 640), 120, np.uint8)).lost.all()
-    assert tracker.step(scene.draw(rest + np.array([3.0, -2.0]))).seen.all()
+    assert tracker.step(scene.draw(rest + np.array([3.0, -2.0]))).tracked.all()
 
 
 def test_zero_takes_the_mean_of_unloaded_frames_as_rest() -> None:
@@ -195,7 +195,7 @@ def test_the_measured_press_is_followed_from_the_unloaded_gel() -> None:
     image = read_image(measured("gelsight_dots", "cuboid_10-2-284.png"))
     tracker = MarkerTracker(next(frames(measured("gelsight_dots", "nocontact.npz"))))
     motion = tracker.step(image)
-    assert motion.seen.sum() == 63
+    assert motion.tracked.sum() == 63
     assert motion.flags == ()
     assert 2 < np.hypot(*motion.moved.T).min() < np.hypot(*motion.moved.T).max() < 0.5 * tracker.pitch
     assert len(overlay(image, motion).axes) == 1
