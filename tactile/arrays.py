@@ -48,12 +48,9 @@ def shaped(
     words = " or ".join(f"({', '.join('n' if n is None else str(n) for n in s)}{',' * (len(s) == 1)})" for s in shapes)
     bad = "" if sound else ", infinity" if lost else ", NaN or infinity"
     raise InputError(
-        what or "an array that does not fit",
-        where=where,
-        found=f"shape {found.shape}{bad}",
-        expected=f"{'' if lost else 'finite '}{words}" + (f", n at least {fewest}" if fewest else ""),
-        hint=hint,
-    )
+        what or "an array that does not fit", where=where, found=f"shape {found.shape}{bad}",
+        expected=f"{'' if lost else 'finite '}{words}" + (f", n at least {fewest}" if fewest else ""), hint=hint,
+    )  # fmt: skip
 
 
 def _alike(wanted: int | None, length: int) -> bool:

@@ -81,13 +81,10 @@ def published(pair: Any, layers: Any) -> None:
 
 def _impossible(where: str, found: str, expected: str) -> InputError:
     return InputError(
-        "these element and node counts cannot be one conforming mesh",
-        where=where,
-        found=found,
+        "these element and node counts cannot be one conforming mesh", where=where, found=found,
         expected=expected + " (Euler's formula)",
-        hint="do not rebuild a mesh from published counts: give size and pitch, or the mesh file",
-        code="LID-E110",
-    )
+        hint="do not rebuild a mesh from published counts: give size and pitch, or the mesh file", code="LID-E110",
+    )  # fmt: skip
 
 
 def modulus(E: float) -> Flag | None:
@@ -226,12 +223,10 @@ def tangential(optics_known: bool, normal_known: bool, *, allow: Sequence[str] =
 def not_tangential(missing: Sequence[str]) -> InputError:
     """E603 as an error to raise, with what is not known."""
     return InputError(
-        f"tangential motion cannot be told from the image: {PROJECTION}",
-        where="tangential motion",
+        f"tangential motion cannot be told from the image: {PROJECTION}", where="tangential motion",
         found=f"not known: {' and '.join(missing)}",
-        hint=Advice(f"{CALIBRATE}; ", Spelling("allow=['E603']", "--allow E603"), " overrides"),
-        code="LID-E603",
-    )
+        hint=Advice(f"{CALIBRATE}; ", Spelling("allow=['E603']", "--allow E603"), " overrides"), code="LID-E603",
+    )  # fmt: skip
 
 
 def vanished(markers: int, lost: int, rejected: int, unmatched: int) -> Flag | None:

@@ -346,12 +346,10 @@ class Mindlin:
         limit = f * self.hertz.force
         if not 0 <= Q <= limit * (1 + 1e-12):
             raise InputError(
-                "friction cannot hold this shear",
-                where="Mindlin",
-                found=f"{Q:g} N",
+                "friction cannot hold this shear", where="Mindlin", found=f"{Q:g} N",
                 expected=f"0 to {limit:g} N (friction x force)",
                 hint="above that the contact slides: use Press(shear=...) with shear = friction x force",
-            )
+            )  # fmt: skip
         object.__setattr__(self, "friction", f)
         object.__setattr__(self, "shear", min(Q, limit))
 

@@ -40,11 +40,9 @@ def point_forces(ground: HalfSpace, offsets: ArrayLike) -> Array:
     r = np.sqrt(x**2 + y**2 + d**2)
     if not r.all():
         raise InputError(
-            "the motion under a point force has no bound",
-            where="offsets",
-            found="a distance of 0",
+            "the motion under a point force has no bound", where="offsets", found="a distance of 0",
             hint="spread the force over a patch (tactile.closed.halfspace) or a press",
-        )
+        )  # fmt: skip
     nu, m, s = ground.nu, 1 - 2 * ground.nu, r + d
     found = np.empty((*r.shape, 3, 3))
     found[..., 0, 0] = 1 / r + x**2 / r**3 + m * (1 / s - x**2 / (r * s**2))
@@ -65,11 +63,9 @@ def split(offsets: ArrayLike) -> tuple[Array, Array, Array]:
     found = reals(offsets, where="offsets")
     if found.ndim == 0 or found.shape[-1] not in (2, 3) or not np.isfinite(found).all():
         raise InputError(
-            "offsets must be finite, two or three coordinates each",
-            where="offsets",
-            found=f"an array of shape {found.shape}",
-            expected="(..., 2) or (..., 3), in metres",
-        )
+            "offsets must be finite, two or three coordinates each", where="offsets",
+            found=f"an array of shape {found.shape}", expected="(..., 2) or (..., 3), in metres",
+        )  # fmt: skip
     d = -found[..., 2] if found.shape[-1] == 3 else np.zeros(found.shape[:-1])
     if (d < 0).any():
         raise InputError("points above the half-space", where="z", found=-float(d.min()), expected="z <= 0")
@@ -199,10 +195,8 @@ def thin_pad(
         return Flag("W601", Evidence("contact radius / thickness", ratio, WARN), message, advice)
     if "LID-E602" not in {canonical(code) for code in ([allow] if isinstance(allow, str) else allow)}:
         raise NotIdentifiable(
-            f"{message}, above {REFUSE:g}",
-            advice=f'{advice}; allow=("E602",) uses it all the same',
-            code="LID-E602",
-        )
+            f"{message}, above {REFUSE:g}", advice=f'{advice}; allow=("E602",) uses it all the same', code="LID-E602",
+        )  # fmt: skip
     return Flag(
         "E602", Evidence("contact radius / thickness", ratio, REFUSE), message + ", allowed by the user", advice
     )

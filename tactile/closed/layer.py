@@ -151,12 +151,9 @@ class _Ground:
         nu = real(self.nu)
         if nu is None or not -1 < nu <= 0.5:
             raise InputError(
-                "Poisson's ratio is not possible",
-                where=where,
-                found=shown(self.nu),
-                expected="-1 < nu <= 0.5",
+                "Poisson's ratio is not possible", where=where, found=shown(self.nu), expected="-1 < nu <= 0.5",
                 hint="elastomers have 0.45 to 0.5; one published gel 0.3223",
-            )
+            )  # fmt: skip
         object.__setattr__(self, "nu", nu)
 
     @property
@@ -270,11 +267,9 @@ class Layer(_Ground):
         k = np.hypot(kx, ky)
         if self.nu == 0.5 and not k.all():
             raise InputError(
-                "an incompressible bonded layer has no finite stiffness at k = 0",
-                where="Layer.stiffness",
-                found="nu = 0.5, k = 0",
-                hint="use the compliance, or leave k = 0 out",
-            )
+                "an incompressible bonded layer has no finite stiffness at k = 0", where="Layer.stiffness",
+                found="nu = 0.5, k = 0", hint="use the compliance, or leave k = 0 out",
+            )  # fmt: skip
         x, still = k * self.h, k == 0
         x = np.where(still, 1.0, x)
         p = parts(x, self.nu)
@@ -328,11 +323,9 @@ class HalfSpace(_Ground):
             raise InputError("a height above the half-space", where="z", found=z, expected="z <= 0: a depth is -z")
         if not k.all():
             raise InputError(
-                "a half-space has no finite mean displacement",
-                where="HalfSpace",
-                found="k = 0",
+                "a half-space has no finite mean displacement", where="HalfSpace", found="k = 0",
                 hint="leave k = 0 out, or use a Layer, whose base stands still",
-            )
+            )  # fmt: skip
         q, nu = -k * z, self.nu
         a = np.exp(-q) / (2 * self.mu * k)
         return Components(
@@ -362,10 +355,7 @@ def _height(z: Any, h: float) -> float:
     found = number("z", z, where="Layer", unit="m")
     if not -1e-9 * h <= found <= (1 + 1e-9) * h:
         raise InputError(
-            "a height outside the layer",
-            where="z",
-            found=found,
-            expected=f"0 (the base) to {h:g} m (the surface)",
+            "a height outside the layer", where="z", found=found, expected=f"0 (the base) to {h:g} m (the surface)",
             hint="heights are in metres above the bonded base",
-        )
+        )  # fmt: skip
     return min(max(found, 0.0), h)

@@ -206,12 +206,10 @@ def _places(ground: Layer | HalfSpace, r: ArrayLike, z: ArrayLike | None) -> tup
     bottom, slack = (0.0, 1e-9 * ground.h) if isinstance(ground, Layer) else (-np.inf, 0.0)
     if r.size and (z.min() < bottom - slack or z.max() > ground.top + slack):
         raise InputError(
-            "points outside the body",
-            where="z",
-            found=f"{z.min():g} to {z.max():g} m",
+            "points outside the body", where="z", found=f"{z.min():g} to {z.max():g} m",
             expected=f"{bottom:g} to {ground.top:g} m",
             hint="z is the height above the bonded base of a layer, and minus the depth in a half-space",
-        )
+        )  # fmt: skip
     return np.abs(r), np.clip(z, bottom, ground.top)
 
 

@@ -212,11 +212,9 @@ def polygon_means(profile: Profile, corners: Array) -> Array:
     area = cross.sum(axis=1) / 2
     if not (area > 0).all():
         raise InputError(
-            "a cell has no area, or its corners run clockwise",
-            where="cells",
-            found=f"{np.count_nonzero(~(area > 0))} of {len(area)}",
-            expected="corners counter-clockwise",
-        )
+            "a cell has no area, or its corners run clockwise", where="cells",
+            found=f"{np.count_nonzero(~(area > 0))} of {len(area)}", expected="corners counter-clockwise",
+        )  # fmt: skip
     low, high = _inside(start, end)
     first, last = start + low[..., None] * (end - start), start + high[..., None] * (end - start)
     last = np.where((high == 1)[..., None], end, last)  # rounding at the axis of the press would be an angle of its own

@@ -177,11 +177,9 @@ def noise_std(
 def _one(layer: Layer, component: str, k: Array) -> Array:
     if component not in NAMES:
         raise InputError(
-            "no component of the compliance",
-            where="component",
-            found=shown(component),
+            "no component of the compliance", where="component", found=shown(component),
             expected=", ".join(f"{name} ({what})" for name, what in NAMES.items()),
-        )
+        )  # fmt: skip
     return np.asarray(getattr(layer.components(k), component))
 
 

@@ -106,12 +106,10 @@ def resultant_errors(found: Any, truth: Any, labels: tuple[str, ...] = LABELS) -
     a, b = finite(found, "found"), finite(truth, "truth")
     if a.shape != b.shape or a.ndim != 2 or len(a) < 2 or not 1 <= a.shape[1] <= len(labels):
         raise InputError(
-            "resultants over frames do not fit",
-            where="metrics.resultant_errors",
-            found=f"{a.shape} and {b.shape}",
+            "resultants over frames do not fit", where="metrics.resultant_errors", found=f"{a.shape} and {b.shape}",
             expected=f"both (frames, {len(labels)}) or fewer columns, at least two frames",
             hint="metrics.resultant(forces, points) gives one row for each frame",
-        )
+        )  # fmt: skip
     e = a - b
     reach = np.ptp(b, axis=0)
     rms = np.sqrt(np.mean(e**2, axis=0))
@@ -382,12 +380,10 @@ def to_cells(forces: Any, points: ArrayLike, size: tuple[float, float], shape: t
     out = np.abs(x) > half * (1 + 1e-9)
     if out.any():
         raise InputError(
-            f"{int(out.any(axis=1).sum())} nodes lie outside the grid",
-            where="metrics.to_cells",
-            found=f"points to {np.abs(x).max(axis=0)} m from the centre",
-            expected=f"at most {half} m",
+            f"{int(out.any(axis=1).sum())} nodes lie outside the grid", where="metrics.to_cells",
+            found=f"points to {np.abs(x).max(axis=0)} m from the centre", expected=f"at most {half} m",
             hint="give the size of the whole pad",
-        )
+        )  # fmt: skip
     ny, nx = shape
     column = np.clip(((x[:, 0] + half[0]) / (2 * half[0]) * nx).astype(int), 0, nx - 1)
     row = np.clip(((x[:, 1] + half[1]) / (2 * half[1]) * ny).astype(int), 0, ny - 1)

@@ -41,12 +41,10 @@ def field(values: Any, name: str) -> Array:
     array = array[:, None] if array.ndim == 1 else array
     if array.ndim != 2 or not array.size or array.shape[1] > 3:
         raise InputError(
-            f"{name} is no map",
-            where="metrics",
-            found=f"shape {array.shape}",
+            f"{name} is no map", where="metrics", found=f"shape {array.shape}",
             expected="(points, 3), or (points,) of one component",
             hint="reshape a flat vector of three components per point with .reshape(-1, 3)",
-        )
+        )  # fmt: skip
     return array
 
 
@@ -58,12 +56,9 @@ def pair(found: Any, truth: Any) -> tuple[Array, Array]:
     a, b = field(found, "found"), field(truth, "truth")
     if a.shape != b.shape:
         raise InputError(
-            "estimate and truth are on different points",
-            where="metrics",
-            found=a.shape,
-            expected=b.shape,
+            "estimate and truth are on different points", where="metrics", found=a.shape, expected=b.shape,
             hint="evaluate the truth at the nodes of the estimate",
-        )
+        )  # fmt: skip
     if not np.any(b):
         raise InputError(
             "the truth is zero everywhere", where="metrics, truth", found="no load", expected="a load",

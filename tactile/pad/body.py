@@ -78,12 +78,10 @@ class PadOutline:
         assert self.cells is not None
         if self.cells.shape != counts[::-1]:
             raise InputError(
-                "the mask does not fit the cells of the pad",
-                where="Pad, outline",
-                found=f"shape {self.cells.shape}",
+                "the mask does not fit the cells of the pad", where="Pad, outline", found=f"shape {self.cells.shape}",
                 expected=f"{counts[::-1]}: cells along y, cells along x",
                 hint="the pitch or elements of the pad decide how many cells there are",
-            )
+            )  # fmt: skip
         return self.cells
 
 
@@ -121,11 +119,9 @@ def mask(cells: Any) -> PadOutline:
     found = np.asarray(plain(cells))
     if found.ndim != 2 or found.dtype != bool:
         raise InputError(
-            "no mask of cells",
-            where="outline.mask",
-            found=f"{found.dtype} {found.shape}",
+            "no mask of cells", where="outline.mask", found=f"{found.dtype} {found.shape}",
             expected="truth values (ny, nx)",
-        )
+        )  # fmt: skip
     return PadOutline(cells=found.copy())
 
 
@@ -143,12 +139,9 @@ def inside(corners: Array, points: Array) -> Mask:
 def _rounded(size: tuple[float, float], radius: float) -> Array:
     if radius > min(size) / 2:
         raise InputError(
-            "the corners are rounder than the pad is wide",
-            where="Pad, outline",
-            found=f"radius {radius:g} m",
-            expected=f"at most {min(size) / 2:g} m",
-            hint="the radius is in m",
-        )
+            "the corners are rounder than the pad is wide", where="Pad, outline", found=f"radius {radius:g} m",
+            expected=f"at most {min(size) / 2:g} m", hint="the radius is in m",
+        )  # fmt: skip
     turn = np.linspace(0, np.pi / 2, ARC + 1)
     arc = radius * np.column_stack([np.cos(turn), np.sin(turn)])
     out = []
@@ -183,8 +176,7 @@ def _one_piece(stays: Mask) -> None:
 
 def _fit(places: Array, quads: Index, corners: Array, pitch: float) -> Array:
     """Places with the nodes of the rim moved onto the polygon, as far as the cells stay sound."""
-    sides = np.sort(np.stack([quads.ravel(), np.roll(quads, -1, axis=1).ravel()], axis=1), axis=1)
-    pairs, times = np.unique(sides, axis=0, return_counts=True)
+    pairs, times = edges(quads)
     rim = np.unique(pairs[times == 1])
     target = _nearest(corners, places[rim])
     near = np.linalg.norm(target - places[rim], axis=1) <= REACH * pitch
@@ -203,6 +195,12 @@ def _fit(places: Array, quads: Index, corners: Array, pitch: float) -> Array:
     else:
         share[np.unique(quads[np.any(areas < SOUND * whole, axis=1)])] = 0.0
     return places + share[:, None] * step
+
+
+def edges(faces: Index) -> tuple[Index, Index]:
+    """Sides (n, 2) of polygons, each once with its ends in ascending order, and how many polygons have it."""
+    sides = np.sort(np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()], axis=1), axis=1)
+    return np.unique(sides, axis=0, return_counts=True)
 
 
 def _corner_areas(places: Array, quads: Index) -> Array:
@@ -268,34 +266,25 @@ def divisions(size: tuple[float, float], thickness: float, pitch: Any, elements:
     """
     if pitch is not None and elements is not None:
         raise InputError(
-            "two divisions of one pad",
-            where="Pad",
-            found=f"pitch={pitch!r} and elements={elements!r}",
-            expected="one of the two",
-            hint="pitch=1e-3, for example",
-        )
+            "two divisions of one pad", where="Pad", found=f"pitch={pitch!r} and elements={elements!r}",
+            expected="one of the two", hint="pitch=1e-3, for example",
+        )  # fmt: skip
     if elements is not None:
         found = list(elements) if isinstance(elements, tuple | list) else []
         if len(found) != 2:
             raise InputError(
-                "elements must be two integers",
-                where="Pad, elements",
-                found=repr(elements),
-                expected="cells along x and along y",
-                hint="elements=(20, 16); layers= divides the thickness",
-            )
+                "elements must be two integers", where="Pad, elements", found=repr(elements),
+                expected="cells along x and along y", hint="elements=(20, 16); layers= divides the thickness",
+            )  # fmt: skip
         nx, ny = (integer("elements", n, where="Pad, elements", limit=CELLS) for n in found)
         return nx, ny
     step = thickness / 4 if pitch is None else positive("the pitch", pitch, where="Pad", unit="m")
     counts = [max(1, round(side / step)) for side in size]
     if max(counts) > CELLS:
         raise InputError(
-            "too many cells",
-            where="Pad, pitch",
-            found=f"{counts[0]} x {counts[1]} cells of {step:g} m",
-            expected=f"at most {CELLS} along a side",
-            hint="pitch is in m: 1e-3 is a millimetre",
-        )
+            "too many cells", where="Pad, pitch", found=f"{counts[0]} x {counts[1]} cells of {step:g} m",
+            expected=f"at most {CELLS} along a side", hint="pitch is in m: 1e-3 is a millimetre",
+        )  # fmt: skip
     return counts[0], counts[1]
 
 

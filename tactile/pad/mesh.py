@@ -17,7 +17,7 @@ from structures.errors import InputError, positive, shown
 from structures.flags import canonical
 
 from ..arrays import Array, Index
-from .body import Body, extruded, locking_allowed, polygon
+from .body import Body, edges, extruded, locking_allowed, polygon
 from .meshfiles import MeshFile
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
@@ -134,24 +134,20 @@ def placed(
         low = np.all(np.isin(boundary, held), axis=1)
     if not len(held):
         raise InputError(
-            "the mesh has no flat base to bond",
-            where=file.path,
-            found="no face in its lowest plane",
+            "the mesh has no flat base to bond", where=file.path, found="no face in its lowest plane",
             expected="a flat end opposite to the loaded surface",
             hint='base="NAME" of a node set, or axis="+Z" for the outward direction of the surface',
-        )
+        )  # fmt: skip
     if top is None:
         faces = boundary[(normals[:, 2] > 0.5) & ~low]
     else:
         faces = boundary[np.all(np.isin(boundary, file.named(top)), axis=1) & ~low]
     if not len(faces):
         raise InputError(
-            "the mesh has no loaded surface",
-            where=file.path,
-            found="no face of the boundary",
+            "the mesh has no loaded surface", where=file.path, found="no face of the boundary",
             expected="faces that look along the axis, or all of whose nodes are in the set",
             hint="name the node set of the whole surface, sides and corners included",
-        )
+        )  # fmt: skip
     _disc(faces, file.path, allow)
     lower, upper = nodes[held].min(axis=0), nodes[held].max(axis=0)
     origin = np.array([(lower[0] + upper[0]) / 2, (lower[1] + upper[1]) / 2, nodes[:, 2].min()])
@@ -214,18 +210,14 @@ def _disc(faces: Index, path: str, allow: Sequence[str]) -> None:
     found = _characteristic(faces)
     if found != 1 and "LID-E110" not in {canonical(code) for code in allow}:
         raise InputError(
-            "the loaded surface is not one piece without holes",
-            where=path,
-            found=f"vertices - edges + faces = {found} over {len(faces)} faces",
-            expected="1 (Euler's formula)",
-            hint="name its node set with top=, or take it with allow=('E110',)",
-            code="LID-E110",
-        )
+            "the loaded surface is not one piece without holes", where=path,
+            found=f"vertices - edges + faces = {found} over {len(faces)} faces", expected="1 (Euler's formula)",
+            hint="name its node set with top=, or take it with allow=('E110',)", code="LID-E110",
+        )  # fmt: skip
 
 
 def _characteristic(faces: Index) -> int:
-    sides = np.sort(np.stack([faces.ravel(), np.roll(faces, -1, axis=1).ravel()], axis=1), axis=1)
-    return len(np.unique(faces)) - len(np.unique(sides, axis=0)) + len(faces)
+    return len(np.unique(faces)) - len(edges(faces)[0]) + len(faces)
 
 
 def _scale(file: MeshFile, unit: str | None) -> tuple[float, str]:
@@ -304,10 +296,8 @@ def _rim(mesh: PadMesh) -> Array:
         at = follows.get(at, -1)
     if at != start or len(set(ring)) != len(ring) or len(ring) < 3:
         raise InputError(
-            "the base of the mesh has no outline of one piece",
-            where=mesh.source,
-            found=f"{len(follows)} sides on its rim",
-            expected="one closed ring",
+            "the base of the mesh has no outline of one piece", where=mesh.source,
+            found=f"{len(follows)} sides on its rim", expected="one closed ring",
             hint="leave pitch= out: the mesh is then used as it is",
-        )
+        )  # fmt: skip
     return mesh.nodes[ring][:, :2]

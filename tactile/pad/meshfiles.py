@@ -55,12 +55,10 @@ class MeshFile:
         found = self.sets.get(str(name).upper())
         if found is None:
             raise InputError(
-                "the mesh file has no such node set",
-                where=self.path,
-                found=repr(name),
+                "the mesh file has no such node set", where=self.path, found=repr(name),
                 expected=", ".join(sorted(self.sets)) or "it has no node sets",
                 hint="leave base and top out: they are found by the shape of the pad",
-            )
+            )  # fmt: skip
         return found
 
 
@@ -87,12 +85,9 @@ def read(path: str | os.PathLike[str]) -> MeshFile:
     if suffix.lower() in (".npz", ".h5", ".hdf5"):
         return _arrays(place)
     raise InputError(
-        "no mesh format that is read here",
-        where=str(place),
-        found=suffix or "no suffix",
-        expected=".inp, .inp.gz, .npz, .h5, .hdf5",
-        hint="meshio converts others to Abaqus .inp",
-    )
+        "no mesh format that is read here", where=str(place), found=suffix or "no suffix",
+        expected=".inp, .inp.gz, .npz, .h5, .hdf5", hint="meshio converts others to Abaqus .inp",
+    )  # fmt: skip
 
 
 def _text(path: Path) -> str:
@@ -113,20 +108,16 @@ def _arrays(path: Path) -> MeshFile:
     nodes, cells = container.array("nodes"), container.array("cells")
     if nodes is None or cells is None or cells.ndim != 2:
         raise InputError(
-            "the file holds no mesh",
-            where=str(path),
+            "the file holds no mesh", where=str(path),
             found=f"nodes {None if nodes is None else nodes.shape}, cells {None if cells is None else cells.shape}",
-            expected="arrays nodes (nodes, 3) and cells (cells, 8 or 10)",
-            hint="np.savez(path, nodes=..., cells=...)",
-        )
+            expected="arrays nodes (nodes, 3) and cells (cells, 8 or 10)", hint="np.savez(path, nodes=..., cells=...)",
+        )  # fmt: skip
     kind = next((name for name, cell in CELLS.items() if cell.nodes == cells.shape[1]), "")
     if not kind or cells.dtype.kind not in "iu":
         raise InputError(
-            "cells of no known kind",
-            where=f"{path}, cells",
-            found=f"{cells.dtype} {cells.shape}",
+            "cells of no known kind", where=f"{path}, cells", found=f"{cells.dtype} {cells.shape}",
             expected="integers, 8 or 10 to a cell",
-        )
+        )  # fmt: skip
     return MeshFile(str(path), np.asarray(nodes, float), cells.astype(np.intp), kind, np.arange(len(nodes)))
 
 
@@ -208,12 +199,10 @@ class _Inp:
         kinds = [kind for kind, table in self.cells.items() if table]
         if not self.nodes or len(kinds) != 1:
             raise InputError(
-                "the file holds no mesh of one kind of solid cells",
-                where=self.path,
+                "the file holds no mesh of one kind of solid cells", where=self.path,
                 found=f"{len(self.nodes)} nodes, cells of {', '.join(kinds) or 'no kind'}",
-                expected="*NODE, and *ELEMENT, TYPE=C3D8 or C3D10",
-                hint="write the gel alone, without the indenter",
-            )
+                expected="*NODE, and *ELEMENT, TYPE=C3D8 or C3D10", hint="write the gel alone, without the indenter",
+            )  # fmt: skip
         names = np.array(sorted(self.nodes), np.intp)
         place = {int(n): i for i, n in enumerate(names)}
         table = self.cells[kinds[0]]
@@ -240,12 +229,9 @@ class _Inp:
         self, what: str, at: int, line: str, expected: str = "numbers with commas between", found: str = ""
     ) -> NoReturn:
         raise InputError(
-            what,
-            where=f"{self.path}, line {at}" if at else self.path,
-            found=found or repr(line[:60]),
-            expected=expected,
-            hint="an Abaqus or CalculiX input file with *NODE and *ELEMENT",
-        )
+            what, where=f"{self.path}, line {at}" if at else self.path, found=found or repr(line[:60]),
+            expected=expected, hint="an Abaqus or CalculiX input file with *NODE and *ELEMENT",
+        )  # fmt: skip
 
 
 def _sections(text: str) -> Iterator[tuple[int, str, dict[str, str], list[tuple[int, str]]]]:

@@ -24,7 +24,7 @@ from .. import guards
 from ..arrays import Index, Mask
 from ..closed.layer import Layer
 from . import meshfiles
-from .body import Body, rectangle
+from .body import Body, edges, rectangle
 from .mesh import placed, rebuilt
 from .padfile import SensorFile, read
 from .stiffness import Loaded
@@ -222,12 +222,9 @@ class Pad(Loaded):
     @cached_property
     def edge(self) -> Mask:
         """Whether a surface node lies on the rim (P,)."""
-        cells = self.surface.cells
-        pairs = np.sort(np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], axis=1), axis=1)
-        pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-        sides, times = np.unique(pairs, axis=0, return_counts=True)
+        sides, times = edges(self.surface.cells)
         out = np.zeros(self.points, bool)
-        out[sides[times == 1].ravel()] = True
+        out[sides[(times == 1) & (sides[:, 0] != sides[:, 1])].ravel()] = True
         return out
 
     @cached_property
@@ -246,10 +243,8 @@ class Pad(Loaded):
         """
         if self._quadratic:
             raise InputError(
-                "ten-node tetrahedra have no load basis",
-                where="Pad, basis",
-                found=repr(self.mesh),
+                "ten-node tetrahedra have no load basis", where="Pad, basis", found=repr(self.mesh),
                 expected="hexahedra",
                 hint="Pad.from_mesh(file, pitch=) rebuilds the body from bricks; solve and transfer serve both",
-            )
+            )  # fmt: skip
         return bases.nodal(self.structure, self.surface, components=("+X", "+Y", "+Z"))

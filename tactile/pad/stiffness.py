@@ -331,12 +331,9 @@ class Loaded:
         names = str(components).upper()
         if not names or any(name not in AXES for name in names) or len(set(names)) != len(names):
             raise InputError(
-                "no components of a motion",
-                where="Pad.transfer, components",
-                found=repr(components),
-                expected='some of "XYZ", each once',
-                hint='"XY" for markers whose normal motion is not seen',
-            )
+                "no components of a motion", where="Pad.transfer, components", found=repr(components),
+                expected='some of "XYZ", each once', hint='"XY" for markers whose normal motion is not seen',
+            )  # fmt: skip
         rows = self.rows(points)
         kept = (np.arange(0, rows.shape[0], 3)[:, None] + [AXES.index(name) for name in names]).ravel()
         if not self._quadratic and ("_condensed" in self.__dict__ or len(kept) > self.dofs.size // 4):

@@ -265,12 +265,9 @@ class ForceMap(LoadEstimate):
         found = LoadEstimate.read(path)
         if found.geometry is None or "resultant_covariance" not in found.geometry:
             raise InputError(
-                "this result is no force map",
-                where=str(path),
-                found="a load estimate",
-                expected="what a tactile sensor saved",
-                hint="loadid.LoadEstimate.read reads it",
-            )
+                "this result is no force map", where=str(path), found="a load estimate",
+                expected="what a tactile sensor saved", hint="loadid.LoadEstimate.read reads it",
+            )  # fmt: skip
         return cls(**{f.name: getattr(found, f.name) for f in fields(LoadEstimate)})
 
     # -- inside -------------------------------------------------------------------------------------------------------

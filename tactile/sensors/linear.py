@@ -165,12 +165,9 @@ class LinearSensor(MarkedSensor):
         left = int(np.sum(np.isfinite(y[:count]))) // len(self.markers.axes)
         if left < FEWEST:
             raise InputError(
-                "too few markers are left in this frame",
-                where="frame",
-                found=left,
-                expected=f"at least {FEWEST}",
+                "too few markers are left in this frame", where="frame", found=left, expected=f"at least {FEWEST}",
                 hint="look at the image: light, focus, occlusion",
-            )
+            )  # fmt: skip
         return self._at_once(y, wrench, flags) if self.frozen else self._thorough(y, wrench, flags)
 
     def calibrate(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Calibration:
@@ -191,12 +188,9 @@ class LinearSensor(MarkedSensor):
             seen = np.asarray(np.isfinite(np.array(listed)).all(axis=0))
         if np.sum(seen[: self.markers.readings_count]) < FEWEST * len(self.markers.axes):
             raise InputError(
-                "no frames to calibrate with",
-                where="calibrate",
-                found=f"{len(listed)} frames",
-                expected="presses in which the same markers are seen",
-                hint="press where few markers vanish",
-            )
+                "no frames to calibrate with", where="calibrate", found=f"{len(listed)} frames",
+                expected="presses in which the same markers are seen", hint="press where few markers vanish",
+            )  # fmt: skip
         self._quick = {}
         self.__dict__.pop("_provenance", None)
         self.family.calibration = None

@@ -298,12 +298,10 @@ class Depths:
         inside = Averaging.over(self.template, self.points, self.width).covered > COVERED
         if not inside.any():
             raise InputError(
-                "the depth map does not lie on the pad",
-                where="depth",
-                found=f"{self.template.axes}",
+                "the depth map does not lie on the pad", where="depth", found=f"{self.template.axes}",
                 expected="pixels over the surface",
                 hint=Advice(Spelling("centre=", "in the pad file, [depth] centre"), " places it"),
-            )
+            )  # fmt: skip
         object.__setattr__(self, "points", np.asarray(self.points, float)[inside])
         object.__setattr__(self, "inside", inside)
 

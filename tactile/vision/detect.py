@@ -96,11 +96,9 @@ class Detector:
         object.__setattr__(self, "threshold", positive("threshold", self.threshold, where="Detector"))
         if self.pitch < 2 * self.radius:
             raise InputError(
-                "the dots overlap",
-                where="Detector",
-                found=f"radius {self.radius:g} px, pitch {self.pitch:g} px",
+                "the dots overlap", where="Detector", found=f"radius {self.radius:g} px, pitch {self.pitch:g} px",
                 expected="a pitch of at least two radii",
-            )
+            )  # fmt: skip
         one_of(self.method, COARSEST, where="method", what="unknown method of detection")
         backend(self.backend)
 
@@ -298,12 +296,10 @@ def size_of_dots(
     found = Detector(r, WINDOW * r, dark, backend=backend)(picture)
     if len(found.points) < 3:
         raise InputError(
-            "no pattern of dots in the image",
-            where=where,
-            found=f"{len(found.points)} {'dark' if dark else 'bright'} dots",
-            expected="at least three",
+            "no pattern of dots in the image", where=where,
+            found=f"{len(found.points)} {'dark' if dark else 'bright'} dots", expected="at least three",
             hint=Advice(BRIGHT, SIZE),
-        )
+        )  # fmt: skip
     return r, max(found.pitch, 2 * r)
 
 

@@ -36,12 +36,10 @@ def read_stack(path: Path, key: str | None = None) -> np.ndarray:
         raise
     except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, NotImplementedError) as error:
         raise InputError(
-            "the file cannot be read",
-            where=str(path),
-            found=str(error)[:200],
+            "the file cannot be read", where=str(path), found=str(error)[:200],
             expected="arrays of numbers, undamaged and without Python objects",
             hint="export it again with numpy.save or numpy.savez of plain arrays; objects are never unpickled",
-        ) from None
+        ) from None  # fmt: skip
 
 
 def _member(archive: Any, path: Path, key: str | None) -> str:
@@ -55,12 +53,10 @@ def _member(archive: Any, path: Path, key: str | None) -> str:
         images = eight or images
     if len(images) != 1:
         raise InputError(
-            "no images in the archive" if not images else "several arrays may be the images",
-            where=str(path),
-            found=", ".join(images or archive.files),
-            expected="one array (T, H, W), (T, H, W, 3) or one image",
+            "no images in the archive" if not images else "several arrays may be the images", where=str(path),
+            found=", ".join(images or archive.files), expected="one array (T, H, W), (T, H, W, 3) or one image",
             hint=Advice(Spelling("key= names it", "save the images alone in a file")),
-        )
+        )  # fmt: skip
     return str(images[0])
 
 
@@ -72,11 +68,9 @@ def _may_be_images(array: np.ndarray) -> bool:
 def _checked(array: np.ndarray, path: Path) -> np.ndarray:
     if array.dtype.kind not in PIXELS or array.ndim < 2:
         raise InputError(
-            "no images",
-            where=str(path),
-            found=f"{array.dtype} of shape {array.shape}",
+            "no images", where=str(path), found=f"{array.dtype} of shape {array.shape}",
             expected="numbers, (T, H, W), (T, H, W, 3) or one image",
-        )
+        )  # fmt: skip
     return array
 
 
@@ -107,12 +101,10 @@ def _opened(cv2: Any, path: Path) -> Any:
         capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
         raise InputError(
-            "the video cannot be read",
-            where=str(path),
-            found=f"{path.stat().st_size} bytes",
+            "the video cannot be read", where=str(path), found=f"{path.stat().st_size} bytes",
             expected="a video that OpenCV can decode",
             hint="convert it with ffmpeg, or export its frames as PNG images into a folder",
-        )
+        )  # fmt: skip
     return capture
 
 
@@ -144,12 +136,10 @@ def _images(cv2: Any, capture: Any, path: Path, count: int) -> Iterator[np.ndarr
         capture.release()
     if delivered == 0 or delivered < count - 1:  # a container without an index may state one too many
         raise InputError(
-            "the video ends early",
-            where=f"{path}: frame {delivered + 1}",
-            found=f"{delivered} frames",
+            "the video ends early", where=f"{path}: frame {delivered + 1}", found=f"{delivered} frames",
             expected=f"{count} frames, as the file states" if count > 0 else "at least one",
             hint="transfer it again; the frames before may be used",
-        )
+        )  # fmt: skip
 
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm")
@@ -196,12 +186,10 @@ class Frames:
         self._size = self._size or found.shape
         if found.shape != self._size:
             raise InputError(
-                "a frame of another size",
-                where=where,
-                found=f"{found.shape[1]} x {found.shape[0]} px",
+                "a frame of another size", where=where, found=f"{found.shape[1]} x {found.shape[0]} px",
                 expected=f"{self._size[1]} x {self._size[0]} px, as the first",
                 hint="frames of one camera at one setting make a sequence: split it where the size changes",
-            )
+            )  # fmt: skip
         self.delivered += 1
         return found
 
@@ -251,11 +239,9 @@ def _from_path(path: Path, key: str | None) -> Frames:
     if suffix in IMAGES:
         return Frames([read_image(path)], name=path.name, count=1)
     raise InputError(
-        "no frames in a file of this kind",
-        where=str(path),
-        found=suffix or "no suffix",
+        "no frames in a file of this kind", where=str(path), found=suffix or "no suffix",
         expected=", ".join((".npy", ".npz", *IMAGES, *VIDEOS)),
-    )
+    )  # fmt: skip
 
 
 def _from_folder(folder: Path) -> Frames:

@@ -111,11 +111,9 @@ def backend(name: str | None = None) -> Backend:
     one_of(name, NAMES, where="backend", what="unknown image backend")
     if name == "cv2" and not installed():
         raise InputError(
-            "OpenCV is not installed",
-            where="backend",
-            found="backend='cv2'",
+            "OpenCV is not installed", where="backend", found="backend='cv2'",
             hint='pip install "loadid[vision]", or leave backend out: scipy finds the same dots, more slowly',
-        )
+        )  # fmt: skip
     return _opencv() if name == "cv2" else _scipy()
 
 

@@ -121,12 +121,9 @@ class Interpolation:
         used = np.all(np.isfinite(markers), axis=1)
         if used.sum() < FEWEST:
             raise InputError(
-                "too few markers to interpolate",
-                where="markers",
-                found=f"{used.sum()} of {len(used)} seen",
-                expected=f"at least {FEWEST}",
-                hint="a frame that lost its markers holds no displacement: leave it out",
-            )
+                "too few markers to interpolate", where="markers", found=f"{used.sum()} of {len(used)} seen",
+                expected=f"at least {FEWEST}", hint="a frame that lost its markers holds no displacement: leave it out",
+            )  # fmt: skip
         if not np.isfinite(nodes).all():
             raise InputError("nodes hold NaN", where="nodes", expected="finite coordinates")
         inside, corners, weights = _triangles(markers[used], nodes)

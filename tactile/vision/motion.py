@@ -141,11 +141,9 @@ def read_motions(source: str | Path | ArrayLike, *, rest: int = 0) -> MarkerMoti
     if found is not None:
         return replace(found, flags=(*flags, *found.flags))
     raise InputError(
-        "no marker motion",
-        where=str(path),
-        found=",".join(header) or f"{table.shape[1]} columns without a header",
+        "no marker motion", where=str(path), found=",".join(header) or f"{table.shape[1]} columns without a header",
         expected="the header frame,id,x,y[,z], or seven columns frame,row,col,Ox,Oy,Cx,Cy without one",
-    )
+    )  # fmt: skip
 
 
 def _from_array(x: Array, rest: int, where: str) -> MarkerMotions:
@@ -251,12 +249,9 @@ def _whole(column: Array, name: str, where: str) -> NDArray[np.int64]:
 def _enough(count: int, where: str) -> None:
     if count < FEWEST:
         raise InputError(
-            "too few markers at rest",
-            where=where,
-            found=count,
-            expected=f"at least {FEWEST}",
+            "too few markers at rest", where=where, found=count, expected=f"at least {FEWEST}",
             hint=Advice(Spelling("rest= names the unloaded frame", "begin with a frame of the unloaded pad")),
-        )
+        )  # fmt: skip
 
 
 NORMAL = 1.4826  # standard deviation over median absolute deviation of a normal law

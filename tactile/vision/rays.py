@@ -243,11 +243,9 @@ class Window:
         depth = self.depth + height[:, None]
         if not (depth > 0).all() and not (depth == 0).all():
             raise InputError(
-                "a marker lies on the face of the window or outside",
-                where="height",
-                found=f"{float(height.min()):g} m",
-                expected=f"above {-self.depth:g} m",
-            )
+                "a marker lies on the face of the window or outside", where="height",
+                found=f"{float(height.min()):g} m", expected=f"above {-self.depth:g} m",
+            )  # fmt: skip
         t, n2 = np.zeros_like(radius), self.gamma**2
         for _ in range(ITERATIONS):
             root = np.sqrt(n2 + (n2 - 1) * t**2)
@@ -271,9 +269,7 @@ def _index(gamma: float) -> float:
     found = positive("gamma", gamma, where="index of refraction")
     if found < 1:
         raise InputError(
-            "an index below 1",
-            where="gamma",
-            found=found,
+            "an index below 1", where="gamma", found=found,
             expected="index of gel and window over that outside, at least 1 (1.4 to air)",
-        )
+        )  # fmt: skip
     return found

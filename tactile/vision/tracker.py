@@ -213,12 +213,9 @@ class MarkerTracker:
         rest = self._dots(reference)
         if len(rest) < FEWEST:
             raise InputError(
-                "too few markers",
-                where="reference frame",
-                found=len(rest),
-                expected=f"at least {FEWEST}",
+                "too few markers", where="reference frame", found=len(rest), expected=f"at least {FEWEST}",
                 hint=Advice(BRIGHT, SIZE),
-            )
+            )  # fmt: skip
         self._rest = rest
         self._around = Neighbourhood(rest)
         self._pattern = rest  # as first seen: what neighbours are compared in
@@ -310,12 +307,9 @@ class MarkerTracker:
         self._size = self._size or np.shape(frame)[:2]
         if np.shape(frame)[:2] != self._size:
             raise InputError(
-                "a frame of another size",
-                where=f"frame {self._frame + 1}",
-                found=np.shape(frame),
-                expected=self._size,
+                "a frame of another size", where=f"frame {self._frame + 1}", found=np.shape(frame), expected=self._size,
                 hint="a tracker follows one camera at one setting; start another one from an unloaded frame",
-            )
+            )  # fmt: skip
         return self.detector(frame).points
 
     def _expected(self, dots: Dots) -> tuple[Array, float]:

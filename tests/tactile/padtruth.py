@@ -1,5 +1,7 @@
 """Truths for the FE pad: plane waves in an endless mesh, and the consistent forces of a round press."""
 
+from functools import cache
+
 import numpy as np
 
 from structures.elements.cells import Brick
@@ -37,7 +39,13 @@ def recovered(kh, nu, *, layers, side, element="bbar", traction=(0.0, 0.0, 1.0),
 
 def consistent(pad, press, sub=20):
     """Consistent nodal forces (P, 3) of a press by fine quadrature of the hats of a regular pad."""
-    (nx, ny), (a, b) = pad.elements, pad.size
+    return _hat_means(tuple(pad.elements), tuple(pad.size), press, sub)
+
+
+@cache
+def _hat_means(elements, size, press, sub):
+    """The same by what it depends on: pads of other materials and layers have the same hats."""
+    (nx, ny), (a, b) = elements, size
     xs, ys = ((np.arange(n * sub) + 0.5) / (n * sub) * s - s / 2 for n, s in ((nx, a), (ny, b)))
     hats = [
         np.clip(1 - np.abs(v[:, None] - np.linspace(-s / 2, s / 2, n + 1)) / (s / n), 0, None)
