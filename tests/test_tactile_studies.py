@@ -139,4 +139,4 @@ class TestSeveralLayers:
             assert table[ridge, noise].metrics.cosine > 0.96
         assert table[ridge, 20e-6].metrics.error < 0.8 * table[four, 20e-6].metrics.error
         assert abs(table[ridge, 2e-6].force_z) < 0.06
-        assert np.all([row.metrics.level == "distribution" for row in table.rows])
+        assert np.all([row.metrics.kind == "distribution" for row in table.rows])
