@@ -395,5 +395,5 @@ def each_frame(family: StaticInversion, given: Readings) -> LoadEstimate:
         residual=np.stack([e.residual for e in singles if e.residual is not None]),
         posterior=FramesPosterior([e.posterior for e in singles]),
         flags=guards.collect([guards.changing_lambda(lams), *unique.values()]),
-        facts={**last.facts, "frames": len(singles)},
+        facts=replace(last.facts, frames=len(singles)),
     )

@@ -25,7 +25,7 @@ from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.problem import whiten
 from ..results.archive import provenance
 from ..results.estimate import LoadEstimate
-from ..results.location import LocationResult, Rival
+from ..results.location import LocationFacts, LocationResult, Rival
 from . import noise as noises
 from .data import Data, gather, health
 from .deconvolution import Deconvolution
@@ -298,21 +298,13 @@ class LocationSearch:
         posed = replace(posed, at=at)
         level = None if posed.sigma is None else float(np.sqrt(residual2 / posed.y.size)) / posed.sigma
         exact = chosen.fitted.exact and all(s[0].fitted.exact for s in solutions)
-        facts = {
-            "m": int(posed.y.size),
-            "n": len(posed.y) * len(best),
-            "candidates": len(self.model.loads),
-            "sensors": len(posed.data.rows),
-            "lambda": self.choice,
-            "edf": sum(posed.fits[j].edf for j in chosen.indices),
-            "residual_to_noise": level,
-            "noise_level": sigma,
-            **posed.noise.source.facts,
-            "path": posed.fits[0].name,
-            "exact": bool(exact),
-            "responses": posed.candidates.how if solutions else "candidates only",
-            "ratio": verdict.ratio,
-        }
+        facts = LocationFacts(
+            path=posed.fits[0].name, m=int(posed.y.size), n=len(posed.y) * len(best),
+            edf=sum(posed.fits[j].edf for j in chosen.indices), lam=self.choice, residual_to_noise=level,
+            noise_level=sigma, **posed.noise.source.facts, candidates=len(self.model.loads),
+            sensors=len(posed.data.rows), exact=bool(exact), ratio=verdict.ratio,
+            responses=posed.candidates.how if solutions else "candidates only",
+        )  # fmt: skip
         result = LocationResult(
             labels=[c.label for c in self.model.loads],
             places=None if grid is None else grid.places,
@@ -363,7 +355,7 @@ class LocationSearch:
             [
                 found_flags.few_sensors(len(data.rows), len(result.best)),
                 found_flags.biased(self.choice),
-                found_flags.place_unexplained(result.facts["residual_to_noise"], result.residual),
+                found_flags.place_unexplained(result.facts.residual_to_noise, result.residual),
                 *found,
                 *model.flags,
                 guards.not_verified(model.certificate),

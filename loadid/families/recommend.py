@@ -232,7 +232,7 @@ def recommend(
     smooth = Deconvolution(model, **settings).estimate(record, dt)
     peaked = [kurtosis(g) for g in smooth.load.T]
     worst = int(np.argmax(peaked))
-    seen = _Seen(peaked[worst], pulse_width(smooth.load[:, worst]), 1 - (smooth.facts.get("peak_bias") or 0.0))
+    seen = _Seen(peaked[worst], pulse_width(smooth.load[:, worst]), 1 - (smooth.facts.peak_bias or 0.0))
     asked = _Asked(model, record, dt, settings, seen, load_class)
     data = gather(record, dt, model, sensors, allow_missing=True)
     problem = pose(model, data, posing(hold, noise, noise_source, ()))
@@ -314,8 +314,8 @@ class _Asked:
             run = self._by(lambda: SparseDeconvolution(self.model, **settings).estimate)
             return self._answer("pulses", family, reason + self._ranked("pulses", criteria), criteria, scores, run)
         spikes = SparseDeconvolution(self.model, **self.settings).estimate(self.record, self.dt)
-        share = float(spikes.facts.get("amplitude_std_with_neighbours", 0.0))
-        reason = f"{self.seen}, and {spikes.facts['support']} spikes of one sample explain it best"
+        share = spikes.facts.amplitude_std_with_neighbours or 0.0
+        reason = f"{self.seen}, and {spikes.facts.support} spikes of one sample explain it best"
         trusted = share <= told.UNSURE and ahead > told.CLEARLY
         if not trusted:
             alike = "" if ahead > told.CLEARLY else f" or as well as pulses (criterion {ahead:.2g} apart)"

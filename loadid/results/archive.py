@@ -135,6 +135,7 @@ def to_tree(e: LoadEstimate) -> dict[str, Any]:
     tree["flags"] = [f.to_dict() for f in e.flags]
     tree["posterior"] = None if e.posterior is None else e.posterior.to_arrays()
     tree["geometry"] = None if e.geometry is None else dict(e.geometry)
+    tree["facts"] = dict(e.facts)
     tree["diagnosis"] = None if e.diagnosis is None else e.diagnosis.to_dict()
     tree["validation"] = None if e.validation is None else e.validation.to_dict()
     tree["spectrum"] = None if e.spectrum is None else e.spectrum.to_dict()

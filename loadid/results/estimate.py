@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from statistics import NormalDist
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ from structures.flags import Flag, canonical, codes
 from structures.model import Certificate
 
 from ..inverse.choice import Choice
+from .facts import Facts
 from .functionals import Functional, functional, resultants
 from .summary import NOT_VERIFIED, summary
 
@@ -95,9 +96,8 @@ class LoadEstimate:
         What was validated, and at which level.
     spectrum : Spectrum, optional
         What every frequency line tells (`loadid.results.functionals`).
-    facts : mapping
-        Numbers that are printed with every result: ``m, n, rank, nullity, kappa, edf, residual_to_noise,
-        resolution`` and what else a family knows.
+    facts : Facts
+        Numbers that are printed with every result (`loadid.results.facts`); a mapping of them is taken too.
 
     Raises
     ------
@@ -125,7 +125,9 @@ class LoadEstimate:
     diagnosis: Any = field(default=None, repr=False)
     validation: Any = None
     spectrum: Any = field(default=None, repr=False)
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: Facts = field(default_factory=Facts)
+
+    kind_of_facts: ClassVar[type[Facts]] = Facts
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -136,7 +138,7 @@ class LoadEstimate:
             put(self, name, tuple(getattr(self, name)))
         put(self, "allowed", tuple(canonical(c) for c in self.allowed))
         put(self, "provenance", MappingProxyType(dict(self.provenance)))
-        put(self, "facts", MappingProxyType(dict(self.facts)))
+        put(self, "facts", self.kind_of_facts.of(self.facts))
         if self.geometry is not None:
             put(self, "geometry", MappingProxyType(dict(self.geometry)))
         _check(self)
@@ -147,7 +149,7 @@ class LoadEstimate:
 
     def __reduce__(self) -> tuple:
         state = {f.name: getattr(self, f.name) for f in fields(self)}
-        views = {k: v if v is None else dict(v) for k in ("provenance", "facts", "geometry") for v in [state[k]]}
+        views = {k: v if v is None else dict(v) for k in ("provenance", "geometry") for v in [state[k]]}
         return _rebuild, (state | views,)
 
     # -- numbers --------------------------------------------------------------------------------------------------

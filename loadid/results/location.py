@@ -15,6 +15,7 @@ from structures.errors import InputError
 from structures.flags import Flag, canonical, codes
 
 from .estimate import LoadEstimate
+from .facts import Facts, fact
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,6 +45,28 @@ class Rival:
     label: str
     ratio: float
     load: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class LocationFacts(Facts):
+    """Facts of a search for a place.
+
+    Parameters
+    ----------
+    candidates, sensors : int
+    exact : bool
+        Every fit was solved to the end.
+    responses : str
+        How responses between candidates were come by, in words.
+    ratio : float
+        Residual norm of the runner-up over that of the best.
+    """
+
+    candidates: int | None = fact()
+    sensors: int | None = fact()
+    exact: bool | None = fact()
+    responses: str | None = fact()
+    ratio: float | None = fact()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,8 +111,10 @@ class LocationResult:
         Codes whose refusal was overridden.
     geometry : mapping
         ``sensors`` (sensors, dim) and ``outline`` (nodes, dim) where known, for pictures.
-    facts, provenance : mapping
-        Numbers and history of the search.
+    facts : LocationFacts
+        Numbers of the search; a mapping of them is taken too.
+    provenance : mapping
+        Its history.
     """
 
     labels: Sequence[str]
@@ -110,7 +135,7 @@ class LocationResult:
     flags: Sequence[Flag] = ()
     allowed: Sequence[str] = ()
     geometry: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: LocationFacts = field(default_factory=LocationFacts)
     provenance: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -127,7 +152,8 @@ class LocationResult:
         put(self, "rivals", tuple(self.rivals))
         put(self, "flags", tuple(self.flags))
         put(self, "allowed", tuple(canonical(c) for c in self.allowed))
-        for name in ("geometry", "facts", "provenance"):
+        put(self, "facts", LocationFacts.of(self.facts))
+        for name in ("geometry", "provenance"):
             put(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __repr__(self) -> str:
@@ -172,7 +198,7 @@ class LocationResult:
     def summary(self) -> str:
         """What a user must read, as text."""
         lines = [f"load {k + 1} of {len(self.best)}: {w}" for k, w in enumerate(self.where)]
-        noise = self.facts.get("residual_to_noise")
+        noise = self.facts.residual_to_noise
         lines.append(
             f"residual at the place: {self.residual:.4g} of the data"
             + ("" if noise is None else f", {noise:.3g} times the noise")

@@ -18,6 +18,7 @@ from structures.errors import InputError, plain
 from structures.flags import Flag
 
 from ..results import guards
+from ..results.forcemap import ForceFacts
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, prepare
 from .observation import Markers, Wrench
 
@@ -217,7 +218,7 @@ class Found:
     load: Array
     std: Array
     wrench: Array
-    facts: dict[str, Any]
+    facts: ForceFacts
     flags: list[Flag | None]
 
 
@@ -297,16 +298,10 @@ class QuickMap:
         wide = max(1.0, misfit)  # as far as the markers contradict their noise, so does the map
         std, covariance = wide * std, wide**2 * covariance
         lost = int(np.sum(~np.isfinite(y)))
-        facts = {
-            "path": path,
-            "m": len(y) - lost,
-            "n": len(load),
-            "lost": lost,
-            "strays": strays,
-            "misfit": misfit,
-            "lambda": inverse.lam,
-            "lambda_rule": inverse.rule,
-        }
+        facts = ForceFacts(
+            path=path, m=len(y) - lost, n=len(load), lost=lost, strays=strays, misfit=misfit, lam=inverse.lam,
+            lambda_rule=inverse.rule,
+        )  # fmt: skip
         return Found(load, std, covariance, facts, flags)
 
     def pressed(self, y: Array, wrench: Wrench | None = None, answer: Answer | None = None) -> Pressed:

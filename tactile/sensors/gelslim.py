@@ -25,7 +25,7 @@ from structures.flags import Flag
 from ..closed.contact import Indenter
 from ..pad.stiffness import Completion, surface_stiffness
 from ..results import guards
-from ..results.forcemap import ForceMap
+from ..results.forcemap import ForceFacts, ForceMap
 from ..results.guards import away, completed, contact, typical
 from ..vision.interpolation import Interpolation
 from .fixed import CLEAR, TOUCH, not_built_for_depth, paired, readings_of
@@ -374,15 +374,10 @@ class GelSlim:
             flags=collect(own),
             allowed=self.allow,
             geometry={**self.geometry, "resultant_covariance": answer.wrench},
-            facts={
-                "path": "F = K U",
-                "m": self.markers.readings_count - lost,
-                "n": len(answer.load),
-                "lost": lost,
-                "free_of_load": int(completion.others.size),
-                "outside_hull": int(np.sum(~field.inside)),
-                "provided": provided,
-            },
+            facts=ForceFacts(
+                path="F = K U", m=self.markers.readings_count - lost, n=len(answer.load), lost=lost,
+                free_of_load=int(completion.others.size), outside_hull=int(np.sum(~field.inside)), provided=provided,
+            ),
             provenance=provenance(
                 self.name,
                 settings={"pad": repr(self.pad), "no_pull": self.no_pull, "friction": self.friction},

@@ -20,6 +20,7 @@ from ... import guards
 from ...record import Record
 from ...results.archive import provenance
 from ...results.estimate import Axis, LoadEstimate
+from ...results.facts import Facts
 from ..data import Data, numbers
 from .fit import Fitted
 
@@ -206,14 +207,13 @@ def estimate(
 ) -> LoadEstimate:  # fmt: skip
     """Estimate of a block from sample `first` on; Y, rest (samples, sensors): data and what is left of them."""
     there = np.ones((len(load), len(f.sensors)), bool) if Y is None else np.isfinite(Y)
-    facts: dict[str, Any] = {
-        "path": path, "m": int(there.sum()), "n": int(load.size), **f.noise_source.facts,
-        "time_constant": None if f.settled is None else f.settled.time_constant,
-        **{f"tuned_{name}": value for name, value in f.numbers.items()},
-        **{f"count_{name}": value for name, value in counts.items()},
-    }  # fmt: skip
-    if not there.all():
-        facts["missing"] = f"{int((~there).sum())} of {there.size} channel samples"
+    lost = int(np.sum(~there))
+    facts = Facts(
+        path=path, m=there.size - lost, n=int(load.size), **f.noise_source.facts,
+        time_constant=None if f.settled is None else f.settled.time_constant, tuned=f.numbers, counts=counts,
+    )  # fmt: skip
+    if lost:
+        facts = replace(facts, missing=f"{lost} of {there.size} channel samples")
     return LoadEstimate(
         load=load,
         std=std,
