@@ -91,6 +91,21 @@ class Data:
         """Digests of the used channels: a model made from hits knows those of its training."""
         return set(digests(self.values))
 
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Name of the record -> its sha256."""
+        return {self.record.source or self.record.name or "record": self.record.sha256}
+
+    @property
+    def simulated_by(self) -> str:
+        """Fingerprint of the model that made the record; "" where it was measured."""
+        return self.record.simulated_by
+
+    @property
+    def findings(self) -> tuple[Flag, ...]:
+        """What reading found, and the health of the channels that are used."""
+        return health(self)
+
 
 def gather(
     record: Any,
@@ -335,7 +350,7 @@ class Readings:
         Time or frame number; None for a single reading.
     name, sha256 : str
         Of the input, for the provenance.
-    flags : tuple of Flag
+    findings : tuple of Flag
         What was found while reading.
     data : Data or None
         The record behind it, where there is one.
@@ -347,13 +362,23 @@ class Readings:
     axis: Axis | None
     name: str
     sha256: str
-    flags: tuple[Flag, ...] = ()
+    findings: tuple[Flag, ...] = ()
     data: Data | None = None
 
     @property
     def fingerprints(self) -> set[str]:
         """Digests of the used channels of a record."""
         return set() if self.data is None else self.data.fingerprints
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Name -> sha256."""
+        return {self.name: self.sha256}
+
+    @property
+    def simulated_by(self) -> str:
+        """Fingerprint of the model that made the record behind them; "" where there is none."""
+        return "" if self.data is None else self.data.simulated_by
 
 
 def readings(found: Any, model: Model, sensors: Sequence[str | int] | None) -> Readings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,10 @@ from structures.advice import Advice, Spelling
 from structures.errors import InputError, reals
 from structures.model import Model
 
-from .. import guards
-from ..inverse.choice import Choice, residual_level, unexplained, ungraded
+from ..inverse.choice import Choice, residual_level
 from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
 from ..inverse.path import RegularizationPath
 from ..inverse.problem import Cholesky
-from ..results.estimate import LoadEstimate
 from .data import Data, Readings
 
 COVARIANCE = NoiseSource("repeatability", "covariance")
@@ -216,19 +214,6 @@ def noise_level(path: RegularizationPath, choice: Choice, noise: Noise) -> float
     if seen is None or seen <= noise.sigma * _margin(path, choice.lam):
         return noise.sigma
     return seen
-
-
-def graded(estimate: LoadEstimate, level: float | None) -> LoadEstimate:
-    """The estimate; with the worst grade and W412 first where its residual is `level` times what noise leaves."""
-    if level is None or estimate.choice is None:
-        return estimate
-    flag = guards.unexplained(estimate.choice, level)
-    return replace(estimate, choice=ungraded(estimate.choice), flags=(flag, *estimate.flags))
-
-
-def unexplained_by(path: RegularizationPath, lam: float, noise: Noise) -> float | None:
-    """Residual at one lambda over the stated noise, where noise alone never leaves so much."""
-    return None if noise.sigma is None else unexplained(float(path.at(lam).residual2), path.m, noise.sigma)
 
 
 def _margin(path: RegularizationPath, lam: float) -> float:

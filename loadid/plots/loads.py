@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ..results.estimate import LoadEstimate
-    from ..results.functionals import Spectrum
+    from ..results.functionals import LoadSpectrum
 
 
 DECADES = 3.0  # of amplitude below the largest that a panel shows
@@ -90,7 +90,7 @@ def lines_figure(estimate: LoadEstimate, *, figure: Figure | None = None) -> Fig
     """What every line can tell: predicted relative std and gain of each load, condition of the line."""
     figure = figure or new_figure()
     _need(estimate)
-    s: Spectrum = estimate.spectrum
+    s: LoadSpectrum = estimate.spectrum
     shown = largest(estimate)
     names = [estimate.labels[j] for j in shown]
     panels = 3 if len(estimate.labels) > 1 else 2  # one load has no condition
@@ -122,7 +122,7 @@ def lines_figure(estimate: LoadEstimate, *, figure: Figure | None = None) -> Fig
 
 def draw_spectrum(ax: Axes, e: LoadEstimate, j: int = 0, *, truth: NDArray | None = None, level: float = 0.95) -> None:
     """Draw the amplitude of one load over frequency into `ax`."""
-    s: Spectrum = e.spectrum
+    s: LoadSpectrum = e.spectrum
     f, trusted = s.frequencies, s.trust()[:, j]
     size, std = np.abs(e.load[:, j]), e.std[:, j]
     lower, upper = (edge[:, j] for edge in e.band(level))
@@ -150,7 +150,7 @@ def draw_spectrum(ax: Axes, e: LoadEstimate, j: int = 0, *, truth: NDArray | Non
     tidy(ax)
 
 
-def _draw_predicted(ax: Axes, s: Spectrum, names: list[str], shown: list[int]) -> None:
+def _draw_predicted(ax: Axes, s: LoadSpectrum, names: list[str], shown: list[int]) -> None:
     for k, (name, j) in enumerate(zip(names, shown, strict=True)):
         found = s.predicted[:, j]
         good = np.isfinite(found)

@@ -171,7 +171,7 @@ def arguments(tree: dict[str, Any]) -> dict[str, Any]:
 
         tree["validation"] = Validation.from_dict(tree["validation"])
     if tree.get("spectrum") is not None:
-        from .functionals import Spectrum
+        from .functionals import LoadSpectrum
 
-        tree["spectrum"] = Spectrum.from_dict(tree["spectrum"])
+        tree["spectrum"] = LoadSpectrum.from_dict(tree["spectrum"])
     return tree

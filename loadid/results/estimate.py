@@ -94,7 +94,7 @@ class LoadEstimate:
         What the data can tell: `loadid.inverse.diagnosis.diagnose.diagnose`.
     validation : Validation, optional
         What was validated, and at which level.
-    spectrum : Spectrum, optional
+    spectrum : LoadSpectrum, optional
         What every frequency line tells (`loadid.results.functionals`).
     facts : Facts
         Numbers that are printed with every result (`loadid.results.facts`); a mapping of them is taken too.

@@ -43,7 +43,7 @@ LEVEL = 0.10  # predicted relative standard deviation above which a line is not 
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Spectrum:
+class LoadSpectrum:
     """Lines of an estimate. Arrays are (lines, loads) unless said.
 
     Parameters
@@ -133,7 +133,7 @@ class Spectrum:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @classmethod
-    def from_dict(cls, tree: Mapping[str, Any]) -> Spectrum:
+    def from_dict(cls, tree: Mapping[str, Any]) -> LoadSpectrum:
         """Inverse of `to_dict`."""
         return cls(**{f.name: tree[f.name] for f in fields(cls)})
 

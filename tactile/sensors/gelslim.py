@@ -375,8 +375,13 @@ class GelSlim:
             allowed=self.allow,
             geometry={**self.geometry, "resultant_covariance": answer.wrench},
             facts=ForceFacts(
-                path="F = K U", m=self.markers.readings_count - lost, n=len(answer.load), lost=lost,
-                free_of_load=int(completion.others.size), outside_hull=int(np.sum(~field.inside)), provided=provided,
+                path="F = K U",
+                m=self.markers.readings_count - lost,
+                n=len(answer.load),
+                lost=lost,
+                free_of_load=int(completion.others.size),
+                outside_hull=int(np.sum(~field.inside)),
+                provided=provided,
             ),
             provenance=provenance(
                 self.name,

@@ -40,14 +40,14 @@ METHODS = ("tikhonov", "tsvd")
 
 
 @dataclass(frozen=True)
-class Rule:
+class LineRule:
     """How lines are regularised.
 
     Parameters
     ----------
     method : ``"tikhonov"`` or ``"tsvd"``
     choice : str, float or None
-        Rule, relative lambda or threshold; None is the evidence of the neighbouring lines (Tikhonov).
+        LineRule, relative lambda or threshold; None is the evidence of the neighbouring lines (Tikhonov).
     over : ``"neighbours"``, ``"line"`` or ``"band"``
         Who decides: each line with its neighbours, alone, or all together.
     neighbours : int
@@ -102,14 +102,14 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Fit:
+class LineFit:
     """Loads of every line with what is known of them; arrays are (lines, loads) unless said.
 
     Parameters
     ----------
     load : array, shape (lines, loads, snapshots)
     covariance : array, shape (lines, loads, loads)
-    told : Identifiable
+    identifiable : Identifiable
     expected : array
         Size of the load around each line.
     noise : array, shape (lines,)
@@ -137,7 +137,7 @@ class Fit:
 
     load: NDArray[np.complex128]
     covariance: NDArray[np.complex128]
-    told: Identifiable
+    identifiable: Identifiable
     expected: NDArray[np.float64]
     noise: NDArray[np.float64]
     total: NDArray[np.float64]
@@ -163,11 +163,11 @@ def fit(
     power: NDArray,
     *,
     known: bool,
-    rule: Rule,
+    rule: LineRule,
     variance: NDArray | None = None,
     averages: float = 1.0,
     progress: Callable[[float], None] = lambda share: None,
-) -> Fit:
+) -> LineFit:
     """Solve all lines.
 
     Parameters
@@ -215,9 +215,9 @@ def fit(
     solved = _pooled(f, guess, first) if rule.pooled else _ruled(lines, f, guess, rule, known)
     frf_part = np.zeros(told.gain.shape) if errors is None else _share(H * w[..., None], solved[0], errors * w**2)
     answer, noise, lam, path, used = solved
-    return Fit(
-        load=answer.load, covariance=answer.covariance, told=told, expected=np.sqrt(guess.probable), noise=noise,
-        total=total, errors=errors, lam=lam, edf=answer.edf, path=path, used=used, excess=guess.excess,
+    return LineFit(
+        load=answer.load, covariance=answer.covariance, identifiable=told, expected=np.sqrt(guess.probable),
+        noise=noise, total=total, errors=errors, lam=lam, edf=answer.edf, path=path, used=used, excess=guess.excess,
         frf_part=frf_part, prior_part=_beyond(answer, noise),
         blind=np.eye(lines.shape[2]) - answer.gain @ lines.R,
     )  # fmt: skip
@@ -269,7 +269,7 @@ def _pooled(f: Factored, guess: Prior, answer: Posterior) -> Solved:
     return answer, guess.noise, lam, path, float(np.sqrt(np.median(guess.noise)))
 
 
-def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: Rule, known: bool) -> Solved:
+def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: LineRule, known: bool) -> Solved:
     """A named rule or a given lambda: one penalty |g / size|^2 for all loads of a line."""
     size = _sizes(lines, rule.size)
     plain = factor(lines, np.broadcast_to(size**2, lines.R.shape[::2]))
@@ -289,7 +289,7 @@ def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: Rule, known: bool
     return Posterior(answer.gain, answer.load, covariance, answer.edf), noise, lam, path, used
 
 
-def _lambda(path: ruled.LinesPath, rule: Rule, known: bool) -> NDArray[np.float64]:
+def _lambda(path: ruled.LinesPath, rule: LineRule, known: bool) -> NDArray[np.float64]:
     lines = len(path.c)
     if rule.count is not None:
         k = min(rule.count, path.c.shape[1]) - 1
@@ -328,7 +328,7 @@ def _sizes(lines: Compressed, given: ArrayLike | None) -> NDArray[np.float64]:
     return size
 
 
-def _noise(lines: Compressed, answer: Posterior, rule: Rule) -> NDArray[np.float64]:
+def _noise(lines: Compressed, answer: Posterior, rule: LineRule) -> NDArray[np.float64]:
     """Variance of the whitened noise that the residual of neighbouring lines shows."""
     rest = lines.b - lines.R @ answer.load
     left = np.maximum(lines.shape[1] + lines.left - answer.edf, 0.0)
@@ -370,7 +370,7 @@ MODES = 4096  # of the lines, evenly chosen, that are asked
 POINTS = 49
 
 
-def judged(fit: Fit, rule: Rule, known: bool, source: NoiseSource) -> Choice:
+def judged(fit: LineFit, rule: LineRule, known: bool, source: NoiseSource) -> Choice:
     """The lambda in use beside what each rule says of all lines together.
 
     Notes
@@ -411,7 +411,7 @@ def judged(fit: Fit, rule: Rule, known: bool, source: NoiseSource) -> Choice:
     )
 
 
-def _name(rule: Rule) -> str:
+def _name(rule: LineRule) -> str:
     if rule.pooled:
         return "evidence"
     return rule.choice if isinstance(rule.choice, str) else ("gcv" if rule.choice is None and rule.count is None else

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from structures.testing.welch import CrossSpectra, cross_spectra
 from ...inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
 from ...record import Record, Spectra
 from .. import noise as noises
-from ..data import WITHOUT_SENSOR, Data, gather, health
+from ..data import WITHOUT_SENSOR, Data, gather
 
 NEGATIVE = 1e-6  # of the largest eigenvalue: rounding that a cross-spectral matrix may show
 SIGNALS = ("stationary", "transient")
@@ -51,7 +51,7 @@ class LineData:
         The record of a transient.
     padded : int
         Length of its transform.
-    flags : tuple of Flag
+    findings : tuple of Flag
     facts : dict
         How the spectra were made.
     fingerprints : frozenset of str
@@ -72,7 +72,7 @@ class LineData:
     inputs: dict[str, str]
     data: Data | None = None
     padded: int = 0
-    flags: tuple[Flag, ...] = ()
+    findings: tuple[Flag, ...] = ()
     facts: dict[str, Any] | None = None
     fingerprints: frozenset[str] = frozenset()
     simulated_by: str = ""
@@ -81,6 +81,17 @@ class LineData:
     def fullness(self) -> float:
         """Independent lines over all lines: below 1 where the transform was padded."""
         return 1.0 if self.data is None else len(self.data.values) / self.padded
+
+    def part(self, pick: slice) -> LineData:
+        """The lines of some sensors."""
+        data = self.data
+        if data is not None:
+            data = replace(data, values=data.values[:, pick], rows=data.rows[pick], channels=data.channels[pick],
+                           missing=data.missing[:, pick])  # fmt: skip
+        return replace(
+            self, X=self.X[:, pick], power=self.power[:, pick], rows=self.rows[pick], channels=self.channels[pick],
+            data=data,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -146,7 +157,7 @@ def _of_cross(found: CrossSpectra, model: Model, rows: NDArray, s: Settings, nam
     facts = {"averages": found.averages, "bandwidth": found.bandwidth, "window": found.window}
     return LineData(
         f, X, power, known, source, found.averages, "cross spectra", rows, tuple(model.sensors[i] for i in rows),
-        {name: digest(found.frequencies, found.matrix)}, flags=found.flags, facts=facts,
+        {name: digest(found.frequencies, found.matrix)}, findings=found.flags, facts=facts,
     )  # fmt: skip
 
 
@@ -185,9 +196,9 @@ def _averaged(data: list[Data], model: Model, s: Settings) -> LineData:
         level = np.sqrt(2 * first.dt) * noise.level
     line = _of_cross(positive, model, first.rows, Settings(noise=level, noise_source=noise.source, band=s.band))
     inputs = {d.record.source or d.record.name or f"record {i + 1}": d.record.sha256 for i, d in enumerate(data)}
-    flags = tuple(flag for d in data for flag in health(d))
-    changes = {"inputs": inputs, "flags": (*line.flags, *flags), "channels": first.channels, **_origin(data)}
-    return LineData(**{**vars(line), **changes})
+    flags = tuple(flag for d in data for flag in d.findings)
+    findings = (*line.findings, *flags)
+    return replace(line, inputs=inputs, findings=findings, channels=first.channels, **_origin(data))
 
 
 def _of_transient(data: Data, model: Model, s: Settings) -> LineData:
@@ -206,10 +217,9 @@ def _of_transient(data: Data, model: Model, s: Settings) -> LineData:
         if spectrum is not None:
             power, known = samples * spectrum[:, data.rows], True
             source = NoiseSource("residual", f"residual power of {sum(h.used for h in model.hits)} training hits")
-    record = data.record
     return LineData(
         f, X[..., None], power, known, source, 1.0, "transient", data.rows, data.channels,
-        {record.source or record.name or "record": record.sha256}, data, padded, health(data), **_origin([data]),
+        data.inputs, data, padded, data.findings, **_origin([data]),
     )  # fmt: skip
 
 
@@ -217,7 +227,7 @@ def _origin(data: list[Data]) -> dict[str, Any]:
     """Where records come from."""
     return {
         "fingerprints": frozenset().union(*(d.fingerprints for d in data)),
-        "simulated_by": data[0].record.simulated_by,
+        "simulated_by": data[0].simulated_by,
     }
 
 

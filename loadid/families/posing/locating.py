@@ -123,7 +123,7 @@ SAME = 1e-6  # difference of the responses of a candidate and of a load moved to
 FEWEST = 4  # candidates on a line, below which nothing is interpolated; twice as many on a surface
 
 
-class Candidates:
+class CandidateLoads:
     """Impulse responses of the candidates and of the places between them.
 
     Parameters
@@ -257,17 +257,17 @@ DENSE = 600  # unknowns up to which a fit is one factorisation
 
 
 @dataclass(frozen=True)
-class Factored:
+class FactoredCandidates:
     """What is made once for all records of a length: responses (whitened), a fit per candidate, groups alike."""
 
-    candidates: Candidates
+    candidates: CandidateLoads
     h: Array
     fits: tuple[Fit, ...]
     groups: tuple[tuple[str, ...], ...]
 
 
 @dataclass(frozen=True)
-class Posed:
+class LocationProblem:
     """One record, whitened by relative noise levels, with the fits that it is shown to.
 
     `sigma` is the noise level of the whitened data where it is known; `at` holds the refined places.
@@ -278,7 +278,7 @@ class Posed:
     sigma: float | None
     y: Array
     relative: Array
-    candidates: Candidates
+    candidates: CandidateLoads
     h: Array
     fits: tuple[Fit, ...]
     groups: tuple[tuple[str, ...], ...]
@@ -307,15 +307,15 @@ Solution = tuple[Refined, str, int]  # refined place, candidate from which it st
 
 
 @dataclass(frozen=True)
-class Said:
-    """What the candidates alone say: best, runner-up, and the ratio of their residual norms."""
+class CandidateVerdict:
+    """The best candidate, the runner-up, and the ratio of their residual norms."""
 
     best: int
     runner_up: int
     ratio: float
 
 
-def said(posed: Posed, chosen: Chosen) -> Said:
+def compared(posed: LocationProblem, chosen: Chosen) -> CandidateVerdict:
     """Of the load for which the runner-up comes closest."""
     found = []
     for best, scores in zip(chosen.indices, chosen.scores, strict=True):
@@ -324,11 +324,11 @@ def said(posed: Posed, chosen: Chosen) -> Said:
         second = int(np.argmin(others))
         floor = np.finfo(float).eps * float(np.linalg.norm(posed.y))  # data without noise may leave nothing
         ratio = max(np.sqrt(others[second]), floor) / max(np.sqrt(scores[best]), floor)
-        found.append(Said(best, second, float(ratio)))
+        found.append(CandidateVerdict(best, second, float(ratio)))
     return min(found, key=lambda s: s.ratio)
 
 
-def noise_level(posed: Posed, residual2: float, chosen: Chosen) -> float:
+def noise_level(posed: LocationProblem, residual2: float, chosen: Chosen) -> float:
     """Noise level of the whitened data: as stated, or what the fit leaves where that is more or nothing is stated."""
     spent = sum(posed.fits[j].edf for j in chosen.indices)
     left = float(np.sqrt(residual2 / max(posed.y.size - spent, 1.0)))

@@ -18,7 +18,7 @@ from ...inverse.sparse import dictionaries, path
 from ...inverse.sparse.atoms import MatrixAtoms, ShiftedAtoms
 from ...inverse.sparse.groups import Groups
 from ...inverse.sparse.lasso import SparseSolution
-from ...inverse.sparse.path import SparsePath, SupportFit, Sweep, ebic, fit
+from ...inverse.sparse.path import SparsePath, SupportFit, Sweep, fit
 from .. import noise as noises
 from ..data import Data
 from .posed import Settings as Posing
@@ -169,7 +169,7 @@ def pose(model: Model, data: Data, posing: Posing) -> Problem:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class SparseChoice:
     """A sparse solution and how it was come by.
 
     Parameters
@@ -227,7 +227,7 @@ class Chosen:
         return self.scores[used] - others[best], best
 
 
-def choose(problem: Problem, wanted: Wanted, progress: Callable[[float, str], None]) -> Chosen:
+def choose(problem: Problem, wanted: Wanted, progress: Callable[[float, str], None]) -> SparseChoice:
     """Dictionary, mu, solution and support.
 
     Raises
@@ -263,8 +263,8 @@ def choose(problem: Problem, wanted: Wanted, progress: Callable[[float, str], No
     scores = {k: float(s.ebic.min(initial=np.inf)) for k, s in sweeps.items()}
     if group_gap is not None:
         solution = replace(solution, gap=max(solution.gap, group_gap))
-    return Chosen(problem, loads, atoms, knots, solution, found, ratio, along.scale, rule, edge, ratios, sigma, shown,
-                  sweep, scores)  # fmt: skip
+    return SparseChoice(problem, loads, atoms, knots, solution, found, ratio, along.scale, rule, edge, ratios, sigma,
+                        shown, sweep, scores)  # fmt: skip
 
 
 def _swept(
@@ -374,7 +374,7 @@ def _candidates(problem: Problem, wanted: Wanted, knots: int | None, sigma: floa
     return np.sort(order[: int(np.argmin(scores)) + 1]), found.gap
 
 
-def amplitude_share(chosen: Chosen) -> tuple[float, int] | None:
+def amplitude_share(chosen: SparseChoice) -> tuple[float, int] | None:
     """Std of the largest spike over its height if its neighbours in time may act too, and its load; spikes only."""
     atoms = chosen.atoms
     if not isinstance(atoms, ShiftedAtoms) or atoms.dictionary.name != "dirac" or not len(chosen.fit.x):
@@ -392,6 +392,3 @@ def amplitude_share(chosen: Chosen) -> tuple[float, int] | None:
 def posing(hold: str | None, noise: ArrayLike | None, source: NoiseSourceLike, allow: tuple[str, ...]) -> Posing:
     """What the shared posing of a record asks."""
     return Posing("tikhonov", "identity", hold, noise, NoiseSource.of(source), allow)
-
-
-__all__ = ["Chosen", "Problem", "Wanted", "amplitude_share", "choose", "ebic", "pose", "posing"]

@@ -21,6 +21,7 @@ from ...record import Record
 from ...results.archive import provenance
 from ...results.estimate import Axis, LoadEstimate
 from ...results.facts import Facts
+from ..answer import Reconstruction, labelled
 from ..data import Data, numbers
 from .fit import Fitted
 
@@ -214,20 +215,12 @@ def estimate(
     )  # fmt: skip
     if lost:
         facts = replace(facts, missing=f"{lost} of {there.size} channel samples")
-    return LoadEstimate(
-        load=load,
-        std=std,
-        labels=[c.label for c in f.loads],
-        units=[c.unit for c in f.loads],
-        axis=Axis("time", "s", np.asarray((first + np.arange(len(load))) * f.dt, float)),
-        response=None if Y is None else np.where(there, Y, 0.0),
+    found = Reconstruction(
+        load=load, std=std, axis=Axis("time", "s", np.asarray((first + np.arange(len(load))) * f.dt, float)),
+        response=None if Y is None else np.where(there, Y, 0.0), facts=facts,
         residual=None if rest is None else np.where(there & np.isfinite(rest), rest, 0.0),
-        sensors=[c.label for c in f.sensors],
-        sensor_units=[c.unit for c in f.sensors],
-        flags=guards.collect(flags),
-        facts=facts,
-        provenance=provenance(
-            "load tracking", settings=dict(f.settings), inputs={**f.inputs, **inputs}, model=f.fingerprint,
-            prior=f.words,
-        ),
     )  # fmt: skip
+    history = provenance(
+        "load tracking", settings=dict(f.settings), inputs={**f.inputs, **inputs}, model=f.fingerprint, prior=f.words,
+    )  # fmt: skip
+    return labelled(found, f.loads, f.sensors, flags=guards.collect(flags), provenance=history)
