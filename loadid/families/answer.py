@@ -23,9 +23,8 @@ from ..inverse import rules
 from ..inverse.choice import Choice, residual_level, unexplained, ungraded
 from ..inverse.diagnosis import diagnose
 from ..inverse.path import RegularizationPath, Solution
-from ..results.archive import provenance
 from ..results.estimate import Axis, LoadEstimate
-from ..results.facts import Facts
+from ..results.facts import Facts, provenance
 from .noise import Noise
 
 Array = NDArray[Any]

@@ -187,9 +187,8 @@ class FrequencyInversion:
         if self.rule.free and lost and "LID-E306" not in self.allow:
             raise NotIdentifiable(
                 f"without regularisation {lost} of {len(solved.lam)} lines do not determine the loads",
-                advice="add sensors, leave these lines out (band=), or leave choice= out",
-                code="LID-E306",
-            )
+                advice="add sensors, leave these lines out (band=), or leave choice= out", code="LID-E306",
+            )  # fmt: skip
 
     def _prior(self) -> str:
         rule = self.rule

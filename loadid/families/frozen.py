@@ -77,12 +77,10 @@ def calibrate(family: StaticInversion, records: Sequence[Any]) -> Calibration:
     """See `StaticInversion.calibrate`."""
     if not isinstance(records, list | tuple) or not records:
         raise InputError(
-            "no records to calibrate with",
-            where="calibrate",
+            "no records to calibrate with", where="calibrate",
             found=f"{type(records).__name__} of length {len(records) if hasattr(records, '__len__') else '?'}",
-            expected="a list of readings",
-            hint="calibrate([reading_1, reading_2, ...])",
-        )
+            expected="a list of readings", hint="calibrate([reading_1, reading_2, ...])",
+        )  # fmt: skip
     given = [_read(family, r, i) for i, r in enumerate(records)]
     alone = [family.choose(family.pose(g)).lam for g in given]
     posed = family.pose(_together(given))
@@ -179,23 +177,18 @@ class Frozen:
             y = reals(y, what="the reading is no real numbers", where="frozen")
         if y.shape != (len(self.sensors),):
             raise InputError(
-                "the reading does not fit the frozen inverse",
-                where="frozen",
-                found=f"shape {y.shape}",
+                "the reading does not fit the frozen inverse", where="frozen", found=f"shape {y.shape}",
                 expected=f"({len(self.sensors)},): {list(self.sensors)[:12]}",
-            )
+            )  # fmt: skip
         if not (np.abs(y).max() <= LARGEST):  # also NaN
             self._refuse(y)
         if self.matrix is None:
             return self.solver(y, resultants)
         if resultants is not None:
             raise InputError(
-                "this frozen inverse has no resultant constraint",
-                where="frozen",
-                found="resultants",
-                expected="a reading alone",
-                hint="freeze a family with constraints=[Resultant(...)]",
-            )
+                "this frozen inverse has no resultant constraint", where="frozen", found="resultants",
+                expected="a reading alone", hint="freeze a family with constraints=[Resultant(...)]",
+            )  # fmt: skip
         return self.matrix @ y
 
     def __str__(self) -> str:
@@ -219,12 +212,10 @@ class Frozen:
         """
         if self.matrix is None:
             raise InputError(
-                "constraints need the solver, which a file does not hold",
-                where="frozen.save",
-                found="a frozen solver",
-                expected="an inverse without constraints",
+                "constraints need the solver, which a file does not hold", where="frozen.save",
+                found="a frozen solver", expected="an inverse without constraints",
                 hint="save the model and the lambda, and freeze again",
-            )
+            )  # fmt: skip
         tree = {k: v for k, v in vars(self).items() if k != "solver"}
         storage.write(path, {k: list(v) if isinstance(v, tuple) else v for k, v in tree.items()}, KIND)
 
@@ -249,12 +240,9 @@ class Frozen:
     def _refuse(self, y: NDArray[np.float64]) -> None:
         bad = [label for label, value in zip(self.sensors, y, strict=True) if not abs(value) <= LARGEST]
         raise InputError(
-            f"NaN, infinity or a number above {LARGEST:g} in the reading",
-            where="frozen",
-            found=bad[:8],
-            expected="a finite number per sensor",
-            hint="freeze another inverse without the lost sensor",
-        )
+            f"NaN, infinity or a number above {LARGEST:g} in the reading", where="frozen", found=bad[:8],
+            expected="a finite number per sensor", hint="freeze another inverse without the lost sensor",
+        )  # fmt: skip
 
 
 def freeze(family: StaticInversion) -> Frozen:

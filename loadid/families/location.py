@@ -19,8 +19,8 @@ from ..guards import families as found_flags
 from ..inverse.convolved import fits, places
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.problem import whiten
-from ..results.archive import provenance
 from ..results.estimate import LoadEstimate
+from ..results.facts import provenance
 from ..results.location import LocationFacts, LocationResult, Rival
 from . import noise as noises
 from .data import Data, gather

@@ -72,12 +72,10 @@ def resolve(given: ArrayLike | None, source: NoiseSource | None, model: Model, d
         scale = np.full(count, float(np.sqrt(np.mean(scale**2))))
     if np.any(scale == 0):
         raise InputError(
-            "a channel is zero throughout",
-            where="record",
-            found=[c.label for c, s in zip(data.channels, scale, strict=True) if s == 0],
-            expected="a response",
+            "a channel is zero throughout", where="record",
+            found=[c.label for c, s in zip(data.channels, scale, strict=True) if s == 0], expected="a response",
             hint=Advice(Spelling("leave the channel out (sensors=[...])", "calibrate a model without this channel")),
-        )
+        )  # fmt: skip
     return Noise(scale, False, NOT_KNOWN)
 
 
@@ -120,11 +118,10 @@ def _level(given: Any, count: int, what: str) -> NDArray[np.float64]:
     level = np.full(count, float(level)) if level.ndim == 0 else level
     if level.shape not in {(count,), (count, count)} or not np.all(np.isfinite(level)):
         raise InputError(
-            f"the noise does not fit the {what}",
-            where="noise",
+            f"the noise does not fit the {what}", where="noise",
             found=f"shape {level.shape}" + ("" if np.all(np.isfinite(level)) else ", NaN or infinity in it"),
             expected=f"finite: a number, ({count},) or ({count}, {count})",
-        )
+        )  # fmt: skip
     return level
 
 
@@ -150,12 +147,10 @@ def _scales(found: Readings) -> NDArray[np.float64]:
     scale = np.array([np.sqrt(np.mean([s for s, u in zip(size2, units, strict=True) if u == v])) for v in units])
     if np.any(scale == 0):
         raise InputError(
-            "all readings of a kind are zero",
-            where="readings",
-            found=[c.label for c, s in zip(found.channels, scale, strict=True) if s == 0][:8],
-            expected="a response",
+            "all readings of a kind are zero", where="readings",
+            found=[c.label for c, s in zip(found.channels, scale, strict=True) if s == 0][:8], expected="a response",
             hint="state the noise of the sensors (noise=): a load of zero within its band is then an answer",
-        )
+        )  # fmt: skip
     return scale
 
 
@@ -194,12 +189,9 @@ def white(noise: Noise, samples: int, lines: int) -> LineNoise:
     """
     if noise.level.ndim == 2:
         raise InputError(
-            "a long record takes a noise std per sensor, not a covariance",
-            where="noise",
-            found=f"covariance {noise.level.shape}",
-            expected="(sensors,)",
-            hint="use a window of the record",
-        )
+            "a long record takes a noise std per sensor, not a covariance", where="noise",
+            found=f"covariance {noise.level.shape}", expected="(sensors,)", hint="use a window of the record",
+        )  # fmt: skip
     return LineNoise(np.tile(samples * noise.level**2, (lines, 1)), None, noise.source, noise.known)
 
 

@@ -21,9 +21,8 @@ from ..inverse.choice import Choice, choose
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.sweep import LARGEST
-from ..results.archive import STATIC
 from ..results.estimate import LoadEstimate
-from ..results.facts import Facts
+from ..results.facts import STATIC, Facts
 from . import smoothness
 from .answer import answer, of_path, undetermined
 from .data import Readings, readings

@@ -323,10 +323,9 @@ def _diagnosis(estimate: LoadEstimate) -> Diagnosis:
     d = estimate.diagnosis
     if d is None:
         raise InputError(
-            "the estimate carries no diagnosis",
-            where="plot",
+            "the estimate carries no diagnosis", where="plot",
             hint="estimates of StaticInversion carry one; histories show theirs by plot('path')",
-        )
+        )  # fmt: skip
     return d
 
 

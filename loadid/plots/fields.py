@@ -122,12 +122,10 @@ def _taken(e: LoadEstimate, quantity: str, truth: ArrayLike | None, frame: int |
     g = e.geometry
     if g is None or not has_field(e):
         raise InputError(
-            "these loads have no places on a line or a surface",
-            where="field",
+            "these loads have no places on a line or a surface", where="field",
             found="loads without a basis" if g is None else f"a basis of {g.get('kind')}",
-            expected="a basis of nodes, patches or hats",
-            hint="build the loads with structures.bases",
-        )
+            expected="a basis of nodes, patches or hats", hint="build the loads with structures.bases",
+        )  # fmt: skip
     row: tuple[int, ...] = ()
     note = ""
     if e.load.ndim == 2:
@@ -294,12 +292,11 @@ def spacetime(
     found = None if g is None or g.get("kind") == "polynomials" else places(g)
     if found is None or found[0].shape[1] != 1 or estimate.load.ndim != 2 or estimate.axis is None:
         raise InputError(
-            "a map over place and time needs histories at places along a line",
-            where="spacetime",
+            "a map over place and time needs histories at places along a line", where="spacetime",
             found="loads without places" if found is None else f"loads of shape {estimate.load.shape}",
             expected="a basis of nodes, patches or hats on a beam, over time",
             hint="plot('field', frame=...) draws one instant over a surface",
-        )
+        )  # fmt: skip
     known = known_load(estimate, truth)
     figure = figure or new_figure()
     x, count = found[0][:, 0], len(estimate.labels) // len(found[0])

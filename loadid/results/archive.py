@@ -1,14 +1,10 @@
-"""A load estimate as a tree for files and for JSON, and back; where a result comes from."""
+"""A load estimate as a tree for files and for JSON, and back."""
 
 from __future__ import annotations
 
 import os
-import platform
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
-from datetime import UTC, datetime
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,44 +20,6 @@ from ..inverse.sweep import RuleResult
 
 if TYPE_CHECKING:
     from .estimate import LoadEstimate
-
-STATIC = "static inversion"  # name of the family whose loads are of readings, whatever their axis
-
-
-def provenance(
-    family: str, *, settings: Mapping[str, Any], inputs: Mapping[str, str], model: str, prior: str
-) -> dict[str, Any]:
-    """Record of how an estimate was made.
-
-    Parameters
-    ----------
-    family : str
-    settings : mapping
-    inputs : mapping
-        Name -> sha256.
-    model : str
-        Fingerprint of the forward model.
-    prior : str
-        The prior, in words.
-    """
-    return {
-        "family": family,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {"python": platform.python_version(), **{p: _version(p) for p in ("loadid", "numpy", "scipy")}},
-        "settings": dict(settings),
-        "inputs": dict(inputs),
-        "model": model,
-        "prior": prior,
-    }
-
-
-@cache
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
-
 
 KIND = "load estimate"
 # first words of the constraints in files of release 0.1, and their kinds
@@ -86,11 +44,9 @@ def read(path: str | os.PathLike, of_tree: Callable[[dict[str, Any]], LoadEstima
         raise
     except Exception as error:  # a whole file that another release wrote
         raise InputError(
-            "its content is not what this release expects",
-            where=str(path),
-            found=f"{type(error).__name__}: {error}",
+            "its content is not what this release expects", where=str(path), found=f"{type(error).__name__}: {error}",
             hint="read it with the release that wrote it",
-        ) from error
+        ) from error  # fmt: skip
 
 
 def plain(value: Any) -> Any:

@@ -261,12 +261,10 @@ class LoadEstimate:
         matrix = None if self.geometry is None else self.geometry.get("traction")
         if self.geometry is None or (matrix is None and self.geometry.get("kind") == "nodal"):
             raise InputError(
-                "these loads have no geometry that would make them tractions",
-                where="traction",
-                found="loads without a basis",
-                expected="a model whose loads are a Basis",
+                "these loads have no geometry that would make them tractions", where="traction",
+                found="loads without a basis", expected="a model whose loads are a Basis",
                 hint="build the loads with structures.bases",
-            )
+            )  # fmt: skip
         return self.load if matrix is None else np.asarray(self.load @ np.asarray(matrix).T)
 
     def validated(self, validation: Any) -> LoadEstimate:

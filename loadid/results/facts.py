@@ -1,10 +1,13 @@
-"""What a result states of itself in numbers and words: typed, with its unit, and as a dictionary in files."""
+"""What a result states of itself: facts, typed and with their units, and where it comes from."""
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields
-from functools import cached_property
+from datetime import UTC, datetime
+from functools import cache, cached_property
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Self
 
 NOT_STATED: Any = object()  # the default: None says that a fact is asked for and not available
@@ -216,3 +219,41 @@ class Facts(Mapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._flat)
+
+
+STATIC = "static inversion"  # name of the family whose loads are of readings, whatever their axis
+
+
+def provenance(
+    family: str, *, settings: Mapping[str, Any], inputs: Mapping[str, str], model: str, prior: str
+) -> dict[str, Any]:
+    """Record of how an estimate was made.
+
+    Parameters
+    ----------
+    family : str
+    settings : mapping
+    inputs : mapping
+        Name -> sha256.
+    model : str
+        Fingerprint of the forward model.
+    prior : str
+        The prior, in words.
+    """
+    return {
+        "family": family,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {"python": platform.python_version(), **{p: _version(p) for p in ("loadid", "numpy", "scipy")}},
+        "settings": dict(settings),
+        "inputs": dict(inputs),
+        "model": model,
+        "prior": prior,
+    }
+
+
+@cache
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

@@ -65,11 +65,9 @@ def write_report(estimate: LoadEstimate, path: str | os.PathLike, *, truth: Arra
     target = as_path(path)
     if not target.resolve().parent.is_dir():  # said before the pictures are drawn
         raise InputError(
-            "the folder does not exist",
-            where=str(target),
-            found=str(target.resolve().parent),
+            "the folder does not exist", where=str(target), found=str(target.resolve().parent),
             hint="make the folder first, or write elsewhere",
-        )
+        )  # fmt: skip
     replace(target, page(estimate, truth=truth).encode())
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from loadid.guards import collect
-from loadid.results.archive import provenance
+from loadid.results.facts import provenance
 from structures.advice import Advice, Spelling
 from structures.errors import InputError, digest, positive
 from structures.flags import Flag

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from loadid.families.static import StaticInversion
 from loadid.guards import collect
 from loadid.inverse.noise_source import NoiseSourceLike
-from loadid.results.archive import provenance
 from loadid.results.estimate import LoadEstimate
+from loadid.results.facts import provenance
 from structures.errors import InputError, positive
 from structures.flags import Flag, codes
 

@@ -1,4 +1,4 @@
-"""The exact paths: dense, over states in O(N), and Toeplitz behind the impulse responses of any model.
+"""The exact paths of long records: over states in O(N), and Toeplitz behind the impulse responses of any model.
 
 The noise of a measured model differs from line to line, and its FRFs err by a share of the load's own spectrum. Both
 are put into one spectrum per sensor, and record and impulse responses pass the causal filter that makes it flat: what
@@ -18,81 +18,21 @@ from structures.model import Model
 from structures.models.statespace import StateSpace
 from structures.testing.spectra import minimum_phase, smooth_lines
 
-from ...inverse import penalties
 from ...inverse.constrained.nonnegative import NonNegativeRecord
-from ...inverse.convolution import Convolution, Stream, heard, toeplitz
+from ...inverse.convolution import Convolution, Stream, heard
 from ...inverse.convolved.path import ConvolvedPath
 from ...inverse.convolved.windows import WindowedPath, beginning_of
-from ...inverse.diagnosis import diagnose
 from ...inverse.penalties import names
-from ...inverse.problem import LinearProblem, whiten
+from ...inverse.problem import whiten
 from ...inverse.statespace.coarse import windows_of
 from ...inverse.statespace.passes import forward
 from ...inverse.statespace.path import StateSpacePath, layout
 from ...inverse.statespace.record import Augmented, augment, measured, moving, observed_first
 from ...inverse.statespace.riccati import feedback
 from ...inverse.statespace.sized import SizedPath
-from ...inverse.svd import SVDPath
 from ..data import Data
 from ..noise import Noise
-from .posed import WHOLE, Posed, Settings, by_prediction, measured_response
-
-DENSE = 2000  # unknowns of a matrix that fits a desk
-
-
-def dense(h: NDArray, values: NDArray, noise: Noise, data: Data, settings: Settings) -> Posed:
-    """Problem of impulse responses (samples, sensors, loads) of all sensors of the model.
-
-    Raises
-    ------
-    InputError
-        A record too long for a matrix, or with missing samples.
-    """
-    settings.refuse_special("dense")
-    samples, loads = len(values), h.shape[2]
-    n = samples * loads
-    if n > 2 * DENSE:
-        raise InputError(
-            "the record is too long for the dense path",
-            where="penalty" if not settings.named else "path",
-            found=f"{n} unknowns",
-            expected=f"at most {2 * DENSE}",
-            hint="use a named penalty with lambda > 0 and path='auto', or a window",
-        )
-    if data.missing.any():
-        raise InputError(
-            "the dense path takes no missing samples", where="record", found=data.gaps, expected="complete channels",
-            hint="use a named penalty, method='tikhonov', lambda > 0 and path='auto'",
-        )  # fmt: skip
-    used = h[:, data.rows]
-    T = toeplitz(used)
-    L = None if settings.penalty is None else penalties.matrix(settings.penalty, samples, loads)
-    if (sizes := settings.sizes(loads)) is not None:
-        L = np.vstack([np.eye(n) if L is None else L, np.kron(np.eye(samples), np.diag(sizes))])
-    path = SVDPath(LinearProblem.whitened(T, values, noise.level, L, (samples, loads)), truncated=settings.truncated)
-    full = None
-    if len(data.rows) < h.shape[1]:
-        scale = np.sqrt(np.mean(h**2, axis=(0, 2)))
-        full = diagnose.layout(np.linalg.svd(toeplitz(h / scale[:, None]).reshape(-1, n), compute_uv=False), n)
-
-    def predict(g: NDArray) -> NDArray:
-        return (T.reshape(-1, n) @ g.reshape(-1)).reshape(values.shape)
-
-    kappa, _, _ = diagnose.layout(path.singular_values, n)
-    layout = kappa, path.rank, max(n - path.rank, 0)
-    penalty = settings.penalty
-
-    def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
-        if not isinstance(penalty, str):
-            raise InputError("signs take a named penalty", where="penalty", found="a matrix or None",
-                             expected=f"one of {penalties.names()}")  # fmt: skip
-        return NonNegativeRecord.convolved(
-            whiten(used, noise.level, 1), whiten(values, noise.level, 1), penalty, signed=signed
-        )
-
-    compare = by_prediction(values, predict)
-    return Posed(path, noise, compare, values, "dense SVD", used, layout, full, n, path, pushing)
-
+from .posed import WHOLE, Posed, Settings, measured_response
 
 MOST = 64  # states up to which small matrices are quick
 WHOLE_STATES = 4096  # samples beyond which lambda is sought on windows of the record first

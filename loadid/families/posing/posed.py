@@ -336,12 +336,9 @@ def _measured_lines(model: Model, data: Data) -> tuple[NDArray[np.complex128], N
     own = float(model.dt or data.dt)
     if abs(data.dt / own - 1) > 1e-6:
         raise InputError(
-            "the record and the model have different steps",
-            where="estimate",
-            found=f"dt = {data.dt:.9g} s",
-            expected=f"dt = {own:.9g} s",
-            hint=Advice(AS_RECORDED, ", or resample"),
-        )
+            "the record and the model have different steps", where="estimate", found=f"dt = {data.dt:.9g} s",
+            expected=f"dt = {own:.9g} s", hint=Advice(AS_RECORDED, ", or resample"),
+        )  # fmt: skip
     f = np.linspace(0, 0.5 / own, padded_length(len(data.values)) // 2 + 1)
     return model.frf(f), f
 
@@ -361,11 +358,9 @@ def _lines(
     penalty = "identity" if settings.penalty is None else settings.penalty
     if not isinstance(penalty, str):
         raise InputError(
-            "the path by lines takes a named penalty",
-            where="penalty",
-            found="a matrix",
+            "the path by lines takes a named penalty", where="penalty", found="a matrix",
             expected=f"one of {penalties.names()}",
-        )
+        )  # fmt: skip
     used = H[:, data.rows]
     path = SpectralPath(
         used,

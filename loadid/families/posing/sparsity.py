@@ -334,9 +334,8 @@ def _ratio(
     if ratio >= 1:
         raise NotIdentifiable(
             "the record holds nothing beyond its noise: no load is needed to explain it",
-            advice="check the noise level (noise=), or take a record with a larger response",
-            code="LID-E312",
-        )
+            advice="check the noise level (noise=), or take a record with a larger response", code="LID-E312",
+        )  # fmt: skip
     return ratio, "discrepancy", edge, ratios | {"discrepancy": ratio}
 
 
@@ -345,9 +344,8 @@ def _solved(along: SparsePath, ratio: float, tol: float) -> SparseSolution:
     if found.gap > max(SOLVED, tol):
         raise NotIdentifiable(
             f"the l1 problem could not be solved: relative duality gap {found.gap:.2g} after {found.steps} steps",
-            advice="a larger mu, a coarser dictionary (knots=), or a window of the record",
-            code="LID-E410",
-        )
+            advice="a larger mu, a coarser dictionary (knots=), or a window of the record", code="LID-E410",
+        )  # fmt: skip
     if not len(found.support):
         raise InputError("everything is zero at this mu", where="choice", found=f"{ratio:.4g}", expected="a smaller mu",
                          hint="choice=None finds one")  # fmt: skip

@@ -227,12 +227,11 @@ def _refuse_silent(H: NDArray[np.float64], channels: Sequence[Channel]) -> None:
     silent = [c.label for c, row in zip(channels, H, strict=True) if not np.any(row)]
     if silent:
         raise InputError(
-            f"{len(silent)} sensor{'s' if len(silent) > 1 else ''} see no static load",
-            where="transfer matrix",
+            f"{len(silent)} sensor{'s' if len(silent) > 1 else ''} see no static load", where="transfer matrix",
             found=", ".join(silent[:8]) + (", ..." if len(silent) > 8 else ""),
             expected="strains or displacements that a load moves",
             hint="leave them out (sensors=[...]); velocity, acceleration and AC-coupled sensors see no constant load",
-        )
+        )  # fmt: skip
 
 
 def drawn(posed: StaticProblem, choice: Choice, sigma: float, draws: int, seed: int) -> NDArray[np.float64]:

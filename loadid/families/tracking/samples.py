@@ -18,9 +18,8 @@ from structures.flags import Flag
 
 from ... import guards
 from ...record import Record
-from ...results.archive import provenance
 from ...results.estimate import Axis, LoadEstimate
-from ...results.facts import Facts
+from ...results.facts import Facts, provenance
 from ..answer import Reconstruction, labelled
 from ..data import Data, numbers
 from .fit import Fitted
