@@ -23,6 +23,8 @@ from structures.testing.impact import digests
 from ..record import Record, refuse_copies
 from ..results.estimate import Axis
 
+Array = NDArray[Any]
+
 SHORTEST = 4  # samples
 LARGEST = 1e100  # of a reading, in any unit: its square must stay a number
 SAME = 1e-6  # relative difference of two steps that is rounding of a file
@@ -72,7 +74,7 @@ class Data:
     @property
     def rms(self) -> NDArray[np.float64]:
         """Root mean square of the recorded samples of every channel, shape (used sensors,)."""
-        return np.sqrt(np.sum(self.values**2, axis=0) / np.maximum(np.sum(~self.missing, axis=0), 1))
+        return np.asarray(np.sqrt(np.sum(self.values**2, axis=0) / np.maximum(np.sum(~self.missing, axis=0), 1)))
 
     @cached_property
     def gaps(self) -> str:
@@ -254,7 +256,7 @@ def health(data: Data) -> tuple[Flag, ...]:
     return (*data.record.flags, *found)
 
 
-def _record(values: Any, dt: float | None, model: Model, rows: NDArray) -> Record:
+def _record(values: Any, dt: float | None, model: Model, rows: Array) -> Record:
     if dt is None:
         raise InputError("the step of a bare array is not known", where="estimate", found="no dt", expected="dt= in s")
     table = numbers(values, "the record is no table of real numbers")

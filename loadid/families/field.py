@@ -212,7 +212,7 @@ class FieldDeconvolution:
         return replace(found, load=found.load @ T.T, std=std, bias=bias, posterior=posterior, **told_of)
 
 
-def told_apart(H: NDArray) -> int:
+def told_apart(H: NDArray[Any]) -> int:
     """Largest rank of the lines (lines, sensors, loads), units taken out: combinations of loads that leave a trace."""
     rows = np.sqrt(np.mean(np.abs(H) ** 2, axis=(0, 2)))
     tiny = np.finfo(float).tiny

@@ -26,6 +26,8 @@ from .data import rows_of
 from .posing.fitting import LineFit, LineRule, fit, judged
 from .posing.gathered import SIGNALS, LineData, Settings, lines_of, response
 
+Array = NDArray[Any]
+
 BESIDE = 16  # samples around a load that stands out, to which what is missing of it belongs
 CLEAR = 5.0  # standard deviations by which a load stands out of a transient
 
@@ -304,7 +306,7 @@ _ANSWERS: dict[str, Callable[[LineFit, LineData, NDArray[Any], LoadSpectrum], Re
 
 
 # -- helpers ----------------------------------------------------------------------------------------------------------
-def _hidden(solved: LineFit, history: NDArray, std: NDArray, padded: int) -> NDArray[np.float64]:
+def _hidden(solved: LineFit, history: Array, std: Array, padded: int) -> NDArray[np.float64]:
     """What is expected to be missing from a transient, (samples, loads).
 
     The posterior takes lines for independent and spreads what they do not tell evenly over the record. Of a pulse all
@@ -322,7 +324,7 @@ def _hidden(solved: LineFit, history: NDArray, std: NDArray, padded: int) -> NDA
     return np.where(beside, missing, 0.0)
 
 
-def _in_order(noise: ArrayLike | None, rows: NDArray) -> ArrayLike | None:
+def _in_order(noise: ArrayLike | None, rows: Array) -> ArrayLike | None:
     """Noise of all sensors of the model in the order in which they are used."""
     return np.asarray(noise)[rows] if noise is not None and np.shape(noise) == rows.shape else noise
 

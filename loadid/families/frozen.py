@@ -183,7 +183,7 @@ class Frozen:
         if not (np.abs(y).max() <= LARGEST):  # also NaN
             self._refuse(y)
         if self.matrix is None:
-            return self.solver(y, resultants)
+            return np.asarray(self.solver(y, resultants))
         if resultants is not None:
             raise InputError(
                 "this frozen inverse has no resultant constraint", where="frozen", found="resultants",
@@ -202,7 +202,7 @@ class Frozen:
             f"lambda {self.lam:.3g} ({self.rule}; noise level: {self.delta_source}); {how}"
         )
 
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write an HDF5 file with checksums, whole or not at all.
 
         Raises
@@ -220,7 +220,7 @@ class Frozen:
         storage.write(path, {k: list(v) if isinstance(v, tuple) else v for k, v in tree.items()}, KIND)
 
     @classmethod
-    def read(cls, path: str | os.PathLike) -> Frozen:
+    def read(cls, path: str | os.PathLike[str]) -> Frozen:
         """Read what `save` wrote.
 
         Raises

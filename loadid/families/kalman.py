@@ -35,6 +35,8 @@ from .tracking.samples import ranges, within
 from .tracking.tracker import Tracker
 from .tracking.tuning import LONGEST, numbers_of
 
+Array = NDArray[Any]
+
 PARAMETERS = ("stiffness", "mass", "damping")
 MOST, FAR, NEARLY = 1000, 50, 1.05  # of a lag; where it is judged, and how near to that is near enough
 JOINT = ("ou", "matern32", "matern52")
@@ -272,7 +274,7 @@ class LoadTracker:
         dummy = self.around["dummy"]
         return [] if dummy is None else [near_rest_in_words(dummy)]
 
-    def _recipe(self, posing: Posing, x: NDArray, scale: float) -> Recipe | None:
+    def _recipe(self, posing: Posing, x: Array, scale: float) -> Recipe | None:
         """How the filter is made of a model; None where that cannot be kept."""
         priors = posing.priors(x)
         if self.around["ambient"] is not None or not storable(priors):
@@ -322,7 +324,7 @@ class LoadTracker:
                 return None
             raise
 
-    def _certified(self, model: Any, settled: Steady | None, data: Data) -> tuple[Certificate, NDArray]:
+    def _certified(self, model: Any, settled: Steady | None, data: Data) -> tuple[Certificate, Array]:
         Y = np.where(data.missing, np.nan, data.values)[:LONGEST]
         engine = Engine(model, settled, None)
         load, std, e = np.empty((len(Y), model.p)), np.empty((len(Y), model.p)), np.full(Y.shape, np.nan)
@@ -335,7 +337,7 @@ class LoadTracker:
         return banded(found, settled, [c.label for c in self.model.loads], data.dt), e[first:]
 
     def _flags(
-        self, data: Data, seen: Observability, model: Any, settled: Steady | None, certificate: Certificate, e: NDArray,
+        self, data: Data, seen: Observability, model: Any, settled: Steady | None, certificate: Certificate, e: Array,
         more: tuple[Flag, ...],
     ) -> tuple[Flag, ...]:  # fmt: skip
         tuned = any(isinstance(g, Named) for g in self.given)
@@ -365,17 +367,17 @@ class LoadTracker:
         }  # fmt: skip
 
 
-def _nis(settled: Steady | None, e: NDArray) -> NDArray[np.float64]:
+def _nis(settled: Steady | None, e: Array) -> NDArray[np.float64]:
     """Normalised squares of the samples; of complete ones by the covariance of the innovation."""
     own = np.nansum(e**2, axis=1)
     if settled is None:
-        return own
+        return np.asarray(own)
     from ..inverse.kalman.model import forward
 
     whole = np.isfinite(e).all(axis=1)
     white = forward(settled.Se_root, (e[whole] * settled.innovation_std).T)
     own[whole] = np.sum(white**2, axis=0)
-    return own
+    return np.asarray(own)
 
 
 def _left_out(model: Any, data: Data, first: int) -> list[float | None]:
@@ -399,7 +401,7 @@ def _left_out(model: Any, data: Data, first: int) -> list[float | None]:
     return found
 
 
-def _states(filtered: Steady, Y: NDArray) -> NDArray[np.float64]:
+def _states(filtered: Steady, Y: Array) -> NDArray[np.float64]:
     """Filtered states (samples, n) of a complete record."""
     x, out = filtered.model.x0, np.empty((len(Y), filtered.model.n))
     F, H, T = filtered.part.F, filtered.part.H, filtered.part.T

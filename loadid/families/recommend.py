@@ -34,6 +34,8 @@ from .posing.sparsity import Problem, pose, posing
 from .sparse import SparseDeconvolution
 from .tracking.tracker import Tracker
 
+Array = NDArray[Any]
+
 NAMES = ("white", "random_walk", "ou", "matern32", "matern52")
 FEW = ("white", "matern32", "matern52")  # where loads are many, as each has numbers of its own
 MANY = 4  # loads
@@ -102,7 +104,7 @@ def of_sparse(score: float, problem: Problem, samples: int) -> float:
     return score + logs + free + early * len(level)
 
 
-def _criterion(tracker: Tracker, Y: NDArray) -> float:
+def _criterion(tracker: Tracker, Y: Array) -> float:
     from ..inverse.kalman.settled import filter_settling
 
     settled = tracker.fitted.settled
@@ -386,7 +388,7 @@ def _compared(problem: Problem, say: Callable[[float, str], None]) -> tuple[dict
     return scores or {1: 0.0}, shares or {1: 1.0}
 
 
-def pulse_width(g: NDArray) -> float:
+def pulse_width(g: Array) -> float:
     """Width in samples of the largest pulse of a history, as that of a half-sine of the same width at half height."""
     return HALF_SINE * half_width(g)
 

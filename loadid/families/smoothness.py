@@ -148,7 +148,7 @@ def _on_tractions(L: NDArray[np.float64], basis: Any) -> NDArray[np.float64]:
     """L M^-1: nodal forces become tractions before they are differenced."""
     from scipy.sparse.linalg import splu
 
-    return splu(basis.mass.tocsc()).solve(np.ascontiguousarray(L.T)).T
+    return np.asarray(splu(basis.mass.tocsc()).solve(np.ascontiguousarray(L.T)).T)
 
 
 def _each(L: NDArray[np.float64] | None, components: int) -> NDArray[np.float64] | None:

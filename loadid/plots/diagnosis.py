@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from ..inverse.diagnosis.diagnose import Diagnosis
     from ..results.estimate import LoadEstimate
 
+Array = NDArray[Any]
+
 
 _LINES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 
@@ -230,7 +232,7 @@ def _draw_spreads(ax: Axes, d: Diagnosis, estimate: LoadEstimate) -> None:
     tidy(ax)
 
 
-def _draw_distances(ax: Axes, d: Diagnosis, names: list[str], x: NDArray) -> None:
+def _draw_distances(ax: Axes, d: Diagnosis, names: list[str], x: Array) -> None:
     """Point spreads over a surface: what is shown in the same direction, over the distance from the load."""
     count = d.n // len(x)
     for k, j in enumerate(d.shown):
@@ -295,7 +297,7 @@ def _crossing(d: Diagnosis, lam: float) -> float:
     return float(np.interp(np.log(lam), np.log(gamma[order]), order + 1.0))
 
 
-def _floor(ax: Axes, values: NDArray) -> None:
+def _floor(ax: Axes, values: Array) -> None:
     """End a log axis where rounding begins."""
     top = float(values.max(initial=0.0))
     if top > 0 and values.min(initial=np.inf) < 1e-17 * top:
@@ -326,7 +328,8 @@ def _diagnosis(estimate: LoadEstimate) -> Diagnosis:
             "the estimate carries no diagnosis", where="plot",
             hint="estimates of StaticInversion carry one; histories show theirs by plot('path')",
         )  # fmt: skip
-    return d
+    found: Diagnosis = d
+    return found
 
 
 def _names(estimate: LoadEstimate, n: int) -> list[str]:

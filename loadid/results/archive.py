@@ -29,7 +29,7 @@ _WRITTEN = {
 }  # fmt: skip
 
 
-def read(path: str | os.PathLike, of_tree: Callable[[dict[str, Any]], LoadEstimate]) -> LoadEstimate:
+def read(path: str | os.PathLike[str], of_tree: Callable[[dict[str, Any]], LoadEstimate]) -> LoadEstimate:
     """Read a result file, whose tree `of_tree` makes an estimate of.
 
     Raises

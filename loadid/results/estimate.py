@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Array = NDArray[Any]
+
 
 @dataclass(frozen=True, eq=False)
 class Axis:
@@ -105,14 +107,14 @@ class LoadEstimate:
         If shapes or names do not fit together, or a number is not finite.
     """
 
-    load: NDArray
-    std: NDArray
+    load: Array
+    std: Array
     labels: Sequence[str]
     units: Sequence[str]
     axis: Axis | None = None
     choice: Choice | None = None
-    response: NDArray | None = None
-    residual: NDArray | None = None
+    response: Array | None = None
+    residual: Array | None = None
     sensors: Sequence[str] = ()
     sensor_units: Sequence[str] = ()
     flags: Sequence[Flag] = ()
@@ -120,7 +122,7 @@ class LoadEstimate:
     certificate: Certificate | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     posterior: Any = field(default=None, repr=False)
-    bias: NDArray | None = field(default=None, repr=False)
+    bias: Array | None = field(default=None, repr=False)
     geometry: Mapping[str, Any] | None = field(default=None, repr=False)
     diagnosis: Any = field(default=None, repr=False)
     validation: Any = None
@@ -147,7 +149,7 @@ class LoadEstimate:
         peaks = ", ".join(f"{p.label}: peak {p.value:.4g} {p.unit}" for p in self.peaks[:3])
         return f"<LoadEstimate {self.load.shape}, {peaks}; {len(self.flags)} flags>"
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[Any, ...]:
         state = {f.name: getattr(self, f.name) for f in fields(self)}
         views = {k: v if v is None else dict(v) for k in ("provenance", "geometry") for v in [state[k]]}
         return _rebuild, (state | views,)
@@ -164,11 +166,11 @@ class LoadEstimate:
         return NOT_VERIFIED if self.certificate is None else str(self.certificate)
 
     @property
-    def predicted(self) -> NDArray | None:
+    def predicted(self) -> Array | None:
         """Response that the model predicts for this load, the shape of `response`."""
         return None if self.response is None or self.residual is None else self.response - self.residual
 
-    def band(self, level: float = 0.95) -> tuple[NDArray, NDArray]:
+    def band(self, level: float = 0.95) -> tuple[Array, Array]:
         """Lower and upper end of the central band of probability `level`, each of the shape of `load`.
 
         Of complex amplitudes the band of their moduli: errors are circular, ``std = sqrt(E|error|^2)``.
@@ -331,7 +333,7 @@ class LoadEstimate:
         *,
         truth: ArrayLike | None = None,
         ax: Axes | None = None,
-        path: str | os.PathLike | None = None,
+        path: str | os.PathLike[str] | None = None,
         show: bool = False,
     ) -> Figure:
         """Picture of the load, or of what the data tell of it.
@@ -355,7 +357,7 @@ class LoadEstimate:
 
         return plot(self, kind, truth=truth, ax=ax, path=path, show=show)
 
-    def report(self, path: str | os.PathLike, *, truth: ArrayLike | None = None) -> None:
+    def report(self, path: str | os.PathLike[str], *, truth: ArrayLike | None = None) -> None:
         """Write one self-contained HTML page."""
         from .report import write_report
 
@@ -383,7 +385,7 @@ class LoadEstimate:
         tree = archive.plain(tree)
         return tree if arrays else archive.without_arrays(tree)
 
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write an HDF5 file with checksums, whole or not at all."""
         from structures.files import storage
 
@@ -392,7 +394,7 @@ class LoadEstimate:
         storage.write(path, archive.to_tree(self), archive.KIND)
 
     @classmethod
-    def read(cls, path: str | os.PathLike) -> LoadEstimate:
+    def read(cls, path: str | os.PathLike[str]) -> LoadEstimate:
         """Read what `save` wrote.
 
         Raises
@@ -418,7 +420,7 @@ load = LoadEstimate.read
 
 
 # -- helpers ----------------------------------------------------------------------------------------------------------
-def _frozen(value: ArrayLike) -> NDArray:
+def _frozen(value: ArrayLike) -> Array:
     array = np.array(value)  # a copy: the caller's array stays writable and apart
     array = array if array.dtype.kind in "fc" else array.astype(float)
     array.setflags(write=False)

@@ -14,11 +14,13 @@ from structures.errors import InputError, plain, real
 if TYPE_CHECKING:
     from .estimate import LoadEstimate
 
+Array = NDArray[Any]
+
 
 DEEP = 0.5  # of the largest gain around it: a minimum below that counts as a zero
 
 
-def nearest_zeros(frequencies: NDArray, gain: NDArray, half: int = 40) -> NDArray[np.float64]:
+def nearest_zeros(frequencies: Array, gain: Array, half: int = 40) -> NDArray[np.float64]:
     """Frequency (Hz) of the antiresonance nearest to each line, for each load, (lines, loads); inf: there is none.
 
     An antiresonance is a local minimum of the gain below half of the largest gain within `half` lines.
@@ -291,7 +293,7 @@ def _shares(e: LoadEstimate, columns: list[int]) -> NDArray[np.float64]:
         return np.full(len(columns), 1 / len(columns))
     count = len(e.geometry["components"])
     area = np.asarray(measures, float)[np.array(columns) // count]
-    return area / area.sum()
+    return np.asarray(area / area.sum())
 
 
 def _resultant(e: LoadEstimate, component: int | str | None) -> tuple[NDArray[np.float64], str, str]:
@@ -348,7 +350,7 @@ def _weights(w: ArrayLike) -> NDArray[np.float64]:
     return own
 
 
-def _bias_limit(posterior: object, weights: NDArray, limit: float) -> float | None:
+def _bias_limit(posterior: object, weights: Array, limit: float) -> float | None:
     """Worst error of regularisation for loads of at most `limit`: limit times the sum of |(R - I)^T w|."""
     if (real(limit) or 0.0) <= 0:
         raise InputError(

@@ -20,6 +20,8 @@ from .facts import Facts, fact
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Array = NDArray[Any]
+
 
 KIND = "location"
 LISTED = 8  # candidates that a summary lists
@@ -118,16 +120,16 @@ class LocationResult:
     """
 
     labels: Sequence[str]
-    places: NDArray | None
+    places: Array | None
     spacing: float | None
-    scores: NDArray
+    scores: Array
     best: Sequence[int]
     runner_up: int
     ratio: float
     plausible: Sequence[Sequence[str]]
     alike: Sequence[Sequence[str]]
-    found: NDArray | None
-    covariance: NDArray | None
+    found: Array | None
+    covariance: Array | None
     refined: bool
     residual: float
     rivals: Sequence[Rival] = ()
@@ -218,7 +220,7 @@ class LocationResult:
         kind: str = "map",
         *,
         truth: ArrayLike | None = None,
-        path: str | os.PathLike | None = None,
+        path: str | os.PathLike[str] | None = None,
         show: bool = False,
     ) -> Figure:
         """Picture of the search.
@@ -243,9 +245,9 @@ class LocationResult:
         from . import archive
 
         tree = archive.plain(_tree(self) | {"estimate": None})
-        return tree | {"where": list(self.where), "ambiguous": self.ambiguous}
+        return {**tree, "where": list(self.where), "ambiguous": self.ambiguous}
 
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write an HDF5 file with checksums, whole or not at all."""
         from structures.files import storage
 
@@ -255,7 +257,7 @@ class LocationResult:
         storage.write(path, _tree(self) | {"estimate": estimate}, KIND)
 
     @classmethod
-    def read(cls, path: str | os.PathLike) -> LocationResult:
+    def read(cls, path: str | os.PathLike[str]) -> LocationResult:
         """Read what `save` wrote.
 
         Raises

@@ -52,7 +52,7 @@ _DEFAULTS = {
 }
 
 
-def write_report(estimate: LoadEstimate, path: str | os.PathLike, *, truth: ArrayLike | None = None) -> None:
+def write_report(estimate: LoadEstimate, path: str | os.PathLike[str], *, truth: ArrayLike | None = None) -> None:
     """Write the page, whole or not at all.
 
     Raises

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,6 +21,8 @@ from .. import noise as noises
 from ..data import Data
 from .paths import MOST, TAPS, at_rest_in_place, convolved, convolved_measured, state_space_of, states
 from .posed import PATHS, UNUSABLE, Posed, Settings, by_prediction, diagonal, lines, measured_lines, shift
+
+Array = NDArray[Any]
 
 __all__ = ["PATHS", "UNUSABLE", "Posed", "Settings", "diagonal", "pose"]
 
@@ -94,7 +98,7 @@ def _kind(model: Model, data: Data, settings: Settings) -> tuple[str, StateSpace
     return ("dense" if unknowns <= DENSE and not gaps else "toeplitz"), None
 
 
-def dense(h: NDArray, values: NDArray, noise: noises.Noise, data: Data, settings: Settings) -> Posed:
+def dense(h: Array, values: Array, noise: noises.Noise, data: Data, settings: Settings) -> Posed:
     """Problem of impulse responses (samples, sensors, loads) of all sensors of the model.
 
     Raises
@@ -127,7 +131,7 @@ def dense(h: NDArray, values: NDArray, noise: noises.Noise, data: Data, settings
         scale = np.sqrt(np.mean(h**2, axis=(0, 2)))
         full = diagnose.layout(np.linalg.svd(toeplitz(h / scale[:, None]).reshape(-1, n), compute_uv=False), n)
 
-    def predict(g: NDArray) -> NDArray:
+    def predict(g: Array) -> Array:
         return (T.reshape(-1, n) @ g.reshape(-1)).reshape(values.shape)
 
     kappa, _, _ = diagnose.layout(path.singular_values, n)

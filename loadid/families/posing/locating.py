@@ -55,7 +55,7 @@ class Grid:
     @property
     def distance(self) -> Array:
         """Distances of the candidates in spacings, (candidates, candidates)."""
-        return np.linalg.norm(self.places[:, None] - self.places, axis=2) / self.spacing
+        return np.asarray(np.linalg.norm(self.places[:, None] - self.places, axis=2) / self.spacing)
 
     @property
     def near(self) -> NDArray[np.bool_]:
@@ -177,7 +177,7 @@ class CandidateLoads:
         """Impulse responses (samples, sensors, n) of loads at places (n, used coordinates)."""
         if self.how == "moved":
             return self._moved(places)
-        return np.einsum("ksc,nc->ksn", self.h, self._weights(places))
+        return np.asarray(np.einsum("ksc,nc->ksn", self.h, self._weights(places)))
 
     def at(self, places: Array) -> Model:
         """The model under loads at places (n, used coordinates)."""
@@ -335,7 +335,7 @@ def noise_level(posed: LocationProblem, residual2: float, chosen: Chosen) -> flo
     return left if posed.sigma is None else max(left, posed.sigma)
 
 
-def basins(scores: Array, near: NDArray, best: int) -> tuple[list[int], list[int]]:
+def basins(scores: Array, near: NDArray[Any], best: int) -> tuple[list[int], list[int]]:
     """Neighbours of the best, and local minima of the scores outside its neighbourhood; both best first."""
     lowest = np.array([np.min(scores[near[j]]) for j in range(len(scores))])
     order = [int(j) for j in np.argsort(scores, kind="stable") if j != best]

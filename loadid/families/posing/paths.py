@@ -34,6 +34,8 @@ from ..data import Data
 from ..noise import Noise
 from .posed import WHOLE, Posed, Settings, measured_response
 
+Array = NDArray[Any]
+
 MOST = 64  # states up to which small matrices are quick
 WHOLE_STATES = 4096  # samples beyond which lambda is sought on windows of the record first
 TAPS = 4096  # samples of the impulse response that guards look at
@@ -53,7 +55,7 @@ def at_rest_in_place(system: StateSpace) -> StateSpace:
     return StateSpace(system.A, B, system.C, D, system.dt, system.hold, sensors=system.sensors, loads=system.loads)
 
 
-def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, settings: Settings) -> Posed:
+def states(system: StateSpace, h: Array, late: int, noise: Noise, data: Data, settings: Settings) -> Posed:
     """Problem of a state space whose first `late` Markov parameters are zero.
 
     Parameters
@@ -86,7 +88,7 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
         start = np.r_[np.zeros(count), start] if isinstance(start, np.ndarray) else start
         unknown, seen = True, seen + count
 
-    def respond(load: NDArray, first: NDArray) -> NDArray:
+    def respond(load: Array, first: Array) -> Array:
         """Response (samples, sensors) of the used sensors to a load, from a state at the first sample."""
         plain = measured(_systems(A, B, C[rows], D[..., rows, :], len(values), "identity"), np.zeros_like(values))
         return forward(plain, feedback(plain), np.ascontiguousarray(load, float), first)[2]
@@ -102,7 +104,7 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     path = StateSpacePath(own, quick=long) if sizes is None else SizedPath(own, sizes, quick=long)
     judged = (windows_of(path) or path) if long and sizes is None else path
 
-    def compare(load: NDArray, lam: float, first: NDArray | None) -> tuple[NDArray, NDArray]:
+    def compare(load: Array, lam: float, first: Array | None) -> tuple[Array, Array]:
         begin = np.zeros(len(A))
         if unknown:  # the free states come first, in what a path and what a solver of signs calls its start
             begin[:seen] = (path.start(lam) if first is None else first)[:seen]
@@ -131,7 +133,7 @@ def _constants(data: Data, sensors: int) -> NDArray[np.float64]:
     return columns
 
 
-def _with_constants(A: NDArray, B: NDArray, C: NDArray, constants: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+def _with_constants(A: Array, B: Array, C: Array, constants: Array) -> tuple[Array, Array, Array]:
     """The system with states in front that never change and that the sensors see as `constants` (sensors, states)."""
     count, n = constants.shape[1], len(A)
     A = np.block([[np.eye(count), np.zeros((count, n))], [np.zeros((n, count)), A]])
@@ -140,7 +142,7 @@ def _with_constants(A: NDArray, B: NDArray, C: NDArray, constants: NDArray) -> t
 
 
 def _systems(
-    A: NDArray, B: NDArray, C: NDArray, D: NDArray, samples: int, penalty: str, **extra: Any
+    A: Array, B: Array, C: Array, D: Array, samples: int, penalty: str, **extra: Any
 ) -> Augmented | list[Augmented]:
     """One augmented system, or one for each sample where loads move."""
     if B.ndim == 3 or D.ndim == 3:
@@ -148,7 +150,7 @@ def _systems(
     return augment(A, B, C, D, penalty, **extra)
 
 
-def _advanced(system: StateSpace, late: int) -> tuple[NDArray, NDArray]:
+def _advanced(system: StateSpace, late: int) -> tuple[Array, Array]:
     """Output matrices that pair a load with the response `late` samples later."""
     if late == 0 or system.moving:
         return system.C, system.D
@@ -207,7 +209,7 @@ def coloured(model: Model, data: Data, settings: Settings) -> Coloured:
     return Coloured(raw, h, y, Noise(level, noise.known, source))
 
 
-def _whitened(h: NDArray, y: NDArray, power: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _whitened(h: Array, y: Array, power: Array) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Impulse responses (taps, sensors, loads) and data (samples, sensors) after the filter of each sensor."""
     from scipy import fft
 
@@ -221,7 +223,7 @@ FEW = 4096  # samples of a record whose lines tell as much as those of a longer 
 LAYOUT = 1e-12  # share of the largest line below which a line says nothing
 
 
-def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data: Data, settings: Settings) -> Posed:
+def convolved(h: Array, values: Array, missing: Array, noise: Noise, data: Data, settings: Settings) -> Posed:
     """Problem of impulse responses (taps, sensors, loads) of all sensors of the model.
 
     Raises
@@ -240,7 +242,7 @@ def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data:
 
 
 def _posed(
-    h: NDArray, h_white: NDArray, y_white: NDArray, values: NDArray, missing: NDArray, noise: Noise, data: Data,
+    h: Array, h_white: Array, y_white: Array, values: Array, missing: Array, noise: Noise, data: Data,
     settings: Settings,
 ) -> Posed:  # fmt: skip
     """Problem of whitened impulse responses of the used sensors and whitened data."""
@@ -254,7 +256,7 @@ def _posed(
     judged = (beginning_of(path) or path) if pieces else path
     forward = Stream(heard(used))
 
-    def compare(load: NDArray, lam: float, start: NDArray | None) -> tuple[NDArray, NDArray]:
+    def compare(load: Array, lam: float, start: Array | None) -> tuple[Array, Array]:
         predicted = forward.whole(load.T).T
         shown = np.where(missing, predicted, values)
         return shown, shown - predicted
@@ -293,7 +295,7 @@ def convolved_measured(model: Model, data: Data, settings: Settings) -> Posed:
     return _posed(white.raw, white.h, white.y, data.values, data.missing, white.noise, data, settings)
 
 
-def _layout(h: NDArray, samples: int) -> tuple[float, int, int]:
+def _layout(h: Array, samples: int) -> tuple[float, int, int]:
     """Condition number, rank and nullity by the lines of a padded transform of impulse responses."""
     h = heard(h)
     values = np.linalg.svd(Convolution(h, min(samples, max(len(h), FEW))).lines, compute_uv=False)

@@ -24,6 +24,8 @@ from ..data import Data
 from .posed import Settings as Posing
 from .posed import shift
 
+Array = NDArray[Any]
+
 SEGMENT = 16384  # samples at the start of a longer record on which dictionaries and noise levels are compared
 ONSET = 0.1  # share of the energy of the data that such a segment holds at least
 SOLVED = 1e-5  # relative duality gap above which an iterate is not reported
@@ -94,7 +96,7 @@ class Problem:
         """Data that are there."""
         return self.y.size if self.weight is None else int(np.count_nonzero(self.weight))
 
-    def atoms(self, dictionary: str | NDArray, knots: int | None = None) -> Atoms:
+    def atoms(self, dictionary: str | Array, knots: int | None = None) -> Atoms:
         """The dictionary of a name (and spacing) on this record."""
         if not isinstance(dictionary, str):
             if dictionary.ndim != 2 or len(dictionary) != self.samples or not np.all(np.isfinite(dictionary)):

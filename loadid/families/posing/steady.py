@@ -161,7 +161,7 @@ class StaticProblem:
         def solve(y: NDArray[np.float64], resultants: Sequence[ArrayLike] | None = None) -> NDArray[np.float64]:
             found = prepared.solve(W @ y, warm=last[0], resultants=resultants)
             last[0] = found
-            return found.load
+            return np.asarray(found.load)
 
         return solve
 
@@ -245,11 +245,11 @@ def drawn(posed: StaticProblem, choice: Choice, sigma: float, draws: int, seed: 
     if isinstance(draws, bool) or not isinstance(draws, int | np.integer) or draws < 1:
         raise InputError("no number of draws", where="sample", found=repr(draws)[:40], expected="a positive integer")
     if posed.constrained:
-        return posed.path.sample(choice.lam, sigma, int(draws), seed=seed)
+        return np.asarray(posed.path.sample(choice.lam, sigma, int(draws), seed=seed))
     solution, rng = posed.base.solution(choice.lam, sigma), np.random.default_rng(seed)
     factor = solution.posterior.factor  # type: ignore[union-attr]
     lead = solution.load.shape[:-1]
-    return solution.load + rng.standard_normal((int(draws), *lead, factor.shape[1])) @ factor.T
+    return np.asarray(solution.load + rng.standard_normal((int(draws), *lead, factor.shape[1])) @ factor.T)
 
 
 def _noise_share(posterior: Any, load: NDArray[np.float64]) -> float | None:
