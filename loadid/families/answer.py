@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,12 @@ from ..results.estimate import Axis, LoadEstimate
 from ..results.facts import Facts, provenance
 from .noise import Noise
 
+if TYPE_CHECKING:
+    from .data import Data, Readings
+    from .posing.gathered import LineData
+
 Array = NDArray[Any]
+Measured: TypeAlias = "Data | Readings | LineData | Amplitudes"
 UNDETERMINED = "LID-E306"
 
 
@@ -43,37 +48,9 @@ class Family(Protocol):
         """Guard codes whose refusal is overridden."""
 
 
-class Measured(Protocol):
-    """What was inverted: records, readings or lines."""
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """The used channels."""
-
-    @property
-    def rows(self) -> NDArray[np.int_]:
-        """Their rows in the model."""
-
-    @property
-    def inputs(self) -> Mapping[str, str]:
-        """Name -> sha256."""
-
-    @property
-    def fingerprints(self) -> AbstractSet[str]:
-        """Digests that a model made from these channels knows."""
-
-    @property
-    def simulated_by(self) -> str:
-        """Fingerprint of the model that made them; "" where they were measured."""
-
-    @property
-    def findings(self) -> Sequence[Flag]:
-        """What was found while reading them."""
-
-
 @dataclass(frozen=True)
 class Amplitudes:
-    """Numbers without a record behind them, as `Measured`."""
+    """Numbers without a record behind them, with what records, readings and lines tell of theirs."""
 
     channels: Sequence[Channel]
     rows: NDArray[np.int_]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -114,27 +114,27 @@ class HarmonicInversion:
         """
         Y = self._amplitudes(amplitudes)
         self._progress(0.1, "posing the problem")
-        posed = self._pose(Y)
-        self._refuse_undetermined(posed)
+        path, noise = self._pose(Y)
+        self._refuse_undetermined(path)
         self._progress(0.4, "choosing lambda")
-        choice = choose(posed.path, self.choice, sigma=posed.noise.sigma, source=posed.noise.source)
-        sigma = noise_level(posed.path, choice, posed.noise)
-        solution = posed.path.solution(choice.lam, sigma)
+        choice = choose(path, self.choice, sigma=noise.sigma, source=noise.source)
+        sigma = noise_level(path, choice, noise)
+        solution = path.solution(choice.lam, sigma)
         rest = Y - self.H @ (solution.load[0] + 1j * solution.load[1])
         facts = {"path": "dense SVD, real and imaginary parts", "frequency": self.frequency}
-        layout = diagnose.layout(posed.path.singular_values, self.unknowns)
+        layout = diagnose.layout(path.singular_values, self.unknowns)
         self._progress(1.0, "done")
         found = of_path(
-            posed.path, choice, solution, sigma, posed.noise, layout=layout, axis=Axis("part", "", np.arange(2.0)),
+            path, choice, solution, sigma, noise, layout=layout, axis=Axis("part", "", np.arange(2.0)),
             response=np.stack([Y.real, Y.imag]), residual=np.stack([rest.real, rest.imag]),
-            facts={**facts, "n": self.unknowns}, hidden_by=posed.path, along=-1,
+            facts={**facts, "n": self.unknowns}, hidden_by=path, along=-1,
         )  # fmt: skip
         measured = Amplitudes([self.model.sensors[i] for i in self.rows], self.rows)
         return answer(
             self, measured, replace(found, geometry=None if self.basis is None else _geometry(self.basis)), choice,
-            known=posed.noise.known, searched=posed.path, free=self._free, settings=self._named_settings(posed.noise),
+            known=noise.known, searched=path, free=self._free, settings=self._named_settings(noise),
             prior=f"in space {spatial.spatial_words(self.space, self.length)}",
-            flags=[guards.null_space(posed.path.m, self.unknowns, posed.path.rank)],
+            flags=[guards.null_space(path.m, self.unknowns, path.rank)],
         )  # fmt: skip
 
     # -- inside -----------------------------------------------------------------------------------------------------
@@ -172,15 +172,15 @@ class HarmonicInversion:
                              expected=f"finite, ({len(self.rows)},): {labels[:12]}")  # fmt: skip
         return Y
 
-    def _pose(self, Y: Complex) -> _Posed:
+    def _pose(self, Y: Complex) -> tuple[SVDPath, Noise]:
         """The line as a real problem: real parts before imaginary ones."""
         noise, H = self._noise(Y), self.H
         loads = H.shape[1]
         both = np.stack([np.hstack([H.real, -H.imag]), np.hstack([H.imag, H.real])])
         L = None if self.W is None else np.kron(np.eye(2), self.W)
         problem = LinearProblem.whitened(both, np.stack([Y.real, Y.imag]), noise.level, L, (2, loads))
-        return _Posed(SVDPath(problem, labels=[f"{part} {c.label}" for part in ("Re", "Im") for c in self.model.loads]),
-                      noise)  # fmt: skip
+        labels = [f"{part} {c.label}" for part in ("Re", "Im") for c in self.model.loads]
+        return SVDPath(problem, labels=labels), noise
 
     def _noise(self, Y: Complex) -> Noise:
         """Std of the real and of the imaginary part of each amplitude; else a scale per unit."""
@@ -206,8 +206,8 @@ class HarmonicInversion:
     def _free(self) -> bool:
         return isinstance(self.choice, int | float) and self.choice == 0
 
-    def _refuse_undetermined(self, posed: _Posed) -> None:
-        rank, n = posed.path.rank, self.unknowns
+    def _refuse_undetermined(self, path: SVDPath) -> None:
+        rank, n = path.rank, self.unknowns
         if self._free and rank < n and "LID-E306" not in self.allow:
             raise undetermined(rank // 2, f"{n // 2} complex unknowns", f"{len(self.rows)} sensors",
                                "add sensors, give lambda > 0, or use fewer loads")  # fmt: skip
@@ -232,11 +232,3 @@ def _geometry(basis: Any) -> dict[str, Any]:
     """Places of the loads; no resultants, as a sum over one part alone would tell half."""
     found = geometry(basis)
     return {**found, "resultant": found["resultant"][:0], "resultant_labels": []}
-
-
-@dataclass(frozen=True)
-class _Posed:
-    """A line as a real problem, and its noise."""
-
-    path: SVDPath
-    noise: Noise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,14 +50,7 @@ def picard(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool
     InputError
         If the estimate carries no diagnosis.
     """
-    d = _diagnosis(estimate)
-    figure = figure or new_figure()
-    figure.set_size_inches(*((NARROW, 4.4) if narrow else (7.4, 4.6)))
-    ax = figure.subplots()
-    _draw_picard(ax, d, estimate)
-    _legend_below(figure, ax, narrow)
-    mark(figure, estimate)
-    return figure
+    return _one_panel(_draw_picard, estimate, figure, (NARROW, 4.4) if narrow else (7.4, 4.6), narrow)
 
 
 def filter_factors(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
@@ -67,11 +61,18 @@ def filter_factors(estimate: LoadEstimate, *, figure: Figure | None = None, narr
     InputError
         If the estimate carries no diagnosis.
     """
+    return _one_panel(_draw_filter, estimate, figure, (NARROW, 4.2) if narrow else (7.4, 4.2), narrow)
+
+
+def _one_panel(
+    draw: Callable[[Axes, Diagnosis, LoadEstimate], None], estimate: LoadEstimate, figure: Figure | None,
+    size: tuple[float, float], narrow: bool,
+) -> Figure:  # fmt: skip
     d = _diagnosis(estimate)
     figure = figure or new_figure()
-    figure.set_size_inches(*((NARROW, 4.2) if narrow else (7.4, 4.2)))
+    figure.set_size_inches(*size)
     ax = figure.subplots()
-    _draw_filter(ax, d, estimate)
+    draw(ax, d, estimate)
     _legend_below(figure, ax, narrow)
     mark(figure, estimate)
     return figure

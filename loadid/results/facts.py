@@ -39,67 +39,43 @@ class Facts(Mapping[str, Any]):
 
     Parameters
     ----------
-    m, n : int
-        Data and unknowns.
-    rank, nullity : int
-        Unknowns that the data see, and that they do not.
+    m, n, rank, nullity : int
+        Data, unknowns, and how many unknowns the data see and do not see.
     kappa : float
         Condition number of the visible part.
     frames : int
         Static readings in one estimate.
-    missing : str
-        Samples that are not there, in words.
-    edf : float
-        Effective degrees of freedom of the load.
-    residual_to_noise : float
-        Level of the residual over that of the noise, where the latter is known.
-    resolution : float
-        Width, in `resolution_unit`, at which a single load is shown.
-    peak_bias : float
-        Share of the height of a single-sample peak that is lost.
+    missing, frf_errors, band, path, solver : str
+        In words: samples that are not there, what errors of the FRF add to the noise, what the std holds, how it was
+        solved, and by what where loads only push.
+    edf, residual_to_noise, noise_level : float
+        Effective degrees of freedom of the load; residual over noise, where that is known; noise of the whitened data.
+    noise_source, noise_kind : str
+        Where the noise level comes from, and which kind of `loadid.NoiseSource` that is.
+    resolution, peak_bias, noise_share : float
+        Width in `resolution_unit` at which a single load is shown, share of its height that is lost, share of the
+        variance at the largest load that is noise (the rest is prior).
     trusted_lines, trust_level : float
         Share of the frequency lines that tell every load to this predicted relative error.
-    frf_errors : str
-        What errors of the FRF add to the noise, in words.
     averages, bandwidth, window
-        Independent averages of cross spectra, bandwidth of a line (Hz), and name of the window.
+        Of cross spectra: independent averages, bandwidth of a line (Hz), name of the window.
     held_out : tuple of str
         Prediction error of each sensor that was kept out.
-    noise_share : float
-        Share of the variance at the largest load that is noise; the rest is prior.
-    path : str
-        How it was solved.
     window_bound : float
         Bound on the error of solving in windows, over the std.
-    noise_level : float
-        Of the whitened data.
-    noise_source, noise_kind : str
-        Where that level comes from, and the kind of `loadid.NoiseSource`.
-    band : str
-        What the std holds.
-    frequency : float
-        Of a harmonic load (Hz).
-    gap : float
-        Relative duality gap.
-    converged, held, solver, steps
-        Of loads that only push: whether, at how many samples the sign holds the load, by which solver in how many
-        steps.
-    support, mu, support_kappa, knots
-        Of a sparse load: chosen waveforms, the weight of their penalty, their condition number, spacing of B-splines.
-    acting_loads : tuple of str
-        Labels of the loads that act.
-    amplitude_std_with_neighbours : float
-        Relative std of the largest spike if its neighbours in time may act too.
-    criterion_by_knots : str
-        Information criterion by spacing.
+    frequency, length, time_constant : float
+        Of a harmonic load (Hz), of a spatial prior (m), of a settled filter (s).
+    gap, converged, steps, held
+        Of a solver: relative duality gap, whether it met its limit, steps; samples that a sign holds at zero.
+    support, mu, support_kappa, knots, amplitude_std_with_neighbours
+        Of a sparse load: its waveforms, the weight of their penalty, their condition number, the spacing of B-splines,
+        the relative std of the largest spike if its neighbours in time may act too.
+    acting_loads, criterion_by_knots
+        Labels of the loads that act; information criterion by spacing, in words.
     places, distinguishable : int
         Of a field: places of its loads, and combinations that the sensors tell apart.
-    length : float
-        Of the spatial prior (m).
     lam : float
         Relative lambda, where no `Choice` holds it.
-    time_constant : float
-        Of a settled filter (s).
     tuned, counts : mapping of str to number
         Parameters that a tracker tuned, and what it counted.
     other : mapping
