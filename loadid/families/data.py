@@ -20,6 +20,7 @@ from structures.model import Model
 from structures.models.statespace import STABLE
 from structures.testing.impact import digests
 
+from ..quality import WITHOUT_GAPS, require_finite
 from ..record import Record, refuse_copies
 from ..results.estimate import Axis
 
@@ -165,8 +166,6 @@ def gather(
 
 def _settled(picked: Record, rows: NDArray[np.int_], record: Record, allow_missing: bool) -> Data:
     """The picked channels, with their gaps marked or refused."""
-    from ..quality import WITHOUT_GAPS, require_finite
-
     missing = np.isnan(picked.values)
     empty = [c.label for c, lost in zip(picked.channels, missing.T, strict=True) if lost.all()]
     if empty:

@@ -16,7 +16,7 @@ from structures.files import storage
 
 from .. import guards
 from ..inverse.posterior import FramesPosterior
-from ..results.estimate import LoadEstimate
+from ..results.estimate import Axis, LoadEstimate
 from .data import LARGEST, Readings, readings, rows_of
 from .posing.steady import Absolute, StaticProblem
 
@@ -113,8 +113,6 @@ def _read(family: StaticInversion, record: Any, i: int) -> Readings:
 
 def _together(given: Sequence[Readings]) -> Readings:
     """All frames of all records as one sequence."""
-    from ..results.estimate import Axis
-
     values = np.vstack([g.values for g in given])
     first = given[0]
     axis = Axis("frame", "", np.arange(float(len(values))))

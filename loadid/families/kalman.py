@@ -16,6 +16,7 @@ from structures.models.statespace import StateSpace
 
 from .. import guards
 from ..guards import tracking as told
+from ..inverse.kalman.model import forward
 from ..inverse.kalman.model import words as near_rest_in_words
 from ..inverse.kalman.observe import Observability, observability
 from ..inverse.kalman.priors import OU, Matern32, Matern52
@@ -372,8 +373,6 @@ def _nis(settled: Steady | None, e: Array) -> NDArray[np.float64]:
     own = np.nansum(e**2, axis=1)
     if settled is None:
         return np.asarray(own)
-    from ..inverse.kalman.model import forward
-
     whole = np.isfinite(e).all(axis=1)
     white = forward(settled.Se_root, (e[whole] * settled.innovation_std).T)
     own[whole] = np.sum(white**2, axis=0)

@@ -16,6 +16,7 @@ from ..inverse.choice import Choice, residual_level
 from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
 from ..inverse.path import RegularizationPath
 from ..inverse.problem import Cholesky
+from ..quality import noise_std
 from .data import Data, Readings
 
 COVARIANCE = NoiseSource("repeatability", "covariance")
@@ -62,8 +63,6 @@ def resolve(given: ArrayLike | None, source: NoiseSource | None, model: Model, d
     if declared is not None:
         pick = declared[data.rows] if declared.ndim == 1 else declared[np.ix_(data.rows, data.rows)]
         return Noise(pick, True, DECLARED)
-    from ..quality import noise_std
-
     found = noise_std(data.record.select([c.label for c in data.channels]))
     if found is not None and np.all(found[0] > 0):
         return Noise(found[0], True, found[1])

@@ -22,6 +22,7 @@ from structures.errors import InputError, NotIdentifiable
 from structures.model import Model
 
 from ..guards import families as told
+from ..inverse.kalman.settled import filter_settling
 from ..inverse.noise_source import NoiseSourceLike
 from ..inverse.sparse import dictionaries
 from ..record import Record
@@ -105,8 +106,6 @@ def of_sparse(score: float, problem: Problem, samples: int) -> float:
 
 
 def _criterion(tracker: Tracker, Y: Array) -> float:
-    from ..inverse.kalman.settled import filter_settling
-
     settled = tracker.fitted.settled
     if settled is None:
         raise InputError("a filter that never settles has no evidence", where="recommend", found="a drift",

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 
+from ..sources.levels import time_weighted
+from ..sources.synthesis import unit_of
 from .style import (
     BLUE,
     DENSE,
@@ -158,8 +160,6 @@ def _levels(c: Contributions, i: int, fraction: int) -> tuple[Array, Array, Arra
     if c.kind != "histories":
         alone, whole = _db(np.abs(c.values[:, i]), c.kind), _db(np.abs(c.total[:, i]), c.kind)
         return alone, whole, c.axis.values, titled(c.axis.name, c.axis.unit), c.units[i]
-    from ..sources.levels import time_weighted
-
     alone, whole = (20 * np.log10(np.maximum(time_weighted(x[:, i], c.axis.step), FLOOR)) for x in (c.values, c.total))
     return alone, whole, c.axis.values, titled("time", "s") + ", fast time weighting", c.units[i]
 
@@ -167,8 +167,6 @@ def _levels(c: Contributions, i: int, fraction: int) -> tuple[Array, Array, Arra
 def _measured_level(c: Contributions, measured: Array) -> Array:
     if c.kind != "histories":
         return _db(np.abs(measured), c.kind)
-    from ..sources.levels import time_weighted
-
     return 20 * np.log10(np.maximum(time_weighted(measured, c.axis.step), FLOOR))
 
 
@@ -367,8 +365,6 @@ def _band_axis(ax: Axes, names: Sequence[str], title: str) -> None:
 
 
 def _value_unit(c: Comparison, i: int) -> str:
-    from ..sources.synthesis import unit_of
-
     return unit_of(c.units[i], c.kind)
 
 

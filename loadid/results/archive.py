@@ -15,8 +15,12 @@ from structures.flags import Flag
 from structures.model import Certificate
 
 from ..inverse.choice import Choice, Sweep
+from ..inverse.diagnosis.diagnose import Diagnosis
 from ..inverse.noise_source import NOT_KNOWN, NoiseSource
+from ..inverse.posterior import from_arrays
 from ..inverse.sweep import RuleResult
+from ..validate.checks import Validation
+from .functionals import LoadSpectrum
 
 if TYPE_CHECKING:
     from .estimate import LoadEstimate
@@ -115,19 +119,11 @@ def arguments(tree: dict[str, Any]) -> dict[str, Any]:
         tree["certificate"] = Certificate(**known)
     tree["flags"] = [Flag.from_dict(f) for f in tree["flags"]]
     if tree["posterior"] is not None:
-        from ..inverse.posterior import from_arrays
-
         tree["posterior"] = from_arrays(tree["posterior"])
     if tree.get("diagnosis") is not None:
-        from ..inverse.diagnosis.diagnose import Diagnosis
-
         tree["diagnosis"] = Diagnosis.from_dict(tree["diagnosis"])
     if tree.get("validation") is not None:
-        from ..validate.checks import Validation
-
         tree["validation"] = Validation.from_dict(tree["validation"])
     if tree.get("spectrum") is not None:
-        from .functionals import LoadSpectrum
-
         tree["spectrum"] = LoadSpectrum.from_dict(tree["spectrum"])
     return tree

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, plain, real
 
+from .summary import plus_minus
+
 if TYPE_CHECKING:
     from .estimate import LoadEstimate
 
@@ -176,8 +178,6 @@ class Functional:
     bias_limit: float | None = None
 
     def __str__(self) -> str:
-        from .summary import plus_minus
-
         text = f"{self.name} {plus_minus(self.value, self.std)} {self.unit}".rstrip()
         if self.bias_limit is not None:
             text += f", bias at most {self.bias_limit:.3g} {self.unit}".rstrip()

@@ -21,8 +21,9 @@ from ...inverse.sparse.lasso import SparseSolution
 from ...inverse.sparse.path import SparsePath, SupportFit, Sweep, fit
 from .. import noise as noises
 from ..data import Data
+from .paths import coloured
 from .posed import Settings as Posing
-from .posed import shift
+from .posed import measured_response, shift
 
 Array = NDArray[Any]
 
@@ -141,9 +142,6 @@ def pose(model: Model, data: Data, posing: Posing) -> Problem:
         No usable diagonal (LID-E506), missing samples beside a covariance, different steps.
     """
     if model.sampled:
-        from .paths import coloured
-        from .posed import measured_response
-
         if not np.any(data.missing):
             white = coloured(model, data, posing)
             return Problem(white.h, white.y, None, white.raw[:, data.rows], data.values, data.missing, white.noise)
