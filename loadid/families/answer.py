@@ -36,7 +36,7 @@ Measured: TypeAlias = "Data | Readings | LineData | Amplitudes"
 UNDETERMINED = "LID-E306"
 
 
-class Family(Protocol):
+class LoadFamily(Protocol):
     """Who answers."""
 
     name: str
@@ -61,7 +61,7 @@ class Amplitudes:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Reconstruction:
+class SolvedLoad:
     """The numbers of an answer.
 
     Parameters
@@ -101,7 +101,7 @@ def of_path(
     path: RegularizationPath, choice: Choice, solution: Solution, sigma: float, noise: Noise, *,
     layout: tuple[float, int, int], axis: Axis | None, response: Array, residual: Array, facts: Mapping[str, Any],
     load: Array | None = None, hidden_by: RegularizationPath | None = None, along: int = 0,
-) -> Reconstruction:  # fmt: skip
+) -> SolvedLoad:  # fmt: skip
     """What a path gives at the chosen lambda.
 
     Parameters
@@ -136,7 +136,7 @@ def of_path(
     if (bound := path.bound(choice.lam)) is not None:
         own["window_bound"] = bound / float(np.linalg.norm(std))
         flags = guards.collect([windows_apart(own["window_bound"])])
-    return Reconstruction(
+    return SolvedLoad(
         load=load, std=std, axis=axis, response=response, residual=residual, facts=Facts.of({**own, **facts}),
         bias=None if hidden_by is None else diagnose.hidden(hidden_by, choice.lam, load, std, axis=along),
         posterior=solution.posterior, excess=beyond_noise(float(point.residual2), path.m, noise), flags=flags,
@@ -153,7 +153,7 @@ def over_time(samples: int, dt: float) -> Axis:
     return Axis("time", "s", np.asarray(np.arange(samples) * dt, float))
 
 
-def labelled(found: Reconstruction, loads: Sequence[Channel], sensors: Sequence[Channel], **more: Any) -> LoadEstimate:
+def labelled(found: SolvedLoad, loads: Sequence[Channel], sensors: Sequence[Channel], **more: Any) -> LoadEstimate:
     """Estimate of the numbers with the names and units of their channels; the bias is in the std."""
     return LoadEstimate(
         load=found.load,
@@ -177,7 +177,7 @@ def labelled(found: Reconstruction, loads: Sequence[Channel], sensors: Sequence[
 
 
 def answer(
-    family: Family, measured: Measured, found: Reconstruction, choice: Choice, *, known: bool, prior: str,
+    family: LoadFamily, measured: Measured, found: SolvedLoad, choice: Choice, *, known: bool, prior: str,
     settings: Mapping[str, Any], flags: Iterable[Flag | None], searched: RegularizationPath | None = None,
     full: tuple[float, int, int] | None = None, free: bool = False, judged: bool = True,
 ) -> LoadEstimate:  # fmt: skip

@@ -24,7 +24,7 @@ from ..inverse.penalties import order
 from ..inverse.statespace.coarse import confirm
 from ..results.estimate import LoadEstimate
 from . import histories
-from .answer import Reconstruction, answer, beyond_noise, of_path, over_time, undetermined
+from .answer import SolvedLoad, answer, beyond_noise, of_path, over_time, undetermined
 from .data import Data, gather
 from .histories import facts as pushing_facts
 from .histories import flags as pushing_flags
@@ -187,7 +187,7 @@ class Deconvolution:
 
     def _found(
         self, posed: Posed, choice: Choice, sigma: float, data: Data, pushed: NonNegativeSolution | None
-    ) -> Reconstruction:
+    ) -> SolvedLoad:
         """The load with what is known of it; of loads that only push, that of the solver of signs."""
         path, solution = posed.path, posed.path.solution(choice.lam, sigma)
         load = solution.load if pushed is None else pushed.load
@@ -233,7 +233,7 @@ class Deconvolution:
         """Guard codes whose refusal is overridden."""
         return self.settings.allow
 
-    def _impacts(self, found: Reconstruction, dt: float) -> tuple[Flag, ...]:
+    def _impacts(self, found: SolvedLoad, dt: float) -> tuple[Flag, ...]:
         """W510 and W311: whether the load is one of impacts that this prior smears."""
         load, prior = found.load, _prior(self.settings)
         g = load[:, int(np.argmax(np.max(np.abs(load), axis=0)))]
@@ -250,7 +250,7 @@ class Deconvolution:
         lam, penalty = choice.lam * choice.scale, self.settings.penalty
         return histories.beginning(posed.h, posed.values, posed.noise.level, lam, penalty, sigma, missing)
 
-    def _flags(self, posed: Posed, choice: Choice, data: Data, found: Reconstruction) -> list[Flag | None]:
+    def _flags(self, posed: Posed, choice: Choice, data: Data, found: SolvedLoad) -> list[Flag | None]:
         s, facts = self.settings, found.facts
         layout = histories.layout(self.model, data, posed.h, s.penalty, s.leak is not None or s.size is not None)
         cut = posed.path.zero_padded and "W505" not in codes(layout)  # what the padded transform cannot represent

@@ -21,7 +21,7 @@ from ..inverse.posterior import SpectralPosterior
 from ..results.estimate import Axis, LoadEstimate
 from ..results.facts import Facts
 from ..results.functionals import LEVEL, LoadSpectrum, nearest_zeros
-from .answer import Reconstruction, answer, over_time
+from .answer import SolvedLoad, answer, over_time
 from .data import rows_of
 from .posing.fitting import LineFit, LineRule, fit, judged
 from .posing.gathered import SIGNALS, LineData, Settings, lines_of, response
@@ -232,7 +232,7 @@ class FrequencyInversion:
             frf_errors=errors, **more,
         )  # fmt: skip
 
-    def _flags(self, solved: LineFit, line: LineData, H: NDArray[Any], found: Reconstruction) -> list[Flag | None]:
+    def _flags(self, solved: LineFit, line: LineData, H: NDArray[Any], found: SolvedLoad) -> list[Flag | None]:
         labels, facts, spectrum = tuple(c.label for c in self.model.loads), found.facts, found.spectrum
         allowed = "LID-E306" in self.allow and self.rule.free and np.any(solved.identifiable.gain == 0)
         size = np.sqrt(np.mean(np.abs(solved.path.beta) ** 2, axis=1) + solved.path.outside / solved.path.m)
@@ -257,15 +257,15 @@ _PATHS = {
 }
 
 
-def _of_spectra(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSpectrum) -> Reconstruction:
+def _of_spectra(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSpectrum) -> SolvedLoad:
     load, X = solved.load[..., 0], line.X[..., 0]
     rest = X - np.einsum("ksl,kl->ks", H[:, line.rows], load)
     axis = Axis("frequency", "Hz", line.frequencies)
-    return Reconstruction(load=load, std=np.sqrt(solved.variance), axis=axis, response=X, residual=rest, facts=Facts(),
+    return SolvedLoad(load=load, std=np.sqrt(solved.variance), axis=axis, response=X, residual=rest, facts=Facts(),
                           spectrum=spectrum)  # fmt: skip
 
 
-def _of_cross(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSpectrum) -> Reconstruction:
+def _of_cross(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSpectrum) -> SolvedLoad:
     """Mean of the loads' spectra given the data: that of the estimates, and what the data leave open of each.
 
     Averages reduce the chance of loads and noise, not what errors of the FRF and the prior leave open.
@@ -278,27 +278,27 @@ def _of_cross(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSp
     used = H[:, line.rows]
     X2 = np.einsum("ksn,ksn->ks", line.X.conj(), line.X).real
     made = np.einsum("ksi,kij,ksj->ks", used, S, used.conj()).real
-    return Reconstruction(
+    return SolvedLoad(
         load=power, std=np.sqrt(chance + 2 * power * lost + lost**2), axis=Axis("frequency", "Hz", line.frequencies),
         response=X2, residual=X2 - made, facts=Facts(), spectrum=replace(spectrum, cross=S), unit="({})^2/Hz",
     )  # fmt: skip
 
 
-def _of_transient(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSpectrum) -> Reconstruction:
+def _of_transient(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSpectrum) -> SolvedLoad:
     assert line.data is not None
     samples = len(line.data.values)
     history = np.fft.irfft(solved.load[..., 0], line.padded, axis=0)[:samples]
     held = np.fft.rfft(history, line.padded, axis=0)
     made = np.fft.irfft(np.einsum("ksl,kl->ks", H[:, line.rows], held), line.padded, axis=0)[:samples]
     known = SpectralPosterior(solved.covariance, samples, line.padded)
-    return Reconstruction(
+    return SolvedLoad(
         load=history, std=known.std, bias=_hidden(solved, history, known.std, line.padded), posterior=known,
         axis=over_time(samples, line.data.dt), response=line.data.values, residual=line.data.values - made,
         facts=Facts(), spectrum=spectrum,
     )  # fmt: skip
 
 
-_ANSWERS: dict[str, Callable[[LineFit, LineData, NDArray[Any], LoadSpectrum], Reconstruction]] = {
+_ANSWERS: dict[str, Callable[[LineFit, LineData, NDArray[Any], LoadSpectrum], SolvedLoad]] = {
     "spectra": _of_spectra,
     "cross spectra": _of_cross,
     "transient": _of_transient,

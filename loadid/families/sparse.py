@@ -22,7 +22,7 @@ from ..inverse.sweep import RuleResult
 from ..results.estimate import LoadEstimate
 from ..results.facts import Facts
 from . import histories
-from .answer import Reconstruction, answer, beyond_noise, over_time
+from .answer import SolvedLoad, answer, beyond_noise, over_time
 from .data import Data, gather
 from .histories import without_offsets
 from .posing.sparsity import SparseChoice, Wanted, amplitude_share, choose, pose, posing
@@ -152,7 +152,7 @@ class SparseDeconvolution:
         share = amplitude_share(chosen)
         facts, choice = self._facts(chosen, share), self._choice(chosen)
         self._progress(1.0, "done")
-        found = Reconstruction(
+        found = SolvedLoad(
             load=load, std=posterior.std, posterior=posterior, axis=over_time(len(load), data.dt), response=response,
             residual=response - predicted, facts=facts,
             excess=beyond_noise(chosen.fit.residual2, problem.data, problem.noise),

@@ -20,7 +20,7 @@ from ... import guards
 from ...record import Record
 from ...results.estimate import Axis, LoadEstimate
 from ...results.facts import Facts, provenance
-from ..answer import Reconstruction, labelled
+from ..answer import SolvedLoad, labelled
 from ..data import Data, numbers
 from .fit import Fitted
 
@@ -214,7 +214,7 @@ def estimate(
     )  # fmt: skip
     if lost:
         facts = replace(facts, missing=f"{lost} of {there.size} channel samples")
-    found = Reconstruction(
+    found = SolvedLoad(
         load=load, std=std, axis=Axis("time", "s", np.asarray((first + np.arange(len(load))) * f.dt, float)),
         response=None if Y is None else np.where(there, Y, 0.0), facts=facts,
         residual=None if rest is None else np.where(there & np.isfinite(rest), rest, 0.0),
