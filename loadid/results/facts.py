@@ -8,6 +8,7 @@ from dataclasses import Field, dataclass, field, fields
 from datetime import UTC, datetime
 from functools import cache, cached_property
 from importlib.metadata import PackageNotFoundError, version
+from types import MappingProxyType
 from typing import Any, Self
 
 NOT_STATED: Any = object()  # the default: None says that a fact is asked for and not available
@@ -143,6 +144,8 @@ class Facts(Mapping[str, Any]):
                 given.add(name)
                 put(self, name, tuple(value) if isinstance(value, list) else value)
         put(self, "stated", frozenset(given))
+        for name in (*GROUPS, "other"):
+            put(self, name, MappingProxyType(dict(getattr(self, name))))
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:

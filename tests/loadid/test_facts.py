@@ -48,6 +48,8 @@ def test_facts_do_not_change():
         known.rank = 4
     with pytest.raises(TypeError):
         known["rank"] = 4
+    with pytest.raises(TypeError):
+        Facts.of(OF_0_1).tuned["rate of load 1"] = 4.0
 
 
 @pytest.mark.parametrize("known", [Facts.of(OF_0_1), LocationFacts(candidates=19, ratio=1.2, lam=1e-3)])
