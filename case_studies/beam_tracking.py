@@ -141,7 +141,7 @@ def table(true: Truth | None = None) -> list[Row]:
     true, rows = true or truth(), []
     for prior in PRIORS:
         whole = tracked(true, prior, True)
-        walk = RandomWalk(whole.estimate.facts["tuned_rate of load 1"]) if prior == "random_walk" else None
+        walk = RandomWalk(whole.estimate.facts.tuned["rate of load 1"]) if prior == "random_walk" else None
         rows += [tracked(true, prior, False, walk), whole]
     return rows
 

@@ -146,7 +146,7 @@ def table(t: float, profile: str = "bumps", layout: str = "every node", seeds: i
             estimate = family.estimate(y)
             found.append((*errors(estimate.load, p), estimate))
         middle = np.median([f[:2] for f in found], axis=0)
-        rows.append(Row(name, float(middle[0]), float(middle[1]), found[0][2].facts["edf"], found[0][2]))
+        rows.append(Row(name, float(middle[0]), float(middle[1]), found[0][2].facts.edf, found[0][2]))
     return rows
 
 

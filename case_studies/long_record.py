@@ -241,7 +241,7 @@ def show(s: Study, rows: list[Row]) -> str:
     """The study in text."""
     e = s.estimate
     lines = [
-        f"{len(s.record)} samples ({len(s.record) / FS:.0f} s), {len(s.true.starts)} hits; path: {e.facts['path']}",
+        f"{len(s.record)} samples ({len(s.record) / FS:.0f} s), {len(s.true.starts)} hits; path: {e.facts.path}",
         f"lambda {e.choice.lam:.3g} by {e.choice.rule}; agreement of the rules: {e.choice.verdict}",
         f"load error {s.error:.3f}; slow load {s.slow_error:.1%}",
         f"hits, median errors: peak {s.peak_error:.1%}, impulse {s.impulse_error:.1%}",

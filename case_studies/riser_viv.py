@@ -99,7 +99,7 @@ class Line:
 
 def compare(estimate: LoadEstimate, model: ForwardModel, truth: Complex) -> Line:
     """Estimated against true force, motion and power."""
-    load, frequency = complex_load(estimate), estimate.facts["frequency"]
+    load, frequency = complex_load(estimate), estimate.facts.frequency
     found, known = (harmonic_motion(model, g, frequency) for g in (load, truth))
     at = found.along()[1:-1]
     power = harmonic_power(load, found.velocity[at])
@@ -283,7 +283,7 @@ def main() -> None:
     for counts, table in tables.items():
         sys.stdout.write(show(table, counts) + "\n\n")
     found = history()
-    sys.stdout.write(f"history, {LEVEL:.0%} noise, {found.estimate.facts['path']}:\n")
+    sys.stdout.write(f"history, {LEVEL:.0%} noise, {found.estimate.facts.path}:\n")
     for name, value in found.figures().items():
         sys.stdout.write(f"  {name:22s}{value:10.3g}\n")
     for second in (4, 14):

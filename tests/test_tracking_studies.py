@@ -15,7 +15,7 @@ def crossing():
 def rows():
     true = beam_tracking.truth(offset=beam_tracking.OFFSET)
     whole = beam_tracking.tracked(true, "random_walk", True)
-    walk = beam_tracking.RandomWalk(whole.estimate.facts["tuned_rate of load 1"])
+    walk = beam_tracking.RandomWalk(whole.estimate.facts.tuned["rate of load 1"])
     return beam_tracking.tracked(true, "random_walk", False, walk), whole
 
 

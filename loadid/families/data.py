@@ -20,8 +20,11 @@ from structures.model import Model
 from structures.models.statespace import STABLE
 from structures.testing.impact import digests
 
+from ..quality import WITHOUT_GAPS, require_finite
 from ..record import Record, refuse_copies
 from ..results.estimate import Axis
+
+Array = NDArray[Any]
 
 SHORTEST = 4  # samples
 LARGEST = 1e100  # of a reading, in any unit: its square must stay a number
@@ -72,7 +75,7 @@ class Data:
     @property
     def rms(self) -> NDArray[np.float64]:
         """Root mean square of the recorded samples of every channel, shape (used sensors,)."""
-        return np.sqrt(np.sum(self.values**2, axis=0) / np.maximum(np.sum(~self.missing, axis=0), 1))
+        return np.asarray(np.sqrt(np.sum(self.values**2, axis=0) / np.maximum(np.sum(~self.missing, axis=0), 1)))
 
     @cached_property
     def gaps(self) -> str:
@@ -90,6 +93,21 @@ class Data:
     def fingerprints(self) -> set[str]:
         """Digests of the used channels: a model made from hits knows those of its training."""
         return set(digests(self.values))
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Name of the record -> its sha256."""
+        return {self.record.source or self.record.name or "record": self.record.sha256}
+
+    @property
+    def simulated_by(self) -> str:
+        """Fingerprint of the model that made the record; "" where it was measured."""
+        return self.record.simulated_by
+
+    @property
+    def findings(self) -> tuple[Flag, ...]:
+        """What reading found, and the health of the channels that are used."""
+        return health(self)
 
 
 def gather(
@@ -121,12 +139,9 @@ def gather(
         record = _record(record, dt, model, rows)
     elif dt is not None and not (real(dt) and abs(dt / record.dt - 1) < 1e-9):
         raise InputError(
-            "the record has its own step",
-            where="estimate",
-            found=f"dt = {shown(dt)}",
-            expected=f"dt = {record.dt:.9g} s",
-            hint="leave dt out",
-        )
+            "the record has its own step", where="estimate", found=f"dt = {shown(dt)}",
+            expected=f"dt = {record.dt:.9g} s", hint="leave dt out",
+        )  # fmt: skip
     if timed:
         require_step(model, record.dt)
     wanted = [model.sensors[i] for i in rows]
@@ -134,29 +149,23 @@ def gather(
     picked = record.select(columns)
     if len(picked.values) < SHORTEST:
         raise InputError(
-            "too few samples",
-            where=record.source or "record",
-            found=len(picked.values),
+            "too few samples", where=record.source or "record", found=len(picked.values),
             expected=f"at least {SHORTEST}",
-        )
+        )  # fmt: skip
     for row, channel in zip(wanted, picked.channels, strict=True):
         # arrays without units are taken as they come; a model that states its unit wants it stated
         stated = row.unit != "arbitrary" or model.sampled
         if stated and row.unit != channel.unit:
             raise InputError(
-                "the unit of a channel does not fit the sensor of the model",
-                where=f"channel {channel.label}",
-                found=channel.unit,
-                expected=row.unit,
+                "the unit of a channel does not fit the sensor of the model", where=f"channel {channel.label}",
+                found=channel.unit, expected=row.unit,
                 hint=f"state the unit of the channel (--unit {channel.label}={row.unit})",
-            )
+            )  # fmt: skip
     return _settled(picked, rows, record, allow_missing)
 
 
 def _settled(picked: Record, rows: NDArray[np.int_], record: Record, allow_missing: bool) -> Data:
     """The picked channels, with their gaps marked or refused."""
-    from ..quality import WITHOUT_GAPS, require_finite
-
     missing = np.isnan(picked.values)
     empty = [c.label for c, lost in zip(picked.channels, missing.T, strict=True) if lost.all()]
     if empty:
@@ -174,12 +183,9 @@ def _settled(picked: Record, rows: NDArray[np.int_], record: Record, allow_missi
         )
     if np.nanmax(np.abs(picked.values)) > LARGEST:
         raise InputError(
-            "the readings are beyond the range of numbers",
-            where=record.source or "record",
-            found=f"{np.nanmax(np.abs(picked.values)):.3g}",
-            expected=f"at most {LARGEST:g}",
-            hint="check the units",
-        )
+            "the readings are beyond the range of numbers", where=record.source or "record",
+            found=f"{np.nanmax(np.abs(picked.values)):.3g}", expected=f"at most {LARGEST:g}", hint="check the units",
+        )  # fmt: skip
     if not allow_missing:
         require_finite(picked, hint=Advice(WITHOUT_GAPS, "; ", WITH_GAPS))
     values = np.where(missing, 0.0, picked.values) if missing.any() else np.asarray(picked.values)
@@ -197,11 +203,9 @@ def require_stable(model: Model) -> None:
     if model.radius > STABLE:
         raise InputError(
             "the model is unstable: its response grows without end, and no load can be told from it",
-            where="StateSpace",
-            found=f"an eigenvalue of A of modulus {model.radius:.6g}",
-            expected="at most 1",
+            where="StateSpace", found=f"an eigenvalue of A of modulus {model.radius:.6g}", expected="at most 1",
             hint="check A and its step dt, and that it is discrete, not continuous (expm(A dt))",
-        )
+        )  # fmt: skip
 
 
 def require_step(model: Model, dt: float) -> None:
@@ -215,12 +219,9 @@ def require_step(model: Model, dt: float) -> None:
     own = model.dt
     if own is not None and abs(dt / own - 1) > SAME:
         raise InputError(
-            "the record and the model have different steps",
-            where="estimate",
-            found=f"dt = {dt:.9g} s",
-            expected=f"dt = {own:.9g} s",
-            hint=Advice(AS_RECORDED, ", resample, or make the model for this step"),
-        )
+            "the record and the model have different steps", where="estimate", found=f"dt = {dt:.9g} s",
+            expected=f"dt = {own:.9g} s", hint=Advice(AS_RECORDED, ", resample, or make the model for this step"),
+        )  # fmt: skip
 
 
 def rows_of(sensors: Sequence[str | int] | None, model: Model) -> NDArray[np.int_]:
@@ -254,7 +255,7 @@ def health(data: Data) -> tuple[Flag, ...]:
     return (*data.record.flags, *found)
 
 
-def _record(values: Any, dt: float | None, model: Model, rows: NDArray) -> Record:
+def _record(values: Any, dt: float | None, model: Model, rows: Array) -> Record:
     if dt is None:
         raise InputError("the step of a bare array is not known", where="estimate", found="no dt", expected="dt= in s")
     table = numbers(values, "the record is no table of real numbers")
@@ -265,11 +266,9 @@ def _record(values: Any, dt: float | None, model: Model, rows: NDArray) -> Recor
     ]
     if table.ndim != 2 or table.shape[1] != len(wanted):
         raise InputError(
-            "the record does not fit the model",
-            where="estimate",
-            found=f"shape {table.shape}",
+            "the record does not fit the model", where="estimate", found=f"shape {table.shape}",
             expected=f"(samples, {len(rows)}): {[model.sensors[i].label for i in rows]}",
-        )
+        )  # fmt: skip
     return Record(table, dt, [Channel(label=c.label, quantity=c.quantity, unit=c.unit) for c in wanted])
 
 
@@ -335,7 +334,7 @@ class Readings:
         Time or frame number; None for a single reading.
     name, sha256 : str
         Of the input, for the provenance.
-    flags : tuple of Flag
+    findings : tuple of Flag
         What was found while reading.
     data : Data or None
         The record behind it, where there is one.
@@ -347,13 +346,23 @@ class Readings:
     axis: Axis | None
     name: str
     sha256: str
-    flags: tuple[Flag, ...] = ()
+    findings: tuple[Flag, ...] = ()
     data: Data | None = None
 
     @property
     def fingerprints(self) -> set[str]:
         """Digests of the used channels of a record."""
         return set() if self.data is None else self.data.fingerprints
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """Name -> sha256."""
+        return {self.name: self.sha256}
+
+    @property
+    def simulated_by(self) -> str:
+        """Fingerprint of the model that made the record behind them; "" where there is none."""
+        return "" if self.data is None else self.data.simulated_by
 
 
 def readings(found: Any, model: Model, sensors: Sequence[str | int] | None) -> Readings:
@@ -382,20 +391,14 @@ def readings(found: Any, model: Model, sensors: Sequence[str | int] | None) -> R
     bad = np.flatnonzero(~np.all(np.isfinite(np.atleast_2d(table)), axis=0))
     if bad.size:
         raise InputError(
-            "NaN or infinity in the readings",
-            where="estimate",
-            found=[channels[i].label for i in bad],
-            expected="a finite number per sensor",
-            hint="leave a lost sensor out: sensors=[...] with the others",
-        )
+            "NaN or infinity in the readings", where="estimate", found=[channels[i].label for i in bad],
+            expected="a finite number per sensor", hint="leave a lost sensor out: sensors=[...] with the others",
+        )  # fmt: skip
     if np.max(np.abs(table)) > LARGEST:
         raise InputError(
-            "the readings are beyond the range of numbers",
-            where="estimate",
-            found=f"{np.max(np.abs(table)):.3g}",
-            expected=f"at most {LARGEST:g}",
-            hint="check the units",
-        )
+            "the readings are beyond the range of numbers", where="estimate", found=f"{np.max(np.abs(table)):.3g}",
+            expected=f"at most {LARGEST:g}", hint="check the units",
+        )  # fmt: skip
     single = table.ndim == 1
     axis = None if single else Axis("frame", "", np.arange(float(len(table))))
     table = np.atleast_2d(table)
@@ -409,31 +412,24 @@ def _mapping(found: Mapping[str, Any], channels: Sequence[Channel]) -> NDArray[n
         if channel.label not in have:
             near = difflib.get_close_matches(channel.label, have, 1)
             raise InputError(
-                "there is no reading of a sensor of the model",
-                where="estimate",
-                found=list(have),
+                "there is no reading of a sensor of the model", where="estimate", found=list(have),
                 expected=f"a reading {channel.label!r}",
                 hint=(f"did you mean {near[0]!r}? " if near else "") + "leave a lost sensor out: sensors=[...]",
-            )
+            )  # fmt: skip
     known = {c.label for c in channels}
     extra = [k for k in have if k not in known]
     if extra:
         raise InputError(
-            "a reading belongs to no sensor",
-            where="estimate",
-            found=extra[:8],
-            expected=f"only {sorted(known)[:12]}",
+            "a reading belongs to no sensor", where="estimate", found=extra[:8], expected=f"only {sorted(known)[:12]}",
             hint="take it out, or add the sensor to the model",
-        )
+        )  # fmt: skip
     columns = [numbers(have[c.label], f"the reading {c.label!r} is no real number") for c in channels]
     shapes = {column.shape for column in columns}
     if len(shapes) > 1 or columns[0].ndim > 1 or columns[0].size == 0:
         raise InputError(
-            "the readings have no common number of frames",
-            where="estimate",
-            found=f"shapes {sorted(shapes)}",
+            "the readings have no common number of frames", where="estimate", found=f"shapes {sorted(shapes)}",
             expected="one number per sensor, or (frames,) of the same length for each",
-        )
+        )  # fmt: skip
     return np.stack(columns, axis=-1)
 
 
@@ -443,12 +439,10 @@ def _array(found: Any, rows: NDArray[np.int_], model: Model) -> NDArray[np.float
     wanted = (len(rows), len(model.sensors))
     if table.ndim not in (1, 2) or table.size == 0 or table.shape[-1] not in wanted:
         raise InputError(
-            "the readings do not fit the model",
-            where="estimate",
-            found=f"shape {table.shape}",
+            "the readings do not fit the model", where="estimate", found=f"shape {table.shape}",
             expected=f"({len(rows)},) or (frames, {len(rows)}): {[model.sensors[i].label for i in rows][:12]}",
             hint="one number per sensor, in the order of model.sensors",
-        )
+        )  # fmt: skip
     return table if table.shape[-1] == len(rows) else table[..., rows]
 
 

@@ -3,33 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.advice import Advice, Option
-from structures.errors import InputError, NotIdentifiable, real
+from structures.errors import InputError, real
 from structures.flags import Flag, codes
 from structures.model import Model, as_model
 
 from .. import guards
 from ..guards import families as told
-from ..guards.inversion import windows_apart
-from ..inverse import rules
-from ..inverse.choice import Choice, choose, given, residual_level, unexplained
+from ..inverse.choice import Choice, choose, given
+from ..inverse.constrained.nonnegative import NonNegativeSolution
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.penalties import order
 from ..inverse.statespace.coarse import confirm
-from ..results.archive import provenance
-from ..results.estimate import Axis, LoadEstimate
+from ..results.estimate import LoadEstimate
 from . import histories
-from .data import Data, gather, health
+from .answer import SolvedLoad, answer, beyond_noise, of_path, over_time, undetermined
+from .data import Data, gather
 from .histories import facts as pushing_facts
 from .histories import flags as pushing_flags
 from .histories import half_width, kurtosis, push, signs, without_offsets
-from .noise import graded, noise_level, unexplained_by
+from .noise import noise_level
 from .posing import UNUSABLE, Posed, Settings, diagonal, pose
 
 PROCESS = (
@@ -177,53 +177,35 @@ class Deconvolution:
         if (signed := self.settings.signed) is not False:
             keep = self.choice is not None
             pushed, choice = push(posed, choice, sigma, signed, keep, lambda f, t: self._progress(0.7 + 0.2 * f, t))
-        solution = posed.path.solution(choice.lam, sigma)
+        found = self._found(posed, choice, sigma, data, pushed)
+        self._progress(1.0, "done")
+        return answer(
+            self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),
+            prior=_prior(self.settings) + ("" if pushed is None else "; it only pushes"),
+            flags=self._flags(posed, choice, data, found), searched=posed.judged, full=posed.full, free=self._free,
+        )  # fmt: skip
+
+    def _found(
+        self, posed: Posed, choice: Choice, sigma: float, data: Data, pushed: NonNegativeSolution | None
+    ) -> SolvedLoad:
+        """The load with what is known of it; of loads that only push, that of the solver of signs."""
+        path, solution = posed.path, posed.path.solution(choice.lam, sigma)
         load = solution.load if pushed is None else pushed.load
         response, residual = posed.compare(load, choice.lam, None if pushed is None else pushed.start)
-        facts = self._facts(posed, choice, sigma, data.dt, load)
-        facts |= {"missing": data.gaps} if data.gaps else {}
-        own_flags: tuple[Flag, ...] = ()
-        if pushed is not None:
-            facts |= pushing_facts(pushed, posed.path.m, posed.noise.known)
-            own_flags = pushing_flags(pushed, posed, choice, sigma)
-        else:
-            own_flags = self._impacts(load, facts, data.dt)
-        assert solution.posterior is not None
-        std = solution.posterior.std
-        if (bound := posed.path.bound(choice.lam)) is not None:
-            facts["window_bound"] = bound / float(np.linalg.norm(std))
-            own_flags = guards.collect([*own_flags, windows_apart(facts["window_bound"])])
-        bias = diagnose.hidden(posed.path, choice.lam, load, std)
-        self._progress(1.0, "done")
-        estimate = LoadEstimate(
-            load=load,
-            # the posterior holds the bias of an average sample; where more is expected to be hidden, that counts
-            std=np.maximum(std, np.abs(bias)),
-            bias=bias,
-            labels=[c.label for c in self.model.loads],
-            units=[c.unit for c in self.model.loads],
-            axis=Axis(name="time", unit="s", values=np.asarray(np.arange(len(load)) * data.dt, float)),
-            choice=choice,
-            response=response,
-            residual=residual,
-            sensors=[c.label for c in data.channels],
-            sensor_units=[c.unit for c in data.channels],
-            flags=guards.collect([*own_flags, *self._flags(posed, choice, data, facts, residual)]),
-            allowed=self.settings.allow,
-            certificate=self.model.certificate,
-            posterior=solution.posterior,
-            facts=facts,
-            provenance=provenance(
-                self.name,
-                settings=self._settings(posed),
-                inputs={data.record.source or data.record.name or "record": data.record.sha256},
-                model=self.model.fingerprint,
-                prior=_prior(self.settings) + ("" if pushed is None else "; it only pushes"),
-            ),
-        )
-        if pushed is None or posed.noise.sigma is None:
-            return graded(estimate, unexplained_by(posed.path, choice.lam, posed.noise))
-        return graded(estimate, unexplained(pushed.residual2, posed.path.m, posed.noise.sigma))
+        width, lost = diagnose.resolution(path, choice.lam, load)
+        facts = {
+            "path": posed.name, "n": posed.unknowns, "resolution": width * data.dt, "resolution_unit": "s",
+            "peak_bias": lost, **({"missing": data.gaps} if data.gaps else {}),
+            **({} if pushed is None else pushing_facts(pushed, path.m, posed.noise.known)),
+        }  # fmt: skip
+        found = of_path(
+            path, choice, solution, sigma, posed.noise, layout=posed.layout, axis=over_time(len(load), data.dt),
+            response=response, residual=residual, facts=facts, load=load, hidden_by=path,
+        )  # fmt: skip
+        if pushed is None:
+            return replace(found, flags=(*self._impacts(found, data.dt), *found.flags))
+        excess = beyond_noise(pushed.residual2, path.m, posed.noise)
+        return replace(found, excess=excess, flags=(*pushing_flags(pushed, posed, choice, sigma), *found.flags))
 
     def _choose(self, posed: Posed) -> Choice:
         """Lambda by the rules: of a long record on windows first, then on the whole."""
@@ -236,63 +218,29 @@ class Deconvolution:
         self._progress(0.6, "confirming lambda on the whole record")
         return confirm(posed.path, choice, self.choice, sigma=sigma, source=source)
 
-    # -- saying -----------------------------------------------------------------------------------------------------
     def _refuse_undetermined(self, posed: Posed) -> None:
         if self._free and posed.rank < posed.unknowns and "LID-E306" not in self.settings.allow:
-            raise NotIdentifiable(
-                f"without regularisation the load is not determined: rank {posed.rank} of {posed.unknowns} "
-                f"unknowns from {posed.path.m} data",
-                advice=Advice("add sensors, use a penalty (", Option("penalty", "identity"), "), or give lambda > 0"),
-                code="LID-E306",
-            )
+            advice = Advice("add sensors, use a penalty (", Option("penalty", "identity"), "), or give lambda > 0")
+            raise undetermined(posed.rank, f"{posed.unknowns} unknowns", f"{posed.path.m} data", advice)
 
     @property
     def _free(self) -> bool:
         """Without regularisation."""
         return self.settings.penalty is None or (isinstance(self.choice, int | float) and self.choice == 0)
 
-    def _impacts(self, load: NDArray, facts: dict[str, Any], dt: float) -> tuple[Flag, ...]:
+    @property
+    def allow(self) -> tuple[str, ...]:
+        """Guard codes whose refusal is overridden."""
+        return self.settings.allow
+
+    def _impacts(self, found: SolvedLoad, dt: float) -> tuple[Flag, ...]:
         """W510 and W311: whether the load is one of impacts that this prior smears."""
-        prior, g = _prior(self.settings), load[:, int(np.argmax(np.max(np.abs(load), axis=0)))]
+        load, prior = found.load, _prior(self.settings)
+        g = load[:, int(np.argmax(np.max(np.abs(load), axis=0)))]
         peaked = None if self.load_class is None else told.impulsive(kurtosis(load), prior)
-        width = facts["resolution"] / dt
-        peaked = peaked or told.smeared(kurtosis(g), half_width(g), width, facts["peak_bias"], prior)
+        width = found.facts["resolution"] / dt
+        peaked = peaked or told.smeared(kurtosis(g), half_width(g), width, found.facts["peak_bias"], prior)
         return guards.collect([told.declared_class(self.load_class, "tikhonov"), peaked])
-
-    def _overridden(self, posed: Posed) -> list[Flag]:
-        """Refusals that `allow` took away."""
-        found = []
-        if "LID-E506" in self.settings.allow and (ratio := diagonal(posed.h)) <= UNUSABLE:
-            found.append(guards.overridden("E506", "|h(0)| / max |h|", ratio, UNUSABLE))
-        if "LID-E306" in self.settings.allow and self._free and posed.rank < posed.unknowns:
-            found.append(guards.overridden("E306", "rank", posed.rank, posed.unknowns))
-        return found
-
-    def _facts(self, posed: Posed, choice: Choice, sigma: float, dt: float, load: NDArray) -> dict[str, Any]:
-        path = posed.path
-        kappa, rank, nullity = posed.layout
-        width, bias = diagnose.resolution(path, choice.lam, load)
-        point = path.at(choice.lam)
-        return {
-            "path": posed.name,
-            "m": int(path.m),
-            "n": posed.unknowns,
-            "rank": rank,
-            "nullity": nullity,
-            "kappa": kappa,
-            "edf": None if point.edf is None else float(point.edf),
-            "residual_to_noise": residual_level(path, choice.lam) if posed.noise.known else None,
-            "noise_level": float(sigma),
-            **posed.noise.source.facts,
-            "resolution": width * dt,
-            "resolution_unit": "s",
-            "peak_bias": bias,
-        }
-
-    @staticmethod
-    def _end(posed: Posed, residual: NDArray) -> Flag | None:
-        """W505 of what the padded transform cannot represent."""
-        return guards.unfinished(posed.values, residual) if posed.path.zero_padded else None
 
     def _beginning(self, posed: Posed, choice: Choice, data: Data, sigma: float) -> Flag | None:
         """W518 of a record that starts in motion, where the model starts at rest."""
@@ -302,33 +250,20 @@ class Deconvolution:
         lam, penalty = choice.lam * choice.scale, self.settings.penalty
         return histories.beginning(posed.h, posed.values, posed.noise.level, lam, penalty, sigma, missing)
 
-    def _flags(
-        self, posed: Posed, choice: Choice, data: Data, facts: dict[str, Any], residual: NDArray
-    ) -> tuple[Flag, ...]:
-        model, lost = self.model, [s.label for i, s in enumerate(self.model.sensors) if i not in data.rows]
-        bound = self.settings.leak is not None or self.settings.size is not None
-        layout = histories.layout(model, data, posed.h, self.settings.penalty, bound)
-        after = (facts["kappa"], facts["rank"], facts["nullity"])
-        penalty = self.settings.penalty if isinstance(self.settings.penalty, str) else "user matrix"
-        return guards.collect(
-            [
-                *self._overridden(posed),
-                *model.flags,
-                guards.not_verified(model.certificate),
-                *health(data),
-                histories.determined(model, facts["m"], facts["n"], facts["rank"], posed.h),
-                None if posed.full is None else guards.lost_channels(posed.full, after, lost),
-                guards.mixed_kinds(data.channels, posed.noise.known),
-                *layout,
-                None if "W505" in codes(layout) else self._end(posed, residual),
-                self._beginning(posed, choice, data, facts["noise_level"]),
-                *guards.parameter(choice, lambda factor: _discrepancy(posed, factor)),
-                guards.inverse_crime(data.record.simulated_by, model.fingerprint),
-                guards.no_coverage(self.coverage),
-                guards.used_for_training("the record", data.fingerprints & model.training),
-                guards.resolution(facts["nullity"], penalty, facts["resolution"], "s", facts["peak_bias"]),
-            ]
-        )
+    def _flags(self, posed: Posed, choice: Choice, data: Data, found: SolvedLoad) -> list[Flag | None]:
+        s, facts = self.settings, found.facts
+        layout = histories.layout(self.model, data, posed.h, s.penalty, s.leak is not None or s.size is not None)
+        cut = posed.path.zero_padded and "W505" not in codes(layout)  # what the padded transform cannot represent
+        ratio = diagonal(posed.h) if "LID-E506" in s.allow else np.inf
+        penalty = s.penalty if isinstance(s.penalty, str) else "user matrix"
+        return [
+            guards.overridden("E506", "|h(0)| / max |h|", ratio, UNUSABLE) if ratio <= UNUSABLE else None,
+            histories.determined(self.model, facts["m"], facts["n"], facts["rank"], posed.h),
+            *layout,
+            guards.unfinished(posed.values, np.asarray(found.residual)) if cut else None,
+            self._beginning(posed, choice, data, facts["noise_level"]),
+            guards.resolution(facts["nullity"], penalty, facts["resolution"], "s", facts["peak_bias"]),
+        ]
 
     def _settings(self, posed: Posed) -> dict[str, Any]:
         s = self.settings
@@ -356,8 +291,3 @@ def _prior(settings: Settings) -> str:
 def _process(order: int) -> str:
     """The random process that a difference of this order makes white, in words."""
     return PROCESS[order] if order < len(PROCESS) else f"a random walk in time, integrated {order - 1} times"
-
-
-def _discrepancy(posed: Posed, factor: float) -> float | None:
-    """Lambda of the discrepancy rule at a multiple of the noise level."""
-    return rules.discrepancy(rules.Sweep.over(posed.judged, posed.noise.sigma), factor).lam

@@ -145,6 +145,6 @@ def _judge(lines: LoadEstimate, timed: LoadEstimate, stated: tuple[float, float]
             f"the record is complete, and its prior, which follows the spectrum of each load, leaves an error of "
             f"{stated[0]:.1%} against {stated[1]:.1%}"
         )
-    if timed.facts.get("path") == PADDED:
+    if timed.facts.path == PADDED:
         return "frequency", "both go line by line here and state the same error; the prior of each load decides"
     return "time", "both state the same error, and the solution in time is exact at the ends of the record"

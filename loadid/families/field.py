@@ -19,6 +19,7 @@ from ..guards.inversion import undetermined_field
 from ..inverse.penalties import names
 from ..inverse.statespace.posterior import MappedPosterior
 from ..results.estimate import LoadEstimate
+from ..results.facts import Facts
 from . import smoothness as spatial
 from .data import Data, gather
 from .deconvolution import Deconvolution
@@ -189,7 +190,7 @@ class FieldDeconvolution:
         length = self.length
         if length is None and self.space is not None:
             length = spatial.spacing(self.basis, told)
-        facts = {**found.facts, "places": len(loads), "told_apart": told, "length": length}
+        facts = Facts.of({**found.facts, "places": len(loads), "told_apart": told, "length": length})
         extra = [guards.inverse_crime(data.record.simulated_by, self.model.fingerprint)]
         if told < (T.shape[1] if self.shapes is not None and T is not None else len(loads)) and self.space is None:
             extra.append(guards.overridden("E514", "combinations told apart", told, len(loads)))
@@ -211,7 +212,7 @@ class FieldDeconvolution:
         return replace(found, load=found.load @ T.T, std=std, bias=bias, posterior=posterior, **told_of)
 
 
-def told_apart(H: NDArray) -> int:
+def told_apart(H: NDArray[Any]) -> int:
     """Largest rank of the lines (lines, sensors, loads), units taken out: combinations of loads that leave a trace."""
     rows = np.sqrt(np.mean(np.abs(H) ** 2, axis=(0, 2)))
     tiny = np.finfo(float).tiny

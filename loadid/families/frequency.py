@@ -15,16 +15,18 @@ from structures.model import Model, as_model
 
 from .. import guards
 from ..guards import families as told
-from ..inverse.choice import CLEARLY, Choice
+from ..inverse.choice import CLEARLY
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.posterior import SpectralPosterior
-from ..results.archive import provenance
 from ..results.estimate import Axis, LoadEstimate
-from ..results.functionals import LEVEL, Spectrum, nearest_zeros
+from ..results.facts import Facts
+from ..results.functionals import LEVEL, LoadSpectrum, nearest_zeros
+from .answer import SolvedLoad, answer, over_time
 from .data import rows_of
-from .noise import graded
-from .posing.fitting import Fit, Rule, fit, judged
+from .posing.fitting import LineFit, LineRule, fit, judged
 from .posing.gathered import SIGNALS, LineData, Settings, lines_of, response
+
+Array = NDArray[Any]
 
 BESIDE = 16  # samples around a load that stands out, to which what is missing of it belongs
 CLEAR = 5.0  # standard deviations by which a load stands out of a transient
@@ -117,7 +119,7 @@ class FrequencyInversion:
                              expected=" or ".join(map(repr, SIGNALS)))  # fmt: skip
         self.model = as_model(model, "FrequencyInversion", "frf", "impulse_response")
         self.level, self.coverage = float(level), coverage
-        self.rule = Rule(method, choice, over, neighbours, count, size)
+        self.rule = LineRule(method, choice, over, neighbours, count, size)
         self.held = rows_of(validation, model) if len(validation) else np.zeros(0, int)
         chosen = rows_of(sensors, model)
         self.rows = chosen if sensors is not None else np.setdiff1d(chosen, self.held)
@@ -156,7 +158,8 @@ class FrequencyInversion:
         """
         self._progress(0.05, "making the lines")
         everything = lines_of(found, dt, self.model, np.concatenate([self.rows, self.held]), self.settings)
-        line, kept_out = _split(everything, len(self.rows))
+        count = len(self.rows)
+        line, kept_out = everything.part(slice(None, count)), everything.part(slice(count, None))
         H = response(self.model, line)
         variance = _variance(self.model, line)
         self._progress(0.2, "solving the lines")
@@ -169,48 +172,25 @@ class FrequencyInversion:
         self._progress(0.85, "asking other rules")
         choice = judged(solved, self.rule, line.known, line.source)
         spectrum = _spectrum(solved, line, self.level)
-        answer = _ANSWERS[line.kind](solved, line, H)
-        held = _held_out(answer, kept_out, H)
-        self._progress(1.0, "done")
-        facts = self._facts(solved, line, H, held, spectrum)
-        estimate = LoadEstimate(
-            load=answer.load,
-            std=answer.std,
-            posterior=answer.posterior,
-            bias=answer.bias,
-            labels=[c.label for c in self.model.loads],
-            units=[answer.unit.format(c.unit) for c in self.model.loads],
-            axis=answer.axis,
-            choice=choice,
-            response=answer.response,
-            residual=answer.residual,
-            sensors=[c.label for c in line.channels],
-            sensor_units=[answer.unit.format(c.unit) for c in line.channels],
-            flags=self._flags(solved, line, H[:, line.rows], spectrum, choice, answer, facts),
-            allowed=self.allow,
-            certificate=self.model.certificate,
-            spectrum=spectrum if answer.cross is None else _with_cross(spectrum, answer),
-            facts=facts,
-            provenance=provenance(
-                self.name,
-                settings=self._named_settings(line),
-                inputs=line.inputs,
-                model=self.model.fingerprint,
-                prior=self._prior(),
-            ),
-        )
+        answered = _ANSWERS[line.kind](solved, line, H, spectrum)
         excess = float(np.sqrt(solved.excess))
-        return graded(estimate, excess if excess > CLEARLY else None)
+        held = _held_out(solved, answered.spectrum.cross, kept_out, H)
+        found = replace(answered, facts=self._facts(solved, line, held, spectrum),
+                        excess=excess if excess > CLEARLY else None)  # fmt: skip
+        self._progress(1.0, "done")
+        return answer(
+            self, line, found, choice, known=line.known, settings=self._named_settings(line), prior=self._prior(),
+            flags=self._flags(solved, line, H[:, line.rows], found),
+        )  # fmt: skip
 
     # -- saying -----------------------------------------------------------------------------------------------------
-    def _refuse_undetermined(self, solved: Fit) -> None:
-        lost = int(np.sum(np.any(solved.told.gain == 0, axis=1)))
+    def _refuse_undetermined(self, solved: LineFit) -> None:
+        lost = int(np.sum(np.any(solved.identifiable.gain == 0, axis=1)))
         if self.rule.free and lost and "LID-E306" not in self.allow:
             raise NotIdentifiable(
                 f"without regularisation {lost} of {len(solved.lam)} lines do not determine the loads",
-                advice="add sensors, leave these lines out (band=), or leave choice= out",
-                code="LID-E306",
-            )
+                advice="add sensors, leave these lines out (band=), or leave choice= out", code="LID-E306",
+            )  # fmt: skip
 
     def _prior(self) -> str:
         rule = self.rule
@@ -232,62 +212,41 @@ class FrequencyInversion:
             "validation": [self.model.sensors[i].label for i in self.held],
         }  # fmt: skip
 
-    def _facts(
-        self, solved: Fit, line: LineData, H: NDArray, held: dict[str, float], spectrum: Spectrum
-    ) -> dict[str, Any]:
-        lines, loads = solved.told.gain.shape
-        seen = np.isfinite(solved.told.condition)
+    def _facts(self, solved: LineFit, line: LineData, held: dict[str, float], spectrum: LoadSpectrum) -> Facts:
+        unknowns = solved.identifiable.gain.size
+        some = np.isfinite(solved.identifiable.condition)
         rank = int(np.sum(solved.path.c > 0))
-        facts: dict[str, Any] = {
-            "path": _PATHS[line.kind],
-            "m": int(solved.path.m * lines),
-            "n": lines * loads,
-            "rank": rank,
-            "nullity": lines * loads - rank,
-            "kappa": float(np.median(solved.told.condition[seen])) if seen.any() else float("inf"),
-            "edf": float(np.sum(solved.edf)),
-            "residual_to_noise": float(np.sqrt(np.median(solved.noise))) if line.known else None,
-            "noise_level": float(np.sqrt(np.median(solved.noise))),
-            **line.source.facts,
-            "trusted_lines": float(np.mean(spectrum.trust().all(axis=1))),
-            "trust_level": self.level,
-            "frf_errors": "none stated" if solved.errors is None else
-            f"{float(np.sqrt(np.median(solved.errors / solved.total))):.2g} of the noise",
-        }  # fmt: skip
-        facts |= line.facts or {}
+        level = float(np.sqrt(np.median(solved.noise)))
+        errors = "none stated"
+        if solved.errors is not None:
+            errors = f"{float(np.sqrt(np.median(solved.errors / solved.total))):.2g} of the noise"
+        more: dict[str, Any] = dict(line.facts or {})
         if held:
-            facts |= {"held_out": [f"{name} {error:.2%}" for name, error in held.items()]}
-        return facts
+            more["held_out"] = tuple(f"{name} {error:.2%}" for name, error in held.items())
+        return Facts(
+            path=_PATHS[line.kind], m=int(solved.path.m * len(solved.lam)), n=unknowns, rank=rank,
+            nullity=unknowns - rank, edf=float(np.sum(solved.edf)),
+            kappa=float(np.median(solved.identifiable.condition[some])) if some.any() else float("inf"),
+            residual_to_noise=level if line.known else None, noise_level=level,
+            **line.source.facts, trusted_lines=float(np.mean(spectrum.trust().all(axis=1))), trust_level=self.level,
+            frf_errors=errors, **more,
+        )  # fmt: skip
 
-    def _flags(
-        self, solved: Fit, line: LineData, H: NDArray, spectrum: Spectrum, choice: Choice, answer: Any,
-        facts: dict[str, Any],
-    ) -> tuple[Flag, ...]:  # fmt: skip
-        model, labels = self.model, tuple(c.label for c in self.model.loads)
-        allowed = "LID-E306" in self.allow and self.rule.free and np.any(solved.told.gain == 0)
+    def _flags(self, solved: LineFit, line: LineData, H: NDArray[Any], found: SolvedLoad) -> list[Flag | None]:
+        labels, facts, spectrum = tuple(c.label for c in self.model.loads), found.facts, found.spectrum
+        allowed = "LID-E306" in self.allow and self.rule.free and np.any(solved.identifiable.gain == 0)
         size = np.sqrt(np.mean(np.abs(solved.path.beta) ** 2, axis=1) + solved.path.outside / solved.path.m)
         strength = size / np.sqrt(solved.noise)
-        decay = model.decay_rate
-        return guards.collect(
-            [
-                guards.overridden("E306", "rank", facts["rank"], facts["n"]) if allowed else None,
-                *model.flags,
-                *line.flags,
-                guards.not_verified(model.certificate),
-                guards.null_space(facts["m"], facts["n"], facts["rank"]),
-                guards.mixed_kinds(line.channels, line.known),
-                *guards.parameter(choice, lambda factor: None),
-                told.contradicted(solved.excess, line.source) if line.known else None,
-                told.no_spare_data(line.known, solved.path.m - spectrum.load.shape[1]),
-                told.antiresonance(spectrum, labels),
-                told.inseparable(spectrum, H / np.sqrt(solved.total)[..., None], strength, labels),
-                None if line.data is None else told.leaking(line.data.values, answer.residual),
-                None if line.facts is None else told.too_coarse(line.facts["bandwidth"], decay),
-                guards.inverse_crime(line.simulated_by, model.fingerprint) if line.simulated_by else None,
-                guards.used_for_training("the record", line.fingerprints & model.training),
-                guards.no_coverage(self.coverage),
-            ]
-        )
+        return [
+            guards.overridden("E306", "rank", facts["rank"], facts["n"]) if allowed else None,
+            guards.null_space(facts["m"], facts["n"], facts["rank"]),
+            told.contradicted(solved.excess, line.source) if line.known else None,
+            told.no_spare_data(line.known, solved.path.m - spectrum.load.shape[1]),
+            told.antiresonance(spectrum, labels),
+            told.inseparable(spectrum, H / np.sqrt(solved.total)[..., None], strength, labels),
+            None if line.data is None else told.leaking(line.data.values, np.asarray(found.residual)),
+            None if line.facts is None else told.too_coarse(line.facts["bandwidth"], self.model.decay_rate),
+        ]
 
 
 # -- answers of the three kinds of data -------------------------------------------------------------------------------
@@ -298,27 +257,15 @@ _PATHS = {
 }
 
 
-class _Answer:
-    """What an estimate is made of."""
-
-    def __init__(
-        self, load: NDArray, std: NDArray, axis: Axis, unit: str, response: NDArray, residual: NDArray
-    ) -> None:
-        self.load, self.std, self.axis, self.unit = load, std, axis, unit
-        self.response, self.residual = response, residual
-        self.posterior: SpectralPosterior | None = None
-        self.bias: NDArray | None = None
-        self.cross: NDArray | None = None
-        self.amplitudes: NDArray = load
-
-
-def _of_spectra(solved: Fit, line: LineData, H: NDArray) -> _Answer:
+def _of_spectra(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSpectrum) -> SolvedLoad:
     load, X = solved.load[..., 0], line.X[..., 0]
     rest = X - np.einsum("ksl,kl->ks", H[:, line.rows], load)
-    return _Answer(load, np.sqrt(solved.variance), Axis("frequency", "Hz", line.frequencies), "{}", X, rest)
+    axis = Axis("frequency", "Hz", line.frequencies)
+    return SolvedLoad(load=load, std=np.sqrt(solved.variance), axis=axis, response=X, residual=rest, facts=Facts(),
+                          spectrum=spectrum)  # fmt: skip
 
 
-def _of_cross(solved: Fit, line: LineData, H: NDArray) -> _Answer:
+def _of_cross(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSpectrum) -> SolvedLoad:
     """Mean of the loads' spectra given the data: that of the estimates, and what the data leave open of each.
 
     Averages reduce the chance of loads and noise, not what errors of the FRF and the prior leave open.
@@ -328,35 +275,30 @@ def _of_cross(solved: Fit, line: LineData, H: NDArray) -> _Answer:
     power = np.maximum(np.einsum("kjj->kj", S).real, 0.0)
     lost = np.minimum(solved.frf_part + solved.prior_part, solved.variance)
     chance = (power + solved.variance - lost) ** 2 / line.averages
-    std = np.sqrt(chance + 2 * power * lost + lost**2)
     used = H[:, line.rows]
     X2 = np.einsum("ksn,ksn->ks", line.X.conj(), line.X).real
     made = np.einsum("ksi,kij,ksj->ks", used, S, used.conj()).real
-    unit = "({})^2/Hz"
-    answer = _Answer(power, std, Axis("frequency", "Hz", line.frequencies), unit, X2, X2 - made)
-    answer.cross, answer.amplitudes = S, np.sqrt(power)
-    return answer
+    return SolvedLoad(
+        load=power, std=np.sqrt(chance + 2 * power * lost + lost**2), axis=Axis("frequency", "Hz", line.frequencies),
+        response=X2, residual=X2 - made, facts=Facts(), spectrum=replace(spectrum, cross=S), unit="({})^2/Hz",
+    )  # fmt: skip
 
 
-def _of_transient(solved: Fit, line: LineData, H: NDArray) -> _Answer:
+def _of_transient(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSpectrum) -> SolvedLoad:
     assert line.data is not None
     samples = len(line.data.values)
-    G = solved.load[..., 0]
-    history = np.fft.irfft(G, line.padded, axis=0)[:samples]
+    history = np.fft.irfft(solved.load[..., 0], line.padded, axis=0)[:samples]
     held = np.fft.rfft(history, line.padded, axis=0)
     made = np.fft.irfft(np.einsum("ksl,kl->ks", H[:, line.rows], held), line.padded, axis=0)[:samples]
     known = SpectralPosterior(solved.covariance, samples, line.padded)
-    axis = Axis("time", "s", np.asarray(np.arange(samples) * line.data.dt, float))
-    bias = _hidden(solved, history, known.std, line.padded)
-    answer = _Answer(
-        history, np.maximum(known.std, np.abs(bias)), axis, "{}", line.data.values, line.data.values - made
-    )
-    answer.bias = bias
-    answer.posterior, answer.amplitudes = known, G
-    return answer
+    return SolvedLoad(
+        load=history, std=known.std, bias=_hidden(solved, history, known.std, line.padded), posterior=known,
+        axis=over_time(samples, line.data.dt), response=line.data.values, residual=line.data.values - made,
+        facts=Facts(), spectrum=spectrum,
+    )  # fmt: skip
 
 
-_ANSWERS: dict[str, Callable[[Fit, LineData, NDArray], _Answer]] = {
+_ANSWERS: dict[str, Callable[[LineFit, LineData, NDArray[Any], LoadSpectrum], SolvedLoad]] = {
     "spectra": _of_spectra,
     "cross spectra": _of_cross,
     "transient": _of_transient,
@@ -364,7 +306,7 @@ _ANSWERS: dict[str, Callable[[Fit, LineData, NDArray], _Answer]] = {
 
 
 # -- helpers ----------------------------------------------------------------------------------------------------------
-def _hidden(solved: Fit, history: NDArray, std: NDArray, padded: int) -> NDArray[np.float64]:
+def _hidden(solved: LineFit, history: Array, std: Array, padded: int) -> NDArray[np.float64]:
     """What is expected to be missing from a transient, (samples, loads).
 
     The posterior takes lines for independent and spreads what they do not tell evenly over the record. Of a pulse all
@@ -382,28 +324,12 @@ def _hidden(solved: Fit, history: NDArray, std: NDArray, padded: int) -> NDArray
     return np.where(beside, missing, 0.0)
 
 
-def _in_order(noise: ArrayLike | None, rows: NDArray) -> ArrayLike | None:
+def _in_order(noise: ArrayLike | None, rows: Array) -> ArrayLike | None:
     """Noise of all sensors of the model in the order in which they are used."""
     return np.asarray(noise)[rows] if noise is not None and np.shape(noise) == rows.shape else noise
 
 
-def _split(line: LineData, count: int) -> tuple[LineData, LineData | None]:
-    """The lines of the sensors that train, and of those that are kept out."""
-    if len(line.rows) == count:
-        return line, None
-
-    def part(pick: slice) -> LineData:
-        given = {"X": line.X[:, pick], "power": line.power[:, pick], "rows": line.rows[pick]}
-        data = line.data
-        if data is not None:
-            data = replace(data, values=data.values[:, pick], rows=data.rows[pick], channels=data.channels[pick],
-                           missing=data.missing[:, pick])  # fmt: skip
-        return LineData(**{**vars(line), **given, "channels": line.channels[pick], "data": data})
-
-    return part(slice(None, count)), part(slice(count, None))
-
-
-def _spread(rule: Rule, line: LineData) -> Rule:
+def _spread(rule: LineRule, line: LineData) -> LineRule:
     """Neighbours are counted in lines of the record: a padded transform has more, which repeat each other."""
     return replace(rule, neighbours=round(rule.neighbours / line.fullness))
 
@@ -413,14 +339,14 @@ def _variance(model: Model, line: LineData) -> NDArray[np.float64] | None:
     return None if found is None or not np.any(found) else found[:, line.rows]
 
 
-def _spectrum(solved: Fit, line: LineData, level: float) -> Spectrum:
+def _spectrum(solved: LineFit, line: LineData, level: float) -> LoadSpectrum:
     g = solved.load
     mean = g[..., 0] if g.shape[2] == 1 else np.sqrt(np.einsum("kjn,kjn->kj", g.conj(), g).real + solved.variance)
-    naive = solved.told.naive
+    naive = solved.identifiable.naive
     plain = naive[..., 0] if naive.shape[2] == 1 else np.sqrt(np.einsum("kjn,kjn->kj", naive.conj(), naive).real)
-    gain = solved.told.gain
+    gain = solved.identifiable.gain
     deviation = np.sqrt(solved.noise)[:, None]
-    return Spectrum(
+    return LoadSpectrum(
         frequencies=line.frequencies,
         load=mean,
         std=np.sqrt(solved.variance),
@@ -429,7 +355,7 @@ def _spectrum(solved: Fit, line: LineData, level: float) -> Spectrum:
         naive_std=np.where(gain > 0, deviation / np.where(gain > 0, gain, 1.0), np.inf),
         expected=solved.expected,
         gain=gain,
-        condition=solved.told.condition,
+        condition=solved.identifiable.condition,
         zeros=nearest_zeros(line.frequencies, gain),
         lam=solved.lam,
         noise=np.sqrt(solved.noise),
@@ -437,21 +363,17 @@ def _spectrum(solved: Fit, line: LineData, level: float) -> Spectrum:
     )
 
 
-def _with_cross(spectrum: Spectrum, answer: _Answer) -> Spectrum:
-    return replace(spectrum, cross=answer.cross)
-
-
-def _held_out(answer: _Answer, line: LineData | None, H: NDArray) -> dict[str, float]:
+def _held_out(solved: LineFit, cross: NDArray[Any] | None, line: LineData, H: NDArray[Any]) -> dict[str, float]:
     """Relative error of the predicted response of each sensor that was kept out."""
-    if line is None:
+    if not len(line.rows):
         return {}
     used = H[:, line.rows]
-    if answer.cross is not None:
-        made = np.einsum("ksi,kij,ksj->ks", used, answer.cross, used.conj()).real
+    if cross is not None:
+        made = np.einsum("ksi,kij,ksj->ks", used, cross, used.conj()).real
         measured = np.einsum("ksn,ksn->ks", line.X.conj(), line.X).real
         error = np.sum(np.abs(measured - made), axis=0) / np.sum(measured, axis=0)
     else:
         measured = line.X[..., 0]
-        made = np.einsum("ksl,kl->ks", used, answer.amplitudes)
+        made = np.einsum("ksl,kl->ks", used, solved.load[..., 0])
         error = np.linalg.norm(measured - made, axis=0) / np.maximum(np.linalg.norm(measured, axis=0), 1e-300)
     return {c.label: float(e) for c, e in zip(line.channels, error, strict=True)}

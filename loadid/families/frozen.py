@@ -11,85 +11,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.advice import Advice, Option
-from structures.errors import InputError, NotIdentifiable, reals
+from structures.errors import InputError, reals
 from structures.files import storage
 
 from .. import guards
-from ..inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from ..inverse.posterior import FramesPosterior
-from ..results.estimate import LoadEstimate
-from .data import LARGEST, Readings, readings
-from .posing.steady import Absolute, Steady
+from ..results.estimate import Axis, LoadEstimate
+from .data import LARGEST, Readings, readings, rows_of
+from .posing.steady import Absolute, StaticProblem
 
 if TYPE_CHECKING:
     from .static import StaticInversion
-
-
-MEETING = float(np.sqrt(np.finfo(float).eps))  # of [H/|H|; L/|L|], below which no minimiser stands out
-PUSH = 1e-9  # of the largest gradient at rest, below which a constraint holds a load by chance
-
-
-def missing(posed: Steady) -> int:
-    """Load patterns that neither the readings nor the constraints fix without regularisation; 0 is what it must be.
-
-    Resultants count as readings. A sign or a bound fixes a load only where the data push against it: a load that may
-    move inside its bounds is bounded, not determined.
-    """
-    problem, n = posed.base.problem, posed.H.shape[1]
-    rows, free = [problem.H / np.linalg.norm(problem.H)], np.ones(n, bool)
-    solution = posed.path.solve(0.0)
-    least = PUSH * float(np.max(np.abs(problem.H.T @ problem.y), initial=0.0))
-    for c, push, active in zip(posed.path.constraints, solution.multipliers, solution.active, strict=True):
-        if isinstance(c, Resultant):
-            C = np.asarray(c.C, float)
-            rows.append(C / np.linalg.norm(C, axis=1, keepdims=True))
-        elif isinstance(c, Support):
-            free &= np.isin(np.arange(n), np.asarray(c.loads))
-        elif isinstance(c, NonNegative | Bounds):
-            held = (np.asarray(active, bool) & (np.abs(push) > least)).reshape(-1, push.shape[-1]).all(axis=0)
-            loads = np.arange(n) if c.loads is None else np.asarray(c.loads)
-            free[loads[held]] = False
-        elif isinstance(c, FrictionCone):
-            contacts = np.asarray(c.contacts)
-            is_open = (np.asarray(active) == 0).reshape(-1, len(contacts)).all(axis=0)
-            free[contacts[is_open].ravel()] = False
-    count = int(free.sum())
-    return count - int(np.linalg.matrix_rank(np.vstack(rows)[:, free])) if count else 0
-
-
-def refuse_undetermined(family: StaticInversion, posed: Steady) -> None:
-    """Refuse a load that neither the sensors nor the penalty nor the constraints determine (LID-E306)."""
-    n = family.H.shape[1]
-    if family.L is not None and posed.base.meeting < MEETING and "LID-E306" not in family.allow:
-        raise NotIdentifiable(
-            "the null spaces of the sensors and of the penalty nearly meet: the smallest singular value of "
-            f"[H/|H|; L/|L|] is {posed.base.meeting:.2g}, below {MEETING:.2g}",
-            advice=Advice(
-                "add another sensor, or use ",
-                Option("penalty", "identity"),
-                " (with a resultant as a constraint, if known)",
-            ),
-            code="LID-E306",
-        )
-    if family.free and posed.constrained and posed.rank < n and "LID-E306" not in family.allow:
-        lacking = missing(posed)
-        if lacking:
-            raise NotIdentifiable(
-                f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns, and the "
-                f"constraints leave {lacking} load pattern{'s' if lacking > 1 else ''} free to move",
-                advice=Advice(
-                    "add sensors or a resultant, use a penalty (", Option("penalty", "identity"), "), or fewer loads"
-                ),
-                code="LID-E306",
-            )
-    if family.free and not family.constraints and posed.rank < n and "LID-E306" not in family.allow:
-        raise NotIdentifiable(
-            f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns "
-            f"from {len(posed.H)} sensors",
-            advice=Advice("add sensors, use a penalty (", Option("penalty", "identity"), "), or fewer loads"),
-            code="LID-E306",
-        )
 
 
 @dataclass(frozen=True)
@@ -145,12 +77,10 @@ def calibrate(family: StaticInversion, records: Sequence[Any]) -> Calibration:
     """See `StaticInversion.calibrate`."""
     if not isinstance(records, list | tuple) or not records:
         raise InputError(
-            "no records to calibrate with",
-            where="calibrate",
+            "no records to calibrate with", where="calibrate",
             found=f"{type(records).__name__} of length {len(records) if hasattr(records, '__len__') else '?'}",
-            expected="a list of readings",
-            hint="calibrate([reading_1, reading_2, ...])",
-        )
+            expected="a list of readings", hint="calibrate([reading_1, reading_2, ...])",
+        )  # fmt: skip
     given = [_read(family, r, i) for i, r in enumerate(records)]
     alone = [family.choose(family.pose(g)).lam for g in given]
     posed = family.pose(_together(given))
@@ -183,8 +113,6 @@ def _read(family: StaticInversion, record: Any, i: int) -> Readings:
 
 def _together(given: Sequence[Readings]) -> Readings:
     """All frames of all records as one sequence."""
-    from ..results.estimate import Axis
-
     values = np.vstack([g.values for g in given])
     first = given[0]
     axis = Axis("frame", "", np.arange(float(len(values))))
@@ -247,23 +175,18 @@ class Frozen:
             y = reals(y, what="the reading is no real numbers", where="frozen")
         if y.shape != (len(self.sensors),):
             raise InputError(
-                "the reading does not fit the frozen inverse",
-                where="frozen",
-                found=f"shape {y.shape}",
+                "the reading does not fit the frozen inverse", where="frozen", found=f"shape {y.shape}",
                 expected=f"({len(self.sensors)},): {list(self.sensors)[:12]}",
-            )
+            )  # fmt: skip
         if not (np.abs(y).max() <= LARGEST):  # also NaN
             self._refuse(y)
         if self.matrix is None:
-            return self.solver(y, resultants)
+            return np.asarray(self.solver(y, resultants))
         if resultants is not None:
             raise InputError(
-                "this frozen inverse has no resultant constraint",
-                where="frozen",
-                found="resultants",
-                expected="a reading alone",
-                hint="freeze a family with constraints=[Resultant(...)]",
-            )
+                "this frozen inverse has no resultant constraint", where="frozen", found="resultants",
+                expected="a reading alone", hint="freeze a family with constraints=[Resultant(...)]",
+            )  # fmt: skip
         return self.matrix @ y
 
     def __str__(self) -> str:
@@ -277,7 +200,7 @@ class Frozen:
             f"lambda {self.lam:.3g} ({self.rule}; noise level: {self.delta_source}); {how}"
         )
 
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write an HDF5 file with checksums, whole or not at all.
 
         Raises
@@ -287,17 +210,15 @@ class Frozen:
         """
         if self.matrix is None:
             raise InputError(
-                "constraints need the solver, which a file does not hold",
-                where="frozen.save",
-                found="a frozen solver",
-                expected="an inverse without constraints",
+                "constraints need the solver, which a file does not hold", where="frozen.save",
+                found="a frozen solver", expected="an inverse without constraints",
                 hint="save the model and the lambda, and freeze again",
-            )
+            )  # fmt: skip
         tree = {k: v for k, v in vars(self).items() if k != "solver"}
         storage.write(path, {k: list(v) if isinstance(v, tuple) else v for k, v in tree.items()}, KIND)
 
     @classmethod
-    def read(cls, path: str | os.PathLike) -> Frozen:
+    def read(cls, path: str | os.PathLike[str]) -> Frozen:
         """Read what `save` wrote.
 
         Raises
@@ -317,12 +238,9 @@ class Frozen:
     def _refuse(self, y: NDArray[np.float64]) -> None:
         bad = [label for label, value in zip(self.sensors, y, strict=True) if not abs(value) <= LARGEST]
         raise InputError(
-            f"NaN, infinity or a number above {LARGEST:g} in the reading",
-            where="frozen",
-            found=bad[:8],
-            expected="a finite number per sensor",
-            hint="freeze another inverse without the lost sensor",
-        )
+            f"NaN, infinity or a number above {LARGEST:g} in the reading", where="frozen", found=bad[:8],
+            expected="a finite number per sensor", hint="freeze another inverse without the lost sensor",
+        )  # fmt: skip
 
 
 def freeze(family: StaticInversion) -> Frozen:
@@ -337,7 +255,7 @@ def freeze(family: StaticInversion) -> Frozen:
             hint="calibrate([...]) with several records first: a lambda chosen anew per frame makes frames "
             "incomparable",
         )
-    posed = family.at_rest()
+    posed = at_rest(family)
     lam = _fixed(family, posed)
     known = posed.base.solution(lam, posed.noise.sigma).posterior
     matrix, solver = None, None
@@ -361,7 +279,35 @@ def freeze(family: StaticInversion) -> Frozen:
     )
 
 
-def _fixed(family: StaticInversion, posed: Steady) -> float:
+def at_rest(family: StaticInversion) -> StaticProblem:
+    """The problem without readings: what a frozen inverse is made of.
+
+    Raises
+    ------
+    InputError
+        If sensors of several units, or sensors and measured resultants, have no noise levels: nothing says how
+        they weigh.
+    """
+    rows = rows_of(family.sensors, family.model)
+    channels = tuple(family.model.sensors[i] for i in rows)
+    told = None if family.calibration is None else family.calibration.level
+    stated = not (family.noise is None and told is None and family.model.noise is None)
+    # readings of zero are in the range of any noise; without a noise level they would have no scale
+    values = np.zeros((1, len(rows))) if stated else np.ones((1, len(rows)))
+    posed = family.pose(Readings(values, rows, channels, None, "none", ""), told)
+    if not posed.noise.known and posed.soft:
+        raise _unweighed("measured resultants weigh against the noise of the sensors, which is not known", "no level")
+    if not posed.noise.known and len(units := {c.unit for c in channels}) > 1:
+        raise _unweighed("sensors of several units have no noise levels: nothing says how they weigh", sorted(units))
+    return posed
+
+
+def _unweighed(what: str, found: object) -> InputError:
+    return InputError(what, where="freeze", found=found, expected="noise= per sensor",
+                      hint="state the noise in the model (noise= of each sensor) or here")  # fmt: skip
+
+
+def _fixed(family: StaticInversion, posed: StaticProblem) -> float:
     """The relative lambda that was calibrated or given."""
     if family.calibration is not None:
         return family.calibration.lam
@@ -395,5 +341,5 @@ def each_frame(family: StaticInversion, given: Readings) -> LoadEstimate:
         residual=np.stack([e.residual for e in singles if e.residual is not None]),
         posterior=FramesPosterior([e.posterior for e in singles]),
         flags=guards.collect([guards.changing_lambda(lams), *unique.values()]),
-        facts={**last.facts, "frames": len(singles)},
+        facts=replace(last.facts, frames=len(singles)),
     )

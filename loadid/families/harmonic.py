@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, NotIdentifiable, plain, positive
+from structures.errors import InputError, plain, positive
 from structures.model import Model, as_model
 
 from .. import guards
-from ..inverse import rules
-from ..inverse.choice import choose, residual_level
+from ..inverse.choice import choose
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource, NoiseSourceLike
 from ..inverse.problem import LinearProblem
 from ..inverse.svd import SVDPath
-from ..results.archive import provenance
 from ..results.estimate import Axis, LoadEstimate
 from . import smoothness as spatial
+from .answer import Amplitudes, answer, of_path, undetermined
 from .data import rows_of
 from .field import told_apart
-from .noise import Noise, graded, noise_level, unexplained_by
+from .noise import Noise, noise_level
 from .smoothness import geometry
 
 Complex = NDArray[np.complex128]
@@ -115,63 +114,42 @@ class HarmonicInversion:
         """
         Y = self._amplitudes(amplitudes)
         self._progress(0.1, "posing the problem")
-        posed = self._pose(Y)
-        self._refuse_undetermined(posed)
+        path, noise = self._pose(Y)
+        self._refuse_undetermined(path)
         self._progress(0.4, "choosing lambda")
-        choice = choose(posed.path, self.choice, sigma=posed.noise.sigma, source=posed.noise.source)
-        sigma = noise_level(posed.path, choice, posed.noise)
-        solution = posed.path.solution(choice.lam, sigma)
-        parts, assumed = solution.load, solution.posterior
-        assert assumed is not None
-        bias = diagnose.hidden(posed.path, choice.lam, parts, assumed.std, axis=-1)
-        rest = Y - self.H @ (parts[0] + 1j * parts[1])
-        channels = [self.model.sensors[i] for i in self.rows]
-        facts = self._facts(posed, choice.lam, sigma, parts)
+        choice = choose(path, self.choice, sigma=noise.sigma, source=noise.source)
+        sigma = noise_level(path, choice, noise)
+        solution = path.solution(choice.lam, sigma)
+        rest = Y - self.H @ (solution.load[0] + 1j * solution.load[1])
+        facts = {"path": "dense SVD, real and imaginary parts", "frequency": self.frequency}
+        layout = diagnose.layout(path.singular_values, self.unknowns)
         self._progress(1.0, "done")
-        estimate = LoadEstimate(
-            load=parts,
-            std=np.maximum(assumed.std, np.abs(bias)),
-            bias=bias,
-            posterior=assumed,
-            labels=[c.label for c in self.model.loads],
-            units=[c.unit for c in self.model.loads],
-            axis=Axis("part", "", np.arange(2.0)),
-            choice=choice,
-            response=np.stack([Y.real, Y.imag]),
-            residual=np.stack([rest.real, rest.imag]),
-            sensors=[c.label for c in channels],
-            sensor_units=[c.unit for c in channels],
-            flags=guards.collect(
-                [
-                    *self.model.flags,
-                    *self._overridden(posed),
-                    guards.not_verified(self.model.certificate),
-                    guards.null_space(facts["m"], facts["n"], facts["rank"]),
-                    guards.mixed_kinds(channels, posed.noise.known),
-                    *guards.parameter(choice, posed.discrepancy),
-                    guards.no_coverage(self.coverage),
-                ]
-            ),
-            allowed=self.allow,
-            certificate=self.model.certificate,
-            geometry=None if self.basis is None else _geometry(self.basis),
-            facts=facts,
-            provenance=provenance(
-                self.name,
-                settings={"frequency": self.frequency, "space": self._said, "length": self.length,
-                          "choice": self.choice, "noise_source": posed.noise.source.text,
-                          "sensors": None if self.sensors is None else [str(s) for s in self.sensors]},
-                inputs={},
-                model=self.model.fingerprint,
-                prior=f"in space {spatial.spatial_words(self.space, self.length)}",
-            ),
+        found = of_path(
+            path, choice, solution, sigma, noise, layout=layout, axis=Axis("part", "", np.arange(2.0)),
+            response=np.stack([Y.real, Y.imag]), residual=np.stack([rest.real, rest.imag]),
+            facts={**facts, "n": self.unknowns}, hidden_by=path, along=-1,
         )  # fmt: skip
-        return graded(estimate, unexplained_by(posed.path, choice.lam, posed.noise))
+        measured = Amplitudes([self.model.sensors[i] for i in self.rows], self.rows)
+        return answer(
+            self, measured, replace(found, geometry=None if self.basis is None else _geometry(self.basis)), choice,
+            known=noise.known, searched=path, free=self._free, settings=self._named_settings(noise),
+            prior=f"in space {spatial.spatial_words(self.space, self.length)}",
+            flags=[guards.null_space(path.m, self.unknowns, path.rank)],
+        )  # fmt: skip
 
     # -- inside -----------------------------------------------------------------------------------------------------
     @property
-    def _said(self) -> str | None:
-        return self.space if self.space is None or isinstance(self.space, str) else "matrix"
+    def unknowns(self) -> int:
+        """Real and imaginary parts of all loads."""
+        return 2 * int(self.H.shape[1])
+
+    def _named_settings(self, noise: Noise) -> dict[str, Any]:
+        return {
+            "frequency": self.frequency,
+            "space": self.space if self.space is None or isinstance(self.space, str) else "matrix",
+            "length": self.length, "choice": self.choice, "noise_source": noise.source.text,
+            "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
+        }  # fmt: skip
 
     def _amplitudes(self, given: Any) -> Complex:
         labels = [self.model.sensors[i].label for i in self.rows]
@@ -194,15 +172,15 @@ class HarmonicInversion:
                              expected=f"finite, ({len(self.rows)},): {labels[:12]}")  # fmt: skip
         return Y
 
-    def _pose(self, Y: Complex) -> _Posed:
+    def _pose(self, Y: Complex) -> tuple[SVDPath, Noise]:
         """The line as a real problem: real parts before imaginary ones."""
         noise, H = self._noise(Y), self.H
         loads = H.shape[1]
         both = np.stack([np.hstack([H.real, -H.imag]), np.hstack([H.imag, H.real])])
         L = None if self.W is None else np.kron(np.eye(2), self.W)
         problem = LinearProblem.whitened(both, np.stack([Y.real, Y.imag]), noise.level, L, (2, loads))
-        return _Posed(SVDPath(problem, labels=[f"{part} {c.label}" for part in ("Re", "Im") for c in self.model.loads]),
-                      noise)  # fmt: skip
+        labels = [f"{part} {c.label}" for part in ("Re", "Im") for c in self.model.loads]
+        return SVDPath(problem, labels=labels), noise
 
     def _noise(self, Y: Complex) -> Noise:
         """Std of the real and of the imaginary part of each amplitude; else a scale per unit."""
@@ -228,39 +206,11 @@ class HarmonicInversion:
     def _free(self) -> bool:
         return isinstance(self.choice, int | float) and self.choice == 0
 
-    def _refuse_undetermined(self, posed: _Posed) -> None:
-        rank, n = posed.path.rank, 2 * self.H.shape[1]
+    def _refuse_undetermined(self, path: SVDPath) -> None:
+        rank, n = path.rank, self.unknowns
         if self._free and rank < n and "LID-E306" not in self.allow:
-            raise NotIdentifiable(
-                f"without regularisation the load is not determined: rank {rank // 2} of {n // 2} complex unknowns "
-                f"from {len(self.rows)} sensors",
-                advice="add sensors, give lambda > 0, or use fewer loads",
-                code="LID-E306",
-            )
-
-    def _overridden(self, posed: _Posed) -> list[Any]:
-        n = 2 * self.H.shape[1]
-        if self._free and posed.path.rank < n:
-            return [guards.overridden("E306", "rank", posed.path.rank, n)]
-        return []
-
-    def _facts(self, posed: _Posed, lam: float, sigma: float, load: NDArray) -> dict[str, Any]:
-        path, n = posed.path, 2 * self.H.shape[1]
-        kappa = diagnose.layout(path.singular_values, n)[0]
-        point = path.at(lam)
-        return {
-            "path": "dense SVD, real and imaginary parts",
-            "frequency": self.frequency,
-            "m": int(path.m),
-            "n": n,
-            "rank": path.rank,
-            "nullity": n - path.rank,
-            "kappa": kappa,
-            "edf": None if point.edf is None else float(point.edf),
-            "residual_to_noise": residual_level(path, lam) if posed.noise.known else None,
-            "noise_level": float(sigma),
-            **posed.noise.source.facts,
-        }
+            raise undetermined(rank // 2, f"{n // 2} complex unknowns", f"{len(self.rows)} sensors",
+                               "add sensors, give lambda > 0, or use fewer loads")  # fmt: skip
 
 
 def complex_load(estimate: LoadEstimate) -> Complex:
@@ -282,15 +232,3 @@ def _geometry(basis: Any) -> dict[str, Any]:
     """Places of the loads; no resultants, as a sum over one part alone would tell half."""
     found = geometry(basis)
     return {**found, "resultant": found["resultant"][:0], "resultant_labels": []}
-
-
-@dataclass(frozen=True)
-class _Posed:
-    """A line as a real problem, and its noise."""
-
-    path: SVDPath
-    noise: Noise
-
-    def discrepancy(self, factor: float) -> float | None:
-        """Lambda of the discrepancy rule at a multiple of the noise level."""
-        return rules.discrepancy(rules.Sweep.over(self.path, self.noise.sigma), factor).lam

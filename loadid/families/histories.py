@@ -25,8 +25,10 @@ from ..quality import OFFSET, quiet_part
 from .data import Data
 from .posing import Posed
 
+Array = NDArray[Any]
 
-def half_width(g: NDArray) -> float:
+
+def half_width(g: Array) -> float:
     """Width in samples of the largest pulse of a history at half its height."""
     size = np.abs(g)
     k = int(np.argmax(size))
@@ -37,7 +39,7 @@ def half_width(g: NDArray) -> float:
     return float(left + right - 1)
 
 
-def kurtosis(g: NDArray) -> float:
+def kurtosis(g: Array) -> float:
     """Fourth moment over the square of the second about zero; 3 for a Gaussian history, large for impacts."""
     power = float(np.mean(g**2))
     return float(np.mean(g**4)) / power**2 if power > 0 else 0.0
@@ -122,7 +124,7 @@ def _offset(data: Data, model: Model, i: int) -> Offset | None:
     return _of_velocity(data, model, i) if part is None else _of_quiet(part)
 
 
-def _of_quiet(part: NDArray) -> Offset | None:
+def _of_quiet(part: Array) -> Offset | None:
     """Mean of the quiet part over its standard error, from the means of blocks: noise may be correlated."""
     means = np.array([block.mean() for block in np.array_split(part, BLOCKS)])
     value, error = float(part.mean()), float(means.std(ddof=1)) / np.sqrt(BLOCKS)
@@ -172,7 +174,7 @@ HEAD = 400  # samples of the impulse response that hold the free motions
 
 
 def layout(
-    model: Model, data: Data, h: NDArray, penalty: str | ArrayLike | None, bound: bool = False
+    model: Model, data: Data, h: Array, penalty: str | ArrayLike | None, bound: bool = False
 ) -> tuple[Flag, ...]:
     """Guards that need no answer: AC coupling, gaps, drift, memory, aliasing.
 
@@ -198,7 +200,7 @@ def layout(
     )
 
 
-def determined(model: Model, m: int, n: int, rank: int | None, h: NDArray) -> Flag | None:
+def determined(model: Model, m: int, n: int, rank: int | None, h: Array) -> Flag | None:
     """W201: the loads that the sensors cannot tell apart at any frequency, and rank loss where the rank is known."""
     ratio, combination = apart(h)
     lacking = None if rank is None else guards.null_space(m, n, rank)
@@ -209,13 +211,13 @@ def determined(model: Model, m: int, n: int, rank: int | None, h: NDArray) -> Fl
 
 
 def beginning(
-    h: NDArray,
-    values: NDArray,
+    h: Array,
+    values: Array,
     noise: Noise,
     lam: float,
     penalty: str | ArrayLike | None,
     sigma: float,
-    missing: NDArray | None = None,
+    missing: Array | None = None,
 ) -> Flag | None:
     """W518: the record starts in motion, and the model at rest.
 
@@ -241,7 +243,7 @@ def beginning(
     return guards.in_motion(start(h, values, lam, penalty, sigma, missing))
 
 
-def _drift(model: Model, data: Data, h: NDArray, penalty: str | ArrayLike | None) -> Flag | None:
+def _drift(model: Model, data: Data, h: Array, penalty: str | ArrayLike | None) -> Flag | None:
     """W517: what the static gain of the used sensors says about the constants that a difference leaves free."""
     if not isinstance(penalty, str) or penalties.order(penalty) == 0:
         return None

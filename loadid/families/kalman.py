@@ -16,6 +16,7 @@ from structures.models.statespace import StateSpace
 
 from .. import guards
 from ..guards import tracking as told
+from ..inverse.kalman.model import forward
 from ..inverse.kalman.model import words as near_rest_in_words
 from ..inverse.kalman.observe import Observability, observability
 from ..inverse.kalman.priors import OU, Matern32, Matern52
@@ -34,6 +35,8 @@ from .tracking.running import ENGINES
 from .tracking.samples import ranges, within
 from .tracking.tracker import Tracker
 from .tracking.tuning import LONGEST, numbers_of
+
+Array = NDArray[Any]
 
 PARAMETERS = ("stiffness", "mass", "damping")
 MOST, FAR, NEARLY = 1000, 50, 1.05  # of a lag; where it is judged, and how near to that is near enough
@@ -272,7 +275,7 @@ class LoadTracker:
         dummy = self.around["dummy"]
         return [] if dummy is None else [near_rest_in_words(dummy)]
 
-    def _recipe(self, posing: Posing, x: NDArray, scale: float) -> Recipe | None:
+    def _recipe(self, posing: Posing, x: Array, scale: float) -> Recipe | None:
         """How the filter is made of a model; None where that cannot be kept."""
         priors = posing.priors(x)
         if self.around["ambient"] is not None or not storable(priors):
@@ -322,7 +325,7 @@ class LoadTracker:
                 return None
             raise
 
-    def _certified(self, model: Any, settled: Steady | None, data: Data) -> tuple[Certificate, NDArray]:
+    def _certified(self, model: Any, settled: Steady | None, data: Data) -> tuple[Certificate, Array]:
         Y = np.where(data.missing, np.nan, data.values)[:LONGEST]
         engine = Engine(model, settled, None)
         load, std, e = np.empty((len(Y), model.p)), np.empty((len(Y), model.p)), np.full(Y.shape, np.nan)
@@ -335,7 +338,7 @@ class LoadTracker:
         return banded(found, settled, [c.label for c in self.model.loads], data.dt), e[first:]
 
     def _flags(
-        self, data: Data, seen: Observability, model: Any, settled: Steady | None, certificate: Certificate, e: NDArray,
+        self, data: Data, seen: Observability, model: Any, settled: Steady | None, certificate: Certificate, e: Array,
         more: tuple[Flag, ...],
     ) -> tuple[Flag, ...]:  # fmt: skip
         tuned = any(isinstance(g, Named) for g in self.given)
@@ -365,17 +368,15 @@ class LoadTracker:
         }  # fmt: skip
 
 
-def _nis(settled: Steady | None, e: NDArray) -> NDArray[np.float64]:
+def _nis(settled: Steady | None, e: Array) -> NDArray[np.float64]:
     """Normalised squares of the samples; of complete ones by the covariance of the innovation."""
     own = np.nansum(e**2, axis=1)
     if settled is None:
-        return own
-    from ..inverse.kalman.model import forward
-
+        return np.asarray(own)
     whole = np.isfinite(e).all(axis=1)
     white = forward(settled.Se_root, (e[whole] * settled.innovation_std).T)
     own[whole] = np.sum(white**2, axis=0)
-    return own
+    return np.asarray(own)
 
 
 def _left_out(model: Any, data: Data, first: int) -> list[float | None]:
@@ -399,7 +400,7 @@ def _left_out(model: Any, data: Data, first: int) -> list[float | None]:
     return found
 
 
-def _states(filtered: Steady, Y: NDArray) -> NDArray[np.float64]:
+def _states(filtered: Steady, Y: Array) -> NDArray[np.float64]:
     """Filtered states (samples, n) of a complete record."""
     x, out = filtered.model.x0, np.empty((len(Y), filtered.model.n))
     F, H, T = filtered.part.F, filtered.part.H, filtered.part.T

@@ -16,32 +16,28 @@ from structures.model import Model, as_model
 from .. import guards
 from ..design.candidates import of_model
 from ..guards import families as found_flags
-from ..inverse.convolved import fits
-from ..inverse.convolved import fits as alike
-from ..inverse.convolved import fits as scan
-from ..inverse.convolved import places as several
-from ..inverse.convolved.places import refine
+from ..inverse.convolved import fits, places
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.problem import whiten
-from ..results.archive import provenance
 from ..results.estimate import LoadEstimate
-from ..results.location import LocationResult, Rival
+from ..results.facts import provenance
+from ..results.location import LocationFacts, LocationResult, Rival
 from . import noise as noises
-from .data import Data, gather, health
+from .data import Data, gather
 from .deconvolution import Deconvolution
 from .histories import without_offsets
 from .posing.locating import (
     DENSE,
-    Candidates,
-    Factored,
-    Posed,
-    Said,
+    CandidateLoads,
+    CandidateVerdict,
+    FactoredCandidates,
+    LocationProblem,
     Solution,
     basins,
+    compared,
     grid_of,
     noise_level,
     rivals_of,
-    said,
 )
 
 Array = NDArray[np.float64]
@@ -139,7 +135,7 @@ class LocationSearch:
         self.settings, self.workers = dict(settings or {}), workers
         self.grid = grid_of(model, places)
         self._progress = progress or (lambda fraction, text: None)
-        self._kept: tuple[Any, Factored] | None = None
+        self._kept: tuple[Any, FactoredCandidates] | None = None
 
     def check(self, dt: float, samples: int) -> tuple[Flag, ...]:
         """Guards that need the model only: E512 where candidates at different places leave the same data.
@@ -152,7 +148,7 @@ class LocationSearch:
         """
         h = self.model.impulse_response(dt, samples, self.hold or self.model.default_hold)
         groups = self._alike(h)
-        found = [found_flags.alike_allowed(groups, alike.ALIKE)] if groups else []
+        found = [found_flags.alike_allowed(groups, fits.ALIKE)] if groups else []
         return guards.collect([*self.model.flags, *found])
 
     def estimate(self, record: Any, dt: float | None = None) -> LocationResult:
@@ -188,17 +184,17 @@ class LocationSearch:
         return found
 
     # -- steps --------------------------------------------------------------------------------------------------------
-    def _locate(self, record: Any, dt: float | None) -> tuple[LocationResult, Posed]:
+    def _locate(self, record: Any, dt: float | None) -> tuple[LocationResult, LocationProblem]:
         data = without_offsets(gather(record, dt, self.model, self.sensors), self.model, at_rest=True, allow=self.allow)
         posed = self._pose(data)
         self._progress(0.6, "comparing candidates")
         chosen = self._choose(posed)
-        verdict = said(posed, chosen)
+        verdict = compared(posed, chosen)
         self._progress(0.7, "refining the place")
         solutions = self._refine(posed, chosen) if self.refine and posed.candidates.how else []
         return self._result(posed, chosen, verdict, solutions)
 
-    def _pose(self, data: Data) -> Posed:
+    def _pose(self, data: Data) -> LocationProblem:
         noise = noises.resolve(self.noise, self.noise_source, self.model, data)
         level = np.asarray(noise.level, float)
         size = float(np.sqrt(np.mean(level**2 if level.ndim == 1 else np.diagonal(level))))
@@ -212,46 +208,46 @@ class LocationSearch:
         if not np.any(y):
             raise InputError("the record is zero throughout", where="record", expected="a response",
                              hint="record the event")  # fmt: skip
-        return Posed(data, noise, size if noise.known else None, y, relative, **vars(kept))
+        return LocationProblem(data, noise, size if noise.known else None, y, relative, **vars(kept))
 
-    def _factor(self, data: Data, relative: Array) -> Factored:
+    def _factor(self, data: Data, relative: Array) -> FactoredCandidates:
         samples = len(data.values)
-        candidates = Candidates(self.model, self.grid, data.dt, samples, self.hold or self.model.default_hold)
+        candidates = CandidateLoads(self.model, self.grid, data.dt, samples, self.hold or self.model.default_hold)
         groups = self._alike(candidates.h[:, data.rows], relative)
         if groups and "LID-E512" not in self.allow:
-            raise found_flags.alike(groups, alike.ALIKE)
+            raise found_flags.alike(groups, fits.ALIKE)
         h = whiten(candidates.h[:, data.rows], relative, axis=1)
         size = 8 * samples * (h[:, :, 0].size + samples)
         kind = fits.DenseFit if samples <= DENSE and size * h.shape[2] <= MEMORY else fits.LongFit
-        made = scan.over(
+        made = fits.over(
             lambda j: kind(h[:, :, j, None], relative=self.choice),
             range(h.shape[2]),
             workers=self.workers,
             progress=lambda fraction, text: self._progress(0.6 * fraction, text),
             text="factorising candidates",
         )
-        return Factored(candidates, h, tuple(made), groups)
+        return FactoredCandidates(candidates, h, tuple(made), groups)
 
     def _alike(self, h: Array, relative: Array | None = None) -> tuple[tuple[str, ...], ...]:
         white = h if relative is None else whiten(h, relative, axis=1)
-        found = alike.groups(white, None if self.grid is None else self.grid.near)
+        found = fits.groups(white, None if self.grid is None else self.grid.near)
         return tuple(tuple(self.model.loads[j].label for j in group) for group in found)
 
-    def _choose(self, posed: Posed) -> several.Chosen:
+    def _choose(self, posed: LocationProblem) -> places.Chosen:
         """The best candidates, and the scores of all."""
-        solved = scan.over(
+        solved = fits.over(
             lambda fit: fit.solve(posed.y), posed.fits, workers=1 if posed.dense else self.workers,
             progress=lambda fraction, text: self._progress(0.6 + 0.1 * fraction, text), text="comparing candidates",
         )  # fmt: skip
         scores = np.array([s.residual2 for s in solved])
         if self.impacts == 1:
             best = int(np.argmin(scores))
-            return several.Chosen((best,), solved[best], scores[None])
+            return places.Chosen((best,), solved[best], scores[None])
         lam = np.array([float(f.lam[0]) for f in posed.fits])
-        problem = several.Joint(posed.y, posed.h / lam, posed.fits, posed.joint)
-        return several.together(problem, self.impacts)
+        problem = places.Joint(posed.y, posed.h / lam, posed.fits, posed.joint)
+        return places.together(problem, self.impacts)
 
-    def _refine(self, posed: Posed, chosen: several.Chosen) -> list[Solution]:
+    def _refine(self, posed: LocationProblem, chosen: places.Chosen) -> list[Solution]:
         """The place from the best candidates and from rivals in other basins; each with its origin and its load."""
         grid = self.grid
         assert grid is not None
@@ -266,11 +262,13 @@ class LocationSearch:
 
         def one(start: tuple[tuple[int, ...], str, int], enough: float | None = None) -> Solution:
             place = grid.places[np.array(start[0])][:, grid.used]
-            found = refine(place, posed.y, lam, posed.whitened, posed.fit, grid.bounds, grid.spacing, hopeless=enough)
+            found = places.refine(
+                place, posed.y, lam, posed.whitened, posed.fit, grid.bounds, grid.spacing, hopeless=enough
+            )
             return found, start[1] or self.model.loads[start[0][0]].label, start[2]
 
         first = one(starts[0])
-        others = scan.over(
+        others = fits.over(
             lambda start: one(start, HOPELESS * first[0].objective), starts[1:], workers=self.workers,
             progress=lambda fraction, text: self._progress(0.75 + 0.15 * fraction, text), text="refining other places",
         )  # fmt: skip
@@ -278,8 +276,8 @@ class LocationSearch:
 
     # -- saying -------------------------------------------------------------------------------------------------------
     def _result(
-        self, posed: Posed, chosen: several.Chosen, verdict: Said, solutions: list[Solution]
-    ) -> tuple[LocationResult, Posed]:
+        self, posed: LocationProblem, chosen: places.Chosen, verdict: CandidateVerdict, solutions: list[Solution]
+    ) -> tuple[LocationResult, LocationProblem]:
         grid, norm = self.grid, float(np.linalg.norm(posed.y))
         residual2, best, at, covariance = chosen.fitted.residual2, chosen.indices, None, None
         rivals: tuple[Rival, ...] = ()
@@ -298,21 +296,13 @@ class LocationSearch:
         posed = replace(posed, at=at)
         level = None if posed.sigma is None else float(np.sqrt(residual2 / posed.y.size)) / posed.sigma
         exact = chosen.fitted.exact and all(s[0].fitted.exact for s in solutions)
-        facts = {
-            "m": int(posed.y.size),
-            "n": len(posed.y) * len(best),
-            "candidates": len(self.model.loads),
-            "sensors": len(posed.data.rows),
-            "lambda": self.choice,
-            "edf": sum(posed.fits[j].edf for j in chosen.indices),
-            "residual_to_noise": level,
-            "noise_level": sigma,
-            **posed.noise.source.facts,
-            "path": posed.fits[0].name,
-            "exact": bool(exact),
-            "responses": posed.candidates.how if solutions else "candidates only",
-            "ratio": verdict.ratio,
-        }
+        facts = LocationFacts(
+            path=posed.fits[0].name, m=int(posed.y.size), n=len(posed.y) * len(best),
+            edf=sum(posed.fits[j].edf for j in chosen.indices), lam=self.choice, residual_to_noise=level,
+            noise_level=sigma, **posed.noise.source.facts, candidates=len(self.model.loads),
+            sensors=len(posed.data.rows), exact=bool(exact), ratio=verdict.ratio,
+            responses=posed.candidates.how if solutions else "candidates only",
+        )  # fmt: skip
         result = LocationResult(
             labels=[c.label for c in self.model.loads],
             places=None if grid is None else grid.places,
@@ -342,9 +332,11 @@ class LocationSearch:
         within = np.flatnonzero(scores <= scores.min() + sigma**2 * chi2.ppf(LEVEL, dim))
         return [self.model.loads[j].label for j in within[np.argsort(scores[within], kind="stable")]]
 
-    def _flags(self, posed: Posed, result: LocationResult, verdict: Said, edge: bool) -> tuple[Flag, ...]:
+    def _flags(
+        self, posed: LocationProblem, result: LocationResult, verdict: CandidateVerdict, edge: bool
+    ) -> tuple[Flag, ...]:
         where, names = result.where, result.labels
-        found: list[Flag | None] = [found_flags.alike_allowed(posed.groups, alike.ALIKE)] if posed.groups else []
+        found: list[Flag | None] = [found_flags.alike_allowed(posed.groups, fits.ALIKE)] if posed.groups else []
         if result.refined:
             assert result.std is not None
             assert result.spacing is not None
@@ -363,14 +355,14 @@ class LocationSearch:
             [
                 found_flags.few_sensors(len(data.rows), len(result.best)),
                 found_flags.biased(self.choice),
-                found_flags.place_unexplained(result.facts["residual_to_noise"], result.residual),
+                found_flags.place_unexplained(result.facts.residual_to_noise, result.residual),
                 *found,
                 *model.flags,
                 guards.not_verified(model.certificate),
-                *health(data),
+                *data.findings,
                 guards.mixed_kinds(data.channels, posed.noise.known),
                 guards.aliased(model.natural_frequencies, data.dt),
-                guards.inverse_crime(data.record.simulated_by, model.fingerprint),
+                guards.inverse_crime(data.simulated_by, model.fingerprint),
             ]
         )
 
@@ -384,15 +376,14 @@ class LocationSearch:
         given = {name: value for name, value in common.items() if value is not None}
         return given | ({"allow": self.allow} if self.allow else {}) | self.settings
 
-    def _provenance(self, posed: Posed) -> dict[str, Any]:
-        record = posed.data.record
+    def _provenance(self, posed: LocationProblem) -> dict[str, Any]:
         return provenance(
             self.name,
             settings={
                 "choice": self.choice, "impacts": self.impacts, "refine": self.refine, "hold": self.hold,
                 "family": getattr(self.family, "name", getattr(self.family, "__name__", "a callable")),
             },
-            inputs={record.source or record.name or "record": record.sha256},
+            inputs=posed.data.inputs,
             model=self.model.fingerprint,
             prior="a load of zero mean and constant variance, white in time; any candidate alike",
         )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,11 @@ from structures.advice import Advice, Spelling
 from structures.errors import InputError, reals
 from structures.model import Model
 
-from .. import guards
-from ..inverse.choice import Choice, residual_level, unexplained, ungraded
+from ..inverse.choice import Choice, residual_level
 from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
 from ..inverse.path import RegularizationPath
 from ..inverse.problem import Cholesky
-from ..results.estimate import LoadEstimate
+from ..quality import noise_std
 from .data import Data, Readings
 
 COVARIANCE = NoiseSource("repeatability", "covariance")
@@ -64,8 +63,6 @@ def resolve(given: ArrayLike | None, source: NoiseSource | None, model: Model, d
     if declared is not None:
         pick = declared[data.rows] if declared.ndim == 1 else declared[np.ix_(data.rows, data.rows)]
         return Noise(pick, True, DECLARED)
-    from ..quality import noise_std
-
     found = noise_std(data.record.select([c.label for c in data.channels]))
     if found is not None and np.all(found[0] > 0):
         return Noise(found[0], True, found[1])
@@ -74,12 +71,10 @@ def resolve(given: ArrayLike | None, source: NoiseSource | None, model: Model, d
         scale = np.full(count, float(np.sqrt(np.mean(scale**2))))
     if np.any(scale == 0):
         raise InputError(
-            "a channel is zero throughout",
-            where="record",
-            found=[c.label for c, s in zip(data.channels, scale, strict=True) if s == 0],
-            expected="a response",
+            "a channel is zero throughout", where="record",
+            found=[c.label for c, s in zip(data.channels, scale, strict=True) if s == 0], expected="a response",
             hint=Advice(Spelling("leave the channel out (sensors=[...])", "calibrate a model without this channel")),
-        )
+        )  # fmt: skip
     return Noise(scale, False, NOT_KNOWN)
 
 
@@ -122,11 +117,10 @@ def _level(given: Any, count: int, what: str) -> NDArray[np.float64]:
     level = np.full(count, float(level)) if level.ndim == 0 else level
     if level.shape not in {(count,), (count, count)} or not np.all(np.isfinite(level)):
         raise InputError(
-            f"the noise does not fit the {what}",
-            where="noise",
+            f"the noise does not fit the {what}", where="noise",
             found=f"shape {level.shape}" + ("" if np.all(np.isfinite(level)) else ", NaN or infinity in it"),
             expected=f"finite: a number, ({count},) or ({count}, {count})",
-        )
+        )  # fmt: skip
     return level
 
 
@@ -152,12 +146,10 @@ def _scales(found: Readings) -> NDArray[np.float64]:
     scale = np.array([np.sqrt(np.mean([s for s, u in zip(size2, units, strict=True) if u == v])) for v in units])
     if np.any(scale == 0):
         raise InputError(
-            "all readings of a kind are zero",
-            where="readings",
-            found=[c.label for c, s in zip(found.channels, scale, strict=True) if s == 0][:8],
-            expected="a response",
+            "all readings of a kind are zero", where="readings",
+            found=[c.label for c, s in zip(found.channels, scale, strict=True) if s == 0][:8], expected="a response",
             hint="state the noise of the sensors (noise=): a load of zero within its band is then an answer",
-        )
+        )  # fmt: skip
     return scale
 
 
@@ -196,12 +188,9 @@ def white(noise: Noise, samples: int, lines: int) -> LineNoise:
     """
     if noise.level.ndim == 2:
         raise InputError(
-            "a long record takes a noise std per sensor, not a covariance",
-            where="noise",
-            found=f"covariance {noise.level.shape}",
-            expected="(sensors,)",
-            hint="use a window of the record",
-        )
+            "a long record takes a noise std per sensor, not a covariance", where="noise",
+            found=f"covariance {noise.level.shape}", expected="(sensors,)", hint="use a window of the record",
+        )  # fmt: skip
     return LineNoise(np.tile(samples * noise.level**2, (lines, 1)), None, noise.source, noise.known)
 
 
@@ -216,19 +205,6 @@ def noise_level(path: RegularizationPath, choice: Choice, noise: Noise) -> float
     if seen is None or seen <= noise.sigma * _margin(path, choice.lam):
         return noise.sigma
     return seen
-
-
-def graded(estimate: LoadEstimate, level: float | None) -> LoadEstimate:
-    """The estimate; with the worst grade and W412 first where its residual is `level` times what noise leaves."""
-    if level is None or estimate.choice is None:
-        return estimate
-    flag = guards.unexplained(estimate.choice, level)
-    return replace(estimate, choice=ungraded(estimate.choice), flags=(flag, *estimate.flags))
-
-
-def unexplained_by(path: RegularizationPath, lam: float, noise: Noise) -> float | None:
-    """Residual at one lambda over the stated noise, where noise alone never leaves so much."""
-    return None if noise.sigma is None else unexplained(float(path.at(lam).residual2), path.m, noise.sigma)
 
 
 def _margin(path: RegularizationPath, lam: float) -> float:

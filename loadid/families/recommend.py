@@ -22,6 +22,7 @@ from structures.errors import InputError, NotIdentifiable
 from structures.model import Model
 
 from ..guards import families as told
+from ..inverse.kalman.settled import filter_settling
 from ..inverse.noise_source import NoiseSourceLike
 from ..inverse.sparse import dictionaries
 from ..record import Record
@@ -33,6 +34,8 @@ from .kalman import LoadTracker
 from .posing.sparsity import Problem, pose, posing
 from .sparse import SparseDeconvolution
 from .tracking.tracker import Tracker
+
+Array = NDArray[Any]
 
 NAMES = ("white", "random_walk", "ou", "matern32", "matern52")
 FEW = ("white", "matern32", "matern52")  # where loads are many, as each has numbers of its own
@@ -102,9 +105,7 @@ def of_sparse(score: float, problem: Problem, samples: int) -> float:
     return score + logs + free + early * len(level)
 
 
-def _criterion(tracker: Tracker, Y: NDArray) -> float:
-    from ..inverse.kalman.settled import filter_settling
-
+def _criterion(tracker: Tracker, Y: Array) -> float:
     settled = tracker.fitted.settled
     if settled is None:
         raise InputError("a filter that never settles has no evidence", where="recommend", found="a drift",
@@ -232,7 +233,7 @@ def recommend(
     smooth = Deconvolution(model, **settings).estimate(record, dt)
     peaked = [kurtosis(g) for g in smooth.load.T]
     worst = int(np.argmax(peaked))
-    seen = _Seen(peaked[worst], pulse_width(smooth.load[:, worst]), 1 - (smooth.facts.get("peak_bias") or 0.0))
+    seen = _Seen(peaked[worst], pulse_width(smooth.load[:, worst]), 1 - (smooth.facts.peak_bias or 0.0))
     asked = _Asked(model, record, dt, settings, seen, load_class)
     data = gather(record, dt, model, sensors, allow_missing=True)
     problem = pose(model, data, posing(hold, noise, noise_source, ()))
@@ -314,8 +315,8 @@ class _Asked:
             run = self._by(lambda: SparseDeconvolution(self.model, **settings).estimate)
             return self._answer("pulses", family, reason + self._ranked("pulses", criteria), criteria, scores, run)
         spikes = SparseDeconvolution(self.model, **self.settings).estimate(self.record, self.dt)
-        share = float(spikes.facts.get("amplitude_std_with_neighbours", 0.0))
-        reason = f"{self.seen}, and {spikes.facts['support']} spikes of one sample explain it best"
+        share = spikes.facts.amplitude_std_with_neighbours or 0.0
+        reason = f"{self.seen}, and {spikes.facts.support} spikes of one sample explain it best"
         trusted = share <= told.UNSURE and ahead > told.CLEARLY
         if not trusted:
             alike = "" if ahead > told.CLEARLY else f" or as well as pulses (criterion {ahead:.2g} apart)"
@@ -386,7 +387,7 @@ def _compared(problem: Problem, say: Callable[[float, str], None]) -> tuple[dict
     return scores or {1: 0.0}, shares or {1: 1.0}
 
 
-def pulse_width(g: NDArray) -> float:
+def pulse_width(g: Array) -> float:
     """Width in samples of the largest pulse of a history, as that of a half-sine of the same width at half height."""
     return HALF_SINE * half_width(g)
 

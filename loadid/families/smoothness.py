@@ -95,12 +95,10 @@ def matrix(penalty: str | ArrayLike | None, loads: int, basis: Any) -> NDArray[n
         return penalties.matrix(penalty, loads)
     if basis.kind == "polynomials":
         raise InputError(
-            "a polynomial basis is smooth by itself",
-            where="penalty",
-            found=repr(penalty),
+            "a polynomial basis is smooth by itself", where="penalty", found=repr(penalty),
             expected="'identity', which penalises the size of its coefficients",
             hint="raise or lower the degree to let through more or less detail",
-        )
+        )  # fmt: skip
     L = _field(penalty, basis)
     if basis.kind == "nodal" and basis.mass is not None:
         L = _on_tractions(L, basis)
@@ -129,12 +127,10 @@ def _field(penalty: str, basis: Any) -> NDArray[np.float64]:
     edges = np.asarray(basis.edges, int)
     if not len(edges):
         raise InputError(
-            "the load basis does not know which loads are neighbours",
-            where="penalty",
-            found=repr(penalty),
+            "the load basis does not know which loads are neighbours", where="penalty", found=repr(penalty),
             expected="a basis with cells or edges",
             hint=Advice(Option("penalty", "identity"), ", or a matrix of your own (inverse.penalties)"),
-        )
+        )  # fmt: skip
     lengths = np.linalg.norm(places[edges[:, 0]] - places[edges[:, 1]], axis=1)
     return _dense(penalties.graph(len(places), edges, 1 / lengths**2, penalty))
 
@@ -152,7 +148,7 @@ def _on_tractions(L: NDArray[np.float64], basis: Any) -> NDArray[np.float64]:
     """L M^-1: nodal forces become tractions before they are differenced."""
     from scipy.sparse.linalg import splu
 
-    return splu(basis.mass.tocsc()).solve(np.ascontiguousarray(L.T)).T
+    return np.asarray(splu(basis.mass.tocsc()).solve(np.ascontiguousarray(L.T)).T)
 
 
 def _each(L: NDArray[np.float64] | None, components: int) -> NDArray[np.float64] | None:

@@ -14,18 +14,18 @@ from structures.model import Model, as_model
 
 from .. import guards
 from ..guards import families as told
-from ..inverse.choice import Choice, Sweep, unexplained
+from ..inverse.choice import Choice, Sweep
 from ..inverse.convolution import Convolution
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.sparse.path import TOLERANCE, SupportPosterior
 from ..inverse.sweep import RuleResult
-from ..results.archive import provenance
-from ..results.estimate import Axis, LoadEstimate
+from ..results.estimate import LoadEstimate
+from ..results.facts import Facts
 from . import histories
-from .data import Data, gather, health
+from .answer import SolvedLoad, answer, beyond_noise, over_time
+from .data import Data, gather
 from .histories import without_offsets
-from .noise import graded
-from .posing.sparsity import Chosen, Wanted, amplitude_share, choose, pose, posing
+from .posing.sparsity import SparseChoice, Wanted, amplitude_share, choose, pose, posing
 
 DICTIONARIES = ("dirac", "bspline", "wavelet")
 RULES = ("discrepancy", "ebic")
@@ -152,35 +152,23 @@ class SparseDeconvolution:
         share = amplitude_share(chosen)
         facts, choice = self._facts(chosen, share), self._choice(chosen)
         self._progress(1.0, "done")
-        estimate = LoadEstimate(
-            load=load,
-            std=posterior.std,
-            labels=[c.label for c in self.model.loads],
-            units=[c.unit for c in self.model.loads],
-            axis=Axis(name="time", unit="s", values=np.asarray(np.arange(len(load)) * data.dt, float)),
-            choice=choice,
-            response=response,
-            residual=response - predicted,
-            sensors=[c.label for c in data.channels],
-            sensor_units=[c.unit for c in data.channels],
-            flags=self._flags(chosen, data, facts, choice, share),
-            allowed=self.posing.allow,
-            certificate=self.model.certificate,
-            posterior=posterior,
-            facts=facts,
-            provenance=provenance(
-                self.name,
-                settings=self._settings(chosen),
-                inputs={data.record.source or data.record.name or "record": data.record.sha256},
-                model=self.model.fingerprint,
-                prior=self._prior(chosen),
-            ),
-        )
-        sigma = problem.noise.sigma
-        return graded(estimate, None if sigma is None else unexplained(chosen.fit.residual2, problem.data, sigma))
+        found = SolvedLoad(
+            load=load, std=posterior.std, posterior=posterior, axis=over_time(len(load), data.dt), response=response,
+            residual=response - predicted, facts=facts,
+            excess=beyond_noise(chosen.fit.residual2, problem.data, problem.noise),
+        )  # fmt: skip
+        return answer(
+            self, data, found, choice, known=problem.noise.known, settings=self._settings(chosen),
+            prior=self._prior(chosen), flags=self._flags(chosen, data, facts, share),
+        )  # fmt: skip
+
+    @property
+    def allow(self) -> tuple[str, ...]:
+        """Guard codes whose refusal is overridden."""
+        return self.posing.allow
 
     # -- numbers ----------------------------------------------------------------------------------------------------
-    def _load(self, chosen: Chosen, samples: int) -> tuple[NDArray[np.float64], SupportPosterior]:
+    def _load(self, chosen: SparseChoice, samples: int) -> tuple[NDArray[np.float64], SupportPosterior]:
         """Loads (samples, loads of the model), zero for those that groups left out, and their covariance."""
         found, atoms = chosen.fit, chosen.atoms
         x = found.full(atoms.n) if self.wanted.debias else chosen.solution.x
@@ -191,35 +179,28 @@ class SparseDeconvolution:
             atoms.histories(found.support), chosen.loads, count, chosen.sigma * found.spread, load.shape
         )
 
-    def _facts(self, chosen: Chosen, share: tuple[float, int] | None) -> dict[str, Any]:
+    def _facts(self, chosen: SparseChoice, share: tuple[float, int] | None) -> Facts:
         problem, found = chosen.problem, chosen.fit
         freedom = max(problem.data - len(found.x), 1)
         others = len(self.model.loads) // len(chosen.loads) if self.wanted.groups == "loads" else 1
-        facts = {
-            "path": "l1, active set on shifted responses" if self.wanted.groups != "slots" else "groups, active set",
-            "m": problem.data,
-            "n": chosen.atoms.n * others,
-            "edf": float(len(found.x)),
-            "residual_to_noise": float(np.sqrt(found.residual2 / freedom)) if problem.noise.known else None,
-            "noise_level": float(chosen.sigma),
-            **(problem.noise.source if problem.noise.known else LEFT).facts,
-            "gap": float(chosen.solution.gap),
-            "support": len(found.x),
-            "mu": float(chosen.solution.mu),
-            "support_kappa": found.kappa,
-            "band": BAND,
-        }
+        more: dict[str, Any] = {}
         if chosen.knots is not None:
-            facts["knots"] = chosen.knots
+            more["knots"] = chosen.knots
         if self.wanted.groups == "loads":
-            facts["acting_loads"] = [self.model.loads[j].label for j in chosen.loads]
+            more["acting_loads"] = tuple(self.model.loads[j].label for j in chosen.loads)
         if share is not None:
-            facts["amplitude_std_with_neighbours"] = share[0]
+            more["amplitude_std_with_neighbours"] = share[0]
         if len(chosen.scores) > 1:
-            facts["criterion_by_knots"] = ", ".join(f"{k}: {v:.1f}" for k, v in sorted(chosen.scores.items()))
-        return facts
+            more["criterion_by_knots"] = ", ".join(f"{k}: {v:.1f}" for k, v in sorted(chosen.scores.items()))
+        return Facts(
+            path="l1, active set on shifted responses" if self.wanted.groups != "slots" else "groups, active set",
+            m=problem.data, n=chosen.atoms.n * others, edf=float(len(found.x)), noise_level=float(chosen.sigma),
+            residual_to_noise=float(np.sqrt(found.residual2 / freedom)) if problem.noise.known else None,
+            **(problem.noise.source if problem.noise.known else LEFT).facts, gap=float(chosen.solution.gap),
+            support=len(found.x), mu=float(chosen.solution.mu), support_kappa=found.kappa, band=BAND, **more,
+        )  # fmt: skip
 
-    def _choice(self, chosen: Chosen) -> Choice:
+    def _choice(self, chosen: SparseChoice) -> Choice:
         rules = tuple(
             RuleResult(name, chosen.ratios.get(name), edge=chosen.edge and name == chosen.rule,
                        note="" if name in chosen.ratios else "not asked")
@@ -237,7 +218,7 @@ class SparseDeconvolution:
             edf=float(len(chosen.fit.x)), sweep=sweep, shown=chosen.shown,
         )  # fmt: skip
 
-    def _verdict(self, chosen: Chosen) -> tuple[str, float, str]:
+    def _verdict(self, chosen: SparseChoice) -> tuple[str, float, str]:
         """How far the loads of the two rules agree: once amplitudes are fitted, mu matters by the support alone."""
         other = chosen.ratios.get("ebic" if chosen.rule != "ebic" else "discrepancy")
         if other is None or other == chosen.ratio:
@@ -252,7 +233,7 @@ class SparseDeconvolution:
         return ("determined", "usable", "rules disagree")[grade], spread, text
 
     # -- words ------------------------------------------------------------------------------------------------------
-    def _prior(self, chosen: Chosen) -> str:
+    def _prior(self, chosen: SparseChoice) -> str:
         what = {
             "dirac": "few spikes of one sample",
             "bspline": f"few cubic B-splines with knots every {chosen.knots} samples",
@@ -264,34 +245,22 @@ class SparseDeconvolution:
         return f"{what}{sign}{group[self.wanted.groups]} (Laplace, l1)"
 
     def _flags(
-        self, chosen: Chosen, data: Data, facts: dict[str, Any], choice: Choice, share: tuple[float, int] | None
-    ) -> tuple[Flag, ...]:
-        model, problem = self.model, chosen.problem
-        gain, knots = chosen.gain
-        residual = facts["residual_to_noise"]
+        self, chosen: SparseChoice, data: Data, facts: Facts, share: tuple[float, int] | None
+    ) -> list[Flag | None]:
+        model, (gain, knots), residual = self.model, chosen.gain, facts.residual_to_noise
         wrong = told.wide_pulses(gain, knots, len(chosen.fit.x)) if self.wanted.named == "dirac" else None
         label = "" if share is None else model.loads[chosen.loads[share[1]]].label
-        return guards.collect(
-            [
-                *model.flags,
-                guards.not_verified(model.certificate),
-                *health(data),
-                guards.mixed_kinds(data.channels, problem.noise.known),
-                *histories.layout(model, data, problem.raw, None),
-                *guards.parameter(choice, lambda factor: None),
-                told.declared_class(self.load_class, "sparse"),
-                told.dense_support(len(chosen.fit.x), chosen.atoms.n),
-                wrong,
-                None if residual is None or wrong is not None else told.unexplained(residual, self._prior(chosen)),
-                None if share is None else told.unsure_amplitudes(share[0], label),
-                told.stopped_gap(chosen.solution.gap, max(self.wanted.tol, TOLERANCE)),
-                guards.inverse_crime(data.record.simulated_by, model.fingerprint),
-                guards.no_coverage(self.coverage),
-                guards.used_for_training("the record", data.fingerprints & model.training),
-            ]
-        )
+        return [
+            *histories.layout(model, data, chosen.problem.raw, None),
+            told.declared_class(self.load_class, "sparse"),
+            told.dense_support(len(chosen.fit.x), chosen.atoms.n),
+            wrong,
+            None if residual is None or wrong is not None else told.unexplained(residual, self._prior(chosen)),
+            None if share is None else told.unsure_amplitudes(share[0], label),
+            told.stopped_gap(chosen.solution.gap, max(self.wanted.tol, TOLERANCE)),
+        ]
 
-    def _settings(self, chosen: Chosen) -> dict[str, Any]:
+    def _settings(self, chosen: SparseChoice) -> dict[str, Any]:
         w = self.wanted
         return {
             "dictionary": w.named,

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, real
+from structures.advice import Advice, Option
+from structures.errors import InputError, NotIdentifiable, real
+from structures.flags import Flag
 from structures.model import Model, as_model
 from structures.models.arrays import MatrixModel
 
@@ -18,16 +21,18 @@ from ..inverse.choice import Choice, choose
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.sweep import LARGEST
-from ..results.archive import STATIC, provenance
 from ..results.estimate import LoadEstimate
+from ..results.facts import STATIC, Facts
 from . import smoothness
-from .data import Readings, readings, rows_of
-from .frozen import Calibration, Frozen, calibrate, freeze, refuse_undetermined
-from .noise import graded, noise_level, unexplained_by
-from .posing import steady as telling
-from .posing.steady import Absolute, Steady, drawn, pose, transfer
+from .answer import answer, of_path, undetermined
+from .data import Readings, readings
+from .frozen import Calibration, Frozen, at_rest, calibrate, each_frame, freeze
+from .noise import noise_level
+from .posing.steady import MEETING, Absolute, StaticProblem, drawn, missing, pose, transfer
 from .smoothness import geometry
 
+MANY = 16  # loads from which their mesh can be called fine
+IDENTITY = Option("penalty", "identity")
 SMALLEST = 1e-100  # relative lambda: its inverse square, the variance of the prior, must stay a number
 
 
@@ -147,10 +152,8 @@ class StaticInversion:
         given = readings(found, self.model, self.sensors)
         self._progress(0.1, "posing the problem")
         posed = self.pose(given)
-        refuse_undetermined(self, posed)
+        self._refuse_undetermined(posed)
         if not joint and len(given.values) > 1:
-            from .frozen import each_frame
-
             return each_frame(self, given)
         self._progress(0.4, "choosing lambda")
         choice = self.choose(posed)
@@ -191,12 +194,12 @@ class StaticInversion:
         `ConstrainedPath.sample`): bands made of them are one-sided where they must be.
         """
         posed = self.pose(readings(found, self.model, self.sensors))
-        refuse_undetermined(self, posed)
+        self._refuse_undetermined(posed)
         choice = self.choose(posed)
         return drawn(posed, choice, noise_level(posed.path, choice, posed.noise), draws, seed)
 
     # -- steps ----------------------------------------------------------------------------------------------------
-    def pose(self, given: Readings, told: Any = None) -> Steady:
+    def pose(self, given: Readings, told: Any = None) -> StaticProblem:
         """Problem of these readings; `told` is the noise level of a calibration, where nobody stated one."""
         return pose(
             self.model,
@@ -210,7 +213,7 @@ class StaticInversion:
             interpolation=self.interpolation,
         )
 
-    def choose(self, posed: Steady) -> Choice:
+    def choose(self, posed: StaticProblem) -> Choice:
         """Lambda of a problem: of the calibration, of the user, or by the rules."""
         choice = self.choice
         if self.calibration is not None:
@@ -224,85 +227,99 @@ class StaticInversion:
         """Without regularisation."""
         return self.penalty is None or (isinstance(self.choice, int | float) and self.choice == 0)
 
-    def answer(self, given: Readings, posed: Steady, choice: Choice) -> LoadEstimate:
+    def answer(self, given: Readings, posed: StaticProblem, choice: Choice) -> LoadEstimate:
         """Estimate of a problem at the lambda of a choice."""
         path = posed.path
         # a residual above the stated noise is model error: the band must not be narrower than what is seen
         sigma = noise_level(path, choice, posed.noise)
         solution = path.solution(choice.lam, sigma)
-        load = solution.load
-        assert solution.posterior is not None
-        std = np.broadcast_to(solution.posterior.std, load.shape)
-        single = given.axis is None
-        bias = None if posed.constrained else diagnose.hidden(posed.base, choice.lam, load, std, axis=-1)
-        response = given.values[0] if single else given.values
-        diagnosis = diagnose.diagnose(
-            posed.base, choice.lam, sigma, load=np.atleast_2d(load)[-1], geometry=self.geometry
-        )
-        facts = telling.facts(posed, choice, sigma, solution, diagnosis)
+        response = given.values[0] if given.axis is None else given.values
+        frame = np.atleast_2d(solution.load)[-1]
+        diagnosis = diagnose.diagnose(posed.base, choice.lam, sigma, load=frame, geometry=self.geometry)
+        found = of_path(
+            path, choice, solution, sigma, posed.noise, layout=posed.layout, axis=given.axis, response=response,
+            residual=response - solution.load @ posed.H.T, facts=posed.facts(solution, diagnosis),
+            hidden_by=None if posed.constrained else posed.base, along=-1,
+        )  # fmt: skip
         self._progress(1.0, "done")
-        estimate = LoadEstimate(
-            load=load,
-            std=std if bias is None else np.maximum(std, np.abs(bias)),
-            bias=bias,
-            labels=[c.label for c in self.model.loads],
-            units=[c.unit for c in self.model.loads],
-            axis=given.axis,
-            choice=choice,
-            response=response,
-            residual=response - load @ posed.H.T,
-            sensors=[c.label for c in given.channels],
-            sensor_units=[c.unit for c in given.channels],
-            flags=telling.flags(self, given, posed, choice, facts, diagnosis),
-            allowed=self.allow,
-            certificate=self.model.certificate,
-            posterior=solution.posterior,
-            geometry=self.geometry,
-            diagnosis=diagnosis,
-            facts=facts,
-            provenance=provenance(
-                self.name,
-                settings=telling.settings(self, posed),
-                inputs={given.name: given.sha256},
-                model=self.model.fingerprint,
-                prior=smoothness.words(self.penalty, self.basis),
+        return answer(
+            self, given, replace(found, geometry=self.geometry, diagnosis=diagnosis), choice, known=posed.noise.known,
+            searched=path, full=posed.full, free=self.free, judged=not self.free, settings=self._settings(posed),
+            prior=smoothness.words(self.penalty, self.basis), flags=self._flags(posed, choice, found.facts, diagnosis),
+        )  # fmt: skip
+
+    def at_rest(self) -> StaticProblem:
+        """The problem without readings: what a frozen inverse is made of."""
+        return at_rest(self)
+
+    # -- saying ---------------------------------------------------------------------------------------------------
+    def _refuse_undetermined(self, posed: StaticProblem) -> None:
+        """Refuse a load that neither the sensors nor the penalty nor the constraints determine (LID-E306)."""
+        n, sensors = self.H.shape[1], f"{len(posed.H)} sensors"
+        if "LID-E306" in self.allow:
+            return
+        if self.L is not None and posed.base.meeting < MEETING:
+            raise NotIdentifiable(
+                "the null spaces of the sensors and of the penalty nearly meet: the smallest singular value of "
+                f"[H/|H|; L/|L|] is {posed.base.meeting:.2g}, below {MEETING:.2g}",
+                advice=Advice("add another sensor, or use ", IDENTITY, " (with a resultant as a constraint, if known)"),
+                code="LID-E306",
+            )
+        if not self.free or posed.rank == n:
+            return
+        if not posed.constrained:
+            advice = Advice("add sensors, use a penalty (", IDENTITY, "), or fewer loads")
+            raise undetermined(posed.rank, f"{n} unknowns", sensors, advice)
+        if lacking := missing(posed):
+            raise NotIdentifiable(
+                f"without regularisation the load is not determined: rank {posed.rank} of {n} unknowns, and the "
+                f"constraints leave {lacking} load pattern{'s' if lacking > 1 else ''} free to move",
+                advice=Advice("add sensors or a resultant, use a penalty (", IDENTITY, "), or fewer loads"),
+                code="LID-E306",
+            )
+
+    def _flags(
+        self, posed: StaticProblem, choice: Choice, facts: Facts, diagnosis: diagnose.Diagnosis
+    ) -> list[Flag | None]:
+        unseen = [c.label for c, column in zip(self.model.loads, posed.H.T, strict=True) if not np.any(column)]
+        edf = None if choice.edf is None else choice.edf / diagnosis.frames
+        coupled = "LID-E102" not in self.allow or guards.diagonal(self.H) is None
+        return [
+            None if coupled else guards.overridden("E102", "off-diagonal entries", 0, 1),
+            guards.null_space(facts["m"], facts["n"], facts["rank"], unseen),
+            posed.correlated,
+            guards.over_smoothed(edf, diagnosis.plateau),
+            guards.recoverable(diagnosis.plateau, diagnosis.seen, edf),
+            self._refined(posed, diagnosis),
+            *posed.fought(choice, posed.noise.sigma or facts["noise_level"]),
+            guards.absolute_lambda(self.choice.lam, choice.scale) if isinstance(self.choice, Absolute) else None,
+            guards.resolution(
+                facts["nullity"], smoothness.words(self.penalty, self.basis), facts["resolution"],
+                facts["resolution_unit"], facts["peak_bias"],
             ),
-        )
-        return graded(estimate, unexplained_by(path, choice.lam, posed.noise))
+        ]  # fmt: skip
 
-    def at_rest(self) -> Steady:
-        """The problem without readings: what a frozen inverse is made of.
+    def _refined(self, posed: StaticProblem, diagnosis: diagnose.Diagnosis) -> Flag | None:
+        """W107, where no penalty ties neighbouring loads together."""
+        basis = self.basis
+        if self.L is not None or (basis is not None and basis.kind == "polynomials") or diagnosis.n < MANY:
+            return None
+        parts = {} if basis is None else {"components": len(basis.components), "edges": basis.edges}
+        return guards.refined(diagnose.against_half(posed.base.problem.H, diagnosis.eta, **parts))
 
-        Raises
-        ------
-        InputError
-            If sensors of several units, or sensors and measured resultants, have no noise levels: nothing says how
-            they weigh.
-        """
-        rows = rows_of(self.sensors, self.model)
-        channels = tuple(self.model.sensors[i] for i in rows)
-        told = None if self.calibration is None else self.calibration.level
-        stated = not (self.noise is None and told is None and self.model.noise is None)
-        # readings of zero are in the range of any noise; without a noise level they would have no scale
-        values = np.zeros((1, len(rows))) if stated else np.ones((1, len(rows)))
-        posed = self.pose(Readings(values, rows, channels, None, "none", ""), told)
-        if not posed.noise.known and posed.soft:
-            raise InputError(
-                "measured resultants weigh against the noise of the sensors, which is not known",
-                where="freeze",
-                found="no noise level",
-                expected="noise= per sensor",
-                hint="state the noise in the model (noise= of each sensor) or here",
-            )
-        if not posed.noise.known and len({c.unit for c in channels}) > 1:
-            raise InputError(
-                "sensors of several units have no noise levels: nothing says how they weigh",
-                where="freeze",
-                found=sorted({c.unit for c in channels}),
-                expected="noise= per sensor",
-                hint="state the noise in the model (noise= of each sensor) or here",
-            )
-        return posed
+    def _settings(self, posed: StaticProblem) -> dict[str, Any]:
+        return {
+            "method": self.method,
+            "penalty": self.penalty if isinstance(self.penalty, str | None) else "matrix",
+            "choice": self.choice.lam if isinstance(self.choice, Absolute) else self.choice,
+            "calibration": None if self.calibration is None else str(self.calibration),
+            "constraints": [str(c) for c in self.constraints],
+            "constraint_kinds": [type(c).__name__ for c in self.constraints],
+            "path": posed.solved_by,
+            "noise_source": posed.noise.source.text,
+            "interpolated": self.interpolation is not None,
+            "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
+        }
 
 
 def _relative(choice: Any) -> float:

@@ -12,7 +12,7 @@ from structures.errors import NotIdentifiable
 from structures.flags import Evidence, Flag
 
 from ..inverse.noise_source import NoiseSource
-from ..results.functionals import Spectrum, in_words
+from ..results.functionals import LoadSpectrum, in_words
 
 ENDS = 0.01  # share of the peak that may be left at the ends of a transient
 TONES = 30.0  # power of a line over the median around it from which it is a harmonic, not a random load
@@ -21,7 +21,7 @@ FEW = 16  # lines that were picked because they are excited
 SHARP = 1.0  # bandwidth of the window over that of the sharpest resonance
 
 
-def antiresonance(spectrum: Spectrum, labels: tuple[str, ...]) -> Flag | None:
+def antiresonance(spectrum: LoadSpectrum, labels: tuple[str, ...]) -> Flag | None:
     """W507: lines on which the predicted relative std of a load exceeds the stated level."""
     flagged = ~spectrum.trust()
     if not flagged.any():
@@ -87,7 +87,7 @@ def too_coarse(bandwidth: float, decay_rate: float | None) -> Flag | None:
     )
 
 
-def inseparable(spectrum: Spectrum, H: NDArray, strength: NDArray, labels: tuple[str, ...]) -> Flag | None:
+def inseparable(spectrum: LoadSpectrum, H: NDArray, strength: NDArray, labels: tuple[str, ...]) -> Flag | None:
     """W516: strong harmonic loads at several points that the excited lines do not tell apart.
 
     Parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from structures.errors import InputError, shown
 
@@ -65,7 +65,7 @@ class NoiseSource:
         return self.kind in MEASURED
 
     @property
-    def facts(self) -> dict[str, str]:
+    def facts(self) -> dict[str, Any]:
         """Text and kind, as they stand among the facts of a result."""
         return {"noise_source": self.text, "noise_kind": self.kind}
 

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from ..results.estimate import LoadEstimate
     from ..results.location import LocationResult
 
+Array = NDArray[Any]
+
 
 _MARKS = "osD^v<>Ph"
 
@@ -133,9 +135,7 @@ def _draw_lcurve(ax: Axes, choice: Choice, sweep: Sweep) -> None:
     _mark_rules(ax, choice, sweep.residual_norm, sweep.penalty_norm, sweep.lam)
 
 
-def _mark_rules(
-    ax: Axes, choice: Choice, x: NDArray, y: NDArray, lam: NDArray | None = None, *, legend: bool = True
-) -> None:
+def _mark_rules(ax: Axes, choice: Choice, x: Array, y: Array, lam: Array | None = None, *, legend: bool = True) -> None:
     """Every rule on a curve: at its lambda, or where the curve over `lam` is at its lambda."""
     for k, (name, value) in enumerate(marked(choice)):
         a = value if lam is None else _on(value, lam, x)
@@ -145,7 +145,7 @@ def _mark_rules(
         ax.legend(fontsize=8)
 
 
-def _on(value: float, lam: NDArray, y: NDArray) -> float:
+def _on(value: float, lam: Array, y: Array) -> float:
     """Height of a curve over log lambda, interpolated in logs; lambda 0 is at its left end."""
     at = np.log(max(value, float(lam[0])))
     return float(np.exp(np.interp(at, np.log(lam), np.log(np.maximum(y, 1e-300)))))
@@ -194,7 +194,7 @@ def draw(
     kind: str = "map",
     *,
     truth: ArrayLike | None = None,
-    path: str | os.PathLike | None = None,
+    path: str | os.PathLike[str] | None = None,
     show: bool = False,
 ) -> Figure:
     """Figure of a search; see `LocationResult.plot`.
@@ -257,7 +257,7 @@ def draw_residual(ax: Axes, result: LocationResult, *, load: int = 0) -> None:
     tidy(ax)
 
 
-def _line(ax: Axes, result: LocationResult, load: int, axis: int, truth: NDArray | None) -> None:
+def _line(ax: Axes, result: LocationResult, load: int, axis: int, truth: Array | None) -> None:
     assert result.places is not None
     x = result.places[:, axis]
     order = np.argsort(x)
@@ -281,7 +281,7 @@ def _line(ax: Axes, result: LocationResult, load: int, axis: int, truth: NDArray
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=5, fontsize=8, frameon=False)
 
 
-def _surface(ax: Axes, result: LocationResult, load: int, axes: list[int], truth: NDArray | None) -> None:
+def _surface(ax: Axes, result: LocationResult, load: int, axes: list[int], truth: Array | None) -> None:
     from matplotlib.colors import LogNorm
     from matplotlib.patches import Ellipse
 
@@ -322,7 +322,7 @@ def _surface(ax: Axes, result: LocationResult, load: int, axes: list[int], truth
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=4, fontsize=8, frameon=False)
 
 
-def _used(places: NDArray) -> list[int]:
+def _used(places: Array) -> list[int]:
     """Coordinates in which the candidates differ."""
     extent = np.ptp(places, axis=0)
     return [int(i) for i in np.flatnonzero(extent > 1e-6 * extent.max())]
@@ -373,9 +373,7 @@ class Swept(Protocol):
         """Point of the likelihood."""
 
 
-def tracked_figure(
-    labels: Sequence[str], units: Sequence[str], times: NDArray, bins: NDArray, note: str = ""
-) -> Figure:
+def tracked_figure(labels: Sequence[str], units: Sequence[str], times: Array, bins: Array, note: str = "") -> Figure:
     """Loads with their bands over a whole stream.
 
     Parameters

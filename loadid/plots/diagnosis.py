@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from ..inverse.diagnosis.diagnose import Diagnosis
     from ..results.estimate import LoadEstimate
 
+Array = NDArray[Any]
+
 
 _LINES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 
@@ -47,14 +50,7 @@ def picard(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool
     InputError
         If the estimate carries no diagnosis.
     """
-    d = _diagnosis(estimate)
-    figure = figure or new_figure()
-    figure.set_size_inches(*((NARROW, 4.4) if narrow else (7.4, 4.6)))
-    ax = figure.subplots()
-    _draw_picard(ax, d, estimate)
-    _legend_below(figure, ax, narrow)
-    mark(figure, estimate)
-    return figure
+    return _one_panel(_draw_picard, estimate, figure, (NARROW, 4.4) if narrow else (7.4, 4.6), narrow)
 
 
 def filter_factors(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
@@ -65,11 +61,18 @@ def filter_factors(estimate: LoadEstimate, *, figure: Figure | None = None, narr
     InputError
         If the estimate carries no diagnosis.
     """
+    return _one_panel(_draw_filter, estimate, figure, (NARROW, 4.2) if narrow else (7.4, 4.2), narrow)
+
+
+def _one_panel(
+    draw: Callable[[Axes, Diagnosis, LoadEstimate], None], estimate: LoadEstimate, figure: Figure | None,
+    size: tuple[float, float], narrow: bool,
+) -> Figure:  # fmt: skip
     d = _diagnosis(estimate)
     figure = figure or new_figure()
-    figure.set_size_inches(*((NARROW, 4.2) if narrow else (7.4, 4.2)))
+    figure.set_size_inches(*size)
     ax = figure.subplots()
-    _draw_filter(ax, d, estimate)
+    draw(ax, d, estimate)
     _legend_below(figure, ax, narrow)
     mark(figure, estimate)
     return figure
@@ -230,7 +233,7 @@ def _draw_spreads(ax: Axes, d: Diagnosis, estimate: LoadEstimate) -> None:
     tidy(ax)
 
 
-def _draw_distances(ax: Axes, d: Diagnosis, names: list[str], x: NDArray) -> None:
+def _draw_distances(ax: Axes, d: Diagnosis, names: list[str], x: Array) -> None:
     """Point spreads over a surface: what is shown in the same direction, over the distance from the load."""
     count = d.n // len(x)
     for k, j in enumerate(d.shown):
@@ -295,7 +298,7 @@ def _crossing(d: Diagnosis, lam: float) -> float:
     return float(np.interp(np.log(lam), np.log(gamma[order]), order + 1.0))
 
 
-def _floor(ax: Axes, values: NDArray) -> None:
+def _floor(ax: Axes, values: Array) -> None:
     """End a log axis where rounding begins."""
     top = float(values.max(initial=0.0))
     if top > 0 and values.min(initial=np.inf) < 1e-17 * top:
@@ -323,11 +326,11 @@ def _diagnosis(estimate: LoadEstimate) -> Diagnosis:
     d = estimate.diagnosis
     if d is None:
         raise InputError(
-            "the estimate carries no diagnosis",
-            where="plot",
+            "the estimate carries no diagnosis", where="plot",
             hint="estimates of StaticInversion carry one; histories show theirs by plot('path')",
-        )
-    return d
+        )  # fmt: skip
+    found: Diagnosis = d
+    return found
 
 
 def _names(estimate: LoadEstimate, n: int) -> list[str]:

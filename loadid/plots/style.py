@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from ..results.estimate import LoadEstimate
 
+Array = NDArray[Any]
+
 
 # Okabe and Ito: told apart with every kind of colour vision, and in grey by their lightness
 BLUE, ORANGE, GREEN, SKY, PURPLE = "#0072B2", "#D55E00", "#009E73", "#56B4E9", "#CC79A7"
@@ -68,7 +70,7 @@ def new_figure(show: bool = False) -> Figure:
     return Figure(layout="constrained")
 
 
-def known_load(estimate: LoadEstimate, truth: ArrayLike | None) -> NDArray | None:
+def known_load(estimate: LoadEstimate, truth: ArrayLike | None) -> Array | None:
     """A known load in the shape of the estimate."""
     if truth is None:
         return None
@@ -163,14 +165,14 @@ def legend_above(ax: Axes) -> None:
     ax.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, fontsize=8, frameon=False, borderaxespad=0.1)
 
 
-def save(figure: Figure, path: str | os.PathLike) -> None:
+def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure to a file whose suffix names the format; the old file stays where that fails."""
     from structures.files.storage import as_path, replace
 
     replace(as_path(path), rendered(figure, path))
 
 
-def rendered(figure: Figure, path: str | os.PathLike) -> bytes:
+def rendered(figure: Figure, path: str | os.PathLike[str]) -> bytes:
     """Content of the picture file of a figure."""
     from io import BytesIO
 
@@ -179,7 +181,7 @@ def rendered(figure: Figure, path: str | os.PathLike) -> bytes:
     return buffer.getvalue()
 
 
-def picture_format(path: str | os.PathLike) -> str:
+def picture_format(path: str | os.PathLike[str]) -> str:
     """Format of a picture that the suffix of a file names.
 
     Raises

@@ -1,1 +1,1 @@
-"""The answer: estimates, their numbers, archive, summary and report."""
+"""The answer as data: estimates, their facts and numbers, archive, summary and report."""

@@ -1,14 +1,10 @@
-"""A load estimate as a tree for files and for JSON, and back; where a result comes from."""
+"""A load estimate as a tree for files and for JSON, and back."""
 
 from __future__ import annotations
 
 import os
-import platform
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
-from datetime import UTC, datetime
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,49 +15,15 @@ from structures.flags import Flag
 from structures.model import Certificate
 
 from ..inverse.choice import Choice, Sweep
+from ..inverse.diagnosis.diagnose import Diagnosis
 from ..inverse.noise_source import NOT_KNOWN, NoiseSource
+from ..inverse.posterior import from_arrays
 from ..inverse.sweep import RuleResult
+from ..validate.checks import Validation
+from .functionals import LoadSpectrum
 
 if TYPE_CHECKING:
     from .estimate import LoadEstimate
-
-STATIC = "static inversion"  # name of the family whose loads are of readings, whatever their axis
-
-
-def provenance(
-    family: str, *, settings: Mapping[str, Any], inputs: Mapping[str, str], model: str, prior: str
-) -> dict[str, Any]:
-    """Record of how an estimate was made.
-
-    Parameters
-    ----------
-    family : str
-    settings : mapping
-    inputs : mapping
-        Name -> sha256.
-    model : str
-        Fingerprint of the forward model.
-    prior : str
-        The prior, in words.
-    """
-    return {
-        "family": family,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {"python": platform.python_version(), **{p: _version(p) for p in ("loadid", "numpy", "scipy")}},
-        "settings": dict(settings),
-        "inputs": dict(inputs),
-        "model": model,
-        "prior": prior,
-    }
-
-
-@cache
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
-
 
 KIND = "load estimate"
 # first words of the constraints in files of release 0.1, and their kinds
@@ -71,7 +33,7 @@ _WRITTEN = {
 }  # fmt: skip
 
 
-def read(path: str | os.PathLike, of_tree: Callable[[dict[str, Any]], LoadEstimate]) -> LoadEstimate:
+def read(path: str | os.PathLike[str], of_tree: Callable[[dict[str, Any]], LoadEstimate]) -> LoadEstimate:
     """Read a result file, whose tree `of_tree` makes an estimate of.
 
     Raises
@@ -86,11 +48,9 @@ def read(path: str | os.PathLike, of_tree: Callable[[dict[str, Any]], LoadEstima
         raise
     except Exception as error:  # a whole file that another release wrote
         raise InputError(
-            "its content is not what this release expects",
-            where=str(path),
-            found=f"{type(error).__name__}: {error}",
+            "its content is not what this release expects", where=str(path), found=f"{type(error).__name__}: {error}",
             hint="read it with the release that wrote it",
-        ) from error
+        ) from error  # fmt: skip
 
 
 def plain(value: Any) -> Any:
@@ -135,6 +95,7 @@ def to_tree(e: LoadEstimate) -> dict[str, Any]:
     tree["flags"] = [f.to_dict() for f in e.flags]
     tree["posterior"] = None if e.posterior is None else e.posterior.to_arrays()
     tree["geometry"] = None if e.geometry is None else dict(e.geometry)
+    tree["facts"] = dict(e.facts)
     tree["diagnosis"] = None if e.diagnosis is None else e.diagnosis.to_dict()
     tree["validation"] = None if e.validation is None else e.validation.to_dict()
     tree["spectrum"] = None if e.spectrum is None else e.spectrum.to_dict()
@@ -158,19 +119,11 @@ def arguments(tree: dict[str, Any]) -> dict[str, Any]:
         tree["certificate"] = Certificate(**known)
     tree["flags"] = [Flag.from_dict(f) for f in tree["flags"]]
     if tree["posterior"] is not None:
-        from ..inverse.posterior import from_arrays
-
         tree["posterior"] = from_arrays(tree["posterior"])
     if tree.get("diagnosis") is not None:
-        from ..inverse.diagnosis.diagnose import Diagnosis
-
         tree["diagnosis"] = Diagnosis.from_dict(tree["diagnosis"])
     if tree.get("validation") is not None:
-        from ..validate.checks import Validation
-
         tree["validation"] = Validation.from_dict(tree["validation"])
     if tree.get("spectrum") is not None:
-        from .functionals import Spectrum
-
-        tree["spectrum"] = Spectrum.from_dict(tree["spectrum"])
+        tree["spectrum"] = LoadSpectrum.from_dict(tree["spectrum"])
     return tree

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from statistics import NormalDist
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,12 +17,15 @@ from structures.flags import Flag, canonical, codes
 from structures.model import Certificate
 
 from ..inverse.choice import Choice
+from .facts import Facts
 from .functionals import Functional, functional, resultants
 from .summary import NOT_VERIFIED, summary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +96,10 @@ class LoadEstimate:
         What the data can tell: `loadid.inverse.diagnosis.diagnose.diagnose`.
     validation : Validation, optional
         What was validated, and at which level.
-    spectrum : Spectrum, optional
+    spectrum : LoadSpectrum, optional
         What every frequency line tells (`loadid.results.functionals`).
-    facts : mapping
-        Numbers that are printed with every result: ``m, n, rank, nullity, kappa, edf, residual_to_noise,
-        resolution`` and what else a family knows.
+    facts : Facts
+        Numbers that are printed with every result (`loadid.results.facts`); a mapping of them is taken too.
 
     Raises
     ------
@@ -105,14 +107,14 @@ class LoadEstimate:
         If shapes or names do not fit together, or a number is not finite.
     """
 
-    load: NDArray
-    std: NDArray
+    load: Array
+    std: Array
     labels: Sequence[str]
     units: Sequence[str]
     axis: Axis | None = None
     choice: Choice | None = None
-    response: NDArray | None = None
-    residual: NDArray | None = None
+    response: Array | None = None
+    residual: Array | None = None
     sensors: Sequence[str] = ()
     sensor_units: Sequence[str] = ()
     flags: Sequence[Flag] = ()
@@ -120,12 +122,14 @@ class LoadEstimate:
     certificate: Certificate | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     posterior: Any = field(default=None, repr=False)
-    bias: NDArray | None = field(default=None, repr=False)
+    bias: Array | None = field(default=None, repr=False)
     geometry: Mapping[str, Any] | None = field(default=None, repr=False)
     diagnosis: Any = field(default=None, repr=False)
     validation: Any = None
     spectrum: Any = field(default=None, repr=False)
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: Facts = field(default_factory=Facts)
+
+    kind_of_facts: ClassVar[type[Facts]] = Facts
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -136,7 +140,7 @@ class LoadEstimate:
             put(self, name, tuple(getattr(self, name)))
         put(self, "allowed", tuple(canonical(c) for c in self.allowed))
         put(self, "provenance", MappingProxyType(dict(self.provenance)))
-        put(self, "facts", MappingProxyType(dict(self.facts)))
+        put(self, "facts", self.kind_of_facts.of(self.facts))
         if self.geometry is not None:
             put(self, "geometry", MappingProxyType(dict(self.geometry)))
         _check(self)
@@ -145,9 +149,9 @@ class LoadEstimate:
         peaks = ", ".join(f"{p.label}: peak {p.value:.4g} {p.unit}" for p in self.peaks[:3])
         return f"<LoadEstimate {self.load.shape}, {peaks}; {len(self.flags)} flags>"
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[Any, ...]:
         state = {f.name: getattr(self, f.name) for f in fields(self)}
-        views = {k: v if v is None else dict(v) for k in ("provenance", "facts", "geometry") for v in [state[k]]}
+        views = {k: v if v is None else dict(v) for k in ("provenance", "geometry") for v in [state[k]]}
         return _rebuild, (state | views,)
 
     # -- numbers --------------------------------------------------------------------------------------------------
@@ -162,11 +166,11 @@ class LoadEstimate:
         return NOT_VERIFIED if self.certificate is None else str(self.certificate)
 
     @property
-    def predicted(self) -> NDArray | None:
+    def predicted(self) -> Array | None:
         """Response that the model predicts for this load, the shape of `response`."""
         return None if self.response is None or self.residual is None else self.response - self.residual
 
-    def band(self, level: float = 0.95) -> tuple[NDArray, NDArray]:
+    def band(self, level: float = 0.95) -> tuple[Array, Array]:
         """Lower and upper end of the central band of probability `level`, each of the shape of `load`.
 
         Of complex amplitudes the band of their moduli: errors are circular, ``std = sqrt(E|error|^2)``.
@@ -259,12 +263,10 @@ class LoadEstimate:
         matrix = None if self.geometry is None else self.geometry.get("traction")
         if self.geometry is None or (matrix is None and self.geometry.get("kind") == "nodal"):
             raise InputError(
-                "these loads have no geometry that would make them tractions",
-                where="traction",
-                found="loads without a basis",
-                expected="a model whose loads are a Basis",
+                "these loads have no geometry that would make them tractions", where="traction",
+                found="loads without a basis", expected="a model whose loads are a Basis",
                 hint="build the loads with structures.bases",
-            )
+            )  # fmt: skip
         return self.load if matrix is None else np.asarray(self.load @ np.asarray(matrix).T)
 
     def validated(self, validation: Any) -> LoadEstimate:
@@ -331,7 +333,7 @@ class LoadEstimate:
         *,
         truth: ArrayLike | None = None,
         ax: Axes | None = None,
-        path: str | os.PathLike | None = None,
+        path: str | os.PathLike[str] | None = None,
         show: bool = False,
     ) -> Figure:
         """Picture of the load, or of what the data tell of it.
@@ -355,7 +357,7 @@ class LoadEstimate:
 
         return plot(self, kind, truth=truth, ax=ax, path=path, show=show)
 
-    def report(self, path: str | os.PathLike, *, truth: ArrayLike | None = None) -> None:
+    def report(self, path: str | os.PathLike[str], *, truth: ArrayLike | None = None) -> None:
         """Write one self-contained HTML page."""
         from .report import write_report
 
@@ -383,7 +385,7 @@ class LoadEstimate:
         tree = archive.plain(tree)
         return tree if arrays else archive.without_arrays(tree)
 
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write an HDF5 file with checksums, whole or not at all."""
         from structures.files import storage
 
@@ -392,7 +394,7 @@ class LoadEstimate:
         storage.write(path, archive.to_tree(self), archive.KIND)
 
     @classmethod
-    def read(cls, path: str | os.PathLike) -> LoadEstimate:
+    def read(cls, path: str | os.PathLike[str]) -> LoadEstimate:
         """Read what `save` wrote.
 
         Raises
@@ -418,7 +420,7 @@ load = LoadEstimate.read
 
 
 # -- helpers ----------------------------------------------------------------------------------------------------------
-def _frozen(value: ArrayLike) -> NDArray:
+def _frozen(value: ArrayLike) -> Array:
     array = np.array(value)  # a copy: the caller's array stays writable and apart
     array = array if array.dtype.kind in "fc" else array.astype(float)
     array.setflags(write=False)

@@ -11,14 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, plain, real
 
+from .summary import plus_minus
+
 if TYPE_CHECKING:
     from .estimate import LoadEstimate
+
+Array = NDArray[Any]
 
 
 DEEP = 0.5  # of the largest gain around it: a minimum below that counts as a zero
 
 
-def nearest_zeros(frequencies: NDArray, gain: NDArray, half: int = 40) -> NDArray[np.float64]:
+def nearest_zeros(frequencies: Array, gain: Array, half: int = 40) -> NDArray[np.float64]:
     """Frequency (Hz) of the antiresonance nearest to each line, for each load, (lines, loads); inf: there is none.
 
     An antiresonance is a local minimum of the gain below half of the largest gain within `half` lines.
@@ -43,7 +47,7 @@ LEVEL = 0.10  # predicted relative standard deviation above which a line is not 
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Spectrum:
+class LoadSpectrum:
     """Lines of an estimate. Arrays are (lines, loads) unless said.
 
     Parameters
@@ -133,7 +137,7 @@ class Spectrum:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @classmethod
-    def from_dict(cls, tree: Mapping[str, Any]) -> Spectrum:
+    def from_dict(cls, tree: Mapping[str, Any]) -> LoadSpectrum:
         """Inverse of `to_dict`."""
         return cls(**{f.name: tree[f.name] for f in fields(cls)})
 
@@ -174,8 +178,6 @@ class Functional:
     bias_limit: float | None = None
 
     def __str__(self) -> str:
-        from .summary import plus_minus
-
         text = f"{self.name} {plus_minus(self.value, self.std)} {self.unit}".rstrip()
         if self.bias_limit is not None:
             text += f", bias at most {self.bias_limit:.3g} {self.unit}".rstrip()
@@ -291,7 +293,7 @@ def _shares(e: LoadEstimate, columns: list[int]) -> NDArray[np.float64]:
         return np.full(len(columns), 1 / len(columns))
     count = len(e.geometry["components"])
     area = np.asarray(measures, float)[np.array(columns) // count]
-    return area / area.sum()
+    return np.asarray(area / area.sum())
 
 
 def _resultant(e: LoadEstimate, component: int | str | None) -> tuple[NDArray[np.float64], str, str]:
@@ -348,7 +350,7 @@ def _weights(w: ArrayLike) -> NDArray[np.float64]:
     return own
 
 
-def _bias_limit(posterior: object, weights: NDArray, limit: float) -> float | None:
+def _bias_limit(posterior: object, weights: Array, limit: float) -> float | None:
     """Worst error of regularisation for loads of at most `limit`: limit times the sum of |(R - I)^T w|."""
     if (real(limit) or 0.0) <= 0:
         raise InputError(

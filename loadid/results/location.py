@@ -15,9 +15,12 @@ from structures.errors import InputError
 from structures.flags import Flag, canonical, codes
 
 from .estimate import LoadEstimate
+from .facts import Facts, fact
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+Array = NDArray[Any]
 
 
 KIND = "location"
@@ -44,6 +47,28 @@ class Rival:
     label: str
     ratio: float
     load: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class LocationFacts(Facts):
+    """Facts of a search for a place.
+
+    Parameters
+    ----------
+    candidates, sensors : int
+    exact : bool
+        Every fit was solved to the end.
+    responses : str
+        How responses between candidates were come by, in words.
+    ratio : float
+        Residual norm of the runner-up over that of the best.
+    """
+
+    candidates: int | None = fact()
+    sensors: int | None = fact()
+    exact: bool | None = fact()
+    responses: str | None = fact()
+    ratio: float | None = fact()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,21 +113,23 @@ class LocationResult:
         Codes whose refusal was overridden.
     geometry : mapping
         ``sensors`` (sensors, dim) and ``outline`` (nodes, dim) where known, for pictures.
-    facts, provenance : mapping
-        Numbers and history of the search.
+    facts : LocationFacts
+        Numbers of the search; a mapping of them is taken too.
+    provenance : mapping
+        Its history.
     """
 
     labels: Sequence[str]
-    places: NDArray | None
+    places: Array | None
     spacing: float | None
-    scores: NDArray
+    scores: Array
     best: Sequence[int]
     runner_up: int
     ratio: float
     plausible: Sequence[Sequence[str]]
     alike: Sequence[Sequence[str]]
-    found: NDArray | None
-    covariance: NDArray | None
+    found: Array | None
+    covariance: Array | None
     refined: bool
     residual: float
     rivals: Sequence[Rival] = ()
@@ -110,7 +137,7 @@ class LocationResult:
     flags: Sequence[Flag] = ()
     allowed: Sequence[str] = ()
     geometry: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: LocationFacts = field(default_factory=LocationFacts)
     provenance: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -127,7 +154,8 @@ class LocationResult:
         put(self, "rivals", tuple(self.rivals))
         put(self, "flags", tuple(self.flags))
         put(self, "allowed", tuple(canonical(c) for c in self.allowed))
-        for name in ("geometry", "facts", "provenance"):
+        put(self, "facts", LocationFacts.of(self.facts))
+        for name in ("geometry", "provenance"):
             put(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __repr__(self) -> str:
@@ -172,7 +200,7 @@ class LocationResult:
     def summary(self) -> str:
         """What a user must read, as text."""
         lines = [f"load {k + 1} of {len(self.best)}: {w}" for k, w in enumerate(self.where)]
-        noise = self.facts.get("residual_to_noise")
+        noise = self.facts.residual_to_noise
         lines.append(
             f"residual at the place: {self.residual:.4g} of the data"
             + ("" if noise is None else f", {noise:.3g} times the noise")
@@ -192,7 +220,7 @@ class LocationResult:
         kind: str = "map",
         *,
         truth: ArrayLike | None = None,
-        path: str | os.PathLike | None = None,
+        path: str | os.PathLike[str] | None = None,
         show: bool = False,
     ) -> Figure:
         """Picture of the search.
@@ -217,9 +245,9 @@ class LocationResult:
         from . import archive
 
         tree = archive.plain(_tree(self) | {"estimate": None})
-        return tree | {"where": list(self.where), "ambiguous": self.ambiguous}
+        return {**tree, "where": list(self.where), "ambiguous": self.ambiguous}
 
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write an HDF5 file with checksums, whole or not at all."""
         from structures.files import storage
 
@@ -229,7 +257,7 @@ class LocationResult:
         storage.write(path, _tree(self) | {"estimate": estimate}, KIND)
 
     @classmethod
-    def read(cls, path: str | os.PathLike) -> LocationResult:
+    def read(cls, path: str | os.PathLike[str]) -> LocationResult:
         """Read what `save` wrote.
 
         Raises

@@ -52,7 +52,7 @@ _DEFAULTS = {
 }
 
 
-def write_report(estimate: LoadEstimate, path: str | os.PathLike, *, truth: ArrayLike | None = None) -> None:
+def write_report(estimate: LoadEstimate, path: str | os.PathLike[str], *, truth: ArrayLike | None = None) -> None:
     """Write the page, whole or not at all.
 
     Raises
@@ -65,11 +65,9 @@ def write_report(estimate: LoadEstimate, path: str | os.PathLike, *, truth: Arra
     target = as_path(path)
     if not target.resolve().parent.is_dir():  # said before the pictures are drawn
         raise InputError(
-            "the folder does not exist",
-            where=str(target),
-            found=str(target.resolve().parent),
+            "the folder does not exist", where=str(target), found=str(target.resolve().parent),
             hint="make the folder first, or write elsewhere",
-        )
+        )  # fmt: skip
     replace(target, page(estimate, truth=truth).encode())
 
 
@@ -189,21 +187,15 @@ def _notes(e: LoadEstimate) -> str:
 
 
 def flag_list(e: LoadEstimate) -> str:
-    """The flags, the gravest first, and the guards that were silent."""
+    """The flags, the gravest first."""
     if not e.flags:
-        return "<p>No guard raised a flag.</p>" + _silent(e)
+        return "<p>No guard raised a flag.</p>"
     rows = "".join(
         f'<li class="{flag.level}"><b>{escape(flag.code)} {escape(flag.level)}</b>: {escape(flag.message)}'
         f'<br><span class="quiet">{escape(str(flag.evidence))}</span><br>What to do: {escape(flag.advice)}</li>'
         for flag in sort(e.flags)
     )
-    return f'<ul class="flags">{rows}</ul>' + _silent(e)
-
-
-def _silent(e: LoadEstimate) -> str:
-    checked = e.facts.get("guards_checked") or ()
-    silent = [c for c in map(str, checked) if c.removeprefix("LID-") not in e.codes]
-    return f'<p class="quiet">Checked and silent: {escape(", ".join(silent))}</p>' if silent else ""
+    return f'<ul class="flags">{rows}</ul>'
 
 
 def _choice(e: LoadEstimate) -> str:

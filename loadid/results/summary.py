@@ -18,31 +18,6 @@ if TYPE_CHECKING:
     from .estimate import Axis, LoadEstimate
 
 
-# what the numbers of `facts` are called, in the order in which they are printed
-FACTS = {
-    "m": "data m",
-    "n": "unknowns n",
-    "rank": "rank",
-    "nullity": "nullity",
-    "kappa": "condition number of the visible part",
-    "frames": "frames",
-    "missing": "missing",
-    "edf": "effective degrees of freedom",
-    "residual_to_noise": "residual / noise",
-    "resolution": "resolution width",
-    "peak_bias": "share of a single-sample peak that is lost",
-    "trusted_lines": "share of the lines that tell every load",
-    "trust_level": "to a predicted error of",
-    "frf_errors": "share of the noise that errors of the FRF make",
-    "averages": "independent averages",
-    "bandwidth": "bandwidth of a line, Hz",
-    "window": "window",
-    "held_out": "prediction error of the sensors that were kept out",
-    "noise_share": "share of the variance at the peak that is noise (the rest is prior)",
-    "path": "solved by",
-    "window_bound": "bound on the error of solving in windows / std",
-}
-_SAID = {"resolution_unit", "noise_level", "noise_source", "noise_kind", "guards_checked", "band"}
 NOT_VERIFIED = "forward model not verified"
 _MANY = 8
 NARROW = 0.9  # share of a pulse inside its 95 % band below which the band is called too narrow there
@@ -186,8 +161,8 @@ def allowed(estimate: LoadEstimate, word: str = "overridden refusals") -> str:
 def overridden(estimate: LoadEstimate) -> list[str]:
     """Codes of the refusals that the result owes its existence to."""
     lam = None if estimate.choice is None else estimate.choice.lam
-    known = estimate.facts.get("rank"), estimate.facts.get("n")
-    short = lam == 0 and None not in known and known[0] < known[1]  # type: ignore[operator]
+    rank, n = estimate.facts.rank, estimate.facts.n
+    short = lam == 0 and rank is not None and n is not None and rank < n
     found = {f.code for f in estimate.flags} | ({"LID-E306"} if short else set())
     return [code for code in estimate.allowed if code[4] == "E" and code in found]
 
@@ -199,7 +174,7 @@ def notes(estimate: LoadEstimate) -> list[str]:
 
 def cannot_tell(estimate: LoadEstimate) -> str:
     """One sentence on what the data do not determine; "" where it is not known."""
-    nullity, n = estimate.facts.get("nullity"), estimate.facts.get("n")
+    nullity, n = estimate.facts.nullity, estimate.facts.n
     if nullity is None:
         return ""
     loads = "component" if nullity == 1 else "components"
@@ -209,10 +184,9 @@ def cannot_tell(estimate: LoadEstimate) -> str:
             f"{nullity}{of} {loads} of the load leave no trace in the data: what is shown of them comes from the prior "
             "alone."
         )
-    width, bias = estimate.facts.get("resolution"), estimate.facts.get("peak_bias")
-    unit = str(estimate.facts.get("resolution_unit", ""))
-    limits = [f"nothing finer than {quantity(width, unit).strip()} is resolved"] if isinstance(width, float) else []
-    if isinstance(bias, float):
+    width, bias, unit = estimate.facts.resolution, estimate.facts.peak_bias, estimate.facts.resolution_unit or ""
+    limits = [] if width is None else [f"nothing finer than {quantity(width, unit).strip()} is resolved"]
+    if bias is not None:
         limits.append(f"a peak of a single sample is shown at {1 - bias:.0%} of its height")
     rest = " and ".join(limits) or "weak components are held down by the prior"
     return f"Every component of the load leaves a trace in the data (nullity 0), but not all equally: {rest}."
@@ -248,14 +222,11 @@ def _buys(d: Diagnosis) -> str:
 
 
 def facts(estimate: LoadEstimate) -> list[tuple[str, str]]:
-    """Name and text of every fact, the known ones first; what other lines say already is left out."""
-    given = {k: v for k, v in estimate.facts.items() if k not in _SAID}
-    unit = estimate.facts.get("resolution_unit")
-    if unit is not None and isinstance(given.get("resolution"), float):
-        given["resolution"] = quantity(given["resolution"], str(unit))
-    known = [(name, given.pop(key)) for key, name in FACTS.items() if key in given]
-    other = [(key.replace("_", " "), value) for key, value in given.items()]
-    return [(name, number(value)) for name, value in known + other]
+    """Title and text of every fact; what other lines say already is left out."""
+    given = dict(estimate.facts)
+    if (width := estimate.facts.resolution) is not None and (unit := estimate.facts.resolution_unit) is not None:
+        given["resolution"] = quantity(width, unit)
+    return [(title, number(value)) for key, value in given.items() if (title := estimate.facts.title(key))]
 
 
 def rules(choice: Choice) -> list[tuple[str, str, str]]:
@@ -309,8 +280,8 @@ def summary(estimate: LoadEstimate, *, command: bool = False) -> str:
     lines += [f"  {line}" for line in diagnosis(estimate)]
     if estimate.resultants:
         lines.append("  resultants: " + "; ".join(str(r) for r in estimate.resultants))
-    if "band" in estimate.facts:
-        lines.append(f"  the band holds {estimate.facts['band']}")
+    if estimate.facts.band is not None:
+        lines.append(f"  the band holds {estimate.facts.band}")
     lines.append(f"  validation: {'level none' if estimate.validation is None else estimate.validation}")
     lines.append(f"  verification: {estimate.verified}")
     if estimate.allowed:

@@ -19,8 +19,8 @@ from .. import guards
 from ..inverse.constraints import Resultant
 from ..quality import require_finite
 from ..record import Record
-from ..results.archive import STATIC
 from ..results.estimate import LoadEstimate
+from ..results.facts import STATIC
 from .checks import Check, SensorCheck, Validation
 from .pairs import against_known, against_mat, against_wrench
 from .references import Known, PressureMat, Wrench, numbers

@@ -72,7 +72,7 @@ def data(found: Reconstruction) -> dict[str, Any]:
         "lost": found.lost,
         "noise": found.source.noise_words,
         "provided": dict(force.provided),
-        "lambda": force.facts.get("lambda"),
+        "lambda": force.facts.lam,
         "lambda_words": found.lam,
         "frames_per_second": found.rate,
         "resultants": force.resultant().value,

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from loadid.results.estimate import Axis, LoadEstimate
+from loadid.results.facts import Facts, fact
 from loadid.results.summary import plus_minus
 from structures.errors import InputError
 from structures.flags import Flag
@@ -80,6 +81,35 @@ class Contact:
         )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ForceFacts(Facts):
+    """Facts of a force map; in a record of several frames, what differs between them is a tuple of all.
+
+    Parameters
+    ----------
+    lost : int
+        Readings that are not there.
+    strays : int
+        Markers that contradict the others.
+    misfit : float
+        Residual of the markers over their noise.
+    lambda_rule : str
+        How lambda was chosen.
+    free_of_load, outside_hull : int
+        Nodes that carry no load, and nodes outside the hull of the markers.
+    provided : mapping
+        Component -> where its motion came from, as `ForceMap.provided`.
+    """
+
+    lost: int | tuple[int, ...] | None = fact()
+    strays: int | tuple[int, ...] | None = fact()
+    misfit: float | tuple[float, ...] | None = fact()
+    lambda_rule: str | tuple[str, ...] | None = fact()
+    free_of_load: int | tuple[int, ...] | None = fact()
+    outside_hull: int | tuple[int, ...] | None = fact()
+    provided: Mapping[str, str] | None = fact()
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ForceMap(LoadEstimate):
     """A contact force field on the surface of a pad, with its uncertainty.
@@ -90,10 +120,14 @@ class ForceMap(LoadEstimate):
     of the resultant.
     """
 
+    facts: ForceFacts = field(default_factory=ForceFacts)
+
+    kind_of_facts: ClassVar[type[Facts]] = ForceFacts
+
     @property
     def provided(self) -> Mapping[str, str]:
         """Where each component of the motion came from: ``tracked``, ``measured``, ``completed`` or ``unknown``."""
-        return dict(self.facts.get("provided", {}))
+        return dict(self.facts.provided or {})
 
     @property
     def single(self) -> bool:
@@ -418,13 +452,14 @@ def _all(arrays: list[Any]) -> Any:
     return None if any(a is None for a in arrays) else np.array(arrays)
 
 
-def _facts(listed: list[Mapping[str, Any]]) -> dict[str, Any]:
+def _facts(listed: list[ForceFacts]) -> ForceFacts:
     """What all frames share as it is, the rest as a list."""
     out: dict[str, Any] = {}
     for name in dict.fromkeys(key for facts in listed for key in facts):
-        values = [facts.get(name) for facts in listed]
+        values = [facts.get(name) for facts in listed]  # as files hold them
         out[name] = values[0] if all(_equal(v, values[0]) for v in values) else values
-    return {**out, "provided": _provided([dict(facts.get("provided", {})) for facts in listed]), "frames": len(listed)}
+    provided = _provided([dict(facts.provided or {}) for facts in listed])
+    return ForceFacts.of({**out, "provided": provided, "frames": len(listed)})
 
 
 def _provided(listed: list[dict[str, str]]) -> dict[str, str]:

@@ -180,8 +180,8 @@ def _about(force: ForceMap, about: Iterable[tuple[str, str]]) -> str:
     own = [
         ("motion", provided(force)),
         ("frames", "1" if force.single else str(len(force.load))),
-        ("lambda", f"{facts['lambda']:.3g} by {facts['lambda_rule']}" if "lambda" in facts else ""),
-        ("readings and loads", f"{facts.get('m', '?')} and {facts.get('n', '?')}" if "n" in facts else ""),
+        ("lambda", "" if facts.lam is None else f"{facts.lam:.3g} by {facts.lambda_rule}"),
+        ("readings and loads", f"{facts.get('m', '?')} and {facts.n}" if "n" in facts else ""),
         ("solved by", _path(facts.get("path"))),
     ]
     rows += [(name, text) for name, text in own if text and name not in said]

@@ -16,6 +16,7 @@ from structures.flags import Flag
 
 from .. import guards
 from ..arrays import Array, Index, Mask
+from ..results.forcemap import ForceFacts
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, prepare
 from .observation import Wrench
 from .settings import ContactLaw
@@ -135,7 +136,7 @@ class FrameAnswer:
     load: Array
     std: Array
     wrench: Array
-    facts: dict[str, Any]
+    facts: ForceFacts
     flags: list[Flag | None]
 
 
@@ -206,16 +207,10 @@ class QuickMap:
         wide = max(1.0, misfit)  # as far as the markers contradict their noise, so does the map
         std, covariance = wide * std, wide**2 * covariance
         lost = int(np.sum(~np.isfinite(y)))
-        facts = {
-            "path": path,
-            "m": len(y) - lost,
-            "n": len(load),
-            "lost": lost,
-            "strays": strays,
-            "misfit": misfit,
-            "lambda": inverse.lam,
-            "lambda_rule": inverse.rule,
-        }
+        facts = ForceFacts(
+            path=path, m=len(y) - lost, n=len(load), lost=lost, strays=strays, misfit=misfit, lam=inverse.lam,
+            lambda_rule=inverse.rule,
+        )  # fmt: skip
         return FrameAnswer(load, std, covariance, facts, flags)
 
     def pressed(self, y: Array, wrench: Wrench | None = None, answer: Answer | None = None) -> Pressed:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from loadid.guards import collect
-from loadid.results.archive import provenance
+from loadid.results.facts import provenance
 from structures.advice import Advice, Spelling
 from structures.errors import InputError, digest
 from structures.flags import Flag
@@ -26,7 +26,7 @@ from .. import guards
 from ..arrays import Array, Index, Mask
 from ..closed.contact import Indenter
 from ..pad.stiffness import Completion, surface_stiffness
-from ..results.forcemap import ForceMap
+from ..results.forcemap import ForceFacts, ForceMap
 from ..vision.interpolation import Interpolation
 from .fixed import CLEAR, TOUCH
 from .inversion import Answer, RegionSolver, fused
@@ -348,15 +348,15 @@ class GelSlim(MarkedSensor):
             flags=collect(own),
             allowed=self.allow,
             geometry={**self.geometry, "resultant_covariance": answer.wrench},
-            facts={
-                "path": "F = K U",
-                "m": self.markers.readings_count - lost,
-                "n": len(answer.load),
-                "lost": lost,
-                "free_of_load": int(completion.others.size),
-                "outside_hull": int(np.sum(~field.inside)),
-                "provided": provided,
-            },
+            facts=ForceFacts(
+                path="F = K U",
+                m=self.markers.readings_count - lost,
+                n=len(answer.load),
+                lost=lost,
+                free_of_load=int(completion.others.size),
+                outside_hull=int(np.sum(~field.inside)),
+                provided=provided,
+            ),
             provenance=provenance(
                 self.name,
                 settings={"pad": repr(self.pad), "no_pull": self.contact.no_pull, "friction": self.contact.friction},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike
 from loadid.families.static import StaticInversion
 from loadid.guards import collect
 from loadid.inverse.noise_source import NoiseSourceLike
-from loadid.results.archive import provenance
 from loadid.results.estimate import LoadEstimate
+from loadid.results.facts import provenance
 from structures.errors import InputError
 from structures.flags import Flag, codes
 
 from .. import guards
 from ..arrays import Array, Mask
-from ..results.forcemap import ForceMap
+from ..results.forcemap import ForceFacts, ForceMap
 from .fixed import QuickMap
 from .inversion import Inverse, Pressed, prepare
 from .marked import MarkedSensor
@@ -272,7 +272,7 @@ class LinearSensor(MarkedSensor):
         depth = self.depth is None or bool(np.isfinite(y[count:]).any())
         quick = self._quick_map(depth)
         found = quick(y if depth else y[:count], wrench)
-        facts = {**found.facts, "provided": self.provided(depth and self.depth is not None)}
+        facts = replace(found.facts, provided=self.provided(depth and self.depth is not None))
         spread = found.std / max(1.0, found.facts["misfit"])  # a motion of all markers widens the band
         moved = self._moved(y, found.load, spread, slice(None) if depth else slice(count), lambda: quick.inverse)
         load, std = self._scattered(found.load), self._scattered(found.std)
@@ -296,7 +296,7 @@ class LinearSensor(MarkedSensor):
         family = self.family if seen.all() else fewer(self.family, self._named(seen))
         found = estimated(constrained(family, held), y[seen])
         measured = self.depth is not None and bool(seen[self.markers.readings_count :].any())
-        facts = {**found.facts, "lost": int(np.sum(~seen)), "provided": self.provided(measured)}
+        facts = ForceFacts.of({**found.facts, "lost": int(np.sum(~seen)), "provided": self.provided(measured)})
         kept = {f.name: getattr(found, f.name) for f in fields(LoadEstimate)}
         if not self._whole:  # posterior and diagnosis are those of the loads that may act
             kept |= {"posterior": None, "bias": None, "diagnosis": None}
@@ -348,10 +348,10 @@ class LinearSensor(MarkedSensor):
         """Labels of the readings that are there."""
         return [s.label for s, there in zip(self.model.sensors, seen, strict=True) if there]
 
-    def _own(self, load: Array, facts: dict[str, Any]) -> list[Flag | None]:
+    def _own(self, load: Array, facts: ForceFacts) -> list[Flag | None]:
         """What is found in every map."""
         lost = guards.lost(facts["lost"], facts["m"] + facts["lost"])
-        return [guards.completed(facts["provided"]), lost, *self._checked(load)]
+        return [guards.completed(dict(facts.provided or {})), lost, *self._checked(load)]
 
     def _checked(self, load: Array) -> list[Flag | None]:
         """What a kind of sensor finds in a map (3 P,) beyond that."""

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import FrequencyInversion, Spectra
-from loadid.families.posing.fitting import Rule, fit
+from loadid.families.posing.fitting import LineRule, fit
 from loadid.inverse import ruled
 from loadid.inverse.spectral import compress, factor
 from structures import FrfModel
@@ -102,7 +102,7 @@ def plain(cases: dict[str, Lines], repeat: int) -> list[Row]:
 def core(case: Lines) -> NDArray[np.complex128]:
     """Loads, with the std of every line and load, by the default rule and nothing else."""
     scale = np.full(case.Y.shape, np.mean(np.abs(case.Y) ** 2))
-    found = fit(case.H, case.Y[..., None], scale, known=False, rule=Rule())
+    found = fit(case.H, case.Y[..., None], scale, known=False, rule=LineRule())
     assert found.variance.shape == case.truth.shape
     return found.load[..., 0]
 

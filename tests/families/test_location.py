@@ -12,7 +12,7 @@ import pytest
 from case_studies.impact_location import DT, NODES, SAMPLES, beam, half_sine, noisy, recorded
 from loadid import LocationResult, LocationSearch, NotIdentifiable
 from loadid.families.posing import locating as posed_module
-from loadid.families.posing.locating import Candidates, grid_of
+from loadid.families.posing.locating import CandidateLoads, grid_of
 from loadid.inverse.convolution import toeplitz
 from loadid.inverse.convolved import fits
 from loadid.inverse.convolved import fits as alike
@@ -157,7 +157,7 @@ def refined(place=0.637, level=0.02, seed=0):
     record = struck(place, level, seed)
     model, y = beam(CLEAR), record.values
     grid = grid_of(model, None)
-    between = Candidates(model, grid, DT, SAMPLES, "zoh")
+    between = CandidateLoads(model, grid, DT, SAMPLES, "zoh")
     lam = search().choice * np.linalg.norm(toeplitz(between.h[:, :, 5:6]).reshape(-1, SAMPLES), 2) * np.ones(1)
     found = refine(np.array([[0.6]]), y, lam, between.responses, fits.JointFit, grid.bounds, grid.spacing)
 
@@ -248,7 +248,7 @@ def test_a_state_space_keeps_its_states():
     found = LocationSearch(model, workers=1, places=NODES_AT).estimate(record)
     assert found.found[0, 0] == pytest.approx(0.637, abs=0.1 * SPACING)
     assert found.estimate.load.max() == pytest.approx(100, rel=0.2)
-    between = Candidates(model, grid_of(model, NODES_AT), DT, SAMPLES, "zoh")
+    between = CandidateLoads(model, grid_of(model, NODES_AT), DT, SAMPLES, "zoh")
     place = np.array([[0.637], [1.211]])
     made = between.at(place)
     assert len(made.A) == len(model.A)

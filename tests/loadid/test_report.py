@@ -97,7 +97,7 @@ def test_every_text_is_escaped(make):
         labels=[EVIL], units=[EVIL], sensors=[EVIL], sensor_units=[EVIL],
         flags=[Flag("W114", Evidence(EVIL, EVIL, EVIL), EVIL, EVIL)],
         provenance={EVIL: {EVIL: [EVIL]}, "family": EVIL, "prior": EVIL, "created": EVIL},
-        facts={EVIL: EVIL, "guards_checked": [EVIL]},
+        facts={EVIL: EVIL},
         certificate=type(CERTIFICATE)((1.0,), (1.0,), (0.1,), None, (EVIL,), EVIL, EVIL),
     )  # fmt: skip
     read = Page(make(e))
@@ -119,11 +119,6 @@ def test_static_loads_and_missing_parts_make_a_page():
     assert "No lambda was chosen" in read.text
     assert "No guard raised a flag" in read.text
     Page(page(static(20, response=None, residual=None)))
-
-
-def test_guards_that_were_checked_and_silent_are_listed():
-    text = Page(page(small(facts={"guards_checked": ["LID-W114", "W207"]}))).text
-    assert "Checked and silent: W207" in text
 
 
 def test_it_is_written_whole_and_is_the_same_each_time(tmp_path):

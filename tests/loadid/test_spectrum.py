@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from loadid import FrequencyInversion, Spectra, load
-from loadid.results.functionals import Spectrum, in_words
+from loadid.results.functionals import LoadSpectrum, in_words
 from structures import CrossSpectra, FrfModel, InputError
 from tests import frfplate
 from tests.linecases import case, model, normals
@@ -142,7 +142,7 @@ def test_an_estimate_comes_back_from_its_file(which, request, tmp_path):
 
 def test_spectrum_of_a_tree_is_the_same(three):
     s = three[1].spectrum
-    again = Spectrum.from_dict(s.to_dict())
+    again = LoadSpectrum.from_dict(s.to_dict())
     assert np.array_equal(again.trust(), s.trust())
     assert again.cross is None
 

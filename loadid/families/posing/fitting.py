@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +32,8 @@ from ...inverse.spectral import (
 )
 from ...inverse.sweep import RuleResult
 
+Array = NDArray[Any]
+
 ROUNDS = 3  # of FRF errors, whose share of the noise depends on the loads
 LEAST = 0.01  # share of the shown noise that stays noise of the response
 SMALLEST = 1e-100  # relative lambda whose square is still a number
@@ -40,14 +43,14 @@ METHODS = ("tikhonov", "tsvd")
 
 
 @dataclass(frozen=True)
-class Rule:
+class LineRule:
     """How lines are regularised.
 
     Parameters
     ----------
     method : ``"tikhonov"`` or ``"tsvd"``
     choice : str, float or None
-        Rule, relative lambda or threshold; None is the evidence of the neighbouring lines (Tikhonov).
+        LineRule, relative lambda or threshold; None is the evidence of the neighbouring lines (Tikhonov).
     over : ``"neighbours"``, ``"line"`` or ``"band"``
         Who decides: each line with its neighbours, alone, or all together.
     neighbours : int
@@ -102,14 +105,14 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Fit:
+class LineFit:
     """Loads of every line with what is known of them; arrays are (lines, loads) unless said.
 
     Parameters
     ----------
     load : array, shape (lines, loads, snapshots)
     covariance : array, shape (lines, loads, loads)
-    told : Identifiable
+    identifiable : Identifiable
     expected : array
         Size of the load around each line.
     noise : array, shape (lines,)
@@ -137,7 +140,7 @@ class Fit:
 
     load: NDArray[np.complex128]
     covariance: NDArray[np.complex128]
-    told: Identifiable
+    identifiable: Identifiable
     expected: NDArray[np.float64]
     noise: NDArray[np.float64]
     total: NDArray[np.float64]
@@ -154,20 +157,20 @@ class Fit:
     @property
     def variance(self) -> NDArray[np.float64]:
         """``E|error|^2`` of one realisation, (lines, loads)."""
-        return np.maximum(np.einsum("kjj->kj", self.covariance).real, 0.0)
+        return np.asarray(np.maximum(np.einsum("kjj->kj", self.covariance).real, 0.0))
 
 
 def fit(
-    H: NDArray,
-    X: NDArray,
-    power: NDArray,
+    H: Array,
+    X: Array,
+    power: Array,
     *,
     known: bool,
-    rule: Rule,
-    variance: NDArray | None = None,
+    rule: LineRule,
+    variance: Array | None = None,
     averages: float = 1.0,
     progress: Callable[[float], None] = lambda share: None,
-) -> Fit:
+) -> LineFit:
     """Solve all lines.
 
     Parameters
@@ -188,7 +191,7 @@ def fit(
     InputError
         Shapes that do not fit, a rule that cannot run.
     """
-    errors: NDArray | None = None
+    errors: Array | None = None
     rounds = 1 if variance is None else ROUNDS
     for k in range(rounds + (variance is not None)):
         total = power if errors is None else power + errors
@@ -215,15 +218,15 @@ def fit(
     solved = _pooled(f, guess, first) if rule.pooled else _ruled(lines, f, guess, rule, known)
     frf_part = np.zeros(told.gain.shape) if errors is None else _share(H * w[..., None], solved[0], errors * w**2)
     answer, noise, lam, path, used = solved
-    return Fit(
-        load=answer.load, covariance=answer.covariance, told=told, expected=np.sqrt(guess.probable), noise=noise,
-        total=total, errors=errors, lam=lam, edf=answer.edf, path=path, used=used, excess=guess.excess,
+    return LineFit(
+        load=answer.load, covariance=answer.covariance, identifiable=told, expected=np.sqrt(guess.probable),
+        noise=noise, total=total, errors=errors, lam=lam, edf=answer.edf, path=path, used=used, excess=guess.excess,
         frf_part=frf_part, prior_part=_beyond(answer, noise),
         blind=np.eye(lines.shape[2]) - answer.gain @ lines.R,
     )  # fmt: skip
 
 
-def calibrated(lines: Compressed, size: NDArray) -> tuple[Compressed, Callable[[NDArray], NDArray]]:
+def calibrated(lines: Compressed, size: Array) -> tuple[Compressed, Callable[[Array], Array]]:
     """The FRF that is expected given the measured one, and the share of its errors that stays.
 
     Errors of an FRF make its small singular values too large, on average by the number of sensors times their variance,
@@ -243,10 +246,10 @@ def calibrated(lines: Compressed, size: NDArray) -> tuple[Compressed, Callable[[
     kept = np.maximum(1 - 1 / np.maximum(s, 1e-150) ** 2, 0.0)
     R = (U * (s * kept)[:, None, :]) @ (Vh * root[:, None, :])
 
-    def share(second: NDArray) -> NDArray[np.float64]:
+    def share(second: Array) -> NDArray[np.float64]:
         T = Vh * root[:, None, :]
         q = np.einsum("krj,kji,kri->kr", T, second, T.conj()).real
-        return np.sum(kept * q, axis=1) / np.maximum(np.sum(q, axis=1), 1e-300)
+        return np.asarray(np.sum(kept * q, axis=1) / np.maximum(np.sum(q, axis=1), 1e-300))
 
     return Compressed(R, lines.b, lines.outside, lines.left), share
 
@@ -260,7 +263,7 @@ def _refuse_lost(lines: Compressed) -> None:
         )
 
 
-Solved = tuple[Posterior, NDArray, NDArray, ruled.LinesPath, float]
+Solved = tuple[Posterior, Array, Array, ruled.LinesPath, float]
 
 
 def _pooled(f: Factored, guess: Prior, answer: Posterior) -> Solved:
@@ -269,7 +272,7 @@ def _pooled(f: Factored, guess: Prior, answer: Posterior) -> Solved:
     return answer, guess.noise, lam, path, float(np.sqrt(np.median(guess.noise)))
 
 
-def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: Rule, known: bool) -> Solved:
+def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: LineRule, known: bool) -> Solved:
     """A named rule or a given lambda: one penalty |g / size|^2 for all loads of a line."""
     size = _sizes(lines, rule.size)
     plain = factor(lines, np.broadcast_to(size**2, lines.R.shape[::2]))
@@ -289,7 +292,7 @@ def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: Rule, known: bool
     return Posterior(answer.gain, answer.load, covariance, answer.edf), noise, lam, path, used
 
 
-def _lambda(path: ruled.LinesPath, rule: Rule, known: bool) -> NDArray[np.float64]:
+def _lambda(path: ruled.LinesPath, rule: LineRule, known: bool) -> NDArray[np.float64]:
     lines = len(path.c)
     if rule.count is not None:
         k = min(rule.count, path.c.shape[1]) - 1
@@ -298,7 +301,7 @@ def _lambda(path: ruled.LinesPath, rule: Rule, known: bool) -> NDArray[np.float6
         return ruled.choose("gcv", ruled.LineSweep.over(path, 1.0 if known else None, rule.neighbours))
     if not isinstance(rule.choice, str):
         if rule.over == "band":  # one absolute lambda
-            return float(rule.choice) * path.scale.max() / np.maximum(path.scale, 1e-300)
+            return np.asarray(float(rule.choice) * path.scale.max() / np.maximum(path.scale, 1e-300))
         return np.full(lines, float(rule.choice))
     sigma = 1.0 if known else None
     if rule.over == "band":
@@ -308,7 +311,7 @@ def _lambda(path: ruled.LinesPath, rule: Rule, known: bool) -> NDArray[np.float6
     return ruled.choose(rule.choice, ruled.LineSweep.over(path, sigma, near))
 
 
-def _absolute(lam: NDArray, scale: NDArray) -> NDArray[np.float64]:
+def _absolute(lam: Array, scale: Array) -> NDArray[np.float64]:
     """Lambda of every line in the units of its singular values; one that no load reaches takes that of the others."""
     reached = scale > 0
     absolute = np.maximum(lam, SMALLEST) * scale
@@ -328,7 +331,7 @@ def _sizes(lines: Compressed, given: ArrayLike | None) -> NDArray[np.float64]:
     return size
 
 
-def _noise(lines: Compressed, answer: Posterior, rule: Rule) -> NDArray[np.float64]:
+def _noise(lines: Compressed, answer: Posterior, rule: LineRule) -> NDArray[np.float64]:
     """Variance of the whitened noise that the residual of neighbouring lines shows."""
     rest = lines.b - lines.R @ answer.load
     left = np.maximum(lines.shape[1] + lines.left - answer.edf, 0.0)
@@ -341,27 +344,27 @@ def _matching(f: Factored, answer: Posterior) -> NDArray[np.float64]:
     """Threshold over the loads of expected size that keeps as many directions as the answer has."""
     kept = np.clip(np.round(answer.edf).astype(int), 0, f.s.shape[1])
     walled = np.concatenate([np.full((len(kept), 1), np.inf), f.s], axis=1)
-    return walled[np.arange(len(kept)), kept]
+    return np.asarray(walled[np.arange(len(kept)), kept])
 
 
-def _alone(shown: NDArray, errors: NDArray) -> NDArray[np.float64]:
+def _alone(shown: Array, errors: Array) -> NDArray[np.float64]:
     """Noise of the response: what the data show, less what FRF errors explain of it."""
-    return np.maximum(shown - errors, LEAST * shown)
+    return np.asarray(np.maximum(shown - errors, LEAST * shown))
 
 
-def _beyond(answer: Posterior, noise: NDArray) -> NDArray[np.float64]:
+def _beyond(answer: Posterior, noise: Array) -> NDArray[np.float64]:
     """Variance of the loads that noise does not make, (lines, loads)."""
     if answer.gain.ndim != 3:  # least squares have no prior
         return np.zeros(answer.variance.shape)
     made = noise[:, None] * np.sum(np.abs(answer.gain) ** 2, axis=2)
-    return np.maximum(answer.variance - made, 0.0)
+    return np.asarray(np.maximum(answer.variance - made, 0.0))
 
 
-def _share(H: NDArray, answer: Posterior, errors: NDArray) -> NDArray[np.float64]:
+def _share(H: Array, answer: Posterior, errors: Array) -> NDArray[np.float64]:
     """Variance of the loads that FRF errors make, (lines, loads); errors are those of the whitened data."""
     Q, _ = np.linalg.qr(H)
     gain = answer.gain @ Q.conj().swapaxes(1, 2)
-    return np.einsum("kjs,ks->kj", np.abs(gain) ** 2, errors)
+    return np.asarray(np.einsum("kjs,ks->kj", np.abs(gain) ** 2, errors))
 
 
 ASKED = ("discrepancy", "upre", "gcv", "robust_gcv", "l_curve", "quasi_optimality", "evidence")
@@ -370,7 +373,7 @@ MODES = 4096  # of the lines, evenly chosen, that are asked
 POINTS = 49
 
 
-def judged(fit: Fit, rule: Rule, known: bool, source: NoiseSource) -> Choice:
+def judged(fit: LineFit, rule: LineRule, known: bool, source: NoiseSource) -> Choice:
     """The lambda in use beside what each rule says of all lines together.
 
     Notes
@@ -411,7 +414,7 @@ def judged(fit: Fit, rule: Rule, known: bool, source: NoiseSource) -> Choice:
     )
 
 
-def _name(rule: Rule) -> str:
+def _name(rule: LineRule) -> str:
     if rule.pooled:
         return "evidence"
     return rule.choice if isinstance(rule.choice, str) else ("gcv" if rule.choice is None and rule.count is None else

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,9 @@ from structures.testing.welch import CrossSpectra, cross_spectra
 from ...inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
 from ...record import Record, Spectra
 from .. import noise as noises
-from ..data import WITHOUT_SENSOR, Data, gather, health
+from ..data import WITHOUT_SENSOR, Data, gather
+
+Array = NDArray[Any]
 
 NEGATIVE = 1e-6  # of the largest eigenvalue: rounding that a cross-spectral matrix may show
 SIGNALS = ("stationary", "transient")
@@ -51,7 +53,7 @@ class LineData:
         The record of a transient.
     padded : int
         Length of its transform.
-    flags : tuple of Flag
+    findings : tuple of Flag
     facts : dict
         How the spectra were made.
     fingerprints : frozenset of str
@@ -72,7 +74,7 @@ class LineData:
     inputs: dict[str, str]
     data: Data | None = None
     padded: int = 0
-    flags: tuple[Flag, ...] = ()
+    findings: tuple[Flag, ...] = ()
     facts: dict[str, Any] | None = None
     fingerprints: frozenset[str] = frozenset()
     simulated_by: str = ""
@@ -81,6 +83,17 @@ class LineData:
     def fullness(self) -> float:
         """Independent lines over all lines: below 1 where the transform was padded."""
         return 1.0 if self.data is None else len(self.data.values) / self.padded
+
+    def part(self, pick: slice) -> LineData:
+        """The lines of some sensors."""
+        data = self.data
+        if data is not None:
+            data = replace(data, values=data.values[:, pick], rows=data.rows[pick], channels=data.channels[pick],
+                           missing=data.missing[:, pick])  # fmt: skip
+        return replace(
+            self, X=self.X[:, pick], power=self.power[:, pick], rows=self.rows[pick], channels=self.channels[pick],
+            data=data,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -96,7 +109,7 @@ class Settings:
     overlap: float = 0.5
 
 
-def lines_of(found: Any, dt: float | None, model: Model, rows: NDArray, s: Settings) -> LineData:
+def lines_of(found: Any, dt: float | None, model: Model, rows: Array, s: Settings) -> LineData:
     """The lines of any input.
 
     Raises
@@ -117,7 +130,7 @@ def lines_of(found: Any, dt: float | None, model: Model, rows: NDArray, s: Setti
                      hint="loadid.Spectra(frequencies, values) wraps complex amplitudes")  # fmt: skip
 
 
-def _of_spectra(found: Spectra, model: Model, rows: NDArray, s: Settings) -> LineData:
+def _of_spectra(found: Spectra, model: Model, rows: Array, s: Settings) -> LineData:
     f, keep = _inside(found.frequencies, s.band)
     columns = _columns([model.sensors[i].label for i in rows], found.labels, found.values.shape[1], len(model.sensors),
                        rows, found.name)  # fmt: skip
@@ -132,7 +145,7 @@ def _of_spectra(found: Spectra, model: Model, rows: NDArray, s: Settings) -> Lin
     )  # fmt: skip
 
 
-def _of_cross(found: CrossSpectra, model: Model, rows: NDArray, s: Settings, name: str = "cross spectra") -> LineData:
+def _of_cross(found: CrossSpectra, model: Model, rows: Array, s: Settings, name: str = "cross spectra") -> LineData:
     labels = [model.sensors[i].label for i in rows]
     f, keep = _inside(found.frequencies, s.band)
     f, keep = _known_lines(model, f, keep)
@@ -146,11 +159,11 @@ def _of_cross(found: CrossSpectra, model: Model, rows: NDArray, s: Settings, nam
     facts = {"averages": found.averages, "bandwidth": found.bandwidth, "window": found.window}
     return LineData(
         f, X, power, known, source, found.averages, "cross spectra", rows, tuple(model.sensors[i] for i in rows),
-        {name: digest(found.frequencies, found.matrix)}, flags=found.flags, facts=facts,
+        {name: digest(found.frequencies, found.matrix)}, findings=found.flags, facts=facts,
     )  # fmt: skip
 
 
-def _of_record(found: Any, dt: float | None, model: Model, rows: NDArray, s: Settings) -> LineData:
+def _of_record(found: Any, dt: float | None, model: Model, rows: Array, s: Settings) -> LineData:
     if isinstance(found, np.ndarray) and found.ndim == 2 and found.shape[1] == len(model.sensors) == len(rows):
         found = found[:, rows]  # columns without names are the sensors of the model in its order
     data = gather(found, dt, model, [int(i) for i in rows])
@@ -164,7 +177,7 @@ def _of_record(found: Any, dt: float | None, model: Model, rows: NDArray, s: Set
     return _of_transient(data, model, s)
 
 
-def _of_records(found: list[Record], model: Model, rows: NDArray, s: Settings) -> LineData:
+def _of_records(found: list[Record], model: Model, rows: Array, s: Settings) -> LineData:
     if s.signal != "stationary":
         raise InputError("several records at once are averaged", where="signal", found=repr(s.signal),
                          expected="'stationary'", hint="estimate transients one by one")  # fmt: skip
@@ -185,9 +198,9 @@ def _averaged(data: list[Data], model: Model, s: Settings) -> LineData:
         level = np.sqrt(2 * first.dt) * noise.level
     line = _of_cross(positive, model, first.rows, Settings(noise=level, noise_source=noise.source, band=s.band))
     inputs = {d.record.source or d.record.name or f"record {i + 1}": d.record.sha256 for i, d in enumerate(data)}
-    flags = tuple(flag for d in data for flag in health(d))
-    changes = {"inputs": inputs, "flags": (*line.flags, *flags), "channels": first.channels, **_origin(data)}
-    return LineData(**{**vars(line), **changes})
+    flags = tuple(flag for d in data for flag in d.findings)
+    findings = (*line.findings, *flags)
+    return replace(line, inputs=inputs, findings=findings, channels=first.channels, **_origin(data))
 
 
 def _of_transient(data: Data, model: Model, s: Settings) -> LineData:
@@ -206,10 +219,9 @@ def _of_transient(data: Data, model: Model, s: Settings) -> LineData:
         if spectrum is not None:
             power, known = samples * spectrum[:, data.rows], True
             source = NoiseSource("residual", f"residual power of {sum(h.used for h in model.hits)} training hits")
-    record = data.record
     return LineData(
         f, X[..., None], power, known, source, 1.0, "transient", data.rows, data.channels,
-        {record.source or record.name or "record": record.sha256}, data, padded, health(data), **_origin([data]),
+        data.inputs, data, padded, data.findings, **_origin([data]),
     )  # fmt: skip
 
 
@@ -217,7 +229,7 @@ def _origin(data: list[Data]) -> dict[str, Any]:
     """Where records come from."""
     return {
         "fingerprints": frozenset().union(*(d.fingerprints for d in data)),
-        "simulated_by": data[0].record.simulated_by,
+        "simulated_by": data[0].simulated_by,
     }
 
 
@@ -231,7 +243,7 @@ def response(model: Model, line: LineData) -> NDArray[np.complex128]:
 
 
 # -- helpers ----------------------------------------------------------------------------------------------------------
-def _inside(f: NDArray, band: tuple[float, float] | None) -> tuple[NDArray[np.float64], NDArray[np.int_]]:
+def _inside(f: Array, band: tuple[float, float] | None) -> tuple[NDArray[np.float64], NDArray[np.int_]]:
     if band is None:
         return f, np.arange(len(f))
     band = _band(band)
@@ -250,7 +262,7 @@ def _band(band: Any) -> tuple[float, float]:
     return float(ends[0]), float(ends[1])
 
 
-def _known_lines(model: Model, f: NDArray, keep: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int_]]:
+def _known_lines(model: Model, f: Array, keep: Array) -> tuple[NDArray[np.float64], NDArray[np.int_]]:
     """Lines that a table of FRFs has; the others of an averaged spectrum are left out."""
     there, own = model.has_lines(f), model.frequencies
     if own is not None and not there.any():
@@ -261,7 +273,7 @@ def _known_lines(model: Model, f: NDArray, keep: NDArray) -> tuple[NDArray[np.fl
     return f[there], keep[there]
 
 
-def _columns(wanted: list[str], labels: tuple[str, ...], count: int, sensors: int, rows: NDArray, name: str) -> NDArray:
+def _columns(wanted: list[str], labels: tuple[str, ...], count: int, sensors: int, rows: Array, name: str) -> Array:
     """Columns of the spectra for the sensors that are used."""
     if labels and set(wanted) <= set(labels):
         return np.array([labels.index(w) for w in wanted])
@@ -274,7 +286,7 @@ def _columns(wanted: list[str], labels: tuple[str, ...], count: int, sensors: in
                      hint=Advice("name the channels, or ", WITHOUT_SENSOR))  # fmt: skip
 
 
-def _snapshots(S: NDArray) -> NDArray[np.complex128]:
+def _snapshots(S: Array) -> NDArray[np.complex128]:
     """Columns whose products with themselves sum up to the matrix of each line."""
     w, V = np.linalg.eigh(S)
     if np.any(w[:, 0] < -NEGATIVE * np.maximum(w[:, -1], 0)):
@@ -282,7 +294,7 @@ def _snapshots(S: NDArray) -> NDArray[np.complex128]:
         raise InputError("a cross-spectral matrix has a negative eigenvalue: no responses have such spectra",
                          where="cross spectra", found=f"{w[k, 0]:.3g} beside {w[k, -1]:.3g} (line {k})",
                          expected="none below zero", hint="estimate all entries from the same segments")  # fmt: skip
-    return V * np.sqrt(np.maximum(w, 0.0))[:, None, :]
+    return np.asarray(V * np.sqrt(np.maximum(w, 0.0))[:, None, :])
 
 
 def _levels(noise: ArrayLike, count: int) -> NDArray[np.float64]:
@@ -295,7 +307,7 @@ def _levels(noise: ArrayLike, count: int) -> NDArray[np.float64]:
     return level
 
 
-def _stated(noise: Any, keep: NDArray, columns: NDArray) -> NDArray[np.float64] | None:
+def _stated(noise: Any, keep: Array, columns: Array) -> NDArray[np.float64] | None:
     """Levels that the spectra carry, for the lines and columns that are used."""
     if noise is None or np.ndim(noise) == 0:
         return None if noise is None else np.asarray(plain(noise), float)
@@ -303,7 +315,7 @@ def _stated(noise: Any, keep: NDArray, columns: NDArray) -> NDArray[np.float64] 
     return level[keep] if level.ndim == 2 else level
 
 
-def _power(noise: NDArray | None, X: NDArray, sensors: list[Channel]) -> tuple[NDArray[np.float64], bool]:
+def _power(noise: Array | None, X: Array, sensors: list[Channel]) -> tuple[NDArray[np.float64], bool]:
     """Variance of the noise, or a scale: channels of one unit are taken as equally noisy."""
     if noise is not None:
         return np.broadcast_to(noise**2, X.shape).copy(), True

@@ -55,7 +55,7 @@ class Grid:
     @property
     def distance(self) -> Array:
         """Distances of the candidates in spacings, (candidates, candidates)."""
-        return np.linalg.norm(self.places[:, None] - self.places, axis=2) / self.spacing
+        return np.asarray(np.linalg.norm(self.places[:, None] - self.places, axis=2) / self.spacing)
 
     @property
     def near(self) -> NDArray[np.bool_]:
@@ -123,7 +123,7 @@ SAME = 1e-6  # difference of the responses of a candidate and of a load moved to
 FEWEST = 4  # candidates on a line, below which nothing is interpolated; twice as many on a surface
 
 
-class Candidates:
+class CandidateLoads:
     """Impulse responses of the candidates and of the places between them.
 
     Parameters
@@ -177,7 +177,7 @@ class Candidates:
         """Impulse responses (samples, sensors, n) of loads at places (n, used coordinates)."""
         if self.how == "moved":
             return self._moved(places)
-        return np.einsum("ksc,nc->ksn", self.h, self._weights(places))
+        return np.asarray(np.einsum("ksc,nc->ksn", self.h, self._weights(places)))
 
     def at(self, places: Array) -> Model:
         """The model under loads at places (n, used coordinates)."""
@@ -257,17 +257,17 @@ DENSE = 600  # unknowns up to which a fit is one factorisation
 
 
 @dataclass(frozen=True)
-class Factored:
+class FactoredCandidates:
     """What is made once for all records of a length: responses (whitened), a fit per candidate, groups alike."""
 
-    candidates: Candidates
+    candidates: CandidateLoads
     h: Array
     fits: tuple[Fit, ...]
     groups: tuple[tuple[str, ...], ...]
 
 
 @dataclass(frozen=True)
-class Posed:
+class LocationProblem:
     """One record, whitened by relative noise levels, with the fits that it is shown to.
 
     `sigma` is the noise level of the whitened data where it is known; `at` holds the refined places.
@@ -278,7 +278,7 @@ class Posed:
     sigma: float | None
     y: Array
     relative: Array
-    candidates: Candidates
+    candidates: CandidateLoads
     h: Array
     fits: tuple[Fit, ...]
     groups: tuple[tuple[str, ...], ...]
@@ -307,15 +307,15 @@ Solution = tuple[Refined, str, int]  # refined place, candidate from which it st
 
 
 @dataclass(frozen=True)
-class Said:
-    """What the candidates alone say: best, runner-up, and the ratio of their residual norms."""
+class CandidateVerdict:
+    """The best candidate, the runner-up, and the ratio of their residual norms."""
 
     best: int
     runner_up: int
     ratio: float
 
 
-def said(posed: Posed, chosen: Chosen) -> Said:
+def compared(posed: LocationProblem, chosen: Chosen) -> CandidateVerdict:
     """Of the load for which the runner-up comes closest."""
     found = []
     for best, scores in zip(chosen.indices, chosen.scores, strict=True):
@@ -324,18 +324,18 @@ def said(posed: Posed, chosen: Chosen) -> Said:
         second = int(np.argmin(others))
         floor = np.finfo(float).eps * float(np.linalg.norm(posed.y))  # data without noise may leave nothing
         ratio = max(np.sqrt(others[second]), floor) / max(np.sqrt(scores[best]), floor)
-        found.append(Said(best, second, float(ratio)))
+        found.append(CandidateVerdict(best, second, float(ratio)))
     return min(found, key=lambda s: s.ratio)
 
 
-def noise_level(posed: Posed, residual2: float, chosen: Chosen) -> float:
+def noise_level(posed: LocationProblem, residual2: float, chosen: Chosen) -> float:
     """Noise level of the whitened data: as stated, or what the fit leaves where that is more or nothing is stated."""
     spent = sum(posed.fits[j].edf for j in chosen.indices)
     left = float(np.sqrt(residual2 / max(posed.y.size - spent, 1.0)))
     return left if posed.sigma is None else max(left, posed.sigma)
 
 
-def basins(scores: Array, near: NDArray, best: int) -> tuple[list[int], list[int]]:
+def basins(scores: Array, near: NDArray[Any], best: int) -> tuple[list[int], list[int]]:
     """Neighbours of the best, and local minima of the scores outside its neighbourhood; both best first."""
     lowest = np.array([np.min(scores[near[j]]) for j in range(len(scores))])
     order = [int(j) for j in np.argsort(scores, kind="stable") if j != best]

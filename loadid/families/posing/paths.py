@@ -1,4 +1,4 @@
-"""The exact paths: dense, over states in O(N), and Toeplitz behind the impulse responses of any model.
+"""The exact paths of long records: over states in O(N), and Toeplitz behind the impulse responses of any model.
 
 The noise of a measured model differs from line to line, and its FRFs err by a share of the load's own spectrum. Both
 are put into one spectrum per sensor, and record and impulse responses pass the causal filter that makes it flat: what
@@ -18,81 +18,23 @@ from structures.model import Model
 from structures.models.statespace import StateSpace
 from structures.testing.spectra import minimum_phase, smooth_lines
 
-from ...inverse import penalties
 from ...inverse.constrained.nonnegative import NonNegativeRecord
-from ...inverse.convolution import Convolution, Stream, heard, toeplitz
+from ...inverse.convolution import Convolution, Stream, heard
 from ...inverse.convolved.path import ConvolvedPath
 from ...inverse.convolved.windows import WindowedPath, beginning_of
-from ...inverse.diagnosis import diagnose
 from ...inverse.penalties import names
-from ...inverse.problem import LinearProblem, whiten
+from ...inverse.problem import whiten
 from ...inverse.statespace.coarse import windows_of
 from ...inverse.statespace.passes import forward
 from ...inverse.statespace.path import StateSpacePath, layout
 from ...inverse.statespace.record import Augmented, augment, measured, moving, observed_first
 from ...inverse.statespace.riccati import feedback
 from ...inverse.statespace.sized import SizedPath
-from ...inverse.svd import SVDPath
 from ..data import Data
 from ..noise import Noise
-from .posed import WHOLE, Posed, Settings, by_prediction, measured_response
+from .posed import WHOLE, Posed, Settings, measured_response
 
-DENSE = 2000  # unknowns of a matrix that fits a desk
-
-
-def dense(h: NDArray, values: NDArray, noise: Noise, data: Data, settings: Settings) -> Posed:
-    """Problem of impulse responses (samples, sensors, loads) of all sensors of the model.
-
-    Raises
-    ------
-    InputError
-        A record too long for a matrix, or with missing samples.
-    """
-    settings.refuse_special("dense")
-    samples, loads = len(values), h.shape[2]
-    n = samples * loads
-    if n > 2 * DENSE:
-        raise InputError(
-            "the record is too long for the dense path",
-            where="penalty" if not settings.named else "path",
-            found=f"{n} unknowns",
-            expected=f"at most {2 * DENSE}",
-            hint="use a named penalty with lambda > 0 and path='auto', or a window",
-        )
-    if data.missing.any():
-        raise InputError(
-            "the dense path takes no missing samples", where="record", found=data.gaps, expected="complete channels",
-            hint="use a named penalty, method='tikhonov', lambda > 0 and path='auto'",
-        )  # fmt: skip
-    used = h[:, data.rows]
-    T = toeplitz(used)
-    L = None if settings.penalty is None else penalties.matrix(settings.penalty, samples, loads)
-    if (sizes := settings.sizes(loads)) is not None:
-        L = np.vstack([np.eye(n) if L is None else L, np.kron(np.eye(samples), np.diag(sizes))])
-    path = SVDPath(LinearProblem.whitened(T, values, noise.level, L, (samples, loads)), truncated=settings.truncated)
-    full = None
-    if len(data.rows) < h.shape[1]:
-        scale = np.sqrt(np.mean(h**2, axis=(0, 2)))
-        full = diagnose.layout(np.linalg.svd(toeplitz(h / scale[:, None]).reshape(-1, n), compute_uv=False), n)
-
-    def predict(g: NDArray) -> NDArray:
-        return (T.reshape(-1, n) @ g.reshape(-1)).reshape(values.shape)
-
-    kappa, _, _ = diagnose.layout(path.singular_values, n)
-    layout = kappa, path.rank, max(n - path.rank, 0)
-    penalty = settings.penalty
-
-    def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
-        if not isinstance(penalty, str):
-            raise InputError("signs take a named penalty", where="penalty", found="a matrix or None",
-                             expected=f"one of {penalties.names()}")  # fmt: skip
-        return NonNegativeRecord.convolved(
-            whiten(used, noise.level, 1), whiten(values, noise.level, 1), penalty, signed=signed
-        )
-
-    compare = by_prediction(values, predict)
-    return Posed(path, noise, compare, values, "dense SVD", used, layout, full, n, path, pushing)
-
+Array = NDArray[Any]
 
 MOST = 64  # states up to which small matrices are quick
 WHOLE_STATES = 4096  # samples beyond which lambda is sought on windows of the record first
@@ -113,7 +55,7 @@ def at_rest_in_place(system: StateSpace) -> StateSpace:
     return StateSpace(system.A, B, system.C, D, system.dt, system.hold, sensors=system.sensors, loads=system.loads)
 
 
-def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, settings: Settings) -> Posed:
+def states(system: StateSpace, h: Array, late: int, noise: Noise, data: Data, settings: Settings) -> Posed:
     """Problem of a state space whose first `late` Markov parameters are zero.
 
     Parameters
@@ -146,7 +88,7 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
         start = np.r_[np.zeros(count), start] if isinstance(start, np.ndarray) else start
         unknown, seen = True, seen + count
 
-    def respond(load: NDArray, first: NDArray) -> NDArray:
+    def respond(load: Array, first: Array) -> Array:
         """Response (samples, sensors) of the used sensors to a load, from a state at the first sample."""
         plain = measured(_systems(A, B, C[rows], D[..., rows, :], len(values), "identity"), np.zeros_like(values))
         return forward(plain, feedback(plain), np.ascontiguousarray(load, float), first)[2]
@@ -162,7 +104,7 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     path = StateSpacePath(own, quick=long) if sizes is None else SizedPath(own, sizes, quick=long)
     judged = (windows_of(path) or path) if long and sizes is None else path
 
-    def compare(load: NDArray, lam: float, first: NDArray | None) -> tuple[NDArray, NDArray]:
+    def compare(load: Array, lam: float, first: Array | None) -> tuple[Array, Array]:
         begin = np.zeros(len(A))
         if unknown:  # the free states come first, in what a path and what a solver of signs calls its start
             begin[:seen] = (path.start(lam) if first is None else first)[:seen]
@@ -191,7 +133,7 @@ def _constants(data: Data, sensors: int) -> NDArray[np.float64]:
     return columns
 
 
-def _with_constants(A: NDArray, B: NDArray, C: NDArray, constants: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+def _with_constants(A: Array, B: Array, C: Array, constants: Array) -> tuple[Array, Array, Array]:
     """The system with states in front that never change and that the sensors see as `constants` (sensors, states)."""
     count, n = constants.shape[1], len(A)
     A = np.block([[np.eye(count), np.zeros((count, n))], [np.zeros((n, count)), A]])
@@ -200,7 +142,7 @@ def _with_constants(A: NDArray, B: NDArray, C: NDArray, constants: NDArray) -> t
 
 
 def _systems(
-    A: NDArray, B: NDArray, C: NDArray, D: NDArray, samples: int, penalty: str, **extra: Any
+    A: Array, B: Array, C: Array, D: Array, samples: int, penalty: str, **extra: Any
 ) -> Augmented | list[Augmented]:
     """One augmented system, or one for each sample where loads move."""
     if B.ndim == 3 or D.ndim == 3:
@@ -208,7 +150,7 @@ def _systems(
     return augment(A, B, C, D, penalty, **extra)
 
 
-def _advanced(system: StateSpace, late: int) -> tuple[NDArray, NDArray]:
+def _advanced(system: StateSpace, late: int) -> tuple[Array, Array]:
     """Output matrices that pair a load with the response `late` samples later."""
     if late == 0 or system.moving:
         return system.C, system.D
@@ -267,7 +209,7 @@ def coloured(model: Model, data: Data, settings: Settings) -> Coloured:
     return Coloured(raw, h, y, Noise(level, noise.known, source))
 
 
-def _whitened(h: NDArray, y: NDArray, power: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _whitened(h: Array, y: Array, power: Array) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Impulse responses (taps, sensors, loads) and data (samples, sensors) after the filter of each sensor."""
     from scipy import fft
 
@@ -281,7 +223,7 @@ FEW = 4096  # samples of a record whose lines tell as much as those of a longer 
 LAYOUT = 1e-12  # share of the largest line below which a line says nothing
 
 
-def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data: Data, settings: Settings) -> Posed:
+def convolved(h: Array, values: Array, missing: Array, noise: Noise, data: Data, settings: Settings) -> Posed:
     """Problem of impulse responses (taps, sensors, loads) of all sensors of the model.
 
     Raises
@@ -300,7 +242,7 @@ def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data:
 
 
 def _posed(
-    h: NDArray, h_white: NDArray, y_white: NDArray, values: NDArray, missing: NDArray, noise: Noise, data: Data,
+    h: Array, h_white: Array, y_white: Array, values: Array, missing: Array, noise: Noise, data: Data,
     settings: Settings,
 ) -> Posed:  # fmt: skip
     """Problem of whitened impulse responses of the used sensors and whitened data."""
@@ -314,7 +256,7 @@ def _posed(
     judged = (beginning_of(path) or path) if pieces else path
     forward = Stream(heard(used))
 
-    def compare(load: NDArray, lam: float, start: NDArray | None) -> tuple[NDArray, NDArray]:
+    def compare(load: Array, lam: float, start: Array | None) -> tuple[Array, Array]:
         predicted = forward.whole(load.T).T
         shown = np.where(missing, predicted, values)
         return shown, shown - predicted
@@ -353,7 +295,7 @@ def convolved_measured(model: Model, data: Data, settings: Settings) -> Posed:
     return _posed(white.raw, white.h, white.y, data.values, data.missing, white.noise, data, settings)
 
 
-def _layout(h: NDArray, samples: int) -> tuple[float, int, int]:
+def _layout(h: Array, samples: int) -> tuple[float, int, int]:
     """Condition number, rank and nullity by the lines of a padded transform of impulse responses."""
     h = heard(h)
     values = np.linalg.svd(Convolution(h, min(samples, max(len(h), FEW))).lines, compute_uv=False)

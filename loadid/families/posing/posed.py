@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,13 +26,15 @@ from ...inverse.penalties import order
 from .. import noise as noises
 from ..data import AS_RECORDED, Data
 
+Array = NDArray[Any]
+
 PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
 PADDED = "zero-padded FFT"  # name of the path that goes line by line
 WHOLE = 50_000  # samples up to which a record is convolved in one piece: `python -m tests.benchmarks.windows`
 UNUSABLE = 1e-12  # |h(0)| over max |h| below which the diagonal is zero
 
 
-def _one_of(name: str, value: object, allowed: tuple) -> None:
+def _one_of(name: str, value: object, allowed: tuple[object, ...]) -> None:
     if not isinstance(value, str | bool | None) or value not in allowed:
         raise InputError(f"unknown {name}", where=name, found=repr(value)[:80],
                          expected=f"one of {', '.join(repr(x) for x in allowed)}")  # fmt: skip
@@ -180,7 +183,7 @@ class Posed:
 
     path: RegularizationPath
     noise: noises.Noise
-    compare: Callable[[NDArray, float, NDArray | None], tuple[NDArray, NDArray]]
+    compare: Callable[[Array, float, Array | None], tuple[Array, Array]]
     values: NDArray[np.float64]
     name: str
     h: NDArray[np.float64]
@@ -197,23 +200,23 @@ class Posed:
 
 
 def by_prediction(
-    values: NDArray, predict: Callable[[NDArray], NDArray]
-) -> Callable[[NDArray, float, NDArray | None], tuple[NDArray, NDArray]]:
+    values: Array, predict: Callable[[Array], Array]
+) -> Callable[[Array, float, Array | None], tuple[Array, Array]]:
     """Comparison of complete data with the prediction of a load."""
 
-    def compare(load: NDArray, lam: float, start: NDArray | None) -> tuple[NDArray, NDArray]:
+    def compare(load: Array, lam: float, start: Array | None) -> tuple[Array, Array]:
         return values, values - predict(load)
 
     return compare
 
 
-def diagonal(h: NDArray) -> float:
+def diagonal(h: Array) -> float:
     """First sample of the impulse responses (samples, sensors, loads) over their maximum, for the worst load."""
     level = np.max(np.abs(h), axis=1)
     return float(np.min(level[0] / level.max(axis=0)))
 
 
-def shift(h: NDArray, model: Model, allow: tuple[str, ...]) -> int:
+def shift(h: Array, model: Model, allow: tuple[str, ...]) -> int:
     """Samples by which data are advanced so that the first load to arrive has a diagonal (0 with a first-order hold).
 
     No more than that: what a load that arrives earlier does in between must stay in the operator. The last samples of
@@ -256,7 +259,7 @@ class Roughness:
     relative: NDArray[np.float64]
 
 
-def roughness(G: NDArray, band: float = 1 / 16) -> Roughness:
+def roughness(G: Array, band: float = 1 / 16) -> Roughness:
     """Error of the load spectrum that each sensor gives alone, from its roughness over the lines.
 
     A load that lasts a small part of the record has a spectrum that is smooth from line to line once it is shifted to
@@ -290,7 +293,7 @@ SILENT = 0.01  # share of the lines on which an FRF may be zero
 ROUGH = 0.5  # relative error of the best sensor above which the load fills the record and roughness tells nothing
 
 
-def lines(h: NDArray, values: NDArray, noise: noises.Noise, data: Data, settings: Settings) -> Posed:
+def lines(h: Array, values: Array, noise: noises.Noise, data: Data, settings: Settings) -> Posed:
     """Problem of impulse responses (samples, sensors, loads) with the same noise on every line.
 
     Right where the response has decayed within the record.
@@ -336,24 +339,21 @@ def _measured_lines(model: Model, data: Data) -> tuple[NDArray[np.complex128], N
     own = float(model.dt or data.dt)
     if abs(data.dt / own - 1) > 1e-6:
         raise InputError(
-            "the record and the model have different steps",
-            where="estimate",
-            found=f"dt = {data.dt:.9g} s",
-            expected=f"dt = {own:.9g} s",
-            hint=Advice(AS_RECORDED, ", or resample"),
-        )
+            "the record and the model have different steps", where="estimate", found=f"dt = {data.dt:.9g} s",
+            expected=f"dt = {own:.9g} s", hint=Advice(AS_RECORDED, ", or resample"),
+        )  # fmt: skip
     f = np.linspace(0, 0.5 / own, padded_length(len(data.values)) // 2 + 1)
     return model.frf(f), f
 
 
 def _lines(
-    H: NDArray,
-    h: NDArray,
-    values: NDArray,
+    H: Array,
+    h: Array,
+    values: Array,
     noise: noises.LineNoise,
     data: Data,
     settings: Settings,
-    variance: NDArray | None = None,
+    variance: Array | None = None,
 ) -> Posed:
     if data.missing.any():
         raise InputError("the path by lines takes no missing samples", where="record", found=data.gaps,
@@ -361,11 +361,9 @@ def _lines(
     penalty = "identity" if settings.penalty is None else settings.penalty
     if not isinstance(penalty, str):
         raise InputError(
-            "the path by lines takes a named penalty",
-            where="penalty",
-            found="a matrix",
+            "the path by lines takes a named penalty", where="penalty", found="a matrix",
             expected=f"one of {penalties.names()}",
-        )
+        )  # fmt: skip
     used = H[:, data.rows]
     path = SpectralPath(
         used,
@@ -381,7 +379,7 @@ def _lines(
         scale = np.sqrt(np.mean(np.abs(H) ** 2, axis=(0, 2)))
         full = diagnose.layout(np.linalg.svd(H / scale[:, None], compute_uv=False).ravel(), len(H) * H.shape[2])
 
-    def predict(g: NDArray) -> NDArray:
+    def predict(g: Array) -> Array:
         G = np.fft.rfft(g, path.padded, axis=0)
         return np.fft.irfft(np.einsum("ksl,kl->ks", used, G), path.padded, axis=0)[: len(values)]
 
@@ -391,9 +389,7 @@ def _lines(
     return Posed(path, noise.noise, compare, values, PADDED, h[:, data.rows], layout, full, path.unknowns, path)
 
 
-def _measured_noise(
-    model: Model, data: Data, settings: Settings, H: NDArray, spectrum: NDArray | None
-) -> noises.LineNoise:
+def _measured_noise(model: Model, data: Data, settings: Settings, H: Array, spectrum: Array | None) -> noises.LineNoise:
     """Noise of each line: of the user, of the training hits, of the roughness of one short load, or of the record."""
     samples = len(data.values)
     if settings.noise is None and spectrum is not None:

@@ -18,11 +18,14 @@ from ...inverse.sparse import dictionaries, path
 from ...inverse.sparse.atoms import MatrixAtoms, ShiftedAtoms
 from ...inverse.sparse.groups import Groups
 from ...inverse.sparse.lasso import SparseSolution
-from ...inverse.sparse.path import SparsePath, SupportFit, Sweep, ebic, fit
+from ...inverse.sparse.path import SparsePath, SupportFit, Sweep, fit
 from .. import noise as noises
 from ..data import Data
+from .paths import coloured
 from .posed import Settings as Posing
-from .posed import shift
+from .posed import measured_response, shift
+
+Array = NDArray[Any]
 
 SEGMENT = 16384  # samples at the start of a longer record on which dictionaries and noise levels are compared
 ONSET = 0.1  # share of the energy of the data that such a segment holds at least
@@ -94,7 +97,7 @@ class Problem:
         """Data that are there."""
         return self.y.size if self.weight is None else int(np.count_nonzero(self.weight))
 
-    def atoms(self, dictionary: str | NDArray, knots: int | None = None) -> Atoms:
+    def atoms(self, dictionary: str | Array, knots: int | None = None) -> Atoms:
         """The dictionary of a name (and spacing) on this record."""
         if not isinstance(dictionary, str):
             if dictionary.ndim != 2 or len(dictionary) != self.samples or not np.all(np.isfinite(dictionary)):
@@ -139,9 +142,6 @@ def pose(model: Model, data: Data, posing: Posing) -> Problem:
         No usable diagonal (LID-E506), missing samples beside a covariance, different steps.
     """
     if model.sampled:
-        from .paths import coloured
-        from .posed import measured_response
-
         if not np.any(data.missing):
             white = coloured(model, data, posing)
             return Problem(white.h, white.y, None, white.raw[:, data.rows], data.values, data.missing, white.noise)
@@ -169,7 +169,7 @@ def pose(model: Model, data: Data, posing: Posing) -> Problem:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class SparseChoice:
     """A sparse solution and how it was come by.
 
     Parameters
@@ -227,7 +227,7 @@ class Chosen:
         return self.scores[used] - others[best], best
 
 
-def choose(problem: Problem, wanted: Wanted, progress: Callable[[float, str], None]) -> Chosen:
+def choose(problem: Problem, wanted: Wanted, progress: Callable[[float, str], None]) -> SparseChoice:
     """Dictionary, mu, solution and support.
 
     Raises
@@ -263,8 +263,8 @@ def choose(problem: Problem, wanted: Wanted, progress: Callable[[float, str], No
     scores = {k: float(s.ebic.min(initial=np.inf)) for k, s in sweeps.items()}
     if group_gap is not None:
         solution = replace(solution, gap=max(solution.gap, group_gap))
-    return Chosen(problem, loads, atoms, knots, solution, found, ratio, along.scale, rule, edge, ratios, sigma, shown,
-                  sweep, scores)  # fmt: skip
+    return SparseChoice(problem, loads, atoms, knots, solution, found, ratio, along.scale, rule, edge, ratios, sigma,
+                        shown, sweep, scores)  # fmt: skip
 
 
 def _swept(
@@ -334,9 +334,8 @@ def _ratio(
     if ratio >= 1:
         raise NotIdentifiable(
             "the record holds nothing beyond its noise: no load is needed to explain it",
-            advice="check the noise level (noise=), or take a record with a larger response",
-            code="LID-E312",
-        )
+            advice="check the noise level (noise=), or take a record with a larger response", code="LID-E312",
+        )  # fmt: skip
     return ratio, "discrepancy", edge, ratios | {"discrepancy": ratio}
 
 
@@ -345,9 +344,8 @@ def _solved(along: SparsePath, ratio: float, tol: float) -> SparseSolution:
     if found.gap > max(SOLVED, tol):
         raise NotIdentifiable(
             f"the l1 problem could not be solved: relative duality gap {found.gap:.2g} after {found.steps} steps",
-            advice="a larger mu, a coarser dictionary (knots=), or a window of the record",
-            code="LID-E410",
-        )
+            advice="a larger mu, a coarser dictionary (knots=), or a window of the record", code="LID-E410",
+        )  # fmt: skip
     if not len(found.support):
         raise InputError("everything is zero at this mu", where="choice", found=f"{ratio:.4g}", expected="a smaller mu",
                          hint="choice=None finds one")  # fmt: skip
@@ -374,7 +372,7 @@ def _candidates(problem: Problem, wanted: Wanted, knots: int | None, sigma: floa
     return np.sort(order[: int(np.argmin(scores)) + 1]), found.gap
 
 
-def amplitude_share(chosen: Chosen) -> tuple[float, int] | None:
+def amplitude_share(chosen: SparseChoice) -> tuple[float, int] | None:
     """Std of the largest spike over its height if its neighbours in time may act too, and its load; spikes only."""
     atoms = chosen.atoms
     if not isinstance(atoms, ShiftedAtoms) or atoms.dictionary.name != "dirac" or not len(chosen.fit.x):
@@ -392,6 +390,3 @@ def amplitude_share(chosen: Chosen) -> tuple[float, int] | None:
 def posing(hold: str | None, noise: ArrayLike | None, source: NoiseSourceLike, allow: tuple[str, ...]) -> Posing:
     """What the shared posing of a record asks."""
     return Posing("tikhonov", "identity", hold, noise, NoiseSource.of(source), allow)
-
-
-__all__ = ["Chosen", "Problem", "Wanted", "amplitude_share", "choose", "ebic", "pose", "posing"]

@@ -1,4 +1,4 @@
-"""How static readings and a transfer matrix become a problem with a path; facts, flags and draws of the estimate."""
+"""How static readings and a transfer matrix become a problem with a path; draws, and whether all is determined."""
 
 from __future__ import annotations
 
@@ -15,23 +15,22 @@ from structures.flags import Flag
 from structures.model import Model
 
 from ... import guards
-from ...inverse import rules
 from ...inverse import sweep as whiteness
-from ...inverse.choice import Choice, choose, residual_level
+from ...inverse.choice import Choice, choose
 from ...inverse.constrained.path import ConstrainedPath
 from ...inverse.constrained.solver import soft
+from ...inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from ...inverse.diagnosis import diagnose
 from ...inverse.noise_source import NOT_KNOWN, NoiseSource
 from ...inverse.path import RegularizationPath, Solution
 from ...inverse.problem import LinearProblem, whiten
 from ...inverse.svd import SVDPath
 from .. import noise as noises
-from .. import smoothness
 from ..data import Readings
 from ..noise import noise_level
 
 if TYPE_CHECKING:
-    from ..static import StaticInversion
+    pass
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class Absolute:
 
 
 @dataclass(frozen=True)
-class Steady:
+class StaticProblem:
     """A static problem as posed.
 
     Parameters
@@ -127,6 +126,15 @@ class Steady:
         found = whiteness.effective_number(np.eye(len(R)), R / size / size[:, None])
         return guards.interpolated(found.nominal, found.effective, found.rank, self.base.problem.dropped)
 
+    def facts(self, solution: Solution, diagnosis: diagnose.Diagnosis) -> dict[str, Any]:
+        """What is known of a solution beyond what its path tells."""
+        load = solution.load
+        return {
+            "path": self.solved_by, "m": len(self.H), "n": self.H.shape[1], "band": self.band,
+            "frames": 1 if load.ndim == 1 else len(load), "noise_share": _noise_share(solution.posterior, load),
+            "resolution": diagnosis.width, "resolution_unit": diagnosis.width_unit, "peak_bias": diagnosis.peak_bias,
+        }  # fmt: skip
+
     def fought(self, choice: Choice, sigma: float) -> list[Flag | None]:
         """What the constraints did: W308 where they fight the data, W410 where the solver ended on its limit."""
         if not self.constrained:
@@ -153,7 +161,7 @@ class Steady:
         def solve(y: NDArray[np.float64], resultants: Sequence[ArrayLike] | None = None) -> NDArray[np.float64]:
             found = prepared.solve(W @ y, warm=last[0], resultants=resultants)
             last[0] = found
-            return found.load
+            return np.asarray(found.load)
 
         return solve
 
@@ -184,7 +192,7 @@ def pose(
     noise: Any,
     source: NoiseSource | None,
     interpolation: ArrayLike | None,
-) -> Steady:
+) -> StaticProblem:
     """Whiten, factorise, constrain.
 
     Raises
@@ -206,7 +214,7 @@ def pose(
         scale = np.sqrt(np.mean(H**2, axis=1))
         seen = H[scale > 0] / scale[scale > 0, None]
         full = diagnose.layout(np.linalg.svd(seen, compute_uv=False), H.shape[1])
-    return Steady(rows, base, path, level, full, given.channels)
+    return StaticProblem(rows, base, path, level, full, given.channels)
 
 
 def _shown(base: SVDPath) -> float:
@@ -219,20 +227,14 @@ def _refuse_silent(H: NDArray[np.float64], channels: Sequence[Channel]) -> None:
     silent = [c.label for c, row in zip(channels, H, strict=True) if not np.any(row)]
     if silent:
         raise InputError(
-            f"{len(silent)} sensor{'s' if len(silent) > 1 else ''} see no static load",
-            where="transfer matrix",
+            f"{len(silent)} sensor{'s' if len(silent) > 1 else ''} see no static load", where="transfer matrix",
             found=", ".join(silent[:8]) + (", ..." if len(silent) > 8 else ""),
             expected="strains or displacements that a load moves",
             hint="leave them out (sensors=[...]); velocity, acceleration and AC-coupled sensors see no constant load",
-        )
+        )  # fmt: skip
 
 
-def discrepancy(posed: Steady, factor: float) -> float | None:
-    """Lambda of the discrepancy rule at a multiple of the noise level."""
-    return rules.discrepancy(rules.Sweep.over(posed.path, posed.noise.sigma), factor).lam
-
-
-def drawn(posed: Steady, choice: Choice, sigma: float, draws: int, seed: int) -> NDArray[np.float64]:
+def drawn(posed: StaticProblem, choice: Choice, sigma: float, draws: int, seed: int) -> NDArray[np.float64]:
     """See `StaticInversion.sample`.
 
     Raises
@@ -243,126 +245,11 @@ def drawn(posed: Steady, choice: Choice, sigma: float, draws: int, seed: int) ->
     if isinstance(draws, bool) or not isinstance(draws, int | np.integer) or draws < 1:
         raise InputError("no number of draws", where="sample", found=repr(draws)[:40], expected="a positive integer")
     if posed.constrained:
-        return posed.path.sample(choice.lam, sigma, int(draws), seed=seed)
+        return np.asarray(posed.path.sample(choice.lam, sigma, int(draws), seed=seed))
     solution, rng = posed.base.solution(choice.lam, sigma), np.random.default_rng(seed)
     factor = solution.posterior.factor  # type: ignore[union-attr]
     lead = solution.load.shape[:-1]
-    return solution.load + rng.standard_normal((int(draws), *lead, factor.shape[1])) @ factor.T
-
-
-MANY = 16  # loads from which their mesh can be called fine
-
-
-def facts(
-    posed: Steady, choice: Choice, sigma: float, solution: Solution, diagnosis: diagnose.Diagnosis
-) -> dict[str, Any]:
-    """Numbers that are printed with every result."""
-    path, load, posterior = posed.path, solution.load, solution.posterior
-    kappa, rank, nullity = posed.layout
-    point = path.at(choice.lam)
-    return {
-        "path": posed.solved_by,
-        "m": len(posed.H),
-        "n": posed.H.shape[1],
-        "frames": 1 if load.ndim == 1 else len(load),
-        "rank": rank,
-        "nullity": nullity,
-        "kappa": kappa,
-        "edf": None if point.edf is None else float(point.edf),
-        "residual_to_noise": residual_level(path, choice.lam) if posed.noise.known else None,
-        "noise_share": _noise_share(posterior, load),
-        "noise_level": float(sigma),
-        **posed.noise.source.facts,
-        "band": posed.band,
-        "resolution": diagnosis.width,
-        "resolution_unit": diagnosis.width_unit,
-        "peak_bias": diagnosis.peak_bias,
-    }
-
-
-def flags(
-    family: StaticInversion,
-    given: Readings,
-    posed: Steady,
-    choice: Choice,
-    facts: dict[str, Any],
-    diagnosis: diagnose.Diagnosis,
-) -> tuple[Flag, ...]:
-    """Findings of the guards."""
-    model, lost = family.model, [s.label for i, s in enumerate(family.model.sensors) if i not in given.rows]
-    after = (facts["kappa"], facts["rank"], facts["nullity"])
-    unseen = [c.label for c, column in zip(model.loads, posed.H.T, strict=True) if not np.any(column)]
-    simulated = "" if given.data is None else given.data.record.simulated_by
-    return guards.collect(
-        [
-            *_overridden(family, posed),
-            *model.flags,
-            guards.not_verified(model.certificate),
-            *given.flags,
-            guards.null_space(facts["m"], facts["n"], facts["rank"], unseen),
-            None if posed.full is None else guards.lost_channels(posed.full, after, lost),
-            posed.correlated,
-            guards.mixed_kinds(given.channels, posed.noise.known),
-            *_resolved(family, posed, choice, diagnosis),
-            *posed.fought(choice, posed.noise.sigma or facts["noise_level"]),
-            *(() if family.free else guards.parameter(choice, lambda factor: discrepancy(posed, factor))),
-            guards.absolute_lambda(family.choice.lam, choice.scale) if isinstance(family.choice, Absolute) else None,
-            guards.inverse_crime(simulated, model.fingerprint),
-            guards.no_coverage(family.coverage),
-            guards.used_for_training("the record", given.fingerprints & model.training),
-            guards.resolution(
-                facts["nullity"],
-                smoothness.words(family.penalty, family.basis),
-                facts["resolution"],
-                facts["resolution_unit"],
-                facts["peak_bias"],
-            ),
-        ]
-    )
-
-
-def settings(family: StaticInversion, posed: Steady) -> dict[str, Any]:
-    """Settings of an inversion, for the provenance."""
-    given = family.choice.lam if isinstance(family.choice, Absolute) else family.choice
-    return {
-        "method": family.method,
-        "penalty": family.penalty if isinstance(family.penalty, str | None) else "matrix",
-        "choice": given,
-        "calibration": None if family.calibration is None else str(family.calibration),
-        "constraints": [str(c) for c in family.constraints],
-        "constraint_kinds": [type(c).__name__ for c in family.constraints],
-        "path": posed.solved_by,
-        "noise_source": posed.noise.source.text,
-        "interpolated": family.interpolation is not None,
-        "sensors": None if family.sensors is None else [str(s) for s in family.sensors],
-    }
-
-
-def _resolved(
-    family: StaticInversion, posed: Steady, choice: Choice, diagnosis: diagnose.Diagnosis
-) -> list[Flag | None]:
-    """W304, W310, and W107 where no penalty ties neighbouring loads together."""
-    edf = None if choice.edf is None else choice.edf / diagnosis.frames
-    found = [
-        guards.over_smoothed(edf, diagnosis.plateau),
-        guards.recoverable(diagnosis.plateau, diagnosis.seen, edf),
-    ]
-    smooth = family.basis is not None and family.basis.kind == "polynomials"
-    if family.L is None and not smooth and diagnosis.n >= MANY:
-        basis = family.basis
-        parts = {} if basis is None else {"components": len(basis.components), "edges": basis.edges}
-        found.append(guards.refined(diagnose.against_half(posed.base.problem.H, diagnosis.eta, **parts)))
-    return found
-
-
-def _overridden(family: StaticInversion, posed: Steady) -> list[Flag]:
-    """Refusals that `allow` took away."""
-    found = []
-    if "LID-E102" in family.allow and guards.diagonal(family.H) is not None:
-        found.append(guards.overridden("E102", "off-diagonal entries", 0, 1))
-    if "LID-E306" in family.allow and family.free and posed.rank < family.H.shape[1]:
-        found.append(guards.overridden("E306", "rank", posed.rank, family.H.shape[1]))
-    return found
+    return np.asarray(solution.load + rng.standard_normal((int(draws), *lead, factor.shape[1])) @ factor.T)
 
 
 def _noise_share(posterior: Any, load: NDArray[np.float64]) -> float | None:
@@ -373,3 +260,35 @@ def _noise_share(posterior: Any, load: NDArray[np.float64]) -> float | None:
     at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
     noise, std = np.broadcast_to(noise, load.shape), np.broadcast_to(posterior.std, load.shape)
     return float((noise[at] / std[at]) ** 2) if std[at] > 0 else None
+
+
+MEETING = float(np.sqrt(np.finfo(float).eps))  # of [H/|H|; L/|L|], below which no minimiser stands out
+PUSH = 1e-9  # of the largest gradient at rest, below which a constraint holds a load by chance
+
+
+def missing(posed: StaticProblem) -> int:
+    """Load patterns that neither the readings nor the constraints fix without regularisation; 0 is what it must be.
+
+    Resultants count as readings. A sign or a bound fixes a load only where the data push against it: a load that may
+    move inside its bounds is bounded, not determined.
+    """
+    problem, n = posed.base.problem, posed.H.shape[1]
+    rows, free = [problem.H / np.linalg.norm(problem.H)], np.ones(n, bool)
+    solution = posed.path.solve(0.0)
+    least = PUSH * float(np.max(np.abs(problem.H.T @ problem.y), initial=0.0))
+    for c, push, active in zip(posed.path.constraints, solution.multipliers, solution.active, strict=True):
+        if isinstance(c, Resultant):
+            C = np.asarray(c.C, float)
+            rows.append(C / np.linalg.norm(C, axis=1, keepdims=True))
+        elif isinstance(c, Support):
+            free &= np.isin(np.arange(n), np.asarray(c.loads))
+        elif isinstance(c, NonNegative | Bounds):
+            held = (np.asarray(active, bool) & (np.abs(push) > least)).reshape(-1, push.shape[-1]).all(axis=0)
+            loads = np.arange(n) if c.loads is None else np.asarray(c.loads)
+            free[loads[held]] = False
+        elif isinstance(c, FrictionCone):
+            contacts = np.asarray(c.contacts)
+            is_open = (np.asarray(active) == 0).reshape(-1, len(contacts)).all(axis=0)
+            free[contacts[is_open].ravel()] = False
+    count = int(free.sum())
+    return count - int(np.linalg.matrix_rank(np.vstack(rows)[:, free])) if count else 0

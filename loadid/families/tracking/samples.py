@@ -18,8 +18,9 @@ from structures.flags import Flag
 
 from ... import guards
 from ...record import Record
-from ...results.archive import provenance
 from ...results.estimate import Axis, LoadEstimate
+from ...results.facts import Facts, provenance
+from ..answer import SolvedLoad, labelled
 from ..data import Data, numbers
 from .fit import Fitted
 
@@ -206,28 +207,19 @@ def estimate(
 ) -> LoadEstimate:  # fmt: skip
     """Estimate of a block from sample `first` on; Y, rest (samples, sensors): data and what is left of them."""
     there = np.ones((len(load), len(f.sensors)), bool) if Y is None else np.isfinite(Y)
-    facts: dict[str, Any] = {
-        "path": path, "m": int(there.sum()), "n": int(load.size), **f.noise_source.facts,
-        "time_constant": None if f.settled is None else f.settled.time_constant,
-        **{f"tuned_{name}": value for name, value in f.numbers.items()},
-        **{f"count_{name}": value for name, value in counts.items()},
-    }  # fmt: skip
-    if not there.all():
-        facts["missing"] = f"{int((~there).sum())} of {there.size} channel samples"
-    return LoadEstimate(
-        load=load,
-        std=std,
-        labels=[c.label for c in f.loads],
-        units=[c.unit for c in f.loads],
-        axis=Axis("time", "s", np.asarray((first + np.arange(len(load))) * f.dt, float)),
-        response=None if Y is None else np.where(there, Y, 0.0),
-        residual=None if rest is None else np.where(there & np.isfinite(rest), rest, 0.0),
-        sensors=[c.label for c in f.sensors],
-        sensor_units=[c.unit for c in f.sensors],
-        flags=guards.collect(flags),
-        facts=facts,
-        provenance=provenance(
-            "load tracking", settings=dict(f.settings), inputs={**f.inputs, **inputs}, model=f.fingerprint,
-            prior=f.words,
-        ),
+    lost = int(np.sum(~there))
+    facts = Facts(
+        path=path, m=there.size - lost, n=int(load.size), **f.noise_source.facts,
+        time_constant=None if f.settled is None else f.settled.time_constant, tuned=f.numbers, counts=counts,
     )  # fmt: skip
+    if lost:
+        facts = replace(facts, missing=f"{lost} of {there.size} channel samples")
+    found = SolvedLoad(
+        load=load, std=std, axis=Axis("time", "s", np.asarray((first + np.arange(len(load))) * f.dt, float)),
+        response=None if Y is None else np.where(there, Y, 0.0), facts=facts,
+        residual=None if rest is None else np.where(there & np.isfinite(rest), rest, 0.0),
+    )  # fmt: skip
+    history = provenance(
+        "load tracking", settings=dict(f.settings), inputs={**f.inputs, **inputs}, model=f.fingerprint, prior=f.words,
+    )  # fmt: skip
+    return labelled(found, f.loads, f.sensors, flags=guards.collect(flags), provenance=history)

@@ -1,0 +1,238 @@
+"""What a result states of itself: facts, typed and with their units, and where it comes from."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator, Mapping
+from dataclasses import Field, dataclass, field, fields
+from datetime import UTC, datetime
+from functools import cache, cached_property
+from importlib.metadata import PackageNotFoundError, version
+from types import MappingProxyType
+from typing import Any, Self
+
+NOT_STATED: Any = object()  # the default: None says that a fact is asked for and not available
+GROUPS = {"tuned": "tuned_", "counts": "count_"}  # mappings, and how their names begin in a dictionary
+
+
+def fact(title: str = "", unit: str = "", *, key: str = "", shown: bool = True) -> Any:
+    """A field of `Facts`.
+
+    Parameters
+    ----------
+    title : str
+        What it is called in a summary; "" for its name.
+    unit : str
+        SI; "" for counts, shares, ratios and words.
+    key : str
+        Its name in dictionaries and files; "" for that of the field.
+    shown : bool
+        Whether a summary lists it; what other lines say already is left out.
+    """
+    return field(default=NOT_STATED, metadata={"title": title, "unit": unit, "key": key, "shown": shown})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Facts(Mapping[str, Any]):
+    """Facts of a result, None where they are not stated or not available. Immutable.
+
+    Also a mapping of those that are stated, as files hold them: ``facts.edf`` is ``facts["edf"]``.
+
+    Parameters
+    ----------
+    m, n, rank, nullity : int
+        Data, unknowns, and how many unknowns the data see and do not see.
+    kappa : float
+        Condition number of the visible part.
+    frames : int
+        Static readings in one estimate.
+    missing, frf_errors, band, path, solver : str
+        In words: samples that are not there, what errors of the FRF add to the noise, what the std holds, how it was
+        solved, and by what where loads only push.
+    edf, residual_to_noise, noise_level : float
+        Effective degrees of freedom of the load; residual over noise, where that is known; noise of the whitened data.
+    noise_source, noise_kind : str
+        Where the noise level comes from, and which kind of `loadid.NoiseSource` that is.
+    resolution, peak_bias, noise_share : float
+        Width in `resolution_unit` at which a single load is shown, share of its height that is lost, share of the
+        variance at the largest load that is noise (the rest is prior).
+    trusted_lines, trust_level : float
+        Share of the frequency lines that tell every load to this predicted relative error.
+    averages, bandwidth, window
+        Of cross spectra: independent averages, bandwidth of a line (Hz), name of the window.
+    held_out : tuple of str
+        Prediction error of each sensor that was kept out.
+    window_bound : float
+        Bound on the error of solving in windows, over the std.
+    frequency, length, time_constant : float
+        Of a harmonic load (Hz), of a spatial prior (m), of a settled filter (s).
+    gap, converged, steps, held
+        Of a solver: relative duality gap, whether it met its limit, steps; samples that a sign holds at zero.
+    support, mu, support_kappa, knots, amplitude_std_with_neighbours
+        Of a sparse load: its waveforms, the weight of their penalty, their condition number, the spacing of B-splines,
+        the relative std of the largest spike if its neighbours in time may act too.
+    acting_loads, criterion_by_knots
+        Labels of the loads that act; information criterion by spacing, in words.
+    places, distinguishable : int
+        Of a field: places of its loads, and combinations that the sensors tell apart.
+    lam : float
+        Relative lambda, where no `Choice` holds it.
+    tuned, counts : mapping of str to number
+        Parameters that a tracker tuned, and what it counted.
+    other : mapping
+        What another release wrote or a user added.
+    stated : frozenset of str
+        Names of the fields that are given; found by itself.
+    """
+
+    m: int | None = fact("data m")
+    n: int | None = fact("unknowns n")
+    rank: int | None = fact()
+    nullity: int | None = fact()
+    kappa: float | None = fact("condition number of the visible part")
+    frames: int | None = fact()
+    missing: str | None = fact()
+    edf: float | None = fact("effective degrees of freedom")
+    residual_to_noise: float | None = fact("residual / noise")
+    resolution: float | None = fact("resolution width", "that of resolution_unit")
+    peak_bias: float | None = fact("share of a single-sample peak that is lost")
+    trusted_lines: float | None = fact("share of the lines that tell every load")
+    trust_level: float | None = fact("to a predicted error of")
+    frf_errors: str | None = fact("share of the noise that errors of the FRF make")
+    averages: float | None = fact("independent averages")
+    bandwidth: float | None = fact("bandwidth of a line, Hz", "Hz")
+    window: str | None = fact()
+    held_out: tuple[str, ...] | None = fact("prediction error of the sensors that were kept out")
+    noise_share: float | None = fact("share of the variance at the peak that is noise (the rest is prior)")
+    path: str | None = fact("solved by")
+    window_bound: float | None = fact("bound on the error of solving in windows / std")
+    resolution_unit: str | None = fact(shown=False)
+    noise_level: float | None = fact(shown=False)
+    noise_source: str | None = fact(shown=False)
+    noise_kind: str | None = fact(shown=False)
+    band: str | None = fact(shown=False)
+    frequency: float | None = fact(unit="Hz")
+    gap: float | None = fact()
+    converged: bool | None = fact()
+    held: int | None = fact()
+    solver: str | None = fact()
+    steps: int | None = fact()
+    support: int | None = fact()
+    mu: float | None = fact()
+    support_kappa: float | None = fact()
+    knots: int | None = fact()
+    acting_loads: tuple[str, ...] | None = fact()
+    amplitude_std_with_neighbours: float | None = fact()
+    criterion_by_knots: str | None = fact()
+    places: int | None = fact()
+    distinguishable: int | None = fact(key="told_apart")
+    length: float | None = fact(unit="m")
+    lam: float | None = fact(key="lambda")
+    time_constant: float | None = fact(unit="s")
+    tuned: Mapping[str, float] = field(default_factory=dict)
+    counts: Mapping[str, int] = field(default_factory=dict)
+    other: Mapping[str, Any] = field(default_factory=dict)
+    stated: frozenset[str] = field(default=NOT_STATED)
+
+    def __post_init__(self) -> None:
+        put, given = object.__setattr__, set()
+        for name in (f.name for f in self.specs().values()):
+            value = getattr(self, name)
+            if value is NOT_STATED:
+                put(self, name, None)
+            elif value is not None or self.stated is NOT_STATED or name in self.stated:
+                given.add(name)
+                put(self, name, tuple(value) if isinstance(value, list) else value)
+        put(self, "stated", frozenset(given))
+        for name in (*GROUPS, "other"):
+            put(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> Self:
+        """Facts of a dictionary, as `dict` of them gives it; what it holds besides is kept in `other`."""
+        if isinstance(given, cls):
+            return given
+        specs = cls.specs()
+        own: dict[str, Any] = {"other": {}} | {name: {} for name in GROUPS}
+        for key, value in given.items():
+            group = next((name for name, start in GROUPS.items() if key.startswith(start)), None)
+            if key in specs:
+                own[specs[key].name] = value
+            else:
+                own[group or "other"][key.removeprefix(GROUPS.get(group or "", ""))] = value
+        return cls(**own)
+
+    @classmethod
+    def specs(cls) -> dict[str, Field[Any]]:
+        """Key in a dictionary -> field, in the order in which facts are printed."""
+        return {f.metadata["key"] or f.name: f for f in fields(cls) if f.metadata}
+
+    @classmethod
+    def title(cls, key: str) -> str:
+        """What a summary calls a fact; "" where other lines say it already."""
+        specs = cls.specs()
+        if key not in specs:
+            return key.replace("_", " ")
+        about = specs[key].metadata
+        return str(about["title"] or key.replace("_", " ")) if about["shown"] else ""
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(f'{key}={value!r}' for key, value in self.items())})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self).of, (dict(self),)
+
+    # -- as a mapping -------------------------------------------------------------------------------------------------
+    @cached_property
+    def _flat(self) -> dict[str, Any]:
+        own = {key: getattr(self, f.name) for key, f in self.specs().items() if f.name in self.stated}
+        plain = {key: list(value) if isinstance(value, tuple) else value for key, value in own.items()}
+        parts = {f"{start}{k}": v for name, start in GROUPS.items() for k, v in getattr(self, name).items()}
+        return {**plain, **parts, **self.other}
+
+    def __getitem__(self, key: str) -> Any:
+        return self._flat[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._flat)
+
+    def __len__(self) -> int:
+        return len(self._flat)
+
+
+STATIC = "static inversion"  # name of the family whose loads are of readings, whatever their axis
+
+
+def provenance(
+    family: str, *, settings: Mapping[str, Any], inputs: Mapping[str, str], model: str, prior: str
+) -> dict[str, Any]:
+    """Record of how an estimate was made.
+
+    Parameters
+    ----------
+    family : str
+    settings : mapping
+    inputs : mapping
+        Name -> sha256.
+    model : str
+        Fingerprint of the forward model.
+    prior : str
+        The prior, in words.
+    """
+    return {
+        "family": family,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {"python": platform.python_version(), **{p: _version(p) for p in ("loadid", "numpy", "scipy")}},
+        "settings": dict(settings),
+        "inputs": dict(inputs),
+        "model": model,
+        "prior": prior,
+    }
+
+
+@cache
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
