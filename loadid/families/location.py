@@ -237,7 +237,7 @@ class LocationSearch:
         found = alike.groups(white, None if self.grid is None else self.grid.near)
         return tuple(tuple(self.model.loads[j].label for j in group) for group in found)
 
-    def _choose(self, posed: Posed) -> several.Chosen:
+    def _choose(self, posed: Posed) -> several.CandidateSet:
         """The best candidates, and the scores of all."""
         solved = scan.over(
             lambda fit: fit.solve(posed.y), posed.fits, workers=1 if posed.dense else self.workers,
@@ -246,12 +246,12 @@ class LocationSearch:
         scores = np.array([s.residual2 for s in solved])
         if self.impacts == 1:
             best = int(np.argmin(scores))
-            return several.Chosen((best,), solved[best], scores[None])
+            return several.CandidateSet((best,), solved[best], scores[None])
         lam = np.array([float(f.lam[0]) for f in posed.fits])
         problem = several.Joint(posed.y, posed.h / lam, posed.fits, posed.joint)
         return several.together(problem, self.impacts)
 
-    def _refine(self, posed: Posed, chosen: several.Chosen) -> list[Solution]:
+    def _refine(self, posed: Posed, chosen: several.CandidateSet) -> list[Solution]:
         """The place from the best candidates and from rivals in other basins; each with its origin and its load."""
         grid = self.grid
         assert grid is not None
@@ -278,7 +278,7 @@ class LocationSearch:
 
     # -- saying -------------------------------------------------------------------------------------------------------
     def _result(
-        self, posed: Posed, chosen: several.Chosen, verdict: Said, solutions: list[Solution]
+        self, posed: Posed, chosen: several.CandidateSet, verdict: Said, solutions: list[Solution]
     ) -> tuple[LocationResult, Posed]:
         grid, norm = self.grid, float(np.linalg.norm(posed.y))
         residual2, best, at, covariance = chosen.fitted.residual2, chosen.indices, None, None

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..convolution import Operator
+from ..convolution import PenalizedConvolution
 from ..convolved.pcg import Circulant
 from ..penalties import stencil
 from .normal import BlockFactor, Factor, Normal, gram
@@ -249,7 +249,7 @@ class ConvolvedNormal:
 
     Parameters
     ----------
-    operator : Operator
+    operator : PenalizedConvolution
         Whitened impulse responses with their penalty, and weights (0 where data are missing).
     y : array, shape (samples, sensors)
         Whitened and weighted data, 0 where missing.
@@ -260,7 +260,7 @@ class ConvolvedNormal:
     start = 0
     direct, precision = False, 1e-9
 
-    def __init__(self, operator: Operator, y: NDArray, lam: float) -> None:
+    def __init__(self, operator: PenalizedConvolution, y: NDArray, lam: float) -> None:
         self.operator, self.lam = operator, float(lam)
         self.y = np.ascontiguousarray(y.T)[None]
 
@@ -277,22 +277,22 @@ class ConvolvedNormal:
     @cached_property
     def q(self) -> NDArray[np.float64]:
         """H^T y."""
-        return self._flat(self.operator.adjoint(self.y))
+        return self._flat(self.operator.correlate(self.y))
 
     def apply(self, v: NDArray) -> NDArray[np.float64]:
         """Q v."""
         g = self._loads(v)
-        return self._back(self.operator.apply(g), g)
+        return self._back(self.operator.convolve(g), g)
 
     def gradient(self, v: NDArray) -> NDArray[np.float64]:
         """Q v - q, with the residual formed first."""
         g = self._loads(v)
-        return self._back(self.operator.apply(g) - self.y, g)
+        return self._back(self.operator.convolve(g) - self.y, g)
 
     def norms(self, v: NDArray) -> tuple[float, float]:
         """Squared norms of ``y - H v`` and of ``L v``."""
         g = self._loads(v)
-        return float(np.sum((self.y - self.operator.apply(g)) ** 2)), float(np.sum(self.operator.rough(g) ** 2))
+        return float(np.sum((self.y - self.operator.convolve(g)) ** 2)), float(np.sum(self.operator.rough(g) ** 2))
 
     def factor(self, weight: NDArray | None = None) -> ConvolvedFactor:
         """What solves with ``Q + diag(weight)``; where the weight is infinite, the unknown is held at 0."""
@@ -312,7 +312,7 @@ class ConvolvedNormal:
         """Bound of the largest eigenvalue of Q: that of the lines of an unending record."""
         o = self.operator
         weight = 1.0 if o.weight is None else float(np.max(o.weight**2))
-        return weight * float(np.max(np.sum(np.abs(o.lines) ** 2, axis=(0, 1)))) + self.lam**2 * 4.0**o.order
+        return weight * float(np.max(np.sum(np.abs(o.spectrum) ** 2, axis=(0, 1)))) + self.lam**2 * 4.0**o.order
 
     @cached_property
     def diagonal(self) -> NDArray[np.float64]:
@@ -322,7 +322,7 @@ class ConvolvedNormal:
 
     def _back(self, response: NDArray, g: NDArray) -> NDArray[np.float64]:
         o = self.operator
-        return self._flat(o.adjoint(response) + self.lam**2 * o.rough_adjoint(o.rough(g)))
+        return self._flat(o.correlate(response) + self.lam**2 * o.rough_adjoint(o.rough(g)))
 
     def _loads(self, v: NDArray) -> NDArray[np.float64]:
         return np.ascontiguousarray(v.reshape(self.operator.samples, self.operator.loads).T)[None]

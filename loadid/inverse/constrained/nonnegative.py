@@ -127,7 +127,7 @@ class NonNegativeRecord:
         signed : array, optional
             As of the constructor.
         """
-        from ..convolution import Operator
+        from ..convolution import PenalizedConvolution
         from .methods import ConvolvedNormal
 
         used = np.ones(y.shape, bool) if weight is None else weight != 0
@@ -137,7 +137,7 @@ class NonNegativeRecord:
                              hint="weight 0 where a sample is missing")  # fmt: skip
         made = cls.__new__(cls)
         made.blocks = None
-        operator = Operator(h, len(y), penalty, weight)
+        operator = PenalizedConvolution(h, len(y), penalty, weight)
         made._set(
             partial(ConvolvedNormal, operator, data), (len(y), operator.loads), 0, int(np.count_nonzero(used)), signed
         )

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
 
-from ..convolution import Operator
+from ..convolution import PenalizedConvolution
 from ..interpolation import STEP, Table, Traces, logs
 from ..path import PathPoint, RegularizationPath, Solution
 from . import posterior as probes
@@ -77,7 +77,7 @@ class ConvolvedPath(RegularizationPath):
                              expected="finite numbers", hint="weight 0 where a sample is missing")  # fmt: skip
         if np.all(used) and weight is not None and np.all(np.asarray(weight) == 1.0):
             weight = None
-        self.operator = Operator(h, len(y), penalty, weight)
+        self.operator = PenalizedConvolution(h, len(y), penalty, weight)
         kept = np.where(used, y, 0.0) * (1.0 if weight is None else np.asarray(weight, float))
         self.y = np.ascontiguousarray(kept.T)[None]  # (1, sensors, samples)
         self.m, self.null = int(np.sum(used)), self.operator.order * self.operator.loads
@@ -130,13 +130,15 @@ class ConvolvedPath(RegularizationPath):
     def lowest(self) -> float:
         """Smallest relative lambda that is solved for: `LOWEST` times the norm of H over that of the penalty."""
         o = self.operator
-        norm = float(self.scale) if o.order == 0 else largest(o.with_penalty("identity"))
+        norm = float(self.scale)
+        if o.order:
+            norm = largest(PenalizedConvolution(o.responses, o.samples, "identity", o.weights))
         return LOWEST * norm / 2**o.order / float(self.scale)
 
     @cached_property
     def seen(self) -> float:
         """Smallest relative generalised singular value of the lines of a padded transform of the impulse responses."""
-        lines = self.operator.cut(min(self.samples, 4096)).lines
+        lines = self.operator.cut(min(self.samples, 4096)).spectrum
         values = np.linalg.svd(np.moveaxis(lines, -1, 0)[1:], compute_uv=False).min(axis=1)
         theta = np.pi * np.arange(1, lines.shape[-1]) / (lines.shape[-1] - 1)
         return float(np.min(values / (2 * np.sin(theta / 2)) ** self.operator.order) / float(self.scale))
@@ -160,7 +162,7 @@ class ConvolvedPath(RegularizationPath):
         self._check(lam)
         if pilot not in self._errors:
             load = self._solved(pilot).x
-            response = self._response(load)
+            response = self.operator.convolve(load)
             self._errors = {pilot: Table(lambda at: self._bias2(at, load, response), self.lowest)}
         noise = self._noise2(lam) if sigma > 0 else 0.0
         return self._errors[pilot].at(lam)[0] + sigma**2 * noise
@@ -188,7 +190,7 @@ class ConvolvedPath(RegularizationPath):
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
         self._check(np.asarray(lam))
         g = np.ascontiguousarray(np.asarray(load, float).T)[None]
-        found = refined(self.operator, self._circulant(float(lam)), self.operator.apply(g))
+        found = refined(self.operator, self._circulant(float(lam)), self.operator.convolve(g))
         return np.ascontiguousarray(found.x[0].T)
 
     def gradient(self, lam: float) -> float:
@@ -205,10 +207,6 @@ class ConvolvedPath(RegularizationPath):
         return (1 - ahead) * r + ahead * s + width * x * (1 - x) * ((1 - x) * dr - x * ds)
 
     # -- inside -------------------------------------------------------------------------------------------------------
-    def _response(self, load: NDArray) -> NDArray[np.float64]:
-        """H g of loads (k, loads, samples)."""
-        return self.operator.apply(load)
-
     def _circulant(self, lam: float) -> Circulant:
         return Circulant(self.operator, lam * float(self.scale))
 

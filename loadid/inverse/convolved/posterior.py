@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
-from ..convolution import Operator
+from ..convolution import PenalizedConvolution
 from ..penalties import stencil
 from .pcg import Circulant, Reached, Sides, solve
 
@@ -62,7 +62,7 @@ class Generators:
     among the right sides, stand unit vectors of the first and of the last sample.
     """
 
-    operator: Operator
+    operator: PenalizedConvolution
     falls: list[tuple[int, int, float]]
     v: NDArray[np.float64]
     sign: NDArray[np.float64]
@@ -87,19 +87,19 @@ class Generators:
         return out
 
 
-def edges(operator: Operator) -> list[tuple[int, int, float]]:
+def edges(operator: PenalizedConvolution) -> list[tuple[int, int, float]]:
     """(Sample, sensor, fall) wherever the squared weight of the data falls or rises after a sample; the end counts."""
     w2 = np.ones((operator.sensors, operator.samples)) if operator.weight is None else operator.weight**2
     fall = w2 - np.pad(w2[:, 1:], ((0, 0), (0, 1)))
     return [(int(t), int(s), float(fall[s, t])) for s, t in np.argwhere(np.abs(fall) > 1e-14 * w2.max())]
 
 
-def columns(operator: Operator) -> int:
+def columns(operator: PenalizedConvolution) -> int:
     """Number of solves that `diagonals` takes."""
     return len(edges(operator)) + (2 + min(operator.order, 2)) * operator.loads
 
 
-def diagonals(operator: Operator, circulant: Circulant, tolerance: float = TOLERANCE) -> Diagonals:
+def diagonals(operator: PenalizedConvolution, circulant: Circulant, tolerance: float = TOLERANCE) -> Diagonals:
     """Diagonals of B and of the roughness covariance at the lambda of the preconditioner."""
     p, N, o = operator.loads, operator.samples, operator.order
     made = _generators(operator, circulant.lam)
@@ -133,7 +133,7 @@ def diagonals(operator: Operator, circulant: Circulant, tolerance: float = TOLER
     return Diagonals(variance, _from_end(tail, rows), mismatch)
 
 
-def profile(operator: Operator, lam: float, tolerance: float = TOLERANCE) -> Diagonals:
+def profile(operator: PenalizedConvolution, lam: float, tolerance: float = TOLERANCE) -> Diagonals:
     """`diagonals` of a record of any length: beyond the memory of the problem they do not change along the record.
 
     Records of 2048, 8192, ... samples are tried; where both diagonals are level over the middle quarter of one, what
@@ -179,7 +179,7 @@ def _products(a: NDArray, b: NDArray) -> NDArray[np.float64]:
     return np.einsum("cin,cin->in", a, b)
 
 
-def _generators(operator: Operator, lam: float) -> Generators:
+def _generators(operator: PenalizedConvolution, lam: float) -> Generators:
     """Generators at an absolute lambda."""
     p, N, o, m = operator.loads, operator.samples, operator.order, operator.sensors
     falls, difference = edges(operator), stencil(operator.order)
@@ -215,7 +215,7 @@ TEETH = 64  # samples between the teeth of a comb
 AT_ONCE = 16
 
 
-def traces(operator: Operator, lam: float, tolerance: float) -> tuple[float, float, float]:
+def traces(operator: PenalizedConvolution, lam: float, tolerance: float) -> tuple[float, float, float]:
     """Part of the degrees of freedom that the penalty governs, the rest of the governed modes, and the trace of B.
 
     Signs on the rows of the penalty: part and rest are positive and add up to the number of rows, whatever the probes.
@@ -232,7 +232,7 @@ def traces(operator: Operator, lam: float, tolerance: float) -> tuple[float, flo
     return part, float(z[0].size) - part, float(np.sum(w * found.x[count:])) / count
 
 
-def variances(operator: Operator, lam: float, tolerance: float = 1e-6) -> NDArray[np.float64]:
+def variances(operator: PenalizedConvolution, lam: float, tolerance: float = 1e-6) -> NDArray[np.float64]:
     """Diagonal of B, (loads, samples), by one comb for each load and each of `TEETH` places."""
     rng = np.random.default_rng(0)
     p, N = operator.loads, operator.samples
@@ -279,7 +279,12 @@ class Moments:
 
 
 def chain(
-    operator: Operator, circulant: Circulant, y: NDArray, solves: int, tolerance: float, takeover: bool = True
+    operator: PenalizedConvolution,
+    circulant: Circulant,
+    y: NDArray,
+    solves: int,
+    tolerance: float,
+    takeover: bool = True,
 ) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
     """g_1, g_2, ... for data y (k, sensors, samples), with their responses H g_j and roughnesses lambda L g_j."""
     loads, responses, roughs = [], [], []
@@ -340,7 +345,7 @@ class ConvolvedPosterior:
 
     Parameters
     ----------
-    operator : Operator
+    operator : PenalizedConvolution
     lam : float
         Absolute lambda.
     sigma : float
@@ -349,7 +354,7 @@ class ConvolvedPosterior:
 
     kind = "convolved"
 
-    def __init__(self, operator: Operator, lam: float, sigma: float) -> None:
+    def __init__(self, operator: PenalizedConvolution, lam: float, sigma: float) -> None:
         if not (np.isfinite(sigma) and sigma >= 0):
             raise InputError("no noise level", where="sigma", found=sigma, expected="a finite number >= 0")
         self.operator, self.lam, self.sigma = operator, float(lam), float(sigma)
@@ -390,16 +395,18 @@ class ConvolvedPosterior:
         """Plain arrays, for a result file."""
         o = self.operator
         tree: dict[str, object] = {
-            "kind": self.kind, "h": np.moveaxis(o.h, -1, 0), "samples": o.samples, "penalty": o.penalty,
+            "kind": self.kind, "h": o.responses, "samples": o.samples, "penalty": o.penalty,
             "lam": self.lam, "sigma": self.sigma,
         }  # fmt: skip
-        return tree if o.weight is None else tree | {"weight": o.weight.T}
+        return tree if o.weights is None else tree | {"weight": o.weights}
 
     @classmethod
     def from_arrays(cls, tree: dict) -> ConvolvedPosterior:
         """From what `to_arrays` gave."""
         weight = None if tree.get("weight") is None else np.asarray(tree["weight"], float)
-        operator = Operator(np.asarray(tree["h"], float), int(tree["samples"]), str(tree["penalty"]), weight)
+        operator = PenalizedConvolution(
+            np.asarray(tree["h"], float), int(tree["samples"]), str(tree["penalty"]), weight
+        )
         return cls(operator, float(tree["lam"]), float(tree["sigma"]))
 
     # -- inside -------------------------------------------------------------------------------------------------------

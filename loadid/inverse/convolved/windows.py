@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
 
-from ..convolution import Operator, Stream, heard
+from .. import penalties
+from ..convolution import Convolution, PenalizedConvolution, differences, differences_adjoint, heard
 from .path import ConvolvedPath
 from .pcg import Circulant, Reached, Sides, solve
 
@@ -69,7 +69,6 @@ def solve_in_windows(
     weight: NDArray | None = None,
     window: int | None = None,
     overlap: int | None = None,
-    memory: int | None = None,
     tolerance: float = 1e-4,
     sweeps: int = 4,
     progress: Progress | None = None,
@@ -91,8 +90,6 @@ def solve_in_windows(
     window, overlap : int, optional
         Samples in a window and given up at its end. Default: the overlap over which the influence of a window's end
         falls to 3e-4, at most a twelfth of the record, and six times that.
-    memory : int, optional
-        Taps that the windows use of `h`; the gradient and the bound use all, and further sweeps make up for it.
     tolerance : float
         Sweeps end once the bound is below this times the norm of the load.
     sweeps : int
@@ -106,7 +103,7 @@ def solve_in_windows(
         Shapes that do not fit, NaN, no positive lambda, or an overlap of half a window and more.
     """
     h, y, w = _checked(h, y, weight, lam)
-    windows = Windows(h, y.shape[1], lam, penalty, w, window=window, overlap=overlap, memory=memory)
+    windows = Windows(h, y.shape[1], lam, penalty, w, window=window, overlap=overlap)
     return windows.solve(y, tolerance=tolerance, sweeps=sweeps, progress=progress)
 
 
@@ -122,14 +119,13 @@ class Windows:
 
     def __init__(
         self, h: NDArray, samples: int, lam: float, penalty: str, weight: NDArray, *, window: int | None = None,
-        overlap: int | None = None, memory: int | None = None, accuracy: float = TOLERANCE,
+        overlap: int | None = None, accuracy: float = TOLERANCE,
     ) -> None:  # fmt: skip
-        used = h if memory is None else h[: max(int(memory), 1)]
         self.samples, self.lam, self.weight = samples, lam, weight
-        self.width, self.overlap = _layout(used, samples, lam, penalty, window, overlap)
-        self.all, self.near = Stream(h, self.width), Stream(used, self.width)
-        self.rules = Operator(np.zeros((1, 1, 1)), min(samples, 8), penalty)  # for its differences alone
-        self.locals = _Locals(used, self.width, penalty, lam, weight, accuracy)
+        self.width, self.overlap = _layout(h, samples, lam, penalty, window, overlap)
+        self.order = penalties.order(penalty)
+        self.all = Convolution(h, samples, block=self.width)
+        self.locals = _Locals(h, self.width, penalty, lam, weight, accuracy)
 
     def solve(
         self, y: NDArray, *, tolerance: float = 1e-4, sweeps: int = 4, progress: Progress | None = None
@@ -144,7 +140,7 @@ class Windows:
 
         load = self.first(y, progress=told)
         least = self.locals.curvature()
-        first = float(np.linalg.norm(self.all.whole_adjoint(self.weight**2 * y)))
+        first = float(np.linalg.norm(self.all.correlate(self.weight**2 * y)))
         slope = self.slope(load, y)
         changes: list[float] = []
         for sweep in range(1, sweeps):
@@ -175,13 +171,13 @@ class Windows:
 
         It minimises ``|y - H g|^2 + |c - lam L g|^2``, of which None is zero.
         """
-        load = np.zeros((self.all.lines.shape[1], self.samples))
+        load = np.zeros((self.all.loads, self.samples))
         for k, (start, stop) in enumerate(self._ahead()):
             end = min(start + self.width, self.samples)
-            rest = -self.near.response(load, start, end, before=start)
+            rest = -self.all.response(load, start, end, before=start)
             if y is not None:
                 rest += y[:, start:end]
-            own = None if c is None else c[:, max(start - self.rules.order, 0) : end - self.rules.order]
+            own = None if c is None else c[:, max(start - self.order, 0) : end - self.order]
             load[:, start:stop] = self.locals.follow(start, rest, load, own)[:, : stop - start]
             if progress is not None:
                 progress(k + 1, "windows")
@@ -189,14 +185,14 @@ class Windows:
 
     def slope(self, load: NDArray, y: NDArray) -> NDArray[np.float64]:
         """Half the negative gradient of the whole record's objective, (loads, samples)."""
-        out = self.all.whole_adjoint(self.weight**2 * (y - self.all.whole(load)))
-        return out - self.lam**2 * self.rules.rough_adjoint(self.rules.rough(load))
+        out = self.all.correlate(self.weight**2 * (y - self.all.convolve(load)))
+        return out - self.lam**2 * differences_adjoint(differences(load, self.order), self.order)
 
     def _ahead(self) -> list[tuple[int, int]]:
         return list(_ahead(self.samples, self.width, self.overlap))
 
 
-class _Tied(Operator):
+class _Tied(PenalizedConvolution):
     """Operator of a window whose penalty goes on from the load before it; differences with zeros in its place."""
 
     @property
@@ -226,16 +222,16 @@ class _Locals:
     ) -> None:
         self.h, self.width, self.penalty, self.lam, self.weight = h, width, penalty, lam, weight
         self.accuracy = accuracy
-        self.operator = Operator(h, width, penalty)
+        self.operator = PenalizedConvolution(h, width, penalty)
         self.circulant = Circulant(self.operator, lam)
-        self.kept: dict[tuple[int, bool], tuple[Operator, Circulant]] = {}
+        self.kept: dict[tuple[int, bool], tuple[PenalizedConvolution, Circulant]] = {}
 
     def solve(self, start: int, sides: Sides, accuracy: float | None = None) -> NDArray[np.float64]:
         accuracy = self.accuracy if accuracy is None else accuracy
         weight = self.weight[:, start : start + self.width]
         if np.all(weight == 1.0):
             return solve(self.operator, self.circulant, sides, accuracy).x
-        operator = Operator(self.h, self.width, self.penalty, weight.T)
+        operator = PenalizedConvolution(self.h, self.width, self.penalty, weight.T)
         return solve(operator, Circulant(operator, self.lam), sides, accuracy).x
 
     def follow(self, start: int, rest: NDArray, load: NDArray, rough: NDArray | None = None) -> NDArray[np.float64]:
@@ -251,7 +247,7 @@ class _Locals:
             return self.solve(0, Sides(y=side, c=c))[0]
         key = (width, start > 0)
         if not np.all(weight == 1.0) or key not in self.kept:
-            kind = _Tied if start else Operator
+            kind = _Tied if start else PenalizedConvolution
             operator = kind(self.h, width, self.penalty, None if np.all(weight == 1.0) else weight.T)
             found = operator, Circulant(operator, self.lam)
             if np.all(weight == 1.0):
@@ -311,7 +307,7 @@ def _faded(h: NDArray, samples: int, lam: float, penalty: str) -> int:
     """Distance from the end of a window at which its last data and load no longer matter."""
     width, most = min(SHORT, samples), max(samples // LARGEST, 1)
     while True:
-        operator = Operator(h, width, penalty)
+        operator = PenalizedConvolution(h, width, penalty)
         y = np.zeros((operator.sensors, operator.sensors, width))
         y[np.arange(operator.sensors), np.arange(operator.sensors), -1] = 1.0
         x = np.abs(solve(operator, Circulant(operator, lam), Sides(y=y), 1e-8).x)
@@ -367,10 +363,6 @@ class WindowedPath(ConvolvedPath):
                              expected="0 or 1", hint="whiten model and data instead")  # fmt: skip
         self._last: tuple[float, Windowed] | None = None
 
-    @cached_property
-    def _stream(self) -> Stream:
-        return Stream(heard(np.moveaxis(self.operator.h, -1, 0)))
-
     def solve(self, lam: float, progress: Progress | None = None) -> Windowed:
         """Windows at a relative lambda; the last ones are kept."""
         self._check(np.asarray(lam))
@@ -393,26 +385,21 @@ class WindowedPath(ConvolvedPath):
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
         self._check(np.asarray(lam))
         g = np.ascontiguousarray(np.asarray(load, float).T)[None]
-        return self._windows(lam).solve(self._response(g)[0]).load
+        return self._windows(lam).solve(self.operator.convolve(g)[0]).load
 
     # -- inside -------------------------------------------------------------------------------------------------------
     def _windows(self, lam: float, accuracy: float = TOLERANCE) -> Windows:
-        weight = self.operator.weight
-        ones = np.broadcast_to(1.0, self.y.shape[1:]) if weight is None else weight
-        h = np.moveaxis(self.operator.h[..., : self._stream.taps], -1, 0)
+        o = self.operator
+        ones = np.broadcast_to(1.0, self.y.shape[1:]) if o.weight is None else o.weight
         absolute = float(lam) * float(self.scale)
-        return Windows(h, self.samples, absolute, self.operator.penalty, ones, accuracy=accuracy)
-
-    def _response(self, load: NDArray) -> NDArray[np.float64]:
-        out = np.stack([self._stream.whole(g) for g in load])
-        return out if self.operator.weight is None else out * self.operator.weight
+        return Windows(heard(o.responses), self.samples, absolute, o.penalty, ones, accuracy=accuracy)
 
     def _solved(self, lam: float) -> Reached:
         """Solution at a relative lambda, in the form of one in one piece."""
         found = self.solve(lam)
         x = np.ascontiguousarray(found.load.T)[None]
         q = -float(lam) * float(self.scale) * self.operator.rough(x)
-        return Reached(x, self.y - self._response(x), q, found.gradient, found.count)
+        return Reached(x, self.y - self.operator.convolve(x), q, found.gradient, found.count)
 
     def _chain(self, lam: float, y: NDArray) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
         windows, absolute = self._windows(lam, PLAIN), float(lam) * float(self.scale)
@@ -422,7 +409,7 @@ class WindowedPath(ConvolvedPath):
         for _ in range(3):
             side = {"c": roughs[-1][0]} if roughs else {"y": y[0]}
             loads.append(windows.first(**side)[None])
-            responses.append(self._response(loads[-1]))
+            responses.append(self.operator.convolve(loads[-1]))
             roughs.append(absolute * self.operator.rough(loads[-1]))
         return loads, responses, roughs
 
@@ -438,7 +425,8 @@ def beginning_of(path: ConvolvedPath) -> ConvolvedPath | None:
     power, length = np.mean(y**2), FIRST
     while operator.weight is None and 2 * length <= y.shape[1]:
         if np.mean(y[:, :length] ** 2) >= LIVELY * power:
-            h = np.moveaxis(operator.h[..., :length], -1, 0)
-            return ConvolvedPath(h, y[:, :length].T, operator.penalty, scale=float(path.scale))
+            return ConvolvedPath(
+                operator.responses[:length], y[:, :length].T, operator.penalty, scale=float(path.scale)
+            )
         length *= 2
     return None
