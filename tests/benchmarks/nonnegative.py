@@ -21,9 +21,9 @@ from scipy.linalg import svd, toeplitz
 from scipy.optimize import minimize, nnls
 
 from loadid.inverse import rules
-from loadid.inverse.constrained.methods import gap
+from loadid.inverse.constrained.condensed import BlockNormal
+from loadid.inverse.constrained.exchange import gap
 from loadid.inverse.constrained.nonnegative import NonNegativeRecord, discrepancy
-from loadid.inverse.constrained.normal import BlockNormal
 from loadid.inverse.convolution import Convolution
 from loadid.inverse.statespace.path import StateSpacePath
 from loadid.inverse.statespace.record import Record, augment, record

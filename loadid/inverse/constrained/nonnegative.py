@@ -9,8 +9,8 @@ of the unconstrained discrepancy, for every width of pulse and both noise levels
     found = problem.solve(lam * float(path.scale))                # at the lambda that the path chose
     chosen = discrepancy(problem, found.lam, sigma, warm=found)   # where the noise level is known
 
-What may be said of the spread: the posterior std of the path without signs is an upper bound for loads that push, held
-or free (`NonNegativeRecord.spread` says why); the std of the face alone tells what noise does while the active set
+The posterior std of the path without signs is an upper bound for loads that push, held or free
+(`NonNegativeRecord.face_covariance` says why); the std of the face alone tells what noise does while the active set
 stays, is 0 where a load is held, and is no confidence.
 """
 
@@ -25,10 +25,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
 
+from ..convolution import PenalizedConvolution
 from ..rules import discrepancy_level
 from ..statespace.record import Record
-from .methods import Exchanged, Spread, exchange, gap, interior, projected, spread
-from .normal import BlockNormal, Blocks, Factor, Normal, cut
+from .condensed import BlockNormal, CondensedRecord, FaceCovariance, cut, face_covariance
+from .exchange import Exchanged, exchange, gap, interior, projected
+from .normal import ConvolvedNormal, NormalFactor, RecordNormal
 
 CONVERGED = 1e-6  # relative duality gap of a solution
 ROUNDING = 1e-12  # gap at which loads that still change sides do so by rounding
@@ -51,7 +53,7 @@ class NonNegativeSolution:
     multiplier : array, shape (samples, loads)
         Half the derivative of the objective by a load: >= 0 where held, 0 where free.
     gap : float
-        Objective minus a lower bound of its minimum, over ``|y|^2 / 2``; `certificate.gap` says how.
+        Objective minus a lower bound of its minimum, over ``|y|^2 / 2``; `exchange.gap` says how.
     converged : bool
         The gap is below 1e-6.
     steps : int
@@ -102,7 +104,7 @@ class NonNegativeRecord:
     """
 
     def __init__(self, record: Record, signed: ArrayLike | None = None) -> None:
-        self.blocks: Blocks | None = cut(record)
+        self.blocks: CondensedRecord | None = cut(record)
         self._set(partial(BlockNormal, self.blocks), (record.samples, record.p), len(record.free), record.data, signed)
 
     @classmethod
@@ -127,9 +129,6 @@ class NonNegativeRecord:
         signed : array, optional
             As of the constructor.
         """
-        from ..convolution import PenalizedConvolution
-        from .methods import ConvolvedNormal
-
         used = np.ones(y.shape, bool) if weight is None else weight != 0
         data = np.where(used, y, 0.0) * (1.0 if weight is None else weight)
         if not np.all(np.isfinite(data)):
@@ -144,7 +143,12 @@ class NonNegativeRecord:
         return made
 
     def _set(
-        self, normal: Callable[[float], Normal], shape: tuple[int, int], start: int, m: int, signed: ArrayLike | None
+        self,
+        normal: Callable[[float], RecordNormal],
+        shape: tuple[int, int],
+        start: int,
+        m: int,
+        signed: ArrayLike | None,
     ) -> None:
         self.normal, self.shape, self.start, self.m = normal, shape, start, m
         self.signed = _loads(signed, shape[1])
@@ -185,7 +189,7 @@ class NonNegativeRecord:
             found.v[: normal.start],
         )  # fmt: skip
 
-    def spread(self, lam: float, held: NDArray | None = None) -> Spread:
+    def face_covariance(self, lam: float, held: NDArray | None = None) -> FaceCovariance:
         """Variance at unit noise and degrees of freedom with the `held` loads (samples, loads) held; None: none.
 
         With the held loads of a solution this is what noise moves while the active set stays as it is. Without any it
@@ -206,7 +210,7 @@ class NonNegativeRecord:
         weight = np.zeros(normal.size)
         if held is not None:
             weight[normal.start :] = np.where(held.reshape(-1), np.inf, 0.0)
-        return spread(normal.factor(weight))
+        return face_covariance(normal.factor(weight))
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +225,9 @@ class Minimum:
     solver: str
 
 
-def minimise(normal: Normal, signed: NDArray, held: NDArray | None = None, progress: Progress | None = None) -> Minimum:
+def minimise(
+    normal: RecordNormal, signed: NDArray, held: NDArray | None = None, progress: Progress | None = None
+) -> Minimum:
     """Minimum of ``v^T Q v / 2 - q^T v`` with v >= 0 where `signed`.
 
     Loads change between free and held as long as that goes fast. Else an interior-point method (where factors are
@@ -231,7 +237,8 @@ def minimise(normal: Normal, signed: NDArray, held: NDArray | None = None, progr
     report = _reporter(progress)
     unbounded, free = _unconstrained(normal)
     held = signed & (free < 0) if held is None else held & signed
-    first = exchange(normal, signed, held, report, pace=PACE if normal.direct else 1.0)
+    lower = np.where(signed, 0.0, -np.inf)
+    first = exchange(normal, lower, None, held, step=report, pace=PACE if normal.direct else 1.0)
     best = _certified(normal, unbounded, signed, first, 0, "active set")
     if best.gap <= (CONVERGED if first.settled else ROUNDING):
         return best
@@ -240,13 +247,18 @@ def minimise(normal: Normal, signed: NDArray, held: NDArray | None = None, progr
 
 
 def _from_inside(
-    normal: Normal, unbounded: Factor, signed: NDArray, free: NDArray, first: Exchanged, report: Callable[[], None]
+    normal: RecordNormal,
+    unbounded: NormalFactor,
+    signed: NDArray,
+    free: NDArray,
+    first: Exchanged,
+    report: Callable[[], None],
 ) -> list[Minimum]:
     """Interior point, then exchange."""
     inner = interior(normal, signed, free, report)
     steps = first.steps + inner.steps
     held = signed & (inner.s * np.linalg.norm(inner.v) > inner.v * np.linalg.norm(inner.s))
-    last = exchange(normal, signed, held, report)
+    last = exchange(normal, np.where(signed, 0.0, -np.inf), None, held, step=report, pace=1.0)
     inside = Exchanged(np.where(held, 0.0, inner.v), np.zeros(0), held, False, 0)
     return [
         _certified(normal, unbounded, signed, last, steps, "interior point, active set"),
@@ -255,14 +267,19 @@ def _from_inside(
 
 
 def _by_gradient(
-    normal: Normal, unbounded: Factor, signed: NDArray, free: NDArray, first: Exchanged, report: Callable[[], None]
+    normal: RecordNormal,
+    unbounded: NormalFactor,
+    signed: NDArray,
+    free: NDArray,
+    first: Exchanged,
+    report: Callable[[], None],
 ) -> list[Minimum]:
     """Projected gradient, then exchange; more and more of it until the exchange ends."""
     v, steps, found = free, first.steps, []
     for count in GRADIENTS:
         v = projected(normal, signed, v, count, report)
         held = signed & (v == 0)
-        last = exchange(normal, signed, held, report)
+        last = exchange(normal, np.where(signed, 0.0, -np.inf), None, held, step=report, pace=1.0)
         steps += last.steps
         found.append(_certified(normal, unbounded, signed, last, steps, "projected gradient, active set"))
         if found[-1].gap <= (CONVERGED if last.settled else ROUNDING):
@@ -272,7 +289,7 @@ def _by_gradient(
     return found
 
 
-def _unconstrained(normal: Normal) -> tuple[Factor, NDArray[np.float64]]:
+def _unconstrained(normal: RecordNormal) -> tuple[NormalFactor, NDArray[np.float64]]:
     """Factors of Q and the minimum without signs."""
     try:
         with np.errstate(all="ignore"):  # judged by what comes out
@@ -288,7 +305,9 @@ def _unconstrained(normal: Normal) -> tuple[Factor, NDArray[np.float64]]:
     return factor, free
 
 
-def _certified(normal: Normal, free: Factor, signed: NDArray, found: Exchanged, steps: int, solver: str) -> Minimum:
+def _certified(
+    normal: RecordNormal, free: NormalFactor, signed: NDArray, found: Exchanged, steps: int, solver: str
+) -> Minimum:
     """A point made admissible, with its gap; no load at all where rounding has made it none."""
     finite = bool(np.all(np.isfinite(found.v)))
     v = np.where(signed, np.maximum(found.v, 0.0), found.v) if finite else np.zeros(normal.size)
@@ -336,7 +355,7 @@ CAP = 12  # solutions
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
+class NonNegativeChoice:
     """Solution at the lambda that was found; `met` if its residual is that of the noise; every (lambda, residual^2)."""
 
     solution: NonNegativeSolution
@@ -348,7 +367,7 @@ class Chosen:
 def discrepancy(
     record: NonNegativeRecord, lam: float, sigma: float, *, warm: NonNegativeSolution | None = None,
     progress: Callable[[float, str], None] | None = None,
-) -> Chosen:  # fmt: skip
+) -> NonNegativeChoice:  # fmt: skip
     """Largest lambda at which loads that push explain the data to the noise, with the margin of the unconstrained rule.
 
     Parameters
@@ -365,7 +384,7 @@ def discrepancy(
 
     Returns
     -------
-    Chosen
+    NonNegativeChoice
         Where no lambda down to ``lam / 1000`` explains the data (loads that pull, a wrong model, a noise level that is
         too low), the solution at `lam` itself, with `met` False.
 
@@ -394,7 +413,7 @@ def discrepancy(
         fb = at(b)
     if fa * fb > 0 and abs(fb) > close:
         explained = fb < 0  # even much smoothing leaves less than the noise
-        return Chosen(found[-1] if explained else found[0], explained, target, _tried(found))
+        return NonNegativeChoice(found[-1] if explained else found[0], explained, target, _tried(found))
     while min(abs(s.residual2 - target) for s in found) > close and len(found) < CAP:
         # regula falsi in ln lambda; the end that stays counts half (Illinois)
         middle = float(np.exp((np.log(a) * fb - np.log(b) * fa) / (fb - fa)))
@@ -404,7 +423,7 @@ def discrepancy(
         else:
             a, fa, b, fb = b, fb, middle, fm
     best = min(found, key=lambda s: abs(s.residual2 - target))
-    return Chosen(best, True, target, _tried(found))
+    return NonNegativeChoice(best, True, target, _tried(found))
 
 
 def _tried(found: list[NonNegativeSolution]) -> tuple[tuple[float, float], ...]:

@@ -16,9 +16,11 @@ from ..constraints import Constraint
 from ..path import Coefficients, PathPoint, RegularizationPath, Solution
 from ..posterior import FacePosterior, FramesPosterior, Posterior
 from ..svd import SVDPath
-from .activeset import Point, refuse_empty
+from . import activeset
+from .activeset import ActivePoint
+from .conic import refuse_empty
 from .feasible import Feasible, compile_
-from .quadratic import Face
+from .quadratic import ActiveFace
 from .solver import ConstrainedSolution, ConstrainedSolver, grams, resultants_of, soft, soft_values, whitening
 
 __all__ = [
@@ -50,11 +52,11 @@ class Tangent:
     sensitivity: float
 
     @classmethod
-    def of(cls, solver: ConstrainedSolver, y: NDArray, p: Point, s: Feasible) -> Tangent:
+    def of(cls, solver: ConstrainedSolver, y: NDArray, p: ActivePoint, s: Feasible) -> Tangent:
         """At the solution of one vector of data."""
         q = solver.quadratic
         push = (q.A @ p.h - solver.compress(y)[0]) @ q.A + p.nu @ s.equal.matrix + p.kappa @ s.below.matrix
-        face = Face.near(s, p.h - q.tau * push)
+        face = ActiveFace.near(s, p.h - q.tau * push)
         S = q.shrink(face, np.vstack([s.equal.matrix, s.below.matrix[p.kappa > 0]]))
         image = q.A @ S
         prior, bend = solver.prior[:, None] * image, face.curvature(q.tau)
@@ -150,7 +152,7 @@ class ConstrainedPath(RegularizationPath):
         self.m, self.null, self.scale = self.base.m, path.null, path.scale  # soft resultants are data
         y = self.base.problem.y
         self._columns = y[:, None] if y.ndim == 1 else y
-        self._points: dict[float, tuple[Point, ...]] = {}
+        self._points: dict[float, tuple[ActivePoint, ...]] = {}
         self._solvers: OrderedDict[float, ConstrainedSolver] = OrderedDict()
         self._known: dict[float, NDArray[np.float64]] = {}  # scalars: several rules and guards sweep the same lambdas
 
@@ -208,7 +210,7 @@ class ConstrainedPath(RegularizationPath):
         g = np.asarray(load, float).reshape(-1, self.path.problem.H.shape[1])
         prepared = self._solver(lam)
         y = self.base.problem.H @ g.T
-        start: Point | None = None
+        start: ActivePoint | None = None
         out = []
         for k, column in enumerate(y.T):
             start = prepared.point(column, self._sets[min(k, len(self._sets) - 1)], start)
@@ -239,8 +241,6 @@ class ConstrainedPath(RegularizationPath):
         -------
         array, shape (draws,) + shape of the load
         """
-        from . import activeset
-
         prepared, rng = self._solver(lam), np.random.default_rng(seed)
         out = []
         for k, (column, point) in enumerate(zip(self._columns.T, self._solved(lam), strict=True)):
@@ -267,7 +267,7 @@ class ConstrainedPath(RegularizationPath):
     def _grams(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return grams(self.base, self.feasible)
 
-    def _solved(self, lam: float) -> tuple[Point, ...]:
+    def _solved(self, lam: float) -> tuple[ActivePoint, ...]:
         """Points at `lam`, from the cache or from the nearest lambda in it."""
         lam = float(lam)
         if lam not in self._points:
@@ -276,16 +276,16 @@ class ConstrainedPath(RegularizationPath):
             self._run(lam, None if near is None else self._points[near])
         return self._points[lam]
 
-    def _run(self, lam: float, starts: Sequence[Point] | None) -> tuple[Point, ...]:
+    def _run(self, lam: float, starts: Sequence[ActivePoint] | None) -> tuple[ActivePoint, ...]:
         prepared = self._solver(lam)
-        points: list[Point] = []
+        points: list[ActivePoint] = []
         for k, column in enumerate(self._columns.T):
             start = starts[min(k, len(starts) - 1)] if starts else (points[-1] if points else None)
             points.append(prepared.point(column, self._sets[min(k, len(self._sets) - 1)], start))
         self._points[lam] = tuple(points)
         return self._points[lam]
 
-    def _load(self, p: Point) -> NDArray[np.float64]:
+    def _load(self, p: ActivePoint) -> NDArray[np.float64]:
         return self.feasible.to_global(p.h)
 
     def _tangent(self, lam: float, frame: int) -> Tangent:

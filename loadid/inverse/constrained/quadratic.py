@@ -12,8 +12,8 @@ from .feasible import Feasible
 
 
 @dataclass(frozen=True, eq=False)
-class Face:
-    """Face of the intervals and cones near a point, in turned unknowns: on a cone along the ray, across, outward.
+class ActiveFace:
+    """ActiveFace of the intervals and cones near a point, in turned unknowns: on a cone along the ray, across, outward.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class Face:
     status: tuple[NDArray[np.int_], ...]
 
     @classmethod
-    def near(cls, feasible: Feasible, v: NDArray) -> Face:
+    def near(cls, feasible: Feasible, v: NDArray) -> ActiveFace:
         """The face to which `v` projects."""
         point = np.clip(v, feasible.lower, feasible.upper)
         share = ((v > feasible.lower) & (v < feasible.upper)).astype(float)
@@ -170,7 +170,7 @@ class Quadratic:
         return float(0.5 * np.sum(solve_triangular(R, delta, trans="T") ** 2))
 
     def step(
-        self, h: NDArray, b: NDArray, gradient: NDArray, face: Face, tau: NDArray, pull: NDArray,
+        self, h: NDArray, b: NDArray, gradient: NDArray, face: ActiveFace, tau: NDArray, pull: NDArray,
         offset: NDArray, C: NDArray, short: NDArray,
     ) -> tuple[NDArray, NDArray] | None:  # fmt: skip
         """Minimiser on a face from `h`, with C times it fixed; and the multipliers of C. None: singular.
@@ -214,7 +214,7 @@ class Quadratic:
         return face.back(ht), nu
 
     def _semi_normal(
-        self, face: Face, f: NDArray, d0: NDArray, gradient: NDArray, stiff: NDArray, lean: NDArray
+        self, face: ActiveFace, f: NDArray, d0: NDArray, gradient: NDArray, stiff: NDArray, lean: NDArray
     ) -> tuple[NDArray, NDArray] | None:
         from scipy.linalg import lapack
 
@@ -227,7 +227,7 @@ class Quadratic:
         return None if info else (lapack.dpotrs(R, right)[0], R)
 
     def _orthogonal(
-        self, face: Face, f: NDArray, d0: NDArray, residual: NDArray, stiff: NDArray, lean: NDArray
+        self, face: ActiveFace, f: NDArray, d0: NDArray, residual: NDArray, stiff: NDArray, lean: NDArray
     ) -> tuple[NDArray, NDArray] | None:
         from scipy.linalg import solve_triangular
 
@@ -243,7 +243,7 @@ class Quadratic:
             return None
         return solve_triangular(R, Q.T @ right), R
 
-    def shrink(self, face: Face, C: NDArray) -> NDArray[np.float64]:
+    def shrink(self, face: ActiveFace, C: NDArray) -> NDArray[np.float64]:
         """Factor S (n, directions) of the inverse Hessian on the face, S S^T, with the rows C held; of full rank.
 
         The curvature of the cones is in it: S S^T A^T is the derivative of the solution by b.

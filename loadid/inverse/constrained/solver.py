@@ -13,9 +13,9 @@ from structures.errors import InputError, plain
 from ..constraints import Bounds, Constraint, FrictionCone, NonNegative, Resultant, Support, faces, project
 from ..svd import SVDPath
 from . import activeset
-from .activeset import CAP, Point
+from .activeset import CAP, ActivePoint
 from .feasible import Feasible
-from .quadratic import Face, Quadratic, gram_of
+from .quadratic import ActiveFace, Quadratic, gram_of
 
 
 def soft(constraints: Sequence[Constraint]) -> list[Resultant]:
@@ -85,7 +85,7 @@ Pair = tuple[NDArray[np.float64], NDArray]  # multipliers, active
 
 
 def by_constraint(
-    constraints: Sequence[Constraint], s: Feasible, p: Point, face: Face, slope: NDArray, push: NDArray
+    constraints: Sequence[Constraint], s: Feasible, p: ActivePoint, face: ActiveFace, slope: NDArray, push: NDArray
 ) -> list[Pair]:
     """What each constraint pushes, and where it acts (soft resultants: see `with_soft`).
 
@@ -170,7 +170,7 @@ def _cone_push(s: Feasible, c: FrictionCone, push: NDArray) -> NDArray[np.float6
     return force[np.asarray(c.contacts)]
 
 
-def _cone_status(s: Feasible, number: int, c: FrictionCone, face: Face) -> NDArray[np.int_]:
+def _cone_status(s: Feasible, number: int, c: FrictionCone, face: ActiveFace) -> NDArray[np.int_]:
     """Status of each contact; those outside the support are open."""
     first = {int(j): i for i, j in enumerate(np.asarray(c.contacts)[:, 0])}
     out = np.zeros(len(first), int)
@@ -204,7 +204,7 @@ class ConstrainedSolution:
         Newton steps.
     solver : str
     converged : bool
-    points : tuple of Point
+    points : tuple of ActivePoint
         For a warm start.
     """
 
@@ -219,7 +219,7 @@ class ConstrainedSolution:
     iterations: int
     solver: str
     converged: bool
-    points: tuple[Point, ...] = field(default=(), repr=False)
+    points: tuple[ActivePoint, ...] = field(default=(), repr=False)
 
     @property
     def change(self) -> float:
@@ -312,18 +312,20 @@ class ConstrainedSolver:
         """
         stacked, feasible = self.data(y, resultants)
         starts = () if warm is None else warm.points
-        points: list[Point] = []
+        points: list[ActivePoint] = []
         for k, column in enumerate(stacked.T):
             start = starts[min(k, len(starts) - 1)] if starts and (k < len(starts) or not points) else None
             start = points[-1] if start is None and points else start
             points.append(self.point(column, feasible.of(k), start, cap))
         return self.finish(stacked, feasible, points, framed=np.ndim(y) == 2)
 
-    def point(self, y: NDArray, feasible: Feasible, start: Point | None, cap: int = CAP) -> Point:
+    def point(self, y: NDArray, feasible: Feasible, start: ActivePoint | None, cap: int = CAP) -> ActivePoint:
         """Active-set answer for one vector of data."""
         return activeset.solve(self.quadratic, self.compress(y)[0], feasible, start, cap)
 
-    def finish(self, y: NDArray, feasible: Feasible, points: Sequence[Point], framed: bool) -> ConstrainedSolution:
+    def finish(
+        self, y: NDArray, feasible: Feasible, points: Sequence[ActivePoint], framed: bool
+    ) -> ConstrainedSolution:
         """Everything that is reported, from the points of all frames."""
         parts = [self._report(column, feasible.of(k), p) for k, (column, p) in enumerate(zip(y.T, points, strict=True))]
         if not framed:
@@ -344,7 +346,7 @@ class ConstrainedSolver:
             points=tuple(points),
         )
 
-    def _report(self, y: NDArray, feasible: Feasible, p: Point) -> ConstrainedSolution:
+    def _report(self, y: NDArray, feasible: Feasible, p: ActivePoint) -> ConstrainedSolution:
         problem = self.base.problem
         g = feasible.to_global(p.h)
         b, beta = self.compress(y)
@@ -356,7 +358,7 @@ class ConstrainedSolver:
             slope = self.base.Y @ (self.weights * (self.weights * (self.base.Y.T @ g) - b))
         force = (self.quadratic.A @ p.h - b) @ self.quadratic.A
         push = force + p.nu @ feasible.equal.matrix + p.kappa @ feasible.below.matrix
-        face = Face.near(feasible, p.h - self.quadratic.tau * push)
+        face = ActiveFace.near(feasible, p.h - self.quadratic.tau * push)
         rows = by_constraint(self.constraints, feasible, p, face, slope, push)
         rows = with_soft(rows, self.constraints, rest, self.sigma)
         half = 0.5 * float(y @ y)
@@ -375,7 +377,7 @@ class ConstrainedSolver:
             points=(p,),
         )
 
-    def _gap(self, s: Feasible, p: Point, push: NDArray) -> float:
+    def _gap(self, s: Feasible, p: ActivePoint, push: NDArray) -> float:
         """Bound of what half the objective lies above its minimum, by the multipliers made admissible."""
         held = np.zeros(len(push))
         low, up = np.isfinite(s.lower) & (push > 0), np.isfinite(s.upper) & (push < 0)
