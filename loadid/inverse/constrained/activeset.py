@@ -13,6 +13,9 @@ from .feasible import Feasible
 from .normal import DenseNormal
 from .quadratic import ActiveFace, Quadratic
 
+Array = NDArray[np.float64]
+Index = NDArray[np.int_]
+
 PATIENCE = 12
 EAGER = 0.5  # share of the largest pull below which a held load waits
 TIGHT = 1e-13  # natural residual, relative to the data, at which a solution is exact
@@ -40,14 +43,14 @@ class ActivePoint:
         What projects to h: a warm start begins on its face, not on that of a gradient step with new data.
     """
 
-    h: NDArray[np.float64]
-    nu: NDArray[np.float64]
-    kappa: NDArray[np.float64]
+    h: Array
+    nu: Array
+    kappa: Array
     error: float
     steps: int
     solver: str
     converged: bool
-    aim: NDArray[np.float64] | None = None
+    aim: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +58,11 @@ class Prox:
     """Proximal term: weight (relative to the diagonal of the objective) and centre."""
 
     weight: float
-    centre: NDArray[np.float64]
+    centre: Array
 
 
 def solve(
-    quadratic: Quadratic, b: NDArray, feasible: Feasible, start: ActivePoint | None = None, cap: int = CAP
+    quadratic: Quadratic, b: Array, feasible: Feasible, start: ActivePoint | None = None, cap: int = CAP
 ) -> ActivePoint:
     """Minimise |A h - b|^2 on the feasible set.
 
@@ -88,7 +91,7 @@ def solve(
     return replace(found, steps=steps)
 
 
-def _bounds_only(q: Quadratic, b: NDArray, s: Feasible, start: ActivePoint, cap: int) -> ActivePoint:
+def _bounds_only(q: Quadratic, b: Array, s: Feasible, start: ActivePoint, cap: int) -> ActivePoint:
     """Start from what block exchanges reach; Newton then checks it, and takes a last step where it must."""
     aim = start.h - q.tau * ((q.A @ start.h - b) @ q.A) if start.aim is None else start.aim
     low, high = aim <= s.lower, aim >= s.upper if np.any(np.isfinite(s.upper)) else None
@@ -105,7 +108,7 @@ def _rows_only(s: Feasible) -> bool:
     return bool(len(s.equal) and not len(s.below) and not s.cones and free)
 
 
-def _on_plane(q: Quadratic, b: NDArray, s: Feasible, start: ActivePoint) -> ActivePoint:
+def _on_plane(q: Quadratic, b: Array, s: Feasible, start: ActivePoint) -> ActivePoint:
     """Minimiser where C h = r is all that holds: least squares in the null space of C.
 
     The multipliers never meet the inverse of an ill-conditioned A (Björck, Numerical Methods for Least Squares
@@ -132,7 +135,7 @@ def _on_plane(q: Quadratic, b: NDArray, s: Feasible, start: ActivePoint) -> Acti
     return replace(start, h=h, nu=nu, aim=None)
 
 
-def _from_inside(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: ActivePoint) -> ActivePoint:
+def _from_inside(quadratic: Quadratic, b: Array, feasible: Feasible, start: ActivePoint) -> ActivePoint:
     """Newton from the answer of an interior-point solver; that answer where Newton cannot improve it."""
     inner = interior_point(quadratic, b, feasible)
     if inner is None:
@@ -154,14 +157,14 @@ def origin(feasible: Feasible) -> ActivePoint:
 class _State:
     """Everything that a step needs, at one point."""
 
-    gradient: NDArray[np.float64]
-    aim: NDArray[np.float64]
+    gradient: Array
+    aim: Array
     face: ActiveFace
-    active: NDArray[np.int_]
+    active: Index
     error: float
 
 
-def _look(q: Quadratic, b: NDArray, s: Feasible, h: NDArray, nu: NDArray, kappa: NDArray, prox: Prox | None) -> _State:
+def _look(q: Quadratic, b: Array, s: Feasible, h: Array, nu: Array, kappa: Array, prox: Prox | None) -> _State:
     image = q.A @ h
     gradient = (image - b) @ q.A
     total = gradient + nu @ s.equal.matrix + kappa @ s.below.matrix
@@ -186,7 +189,7 @@ def _look(q: Quadratic, b: NDArray, s: Feasible, h: NDArray, nu: NDArray, kappa:
 
 
 def newton(
-    q: Quadratic, b: NDArray, s: Feasible, start: ActivePoint, *, prox: Prox | None = None, cap: int = CAP,
+    q: Quadratic, b: Array, s: Feasible, start: ActivePoint, *, prox: Prox | None = None, cap: int = CAP,
     tight: float = TIGHT,
 ) -> ActivePoint:  # fmt: skip
     """Semismooth Newton from a start; the best point that it saw if it does not converge."""
@@ -225,7 +228,7 @@ def newton(
     return ActivePoint(h, nu, kappa, error, start.steps + steps, "active set", error <= GOOD, aim)
 
 
-def _rows(s: Feasible, active: NDArray, h: NDArray) -> tuple[NDArray, NDArray]:
+def _rows(s: Feasible, active: Index, h: Array) -> tuple[Array, Array]:
     """Rows that hold, and what `h` lacks in each."""
     if not len(active):
         return s.equal.matrix, s.equal.value - s.equal.matrix @ h if len(s.equal) else np.zeros(0)
@@ -233,7 +236,7 @@ def _rows(s: Feasible, active: NDArray, h: NDArray) -> tuple[NDArray, NDArray]:
     return C, np.concatenate([s.equal.value, s.below.value[active]]) - C @ h
 
 
-def _homotopy(q: Quadratic, b: NDArray, s: Feasible, start: ActivePoint) -> ActivePoint:
+def _homotopy(q: Quadratic, b: Array, s: Feasible, start: ActivePoint) -> ActivePoint:
     """Proximal steps: from a well-conditioned neighbour to the problem itself, each run warm."""
     weight, shrink, here, steps = 0.1, 10.0, replace(start, steps=0), 0
     centre = here.h
@@ -258,7 +261,7 @@ def _homotopy(q: Quadratic, b: NDArray, s: Feasible, start: ActivePoint) -> Acti
     )
 
 
-def interior_point(quadratic: Quadratic, b: NDArray, feasible: Feasible) -> ActivePoint | None:
+def interior_point(quadratic: Quadratic, b: Array, feasible: Feasible) -> ActivePoint | None:
     """Solution by clarabel in scaled unknowns, moved into the intervals and cones; None if it fails."""
     w = np.sqrt(quadratic.tau)
     right = (b @ quadratic.A) * w

@@ -20,6 +20,9 @@ from numpy.typing import NDArray
 from ..statespace.record import Record
 from .normal import SLACK
 
+Array = NDArray[np.float64]
+Index = NDArray[np.int_]
+
 LOADS = 48  # loads of a block: small factors are cheap, and the steps from block to block few
 PADDING = -1  # kind of a sample behind the end of the record
 
@@ -44,18 +47,18 @@ class CondensedRecord:
         States that start free.
     """
 
-    pattern: NDArray[np.int_]
-    members: tuple[NDArray[np.int_], ...]
-    Phi: NDArray[np.float64]
-    Gamma: NDArray[np.float64]
-    Oy: NDArray[np.float64]
-    Ty: NDArray[np.float64]
-    Ow: NDArray[np.float64]
-    Tw: NDArray[np.float64]
-    y: NDArray[np.float64]
+    pattern: Index
+    members: tuple[Index, ...]
+    Phi: Array
+    Gamma: Array
+    Oy: Array
+    Ty: Array
+    Ow: Array
+    Tw: Array
+    y: Array
     samples: int
     p: int
-    free: NDArray[np.int_]
+    free: Index
 
     @property
     def count(self) -> int:
@@ -65,31 +68,31 @@ class CondensedRecord:
     @property
     def n(self) -> int:
         """States."""
-        return self.Phi.shape[1]
+        return int(self.Phi.shape[1])
 
     @property
     def width(self) -> int:
         """Loads of a block, b p."""
-        return self.Gamma.shape[2]
+        return int(self.Gamma.shape[2])
 
-    def each(self, matrices: NDArray, vectors: NDArray) -> NDArray[np.float64]:
+    def each(self, matrices: Array, vectors: Array) -> Array:
         """Product of the matrix of each block's pattern (patterns, i, j) with the block's vector (blocks, j)."""
         out = np.empty((self.count, matrices.shape[1]))
         for matrix, rows in zip(matrices, self.members, strict=True):
             out[rows] = vectors[rows] @ matrix.T
         return out
 
-    def split(self, g: NDArray) -> NDArray[np.float64]:
+    def split(self, g: Array) -> Array:
         """Loads (samples * p,) as (blocks, b p), with zeros behind the end."""
         out = np.zeros(self.count * self.width)
         out[: g.size] = g.reshape(-1)
         return out.reshape(self.count, self.width)
 
-    def join(self, g: NDArray) -> NDArray[np.float64]:
+    def join(self, g: Array) -> Array:
         """Back from (blocks, b p) to (samples * p,)."""
         return g.reshape(-1)[: self.samples * self.p]
 
-    def states(self, start: NDArray, g: NDArray) -> NDArray[np.float64]:
+    def states(self, start: Array, g: Array) -> Array:
         """State at the start of each block and at the end (blocks + 1, n), from the free states and the loads."""
         x = np.zeros((self.count + 1, self.n))
         x[0, self.free] = start
@@ -109,7 +112,7 @@ def cut(record: Record) -> CondensedRecord:
     found, pattern = np.unique(kinds.reshape(count, b), axis=0, return_inverse=True)
     pattern = pattern.reshape(-1)
     X, U = np.broadcast_to(np.eye(n), (len(found), n, n)), np.zeros((len(found), n, b * p))
-    outputs: list[list[NDArray]] = [[], [], [], []]
+    outputs: list[list[Array]] = [[], [], [], []]
     for t in range(b):
         kind, real = np.maximum(found[:, t], 0), (found[:, t] != PADDING)[:, None, None]
         F, G, C, D = record.F[kind], record.G[kind], record.C[kind] * real, record.D[kind] * real
@@ -170,7 +173,7 @@ class BlockNormal:
         return float(np.sum(self.blocks.y**2))
 
     @cached_property
-    def q(self) -> NDArray[np.float64]:
+    def q(self) -> Array:
         """H^T y."""
         return self._adjoint(self.blocks.y, np.zeros((self.blocks.count, self.blocks.width)))
 
@@ -179,26 +182,26 @@ class BlockNormal:
         """Gradient that is rounding."""
         return SLACK * float(np.abs(self.q).max(initial=0.0))
 
-    def apply(self, v: NDArray) -> NDArray[np.float64]:
+    def apply(self, v: Array) -> Array:
         """Q v: states forward, their adjoint backward."""
         return self._adjoint(*self._images(v))
 
-    def gradient(self, v: NDArray) -> NDArray[np.float64]:
+    def gradient(self, v: Array) -> Array:
         """Q v - q, with the residual formed first: nothing that large numbers would hide is lost."""
         response, rough = self._images(v)
         return self._adjoint(response - self.blocks.y, rough)
 
-    def _images(self, v: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _images(self, v: Array) -> tuple[Array, Array]:
         """H v and L v, block by block."""
         B, g = self.blocks, self.blocks.split(v[self.start :])
         x = B.states(v[: self.start], g)[:-1]
         return B.each(B.Oy, x) + B.each(B.Ty, g), B.each(B.Ow, x) + B.each(B.Tw, g)
 
-    def _adjoint(self, response: NDArray, rough: NDArray) -> NDArray[np.float64]:
+    def _adjoint(self, response: Array, rough: Array) -> Array:
         """H^T response + lambda^2 L^T rough."""
         B = self.blocks
 
-        def of(seen: NDArray, counted: NDArray) -> NDArray:
+        def of(seen: Array, counted: Array) -> Array:
             back = B.each(seen.transpose(0, 2, 1), response)
             return back + self.lam**2 * B.each(counted.transpose(0, 2, 1), rough)
 
@@ -208,23 +211,23 @@ class BlockNormal:
         g = of(B.Ty, B.Tw) + B.each(B.Gamma.transpose(0, 2, 1), mu[1:])
         return np.concatenate([mu[0, B.free], B.join(g)])
 
-    def factor(self, weight: NDArray | None = None) -> BlockFactor:
+    def factor(self, weight: Array | None = None) -> BlockFactor:
         """Factors of ``Q + diag(weight)``; where the weight is infinite, the unknown is held at 0."""
         return BlockFactor(self, self._weights(weight))
 
-    def norms(self, v: NDArray) -> tuple[float, float]:
+    def norms(self, v: Array) -> tuple[float, float]:
         """Squared norms of ``y - H v`` and of ``L v``."""
         response, rough = self._images(v)
         return float(np.sum((self.blocks.y - response) ** 2)), float(np.sum(rough**2))
 
-    def _weights(self, weight: NDArray | None) -> NDArray[np.float64]:
+    def _weights(self, weight: Array | None) -> Array:
         """Weights (blocks, b p), infinite behind the end of the record."""
         B = self.blocks
         d = np.full(B.count * B.width, np.inf)
         d[: B.samples * B.p] = 0.0 if weight is None else weight[self.start :]
         return d.reshape(B.count, B.width)
 
-    def scaled(self, d: NDArray) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64]]]:
+    def scaled(self, d: Array) -> Iterator[tuple[slice, Array, Array]]:
         """Some blocks after others: ``t (Hgg + diag(d)) t``, of unit diagonal, and t (0 where a load is held)."""
         for a in range(0, self.blocks.count, CHUNK):
             part = slice(a, a + CHUNK)
@@ -246,7 +249,7 @@ class BlockFactor:
         P_j = Hxx - Hgx^T S Hgx + A^T P Z,    Z = (I + c P)^-1 A,    x_{j+1} = Z x_j + (I + c P)^-1 (Gamma S r_j + c v).
     """
 
-    def __init__(self, normal: BlockNormal, d: NDArray) -> None:
+    def __init__(self, normal: BlockNormal, d: Array) -> None:
         from scipy.linalg.lapack import dgesv
 
         self.normal, self.d = normal, d
@@ -269,7 +272,7 @@ class BlockFactor:
             P = J[j] + A[j].T @ (self.P[j + 1] @ self.Z[j])
             self.P[j] = (P + P.T) / 2
 
-    def solve(self, r: NDArray) -> NDArray[np.float64]:
+    def solve(self, r: Array) -> Array:
         """Solution v (size,) of ``(Q + diag(weight)) v = r``."""
         N, B, n = self.normal, self.normal.blocks, self.normal.blocks.n
         own, Sr = B.split(r[N.start :]), np.empty((B.count, B.width))
@@ -291,12 +294,12 @@ class BlockFactor:
         return np.concatenate([x[0, f], B.join(g)])
 
 
-def _times(matrices: NDArray, vectors: NDArray) -> NDArray[np.float64]:
+def _times(matrices: Array, vectors: Array) -> Array:
     """Product of each matrix with its vector."""
     return (matrices @ vectors[:, :, None])[:, :, 0]
 
 
-def gram(A: NDArray, B: NDArray) -> NDArray[np.float64]:
+def gram(A: Array, B: Array) -> Array:
     """Inner products of the columns of A and of B, pattern by pattern."""
     return A.transpose(0, 2, 1) @ B
 
@@ -314,7 +317,7 @@ class FaceCovariance:
         Stat. 28 (2000) 1083).
     """
 
-    variance: NDArray[np.float64]
+    variance: Array
     edf: float
 
 

@@ -12,14 +12,16 @@ from structures.errors import NotIdentifiable
 
 from .feasible import Feasible
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True, eq=False)
 class ConicAnswer:
     """Status, unknowns and multipliers of the rows of the standard form, as the solver gave them."""
 
     status: str
-    x: NDArray[np.float64]
-    dual: NDArray[np.float64]
+    x: Array
+    dual: Array
 
     @property
     def solved(self) -> bool:
@@ -32,7 +34,7 @@ class ConicAnswer:
         return self.status in ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
 
-def minimum(P: NDArray, c: NDArray, s: Feasible, w: NDArray, size: float, tol: float = 1e-11) -> ConicAnswer:
+def minimum(P: Array, c: Array, s: Feasible, w: Array, size: float, tol: float = 1e-11) -> ConicAnswer:
     """Min 1/2 x^T P x + c^T x over the set, unknowns h = size * w * x."""
     import clarabel
     import scipy.sparse as sp
@@ -47,7 +49,7 @@ def minimum(P: NDArray, c: NDArray, s: Feasible, w: NDArray, size: float, tol: f
     return ConicAnswer(str(found.status).rsplit(".", 1)[-1], np.asarray(found.x), np.asarray(found.z))
 
 
-def _standard_form(s: Feasible) -> tuple[Any, NDArray, list[Any]]:
+def _standard_form(s: Feasible) -> tuple[Any, Array, list[Any]]:
     """Rows ``matrix @ h + slack = value`` with the slack in cones: equalities, rows, bounds, facets, round cones."""
     import clarabel
     import scipy.sparse as sp

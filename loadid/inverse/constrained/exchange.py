@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 
 from .normal import NormalFactor, NormalOperator, RecordNormal
 
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
 REFINEMENTS = 2
 
 
-def violation(gradient: NDArray, signed: NDArray) -> NDArray[np.float64]:
+def violation(gradient: Array, signed: Mask) -> Array:
     """What the gradient lacks to be that of a minimum: it is >= 0 where a load may only push, 0 elsewhere."""
     return np.where(signed, np.maximum(-gradient, 0.0), -gradient)
 
 
-def gap(normal: RecordNormal, free: NormalFactor, v: NDArray, gradient: NDArray, signed: NDArray) -> float:
+def gap(normal: RecordNormal, free: NormalFactor, v: Array, gradient: Array, signed: Mask) -> float:
     """Objective at v (>= 0 where signed) minus a lower bound of its minimum, over ``|y|^2 / 2``.
 
     The dual of ``min v^T Q v / 2 - q^T v + |y|^2 / 2, v >= 0`` (Wolfe) is to maximise ``|y|^2 / 2 - u^T Q u / 2`` over
@@ -55,15 +58,15 @@ FEW = 10  # unknowns on the wrong side that are worth every patience
 class Exchanged:
     """Where the exchange stands: unknowns, gradient, held unknowns, whether none is on the wrong side, steps."""
 
-    v: NDArray[np.float64]
-    gradient: NDArray[np.float64]
-    held: NDArray[np.bool_]
+    v: Array
+    gradient: Array
+    held: Mask
     settled: bool
     steps: int
 
 
 def exchange(
-    normal: NormalOperator, lower: NDArray, upper: NDArray | None, low: NDArray, high: NDArray | None = None, *,
+    normal: NormalOperator, lower: Array, upper: Array | None, low: Mask, high: Mask | None = None, *,
     step: Callable[[], None] = lambda: None, pace: float | None = None, patience: int = PATIENCE, eager: float = 0.0,
     cap: int = CAP,
 ) -> Exchanged:  # fmt: skip
@@ -127,7 +130,7 @@ def exchange(
             )
 
 
-def on_face(normal: NormalOperator, held: NDArray, fixed: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def on_face(normal: NormalOperator, held: Mask, fixed: Array) -> tuple[Array, Array]:
     """Minimum where the held unknowns are `fixed`, refined, and its gradient."""
     factor, right = normal.factor(np.where(held, np.inf, 0.0)), normal.q
     if np.any(fixed):
@@ -153,13 +156,13 @@ TIGHT = 1e-11  # complementarity, relative to |y|^2 / 2
 class Inside:
     """Unknowns, multipliers (0 where the sign is free), steps."""
 
-    v: NDArray[np.float64]
-    s: NDArray[np.float64]
+    v: Array
+    s: Array
     steps: int
 
 
 def interior(
-    normal: RecordNormal, signed: NDArray, start: NDArray, step: Callable[[], None], *, cap: int = INTERIOR_CAP
+    normal: RecordNormal, signed: Mask, start: Array, step: Callable[[], None], *, cap: int = INTERIOR_CAP
 ) -> Inside:
     """Predictor-corrector steps (Mehrotra, SIAM J. Optim. 2 (1992) 575) from an unconstrained solution.
 
@@ -195,7 +198,7 @@ def interior(
     return Inside(v, s, steps)
 
 
-def _reach(v: NDArray, dv: NDArray, signed: NDArray) -> float:
+def _reach(v: Array, dv: Array, signed: Mask) -> float:
     """Largest step, at most 1 / NEAR, that keeps v positive where signed."""
     falling = signed & (dv < 0)
     return float(min(1 / NEAR, np.min(-v[falling] / dv[falling], initial=np.inf)))
@@ -204,9 +207,7 @@ def _reach(v: NDArray, dv: NDArray, signed: NDArray) -> float:
 REPORT = 100  # steps between two reports
 
 
-def projected(
-    normal: RecordNormal, signed: NDArray, start: NDArray, steps: int, report: Callable[[], None]
-) -> NDArray[np.float64]:
+def projected(normal: RecordNormal, signed: Mask, start: Array, steps: int, report: Callable[[], None]) -> Array:
     """Unknowns after some steps of FISTA with restart, >= 0 where signed.
 
     Beck & Teboulle, SIAM J. Imaging Sci. 2 (2009) 183; O'Donoghue & Candes, Found. Comput. Math. 15 (2015) 715.

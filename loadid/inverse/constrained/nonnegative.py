@@ -32,6 +32,9 @@ from .condensed import BlockNormal, CondensedRecord, FaceCovariance, cut, face_c
 from .exchange import Exchanged, exchange, gap, interior, projected
 from .normal import ConvolvedNormal, NormalFactor, RecordNormal
 
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
 CONVERGED = 1e-6  # relative duality gap of a solution
 ROUNDING = 1e-12  # gap at which loads that still change sides do so by rounding
 PACE = 0.7  # loads on the wrong side must fall at this rate; else the interior-point method is faster
@@ -67,9 +70,9 @@ class NonNegativeSolution:
         States of the model and of the load at the first sample, those that were unknown.
     """
 
-    load: NDArray[np.float64]
-    held: NDArray[np.bool_]
-    multiplier: NDArray[np.float64]
+    load: Array
+    held: Mask
+    multiplier: Array
     gap: float
     converged: bool
     steps: int
@@ -77,7 +80,7 @@ class NonNegativeSolution:
     residual2: float
     penalty2: float
     lam: float
-    start: NDArray[np.float64]
+    start: Array
 
 
 class NonNegativeRecord:
@@ -109,7 +112,7 @@ class NonNegativeRecord:
 
     @classmethod
     def convolved(
-        cls, h: NDArray, y: NDArray, penalty: str = "identity", *, weight: NDArray | None = None,
+        cls, h: Array, y: Array, penalty: str = "identity", *, weight: Array | None = None,
         signed: ArrayLike | None = None,
     ) -> NonNegativeRecord:  # fmt: skip
         """A record behind impulse responses: the same answers by FFT products and conjugate gradients.
@@ -189,7 +192,7 @@ class NonNegativeRecord:
             found.v[: normal.start],
         )  # fmt: skip
 
-    def face_covariance(self, lam: float, held: NDArray | None = None) -> FaceCovariance:
+    def face_covariance(self, lam: float, held: Mask | None = None) -> FaceCovariance:
         """Variance at unit noise and degrees of freedom with the `held` loads (samples, loads) held; None: none.
 
         With the held loads of a solution this is what noise moves while the active set stays as it is. Without any it
@@ -217,17 +220,15 @@ class NonNegativeRecord:
 class Minimum:
     """Unknowns, gradient, held unknowns, relative duality gap, factorisations, and what solved it."""
 
-    v: NDArray[np.float64]
-    gradient: NDArray[np.float64]
-    held: NDArray[np.bool_]
+    v: Array
+    gradient: Array
+    held: Mask
     gap: float
     steps: int
     solver: str
 
 
-def minimise(
-    normal: RecordNormal, signed: NDArray, held: NDArray | None = None, progress: Progress | None = None
-) -> Minimum:
+def minimise(normal: RecordNormal, signed: Mask, held: Mask | None = None, progress: Progress | None = None) -> Minimum:
     """Minimum of ``v^T Q v / 2 - q^T v`` with v >= 0 where `signed`.
 
     Loads change between free and held as long as that goes fast. Else an interior-point method (where factors are
@@ -249,8 +250,8 @@ def minimise(
 def _from_inside(
     normal: RecordNormal,
     unbounded: NormalFactor,
-    signed: NDArray,
-    free: NDArray,
+    signed: Mask,
+    free: Array,
     first: Exchanged,
     report: Callable[[], None],
 ) -> list[Minimum]:
@@ -269,8 +270,8 @@ def _from_inside(
 def _by_gradient(
     normal: RecordNormal,
     unbounded: NormalFactor,
-    signed: NDArray,
-    free: NDArray,
+    signed: Mask,
+    free: Array,
     first: Exchanged,
     report: Callable[[], None],
 ) -> list[Minimum]:
@@ -289,7 +290,7 @@ def _by_gradient(
     return found
 
 
-def _unconstrained(normal: RecordNormal) -> tuple[NormalFactor, NDArray[np.float64]]:
+def _unconstrained(normal: RecordNormal) -> tuple[NormalFactor, Array]:
     """Factors of Q and the minimum without signs."""
     try:
         with np.errstate(all="ignore"):  # judged by what comes out
@@ -306,7 +307,7 @@ def _unconstrained(normal: RecordNormal) -> tuple[NormalFactor, NDArray[np.float
 
 
 def _certified(
-    normal: RecordNormal, free: NormalFactor, signed: NDArray, found: Exchanged, steps: int, solver: str
+    normal: RecordNormal, free: NormalFactor, signed: Mask, found: Exchanged, steps: int, solver: str
 ) -> Minimum:
     """A point made admissible, with its gap; no load at all where rounding has made it none."""
     finite = bool(np.all(np.isfinite(found.v)))
@@ -328,7 +329,7 @@ def _reporter(progress: Progress | None) -> Callable[[], None]:
     return report
 
 
-def _loads(signed: ArrayLike | None, p: int) -> NDArray[np.bool_]:
+def _loads(signed: ArrayLike | None, p: int) -> Mask:
     """Mask (loads,) of the loads that only push."""
     if signed is None:
         return np.ones(p, bool)

@@ -16,13 +16,15 @@ from ..convolved.pcg import Circulant
 from ..penalties import stencil
 from .quadratic import Quadratic
 
+Array = NDArray[np.float64]
+
 SLACK = 1e-13  # of the largest H^T y: gradient that is rounding
 
 
 class NormalFactor(Protocol):
     """Solves with one matrix."""
 
-    def solve(self, r: NDArray) -> NDArray[np.float64]:
+    def solve(self, r: Array) -> Array:
         """Solution v (size,)."""
         ...
 
@@ -38,24 +40,24 @@ class NormalOperator(Protocol):
         ...
 
     @property
-    def q(self) -> NDArray[np.float64]:
+    def q(self) -> Array:
         """H^T y, shape (size,)."""
         ...
 
     @property
-    def slack(self) -> float | NDArray[np.float64]:
+    def slack(self) -> float | Array:
         """Gradient that is rounding, of all unknowns or of each."""
         ...
 
-    def apply(self, v: NDArray) -> NDArray[np.float64]:
+    def apply(self, v: Array) -> Array:
         """Q v, from H v and L v."""
         ...
 
-    def gradient(self, v: NDArray) -> NDArray[np.float64]:
+    def gradient(self, v: Array) -> Array:
         """Q v - q, from the residual ``H v - y`` and L v."""
         ...
 
-    def factor(self, weight: NDArray | None = None) -> NormalFactor:
+    def factor(self, weight: Array | None = None) -> NormalFactor:
         """Factors of ``Q + diag(weight)``; where the weight (size,) is infinite, the unknown is held at 0."""
         ...
 
@@ -80,7 +82,7 @@ class RecordNormal(NormalOperator, Protocol):
         """Squared norm of the whitened data."""
         ...
 
-    def norms(self, v: NDArray) -> tuple[float, float]:
+    def norms(self, v: Array) -> tuple[float, float]:
         """Squared norms of ``y - H v`` and of ``L v``."""
         ...
 
@@ -90,19 +92,19 @@ class DenseNormal:
 
     precision = 1.0
 
-    def __init__(self, quadratic: Quadratic, b: NDArray) -> None:
+    def __init__(self, quadratic: Quadratic, b: Array) -> None:
         self.G, self.size, self.q = quadratic.G, quadratic.n, b @ quadratic.A
         self.slack = 0.1 * SLACK * float(np.linalg.norm(b)) / np.sqrt(quadratic.tau)
 
-    def apply(self, v: NDArray) -> NDArray[np.float64]:
+    def apply(self, v: Array) -> Array:
         """G v."""
         return self.G @ v
 
-    def gradient(self, v: NDArray) -> NDArray[np.float64]:
+    def gradient(self, v: Array) -> Array:
         """G v - q."""
-        return self.G @ v - self.q
+        return np.asarray(self.G @ v - self.q)
 
-    def factor(self, weight: NDArray | None = None) -> CholeskyFactor:
+    def factor(self, weight: Array | None = None) -> CholeskyFactor:
         """Factors of ``G + diag(weight)``; where the weight is infinite, the unknown is held at 0."""
         return CholeskyFactor(self.G, np.zeros(self.size) if weight is None else weight)
 
@@ -110,19 +112,20 @@ class DenseNormal:
 class CholeskyFactor:
     """Cholesky factor of the rows and columns whose weight is finite; LinAlgError where they are not definite."""
 
-    def __init__(self, G: NDArray, weight: NDArray) -> None:
+    def __init__(self, G: Array, weight: Array) -> None:
         from scipy.linalg import lapack
 
         self.free = np.flatnonzero(np.isfinite(weight))
         M = G.take(self.free, axis=0).take(self.free, axis=1).T  # symmetric: the transpose is in the order of LAPACK
-        M[np.arange(len(M)), np.arange(len(M))] += weight[self.free]
+        if np.any(weight[self.free]):
+            M[np.arange(len(M)), np.arange(len(M))] += weight[self.free]
         if len(M):
             M, info = lapack.dpotrf(M, overwrite_a=1, clean=0)
             if info:
                 raise np.linalg.LinAlgError("not positive definite")
         self.lower = M
 
-    def solve(self, r: NDArray) -> NDArray[np.float64]:
+    def solve(self, r: Array) -> Array:
         """Solution (size,), 0 where held."""
         from scipy.linalg import lapack
 
@@ -152,14 +155,14 @@ class ConvolvedNormal:
     start = 0
     direct, precision = False, 1e-9
 
-    def __init__(self, operator: PenalizedConvolution, y: NDArray, lam: float) -> None:
+    def __init__(self, operator: PenalizedConvolution, y: Array, lam: float) -> None:
         self.operator, self.lam = operator, float(lam)
         self.y = np.ascontiguousarray(y.T)[None]
 
     @property
     def size(self) -> int:
         """Samples times loads."""
-        return self.operator.samples * self.operator.loads
+        return int(self.operator.samples * self.operator.loads)
 
     @cached_property
     def data2(self) -> float:
@@ -167,7 +170,7 @@ class ConvolvedNormal:
         return float(np.sum(self.y**2))
 
     @cached_property
-    def q(self) -> NDArray[np.float64]:
+    def q(self) -> Array:
         """H^T y."""
         return self._flat(self.operator.correlate(self.y))
 
@@ -176,22 +179,22 @@ class ConvolvedNormal:
         """Gradient that is rounding."""
         return SLACK * float(np.abs(self.q).max(initial=0.0))
 
-    def apply(self, v: NDArray) -> NDArray[np.float64]:
+    def apply(self, v: Array) -> Array:
         """Q v."""
         g = self._loads(v)
         return self._back(self.operator.convolve(g), g)
 
-    def gradient(self, v: NDArray) -> NDArray[np.float64]:
+    def gradient(self, v: Array) -> Array:
         """Q v - q, with the residual formed first."""
         g = self._loads(v)
         return self._back(self.operator.convolve(g) - self.y, g)
 
-    def norms(self, v: NDArray) -> tuple[float, float]:
+    def norms(self, v: Array) -> tuple[float, float]:
         """Squared norms of ``y - H v`` and of ``L v``."""
         g = self._loads(v)
         return float(np.sum((self.y - self.operator.convolve(g)) ** 2)), float(np.sum(self.operator.rough(g) ** 2))
 
-    def factor(self, weight: NDArray | None = None) -> ConvolvedFactor:
+    def factor(self, weight: Array | None = None) -> ConvolvedFactor:
         """What solves with ``Q + diag(weight)``; where the weight is infinite, the unknown is held at 0."""
         return ConvolvedFactor(self, np.zeros(self.size) if weight is None else weight)
 
@@ -200,7 +203,7 @@ class ConvolvedNormal:
         """Preconditioner of Q."""
         return Circulant(self.operator, self.lam)
 
-    def precondition(self, r: NDArray) -> NDArray[np.float64]:
+    def precondition(self, r: Array) -> Array:
         """Q^-1 r of an unending record."""
         return self._flat(self.circulant.solve(self._loads(r)))
 
@@ -212,20 +215,20 @@ class ConvolvedNormal:
         return weight * float(np.max(np.sum(np.abs(o.spectrum) ** 2, axis=(0, 1)))) + self.lam**2 * 4.0**o.order
 
     @cached_property
-    def diagonal(self) -> NDArray[np.float64]:
+    def diagonal(self) -> Array:
         """Diagonal of Q of an unending record, one number for each load, for every unknown."""
         own = np.sum(self.operator.h**2, axis=(0, 2)) + self.lam**2 * np.sum(stencil(self.operator.order) ** 2)
         return np.tile(own, self.operator.samples)
 
-    def _back(self, response: NDArray, g: NDArray) -> NDArray[np.float64]:
+    def _back(self, response: Array, g: Array) -> Array:
         o = self.operator
         return self._flat(o.correlate(response) + self.lam**2 * o.rough_adjoint(o.rough(g)))
 
-    def _loads(self, v: NDArray) -> NDArray[np.float64]:
+    def _loads(self, v: Array) -> Array:
         return np.ascontiguousarray(v.reshape(self.operator.samples, self.operator.loads).T)[None]
 
     @staticmethod
-    def _flat(g: NDArray) -> NDArray[np.float64]:
+    def _flat(g: Array) -> Array:
         return np.ascontiguousarray(g[0].T).reshape(-1)
 
 
@@ -236,13 +239,13 @@ class ConvolvedFactor:
     held stays 0, and where a weight rules, it is divided by.
     """
 
-    def __init__(self, normal: ConvolvedNormal, weight: NDArray) -> None:
+    def __init__(self, normal: ConvolvedNormal, weight: Array) -> None:
         self.normal = normal
         self.t = np.sqrt(normal.diagonal / (normal.diagonal + weight))
         self.weight = np.where(np.isinf(weight), 0.0, weight)
         self.open = np.isfinite(weight)
 
-    def solve(self, r: NDArray) -> NDArray[np.float64]:
+    def solve(self, r: Array) -> Array:
         """Solution v (size,) of ``(Q + diag(weight)) v = r``, to the tolerance or to what the iterations reach."""
         r = np.where(self.open, r, 0.0)
         v, z = np.zeros(len(r)), self._precondition(r)
@@ -259,5 +262,5 @@ class ConvolvedFactor:
             d = z + energy / before * d
         return v
 
-    def _precondition(self, r: NDArray) -> NDArray[np.float64]:
+    def _precondition(self, r: Array) -> Array:
         return self.t * self.normal.precondition(self.t * r)

@@ -23,6 +23,8 @@ from .feasible import Feasible, compile_
 from .quadratic import ActiveFace
 from .solver import ConstrainedSolution, ConstrainedSolver, grams, resultants_of, soft, soft_values, whitening
 
+Array = NDArray[np.float64]
+
 __all__ = [
     "ConstrainedPath",
     "ConstrainedSolution",
@@ -46,13 +48,13 @@ class Tangent:
         Norm of lambda dg/dlambda.
     """
 
-    loads: NDArray[np.float64]
-    data: NDArray[np.float64]
-    other: NDArray[np.float64]
+    loads: Array
+    data: Array
+    other: Array
     sensitivity: float
 
     @classmethod
-    def of(cls, solver: ConstrainedSolver, y: NDArray, p: ActivePoint, s: Feasible) -> Tangent:
+    def of(cls, solver: ConstrainedSolver, y: Array, p: ActivePoint, s: Feasible) -> Tangent:
         """At the solution of one vector of data."""
         q = solver.quadratic
         push = (q.A @ p.h - solver.compress(y)[0]) @ q.A + p.nu @ s.equal.matrix + p.kappa @ s.below.matrix
@@ -154,7 +156,7 @@ class ConstrainedPath(RegularizationPath):
         self._columns = y[:, None] if y.ndim == 1 else y
         self._points: dict[float, tuple[ActivePoint, ...]] = {}
         self._solvers: OrderedDict[float, ConstrainedSolver] = OrderedDict()
-        self._known: dict[float, NDArray[np.float64]] = {}  # scalars: several rules and guards sweep the same lambdas
+        self._known: dict[float, Array] = {}  # scalars: several rules and guards sweep the same lambdas
 
     # -- the contract -------------------------------------------------------------------------------------------------
     @property
@@ -186,7 +188,7 @@ class ConstrainedPath(RegularizationPath):
             rows[:, k] = self._known[value]
         return PathPoint(**dict(zip(SCALARS, rows if lam.ndim else rows[:, 0], strict=True)))
 
-    def residual(self, lam: float) -> NDArray[np.float64]:
+    def residual(self, lam: float) -> Array:
         """Whitened residual y - H g of the sensors, in the layout of the data."""
         problem = self.path.problem
         g = np.stack([self._load(p) for p in self._solved(lam)], axis=1)
@@ -205,7 +207,7 @@ class ConstrainedPath(RegularizationPath):
         faces = [self._tangent(lam, k) for k in range(len(self._columns.T))]
         return Solution(load, posterior(faces, sigma, self.path.problem.shape, self.path.problem.frames))
 
-    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+    def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load` (and its own soft resultants)."""
         g = np.asarray(load, float).reshape(-1, self.path.problem.H.shape[1])
         prepared = self._solver(lam)
@@ -229,7 +231,7 @@ class ConstrainedPath(RegularizationPath):
         """Solver at relative `lam` for other whitened data, one after another: ``.solve(y, warm=previous)``."""
         return self._solver(lam)
 
-    def sample(self, lam: float, sigma: float, draws: int = 200, *, seed: int = 0) -> NDArray[np.float64]:
+    def sample(self, lam: float, sigma: float, draws: int = 200, *, seed: int = 0) -> Array:
         """Loads drawn by randomise-then-optimise: noise and prior are perturbed, the problem is solved anew, warm.
 
         Every draw meets the constraints, so that bands from it are one-sided where they must be. Without active
@@ -264,7 +266,7 @@ class ConstrainedPath(RegularizationPath):
         return self._solvers[lam]
 
     @cached_property
-    def _grams(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _grams(self) -> tuple[Array, Array]:
         return grams(self.base, self.feasible)
 
     def _solved(self, lam: float) -> tuple[ActivePoint, ...]:
@@ -285,14 +287,14 @@ class ConstrainedPath(RegularizationPath):
         self._points[lam] = tuple(points)
         return self._points[lam]
 
-    def _load(self, p: ActivePoint) -> NDArray[np.float64]:
+    def _load(self, p: ActivePoint) -> Array:
         return self.feasible.to_global(p.h)
 
     def _tangent(self, lam: float, frame: int) -> Tangent:
         inside = self._sets[min(frame, len(self._sets) - 1)]
         return Tangent.of(self._solver(lam), self._columns[:, frame], self._solved(lam)[frame], inside)
 
-    def _scalars(self, lam: float) -> NDArray[np.float64]:
+    def _scalars(self, lam: float) -> Array:
         """Residual, penalty, edf, tr A^2, left, rest2, rest4, sensitivity, objective, summed over the frames."""
         problem, total, change2 = self.base.problem, np.zeros(9), 0.0
         absolute2 = (lam * float(self.scale)) ** 2

@@ -69,7 +69,7 @@ def over(
 ALIKE = 1e-3  # relative difference of impulse responses, up to a factor, below which no data tell them apart
 
 
-def difference(h: NDArray) -> NDArray[np.float64]:
+def difference(h: Array) -> Array:
     """Smallest relative difference ``min_c |h_i - c h_j| / |h_i|`` of the responses of each pair, (loads, loads).
 
     Parameters
@@ -80,10 +80,10 @@ def difference(h: NDArray) -> NDArray[np.float64]:
     flat = h.reshape(-1, h.shape[2])
     unit = flat / np.linalg.norm(flat, axis=0)
     cosine = np.einsum("ki,kj->ij", unit, unit)
-    return np.sqrt(np.maximum(1 - cosine**2, 0.0))
+    return np.asarray(np.sqrt(np.maximum(1 - cosine**2, 0.0)))
 
 
-def groups(h: NDArray, near: NDArray | None = None, tolerance: float = ALIKE) -> tuple[tuple[int, ...], ...]:
+def groups(h: Array, near: Mask | None = None, tolerance: float = ALIKE) -> tuple[tuple[int, ...], ...]:
     """Groups of candidates at different places that leave the same data.
 
     Parameters
@@ -104,13 +104,15 @@ def groups(h: NDArray, near: NDArray | None = None, tolerance: float = ALIKE) ->
     return tuple(found)
 
 
-def _components(linked: NDArray) -> NDArray[np.int_]:
+def _components(linked: Mask) -> Index:
     from scipy.sparse.csgraph import connected_components
 
     return np.asarray(connected_components(linked, directed=False)[1])
 
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int_]
 PRECISE, EXACT = 1e-9, 1e-8  # relative gradient at which conjugate gradients stop, and that of an exact fit
 CAP = 3000  # their steps at most
 NORM = 1e-4  # relative accuracy of the largest singular value of an operator

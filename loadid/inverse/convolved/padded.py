@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Lines = NDArray[np.complex128]
 
 
-def decomposed(H: NDArray, Y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
+def decomposed(H: Array, Y: Array) -> tuple[Array, Array, Array, Array, Array]:
     """Batched SVD of whitened lines.
 
     Parameters
@@ -65,13 +65,13 @@ class SpectralPath(FactoredPath):
 
     def __init__(
         self,
-        H: NDArray,
-        y: NDArray,
-        power: NDArray,
+        H: Array,
+        y: Array,
+        power: Array,
         *,
         penalty: str = "identity",
-        variance: NDArray | None = None,
-        excess: NDArray | None = None,
+        variance: Array | None = None,
+        excess: Array | None = None,
         truncated: bool = False,
     ) -> None:
         self.samples, sensors = y.shape
@@ -112,7 +112,7 @@ class SpectralPath(FactoredPath):
         self.shape = (lines, modes)
         self.unknowns = self.samples * loads
 
-    def _refuse_unseen_constant(self, c: NDArray) -> None:
+    def _refuse_unseen_constant(self, c: Array) -> None:
         least = float(c[0].min() / c.max()) if c.shape[1] == self.H.shape[2] and c.max() > 0 else 0.0
         if least <= c.size * np.finfo(float).eps:
             raise NotIdentifiable(
@@ -128,14 +128,14 @@ class SpectralPath(FactoredPath):
         seen = self.c > self.c.size * np.finfo(float).eps * self.c.max()
         return round(float(np.sum(self.weight[seen])))
 
-    def spectrum(self, lam: float) -> NDArray[np.complex128]:
+    def spectrum(self, lam: float) -> Lines:
         """Load spectrum (lines, loads) of the padded transform."""
-        return np.sqrt(self.samples) * np.einsum("klr,kr->kl", self.V, self.gains(lam).reshape(self.shape))
+        return np.asarray(np.sqrt(self.samples) * np.einsum("klr,kr->kl", self.V, self.gains(lam).reshape(self.shape)))
 
-    def residual(self, lam: float) -> NDArray[np.float64]:
+    def residual(self, lam: float) -> Array:
         """Whitened residual (samples, sensors), unit variance where the noise level is right."""
         lines = self.Y - np.einsum("ksl,kl->ks", self.H, self.spectrum(lam) / np.sqrt(self.samples))
-        return fft.irfft(lines, self.padded, axis=0)[: self.samples] * np.sqrt(self.samples)
+        return np.asarray(fft.irfft(lines, self.padded, axis=0)[: self.samples] * np.sqrt(self.samples))
 
     def solution(self, lam: float, sigma: float | None) -> Solution:
         """Load history (samples, loads) and its posterior, FRF variance included."""
@@ -145,13 +145,13 @@ class SpectralPath(FactoredPath):
             return Solution(load, None)
         return Solution(load, SpectralPosterior(self._covariance(lam, sigma, G), self.samples, self.padded))
 
-    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+    def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
         f = self._filter(np.array([lam]))[0].reshape(self.shape)
         modal = np.einsum("klr,kl->kr", self.V.conj(), fft.rfft(load, self.padded, axis=0))
-        return fft.irfft(np.einsum("klr,kr->kl", self.V, f * modal), self.padded, axis=0)[: self.samples]
+        return np.asarray(fft.irfft(np.einsum("klr,kr->kl", self.V, f * modal), self.padded, axis=0)[: self.samples])
 
-    def _covariance(self, lam: float, sigma: float, G: NDArray) -> NDArray:
+    def _covariance(self, lam: float, sigma: float, G: Lines) -> Lines:
         """Covariance (lines, loads, loads) of the load spectrum: noise, prior and FRF variance."""
         c = self.c.reshape(self.shape)
         if self.smooth:
@@ -169,11 +169,11 @@ class SpectralPath(FactoredPath):
             C = C + self.samples * sigma**2 * rest / np.maximum(prior, np.finfo(float).tiny)[..., None]
         spread = self._model_error(G, C)
         if spread is None:
-            return C
+            return np.asarray(C)
         Q = np.sqrt(self.samples) * np.einsum("kir,kr,ksr->kis", self.V, gain, self.U.conj())
-        return C + np.einsum("kis,ks,kjs->kij", Q, spread, Q.conj())
+        return np.asarray(C + np.einsum("kis,ks,kjs->kij", Q, spread, Q.conj()))
 
-    def _model_error(self, G: NDArray, C: NDArray) -> NDArray | None:
+    def _model_error(self, G: Lines, C: Lines) -> Array | None:
         """Whitened energy (lines, sensors) that the noise level does not hold: FRF variance and excess."""
         spread = self.excess
         if self.variance is not None:

@@ -21,6 +21,7 @@ from structures.errors import InputError, NotIdentifiable
 from ..convolution import PenalizedConvolution
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int_]
 
 
 class Circulant:
@@ -50,7 +51,7 @@ class Circulant:
             G[i, i] += damping
         self.lower, self.pivots = _factor(G)
 
-    def solve(self, r: NDArray) -> NDArray[np.float64]:
+    def solve(self, r: Array) -> Array:
         """P^-1 r for loads (k, loads, samples)."""
         padded, L, p = self.operator.padded, self.lower, self.operator.loads
         R = fft.rfft(r, padded)
@@ -65,7 +66,7 @@ class Circulant:
         return x[..., : self.operator.samples]
 
 
-def _factor(G: NDArray) -> tuple[NDArray, NDArray]:
+def _factor(G: Array) -> tuple[Array, Array]:
     """Unit lower factors (p, p, lines) and reciprocal pivots (p, lines) of Hermitian matrices, lower half given."""
     p = len(G)
     L, d = np.zeros_like(G), np.empty((p, G.shape[-1]))
@@ -93,7 +94,7 @@ class ModalInverse:
         self.operator, self.lam = operator, lam
         self._X, self._size2 = modes.X, modes.c**2 + (lam * modes.s) ** 2
 
-    def solve(self, r: NDArray) -> NDArray[np.float64]:
+    def solve(self, r: Array) -> Array:
         """A^-1 r for loads (k, loads, samples)."""
         flat = np.swapaxes(r, 1, 2).reshape(len(r), -1)
         found = (flat @ self._X / self._size2) @ self._X.T
@@ -123,9 +124,9 @@ class Sides:
     b : array, shape (k, loads, samples), optional
     """
 
-    y: NDArray | None = None
-    c: NDArray | None = None
-    b: NDArray | None = None
+    y: Array | None = None
+    c: Array | None = None
+    b: Array | None = None
 
     @property
     def count(self) -> int:
@@ -150,9 +151,9 @@ class Reached:
     iterations : int
     """
 
-    x: NDArray[np.float64]
-    r: NDArray[np.float64]
-    q: NDArray[np.float64]
+    x: Array
+    r: Array
+    q: Array
     gradient: float
     iterations: int
 
@@ -189,7 +190,7 @@ def solve(
     q = np.zeros((k, operator.loads, operator.rows)) if sides.c is None else np.array(sides.c, float)
     b = sides.b
 
-    def gradient(live: NDArray) -> NDArray:
+    def gradient(live: Index) -> Array:
         s = operator.correlate(r[live]) + lam * operator.rough_adjoint(q[live])
         return s if b is None else s + b[live]
 
@@ -229,7 +230,7 @@ def solve(
     return Reached(x, r, q, reached, iterations)
 
 
-def refined(operator: PenalizedConvolution, circulant: Circulant, y: NDArray) -> Reached:
+def refined(operator: PenalizedConvolution, circulant: Circulant, y: Array) -> Reached:
     """Solution for data y (1, sensors, samples), corrected from its own residual until the load no longer changes.
 
     A small gradient does not show an error along loads that almost no data and no penalty see (second differences and a
@@ -245,7 +246,7 @@ def refined(operator: PenalizedConvolution, circulant: Circulant, y: NDArray) ->
         return found
     scale, lam, change = float(np.linalg.norm(operator.correlate(y))), circulant.lam, np.inf
 
-    def slope(r: NDArray, q: NDArray) -> float:
+    def slope(r: Array, q: Array) -> float:
         return float(np.linalg.norm(operator.correlate(r) + lam * operator.rough_adjoint(q)))
 
     for _ in range(PASSES):
@@ -272,9 +273,9 @@ def unsettled(found: str) -> NotIdentifiable:
     )  # fmt: skip
 
 
-def _dot(a: NDArray, b: NDArray) -> NDArray[np.float64]:
+def _dot(a: Array, b: Array) -> Array:
     """Inner products of each right side."""
-    return np.einsum("kij,kij->k", a, b)
+    return np.asarray(np.einsum("kij,kij->k", a, b))
 
 
 STEPS = 60
@@ -283,7 +284,7 @@ UNSEEN = 1e-12
 LONG = 1 << 14  # samples beyond which the largest value is extrapolated
 
 
-def free_responses(operator: PenalizedConvolution) -> NDArray[np.float64]:
+def free_responses(operator: PenalizedConvolution) -> Array:
     """Orthonormal responses (count, sensors, samples) to what a difference penalty leaves free.
 
     Raises
@@ -332,8 +333,8 @@ def _largest(operator: PenalizedConvolution) -> float:
     """
     rng, free = np.random.default_rng(0), free_responses(operator)
     v = rng.standard_normal((1, operator.loads, operator.samples - operator.order))
-    V: list[NDArray] = [v / np.linalg.norm(v)]
-    U: list[NDArray] = []
+    V: list[Array] = [v / np.linalg.norm(v)]
+    U: list[Array] = []
     B = np.zeros((STEPS + 1, STEPS))
     before = 0.0
     for k in range(STEPS):
@@ -359,7 +360,7 @@ def _largest(operator: PenalizedConvolution) -> float:
     return before
 
 
-def _without(x: NDArray, basis: NDArray | list[NDArray]) -> NDArray[np.float64]:
+def _without(x: Array, basis: Array | list[Array]) -> Array:
     """The part of x (1, rows, samples) at right angles to orthonormal vectors."""
     for _ in range(2 if len(basis) else 0):
         for q in basis:
@@ -367,14 +368,14 @@ def _without(x: NDArray, basis: NDArray | list[NDArray]) -> NDArray[np.float64]:
     return x
 
 
-def _sum(w: NDArray, order: int) -> NDArray[np.float64]:
+def _sum(w: Array, order: int) -> Array:
     """Load with these differences that starts at zero."""
     for _ in range(order):
         w = np.pad(np.cumsum(w, axis=-1), ((0, 0), (0, 0), (1, 0)))
     return w
 
 
-def _sum_adjoint(g: NDArray, order: int) -> NDArray[np.float64]:
+def _sum_adjoint(g: Array, order: int) -> Array:
     """Transpose of `_sum`."""
     for _ in range(order):
         g = np.cumsum(g[..., :0:-1], axis=-1)[..., ::-1]

@@ -176,7 +176,7 @@ def _chance(model: _Model, solver: HistoryFit, shape: tuple[int, ...]) -> Array:
     """Curvature that unit noise makes by itself, over a few draws of it (fixed, so that two runs agree)."""
     rng = np.random.default_rng(0)
     draws = [_jacobian(model, solver, solver.solve(rng.standard_normal(shape))) for _ in range(PROBES)]
-    return np.mean([np.einsum("ki,kj->ij", J, J) for J in draws], axis=0)
+    return np.asarray(np.mean([np.einsum("ki,kj->ij", J, J) for J in draws], axis=0))
 
 
 SHORTLIST = 5  # candidates that a single fit of the remainder puts first, and that are fitted jointly
@@ -284,7 +284,7 @@ def group_norms(h: Array, y: Array, share: float = SHARE) -> Array:
             pace = 1.0
         faster = (1 + np.sqrt(1 + 4 * pace**2)) / 2
         x, z, pace = new, new + (pace - 1) / faster * (new - x), faster
-    return np.linalg.norm(x, axis=0)
+    return np.asarray(np.linalg.norm(x, axis=0))
 
 
 def _greedy(problem: Joint, count: int) -> list[int]:

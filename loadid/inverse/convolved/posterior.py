@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,9 @@ from structures.errors import InputError
 from ..convolution import PenalizedConvolution
 from ..penalties import stencil
 from .pcg import Circulant, Reached, Sides, solve
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int_]
 
 TOLERANCE = 1e-13  # of the columns: the differences of their products lose digits
 SWEPT, MANY = 12, 24  # columns beyond which probes cost less: at each node of a path, and at one lambda
@@ -49,8 +53,8 @@ class Diagonals:
         Largest relative difference, in the middle of the record, between the sums from its start and from its end.
     """
 
-    variance: NDArray[np.float64]
-    rough: NDArray[np.float64]
+    variance: Array
+    rough: Array
     mismatch: float
 
 
@@ -64,11 +68,11 @@ class Generators:
 
     operator: PenalizedConvolution
     falls: list[tuple[int, int, float]]
-    v: NDArray[np.float64]
-    sign: NDArray[np.float64]
+    v: Array
+    sign: Array
     sides: Sides
 
-    def complement(self, reached: Reached, f: NDArray) -> NDArray[np.float64]:
+    def complement(self, reached: Reached, f: Array) -> Array:
         """``diag(sign) - v^T B v``; where that is small, from the residuals of the solves, which have its digits."""
         p = self.operator.loads
         x, out = reached.x[2 * p :], np.diag(self.sign)
@@ -96,7 +100,7 @@ def edges(operator: PenalizedConvolution) -> list[tuple[int, int, float]]:
 
 def columns(operator: PenalizedConvolution) -> int:
     """Number of solves that `diagonals` takes."""
-    return len(edges(operator)) + (2 + min(operator.order, 2)) * operator.loads
+    return int(len(edges(operator)) + (2 + min(operator.order, 2)) * operator.loads)
 
 
 def diagonals(operator: PenalizedConvolution, circulant: Circulant, tolerance: float = TOLERANCE) -> Diagonals:
@@ -113,7 +117,7 @@ def diagonals(operator: PenalizedConvolution, circulant: Circulant, tolerance: f
     inner = made.complement(reached, f) + x[X, :, -1] @ _left(end, x[X, :, -1].T)
     inner = 0.5 * (inner + inner.T)
 
-    def steps(y: NDArray, w: NDArray, q: NDArray) -> NDArray:
+    def steps(y: Array, w: Array, q: Array) -> Array:
         """Differences of neighbouring diagonal entries, (loads, entries - 1)."""
         return (
             _products(y[..., 1:], _left(corner, y[..., 1:]))
@@ -151,32 +155,32 @@ def profile(operator: PenalizedConvolution, lam: float, tolerance: float = TOLER
     return diagonals(operator, Circulant(operator, lam), tolerance)
 
 
-def _level(x: NDArray) -> bool:
+def _level(x: Array) -> bool:
     """Whether x (loads, n) is level over its middle quarter."""
     n = x.shape[1]
     part = x[:, 3 * n // 8 : 5 * n // 8]
     return bool(np.all(np.ptp(part, axis=1) <= FLAT * np.abs(part).min(axis=1)))
 
 
-def _stretched(x: NDArray, more: int) -> NDArray[np.float64]:
+def _stretched(x: Array, more: int) -> Array:
     half = x.shape[1] // 2
     return np.concatenate([x[:, :half], np.repeat(x[:, half : half + 1], more, axis=1), x[:, half:]], axis=1)
 
 
-def _from_end(last: NDArray, change: NDArray) -> NDArray[np.float64]:
+def _from_end(last: Array, change: Array) -> Array:
     """Entries with these differences that end at `last`."""
     later = np.cumsum(change[:, ::-1], axis=1)[:, ::-1]
     return last[:, None] - np.pad(later, ((0, 0), (0, 1)))
 
 
-def _left(matrix: NDArray, columns: NDArray) -> NDArray[np.float64]:
+def _left(matrix: Array, columns: Array) -> Array:
     """Solve with a small matrix along the first axis of the columns."""
-    flat = np.linalg.solve(matrix, columns.reshape(len(columns), -1))
+    flat: Array = np.asarray(np.linalg.solve(matrix, columns.reshape(len(columns), -1)))
     return flat.reshape(columns.shape)
 
 
-def _products(a: NDArray, b: NDArray) -> NDArray[np.float64]:
-    return np.einsum("cin,cin->in", a, b)
+def _products(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("cin,cin->in", a, b))
 
 
 def _generators(operator: PenalizedConvolution, lam: float) -> Generators:
@@ -232,7 +236,7 @@ def traces(operator: PenalizedConvolution, lam: float, tolerance: float) -> tupl
     return part, float(z[0].size) - part, float(np.sum(w * found.x[count:])) / count
 
 
-def variances(operator: PenalizedConvolution, lam: float, tolerance: float = 1e-6) -> NDArray[np.float64]:
+def variances(operator: PenalizedConvolution, lam: float, tolerance: float = 1e-6) -> Array:
     """Diagonal of B, (loads, samples), by one comb for each load and each of `TEETH` places."""
     rng = np.random.default_rng(0)
     p, N = operator.loads, operator.samples
@@ -268,24 +272,24 @@ class Moments:
         ``y - H g_1`` and its derivative in t.
     """
 
-    rest: NDArray[np.float64]
-    drop: NDArray[np.float64]
-    load2: NDArray[np.float64]
-    load_slope: NDArray[np.float64]
-    change2: NDArray[np.float64]
-    change_slope: NDArray[np.float64] | None
-    residual: NDArray[np.float64]
-    residual_slope: NDArray[np.float64]
+    rest: Array
+    drop: Array
+    load2: Array
+    load_slope: Array
+    change2: Array
+    change_slope: Array | None
+    residual: Array
+    residual_slope: Array
 
 
 def chain(
     operator: PenalizedConvolution,
     circulant: Circulant,
-    y: NDArray,
+    y: Array,
     solves: int,
     tolerance: float,
     takeover: bool = True,
-) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
+) -> tuple[list[Array], list[Array], list[Array]]:
     """g_1, g_2, ... for data y (k, sensors, samples), with their responses H g_j and roughnesses lambda L g_j."""
     loads, responses, roughs = [], [], []
     sides = Sides(y=y)
@@ -299,7 +303,7 @@ def chain(
     return loads, responses, roughs
 
 
-def moments(y: NDArray, loads: list[NDArray], responses: list[NDArray], roughs: list[NDArray]) -> Moments:
+def moments(y: Array, loads: list[Array], responses: list[Array], roughs: list[Array]) -> Moments:
     """Moments of data y (k, sensors, samples) from a `chain` of two solves or more."""
     solves, rests = len(loads), [y]
     for response in responses:
@@ -318,7 +322,7 @@ def moments(y: NDArray, loads: list[NDArray], responses: list[NDArray], roughs: 
     )  # fmt: skip
 
 
-def slopes(drop: NDArray) -> list[NDArray]:
+def slopes(drop: Array) -> list[Array]:
     """Each entry j of `drop` with the derivatives in t that those after it give: D_j' = j D_j - (j + 1) D_{j+1}."""
     table = [np.asarray(drop, float)]
     while len(table[-1]) > 1:
@@ -328,8 +332,8 @@ def slopes(drop: NDArray) -> list[NDArray]:
     return [np.array([row[j] for row in table if j < len(row)]) for j in range(len(drop))]
 
 
-def _dot(a: NDArray, b: NDArray) -> NDArray[np.float64]:
-    return np.einsum("kij,kij->k", a, b)
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("kij,kij->k", a, b))
 
 
 SLOPE = 1e-2  # step in ln lambda^2 for a derivative of fourth order
@@ -361,47 +365,47 @@ class ConvolvedPosterior:
         self.shape = (operator.samples, operator.loads)
 
     @cached_property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Standard deviation, shape (samples, loads)."""
         return self.sigma * np.sqrt(np.maximum(self._variances(self.lam), 0.0))
 
     @cached_property
-    def noise_std(self) -> NDArray[np.float64]:
+    def noise_std(self) -> Array:
         """Standard deviation from the noise alone: B H^T H B is the derivative of lam^2 B in lam^2."""
         steps = np.exp(0.5 * SLOPE * np.array([-2, -1, 1, 2]))
         parts = [x**2 * self._variances(self.lam * x) for x in steps]
         slope = (parts[0] - 8 * parts[1] + 8 * parts[2] - parts[3]) / (12 * SLOPE)
-        return self.sigma * np.sqrt(np.maximum(slope, 0.0))
+        return np.asarray(self.sigma * np.sqrt(np.maximum(slope, 0.0)))
 
-    def variance(self, w: NDArray) -> NDArray[np.float64]:
+    def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
         found, stacked, w = self._solve(w)
         value = self.sigma**2 * np.einsum("kij,kij->k", found.x, w)
-        return value if stacked else value[0]
+        return np.asarray(value if stacked else value[0])
 
-    def noise_variance(self, w: NDArray) -> NDArray[np.float64]:
+    def noise_variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)`` from the noise alone."""
         found, stacked, _ = self._solve(w)
         value = self.sigma**2 * np.einsum("kij,kij->k", found.r, found.r)
-        return value if stacked else value[0]
+        return np.asarray(value if stacked else value[0])
 
-    def bias_weights(self, w: NDArray) -> NDArray[np.float64]:
+    def bias_weights(self, w: Array) -> Array:
         """``(R - I)^T w`` in the shape of `w`: what regularisation takes from the weights, -lam^2 L^T L B w."""
         found, stacked, _ = self._solve(w)
         lost = np.swapaxes(self.lam * self.operator.rough_adjoint(found.q), 1, 2)  # q = -lam L B w
         return lost if stacked else lost[0]
 
-    def to_arrays(self) -> dict[str, object]:
+    def to_arrays(self) -> dict[str, Any]:
         """Plain arrays, for a result file."""
         o = self.operator
-        tree: dict[str, object] = {
+        tree: dict[str, Any] = {
             "kind": self.kind, "h": o.responses, "samples": o.samples, "penalty": o.penalty,
             "lam": self.lam, "sigma": self.sigma,
         }  # fmt: skip
         return tree if o.weights is None else tree | {"weight": o.weights}
 
     @classmethod
-    def from_arrays(cls, tree: dict) -> ConvolvedPosterior:
+    def from_arrays(cls, tree: dict[str, Any]) -> ConvolvedPosterior:
         """From what `to_arrays` gave."""
         weight = None if tree.get("weight") is None else np.asarray(tree["weight"], float)
         operator = PenalizedConvolution(
@@ -410,12 +414,12 @@ class ConvolvedPosterior:
         return cls(operator, float(tree["lam"]), float(tree["sigma"]))
 
     # -- inside -------------------------------------------------------------------------------------------------------
-    def _variances(self, lam: float) -> NDArray[np.float64]:
+    def _variances(self, lam: float) -> Array:
         if columns(self.operator) > MANY:
             return np.ascontiguousarray(variances(self.operator, lam).T)
         return np.ascontiguousarray(profile(self.operator, lam).variance.T)
 
-    def _solve(self, w: NDArray) -> tuple[Reached, bool, NDArray]:
+    def _solve(self, w: Array) -> tuple[Reached, bool, Array]:
         w = np.asarray(w, float)
         if w.shape[-2:] != self.shape or w.ndim not in (2, 3):
             raise InputError("the weights do not fit the load", where="w", found=f"shape {w.shape}",

@@ -22,6 +22,8 @@ from ..convolution import Convolution, PenalizedConvolution, differences, differ
 from .path import ConvolvedPath
 from .pcg import Circulant, Reached, Sides, solve
 
+Array = NDArray[np.float64]
+
 SHORT = 4096  # samples of the first window that is tried
 FADED = 3e-4  # relative height of what the end of a window still does beyond the overlap: sweeps make up for it
 LARGEST = 12  # the overlap is at most this part of the record: where influences last longer, more sweeps are needed
@@ -51,7 +53,7 @@ class Windowed:
         Samples in a window, samples given up at its end (in corrections at both), and number of windows.
     """
 
-    load: NDArray[np.float64]
+    load: Array
     bound: float
     gradient: float
     changes: tuple[float, ...]
@@ -61,12 +63,12 @@ class Windowed:
 
 
 def solve_in_windows(
-    h: NDArray,
-    y: NDArray,
+    h: Array,
+    y: Array,
     lam: float,
     penalty: str = "identity",
     *,
-    weight: NDArray | None = None,
+    weight: Array | None = None,
     window: int | None = None,
     overlap: int | None = None,
     tolerance: float = 1e-4,
@@ -118,7 +120,7 @@ class Windows:
     """
 
     def __init__(
-        self, h: NDArray, samples: int, lam: float, penalty: str, weight: NDArray, *, window: int | None = None,
+        self, h: Array, samples: int, lam: float, penalty: str, weight: Array, *, window: int | None = None,
         overlap: int | None = None, accuracy: float = TOLERANCE,
     ) -> None:  # fmt: skip
         self.samples, self.lam, self.weight = samples, lam, weight
@@ -128,7 +130,7 @@ class Windows:
         self.locals = _Locals(h, self.width, penalty, lam, weight, accuracy)
 
     def solve(
-        self, y: NDArray, *, tolerance: float = 1e-4, sweeps: int = 4, progress: Progress | None = None
+        self, y: Array, *, tolerance: float = 1e-4, sweeps: int = 4, progress: Progress | None = None
     ) -> Windowed:
         """Load of data (sensors, samples), and the bound on its error."""
         ahead, pieces = self._ahead(), list(_pieces(self.samples, self.width, self.overlap))
@@ -165,8 +167,8 @@ class Windows:
         )  # fmt: skip
 
     def first(
-        self, y: NDArray | None = None, c: NDArray | None = None, progress: Callable[[int, str], None] | None = None
-    ) -> NDArray[np.float64]:
+        self, y: Array | None = None, c: Array | None = None, progress: Callable[[int, str], None] | None = None
+    ) -> Array:
         """Load (loads, samples) by one sweep for data y (sensors, samples) and roughnesses c (loads, rows).
 
         It minimises ``|y - H g|^2 + |c - lam L g|^2``, of which None is zero.
@@ -183,7 +185,7 @@ class Windows:
                 progress(k + 1, "windows")
         return load
 
-    def slope(self, load: NDArray, y: NDArray) -> NDArray[np.float64]:
+    def slope(self, load: Array, y: Array) -> Array:
         """Half the negative gradient of the whole record's objective, (loads, samples)."""
         out = self.all.correlate(self.weight**2 * (y - self.all.convolve(load)))
         return out - self.lam**2 * differences_adjoint(differences(load, self.order), self.order)
@@ -200,15 +202,15 @@ class _Tied(PenalizedConvolution):
         """Rows of the penalty for one load."""
         return self.samples
 
-    def rough(self, g: NDArray) -> NDArray[np.float64]:
+    def rough(self, g: Array) -> Array:
         """L g."""
         return super().rough(np.pad(g, ((0, 0), (0, 0), (self.order, 0))))
 
-    def rough_adjoint(self, d: NDArray) -> NDArray[np.float64]:
+    def rough_adjoint(self, d: Array) -> Array:
         """L^T d."""
         return super().rough_adjoint(d)[..., self.order :]
 
-    def from_before(self, load: NDArray) -> NDArray[np.float64]:
+    def from_before(self, load: Array) -> Array:
         """What the load before the window (loads, samples) adds to L g."""
         last = load[None, :, load.shape[1] - self.order :]
         return super().rough(np.pad(last, ((0, 0), (0, 0), (0, self.samples))))
@@ -218,7 +220,7 @@ class _Locals:
     """The windows' own problems; one preconditioner for all of them where no data are missing."""
 
     def __init__(
-        self, h: NDArray, width: int, penalty: str, lam: float, weight: NDArray, accuracy: float = TOLERANCE
+        self, h: Array, width: int, penalty: str, lam: float, weight: Array, accuracy: float = TOLERANCE
     ) -> None:
         self.h, self.width, self.penalty, self.lam, self.weight = h, width, penalty, lam, weight
         self.accuracy = accuracy
@@ -226,7 +228,7 @@ class _Locals:
         self.circulant = Circulant(self.operator, lam)
         self.kept: dict[tuple[int, bool], tuple[PenalizedConvolution, Circulant]] = {}
 
-    def solve(self, start: int, sides: Sides, accuracy: float | None = None) -> NDArray[np.float64]:
+    def solve(self, start: int, sides: Sides, accuracy: float | None = None) -> Array:
         accuracy = self.accuracy if accuracy is None else accuracy
         weight = self.weight[:, start : start + self.width]
         if np.all(weight == 1.0):
@@ -234,7 +236,7 @@ class _Locals:
         operator = PenalizedConvolution(self.h, self.width, self.penalty, weight.T)
         return solve(operator, Circulant(operator, self.lam), sides, accuracy).x
 
-    def follow(self, start: int, rest: NDArray, load: NDArray, rough: NDArray | None = None) -> NDArray[np.float64]:
+    def follow(self, start: int, rest: Array, load: Array, rough: Array | None = None) -> Array:
         """Load of the window at `start`, (loads, samples), given all load before it.
 
         `rest` is what that leaves of the data, `rough` (loads, rows) what ``lam L g`` is drawn to, if not to zero.
@@ -244,7 +246,7 @@ class _Locals:
         side = (rest * weight)[None]
         c = None if rough is None else rough[None]
         if start == 0 and width == self.width:
-            return self.solve(0, Sides(y=side, c=c))[0]
+            return np.asarray(self.solve(0, Sides(y=side, c=c))[0])
         key = (width, start > 0)
         if not np.all(weight == 1.0) or key not in self.kept:
             kind = _Tied if start else PenalizedConvolution
@@ -257,7 +259,7 @@ class _Locals:
         operator, circulant = found
         if isinstance(operator, _Tied):
             c = (0.0 if c is None else c) - self.lam * operator.from_before(load[:, :start])
-        return solve(operator, circulant, Sides(y=side, c=c), self.accuracy).x[0]
+        return np.asarray(solve(operator, circulant, Sides(y=side, c=c), self.accuracy).x[0])
 
     def curvature(self) -> float:
         """Smallest curvature of the objective: lambda^2 with the identity, else by the power method on a window."""
@@ -291,7 +293,7 @@ def _pieces(samples: int, width: int, overlap: int) -> Iterator[tuple[int, slice
 
 
 def _layout(
-    h: NDArray, samples: int, lam: float, penalty: str, window: int | None, overlap: int | None
+    h: Array, samples: int, lam: float, penalty: str, window: int | None, overlap: int | None
 ) -> tuple[int, int]:
     """Window and overlap as asked for, or as the memory of the problem wants them."""
     if overlap is None:
@@ -303,7 +305,7 @@ def _layout(
     return width, int(overlap)
 
 
-def _faded(h: NDArray, samples: int, lam: float, penalty: str) -> int:
+def _faded(h: Array, samples: int, lam: float, penalty: str) -> int:
     """Distance from the end of a window at which its last data and load no longer matter."""
     width, most = min(SHORT, samples), max(samples // LARGEST, 1)
     while True:
@@ -318,7 +320,7 @@ def _faded(h: NDArray, samples: int, lam: float, penalty: str) -> int:
         width = min(2 * width, samples)
 
 
-def _checked(h: NDArray, y: NDArray, weight: NDArray | None, lam: float) -> tuple[NDArray, NDArray, NDArray]:
+def _checked(h: Array, y: Array, weight: Array | None, lam: float) -> tuple[Array, Array, Array]:
     h, y = np.asarray(h, float), np.asarray(y, float)
     if h.ndim != 3 or y.ndim != 2 or y.shape[1] != h.shape[1] or 0 in h.shape + y.shape:
         raise InputError("impulse responses and data do not fit", where="windows", found=f"h {h.shape}, y {y.shape}",
@@ -354,7 +356,7 @@ class WindowedPath(ConvolvedPath):
     """
 
     def __init__(
-        self, h: NDArray, y: NDArray, penalty: str = "identity", weight: NDArray | None = None,
+        self, h: Array, y: Array, penalty: str = "identity", weight: Array | None = None,
         *, scale: float | None = None,
     ) -> None:  # fmt: skip
         super().__init__(h, y, penalty, weight, scale=scale)
@@ -381,7 +383,7 @@ class WindowedPath(ConvolvedPath):
         """Largest norm of what the windows at a relative lambda may differ by from the solution in one piece."""
         return self.solve(lam).bound
 
-    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+    def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
         self._check(np.asarray(lam))
         g = np.ascontiguousarray(np.asarray(load, float).T)[None]
@@ -401,11 +403,11 @@ class WindowedPath(ConvolvedPath):
         q = -float(lam) * float(self.scale) * self.operator.rough(x)
         return Reached(x, self.y - self.operator.convolve(x), q, found.gradient, found.count)
 
-    def _chain(self, lam: float, y: NDArray) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
+    def _chain(self, lam: float, y: Array) -> tuple[list[Array], list[Array], list[Array]]:
         windows, absolute = self._windows(lam, PLAIN), float(lam) * float(self.scale)
-        loads: list[NDArray] = []
-        responses: list[NDArray] = []
-        roughs: list[NDArray] = []
+        loads: list[Array] = []
+        responses: list[Array] = []
+        roughs: list[Array] = []
         for _ in range(3):
             side = {"c": roughs[-1][0]} if roughs else {"y": y[0]}
             loads.append(windows.first(**side)[None])
