@@ -106,15 +106,6 @@ class Feasible:
         g[self.keep] = local
         return g
 
-    def to_local(self, g: Array) -> Array:
-        """Local unknowns of loads (n,)."""
-        h = np.asarray(g, float)[self.keep]
-        out = h.copy()
-        for c in self.cones:
-            if c.rotated:
-                out[c.index] = np.einsum("kij,ki->kj", c.frame, h[c.index])
-        return out
-
     def project(self, v: Array) -> Array:
         """Nearest point of the intervals and cones (the rows are left aside)."""
         P = np.clip(v, self.lower, self.upper)

@@ -16,7 +16,7 @@ stays, is 0 where a load is held, and is no confidence.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -146,13 +146,9 @@ class NonNegativeRecord:
         return made
 
     def _set(
-        self,
-        normal: Callable[[float], RecordNormal],
-        shape: tuple[int, int],
-        start: int,
-        m: int,
+        self, normal: Callable[[float], RecordNormal], shape: tuple[int, int], start: int, m: int,
         signed: ArrayLike | None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.normal, self.shape, self.start, self.m = normal, shape, start, m
         self.signed = _loads(signed, shape[1])
         self._signed = np.concatenate([np.zeros(start, bool), np.tile(self.signed, shape[0])])
@@ -235,59 +231,38 @@ def minimise(normal: RecordNormal, signed: Mask, held: Mask | None = None, progr
     cheap) or a projected gradient finds the active set, and the exchange ends it with exact zeros. Of all points seen,
     that with the smallest gap is returned.
     """
-    report = _reporter(progress)
+    report, lower = _reporter(progress), np.where(signed, 0.0, -np.inf)
     unbounded, free = _unconstrained(normal)
     held = signed & (free < 0) if held is None else held & signed
-    lower = np.where(signed, 0.0, -np.inf)
-    first = exchange(normal, lower, None, held, step=report, pace=PACE if normal.direct else 1.0)
-    best = _certified(normal, unbounded, signed, first, 0, "active set")
-    if best.gap <= (CONVERGED if first.settled else ROUNDING):
-        return best
-    route = _from_inside if normal.direct else _by_gradient
-    return min(best, *route(normal, unbounded, signed, free, first, report), key=lambda m: m.gap)
-
-
-def _from_inside(
-    normal: RecordNormal,
-    unbounded: NormalFactor,
-    signed: Mask,
-    free: Array,
-    first: Exchanged,
-    report: Callable[[], None],
-) -> list[Minimum]:
-    """Interior point, then exchange."""
-    inner = interior(normal, signed, free, report)
-    steps = first.steps + inner.steps
-    held = signed & (inner.s * np.linalg.norm(inner.v) > inner.v * np.linalg.norm(inner.s))
-    last = exchange(normal, np.where(signed, 0.0, -np.inf), None, held, step=report, pace=1.0)
-    inside = Exchanged(np.where(held, 0.0, inner.v), np.zeros(0), held, False, 0)
-    return [
-        _certified(normal, unbounded, signed, last, steps, "interior point, active set"),
-        _certified(normal, unbounded, signed, inside, steps, "interior point"),
-    ]
-
-
-def _by_gradient(
-    normal: RecordNormal,
-    unbounded: NormalFactor,
-    signed: Mask,
-    free: Array,
-    first: Exchanged,
-    report: Callable[[], None],
-) -> list[Minimum]:
-    """Projected gradient, then exchange; more and more of it until the exchange ends."""
-    v, steps, found = free, first.steps, []
-    for count in GRADIENTS:
-        v = projected(normal, signed, v, count, report)
-        held = signed & (v == 0)
-        last = exchange(normal, np.where(signed, 0.0, -np.inf), None, held, step=report, pace=1.0)
-        steps += last.steps
-        found.append(_certified(normal, unbounded, signed, last, steps, "projected gradient, active set"))
-        if found[-1].gap <= (CONVERGED if last.settled else ROUNDING):
+    steps, found, solver = 0, list[Minimum](), "active set"
+    pace, guesses = PACE if normal.direct else 1.0, _guesses(normal, signed, free, report)
+    while True:
+        end = exchange(normal, lower, None, held, step=report, pace=pace)
+        steps += end.steps
+        found.append(_certified(normal, unbounded, signed, end, steps, solver))
+        if found[-1].gap <= (CONVERGED if end.settled else ROUNDING):
             break
-        inside = Exchanged(v, np.zeros(0), held, False, 0)
-        found.append(_certified(normal, unbounded, signed, inside, steps, "projected gradient"))
-    return found
+        guess = next(guesses, None)
+        if guess is None:
+            break
+        v, held, more, name = guess
+        steps, pace, solver = steps + more, 1.0, f"{name}, active set"
+        found.append(_certified(normal, unbounded, signed, Exchanged(v, v, held, False, 0), steps, name))
+    return min(found, key=lambda m: m.gap)
+
+
+def _guesses(
+    normal: RecordNormal, signed: Mask, free: Array, report: Callable[[], None]
+) -> Iterator[tuple[Array, Mask, int, str]]:
+    """Points near the minimum, what they hold, their factorisations and what found them, one better than the other."""
+    if normal.direct:
+        inner = interior(normal, signed, free, report)
+        held = signed & (inner.s * np.linalg.norm(inner.v) > inner.v * np.linalg.norm(inner.s))
+        yield np.where(held, 0.0, inner.v), held, inner.steps, "interior point"
+        return
+    for count in GRADIENTS:
+        free = projected(normal, signed, free, count, report)
+        yield free, signed & (free == 0), 0, "projected gradient"
 
 
 def _unconstrained(normal: RecordNormal) -> tuple[NormalFactor, Array]:
@@ -313,7 +288,7 @@ def _certified(
     finite = bool(np.all(np.isfinite(found.v)))
     v = np.where(signed, np.maximum(found.v, 0.0), found.v) if finite else np.zeros(normal.size)
     gradient = found.gradient if found.settled and finite else normal.gradient(v)
-    return Minimum(v, gradient, found.held, gap(normal, free, v, gradient, signed), steps + found.steps, solver)
+    return Minimum(v, gradient, found.held, gap(normal, free, v, gradient, signed), steps, solver)
 
 
 def _reporter(progress: Progress | None) -> Callable[[], None]:

@@ -212,11 +212,7 @@ class ConstrainedPath(RegularizationPath):
         g = np.asarray(load, float).reshape(-1, self.path.problem.H.shape[1])
         prepared = self._solver(lam)
         y = self.base.problem.H @ g.T
-        start: ActivePoint | None = None
-        out = []
-        for k, column in enumerate(y.T):
-            start = prepared.point(column, self._sets[min(k, len(self._sets) - 1)], start)
-            out.append(self._load(start))
+        out = [self._load(p) for p in prepared.points(y, self.feasible, ())]
         return np.stack(out).reshape(np.shape(load))
 
     # -- solving ------------------------------------------------------------------------------------------------------
@@ -279,12 +275,7 @@ class ConstrainedPath(RegularizationPath):
         return self._points[lam]
 
     def _run(self, lam: float, starts: Sequence[ActivePoint] | None) -> tuple[ActivePoint, ...]:
-        prepared = self._solver(lam)
-        points: list[ActivePoint] = []
-        for k, column in enumerate(self._columns.T):
-            start = starts[min(k, len(starts) - 1)] if starts else (points[-1] if points else None)
-            points.append(prepared.point(column, self._sets[min(k, len(self._sets) - 1)], start))
-        self._points[lam] = tuple(points)
+        self._points[lam] = self._solver(lam).points(self._columns, self.feasible, starts or ())
         return self._points[lam]
 
     def _load(self, p: ActivePoint) -> Array:

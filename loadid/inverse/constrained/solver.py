@@ -312,13 +312,18 @@ class ConstrainedSolver:
             Most Newton steps; below its default no other route is tried (flag W410 where it ends the run).
         """
         stacked, feasible = self.data(y, resultants)
-        starts = () if warm is None else warm.points
-        points: list[ActivePoint] = []
-        for k, column in enumerate(stacked.T):
-            start = starts[min(k, len(starts) - 1)] if starts and (k < len(starts) or not points) else None
-            start = points[-1] if start is None and points else start
-            points.append(self.point(column, feasible.of(k), start, cap))
+        points = self.points(stacked, feasible, () if warm is None else warm.points, cap)
         return self.finish(stacked, feasible, points, framed=np.ndim(y) == 2)
+
+    def points(
+        self, y: Array, feasible: Feasible, starts: Sequence[ActivePoint], cap: int = CAP
+    ) -> tuple[ActivePoint, ...]:
+        """Answers for the columns of the data, each from its start or, beyond those, from the column before."""
+        found: list[ActivePoint] = []
+        for k, column in enumerate(y.T):
+            start = starts[k] if k < len(starts) else found[-1] if found else None
+            found.append(self.point(column, feasible.of(k), start, cap))
+        return tuple(found)
 
     def point(self, y: Array, feasible: Feasible, start: ActivePoint | None, cap: int = CAP) -> ActivePoint:
         """Active-set answer for one vector of data."""

@@ -24,13 +24,9 @@ Progress = Callable[[float, str], None]
 
 
 def over(
-    work: Callable[[T], R],
-    items: Sequence[T],
-    *,
-    workers: int | None = None,
-    progress: Progress | None = None,
+    work: Callable[[T], R], items: Sequence[T], *, workers: int | None = None, progress: Progress | None = None,
     text: str,
-) -> list[R]:
+) -> list[R]:  # fmt: skip
     """Results of `work` for every item, in their order.
 
     Parameters

@@ -18,26 +18,6 @@ Array = NDArray[np.float64]
 Lines = NDArray[np.complex128]
 
 
-def decomposed(H: Array, Y: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Batched SVD of whitened lines.
-
-    Parameters
-    ----------
-    H : array, shape (lines, sensors, loads)
-    Y : array, shape (lines, sensors)
-
-    Returns
-    -------
-    U (lines, sensors, r), c (lines, r), zero below rounding, V (lines, loads, r), beta (lines, r), outside (lines,)
-    """
-    U, c, Vh = np.linalg.svd(H, full_matrices=False)
-    # what rounding leaves of a silent direction carries no information: sums run over the rank of each line
-    c = np.where(c > max(H.shape[1:]) * np.finfo(float).eps * c[:, :1], c, 0.0)
-    beta = np.einsum("ksr,ks->kr", U.conj(), Y)
-    outside = np.sum(np.abs(Y - np.einsum("ksr,kr->ks", U, beta)) ** 2, axis=1)
-    return U, c, Vh.conj().swapaxes(1, 2), beta, outside
-
-
 class SpectralPath(FactoredPath):
     """Zero-padded frequency-domain Tikhonov of a whole record with one lambda; right where the response has decayed.
 
@@ -64,16 +44,9 @@ class SpectralPath(FactoredPath):
     zero_padded = True
 
     def __init__(
-        self,
-        H: Array,
-        y: Array,
-        power: Array,
-        *,
-        penalty: str = "identity",
-        variance: Array | None = None,
-        excess: Array | None = None,
-        truncated: bool = False,
-    ) -> None:
+        self, H: Array, y: Array, power: Array, *, penalty: str = "identity", variance: Array | None = None,
+        excess: Array | None = None, truncated: bool = False,
+    ) -> None:  # fmt: skip
         self.samples, sensors = y.shape
         self.padded = padded_length(self.samples)
         lines, loads = self.padded // 2 + 1, H.shape[2]
@@ -91,7 +64,12 @@ class SpectralPath(FactoredPath):
         root = np.sqrt(power)
         self.H = H * (np.sqrt(self.samples) / root)[..., None]
         self.Y = fft.rfft(y, self.padded, axis=0) / root
-        self.U, c, self.V, beta, outside = decomposed(self.H, self.Y)
+        self.U, c, Vh = np.linalg.svd(self.H, full_matrices=False)
+        self.V = Vh.conj().swapaxes(1, 2)
+        # what rounding leaves of a silent direction carries no information: sums run over the rank of each line
+        c = np.where(c > max(H.shape[1:]) * np.finfo(float).eps * c[:, :1], c, 0.0)
+        beta = np.einsum("ksr,ks->kr", self.U.conj(), self.Y)
+        outside = np.sum(np.abs(self.Y - np.einsum("ksr,kr->ks", self.U, beta)) ** 2, axis=1)
         self.penalty_lines = symbol(penalty, 2 * np.pi * np.arange(lines) / self.padded)
         self.variance = None if variance is None else variance / power[..., None]
         self.excess = None if excess is None else excess / power

@@ -17,6 +17,7 @@ from .pcg import Circulant, Reached, largest, refined
 from .posterior import SWEPT, ConvolvedPosterior, Moments, chain, columns, moments, profile, slopes
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 SCALARS, TIGHT = 1e-9, 1e-11  # tolerance of solves whose answers are only sums; the second one below `WEAK`
 WEAK = 100.0  # times the smallest lambda
@@ -26,16 +27,41 @@ TRIED, TRY_TO = 1 << 15, 0.1  # samples on which a lambda is tried, and the larg
 LOWEST = 1e-5  # lambda times the largest penalty over the norm of H: below, too many digits are lost
 
 
+def checked(h: Array, y: Array, weight: Array | None) -> tuple[Array, Array, Mask]:
+    """Impulse responses, data and which of them are there, of shapes that fit.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, no data, NaN.
+    """
+    h, y = np.asarray(h, float), np.asarray(y, float)
+    if h.ndim != 3 or y.ndim != 2 or y.shape[1] != h.shape[1] or 0 in h.shape + y.shape:
+        raise InputError("impulse responses and data do not fit", where="convolved path",
+                         found=f"h {h.shape}, y {y.shape}",
+                         expected="(taps, sensors, loads) and (samples, sensors)")  # fmt: skip
+    used = np.ones(y.shape, bool) if weight is None else np.asarray(weight) != 0
+    if used.shape != y.shape or (weight is not None and not np.all(np.isfinite(weight))):
+        raise InputError("the weights do not fit the data", where="convolved path", found=f"shape {used.shape}",
+                         expected=f"{y.shape}, finite")  # fmt: skip
+    if not np.any(used):
+        raise InputError("no data", where="convolved path", found="every sample is missing",
+                         expected="some measured samples")  # fmt: skip
+    if not (np.all(np.isfinite(h)) and np.all(np.isfinite(y[used]))):
+        raise InputError("NaN or inf in the model or the data", where="convolved path", expected="finite numbers",
+                         hint="weight 0 where a sample is missing")  # fmt: skip
+    return h, y, used
+
+
 class ConvolvedPath(RegularizationPath):
     """``min |H g - y|^2 + lambda^2 |L g|^2`` with H the causal block Toeplitz operator of h, right at both ends.
 
     Nothing is assumed of what comes after the record; before it the load is zero. The penalty acts in time with free
-    ends, as the dense one does. A lambda costs some solves by conjugate gradients (`pcg`) with a circulant
-    preconditioner, of six transforms for one load and one sensor in each step. Exact to the tolerance of these: loads,
-    residuals, `exact`, degrees of freedom and the variance of every sample (`displacement`: no probes). Interpolated
-    between half decades of lambda (a quarter for traces): what `at` says (`between`). Estimated by fixed probes
-    (`probes`): traces where sensors, loads and gaps in the data ask for more than `displacement.SWEPT` columns, and
-    variances where they ask for more than `displacement.MANY`.
+    ends, as the dense one does. A lambda costs some solves by conjugate gradients (`pcg`), of six transforms for one
+    load and one sensor in each step. Exact to the tolerance of these: loads, residuals, `exact`, degrees of freedom and
+    the variance of every sample (`posterior.diagonals`). Interpolated between half decades of lambda (a quarter for
+    traces): what `at` says. Estimated by fixed probes: traces where sensors, loads and gaps in the data ask for more
+    than `posterior.SWEPT` columns, and variances where they ask for more than `posterior.MANY`.
 
     Parameters
     ----------
@@ -62,21 +88,7 @@ class ConvolvedPath(RegularizationPath):
         self, h: Array, y: Array, penalty: str = "identity", weight: Array | None = None,
         *, scale: float | None = None,
     ) -> None:  # fmt: skip
-        h, y = np.asarray(h, float), np.asarray(y, float)
-        if h.ndim != 3 or y.ndim != 2 or y.shape[1] != h.shape[1] or 0 in h.shape + y.shape:
-            raise InputError("impulse responses and data do not fit", where="convolved path",
-                             found=f"h {h.shape}, y {y.shape}",
-                             expected="(taps, sensors, loads) and (samples, sensors)")  # fmt: skip
-        used = np.ones(y.shape, bool) if weight is None else np.asarray(weight) != 0
-        if used.shape != y.shape or (weight is not None and not np.all(np.isfinite(weight))):
-            raise InputError("the weights do not fit the data", where="convolved path", found=f"shape {used.shape}",
-                             expected=f"{y.shape}, finite")  # fmt: skip
-        if not np.any(used):
-            raise InputError("no data", where="convolved path", found="every sample is missing",
-                             expected="some measured samples")  # fmt: skip
-        if not (np.all(np.isfinite(h)) and np.all(np.isfinite(y[used]))):
-            raise InputError("NaN or inf in the model or the data", where="convolved path",
-                             expected="finite numbers", hint="weight 0 where a sample is missing")  # fmt: skip
+        h, y, used = checked(h, y, weight)
         if np.all(used) and weight is not None and np.all(np.asarray(weight) == 1.0):
             weight = None
         self.operator = PenalizedConvolution(h, len(y), penalty, weight)
@@ -123,7 +135,7 @@ class ConvolvedPath(RegularizationPath):
         part = self.operator if self.samples <= TRIED else self.operator.cut(TRIED)
         circulant, y = Circulant(part, lam * float(self.scale)), self.y[..., : part.samples]
         try:
-            chain(part, circulant, y, 3, self._tolerance(lam), takeover=False)
+            chain(part, circulant, y, self._tolerance(lam), takeover=False)
         except NotIdentifiable:
             return False
         return True
@@ -224,7 +236,7 @@ class ConvolvedPath(RegularizationPath):
 
     def _chain(self, lam: float, y: Array) -> tuple[list[Array], list[Array], list[Array]]:
         """Three solves, each of what the one before leaves of the penalty."""
-        return chain(self.operator, self._circulant(lam), y, 3, self._tolerance(lam))
+        return chain(self.operator, self._circulant(lam), y, self._tolerance(lam))
 
     @staticmethod
     def _beside(x: Array) -> Array:
@@ -245,7 +257,6 @@ class ConvolvedPath(RegularizationPath):
         groups = logs(np.array([objective, residual2, falls[1][:5]])), logs(np.array([falls[2][:4]]))
         if self.operator.order == 0:  # f / c^2 = (1 - f) / lambda^2
             return *groups, logs(np.array([falls[3][:3]]))
-        assert found.change_slope is not None
         return *groups, logs(np.array([[np.sum(found.change2), np.sum(found.change_slope)]]))
 
     def _between(self, lam: Array) -> dict[str, Array]:

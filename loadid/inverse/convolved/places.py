@@ -78,16 +78,10 @@ class Refined:
 
 
 def refine(
-    start: Array,
-    y: Array,
-    lam: Array,
-    responses: Callable[[Array], Array],
-    fit: Callable[[Array, Array], HistoryFit],
-    bounds: tuple[Array, Array],
-    spacing: float,
-    *,
+    start: Array, y: Array, lam: Array, responses: Callable[[Array], Array],
+    fit: Callable[[Array, Array], HistoryFit], bounds: tuple[Array, Array], spacing: float, *,
     hopeless: float | None = None,
-) -> Refined:
+) -> Refined:  # fmt: skip
     """Refine the places of loads that act at once.
 
     Parameters

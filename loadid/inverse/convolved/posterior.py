@@ -260,40 +260,34 @@ class Moments:
 
     Parameters
     ----------
-    rest : array, shape (2 * solves, k)
+    rest : array, shape (2 * SOLVES, k)
         ``sum (1 - f)^j beta^2`` for j = 1, 2, ...: objective, squared residual, and what follows in the derivatives.
-    drop : array, shape (2 * solves, k)
+    drop : array, shape (2 * SOLVES, k)
         ``sum f (1 - f)^j beta^2`` for j = 0, 1, ...: differences of neighbours of `rest`, without cancellation.
-    load2, load_slope : array
-        ``|g_1|^2`` and its derivative in t.
     change2, change_slope : array
-        ``|g_2|^2``, where g_2 = -dg/dt, and its derivative in t; the slope is None after two solves.
+        ``|g_2|^2``, where g_2 = -dg/dt, and its derivative in t.
     residual, residual_slope : array, shape (k, sensors, samples)
         ``y - H g_1`` and its derivative in t.
     """
 
     rest: Array
     drop: Array
-    load2: Array
-    load_slope: Array
     change2: Array
-    change_slope: Array | None
+    change_slope: Array
     residual: Array
     residual_slope: Array
 
 
+SOLVES = 3  # of a chain: they give every scalar of the path with two derivatives or more
+
+
 def chain(
-    operator: PenalizedConvolution,
-    circulant: Circulant,
-    y: Array,
-    solves: int,
-    tolerance: float,
-    takeover: bool = True,
-) -> tuple[list[Array], list[Array], list[Array]]:
+    operator: PenalizedConvolution, circulant: Circulant, y: Array, tolerance: float, takeover: bool = True,
+) -> tuple[list[Array], list[Array], list[Array]]:  # fmt: skip
     """g_1, g_2, ... for data y (k, sensors, samples), with their responses H g_j and roughnesses lambda L g_j."""
     loads, responses, roughs = [], [], []
     sides = Sides(y=y)
-    for _ in range(solves):
+    for _ in range(SOLVES):
         found = solve(operator, circulant, sides, tolerance, takeover=takeover)
         rough = -found.q if sides.c is None else sides.c - found.q
         loads.append(found.x)
@@ -304,21 +298,20 @@ def chain(
 
 
 def moments(y: Array, loads: list[Array], responses: list[Array], roughs: list[Array]) -> Moments:
-    """Moments of data y (k, sensors, samples) from a `chain` of two solves or more."""
-    solves, rests = len(loads), [y]
+    """Moments of data y (k, sensors, samples) from a `chain`."""
+    rests = [y]
     for response in responses:
         rests.append(rests[-1] - response)
     rest, drop = [], [_dot(y, responses[0])]
-    for k in range(1, solves + 1):
+    for k in range(1, SOLVES + 1):
         size = _dot(rests[k], rests[k])
         rest += [size + _dot(roughs[0], roughs[0]) if k == 1 else _dot(rests[k - 1], rests[k]), size]
         drop += [_dot(roughs[k - 1], roughs[k - 1])]
-        if k < solves:
+        if k < SOLVES:
             drop += [_dot(roughs[k - 1], roughs[k])]
-    slope = None if solves < 3 else 2 * (_dot(loads[1], loads[1]) - 2 * _dot(loads[1], loads[2]))
+    slope = 2 * (_dot(loads[1], loads[1]) - 2 * _dot(loads[1], loads[2]))
     return Moments(
-        np.array(rest), np.array(drop), _dot(loads[0], loads[0]), -2 * _dot(loads[0], loads[1]),
-        _dot(loads[1], loads[1]), slope, rests[1], responses[1],
+        np.array(rest), np.array(drop), _dot(loads[1], loads[1]), slope, rests[1], responses[1],
     )  # fmt: skip
 
 
@@ -342,8 +335,8 @@ SLOPE = 1e-2  # step in ln lambda^2 for a derivative of fourth order
 class ConvolvedPosterior:
     """Covariance ``sigma^2 (H^T H + lam^2 L^T L)^-1`` of a load history, never formed.
 
-    `std` is exact to the tolerance of some solves, at both ends and between (`displacement.profile`); with many gaps in
-    the data it is estimated, to some per cent where loads 64 samples apart are no longer correlated (`probes`).
+    `std` is exact to the tolerance of some solves, at both ends and between (`profile`); with many gaps in
+    the data it is estimated, to some per cent where loads 64 samples apart are no longer correlated (`variances`).
     `noise_std` is its derivative in lambda by differences, good to about 1e-6; `variance`, `noise_variance` and
     `bias_weights` take one solve for each weighted sum.
 

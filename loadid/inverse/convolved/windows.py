@@ -19,7 +19,7 @@ from structures.errors import InputError
 
 from .. import penalties
 from ..convolution import Convolution, PenalizedConvolution, differences, differences_adjoint, heard
-from .path import ConvolvedPath
+from .path import ConvolvedPath, checked
 from .pcg import Circulant, Reached, Sides, solve
 
 Array = NDArray[np.float64]
@@ -63,18 +63,10 @@ class Windowed:
 
 
 def solve_in_windows(
-    h: Array,
-    y: Array,
-    lam: float,
-    penalty: str = "identity",
-    *,
-    weight: Array | None = None,
-    window: int | None = None,
-    overlap: int | None = None,
-    tolerance: float = 1e-4,
-    sweeps: int = 4,
+    h: Array, y: Array, lam: float, penalty: str = "identity", *, weight: Array | None = None,
+    window: int | None = None, overlap: int | None = None, tolerance: float = 1e-4, sweeps: int = 4,
     progress: Progress | None = None,
-) -> Windowed:
+) -> Windowed:  # fmt: skip
     """Solve ``min |H g - y|^2 + lam^2 |L g|^2`` window by window; the work space is that of some windows.
 
     Parameters
@@ -104,9 +96,12 @@ def solve_in_windows(
     InputError
         Shapes that do not fit, NaN, no positive lambda, or an overlap of half a window and more.
     """
-    h, y, w = _checked(h, y, weight, lam)
-    windows = Windows(h, y.shape[1], lam, penalty, w, window=window, overlap=overlap)
-    return windows.solve(y, tolerance=tolerance, sweeps=sweeps, progress=progress)
+    h, y, used = checked(h, y, weight)
+    if not (np.isfinite(lam) and lam > 0):
+        raise InputError("no lambda", where="windows", found=lam, expected="a finite number above 0")
+    w = np.ones(y.shape) if weight is None else np.asarray(weight, float)
+    windows = Windows(h[: len(y)], len(y), lam, penalty, w.T.copy(), window=window, overlap=overlap)
+    return windows.solve(np.where(used, y, 0.0).T.copy(), tolerance=tolerance, sweeps=sweeps, progress=progress)
 
 
 class Windows:
@@ -318,23 +313,6 @@ def _faded(h: Array, samples: int, lam: float, penalty: str) -> int:
         if 4 * reach <= width or width == samples or reach > most:
             return min(reach, most)
         width = min(2 * width, samples)
-
-
-def _checked(h: Array, y: Array, weight: Array | None, lam: float) -> tuple[Array, Array, Array]:
-    h, y = np.asarray(h, float), np.asarray(y, float)
-    if h.ndim != 3 or y.ndim != 2 or y.shape[1] != h.shape[1] or 0 in h.shape + y.shape:
-        raise InputError("impulse responses and data do not fit", where="windows", found=f"h {h.shape}, y {y.shape}",
-                         expected="(taps, sensors, loads) and (samples, sensors)")  # fmt: skip
-    if not (np.isfinite(lam) and lam > 0):
-        raise InputError("no lambda", where="windows", found=lam, expected="a finite number above 0")
-    w = np.ones(y.shape) if weight is None else np.asarray(weight, float)
-    if w.shape != y.shape:
-        raise InputError("the weights do not fit the data", where="windows", found=f"shape {w.shape}",
-                         expected=f"{y.shape}")  # fmt: skip
-    if not (np.all(np.isfinite(h)) and np.all(np.isfinite(w)) and np.all(np.isfinite(y[w != 0]))):
-        raise InputError("NaN or inf in the model or the data", where="windows", expected="finite numbers",
-                         hint="weight 0 where a sample is missing")  # fmt: skip
-    return h[: len(y)], np.where(w != 0, y, 0.0).T.copy(), w.T.copy()
 
 
 CLOSE, SWEEPS = 5e-4, 6  # bound over the norm of the load at which sweeps end; most sweeps
