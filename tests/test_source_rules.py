@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from loadid.inverse.convolution import SpectralPath
+from loadid.inverse.convolved.padded import SpectralPath
 from loadid.inverse.path import FactoredPath
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.ruled import LinesPath

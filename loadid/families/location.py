@@ -233,7 +233,7 @@ class LocationSearch:
         found = fits.groups(white, None if self.grid is None else self.grid.near)
         return tuple(tuple(self.model.loads[j].label for j in group) for group in found)
 
-    def _choose(self, posed: LocationProblem) -> places.Chosen:
+    def _choose(self, posed: LocationProblem) -> places.CandidateSet:
         """The best candidates, and the scores of all."""
         solved = fits.over(
             lambda fit: fit.solve(posed.y), posed.fits, workers=1 if posed.dense else self.workers,
@@ -242,12 +242,12 @@ class LocationSearch:
         scores = np.array([s.residual2 for s in solved])
         if self.impacts == 1:
             best = int(np.argmin(scores))
-            return places.Chosen((best,), solved[best], scores[None])
+            return places.CandidateSet((best,), solved[best], scores[None])
         lam = np.array([float(f.lam[0]) for f in posed.fits])
         problem = places.Joint(posed.y, posed.h / lam, posed.fits, posed.joint)
         return places.together(problem, self.impacts)
 
-    def _refine(self, posed: LocationProblem, chosen: places.Chosen) -> list[Solution]:
+    def _refine(self, posed: LocationProblem, chosen: places.CandidateSet) -> list[Solution]:
         """The place from the best candidates and from rivals in other basins; each with its origin and its load."""
         grid = self.grid
         assert grid is not None
@@ -276,7 +276,7 @@ class LocationSearch:
 
     # -- saying -------------------------------------------------------------------------------------------------------
     def _result(
-        self, posed: LocationProblem, chosen: places.Chosen, verdict: CandidateVerdict, solutions: list[Solution]
+        self, posed: LocationProblem, chosen: places.CandidateSet, verdict: CandidateVerdict, solutions: list[Solution]
     ) -> tuple[LocationResult, LocationProblem]:
         grid, norm = self.grid, float(np.linalg.norm(posed.y))
         residual2, best, at, covariance = chosen.fitted.residual2, chosen.indices, None, None

@@ -1,28 +1,54 @@
-"""Convolution as an operator: block Toeplitz matrix, FFT products whole or in blocks, and the zero-padded FFT path.
+"""Convolution with impulse responses as a linear operator: products by FFT, whole or in blocks; the difference penalty.
 
-Time last keeps each transform contiguous. Everything here is linear algebra: no data, no lambda.
+Inside, time is the last axis: each transform is contiguous. Everything here is linear algebra: no data, no lambda.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
-from structures.advice import Advice, Option
-from structures.errors import InputError, NotIdentifiable
-from structures.testing.spectra import multiplicity, padded_length, smooth_lines
+from structures.errors import InputError
+from structures.testing.spectra import padded_length
 
 from . import penalties
-from .path import FactoredPath, Solution
-from .penalties import symbol
-from .posterior import SpectralPosterior
 from .svd import Factors, paired, plain
 
+if TYPE_CHECKING:
 
-class Convolution:
+    class LinearOperator:
+        """As far as it is used here."""
+
+        shape: tuple[int, int]
+
+        def __init__(self, dtype: type, shape: tuple[int, int]) -> None: ...
+
+else:
+    from scipy.sparse.linalg import LinearOperator
+
+Array = NDArray[np.float64]
+Lines = NDArray[np.complex128]
+BLOCK = 1 << 14  # samples of a block, unless the responses are longer
+FULL = 4  # a record of so many blocks and more is cut into blocks, if the responses are that much shorter than it
+EMPTY = 1e-15  # share of its norm that an impulse response may lose at its end
+
+
+def heard(h: Array) -> Array:
+    """Impulse responses (taps, sensors, loads) without an end that is zero to rounding."""
+    left = np.sqrt(np.cumsum(np.sum(h**2, axis=(1, 2))[::-1])[::-1])
+    return h[: max(int(np.sum(left > EMPTY * left[0])), 1)]
+
+
+class Convolution(LinearOperator):
     """``(H g)_k = sum_j h_j g_{k-j}`` for k = 0 .. samples - 1, and its transpose, without the Toeplitz matrix.
+
+    A `scipy.sparse.linalg.LinearOperator` on loads flattened as (samples, loads). `apply` and `apply_transposed` take
+    arrays with time on the first axis; `convolve` and `correlate`, which all of them rest on, on the last.
 
     Parameters
     ----------
@@ -32,100 +58,202 @@ class Convolution:
         Length of the record; default the number of taps.
     weight : array, shape (samples, sensors), optional
         What each datum is multiplied by (0 for a missing one): rows of H are scaled by it.
+    block : int, optional
+        Samples that are made at once, each with what of the load it still hears (overlap-save). Default: the record by
+        one padded transform, or blocks where it is long and the responses are short, which takes the memory of a block.
+
+    Raises
+    ------
+    InputError
+        Weights that do not fit.
     """
 
-    def __init__(self, h: NDArray, samples: int | None = None, weight: NDArray | None = None) -> None:
-        from scipy import fft
-
+    def __init__(
+        self, h: Array, samples: int | None = None, weight: Array | None = None, *, block: int | None = None
+    ) -> None:
         self.samples = len(h) if samples is None else int(samples)
         self.sensors, self.loads = h.shape[1:]
-        self.weight = weight
+        super().__init__(float, (self.samples * self.sensors, self.samples * self.loads))
         if weight is not None and weight.shape != (self.samples, self.sensors):
             raise InputError("the weights do not fit the record", where="convolution", found=f"shape {weight.shape}",
                              expected=f"({self.samples}, {self.sensors})")  # fmt: skip
-        self.padded = padded_length(self.samples)
-        self.lines = fft.rfft(h[: self.samples], self.padded, axis=0)
+        self.h = np.ascontiguousarray(np.moveaxis(h[: self.samples], 0, -1), float)  # (sensors, loads, taps)
+        self.weight = None if weight is None else np.ascontiguousarray(weight.T, float)
+        taps = self.h.shape[-1]
+        if block is None:
+            block = max(BLOCK, taps) if self.samples > FULL * max(BLOCK, taps) else self.samples
+        self.block = min(int(block), self.samples)
+        self.length = (
+            self.padded if self.block == self.samples else int(fft.next_fast_len(taps + self.block, real=True))
+        )
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Data and unknowns."""
-        return self.samples * self.sensors, self.samples * self.loads
+    def responses(self) -> Array:
+        """Impulse responses (taps, sensors, loads)."""
+        return np.moveaxis(self.h, -1, 0)
 
-    def apply(self, g: NDArray) -> NDArray[np.float64]:
-        """H g: loads (samples, loads) to responses (samples, sensors)."""
-        from scipy import fft
+    @property
+    def weights(self) -> Array | None:
+        """Weights of the data (samples, sensors)."""
+        return None if self.weight is None else self.weight.T
 
-        G = fft.rfft(g, self.padded, axis=0)
-        y = fft.irfft(np.einsum("ksl,kl->ks", self.lines, G), self.padded, axis=0)[: self.samples]
+    @cached_property
+    def padded(self) -> int:
+        """Length of a transform in which no part of a response wraps round."""
+        return padded_length(self.samples)
+
+    @cached_property
+    def spectrum(self) -> Lines:
+        """Transform of the impulse responses padded to `padded`, (sensors, loads, lines)."""
+        return self._transfer if self.length == self.padded else np.asarray(fft.rfft(self.h, self.padded))
+
+    @cached_property
+    def _transfer(self) -> Lines:
+        """Transform of the impulse responses for one block."""
+        return np.asarray(fft.rfft(self.h, self.length))
+
+    # -- time first, and flat -----------------------------------------------------------------------------------------
+    def apply(self, g: Array) -> Array:
+        """H g: loads (samples, loads, ...) to responses (samples, sensors, ...)."""
+        return _time_first(self.convolve(_time_last(g)))
+
+    def apply_transposed(self, r: Array) -> Array:
+        """H^T r: responses (samples, sensors, ...) to loads (samples, loads, ...)."""
+        return _time_first(self.correlate(_time_last(r)))
+
+    def _matvec(self, x: Array) -> Array:
+        return self.apply(x.reshape(self.samples, self.loads)).reshape(-1)
+
+    def _rmatvec(self, x: Array) -> Array:
+        return self.apply_transposed(x.reshape(self.samples, self.sensors)).reshape(-1)
+
+    def _matmat(self, X: Array) -> Array:
+        return self.apply(X.reshape(self.samples, self.loads, -1)).reshape(self.shape[0], -1)
+
+    def _rmatmat(self, X: Array) -> Array:
+        return self.apply_transposed(X.reshape(self.samples, self.sensors, -1)).reshape(self.shape[1], -1)
+
+    # -- time last ----------------------------------------------------------------------------------------------------
+    def convolve(self, g: Array) -> Array:
+        """H g: loads (..., loads, samples) to responses (..., sensors, samples)."""
+        y = self._in_blocks(self.response, g, self.sensors)
         return y if self.weight is None else y * self.weight
 
-    def adjoint(self, r: NDArray) -> NDArray[np.float64]:
-        """H^T r: responses (samples, sensors) to loads (samples, loads)."""
-        from scipy import fft
+    def correlate(self, r: Array) -> Array:
+        """H^T r: responses (..., sensors, samples) to loads (..., loads, samples)."""
+        return self._in_blocks(self.correlation, r if self.weight is None else r * self.weight, self.loads)
 
-        R = fft.rfft(r if self.weight is None else r * self.weight, self.padded, axis=0)
-        return fft.irfft(np.einsum("ksl,ks->kl", self.lines.conj(), R), self.padded, axis=0)[: self.samples]
+    def _in_blocks(self, product: Callable[[Array, int, int], Array], x: Array, rows: int) -> Array:
+        if self.block == self.samples:
+            return product(x, 0, self.samples)
+        out = np.empty((*x.shape[:-2], rows, self.samples))
+        for start in range(0, self.samples, self.block):
+            stop = min(start + self.block, self.samples)
+            out[..., start:stop] = product(x, start, stop)
+        return out
+
+    def response(self, g: Array, start: int, stop: int, before: int | None = None) -> Array:
+        """Response from `start` to `stop`, at most a block, without weights; to the load `before` a sample alone."""
+        first = max(start - self.h.shape[-1] + 1, 0)
+        G = fft.rfft(g[..., first : stop if before is None else before], self.length)
+        full: Array = fft.irfft(_mix(self._transfer, G), self.length, overwrite_x=True)
+        return full[..., start - first : stop - first]
+
+    def correlation(self, r: Array, start: int, stop: int) -> Array:
+        """The transpose from `start` to `stop`, at most a block, without weights."""
+        R = fft.rfft(r[..., start : stop + self.h.shape[-1] - 1], self.length)
+        lines = np.conj(_mix(self._transfer.swapaxes(0, 1), np.conj(R, out=R)))
+        full: Array = fft.irfft(lines, self.length, overwrite_x=True)
+        return full[..., : stop - start]
 
 
-BLOCK = 1 << 14  # samples of a block, unless the responses are longer
-EMPTY = 1e-15  # share of its norm that an impulse response may lose at its end
+def _time_last(x: Array) -> Array:
+    return np.moveaxis(x, (0, 1), (-1, -2))
 
 
-def heard(h: NDArray) -> NDArray[np.float64]:
-    """Impulse responses (taps, sensors, loads) without an end that is zero to rounding."""
-    left = np.sqrt(np.cumsum(np.sum(h**2, axis=(1, 2))[::-1])[::-1])
-    return h[: max(int(np.sum(left > EMPTY * left[0])), 1)]
+def _time_first(x: Array) -> Array:
+    return np.ascontiguousarray(np.moveaxis(x, (-1, -2), (0, 1)))
 
 
-class Stream:
-    """``H g`` and ``H^T r`` over a part of a record; time is on the last axis, but for h.
+def _mix(matrix: Lines, x: Lines) -> Lines:
+    """Product line by line: (rows, columns, lines) with (..., columns, lines)."""
+    (rows, columns), each = matrix.shape[:2], x.reshape(-1, *x.shape[-2:])
+    out = np.empty((len(each), rows, x.shape[-1]), complex)
+    for k in range(len(each)):
+        for i in range(rows):
+            np.multiply(matrix[i, 0], each[k, 0], out=out[k, i])
+            for j in range(1, columns):
+                out[k, i] += matrix[i, j] * each[k, j]
+    return out.reshape(*x.shape[:-2], *out.shape[1:])
+
+
+class PenalizedConvolution(Convolution):
+    """The pair (H, L) of a convolution and a difference penalty; differences are (..., loads, samples - order).
 
     Parameters
     ----------
-    h : array, shape (taps, sensors, loads)
-    block : int, optional
-        Samples that `response` and `adjoint` are asked for, at most.
+    h, samples, weight
+        As of `Convolution`.
+    penalty : str
+        Named penalty, a difference of any order, ends free.
     """
 
-    def __init__(self, h: NDArray, block: int | None = None) -> None:
-        from scipy import fft
+    def __init__(self, h: Array, samples: int, penalty: str = "identity", weight: Array | None = None) -> None:
+        self.penalty, self.order = penalty, penalties.order(penalty)
+        if samples <= self.order:
+            raise InputError("too few samples for this penalty", where="penalty", found=samples,
+                             expected=f"more than {self.order} for {penalty}")  # fmt: skip
+        super().__init__(h, samples, weight)
 
-        self.taps, self.block = len(h), max(BLOCK, len(h)) if block is None else int(block)
-        self.length = int(fft.next_fast_len(self.taps + self.block, real=True))
-        self.lines = fft.rfft(np.moveaxis(h, 0, -1), self.length)
+    @property
+    def rows(self) -> int:
+        """Rows of the penalty for one load."""
+        return self.samples - self.order
 
-    def response(self, g: NDArray, start: int, stop: int, before: int | None = None) -> NDArray[np.float64]:
-        """Responses (sensors, stop - start) to a load (loads, samples), or to what of it comes before a sample."""
-        from scipy import fft
+    @cached_property
+    def modes(self) -> Factors:
+        """Factorisation of the pair (H, L) written out, unknowns flattened as (samples, loads)."""
+        h = np.zeros((self.samples, self.sensors, self.loads))
+        h[: self.h.shape[-1]] = self.responses
+        H = toeplitz(h)
+        if self.weights is not None:
+            H *= self.weights[:, :, None]
+        R = np.asarray(np.linalg.qr(H.reshape(-1, H.shape[-1]), mode="r"))
+        L = penalties.matrix(self.penalty, self.samples, self.loads)
+        return plain(R) if L is None else paired(R, L)
 
-        first = max(start - self.taps + 1, 0)
-        G = fft.rfft(g[:, first : stop if before is None else before], self.length)
-        full = fft.irfft(np.einsum("slk,lk->sk", self.lines, G), self.length)
-        return full[:, start - first : stop - first]
+    def cut(self, samples: int) -> PenalizedConvolution:
+        """The same for the first samples alone."""
+        weight = None if self.weights is None else self.weights[:samples]
+        return PenalizedConvolution(self.responses, samples, self.penalty, weight)
 
-    def adjoint(self, r: NDArray, start: int, stop: int) -> NDArray[np.float64]:
-        """Loads (loads, stop - start) of H^T r."""
-        from scipy import fft
+    def rough(self, g: Array) -> Array:
+        """L g."""
+        return differences(g, self.order)
 
-        R = fft.rfft(r[:, start : stop + self.taps - 1], self.length)
-        return fft.irfft(np.einsum("slk,sk->lk", self.lines.conj(), R), self.length)[:, : stop - start]
-
-    def whole(self, g: NDArray) -> NDArray[np.float64]:
-        """Responses (sensors, samples) to a load (loads, samples) over its whole length."""
-        out = np.empty((self.lines.shape[0], g.shape[1]))
-        for a in range(0, g.shape[1], self.block):
-            out[:, a : a + self.block] = self.response(g, a, min(a + self.block, g.shape[1]))
-        return out
-
-    def whole_adjoint(self, r: NDArray) -> NDArray[np.float64]:
-        """Loads (loads, samples) of H^T r over the whole length."""
-        out = np.empty((self.lines.shape[1], r.shape[1]))
-        for a in range(0, r.shape[1], self.block):
-            out[:, a : a + self.block] = self.adjoint(r, a, min(a + self.block, r.shape[1]))
-        return out
+    def rough_adjoint(self, d: Array) -> Array:
+        """L^T d."""
+        return differences_adjoint(d, self.order)
 
 
-def toeplitz(h: NDArray) -> NDArray[np.float64]:
+def differences(g: Array, order: int) -> Array:
+    """Differences of neighbours along the last axis, `order` times."""
+    for _ in range(order):
+        g = g[..., 1:] - g[..., :-1]
+    return g
+
+
+def differences_adjoint(d: Array, order: int) -> Array:
+    """Transpose of `differences`."""
+    for _ in range(order):
+        wider = np.empty((*d.shape[:-1], d.shape[-1] + 1))
+        wider[..., 0], wider[..., -1] = -d[..., 0], d[..., -1]
+        np.subtract(d[..., :-1], d[..., 1:], out=wider[..., 1:-1])
+        d = wider
+    return d
+
+
+def toeplitz(h: Array) -> Array:
     """Lower block triangular Toeplitz operator of impulse responses (samples, sensors, loads).
 
     Returns
@@ -137,287 +265,3 @@ def toeplitz(h: NDArray) -> NDArray[np.float64]:
     # row t holds h[t], h[t-1], ... h[t-N+1]: windows of the padded history, read backwards
     windows = np.lib.stride_tricks.sliding_window_view(padded, N, axis=0)[..., ::-1]  # (N, m, p, N)
     return np.ascontiguousarray(windows.transpose(0, 1, 3, 2)).reshape(N, m, N * p)
-
-
-def decomposed(H: NDArray, Y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
-    """Batched SVD of whitened lines.
-
-    Parameters
-    ----------
-    H : array, shape (lines, sensors, loads)
-    Y : array, shape (lines, sensors)
-
-    Returns
-    -------
-    U (lines, sensors, r), c (lines, r), zero below rounding, V (lines, loads, r), beta (lines, r), outside (lines,)
-    """
-    U, c, Vh = np.linalg.svd(H, full_matrices=False)
-    # what rounding leaves of a silent direction carries no information: sums run over the rank of each line
-    c = np.where(c > max(H.shape[1:]) * np.finfo(float).eps * c[:, :1], c, 0.0)
-    beta = np.einsum("ksr,ks->kr", U.conj(), Y)
-    outside = np.sum(np.abs(Y - np.einsum("ksr,kr->ks", U, beta)) ** 2, axis=1)
-    return U, c, Vh.conj().swapaxes(1, 2), beta, outside
-
-
-class SpectralPath(FactoredPath):
-    """Zero-padded frequency-domain Tikhonov of a whole record with one lambda; right where the response has decayed.
-
-    Each line is a small problem (sensors x loads) solved by SVD; all lines share lambda and every rule sees them as one
-    problem. The record is padded to twice its length, so that the convolution is linear and what the solution puts
-    after the record is dropped.
-
-    Parameters
-    ----------
-    H : array, shape (lines, sensors, loads)
-        Frequency response at the lines of the padded transform.
-    y : array, shape (samples, sensors)
-        Data.
-    power : array, shape (lines, sensors)
-        Expected energy of the noise in the transform of each channel.
-    penalty : str
-        Named penalty.
-    variance : array, shape (lines, sensors, loads), optional
-        Variance of H; widens the posterior.
-    excess : array, shape (lines, sensors), optional
-        Noise energy beyond `power` on single lines: it does not enter the weights, but widens the posterior.
-    """
-
-    zero_padded = True
-
-    def __init__(
-        self,
-        H: NDArray,
-        y: NDArray,
-        power: NDArray,
-        *,
-        penalty: str = "identity",
-        variance: NDArray | None = None,
-        excess: NDArray | None = None,
-        truncated: bool = False,
-    ) -> None:
-        from scipy import fft
-
-        self.samples, sensors = y.shape
-        self.padded = padded_length(self.samples)
-        lines, loads = self.padded // 2 + 1, H.shape[2]
-        if H.shape[:2] != (lines, sensors) or power.shape != (lines, sensors) or np.any(power <= 0):
-            raise InputError(
-                "lines do not fit the record",
-                where="spectral path",
-                found=f"H {H.shape}, noise power {power.shape}",
-                expected=f"({lines}, {sensors}, loads) and positive ({lines}, {sensors})",
-            )
-        if not all(np.all(np.isfinite(x)) for x in (H, y, power, *(v for v in (variance, excess) if v is not None))):
-            raise InputError("NaN or inf in the model, the record or its noise", where="spectral path",
-                             expected="finite numbers", hint="leave out or repair the samples")  # fmt: skip
-        # spectra are divided by sqrt(samples): noise has unit energy on each line, and lambda keeps its meaning in time
-        root = np.sqrt(power)
-        self.H = H * (np.sqrt(self.samples) / root)[..., None]
-        self.Y = fft.rfft(y, self.padded, axis=0) / root
-        self.U, c, self.V, beta, outside = decomposed(self.H, self.Y)
-        self.penalty_lines = symbol(penalty, 2 * np.pi * np.arange(lines) / self.padded)
-        self.variance = None if variance is None else variance / power[..., None]
-        self.excess = None if excess is None else excess / power
-        if self.penalty_lines[0] == 0:
-            self._refuse_unseen_constant(c)
-        weight = multiplicity(self.padded) * self.samples / self.padded
-        modes = c.shape[1]
-        super().__init__(
-            c.reshape(-1),
-            np.repeat(self.penalty_lines, modes),
-            beta.reshape(-1),
-            float(weight @ outside),
-            self.samples * sensors,
-            weight=np.repeat(weight, modes),
-            null=loads if self.penalty_lines[0] == 0 else 0,
-            truncated=truncated,
-        )
-        self.shape = (lines, modes)
-        self.unknowns = self.samples * loads
-
-    def _refuse_unseen_constant(self, c: NDArray) -> None:
-        least = float(c[0].min() / c.max()) if c.shape[1] == self.H.shape[2] and c.max() > 0 else 0.0
-        if least <= c.size * np.finfo(float).eps:
-            raise NotIdentifiable(
-                "a constant load is seen neither by the sensors nor by the penalty "
-                f"(relative singular value {least:.2g} at zero frequency)",
-                advice=Advice("add a sensor that sees a constant load, or choose ", Option("penalty", "identity")),
-                code="LID-E306",
-            )
-
-    @property
-    def rank(self) -> int:
-        """Modes (of lines times loads) above rounding."""
-        seen = self.c > self.c.size * np.finfo(float).eps * self.c.max()
-        return round(float(np.sum(self.weight[seen])))
-
-    def spectrum(self, lam: float) -> NDArray[np.complex128]:
-        """Load spectrum (lines, loads) of the padded transform."""
-        return np.sqrt(self.samples) * np.einsum("klr,kr->kl", self.V, self.gains(lam).reshape(self.shape))
-
-    def residual(self, lam: float) -> NDArray[np.float64]:
-        """Whitened residual (samples, sensors), unit variance where the noise level is right."""
-        from scipy import fft
-
-        lines = self.Y - np.einsum("ksl,kl->ks", self.H, self.spectrum(lam) / np.sqrt(self.samples))
-        return fft.irfft(lines, self.padded, axis=0)[: self.samples] * np.sqrt(self.samples)
-
-    def solution(self, lam: float, sigma: float | None) -> Solution:
-        """Load history (samples, loads) and its posterior, FRF variance included."""
-        from scipy import fft
-
-        G = self.spectrum(lam)
-        load = fft.irfft(G, self.padded, axis=0)[: self.samples]
-        if sigma is None:
-            return Solution(load, None)
-        return Solution(load, SpectralPosterior(self._covariance(lam, sigma, G), self.samples, self.padded))
-
-    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
-        """What would be estimated from the noise-free response of `load` (samples, loads)."""
-        from scipy import fft
-
-        f = self._filter(np.array([lam]))[0].reshape(self.shape)
-        modal = np.einsum("klr,kl->kr", self.V.conj(), fft.rfft(load, self.padded, axis=0))
-        return fft.irfft(np.einsum("klr,kr->kl", self.V, f * modal), self.padded, axis=0)[: self.samples]
-
-    def _covariance(self, lam: float, sigma: float, G: NDArray) -> NDArray:
-        """Covariance (lines, loads, loads) of the load spectrum: noise, prior and FRF variance."""
-        c = self.c.reshape(self.shape)
-        if self.smooth:
-            prior = (lam * float(self.scale) * self.penalty_lines[:, None]) ** 2
-            inside = 1.0 / (c**2 + prior)
-            gain = c * inside
-        else:
-            keep = self._filter(np.array([lam]))[0].reshape(self.shape) > 0
-            gain = np.where(keep, 1.0 / np.where(keep, c, 1.0), 0.0)
-            inside = gain**2
-        C = self.samples * sigma**2 * np.einsum("kir,kr,kjr->kij", self.V, inside, self.V.conj())
-        loads = G.shape[1]
-        if self.smooth and c.shape[1] < loads:  # what no sensor sees keeps the variance of the prior
-            rest = np.eye(loads) - np.einsum("kir,kjr->kij", self.V, self.V.conj())
-            C = C + self.samples * sigma**2 * rest / np.maximum(prior, np.finfo(float).tiny)[..., None]
-        spread = self._model_error(G, C)
-        if spread is None:
-            return C
-        Q = np.sqrt(self.samples) * np.einsum("kir,kr,ksr->kis", self.V, gain, self.U.conj())
-        return C + np.einsum("kis,ks,kjs->kij", Q, spread, Q.conj())
-
-    def _model_error(self, G: NDArray, C: NDArray) -> NDArray | None:
-        """Whitened energy (lines, sensors) that the noise level does not hold: FRF variance and excess."""
-        spread = self.excess
-        if self.variance is not None:
-            # the power of the load itself: its estimate carries noise that must not be counted twice
-            power = np.maximum(np.abs(G) ** 2 - np.einsum("kii->ki", C).real, 0.0)
-            frf = np.einsum("ksl,kl->ks", self.variance, smooth_lines(power, 5))
-            spread = frf if spread is None else spread + frf
-        return spread
-
-
-class Operator:
-    """``(H g)_k = sum_j h_j g_{k-j}``, weighted, and the difference penalty L, with their transposes.
-
-    Loads are arrays (k, loads, samples), responses (k, sensors, samples), differences (k, loads, samples - order).
-
-    Parameters
-    ----------
-    h : array, shape (taps, sensors, loads)
-        Impulse responses of the whitened data; cut, or zero beyond their end.
-    samples : int
-        Length of the record.
-    penalty : str
-        Named penalty, a difference of any order, ends free.
-    weight : array, shape (samples, sensors), optional
-        What each datum is multiplied by; 0 for a missing one.
-    """
-
-    def __init__(self, h: NDArray, samples: int, penalty: str = "identity", weight: NDArray | None = None) -> None:
-        self.samples, (self.sensors, self.loads) = int(samples), h.shape[1:]
-        self.penalty, self.order = penalty, penalties.order(penalty)
-        if self.samples <= self.order:
-            raise InputError("too few samples for this penalty", where="penalty", found=self.samples,
-                             expected=f"more than {self.order} for {penalty}")  # fmt: skip
-        self.h = np.ascontiguousarray(np.moveaxis(h[: self.samples], 0, -1), float)  # (sensors, loads, taps)
-        self.padded = padded_length(self.samples)
-        self.weight = None if weight is None else np.ascontiguousarray(weight.T, float)
-
-    @cached_property
-    def lines(self) -> NDArray[np.complex128]:
-        """Transform of the impulse responses, (sensors, loads, lines); made when first asked for."""
-        return self.transform(self.h)
-
-    @property
-    def rows(self) -> int:
-        """Rows of the penalty for one load."""
-        return self.samples - self.order
-
-    @cached_property
-    def modes(self) -> Factors:
-        """Factorisation of the pair (H, L) written out, unknowns flattened as (samples, loads)."""
-        h = np.zeros((self.samples, self.sensors, self.loads))
-        h[: self.h.shape[-1]] = np.moveaxis(self.h, -1, 0)
-        H = toeplitz(h)
-        if self.weight is not None:
-            H *= self.weight.T[:, :, None]
-        R = np.asarray(np.linalg.qr(H.reshape(-1, H.shape[-1]), mode="r"))
-        L = penalties.matrix(self.penalty, self.samples, self.loads)
-        return plain(R) if L is None else paired(R, L)
-
-    def cut(self, samples: int) -> Operator:
-        """The same for the first samples alone."""
-        weight = None if self.weight is None else self.weight[:, :samples].T
-        return Operator(np.moveaxis(self.h, -1, 0), samples, self.penalty, weight)
-
-    def with_penalty(self, penalty: str) -> Operator:
-        """The same with another penalty."""
-        return Operator(
-            np.moveaxis(self.h, -1, 0), self.samples, penalty, None if self.weight is None else self.weight.T
-        )
-
-    def transform(self, x: NDArray) -> NDArray[np.complex128]:
-        """Lines of the padded transform."""
-        from scipy import fft
-
-        return fft.rfft(x, self.padded)
-
-    def record(self, lines: NDArray) -> NDArray[np.float64]:
-        """The samples of the record from lines of the padded transform."""
-        from scipy import fft
-
-        return fft.irfft(lines, self.padded, overwrite_x=True)[..., : self.samples]
-
-    def apply(self, g: NDArray) -> NDArray[np.float64]:
-        """H g."""
-        y = self.record(_mix(self.lines, self.transform(g)))
-        return y if self.weight is None else y * self.weight
-
-    def adjoint(self, r: NDArray) -> NDArray[np.float64]:
-        """H^T r."""
-        R = self.transform(r if self.weight is None else r * self.weight)
-        return self.record(np.conj(_mix(self.lines.swapaxes(0, 1), np.conj(R, out=R))))
-
-    def rough(self, g: NDArray) -> NDArray[np.float64]:
-        """L g."""
-        for _ in range(self.order):
-            g = g[..., 1:] - g[..., :-1]
-        return g
-
-    def rough_adjoint(self, d: NDArray) -> NDArray[np.float64]:
-        """L^T d."""
-        for _ in range(self.order):
-            wider = np.empty((*d.shape[:-1], d.shape[-1] + 1))
-            wider[..., 0], wider[..., -1] = -d[..., 0], d[..., -1]
-            np.subtract(d[..., :-1], d[..., 1:], out=wider[..., 1:-1])
-            d = wider
-        return d
-
-
-def _mix(matrix: NDArray, x: NDArray) -> NDArray[np.complex128]:
-    """Product line by line: (rows, columns, lines) with (k, columns, lines)."""
-    rows, columns = matrix.shape[:2]
-    out = np.empty((len(x), rows, x.shape[-1]), complex)
-    for k in range(len(x)):
-        for i in range(rows):
-            np.multiply(matrix[i, 0], x[k, 0], out=out[k, i])
-            for j in range(1, columns):
-                out[k, i] += matrix[i, j] * x[k, j]
-    return out

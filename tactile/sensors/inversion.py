@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, qr
 
 from loadid.inverse.constrained import activeset
-from loadid.inverse.constrained.activeset import Point
+from loadid.inverse.constrained.activeset import ActivePoint
 from loadid.inverse.constrained.feasible import Feasible, compile_
 from loadid.inverse.constrained.quadratic import Quadratic, gram_of
 from loadid.inverse.constraints import Constraint, FrictionCone, NonNegative, Resultant
@@ -289,7 +289,7 @@ class RegionSolver:
         self.H, self.prior, self.resultant = np.asfortranarray(H), prior, resultant
         self.neighbours, self.friction = neighbours.tocsr().astype(bool), friction
         self._last: _Region | None = None
-        self._point: Point | None = None
+        self._point: ActivePoint | None = None
 
     def solve(self, z: Array, touched: Mask, wrench: Wrench | None, free: Answer) -> Pressed:
         """Load for whitened readings; `touched` (P,) says where contact is, a ring about it is added.
@@ -326,7 +326,7 @@ class RegionSolver:
         self._last = region
         return region
 
-    def _moved(self, last: _Region | None, region: _Region) -> Point | None:
+    def _moved(self, last: _Region | None, region: _Region) -> ActivePoint | None:
         """The last answer on the nodes of a new region."""
         if last is None or self._point is None:
             return None
@@ -335,7 +335,7 @@ class RegionSolver:
         start = activeset.origin(region.feasible(self.friction, None))
         return replace(start, h=whole[region.columns])
 
-    def _solve(self, region: _Region, z: Array, wrench: Wrench | None) -> Point:
+    def _solve(self, region: _Region, z: Array, wrench: Wrench | None) -> ActivePoint:
         b = region.Q.T @ z
         quadratic, feasible = region.problem(self.friction)
         if wrench is not None:

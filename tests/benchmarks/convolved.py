@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.inverse.convolution import Operator
+from loadid.inverse.convolution import PenalizedConvolution
 from loadid.inverse.convolved.path import ConvolvedPath
 from loadid.inverse.convolved.pcg import Circulant, Sides, largest, solve
 from loadid.inverse.convolved.windows import solve_in_windows
@@ -45,7 +45,7 @@ def record(samples: int, sensors: int, loads: int) -> tuple[NDArray, NDArray]:
     g = np.zeros((loads, samples))
     for start in range(100, samples - 50, 1500):
         g[:, start : start + 41] = np.sin(np.pi * np.arange(41) / 40)
-    clean = Operator(h, samples).apply(g[None])[0].T
+    clean = PenalizedConvolution(h, samples).convolve(g[None])[0].T
     sigma = 0.01 * clean.std()
     return h / sigma, (clean + sigma * np.random.default_rng(1).standard_normal(clean.shape)) / sigma
 
@@ -75,12 +75,12 @@ def by_lsmr(h: NDArray, y: NDArray, lam: float, tolerance: float) -> tuple[NDArr
 def one_lambda(samples: int, sensors: int, loads: int) -> None:
     """A row of the table of one lambda."""
     h, y = record(samples, sensors, loads)
-    operator = Operator(h, samples)
+    operator = PenalizedConvolution(h, samples)
     lam = LAMBDA * largest(operator)
     data = np.ascontiguousarray(y.T)[None]
 
     def ours(tolerance: float) -> tuple[NDArray, int]:
-        made = Operator(h, samples)
+        made = PenalizedConvolution(h, samples)
         found = solve(made, Circulant(made, lam), Sides(y=data), tolerance)
         return found.x[0].T, found.iterations
 
@@ -124,7 +124,7 @@ def windowed(samples: int) -> None:
     """A row of the table of windows."""
     h, y = record(samples, 1, 1)
     h = h * np.exp(-np.arange(samples) / 1200)[:, None, None]
-    lam = LAMBDA * largest(Operator(h, samples))
+    lam = LAMBDA * largest(PenalizedConvolution(h, samples))
     path, short = ConvolvedPath(h, y), h[:12_000]
     reference = path.solution(lam / float(path.scale), None).load
     run: Callable[[], object] = lambda: solve_in_windows(short, y, lam)  # noqa: E731

@@ -107,21 +107,11 @@ def full_grid(y, noise) -> None:
 
 def lsmr(under: ForwardModel, y: NDArray, noise: NDArray, lam: float) -> tuple[NDArray, int]:
     """The same minimiser by scipy with products by FFT: load and iterations."""
-    from scipy.sparse.linalg import LinearOperator
     from scipy.sparse.linalg import lsmr as solve
 
     H = Convolution(under.impulse_response(DT, len(y)) / noise[:, None])
-    shape = (len(y), H.loads)
-
-    def apply(g: NDArray) -> NDArray:
-        return H.apply(g.reshape(shape)).ravel()
-
-    def adjoint(r: NDArray) -> NDArray:
-        return H.adjoint(r.reshape(y.shape)).ravel()
-
-    A = LinearOperator(H.shape, matvec=apply, rmatvec=adjoint)
-    out = solve(A, (y / noise).ravel(), damp=lam, atol=1e-8, btol=1e-8, maxiter=2000)
-    return out[0].reshape(shape), out[2]
+    out = solve(H, (y / noise).ravel(), damp=lam, atol=1e-8, btol=1e-8, maxiter=2000)
+    return out[0].reshape(len(y), H.loads), out[2]
 
 
 def main(samples: int) -> None:

@@ -21,9 +21,9 @@ from scipy.linalg import svd, toeplitz
 from scipy.optimize import minimize, nnls
 
 from loadid.inverse import rules
-from loadid.inverse.constrained.methods import gap
+from loadid.inverse.constrained.condensed import BlockNormal
+from loadid.inverse.constrained.exchange import gap
 from loadid.inverse.constrained.nonnegative import NonNegativeRecord, discrepancy
-from loadid.inverse.constrained.normal import BlockNormal
 from loadid.inverse.convolution import Convolution
 from loadid.inverse.statespace.path import StateSpacePath
 from loadid.inverse.statespace.record import Record, augment, record
@@ -123,7 +123,7 @@ def _rivals(n: int, y: NDArray, lam: float, s1: float, line: Callable[..., None]
     def objective(g: NDArray) -> tuple[float, NDArray]:
         r = H.apply(g[:, None]) - y[:, None]
         value = 0.5 * float(np.sum(r**2)) + 0.5 * lam**2 * float(g @ g)
-        return value / s1**2, (H.adjoint(r)[:, 0] + lam**2 * g) / s1**2
+        return value / s1**2, (H.apply_transposed(r)[:, 0] + lam**2 * g) / s1**2
 
     options = {"maxiter": steps, "maxfun": 2000, "ftol": 1e-15, "gtol": 1e-12}
     seconds, found = timed(

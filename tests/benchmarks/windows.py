@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from loadid import Deconvolution
-from loadid.inverse.convolution import Operator
+from loadid.inverse.convolution import PenalizedConvolution
 from structures import ImpulseModel
 
 from .convolved import RATE, responses
@@ -30,7 +30,7 @@ def case(samples: int) -> tuple[ImpulseModel, np.ndarray, float]:
     g = np.zeros((1, 1, samples))
     for start in range(100, samples - 50, 1500):
         g[..., start : start + 41] = np.sin(np.pi * np.arange(41) / 40)
-    clean = Operator(h, samples).apply(g)[0].T
+    clean = PenalizedConvolution(h, samples).convolve(g)[0].T
     sigma = 0.01 * float(clean.std())
     return (
         ImpulseModel(h, 1 / RATE, kind="held"),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from loadid.inverse import penalties
 from loadid.inverse.choice import choose
-from loadid.inverse.convolution import Operator, toeplitz
+from loadid.inverse.convolution import PenalizedConvolution, toeplitz
 from loadid.inverse.convolved import posterior as probes
 from loadid.inverse.convolved.path import ConvolvedPath
 from loadid.inverse.convolved.pcg import Circulant, Sides, solve
@@ -42,7 +42,7 @@ def record(h: NDArray, noise: float = 0.01, seed: int = 1) -> tuple[NDArray, NDA
     g = np.zeros((samples, loads))
     for j in range(loads):
         g[samples // 3 + 30 * j :][:25, j] = np.sin(np.pi * np.arange(25) / 24)
-    clean = np.asarray(Operator(h, samples).apply(g.T[None])[0].T)
+    clean = np.asarray(PenalizedConvolution(h, samples).apply(g))
     sigma = noise * clean.std()
     return h / sigma, (clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape)) / sigma
 
@@ -97,7 +97,7 @@ def test_variances_come_from_few_solves(case: str, name: str) -> None:
         weight[5, 0] = 0.5
     h = h[:60] if case == "short response" else h
     H, _, L = dense(h, y, name, weight)
-    operator = Operator(h, 140, name, weight)
+    operator = PenalizedConvolution(h, 140, name, weight)
     for lam in (1e-4, 3e-2):
         x = lam * np.linalg.norm(H, 2)
         found = diagonals(operator, Circulant(operator, x))
@@ -167,8 +167,8 @@ def test_posterior_is_that_of_the_dense_path(both: dict[str, tuple[ConvolvedPath
 
 def test_long_records_take_their_variances_from_short_ones() -> None:
     h, _ = record(ringing(6000, damping=0.02))
-    operator = Operator(h, 6000)
-    x = 0.05 * np.abs(operator.lines).max()
+    operator = PenalizedConvolution(h, 6000)
+    x = 0.05 * np.abs(operator.spectrum).max()
     whole, pieced = diagonals(operator, Circulant(operator, x)), profile(operator, x)
     np.testing.assert_allclose(pieced.variance, whole.variance, rtol=1e-5)
     assert len(np.unique(pieced.variance)) < 2100  # it did come from a record of 2048 samples
@@ -210,7 +210,7 @@ def test_a_factorisation_takes_over_from_an_iteration_that_does_not_settle(name:
     weight[50:70, 1] = 0.0
     weight[5, 0] = 0.5
     H, data, L = dense(h, y, name, weight)
-    operator = Operator(h, 120, name, weight)
+    operator = PenalizedConvolution(h, 120, name, weight)
     for x in (1e-3 * np.linalg.norm(H, 2), 0.1 * np.linalg.norm(H, 2)):  # the second one begins with the factorisation
         found = solve(operator, Circulant(operator, x), Sides(y=(y * weight).T[None]), most=5)
         expected = np.linalg.lstsq(np.vstack([H, x * L]), np.concatenate([data, np.zeros(len(L))]))[0].reshape(-1, 2)
@@ -220,8 +220,8 @@ def test_a_factorisation_takes_over_from_an_iteration_that_does_not_settle(name:
 
 def test_an_iteration_that_does_not_settle_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     h, y = record(ringing(200))
-    operator = Operator(h, 200)
-    circulant = Circulant(operator, 1e-3 * np.abs(operator.lines).max())
+    operator = PenalizedConvolution(h, 200)
+    circulant = Circulant(operator, 1e-3 * np.abs(operator.spectrum).max())
     monkeypatch.setattr("loadid.inverse.convolved.pcg.FACTORED", 199)
     with pytest.raises(NotIdentifiable, match="do not determine"):
         solve(operator, circulant, Sides(y=y.T[None]), most=5)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from loadid.inverse.convolution import SpectralPath, toeplitz
+from loadid.inverse.convolution import toeplitz
+from loadid.inverse.convolved.padded import SpectralPath
 from loadid.inverse.diagnosis import diagnose
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath

@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from loadid.inverse.constrained.methods import gap
+from loadid.inverse.constrained.condensed import BlockNormal
+from loadid.inverse.constrained.exchange import gap
 from loadid.inverse.constrained.nonnegative import NonNegativeRecord, discrepancy, minimise
-from loadid.inverse.constrained.normal import BlockNormal
 from loadid.inverse.constrained.path import ConstrainedPath
 from loadid.inverse.constraints import NonNegative
 from loadid.inverse.problem import LinearProblem
@@ -161,7 +161,7 @@ def test_scalars_and_spread_are_those_of_the_constrained_path(penalty: str) -> N
     np.testing.assert_allclose(found.load[:, 0], dense.solution(relative, None).load, atol=1e-9 * found.load.max())
     assert found.residual2 == pytest.approx(float(point.residual2), rel=1e-9)
     assert found.penalty2 == pytest.approx(float(point.penalty2), rel=1e-9)
-    face = mine.spread(lam, found.held)
+    face = mine.face_covariance(lam, found.held)
     assert point.edf is not None
     assert face.edf == pytest.approx(float(point.edf), rel=1e-9)
     free = ~found.held[:, 0]
@@ -169,7 +169,7 @@ def test_scalars_and_spread_are_those_of_the_constrained_path(penalty: str) -> N
     np.testing.assert_allclose(face.variance[free, 0], np.diag(covariance), rtol=1e-8)
     assert np.all(face.variance[~free] == 0)
     whole = np.diag(np.linalg.solve(c.gram(lam), np.eye(120)))
-    np.testing.assert_allclose(mine.spread(lam).variance[:, 0], whole, rtol=1e-8)
+    np.testing.assert_allclose(mine.face_covariance(lam).variance[:, 0], whole, rtol=1e-8)
     assert np.all(face.variance[:, 0] <= whole * (1 + 1e-9))
 
 
@@ -331,7 +331,7 @@ def test_impulse_responses_through_the_projected_gradient() -> None:
     assert found.converged
     assert found.solver.startswith("projected gradient")
     with pytest.raises(InputError, match="covariance"):
-        problem.spread(lam)
+        problem.face_covariance(lam)
 
 
 def test_loads_that_move() -> None:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from loadid.inverse.convolution import SpectralPath, toeplitz
+from loadid.inverse.convolution import toeplitz
+from loadid.inverse.convolved.padded import SpectralPath
 from loadid.inverse.posterior import DensePosterior, Posterior, SpectralPosterior, from_arrays
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath

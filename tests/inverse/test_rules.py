@@ -7,7 +7,8 @@ import scipy.stats
 from loadid.inverse import rules
 from loadid.inverse import rules as odds
 from loadid.inverse.choice import GRADES
-from loadid.inverse.convolution import SpectralPath, toeplitz
+from loadid.inverse.convolution import toeplitz
+from loadid.inverse.convolved.padded import SpectralPath
 from loadid.inverse.path import PathPoint, RegularizationPath
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath

@@ -45,15 +45,6 @@ def test_bound_holds(case: tuple[NDArray, NDArray], penalty: str, overlap: int) 
             assert found.bound < 1e3 * off or found.bound < 1e-6 * size  # and it is no empty statement
 
 
-def test_memory_that_is_cut_short_is_in_the_bound(case: tuple[NDArray, NDArray]) -> None:
-    h, y = case
-    path = ConvolvedPath(h, y)
-    whole = path.solution(0.05, None).load
-    found = solve_in_windows(h, y, 0.05 * float(path.scale), window=2000, overlap=400, memory=300, sweeps=1)
-    off = np.linalg.norm(found.load - whole)
-    assert 1e-3 * np.linalg.norm(whole) < off <= found.bound
-
-
 def test_windows_find_their_own_length_and_bear_gaps(case: tuple[NDArray, NDArray]) -> None:
     h, y = case
     weight = np.ones(y.shape)

@@ -18,8 +18,8 @@ from structures.models.statespace import StateSpace
 from structures.system.loads import Moment, Point
 
 from ...design.candidates import of_model
-from ...inverse.convolved.fits import DenseFit, Fit, JointFit, LongFit
-from ...inverse.convolved.places import Chosen, Refined
+from ...inverse.convolved.fits import DenseFit, HistoryFit, JointFit, LongFit
+from ...inverse.convolved.places import CandidateSet, Refined
 from ...inverse.problem import whiten
 from ...results.location import Rival
 from ..data import Data
@@ -262,7 +262,7 @@ class FactoredCandidates:
 
     candidates: CandidateLoads
     h: Array
-    fits: tuple[Fit, ...]
+    fits: tuple[HistoryFit, ...]
     groups: tuple[tuple[str, ...], ...]
 
 
@@ -280,7 +280,7 @@ class LocationProblem:
     relative: Array
     candidates: CandidateLoads
     h: Array
-    fits: tuple[Fit, ...]
+    fits: tuple[HistoryFit, ...]
     groups: tuple[tuple[str, ...], ...]
     at: Array | None = None
 
@@ -289,11 +289,11 @@ class LocationProblem:
         """Every candidate has its factors: a fit costs less than handing it to a thread."""
         return isinstance(self.fits[0], DenseFit)
 
-    def fit(self, h: Array, lam: Array) -> Fit:
+    def fit(self, h: Array, lam: Array) -> HistoryFit:
         """A fit of its own for some responses."""
         return JointFit(h, lam) if len(h) * h.shape[2] <= DENSE else LongFit(h, lam)
 
-    def joint(self, indices: Sequence[int]) -> Fit:
+    def joint(self, indices: Sequence[int]) -> HistoryFit:
         """Some candidates together."""
         lam = np.array([float(self.fits[j].lam[0]) for j in indices])
         return self.fit(self.h[:, :, list(indices)], lam)
@@ -315,7 +315,7 @@ class CandidateVerdict:
     ratio: float
 
 
-def compared(posed: LocationProblem, chosen: Chosen) -> CandidateVerdict:
+def compared(posed: LocationProblem, chosen: CandidateSet) -> CandidateVerdict:
     """Of the load for which the runner-up comes closest."""
     found = []
     for best, scores in zip(chosen.indices, chosen.scores, strict=True):
@@ -328,7 +328,7 @@ def compared(posed: LocationProblem, chosen: Chosen) -> CandidateVerdict:
     return min(found, key=lambda s: s.ratio)
 
 
-def noise_level(posed: LocationProblem, residual2: float, chosen: Chosen) -> float:
+def noise_level(posed: LocationProblem, residual2: float, chosen: CandidateSet) -> float:
     """Noise level of the whitened data: as stated, or what the fit leaves where that is more or nothing is stated."""
     spent = sum(posed.fits[j].edf for j in chosen.indices)
     left = float(np.sqrt(residual2 / max(posed.y.size - spent, 1.0)))

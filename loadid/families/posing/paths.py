@@ -19,7 +19,7 @@ from structures.models.statespace import StateSpace
 from structures.testing.spectra import minimum_phase, smooth_lines
 
 from ...inverse.constrained.nonnegative import NonNegativeRecord
-from ...inverse.convolution import Convolution, Stream, heard
+from ...inverse.convolution import Convolution, heard
 from ...inverse.convolved.path import ConvolvedPath
 from ...inverse.convolved.windows import WindowedPath, beginning_of
 from ...inverse.penalties import names
@@ -254,10 +254,10 @@ def _posed(
     h_white = heard(h_white)
     path = (WindowedPath if pieces else ConvolvedPath)(h_white, y_white, penalty, weight)
     judged = (beginning_of(path) or path) if pieces else path
-    forward = Stream(heard(used))
+    forward = Convolution(heard(used), samples)
 
     def compare(load: Array, lam: float, start: Array | None) -> tuple[Array, Array]:
-        predicted = forward.whole(load.T).T
+        predicted = forward.apply(load)
         shown = np.where(missing, predicted, values)
         return shown, shown - predicted
 
@@ -298,7 +298,9 @@ def convolved_measured(model: Model, data: Data, settings: Settings) -> Posed:
 def _layout(h: Array, samples: int) -> tuple[float, int, int]:
     """Condition number, rank and nullity by the lines of a padded transform of impulse responses."""
     h = heard(h)
-    values = np.linalg.svd(Convolution(h, min(samples, max(len(h), FEW))).lines, compute_uv=False)
+    values = np.linalg.svd(
+        np.moveaxis(Convolution(h, min(samples, max(len(h), FEW))).spectrum, -1, 0), compute_uv=False
+    )
     seen = values > LAYOUT * values.max()
     unknowns = samples * h.shape[2]
     rank = round(unknowns * float(np.sum(seen)) / values.size)

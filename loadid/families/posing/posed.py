@@ -18,7 +18,7 @@ from structures.testing.spectra import padded_length, smooth_lines
 from ... import guards
 from ...inverse import penalties
 from ...inverse.constrained.nonnegative import NonNegativeRecord
-from ...inverse.convolution import SpectralPath
+from ...inverse.convolved.padded import SpectralPath
 from ...inverse.diagnosis import diagnose
 from ...inverse.noise_source import NoiseSource
 from ...inverse.path import RegularizationPath

@@ -3,72 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.errors import NotIdentifiable
-
+from . import conic
+from .exchange import exchange
 from .feasible import Feasible
-from .quadratic import Face, Quadratic
+from .normal import DenseNormal
+from .quadratic import ActiveFace, Quadratic
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int_]
 
 PATIENCE = 12
-EAGER = 0.5  # loads pulled less than this share of the most pulled one wait: many of them need not move at all
-
-
-def exchange(q: Quadratic, b: NDArray, s: Feasible, aim: NDArray, cap: int) -> tuple[NDArray, NDArray, int]:
-    """Load, the point that projects to it, and steps: from the face of `aim`, until no load changes sides.
-
-    Kunisch & Rendl, SIAM J. Optim. 14 (2003) 35: on a face the free loads solve the normal equations; loads beyond
-    their bound are held next, held loads that are pulled inside are freed. Runs on the Gram matrix; the caller checks
-    the result with the gradient formed from A, and takes another route where it fails.
-    """
-    from scipy.linalg import lapack
-
-    G, tau, lower, upper = q.G, q.tau, s.lower, s.upper
-    right = b @ q.A
-    root = np.sqrt(tau)
-    slack = 1e-14 * float(np.linalg.norm(b)) * root
-    two_sided = bool(np.any(np.isfinite(upper)))
-    low, high = aim <= lower, aim >= upper
-    least, since, steps = len(aim) + 1, 0, 0
-    x = np.clip(aim, lower, upper)
-    while steps < cap:
-        held = low | high
-        f = np.flatnonzero(~held)
-        x = np.zeros(len(aim))
-        x[low], x[high] = lower[low], upper[high]
-        if len(f):
-            pull = right - G @ x if np.any(x) else right
-            M = G.take(f, axis=0).take(f, axis=1).T  # symmetric: the transpose is in the order that LAPACK wants
-            factor, info = lapack.dpotrf(M, overwrite_a=1, clean=0)
-            if info:
-                break
-            x[f] = lapack.dpotrs(factor, pull[f])[0]
-        steps += 1
-        aim = x + tau * (right - G @ x)
-        aim[f] = x[f]
-        now_low = np.where(held, aim <= lower + slack, aim < lower)
-        now_high = np.where(held, aim >= upper - slack, aim > upper) if two_sided else high
-        freed = held & ~(now_low | now_high)
-        moved = int(np.count_nonzero(now_low != low)) + int(np.count_nonzero(now_high != high) if two_sided else 0)
-        if moved == 0:
-            break
-        if moved < least:
-            least, since = moved, 0
-        since += 1
-        if since > PATIENCE:
-            break
-        if np.any(freed):
-            pulled = np.where(freed, np.abs(aim - x) / root, 0.0)
-            late = freed & (pulled < EAGER * pulled.max())
-            now_low |= late & low
-            now_high = now_high | (late & high)
-        low, high = now_low, now_high
-    return np.clip(x, lower, upper), aim, steps
-
-
+EAGER = 0.5  # share of the largest pull below which a held load waits
 TIGHT = 1e-13  # natural residual, relative to the data, at which a solution is exact
 GOOD = 1e-11  # and below which it is accepted when rounding lets it fall no further
 CAP = 80
@@ -76,7 +25,7 @@ EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class ActivePoint:
     """Where an active-set run stands.
 
     Parameters
@@ -91,17 +40,17 @@ class Point:
     solver : str
     converged : bool
     aim : array, shape (n,), optional
-        Point whose projection is h: a warm start begins on its face, not on that of a gradient step with new data.
+        What projects to h: a warm start begins on its face, not on that of a gradient step with new data.
     """
 
-    h: NDArray[np.float64]
-    nu: NDArray[np.float64]
-    kappa: NDArray[np.float64]
+    h: Array
+    nu: Array
+    kappa: Array
     error: float
     steps: int
     solver: str
     converged: bool
-    aim: NDArray[np.float64] | None = None
+    aim: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +58,12 @@ class Prox:
     """Proximal term: weight (relative to the diagonal of the objective) and centre."""
 
     weight: float
-    centre: NDArray[np.float64]
+    centre: Array
 
 
-def solve(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: Point | None = None, cap: int = CAP) -> Point:
+def solve(
+    quadratic: Quadratic, b: Array, feasible: Feasible, start: ActivePoint | None = None, cap: int = CAP
+) -> ActivePoint:
     """Minimise |A h - b|^2 on the feasible set.
 
     Newton's method on the equation h = P(h - tau gradient) with the projection P on intervals and cones (semismooth:
@@ -140,11 +91,15 @@ def solve(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: Point | N
     return replace(found, steps=steps)
 
 
-def _bounds_only(q: Quadratic, b: NDArray, s: Feasible, start: Point, cap: int) -> Point:
+def _bounds_only(q: Quadratic, b: Array, s: Feasible, start: ActivePoint, cap: int) -> ActivePoint:
     """Start from what block exchanges reach; Newton then checks it, and takes a last step where it must."""
     aim = start.h - q.tau * ((q.A @ start.h - b) @ q.A) if start.aim is None else start.aim
-    h, aim, steps = exchange(q, b, s, aim, cap)
-    return replace(start, h=h, aim=None, steps=steps)
+    low, high = aim <= s.lower, aim >= s.upper if np.any(np.isfinite(s.upper)) else None
+    try:
+        found = exchange(DenseNormal(q, b), s.lower, s.upper, low, high, patience=PATIENCE, eager=EAGER, cap=cap)
+    except np.linalg.LinAlgError:
+        return start
+    return replace(start, h=np.clip(found.v, s.lower, s.upper), aim=None, steps=found.steps)
 
 
 def _rows_only(s: Feasible) -> bool:
@@ -153,7 +108,7 @@ def _rows_only(s: Feasible) -> bool:
     return bool(len(s.equal) and not len(s.below) and not s.cones and free)
 
 
-def _on_plane(q: Quadratic, b: NDArray, s: Feasible, start: Point) -> Point:
+def _on_plane(q: Quadratic, b: Array, s: Feasible, start: ActivePoint) -> ActivePoint:
     """Minimiser where C h = r is all that holds: least squares in the null space of C.
 
     The multipliers never meet the inverse of an ill-conditioned A (Björck, Numerical Methods for Least Squares
@@ -180,7 +135,7 @@ def _on_plane(q: Quadratic, b: NDArray, s: Feasible, start: Point) -> Point:
     return replace(start, h=h, nu=nu, aim=None)
 
 
-def _from_inside(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: Point) -> Point:
+def _from_inside(quadratic: Quadratic, b: Array, feasible: Feasible, start: ActivePoint) -> ActivePoint:
     """Newton from the answer of an interior-point solver; that answer where Newton cannot improve it."""
     inner = interior_point(quadratic, b, feasible)
     if inner is None:
@@ -192,24 +147,24 @@ def _from_inside(quadratic: Quadratic, b: NDArray, feasible: Feasible, start: Po
     )
 
 
-def origin(feasible: Feasible) -> Point:
+def origin(feasible: Feasible) -> ActivePoint:
     """The admissible load nearest to none."""
     h = feasible.project(np.zeros(len(feasible.keep)))
-    return Point(h, np.zeros(len(feasible.equal)), np.zeros(len(feasible.below)), np.inf, 0, "active set", False)
+    return ActivePoint(h, np.zeros(len(feasible.equal)), np.zeros(len(feasible.below)), np.inf, 0, "active set", False)
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
     """Everything that a step needs, at one point."""
 
-    gradient: NDArray[np.float64]
-    aim: NDArray[np.float64]
-    face: Face
-    active: NDArray[np.int_]
+    gradient: Array
+    aim: Array
+    face: ActiveFace
+    active: Index
     error: float
 
 
-def _look(q: Quadratic, b: NDArray, s: Feasible, h: NDArray, nu: NDArray, kappa: NDArray, prox: Prox | None) -> _State:
+def _look(q: Quadratic, b: Array, s: Feasible, h: Array, nu: Array, kappa: Array, prox: Prox | None) -> _State:
     image = q.A @ h
     gradient = (image - b) @ q.A
     total = gradient + nu @ s.equal.matrix + kappa @ s.below.matrix
@@ -218,7 +173,7 @@ def _look(q: Quadratic, b: NDArray, s: Feasible, h: NDArray, nu: NDArray, kappa:
         total = total + prox.weight / q.tau * (h - prox.centre)
         tau = q.tau / (1 + prox.weight)
     aim = h - tau * total
-    face = Face.near(s, aim)
+    face = ActiveFace.near(s, aim)
     error = float((np.abs(face.point - h) / np.sqrt(tau)).max(initial=0.0))
     active = np.zeros(0, int)
     if len(s.equal):
@@ -234,9 +189,9 @@ def _look(q: Quadratic, b: NDArray, s: Feasible, h: NDArray, nu: NDArray, kappa:
 
 
 def newton(
-    q: Quadratic, b: NDArray, s: Feasible, start: Point, *, prox: Prox | None = None, cap: int = CAP,
+    q: Quadratic, b: Array, s: Feasible, start: ActivePoint, *, prox: Prox | None = None, cap: int = CAP,
     tight: float = TIGHT,
-) -> Point:  # fmt: skip
+) -> ActivePoint:  # fmt: skip
     """Semismooth Newton from a start; the best point that it saw if it does not converge."""
     h, nu, kappa = start.h, start.nu, start.kappa
     best, halved, steps = None, (np.inf, 0), 0
@@ -259,7 +214,7 @@ def newton(
             or not np.isfinite(at.error)
         ):
             break
-        face = at.face if steps or start.aim is None else Face.near(s, start.aim)
+        face = at.face if steps or start.aim is None else ActiveFace.near(s, start.aim)
         rows, short = _rows(s, at.active, h)
         offset = np.zeros(q.n) if prox is None else h - prox.centre
         moved = q.step(h, b, at.gradient, face, tau, pull, offset, rows, short)
@@ -270,10 +225,10 @@ def newton(
         nu, kappa = multipliers[: len(nu)], np.zeros(len(kappa))
         kappa[at.active] = multipliers[len(nu) :]
     error, h, nu, kappa, aim = best
-    return Point(h, nu, kappa, error, start.steps + steps, "active set", error <= GOOD, aim)
+    return ActivePoint(h, nu, kappa, error, start.steps + steps, "active set", error <= GOOD, aim)
 
 
-def _rows(s: Feasible, active: NDArray, h: NDArray) -> tuple[NDArray, NDArray]:
+def _rows(s: Feasible, active: Index, h: Array) -> tuple[Array, Array]:
     """Rows that hold, and what `h` lacks in each."""
     if not len(active):
         return s.equal.matrix, s.equal.value - s.equal.matrix @ h if len(s.equal) else np.zeros(0)
@@ -281,7 +236,7 @@ def _rows(s: Feasible, active: NDArray, h: NDArray) -> tuple[NDArray, NDArray]:
     return C, np.concatenate([s.equal.value, s.below.value[active]]) - C @ h
 
 
-def _homotopy(q: Quadratic, b: NDArray, s: Feasible, start: Point) -> Point:
+def _homotopy(q: Quadratic, b: Array, s: Feasible, start: ActivePoint) -> ActivePoint:
     """Proximal steps: from a well-conditioned neighbour to the problem itself, each run warm."""
     weight, shrink, here, steps = 0.1, 10.0, replace(start, steps=0), 0
     centre = here.h
@@ -301,117 +256,21 @@ def _homotopy(q: Quadratic, b: NDArray, s: Feasible, start: Point) -> Point:
             here = found
             break
     end = _look(q, b, s, here.h, here.nu, here.kappa, None)
-    return Point(here.h, here.nu, here.kappa, end.error, steps, "active set, proximal", end.error <= GOOD, end.aim)
+    return ActivePoint(
+        here.h, here.nu, here.kappa, end.error, steps, "active set, proximal", end.error <= GOOD, end.aim
+    )
 
 
-def interior_point(quadratic: Quadratic, b: NDArray, feasible: Feasible) -> Point | None:
+def interior_point(quadratic: Quadratic, b: Array, feasible: Feasible) -> ActivePoint | None:
     """Solution by clarabel in scaled unknowns, moved into the intervals and cones; None if it fails."""
     w = np.sqrt(quadratic.tau)
     right = (b @ quadratic.A) * w
     size = float(np.abs(right).max(initial=0.0)) or 1.0
-    P = quadratic.G * w[:, None] * w
-    found = _run(P, -right / size, feasible, w, size)
-    if found.status not in ("Solved", "AlmostSolved"):
+    found = conic.minimum(quadratic.G * w[:, None] * w, -right / size, feasible, w, size)
+    if not found.solved:
         return None
-    z = np.asarray(found.dual)
     k, j = len(feasible.equal), len(feasible.below)
-    h = feasible.project(np.asarray(found.x) * w * size)
-    nu, kappa = z[:k] * size, np.maximum(z[k : k + j], 0.0) * size
+    h = feasible.project(found.x * w * size)
+    nu, kappa = found.dual[:k] * size, np.maximum(found.dual[k : k + j], 0.0) * size
     error = _look(quadratic, b, feasible, h, nu, kappa, None).error
-    return Point(h, nu, kappa, error, 0, "interior point", error <= GOOD)
-
-
-class _Found:
-    """Answer of the solver in plain words."""
-
-    def __init__(self, solution: Any) -> None:
-        self.status, self.x, self.dual = str(solution.status).rsplit(".", 1)[-1], solution.x, solution.z
-
-
-def _run(P: NDArray, c: NDArray, s: Feasible, w: NDArray, size: float, tol: float = 1e-11) -> _Found:
-    """Min 1/2 x^T P x + c^T x over the set, unknowns h = size * w * x."""
-    import clarabel
-    import scipy.sparse as sp
-
-    matrix, value, kinds = _standard_form(s)
-    A = sp.csc_matrix(matrix @ sp.diags(w))
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tol
-    solver = clarabel.DefaultSolver(sp.csc_matrix(np.triu(P)), c, A, value / size, kinds, settings)
-    return _Found(solver.solve())
-
-
-def _standard_form(s: Feasible) -> tuple[Any, NDArray, list[Any]]:
-    """Rows ``matrix @ h + slack = value`` with the slack in cones: equalities, rows, bounds, facets, round cones."""
-    import clarabel
-    import scipy.sparse as sp
-
-    n = len(s.keep)
-    eye = sp.identity(n, format="csr")
-    low, up = np.flatnonzero(np.isfinite(s.lower)), np.flatnonzero(np.isfinite(s.upper))
-    parts = [sp.csr_matrix(s.equal.matrix), sp.csr_matrix(s.below.matrix), -eye[low], eye[up]]
-    values = [s.equal.value, s.below.value, -s.lower[low], s.upper[up]]
-    for c in s.cones:
-        for index, mu, K in zip(c.index, c.mu, c.facets, strict=True):
-            if K == 0:
-                continue
-            angle = 2 * np.pi * np.arange(K) / K
-            sides = np.column_stack([np.cos(angle), np.sin(angle), np.full(K, -mu)])
-            parts.append(sp.csr_matrix(sides @ eye[index].toarray()))
-            values.append(np.zeros(K))
-    kinds = []
-    k = len(s.equal)
-    rows = sum(p.shape[0] for p in parts)
-    if k:
-        kinds.append(clarabel.ZeroConeT(k))
-    if rows > k:
-        kinds.append(clarabel.NonnegativeConeT(rows - k))
-    for c in s.cones:
-        for index, mu, K in zip(c.index, c.mu, c.facets, strict=True):
-            if K == 0:
-                dim = len(index)
-                scale = sp.diags(np.r_[mu, np.ones(dim - 1)])
-                parts.append(-(scale @ eye[np.r_[index[-1], index[:-1]]]))
-                values.append(np.zeros(dim))
-                kinds.append(clarabel.SecondOrderConeT(dim))
-    return sp.vstack(parts, format="csr"), np.concatenate(values), kinds
-
-
-def refuse_empty(feasible: Feasible) -> None:
-    """Refuse a set that no load is in.
-
-    The smallest load of the set is asked for; the solver's ray of infeasibility, checked here, names the rows.
-
-    Raises
-    ------
-    NotIdentifiable
-        With code LID-E309, naming the resultants or bounds that fight.
-    """
-    if feasible.simple:
-        return
-    n = len(feasible.keep)
-    finite = [np.abs(x[np.isfinite(x)]).max(initial=0.0) for x in (
-        feasible.equal.value, feasible.below.value, feasible.lower, feasible.upper)]  # fmt: skip
-    size = float(max(finite)) or 1.0
-    found = _run(np.eye(n), np.zeros(n), feasible, np.ones(n), size, tol=1e-8)
-    if found.status not in ("PrimalInfeasible", "AlmostPrimalInfeasible"):
-        return
-    z = np.asarray(found.dual)
-    matrix, value, _ = _standard_form(feasible)
-    z = z / np.abs(z).max()
-    gain, drift = float(value @ z) / size, float(np.abs(matrix.T @ z).max())
-    if not (gain < 0 and drift < 1e-5 * -gain * max(1.0, np.sqrt(n))):
-        return  # no proof: the solve itself will tell
-    rows = len(feasible.equal) + len(feasible.below)
-    names = (*feasible.equal.names, *feasible.below.names)
-    heavy = np.flatnonzero(np.abs(z[:rows]) > 0.1 * np.abs(z[:rows]).max(initial=0.0))
-    values = np.concatenate([feasible.equal.value * feasible.equal.norm, feasible.below.value])
-    listed = ", ".join(f"{names[i]} = {values[i]:.4g}" for i in heavy[:4]) or "the bounds"
-    raise NotIdentifiable(
-        f"no admissible load has this resultant: {listed} cannot be met within the signs, bounds and cones "
-        f"(certificate {gain:.2g} < 0)",
-        advice="check the sign and the frame of the resultant, or give it the covariance of its sensor "
-        "so that it becomes a penalty",
-        code="LID-E309",
-    )
+    return ActivePoint(h, nu, kappa, error, 0, "interior point", error <= GOOD)

@@ -13,6 +13,9 @@ from structures.errors import InputError
 from .. import constraints as cones
 from ..constraints import Bounds, Constraint, FrictionCone, NonNegative, Resultant, Support
 
+Array = NDArray[np.float64]
+Index = NDArray[np.int_]
+
 INF = np.inf
 
 
@@ -20,11 +23,11 @@ INF = np.inf
 class Cones:
     """Cones of one dimension: local unknowns (k, dim), tangential first and normal last; slope; facets (0: round)."""
 
-    index: NDArray[np.int_]
-    mu: NDArray[np.float64]
-    facets: NDArray[np.int_]
-    source: NDArray[np.int_]  # number of the constraint of each cone
-    frame: NDArray[np.float64]  # (k, dim, dim): global = frame @ local
+    index: Index
+    mu: Array
+    facets: Index
+    source: Index  # number of the constraint of each cone
+    frame: Array  # (k, dim, dim): global = frame @ local
     rotated: bool
 
 
@@ -32,12 +35,12 @@ class Cones:
 class Rows:
     """Linear rows ``matrix @ h = value`` (or <=), each of unit length; `norm` is what a row was divided by."""
 
-    matrix: NDArray[np.float64]
-    value: NDArray[np.float64]  # (rows,) or (rows, frames)
-    norm: NDArray[np.float64]
-    source: NDArray[np.int_]  # number of the constraint
-    place: NDArray[np.int_]  # row of a resultant, or load of a bound
-    sign: NDArray[np.float64]  # of a bound: +1 upper, -1 lower
+    matrix: Array
+    value: Array  # (rows,) or (rows, frames)
+    norm: Array
+    source: Index  # number of the constraint
+    place: Index  # row of a resultant, or load of a bound
+    sign: Array  # of a bound: +1 upper, -1 lower
     names: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -70,11 +73,11 @@ class Feasible:
     """
 
     n: int
-    keep: NDArray[np.int_]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-    lower_source: NDArray[np.int_]
-    upper_source: NDArray[np.int_]
+    keep: Index
+    lower: Array
+    upper: Array
+    lower_source: Index
+    upper_source: Index
     cones: tuple[Cones, ...]
     equal: Rows
     below: Rows
@@ -89,11 +92,11 @@ class Feasible:
         """The set of one frame."""
         return replace(self, equal=self.equal.of(frame)) if self.equal.value.ndim == 2 else self
 
-    def columns(self, A: NDArray) -> NDArray[np.float64]:
+    def columns(self, A: Array) -> Array:
         """Columns of an operator on all loads, for the local unknowns."""
         return _turn_columns(A[:, self.keep], self.cones)
 
-    def to_global(self, h: NDArray) -> NDArray[np.float64]:
+    def to_global(self, h: Array) -> Array:
         """Loads (n, ...) from local unknowns."""
         g = np.zeros((self.n, *h.shape[1:]))
         local = np.array(h, float)
@@ -103,16 +106,7 @@ class Feasible:
         g[self.keep] = local
         return g
 
-    def to_local(self, g: NDArray) -> NDArray[np.float64]:
-        """Local unknowns of loads (n,)."""
-        h = np.asarray(g, float)[self.keep]
-        out = h.copy()
-        for c in self.cones:
-            if c.rotated:
-                out[c.index] = np.einsum("kij,ki->kj", c.frame, h[c.index])
-        return out
-
-    def project(self, v: NDArray) -> NDArray[np.float64]:
+    def project(self, v: Array) -> Array:
         """Nearest point of the intervals and cones (the rows are left aside)."""
         P = np.clip(v, self.lower, self.upper)
         for c in self.cones:
@@ -120,7 +114,7 @@ class Feasible:
             P[c.index] = cones.project(w, cones.faces(w, c.mu, c.facets))
         return P
 
-    def violation(self, h: NDArray) -> float:
+    def violation(self, h: Array) -> float:
         """Largest violation, relative to the largest load (and to what the rows ask for)."""
         size = max(float(np.abs(h).max(initial=0.0)), np.finfo(float).tiny)
         finite = [np.abs(b[np.isfinite(b)]).max(initial=0.0) for b in (self.lower, self.upper)]
@@ -167,7 +161,7 @@ def _check_kinds(constraints: Sequence[Constraint]) -> None:
             )  # fmt: skip
 
 
-def _within(numbers: NDArray, n: int, where: str, masked: int | None = None) -> NDArray[np.int_]:
+def _within(numbers: Index, n: int, where: str, masked: int | None = None) -> Index:
     if masked not in (None, n):
         raise InputError("the mask does not fit the loads", where=where, found=f"{masked} entries", expected=n)
     if np.any(numbers < 0) or np.any(numbers >= n):
@@ -178,7 +172,7 @@ def _within(numbers: NDArray, n: int, where: str, masked: int | None = None) -> 
     return numbers
 
 
-def _support(constraints: Sequence[Constraint], n: int) -> NDArray[np.int_]:
+def _support(constraints: Sequence[Constraint], n: int) -> Index:
     keep = np.ones(n, bool)
     for c in constraints:
         if isinstance(c, Support):
@@ -190,10 +184,10 @@ def _support(constraints: Sequence[Constraint], n: int) -> NDArray[np.int_]:
     return np.flatnonzero(keep)
 
 
-def _cones(constraints: Sequence[Constraint], n: int, local: NDArray) -> tuple[Cones, ...]:
+def _cones(constraints: Sequence[Constraint], n: int, local: Index) -> tuple[Cones, ...]:
     """Cones by dimension, in local numbers."""
     used = np.full(n, -1)
-    parts: dict[int, list[tuple]] = {}
+    parts: dict[int, list[tuple[Index, Array, Index, Index, Array]]] = {}
     for number, c in enumerate(constraints):
         if not isinstance(c, FrictionCone):
             continue
@@ -226,7 +220,7 @@ def _cones(constraints: Sequence[Constraint], n: int, local: NDArray) -> tuple[C
     return tuple(groups)
 
 
-def _bounds(constraints: Sequence[Constraint], n: int, keep: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def _bounds(constraints: Sequence[Constraint], n: int, keep: Index) -> tuple[Array, Array, Index, Index]:
     """The tightest bounds (n,) and who made them."""
     lower, upper = np.full(n, -INF), np.full(n, INF)
     low_source, up_source = np.full(n, -1), np.full(n, -1)
@@ -264,12 +258,12 @@ def _name(constraints: Sequence[Constraint], number: int) -> str:
 
 
 def _bounds_in_cones(
-    groups: Sequence[Cones], lower: NDArray, upper: NDArray, low_source: NDArray, up_source: NDArray, keep: NDArray
-) -> tuple[Rows, NDArray, NDArray]:
+    groups: Sequence[Cones], lower: Array, upper: Array, low_source: Index, up_source: Index, keep: Index
+) -> tuple[Rows, Array, Array]:
     """Bounds on components of contacts become rows, unless the cone implies them; the other bounds stay as they are."""
     n = len(keep)
     low, up = lower.copy(), upper.copy()
-    matrix: list[NDArray] = []
+    matrix: list[Array] = []
     found: list[tuple[float, int, int, float]] = []  # value, constraint, load, sign
     for c in groups:
         dim = c.index.shape[1]
@@ -293,10 +287,10 @@ def _bounds_in_cones(
     return rows, low, up
 
 
-def _resultants(constraints: Sequence[Constraint], n: int, keep: NDArray, groups: Sequence[Cones]) -> Rows:
+def _resultants(constraints: Sequence[Constraint], n: int, keep: Index, groups: Sequence[Cones]) -> Rows:
     """Exact resultants as independent rows of unit length."""
-    rows: list[NDArray] = []
-    values: list[NDArray] = []
+    rows: list[Array] = []
+    values: list[Array] = []
     source: list[int] = []
     place: list[int] = []
     names: list[str] = []
@@ -331,7 +325,7 @@ def _resultants(constraints: Sequence[Constraint], n: int, keep: NDArray, groups
     return _independent(every, np.linalg.norm(np.concatenate(rows), axis=1))
 
 
-def _independent(rows: Rows, before: NDArray, tol: float = 1e-10) -> Rows:
+def _independent(rows: Rows, before: Array, tol: float = 1e-10) -> Rows:
     """Rows of unit length without those that follow from others; a contradiction is named."""
     size = np.abs(rows.value).max() if rows.value.size else 0.0
     kept: list[int] = []
@@ -370,16 +364,16 @@ def _independent(rows: Rows, before: NDArray, tol: float = 1e-10) -> Rows:
     )  # fmt: skip
 
 
-def _scaled(value: NDArray, norm: NDArray) -> NDArray[np.float64]:
+def _scaled(value: Array, norm: Array) -> Array:
     return value / (norm if value.ndim == 1 else norm[:, None])
 
 
-def _show(value: NDArray) -> str:
+def _show(value: Array) -> str:
     flat = np.atleast_1d(value)
     return f"{flat[0]:.4g}" if len(flat) == 1 else f"{flat[:3].round(4).tolist()} ..."
 
 
-def _turn_columns(A: NDArray, groups: Sequence[Cones]) -> NDArray[np.float64]:
+def _turn_columns(A: Array, groups: Sequence[Cones]) -> Array:
     """Columns for local unknowns from columns for the components of the contacts."""
     out = np.array(A, float, order="F")
     for c in groups:

@@ -9,14 +9,14 @@ of the unconstrained discrepancy, for every width of pulse and both noise levels
     found = problem.solve(lam * float(path.scale))                # at the lambda that the path chose
     chosen = discrepancy(problem, found.lam, sigma, warm=found)   # where the noise level is known
 
-What may be said of the spread: the posterior std of the path without signs is an upper bound for loads that push, held
-or free (`NonNegativeRecord.spread` says why); the std of the face alone tells what noise does while the active set
+The posterior std of the path without signs is an upper bound for loads that push, held or free
+(`NonNegativeRecord.face_covariance` says why); the std of the face alone tells what noise does while the active set
 stays, is 0 where a load is held, and is no confidence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -25,10 +25,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
 
+from ..convolution import PenalizedConvolution
 from ..rules import discrepancy_level
 from ..statespace.record import Record
-from .methods import Exchanged, Spread, exchange, gap, interior, projected, spread
-from .normal import BlockNormal, Blocks, Factor, Normal, cut
+from .condensed import BlockNormal, CondensedRecord, FaceCovariance, cut, face_covariance
+from .exchange import Exchanged, exchange, gap, interior, projected
+from .normal import ConvolvedNormal, NormalFactor, RecordNormal
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 CONVERGED = 1e-6  # relative duality gap of a solution
 ROUNDING = 1e-12  # gap at which loads that still change sides do so by rounding
@@ -51,7 +56,7 @@ class NonNegativeSolution:
     multiplier : array, shape (samples, loads)
         Half the derivative of the objective by a load: >= 0 where held, 0 where free.
     gap : float
-        Objective minus a lower bound of its minimum, over ``|y|^2 / 2``; `certificate.gap` says how.
+        Objective minus a lower bound of its minimum, over ``|y|^2 / 2``; `exchange.gap` says how.
     converged : bool
         The gap is below 1e-6.
     steps : int
@@ -65,9 +70,9 @@ class NonNegativeSolution:
         States of the model and of the load at the first sample, those that were unknown.
     """
 
-    load: NDArray[np.float64]
-    held: NDArray[np.bool_]
-    multiplier: NDArray[np.float64]
+    load: Array
+    held: Mask
+    multiplier: Array
     gap: float
     converged: bool
     steps: int
@@ -75,7 +80,7 @@ class NonNegativeSolution:
     residual2: float
     penalty2: float
     lam: float
-    start: NDArray[np.float64]
+    start: Array
 
 
 class NonNegativeRecord:
@@ -102,12 +107,12 @@ class NonNegativeRecord:
     """
 
     def __init__(self, record: Record, signed: ArrayLike | None = None) -> None:
-        self.blocks: Blocks | None = cut(record)
+        self.blocks: CondensedRecord | None = cut(record)
         self._set(partial(BlockNormal, self.blocks), (record.samples, record.p), len(record.free), record.data, signed)
 
     @classmethod
     def convolved(
-        cls, h: NDArray, y: NDArray, penalty: str = "identity", *, weight: NDArray | None = None,
+        cls, h: Array, y: Array, penalty: str = "identity", *, weight: Array | None = None,
         signed: ArrayLike | None = None,
     ) -> NonNegativeRecord:  # fmt: skip
         """A record behind impulse responses: the same answers by FFT products and conjugate gradients.
@@ -127,9 +132,6 @@ class NonNegativeRecord:
         signed : array, optional
             As of the constructor.
         """
-        from ..convolution import Operator
-        from .methods import ConvolvedNormal
-
         used = np.ones(y.shape, bool) if weight is None else weight != 0
         data = np.where(used, y, 0.0) * (1.0 if weight is None else weight)
         if not np.all(np.isfinite(data)):
@@ -137,15 +139,16 @@ class NonNegativeRecord:
                              hint="weight 0 where a sample is missing")  # fmt: skip
         made = cls.__new__(cls)
         made.blocks = None
-        operator = Operator(h, len(y), penalty, weight)
+        operator = PenalizedConvolution(h, len(y), penalty, weight)
         made._set(
             partial(ConvolvedNormal, operator, data), (len(y), operator.loads), 0, int(np.count_nonzero(used)), signed
         )
         return made
 
     def _set(
-        self, normal: Callable[[float], Normal], shape: tuple[int, int], start: int, m: int, signed: ArrayLike | None
-    ) -> None:
+        self, normal: Callable[[float], RecordNormal], shape: tuple[int, int], start: int, m: int,
+        signed: ArrayLike | None,
+    ) -> None:  # fmt: skip
         self.normal, self.shape, self.start, self.m = normal, shape, start, m
         self.signed = _loads(signed, shape[1])
         self._signed = np.concatenate([np.zeros(start, bool), np.tile(self.signed, shape[0])])
@@ -185,7 +188,7 @@ class NonNegativeRecord:
             found.v[: normal.start],
         )  # fmt: skip
 
-    def spread(self, lam: float, held: NDArray | None = None) -> Spread:
+    def face_covariance(self, lam: float, held: Mask | None = None) -> FaceCovariance:
         """Variance at unit noise and degrees of freedom with the `held` loads (samples, loads) held; None: none.
 
         With the held loads of a solution this is what noise moves while the active set stays as it is. Without any it
@@ -206,73 +209,63 @@ class NonNegativeRecord:
         weight = np.zeros(normal.size)
         if held is not None:
             weight[normal.start :] = np.where(held.reshape(-1), np.inf, 0.0)
-        return spread(normal.factor(weight))
+        return face_covariance(normal.factor(weight))
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
     """Unknowns, gradient, held unknowns, relative duality gap, factorisations, and what solved it."""
 
-    v: NDArray[np.float64]
-    gradient: NDArray[np.float64]
-    held: NDArray[np.bool_]
+    v: Array
+    gradient: Array
+    held: Mask
     gap: float
     steps: int
     solver: str
 
 
-def minimise(normal: Normal, signed: NDArray, held: NDArray | None = None, progress: Progress | None = None) -> Minimum:
+def minimise(normal: RecordNormal, signed: Mask, held: Mask | None = None, progress: Progress | None = None) -> Minimum:
     """Minimum of ``v^T Q v / 2 - q^T v`` with v >= 0 where `signed`.
 
     Loads change between free and held as long as that goes fast. Else an interior-point method (where factors are
     cheap) or a projected gradient finds the active set, and the exchange ends it with exact zeros. Of all points seen,
     that with the smallest gap is returned.
     """
-    report = _reporter(progress)
+    report, lower = _reporter(progress), np.where(signed, 0.0, -np.inf)
     unbounded, free = _unconstrained(normal)
     held = signed & (free < 0) if held is None else held & signed
-    first = exchange(normal, signed, held, report, pace=PACE if normal.direct else 1.0)
-    best = _certified(normal, unbounded, signed, first, 0, "active set")
-    if best.gap <= (CONVERGED if first.settled else ROUNDING):
-        return best
-    route = _from_inside if normal.direct else _by_gradient
-    return min(best, *route(normal, unbounded, signed, free, first, report), key=lambda m: m.gap)
-
-
-def _from_inside(
-    normal: Normal, unbounded: Factor, signed: NDArray, free: NDArray, first: Exchanged, report: Callable[[], None]
-) -> list[Minimum]:
-    """Interior point, then exchange."""
-    inner = interior(normal, signed, free, report)
-    steps = first.steps + inner.steps
-    held = signed & (inner.s * np.linalg.norm(inner.v) > inner.v * np.linalg.norm(inner.s))
-    last = exchange(normal, signed, held, report)
-    inside = Exchanged(np.where(held, 0.0, inner.v), np.zeros(0), held, False, 0)
-    return [
-        _certified(normal, unbounded, signed, last, steps, "interior point, active set"),
-        _certified(normal, unbounded, signed, inside, steps, "interior point"),
-    ]
-
-
-def _by_gradient(
-    normal: Normal, unbounded: Factor, signed: NDArray, free: NDArray, first: Exchanged, report: Callable[[], None]
-) -> list[Minimum]:
-    """Projected gradient, then exchange; more and more of it until the exchange ends."""
-    v, steps, found = free, first.steps, []
-    for count in GRADIENTS:
-        v = projected(normal, signed, v, count, report)
-        held = signed & (v == 0)
-        last = exchange(normal, signed, held, report)
-        steps += last.steps
-        found.append(_certified(normal, unbounded, signed, last, steps, "projected gradient, active set"))
-        if found[-1].gap <= (CONVERGED if last.settled else ROUNDING):
+    steps, found, solver = 0, list[Minimum](), "active set"
+    pace, guesses = PACE if normal.direct else 1.0, _guesses(normal, signed, free, report)
+    while True:
+        end = exchange(normal, lower, None, held, step=report, pace=pace)
+        steps += end.steps
+        found.append(_certified(normal, unbounded, signed, end, steps, solver))
+        if found[-1].gap <= (CONVERGED if end.settled else ROUNDING):
             break
-        inside = Exchanged(v, np.zeros(0), held, False, 0)
-        found.append(_certified(normal, unbounded, signed, inside, steps, "projected gradient"))
-    return found
+        guess = next(guesses, None)
+        if guess is None:
+            break
+        v, held, more, name = guess
+        steps, pace, solver = steps + more, 1.0, f"{name}, active set"
+        found.append(_certified(normal, unbounded, signed, Exchanged(v, v, held, False, 0), steps, name))
+    return min(found, key=lambda m: m.gap)
 
 
-def _unconstrained(normal: Normal) -> tuple[Factor, NDArray[np.float64]]:
+def _guesses(
+    normal: RecordNormal, signed: Mask, free: Array, report: Callable[[], None]
+) -> Iterator[tuple[Array, Mask, int, str]]:
+    """Points near the minimum, what they hold, their factorisations and what found them, one better than the other."""
+    if normal.direct:
+        inner = interior(normal, signed, free, report)
+        held = signed & (inner.s * np.linalg.norm(inner.v) > inner.v * np.linalg.norm(inner.s))
+        yield np.where(held, 0.0, inner.v), held, inner.steps, "interior point"
+        return
+    for count in GRADIENTS:
+        free = projected(normal, signed, free, count, report)
+        yield free, signed & (free == 0), 0, "projected gradient"
+
+
+def _unconstrained(normal: RecordNormal) -> tuple[NormalFactor, Array]:
     """Factors of Q and the minimum without signs."""
     try:
         with np.errstate(all="ignore"):  # judged by what comes out
@@ -288,12 +281,14 @@ def _unconstrained(normal: Normal) -> tuple[Factor, NDArray[np.float64]]:
     return factor, free
 
 
-def _certified(normal: Normal, free: Factor, signed: NDArray, found: Exchanged, steps: int, solver: str) -> Minimum:
+def _certified(
+    normal: RecordNormal, free: NormalFactor, signed: Mask, found: Exchanged, steps: int, solver: str
+) -> Minimum:
     """A point made admissible, with its gap; no load at all where rounding has made it none."""
     finite = bool(np.all(np.isfinite(found.v)))
     v = np.where(signed, np.maximum(found.v, 0.0), found.v) if finite else np.zeros(normal.size)
     gradient = found.gradient if found.settled and finite else normal.gradient(v)
-    return Minimum(v, gradient, found.held, gap(normal, free, v, gradient, signed), steps + found.steps, solver)
+    return Minimum(v, gradient, found.held, gap(normal, free, v, gradient, signed), steps, solver)
 
 
 def _reporter(progress: Progress | None) -> Callable[[], None]:
@@ -309,7 +304,7 @@ def _reporter(progress: Progress | None) -> Callable[[], None]:
     return report
 
 
-def _loads(signed: ArrayLike | None, p: int) -> NDArray[np.bool_]:
+def _loads(signed: ArrayLike | None, p: int) -> Mask:
     """Mask (loads,) of the loads that only push."""
     if signed is None:
         return np.ones(p, bool)
@@ -336,7 +331,7 @@ CAP = 12  # solutions
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
+class NonNegativeChoice:
     """Solution at the lambda that was found; `met` if its residual is that of the noise; every (lambda, residual^2)."""
 
     solution: NonNegativeSolution
@@ -348,7 +343,7 @@ class Chosen:
 def discrepancy(
     record: NonNegativeRecord, lam: float, sigma: float, *, warm: NonNegativeSolution | None = None,
     progress: Callable[[float, str], None] | None = None,
-) -> Chosen:  # fmt: skip
+) -> NonNegativeChoice:  # fmt: skip
     """Largest lambda at which loads that push explain the data to the noise, with the margin of the unconstrained rule.
 
     Parameters
@@ -365,7 +360,7 @@ def discrepancy(
 
     Returns
     -------
-    Chosen
+    NonNegativeChoice
         Where no lambda down to ``lam / 1000`` explains the data (loads that pull, a wrong model, a noise level that is
         too low), the solution at `lam` itself, with `met` False.
 
@@ -394,7 +389,7 @@ def discrepancy(
         fb = at(b)
     if fa * fb > 0 and abs(fb) > close:
         explained = fb < 0  # even much smoothing leaves less than the noise
-        return Chosen(found[-1] if explained else found[0], explained, target, _tried(found))
+        return NonNegativeChoice(found[-1] if explained else found[0], explained, target, _tried(found))
     while min(abs(s.residual2 - target) for s in found) > close and len(found) < CAP:
         # regula falsi in ln lambda; the end that stays counts half (Illinois)
         middle = float(np.exp((np.log(a) * fb - np.log(b) * fa) / (fb - fa)))
@@ -404,7 +399,7 @@ def discrepancy(
         else:
             a, fa, b, fb = b, fb, middle, fm
     best = min(found, key=lambda s: abs(s.residual2 - target))
-    return Chosen(best, True, target, _tried(found))
+    return NonNegativeChoice(best, True, target, _tried(found))
 
 
 def _tried(found: list[NonNegativeSolution]) -> tuple[tuple[float, float], ...]:

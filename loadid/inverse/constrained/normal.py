@@ -1,144 +1,38 @@
-"""Normal equations of a record in blocks, with weights on its unknowns: products and solutions in O(N).
+"""Normal operators ``Q = H^T H + lambda^2 L^T L`` and what solves with them: dense, and behind impulse responses.
 
-Within a block of b samples, with the state x at its start, its loads g stacked in time (b p) and everything linear,
-
-    y = O_y x + T_y g,    w = L g = O_w x + T_w g,    x' = Phi x + Gamma g,
-
-the normal equations of a record become those of blocks that touch each other through n states only ("partial
-condensing": Axehill, J. Process Control 33 (2015) 1; Frison, Kouzoupis, Jorgensen & Diehl, ECC 2016).
+That of a record over a state space is in `condensed`. An active set asks nothing else of a problem.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..statespace.record import Record
+from ..convolution import PenalizedConvolution
+from ..convolved.pcg import Circulant
+from ..penalties import stencil
+from .quadratic import Quadratic
 
-LOADS = 48  # loads of a block: small factors are cheap, and the steps from block to block few
-PADDING = -1  # kind of a sample behind the end of the record
+Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """Blocks of a record; those with the same kinds of samples in the same order share a pattern.
-
-    Parameters
-    ----------
-    pattern : array of int, shape (blocks,)
-    members : tuple of array of int
-        Blocks of each pattern.
-    Phi, Gamma : array, shapes (patterns, n, n), (patterns, n, b p)
-    Oy, Ty : array, shapes (patterns, b m, n), (patterns, b m, b p)
-    Ow, Tw : array, shapes (patterns, b p, n), (patterns, b p, b p)
-    y : array, shape (blocks, b m)
-        Whitened data.
-    samples, p : int
-        Of the record.
-    free : array of int
-        States that start free.
-    """
-
-    pattern: NDArray[np.int_]
-    members: tuple[NDArray[np.int_], ...]
-    Phi: NDArray[np.float64]
-    Gamma: NDArray[np.float64]
-    Oy: NDArray[np.float64]
-    Ty: NDArray[np.float64]
-    Ow: NDArray[np.float64]
-    Tw: NDArray[np.float64]
-    y: NDArray[np.float64]
-    samples: int
-    p: int
-    free: NDArray[np.int_]
-
-    @property
-    def count(self) -> int:
-        """Blocks."""
-        return len(self.pattern)
-
-    @property
-    def n(self) -> int:
-        """States."""
-        return self.Phi.shape[1]
-
-    @property
-    def width(self) -> int:
-        """Loads of a block, b p."""
-        return self.Gamma.shape[2]
-
-    def each(self, matrices: NDArray, vectors: NDArray) -> NDArray[np.float64]:
-        """Product of the matrix of each block's pattern (patterns, i, j) with the block's vector (blocks, j)."""
-        out = np.empty((self.count, matrices.shape[1]))
-        for matrix, rows in zip(matrices, self.members, strict=True):
-            out[rows] = vectors[rows] @ matrix.T
-        return out
-
-    def split(self, g: NDArray) -> NDArray[np.float64]:
-        """Loads (samples * p,) as (blocks, b p), with zeros behind the end."""
-        out = np.zeros(self.count * self.width)
-        out[: g.size] = g.reshape(-1)
-        return out.reshape(self.count, self.width)
-
-    def join(self, g: NDArray) -> NDArray[np.float64]:
-        """Back from (blocks, b p) to (samples * p,)."""
-        return g.reshape(-1)[: self.samples * self.p]
-
-    def states(self, start: NDArray, g: NDArray) -> NDArray[np.float64]:
-        """State at the start of each block and at the end (blocks + 1, n), from the free states and the loads."""
-        x = np.zeros((self.count + 1, self.n))
-        x[0, self.free] = start
-        push = self.each(self.Gamma, g)
-        for j, k in enumerate(self.pattern):
-            x[j + 1] = self.Phi[k] @ x[j] + push[j]
-        return x
+SLACK = 1e-13  # of the largest H^T y: gradient that is rounding
 
 
-def cut(record: Record) -> Blocks:
-    """Blocks of a record."""
-    p, m, n = record.p, record.m, record.n
-    b = int(np.clip(LOADS // p, 4, max(4, record.samples)))
-    count = -(-record.samples // b)
-    kinds = np.full(count * b, PADDING)
-    kinds[: record.samples] = record.kind
-    found, pattern = np.unique(kinds.reshape(count, b), axis=0, return_inverse=True)
-    pattern = pattern.reshape(-1)
-    X, U = np.broadcast_to(np.eye(n), (len(found), n, n)), np.zeros((len(found), n, b * p))
-    outputs: list[list[NDArray]] = [[], [], [], []]
-    for t in range(b):
-        kind, real = np.maximum(found[:, t], 0), (found[:, t] != PADDING)[:, None, None]
-        F, G, C, D = record.F[kind], record.G[kind], record.C[kind] * real, record.D[kind] * real
-        Wx, Wu = -record.E @ X, -record.E @ U
-        Wu[:, :, t * p : (t + 1) * p] += np.eye(p)
-        for rows, part in zip(outputs, (C @ X + D @ Wx, C @ U + D @ Wu, Wx * real, Wu * real), strict=True):
-            rows.append(part)
-        X, U = F @ X + G @ Wx, F @ U + G @ Wu
-    Oy, Ty, Ow, Tw = (np.concatenate(rows, axis=1) for rows in outputs)
-    y = np.zeros((count * b, m))
-    y[: record.samples] = record.y
-    order = np.argsort(pattern, kind="stable")
-    members = tuple(np.split(order, np.cumsum(np.bincount(pattern, minlength=len(found)))[:-1]))
-    return Blocks(pattern, members, X, U, Oy, Ty, Ow, Tw, y.reshape(count, b * m), record.samples, p, record.free)
-
-
-CHUNK = 512  # blocks worked on at once
-
-
-class Factor(Protocol):
+class NormalFactor(Protocol):
     """Solves with one matrix."""
 
-    def solve(self, r: NDArray) -> NDArray[np.float64]:
+    def solve(self, r: Array) -> Array:
         """Solution v (size,)."""
         ...
 
 
-class Normal(Protocol):
-    """``Q = H^T H + lambda^2 L^T L`` over unknowns v: free states at the start, then the loads (samples, loads)."""
+class NormalOperator(Protocol):
+    """Half of ``v^T Q v - 2 q^T v`` and its faces, over unknowns v (size,)."""
+
+    precision: float  # gradient on free unknowns, over the largest of q, above which a solution is refined
 
     @property
     def size(self) -> int:
@@ -146,23 +40,41 @@ class Normal(Protocol):
         ...
 
     @property
+    def q(self) -> Array:
+        """H^T y, shape (size,)."""
+        ...
+
+    @property
+    def slack(self) -> float | Array:
+        """Gradient that is rounding, of all unknowns or of each."""
+        ...
+
+    def apply(self, v: Array) -> Array:
+        """Q v, from H v and L v."""
+        ...
+
+    def gradient(self, v: Array) -> Array:
+        """Q v - q, from the residual ``H v - y`` and L v."""
+        ...
+
+    def factor(self, weight: Array | None = None) -> NormalFactor:
+        """Factors of ``Q + diag(weight)``; where the weight (size,) is infinite, the unknown is held at 0."""
+        ...
+
+
+class RecordNormal(NormalOperator, Protocol):
+    """That of a record: v holds free states at the start, then the loads (samples, loads)."""
+
+    direct: bool  # whether a factor solves in one go, whatever the weights are
+
+    @property
     def start(self) -> int:
         """Free states: that many unknowns come before the loads."""
         ...
 
     @property
-    def direct(self) -> bool:
-        """Whether a factor solves in one go, whatever the weights are."""
-        ...
-
-    @property
-    def precision(self) -> float:
-        """Gradient on free loads, over the largest H^T y, above which a solution is refined."""
-        ...
-
-    @property
     def reach(self) -> float:
-        """Bound of the largest eigenvalue of Q."""
+        """Bound of the largest eigenvalue of Q; infinite where factors are cheap and nobody asks."""
         ...
 
     @property
@@ -170,189 +82,185 @@ class Normal(Protocol):
         """Squared norm of the whitened data."""
         ...
 
-    @property
-    def q(self) -> NDArray[np.float64]:
-        """H^T y, shape (size,)."""
-        ...
-
-    def apply(self, v: NDArray) -> NDArray[np.float64]:
-        """Q v, from H v and L v."""
-        ...
-
-    def gradient(self, v: NDArray) -> NDArray[np.float64]:
-        """Q v - q, from the residual ``H v - y`` and L v."""
-        ...
-
-    def factor(self, weight: NDArray | None = None) -> Factor:
-        """Factors of ``Q + diag(weight)``; where the weight (size,) is infinite, the unknown is held at 0."""
-        ...
-
-    def norms(self, v: NDArray) -> tuple[float, float]:
+    def norms(self, v: Array) -> tuple[float, float]:
         """Squared norms of ``y - H v`` and of ``L v``."""
         ...
 
 
-class BlockNormal:
-    """Normal equations of a record in blocks at one absolute lambda.
+class DenseNormal:
+    """Normal matrix of a quadratic objective |A h - b|^2, which directs the steps; A itself judges them afterwards."""
 
-    A solution eliminates the loads of every block (all blocks at once), then runs over the blocks with the n states
-    that join them, and puts the loads back. The Gram matrices of the blocks direct the steps; what is minimal is judged
-    by `gradient`, and solutions are refined by it (corrected semi-normal equations: Björck, Linear Algebra Appl. 88/89
-    (1987) 31).
+    precision = 1.0
+
+    def __init__(self, quadratic: Quadratic, b: Array) -> None:
+        self.G, self.size, self.q = quadratic.G, quadratic.n, b @ quadratic.A
+        self.slack = 0.1 * SLACK * float(np.linalg.norm(b)) / np.sqrt(quadratic.tau)
+
+    def apply(self, v: Array) -> Array:
+        """G v."""
+        return self.G @ v
+
+    def gradient(self, v: Array) -> Array:
+        """G v - q."""
+        return np.asarray(self.G @ v - self.q)
+
+    def factor(self, weight: Array | None = None) -> CholeskyFactor:
+        """Factors of ``G + diag(weight)``; where the weight is infinite, the unknown is held at 0."""
+        return CholeskyFactor(self.G, np.zeros(self.size) if weight is None else weight)
+
+
+class CholeskyFactor:
+    """Cholesky factor of the rows and columns whose weight is finite; LinAlgError where they are not definite."""
+
+    def __init__(self, G: Array, weight: Array) -> None:
+        from scipy.linalg import lapack
+
+        self.free = np.flatnonzero(np.isfinite(weight))
+        M = G.take(self.free, axis=0).take(self.free, axis=1).T  # symmetric: the transpose is in the order of LAPACK
+        if np.any(weight[self.free]):
+            M[np.arange(len(M)), np.arange(len(M))] += weight[self.free]
+        if len(M):
+            M, info = lapack.dpotrf(M, overwrite_a=1, clean=0)
+            if info:
+                raise np.linalg.LinAlgError("not positive definite")
+        self.lower = M
+
+    def solve(self, r: Array) -> Array:
+        """Solution (size,), 0 where held."""
+        from scipy.linalg import lapack
+
+        out = np.zeros(len(r))
+        if len(self.free):
+            out[self.free] = lapack.dpotrs(self.lower, r[self.free])[0]
+        return out
+
+
+TOLERANCE = 1e-10  # gradient in the norm of the preconditioner, over that at zero
+MOST = 3000  # iterations of a solve; what they leave undone is in the gap
+
+
+class ConvolvedNormal:
+    """``Q = H^T H + lambda^2 L^T L`` of impulse responses at one absolute lambda.
 
     Parameters
     ----------
-    blocks : Blocks
+    operator : PenalizedConvolution
+        Whitened impulse responses with their penalty, and weights (0 where data are missing).
+    y : array, shape (samples, sensors)
+        Whitened and weighted data, 0 where missing.
     lam : float
         Absolute lambda, > 0.
     """
 
-    direct, precision = True, 1e-12
-    reach = np.inf  # not needed where factors are cheap
+    start = 0
+    direct, precision = False, 1e-9
 
-    def __init__(self, blocks: Blocks, lam: float) -> None:
-        self.blocks, self.lam = blocks, float(lam)
-        B, lam2 = blocks, self.lam**2
-        self.Hgg, self.Hgx = gram(B.Ty, B.Ty) + lam2 * gram(B.Tw, B.Tw), gram(B.Ty, B.Oy) + lam2 * gram(B.Tw, B.Ow)
-        self.Hxx = gram(B.Oy, B.Oy) + lam2 * gram(B.Ow, B.Ow)
-
-    @property
-    def start(self) -> int:
-        """Free states."""
-        return len(self.blocks.free)
+    def __init__(self, operator: PenalizedConvolution, y: Array, lam: float) -> None:
+        self.operator, self.lam = operator, float(lam)
+        self.y = np.ascontiguousarray(y.T)[None]
 
     @property
     def size(self) -> int:
-        """Free states and loads."""
-        return self.start + self.blocks.samples * self.blocks.p
+        """Samples times loads."""
+        return int(self.operator.samples * self.operator.loads)
 
     @cached_property
     def data2(self) -> float:
         """Squared norm of the whitened data."""
-        return float(np.sum(self.blocks.y**2))
+        return float(np.sum(self.y**2))
 
     @cached_property
-    def q(self) -> NDArray[np.float64]:
+    def q(self) -> Array:
         """H^T y."""
-        return self._adjoint(self.blocks.y, np.zeros((self.blocks.count, self.blocks.width)))
+        return self._flat(self.operator.correlate(self.y))
 
-    def apply(self, v: NDArray) -> NDArray[np.float64]:
-        """Q v: states forward, their adjoint backward."""
-        return self._adjoint(*self._images(v))
+    @cached_property
+    def slack(self) -> float:
+        """Gradient that is rounding."""
+        return SLACK * float(np.abs(self.q).max(initial=0.0))
 
-    def gradient(self, v: NDArray) -> NDArray[np.float64]:
-        """Q v - q, with the residual formed first: nothing that large numbers would hide is lost."""
-        response, rough = self._images(v)
-        return self._adjoint(response - self.blocks.y, rough)
+    def apply(self, v: Array) -> Array:
+        """Q v."""
+        g = self._loads(v)
+        return self._back(self.operator.convolve(g), g)
 
-    def _images(self, v: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """H v and L v, block by block."""
-        B, g = self.blocks, self.blocks.split(v[self.start :])
-        x = B.states(v[: self.start], g)[:-1]
-        return B.each(B.Oy, x) + B.each(B.Ty, g), B.each(B.Ow, x) + B.each(B.Tw, g)
+    def gradient(self, v: Array) -> Array:
+        """Q v - q, with the residual formed first."""
+        g = self._loads(v)
+        return self._back(self.operator.convolve(g) - self.y, g)
 
-    def _adjoint(self, response: NDArray, rough: NDArray) -> NDArray[np.float64]:
-        """H^T response + lambda^2 L^T rough."""
-        B = self.blocks
-
-        def of(seen: NDArray, counted: NDArray) -> NDArray:
-            back = B.each(seen.transpose(0, 2, 1), response)
-            return back + self.lam**2 * B.each(counted.transpose(0, 2, 1), rough)
-
-        back, mu = of(B.Oy, B.Ow), np.zeros((B.count + 1, B.n))
-        for j in range(B.count - 1, -1, -1):
-            mu[j] = back[j] + mu[j + 1] @ B.Phi[B.pattern[j]]
-        g = of(B.Ty, B.Tw) + B.each(B.Gamma.transpose(0, 2, 1), mu[1:])
-        return np.concatenate([mu[0, B.free], B.join(g)])
-
-    def factor(self, weight: NDArray | None = None) -> BlockFactor:
-        """Factors of ``Q + diag(weight)``; where the weight is infinite, the unknown is held at 0."""
-        return BlockFactor(self, self._weights(weight))
-
-    def norms(self, v: NDArray) -> tuple[float, float]:
+    def norms(self, v: Array) -> tuple[float, float]:
         """Squared norms of ``y - H v`` and of ``L v``."""
-        response, rough = self._images(v)
-        return float(np.sum((self.blocks.y - response) ** 2)), float(np.sum(rough**2))
+        g = self._loads(v)
+        return float(np.sum((self.y - self.operator.convolve(g)) ** 2)), float(np.sum(self.operator.rough(g) ** 2))
 
-    def _weights(self, weight: NDArray | None) -> NDArray[np.float64]:
-        """Weights (blocks, b p), infinite behind the end of the record."""
-        B = self.blocks
-        d = np.full(B.count * B.width, np.inf)
-        d[: B.samples * B.p] = 0.0 if weight is None else weight[self.start :]
-        return d.reshape(B.count, B.width)
+    def factor(self, weight: Array | None = None) -> ConvolvedFactor:
+        """What solves with ``Q + diag(weight)``; where the weight is infinite, the unknown is held at 0."""
+        return ConvolvedFactor(self, np.zeros(self.size) if weight is None else weight)
 
-    def scaled(self, d: NDArray) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64]]]:
-        """Some blocks after others: ``t (Hgg + diag(d)) t``, of unit diagonal, and t (0 where a load is held)."""
-        for a in range(0, self.blocks.count, CHUNK):
-            part = slice(a, a + CHUNK)
-            scaled = self.Hgg[self.blocks.pattern[part]]
-            diagonal = np.einsum("jii->ji", scaled)
-            t = 1 / np.sqrt(diagonal + d[part])
-            scaled *= t[:, :, None]
-            scaled *= t[:, None, :]
-            diagonal[:] = 1.0
-            yield part, scaled, t
+    @cached_property
+    def circulant(self) -> Circulant:
+        """Preconditioner of Q."""
+        return Circulant(self.operator, self.lam)
+
+    def precondition(self, r: Array) -> Array:
+        """Q^-1 r of an unending record."""
+        return self._flat(self.circulant.solve(self._loads(r)))
+
+    @cached_property
+    def reach(self) -> float:
+        """Bound of the largest eigenvalue of Q: that of the lines of an unending record."""
+        o = self.operator
+        weight = 1.0 if o.weight is None else float(np.max(o.weight**2))
+        return weight * float(np.max(np.sum(np.abs(o.spectrum) ** 2, axis=(0, 1)))) + self.lam**2 * 4.0**o.order
+
+    @cached_property
+    def diagonal(self) -> Array:
+        """Diagonal of Q of an unending record, one number for each load, for every unknown."""
+        own = np.sum(self.operator.h**2, axis=(0, 2)) + self.lam**2 * np.sum(stencil(self.operator.order) ** 2)
+        return np.tile(own, self.operator.samples)
+
+    def _back(self, response: Array, g: Array) -> Array:
+        o = self.operator
+        return self._flat(o.correlate(response) + self.lam**2 * o.rough_adjoint(o.rough(g)))
+
+    def _loads(self, v: Array) -> Array:
+        return np.ascontiguousarray(v.reshape(self.operator.samples, self.operator.loads).T)[None]
+
+    @staticmethod
+    def _flat(g: Array) -> Array:
+        return np.ascontiguousarray(g[0].T).reshape(-1)
 
 
-class BlockFactor:
-    """Factors of the normal equations of a record with weights ``d`` (blocks, b p): for one right side after another.
+class ConvolvedFactor:
+    """Conjugate gradients on ``Q + diag(weight)``.
 
-    With A = Phi - Gamma S Hgx, c = Gamma S Gamma^T and S = (Hgg + diag(d))^-1 of every block, the cost to go
-    x^T P x / 2 - v^T x and the states at the joints obey
-
-        P_j = Hxx - Hgx^T S Hgx + A^T P Z,    Z = (I + c P)^-1 A,    x_{j+1} = Z x_j + (I + c P)^-1 (Gamma S r_j + c v).
+    The preconditioner is the circulant one between factors ``t = sqrt(c / (c + weight))``, c the diagonal of Q: what is
+    held stays 0, and where a weight rules, it is divided by.
     """
 
-    def __init__(self, normal: BlockNormal, d: NDArray) -> None:
-        from scipy.linalg.lapack import dgesv
+    def __init__(self, normal: ConvolvedNormal, weight: Array) -> None:
+        self.normal = normal
+        self.t = np.sqrt(normal.diagonal / (normal.diagonal + weight))
+        self.weight = np.where(np.isinf(weight), 0.0, weight)
+        self.open = np.isfinite(weight)
 
-        self.normal, self.d = normal, d
-        B, n = normal.blocks, normal.blocks.n
-        self.Sx, self.Su = np.empty((2, B.count, B.width, n))
-        for part, scaled, t in normal.scaled(d):
-            k = B.pattern[part]
-            right = np.concatenate([normal.Hgx[k], B.Gamma[k].transpose(0, 2, 1)], axis=2)
-            found = t[:, :, None] * np.linalg.solve(scaled, t[:, :, None] * right)
-            self.Sx[part], self.Su[part] = found[:, :, :n], found[:, :, n:]
-        self.c, A, J = np.empty((3, B.count, n, n))
-        for i, rows in enumerate(B.members):
-            self.c[rows] = B.Gamma[i] @ self.Su[rows]
-            A[rows] = B.Phi[i] - B.Gamma[i] @ self.Sx[rows]
-            J[rows] = normal.Hxx[i] - normal.Hgx[i].T @ self.Sx[rows]
-        self.P, self.Z = np.zeros((B.count + 1, n, n)), np.empty((B.count, n, n))
-        eye = np.eye(n)
-        for j in range(B.count - 1, -1, -1):
-            self.Z[j] = dgesv(eye + self.c[j] @ self.P[j + 1], A[j])[2]
-            P = J[j] + A[j].T @ (self.P[j + 1] @ self.Z[j])
-            self.P[j] = (P + P.T) / 2
+    def solve(self, r: Array) -> Array:
+        """Solution v (size,) of ``(Q + diag(weight)) v = r``, to the tolerance or to what the iterations reach."""
+        r = np.where(self.open, r, 0.0)
+        v, z = np.zeros(len(r)), self._precondition(r)
+        d, energy = z, float(r @ z)
+        first = energy
+        for _ in range(MOST):
+            if energy <= TOLERANCE**2 * first:
+                break
+            image = np.where(self.open, self.normal.apply(d) + self.weight * d, 0.0)
+            step = energy / float(d @ image)
+            v, r = v + step * d, r - step * image
+            z = self._precondition(r)
+            energy, before = float(r @ z), energy
+            d = z + energy / before * d
+        return v
 
-    def solve(self, r: NDArray) -> NDArray[np.float64]:
-        """Solution v (size,) of ``(Q + diag(weight)) v = r``."""
-        N, B, n = self.normal, self.normal.blocks, self.normal.blocks.n
-        own, Sr = B.split(r[N.start :]), np.empty((B.count, B.width))
-        for part, scaled, t in N.scaled(self.d):
-            Sr[part] = t * np.linalg.solve(scaled, (t * own[part])[:, :, None])[:, :, 0]
-        b, Zt = B.each(B.Gamma, Sr), self.Z.transpose(0, 2, 1)
-        constant = -B.each(N.Hgx.transpose(0, 2, 1), Sr) - _times(Zt, _times(self.P[1:], b))
-        v = np.zeros((B.count + 1, n))
-        for j in range(B.count - 1, -1, -1):
-            v[j] = constant[j] + Zt[j] @ v[j + 1]
-        x, f = np.zeros((B.count + 1, n)), B.free
-        if len(f):
-            x[0, f] = np.linalg.solve(self.P[0][np.ix_(f, f)], v[0, f] + r[: N.start])
-        push = np.linalg.solve(np.eye(n) + self.c @ self.P[1:], (b + _times(self.c, v[1:]))[:, :, None])[:, :, 0]
-        for j in range(B.count):
-            x[j + 1] = self.Z[j] @ x[j] + push[j]
-        mu = _times(self.P[1:], x[1:]) - v[1:]
-        g = Sr - _times(self.Sx, x[:-1]) - _times(self.Su, mu)
-        return np.concatenate([x[0, f], B.join(g)])
-
-
-def _times(matrices: NDArray, vectors: NDArray) -> NDArray[np.float64]:
-    """Product of each matrix with its vector."""
-    return (matrices @ vectors[:, :, None])[:, :, 0]
-
-
-def gram(A: NDArray, B: NDArray) -> NDArray[np.float64]:
-    """Inner products of the columns of A and of B, pattern by pattern."""
-    return A.transpose(0, 2, 1) @ B
+    def _precondition(self, r: Array) -> Array:
+        return self.t * self.normal.precondition(self.t * r)

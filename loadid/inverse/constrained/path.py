@@ -16,10 +16,14 @@ from ..constraints import Constraint
 from ..path import Coefficients, PathPoint, RegularizationPath, Solution
 from ..posterior import FacePosterior, FramesPosterior, Posterior
 from ..svd import SVDPath
-from .activeset import Point, refuse_empty
+from . import activeset
+from .activeset import ActivePoint
+from .conic import refuse_empty
 from .feasible import Feasible, compile_
-from .quadratic import Face
+from .quadratic import ActiveFace
 from .solver import ConstrainedSolution, ConstrainedSolver, grams, resultants_of, soft, soft_values, whitening
+
+Array = NDArray[np.float64]
 
 __all__ = [
     "ConstrainedPath",
@@ -44,17 +48,17 @@ class Tangent:
         Norm of lambda dg/dlambda.
     """
 
-    loads: NDArray[np.float64]
-    data: NDArray[np.float64]
-    other: NDArray[np.float64]
+    loads: Array
+    data: Array
+    other: Array
     sensitivity: float
 
     @classmethod
-    def of(cls, solver: ConstrainedSolver, y: NDArray, p: Point, s: Feasible) -> Tangent:
+    def of(cls, solver: ConstrainedSolver, y: Array, p: ActivePoint, s: Feasible) -> Tangent:
         """At the solution of one vector of data."""
         q = solver.quadratic
         push = (q.A @ p.h - solver.compress(y)[0]) @ q.A + p.nu @ s.equal.matrix + p.kappa @ s.below.matrix
-        face = Face.near(s, p.h - q.tau * push)
+        face = ActiveFace.near(s, p.h - q.tau * push)
         S = q.shrink(face, np.vstack([s.equal.matrix, s.below.matrix[p.kappa > 0]]))
         image = q.A @ S
         prior, bend = solver.prior[:, None] * image, face.curvature(q.tau)
@@ -150,9 +154,9 @@ class ConstrainedPath(RegularizationPath):
         self.m, self.null, self.scale = self.base.m, path.null, path.scale  # soft resultants are data
         y = self.base.problem.y
         self._columns = y[:, None] if y.ndim == 1 else y
-        self._points: dict[float, tuple[Point, ...]] = {}
+        self._points: dict[float, tuple[ActivePoint, ...]] = {}
         self._solvers: OrderedDict[float, ConstrainedSolver] = OrderedDict()
-        self._known: dict[float, NDArray[np.float64]] = {}  # scalars: several rules and guards sweep the same lambdas
+        self._known: dict[float, Array] = {}  # scalars: several rules and guards sweep the same lambdas
 
     # -- the contract -------------------------------------------------------------------------------------------------
     @property
@@ -184,7 +188,7 @@ class ConstrainedPath(RegularizationPath):
             rows[:, k] = self._known[value]
         return PathPoint(**dict(zip(SCALARS, rows if lam.ndim else rows[:, 0], strict=True)))
 
-    def residual(self, lam: float) -> NDArray[np.float64]:
+    def residual(self, lam: float) -> Array:
         """Whitened residual y - H g of the sensors, in the layout of the data."""
         problem = self.path.problem
         g = np.stack([self._load(p) for p in self._solved(lam)], axis=1)
@@ -203,16 +207,12 @@ class ConstrainedPath(RegularizationPath):
         faces = [self._tangent(lam, k) for k in range(len(self._columns.T))]
         return Solution(load, posterior(faces, sigma, self.path.problem.shape, self.path.problem.frames))
 
-    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+    def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load` (and its own soft resultants)."""
         g = np.asarray(load, float).reshape(-1, self.path.problem.H.shape[1])
         prepared = self._solver(lam)
         y = self.base.problem.H @ g.T
-        start: Point | None = None
-        out = []
-        for k, column in enumerate(y.T):
-            start = prepared.point(column, self._sets[min(k, len(self._sets) - 1)], start)
-            out.append(self._load(start))
+        out = [self._load(p) for p in prepared.points(y, self.feasible, ())]
         return np.stack(out).reshape(np.shape(load))
 
     # -- solving ------------------------------------------------------------------------------------------------------
@@ -227,7 +227,7 @@ class ConstrainedPath(RegularizationPath):
         """Solver at relative `lam` for other whitened data, one after another: ``.solve(y, warm=previous)``."""
         return self._solver(lam)
 
-    def sample(self, lam: float, sigma: float, draws: int = 200, *, seed: int = 0) -> NDArray[np.float64]:
+    def sample(self, lam: float, sigma: float, draws: int = 200, *, seed: int = 0) -> Array:
         """Loads drawn by randomise-then-optimise: noise and prior are perturbed, the problem is solved anew, warm.
 
         Every draw meets the constraints, so that bands from it are one-sided where they must be. Without active
@@ -239,8 +239,6 @@ class ConstrainedPath(RegularizationPath):
         -------
         array, shape (draws,) + shape of the load
         """
-        from . import activeset
-
         prepared, rng = self._solver(lam), np.random.default_rng(seed)
         out = []
         for k, (column, point) in enumerate(zip(self._columns.T, self._solved(lam), strict=True)):
@@ -264,10 +262,10 @@ class ConstrainedPath(RegularizationPath):
         return self._solvers[lam]
 
     @cached_property
-    def _grams(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _grams(self) -> tuple[Array, Array]:
         return grams(self.base, self.feasible)
 
-    def _solved(self, lam: float) -> tuple[Point, ...]:
+    def _solved(self, lam: float) -> tuple[ActivePoint, ...]:
         """Points at `lam`, from the cache or from the nearest lambda in it."""
         lam = float(lam)
         if lam not in self._points:
@@ -276,23 +274,18 @@ class ConstrainedPath(RegularizationPath):
             self._run(lam, None if near is None else self._points[near])
         return self._points[lam]
 
-    def _run(self, lam: float, starts: Sequence[Point] | None) -> tuple[Point, ...]:
-        prepared = self._solver(lam)
-        points: list[Point] = []
-        for k, column in enumerate(self._columns.T):
-            start = starts[min(k, len(starts) - 1)] if starts else (points[-1] if points else None)
-            points.append(prepared.point(column, self._sets[min(k, len(self._sets) - 1)], start))
-        self._points[lam] = tuple(points)
+    def _run(self, lam: float, starts: Sequence[ActivePoint] | None) -> tuple[ActivePoint, ...]:
+        self._points[lam] = self._solver(lam).points(self._columns, self.feasible, starts or ())
         return self._points[lam]
 
-    def _load(self, p: Point) -> NDArray[np.float64]:
+    def _load(self, p: ActivePoint) -> Array:
         return self.feasible.to_global(p.h)
 
     def _tangent(self, lam: float, frame: int) -> Tangent:
         inside = self._sets[min(frame, len(self._sets) - 1)]
         return Tangent.of(self._solver(lam), self._columns[:, frame], self._solved(lam)[frame], inside)
 
-    def _scalars(self, lam: float) -> NDArray[np.float64]:
+    def _scalars(self, lam: float) -> Array:
         """Residual, penalty, edf, tr A^2, left, rest2, rest4, sensitivity, objective, summed over the frames."""
         problem, total, change2 = self.base.problem, np.zeros(9), 0.0
         absolute2 = (lam * float(self.scale)) ** 2

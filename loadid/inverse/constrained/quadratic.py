@@ -10,10 +10,14 @@ from numpy.typing import NDArray
 from .. import constraints as cones
 from .feasible import Feasible
 
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int_]
+
 
 @dataclass(frozen=True, eq=False)
-class Face:
-    """Face of the intervals and cones near a point, in turned unknowns: on a cone along the ray, across, outward.
+class ActiveFace:
+    """ActiveFace of the intervals and cones near a point, in turned unknowns: on a cone along the ray, across, outward.
 
     Parameters
     ----------
@@ -27,13 +31,13 @@ class Face:
         Per group of cones: 0 open, 1 sliding, 2 sticking.
     """
 
-    point: NDArray[np.float64]
-    share: NDArray[np.float64]
-    turns: tuple[tuple[NDArray[np.int_], NDArray[np.float64]], ...]
-    status: tuple[NDArray[np.int_], ...]
+    point: Array
+    share: Array
+    turns: tuple[tuple[Index, Array], ...]
+    status: tuple[Index, ...]
 
     @classmethod
-    def near(cls, feasible: Feasible, v: NDArray) -> Face:
+    def near(cls, feasible: Feasible, v: Array) -> ActiveFace:
         """The face to which `v` projects."""
         point = np.clip(v, feasible.lower, feasible.upper)
         share = ((v > feasible.lower) & (v < feasible.upper)).astype(float)
@@ -49,23 +53,23 @@ class Face:
         return cls(point, share, tuple(turns), tuple(status))
 
     @property
-    def held(self) -> NDArray[np.bool_]:
+    def held(self) -> Mask:
         """Turned unknowns that the face holds."""
-        return self.share == 0
+        return np.asarray(self.share == 0)
 
-    def curvature(self, tau: NDArray) -> NDArray[np.float64]:
+    def curvature(self, tau: Array) -> Array:
         """Second derivative that the curved sides of round cones add to half the objective, along each unknown."""
         a = self.share
         return np.divide(1 - a, a * tau, out=np.zeros(len(a)), where=(a > 0) & (a < 1))
 
-    def turn(self, x: NDArray) -> NDArray[np.float64]:
+    def turn(self, x: Array) -> Array:
         """Turned unknowns, along the first axis."""
         out = x.copy()
         for index, axes in self.turns:
             out[index] = np.einsum("kij,ki...->kj...", axes, x[index])
         return out
 
-    def back(self, x: NDArray) -> NDArray[np.float64]:
+    def back(self, x: Array) -> Array:
         """Inverse of `turn`, along the first axis."""
         out = x.copy()
         for index, axes in self.turns:
@@ -73,14 +77,14 @@ class Face:
             out[index.ravel()] = np.matmul(axes, block).reshape(index.size, *x.shape[1:])
         return out
 
-    def columns(self, A: NDArray) -> NDArray[np.float64]:
+    def columns(self, A: Array) -> Array:
         """Columns of a matrix for the turned unknowns."""
         out = A.copy(order="F")
         for index, axes in self.turns:
             _turn(out, index, axes)
         return out
 
-    def gram(self, G: NDArray, f: NDArray) -> NDArray[np.float64]:
+    def gram(self, G: Array, f: Index) -> Array:
         """Rows and columns `f` of a symmetric matrix for the turned unknowns."""
         if not self.turns:
             return np.asfortranarray(G[np.ix_(f, f)])
@@ -97,7 +101,7 @@ class Face:
         return np.asfortranarray(M[np.ix_(place[f], place[f])])
 
 
-def _turn(A: NDArray, index: NDArray, axes: NDArray) -> None:
+def _turn(A: Array, index: Index, axes: Array) -> None:
     """Turn some columns of a Fortran-ordered matrix, in place."""
     flat = index.ravel()
     rows = A.T[flat].reshape(*index.shape, len(A))
@@ -125,7 +129,7 @@ class Quadratic:
         A^T A, where it is known.
     """
 
-    def __init__(self, A: NDArray, feasible: Feasible, gram: NDArray | None = None) -> None:
+    def __init__(self, A: Array, feasible: Feasible, gram: Array | None = None) -> None:
         self.A = np.asfortranarray(A, float)
         self.n = A.shape[1]
         self.G = gram_of(self.A) if gram is None else gram
@@ -134,10 +138,10 @@ class Quadratic:
             d[c.index] = np.max(d[c.index], axis=1)[:, None]
         top = float(d.max(initial=0.0)) or 1.0
         self.tau = 1 / np.maximum(d, 1e-12 * top)  # step lengths: one per interval or contact
-        self._factor: NDArray | None = None
+        self._factor: Array | None = None
         condition = self._condition()
         self.well, self.fair = condition > WELL, condition > FAIR
-        self._triangle: NDArray | None = None
+        self._triangle: Array | None = None
 
     def _condition(self) -> float:
         """Reciprocal condition number of the Gram matrix with a unit diagonal; zero where it is singular."""
@@ -150,7 +154,7 @@ class Quadratic:
         self._factor = None if info else factor
         return float(lapack.dpocon(factor, norm)[0]) if info == 0 and self.n else 0.0
 
-    def dual_energy(self, delta: NDArray, h: NDArray) -> float:
+    def dual_energy(self, delta: Array, h: Array) -> float:
         """Half of |A^-T delta|^2: what a gradient left over can lower half the objective by, anywhere.
 
         Where A is singular that has no bound; then what it lowers on the way from h to zero, |delta h|.
@@ -170,9 +174,9 @@ class Quadratic:
         return float(0.5 * np.sum(solve_triangular(R, delta, trans="T") ** 2))
 
     def step(
-        self, h: NDArray, b: NDArray, gradient: NDArray, face: Face, tau: NDArray, pull: NDArray,
-        offset: NDArray, C: NDArray, short: NDArray,
-    ) -> tuple[NDArray, NDArray] | None:  # fmt: skip
+        self, h: Array, b: Array, gradient: Array, face: ActiveFace, tau: Array, pull: Array,
+        offset: Array, C: Array, short: Array,
+    ) -> tuple[Array, Array] | None:  # fmt: skip
         """Minimiser on a face from `h`, with C times it fixed; and the multipliers of C. None: singular.
 
         Parameters
@@ -214,8 +218,8 @@ class Quadratic:
         return face.back(ht), nu
 
     def _semi_normal(
-        self, face: Face, f: NDArray, d0: NDArray, gradient: NDArray, stiff: NDArray, lean: NDArray
-    ) -> tuple[NDArray, NDArray] | None:
+        self, face: ActiveFace, f: Index, d0: Array, gradient: Array, stiff: Array, lean: Array
+    ) -> tuple[Array, Array] | None:
         from scipy.linalg import lapack
 
         M = face.gram(self.G, f)
@@ -227,8 +231,8 @@ class Quadratic:
         return None if info else (lapack.dpotrs(R, right)[0], R)
 
     def _orthogonal(
-        self, face: Face, f: NDArray, d0: NDArray, residual: NDArray, stiff: NDArray, lean: NDArray
-    ) -> tuple[NDArray, NDArray] | None:
+        self, face: ActiveFace, f: Index, d0: Array, residual: Array, stiff: Array, lean: Array
+    ) -> tuple[Array, Array] | None:
         from scipy.linalg import solve_triangular
 
         At = face.columns(self.A)
@@ -243,7 +247,7 @@ class Quadratic:
             return None
         return solve_triangular(R, Q.T @ right), R
 
-    def shrink(self, face: Face, C: NDArray) -> NDArray[np.float64]:
+    def shrink(self, face: ActiveFace, C: Array) -> Array:
         """Factor S (n, directions) of the inverse Hessian on the face, S S^T, with the rows C held; of full rank.
 
         The curvature of the cones is in it: S S^T A^T is the derivative of the solution by b.
@@ -251,7 +255,7 @@ class Quadratic:
         f = np.flatnonzero(~face.held)
         stiff = face.curvature(self.tau)[f]
         rows = np.diag(np.sqrt(stiff))[stiff > 0]
-        R: NDArray = np.asarray(np.linalg.qr(np.vstack([face.columns(self.A)[:, f], rows]), mode="r"))
+        R: Array = np.asarray(np.linalg.qr(np.vstack([face.columns(self.A)[:, f], rows]), mode="r"))
         V = None
         if len(C):
             V = _kernel(face.columns(C)[:, f])
@@ -262,19 +266,19 @@ class Quadratic:
         return face.back(S)
 
 
-def _right_inverse(R: NDArray) -> NDArray[np.float64]:
+def _right_inverse(R: Array) -> Array:
     """S with S S^T the (pseudo-)inverse of R^T R, of full column rank."""
     from scipy.linalg import solve_triangular
 
     diagonal = np.abs(np.diag(R))
     if R.shape[0] == R.shape[1] and diagonal.min(initial=np.inf) > 100 * len(R) * EPS * diagonal.max(initial=0.0):
-        return solve_triangular(R, np.eye(len(R)))
+        return np.asarray(solve_triangular(R, np.eye(len(R))))
     s, Wt = np.linalg.svd(R, full_matrices=False)[1:]
     keep = s > max(R.shape) * EPS * s.max(initial=0.0)
-    return Wt[keep].T / s[keep]
+    return np.asarray(Wt[keep].T / s[keep])
 
 
-def _onto_rows(q: NDArray, R: NDArray, C: NDArray, short: NDArray) -> tuple[NDArray, NDArray]:
+def _onto_rows(q: Array, R: Array, C: Array, short: Array) -> tuple[Array, Array]:
     """The step moved by the least energy so that C step = short, and the multipliers: gradient + C^T nu = 0."""
     from scipy.linalg import solve_triangular
 
@@ -285,16 +289,16 @@ def _onto_rows(q: NDArray, R: NDArray, C: NDArray, short: NDArray) -> tuple[NDAr
     return q + solve_triangular(R, Q @ z), nu
 
 
-def _kernel(C: NDArray) -> NDArray[np.float64]:
+def _kernel(C: Array) -> Array:
     """Orthonormal null space of some rows."""
     s, Vt = np.linalg.svd(C, full_matrices=True)[1:]
     rank = int(np.sum(s > max(C.shape) * EPS * s.max(initial=0.0)))
     return Vt[rank:].T
 
 
-def gram_of(A: NDArray) -> NDArray[np.float64]:
+def gram_of(A: Array) -> Array:
     """A^T A, both triangles."""
     from scipy.linalg import blas
 
     upper = blas.dsyrk(1.0, np.asfortranarray(A, float), trans=1)
-    return np.triu(upper) + np.triu(upper, 1).T
+    return np.asarray(np.triu(upper) + np.triu(upper, 1).T)

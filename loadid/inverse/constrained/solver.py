@@ -13,9 +13,12 @@ from structures.errors import InputError, plain
 from ..constraints import Bounds, Constraint, FrictionCone, NonNegative, Resultant, Support, faces, project
 from ..svd import SVDPath
 from . import activeset
-from .activeset import CAP, Point
+from .activeset import CAP, ActivePoint
 from .feasible import Feasible
-from .quadratic import Face, Quadratic, gram_of
+from .quadratic import ActiveFace, Quadratic, gram_of
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int_]
 
 
 def soft(constraints: Sequence[Constraint]) -> list[Resultant]:
@@ -23,15 +26,15 @@ def soft(constraints: Sequence[Constraint]) -> list[Resultant]:
     return [c for c in constraints if isinstance(c, Resultant) and not c.hard]
 
 
-def whitening(c: Resultant, sigma: float) -> NDArray[np.float64]:
+def whitening(c: Resultant, sigma: float) -> Array:
     """Rows W with W^T W = sigma^2 covariance^-1."""
     from scipy.linalg import solve_triangular
 
     covariance = np.asarray(c.covariance)
-    return sigma * solve_triangular(np.linalg.cholesky(covariance), np.eye(len(covariance)), lower=True)
+    return np.asarray(sigma * solve_triangular(np.linalg.cholesky(covariance), np.eye(len(covariance)), lower=True))
 
 
-def resultants_of(constraints: Sequence[Constraint], new: Sequence[ArrayLike] | None) -> list[NDArray]:
+def resultants_of(constraints: Sequence[Constraint], new: Sequence[ArrayLike] | None) -> list[Array]:
     """Values of all resultant constraints, in order; `new` replaces them."""
     own = [np.asarray(c.value) for c in constraints if isinstance(c, Resultant)]
     if new is None:
@@ -44,9 +47,7 @@ def resultants_of(constraints: Sequence[Constraint], new: Sequence[ArrayLike] | 
     return values
 
 
-def soft_values(
-    constraints: Sequence[Constraint], values: Sequence[NDArray], sigma: float, frames: int
-) -> list[NDArray[np.float64]]:
+def soft_values(constraints: Sequence[Constraint], values: Sequence[Array], sigma: float, frames: int) -> list[Array]:
     """Whitened values of the soft resultants, (R, frames) each.
 
     Raises
@@ -65,7 +66,7 @@ def soft_values(
     return out
 
 
-def with_values(feasible: Feasible, values: Sequence[NDArray]) -> Feasible:
+def with_values(feasible: Feasible, values: Sequence[Array]) -> Feasible:
     """The set with these values of its exact resultants."""
     rows = feasible.equal
     if not len(rows):
@@ -81,11 +82,11 @@ def with_values(feasible: Feasible, values: Sequence[NDArray]) -> Feasible:
     return replace(feasible, equal=replace(rows, value=np.array(picked)))
 
 
-Pair = tuple[NDArray[np.float64], NDArray]  # multipliers, active
+Pair = tuple[Array, NDArray[np.bool_ | np.int_]]  # multipliers, active
 
 
 def by_constraint(
-    constraints: Sequence[Constraint], s: Feasible, p: Point, face: Face, slope: NDArray, push: NDArray
+    constraints: Sequence[Constraint], s: Feasible, p: ActivePoint, face: ActiveFace, slope: Array, push: Array
 ) -> list[Pair]:
     """What each constraint pushes, and where it acts (soft resultants: see `with_soft`).
 
@@ -123,7 +124,7 @@ def by_constraint(
     return _of_removed(constraints, found, slope)
 
 
-def _of_removed(constraints: Sequence[Constraint], found: list[Pair], slope: NDArray) -> list[Pair]:
+def _of_removed(constraints: Sequence[Constraint], found: list[Pair], slope: Array) -> list[Pair]:
     """With what the supports push: the gradient at the loads that they removed, less the share of the resultants."""
     rest = slope.copy()
     for c, (force, _) in zip(constraints, found, strict=True):
@@ -138,7 +139,7 @@ def _of_removed(constraints: Sequence[Constraint], found: list[Pair], slope: NDA
     return out
 
 
-def with_soft(pairs: list[Pair], constraints: Sequence[Constraint], rest: NDArray, sigma: float) -> list[Pair]:
+def with_soft(pairs: list[Pair], constraints: Sequence[Constraint], rest: Array, sigma: float) -> list[Pair]:
     """With the multipliers sigma^2 Sigma^-1 (r - C g) of the soft resultants, from H g - y of the stacked rows."""
     start = len(rest) - sum(len(np.asarray(c.C)) for c in soft(constraints))
     out = []
@@ -151,7 +152,7 @@ def with_soft(pairs: list[Pair], constraints: Sequence[Constraint], rest: NDArra
     return out
 
 
-def _bound(s: Feasible, number: int, kappa: NDArray, bound: NDArray) -> Pair:
+def _bound(s: Feasible, number: int, kappa: Array, bound: Array) -> Pair:
     """Of one set of bounds: those that are the tightest at their load, and those that are rows in a cone."""
     force = np.where((s.lower_source == number) & (bound > 0), bound, 0.0)
     force = np.where((s.upper_source == number) & (bound < 0), bound, force)
@@ -160,17 +161,17 @@ def _bound(s: Feasible, number: int, kappa: NDArray, bound: NDArray) -> Pair:
     return force, force != 0
 
 
-def _cone_push(s: Feasible, c: FrictionCone, push: NDArray) -> NDArray[np.float64]:
+def _cone_push(s: Feasible, c: FrictionCone, push: Array) -> Array:
     turned = push.copy()
     for group in s.cones:
         if group.rotated:
             turned[group.index] = np.einsum("kij,kj->ki", group.frame, push[group.index])
     force = np.zeros(s.n)
     force[s.keep] = turned
-    return force[np.asarray(c.contacts)]
+    return np.asarray(force[np.asarray(c.contacts)])
 
 
-def _cone_status(s: Feasible, number: int, c: FrictionCone, face: Face) -> NDArray[np.int_]:
+def _cone_status(s: Feasible, number: int, c: FrictionCone, face: ActiveFace) -> Index:
     """Status of each contact; those outside the support are open."""
     first = {int(j): i for i, j in enumerate(np.asarray(c.contacts)[:, 0])}
     out = np.zeros(len(first), int)
@@ -204,13 +205,13 @@ class ConstrainedSolution:
         Newton steps.
     solver : str
     converged : bool
-    points : tuple of Point
+    points : tuple of ActivePoint
         For a warm start.
     """
 
-    load: NDArray[np.float64]
-    multipliers: tuple[NDArray[np.float64], ...]
-    active: tuple[NDArray, ...]
+    load: Array
+    multipliers: tuple[Array, ...]
+    active: tuple[NDArray[np.bool_ | np.int_], ...]
     gap: float
     violation: float
     residual2: float
@@ -219,7 +220,7 @@ class ConstrainedSolution:
     iterations: int
     solver: str
     converged: bool
-    points: tuple[Point, ...] = field(default=(), repr=False)
+    points: tuple[ActivePoint, ...] = field(default=(), repr=False)
 
     @property
     def change(self) -> float:
@@ -227,7 +228,7 @@ class ConstrainedSolution:
         return float(np.sqrt(self.residual2) - np.sqrt(self.free_residual2))
 
 
-def grams(base: SVDPath, feasible: Feasible) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def grams(base: SVDPath, feasible: Feasible) -> tuple[Array, Array]:
     """Gram matrices of operator and penalty in local unknowns; they direct the steps, no solution comes from them."""
     return gram_of(feasible.columns(base.Y.T * base.c[:, None])), gram_of(feasible.columns(base.Y.T * base.s[:, None]))
 
@@ -254,7 +255,7 @@ class ConstrainedSolver:
 
     def __init__(
         self, base: SVDPath, constraints: Sequence[Constraint], feasible: Feasible, lam: float, sigma: float,
-        grams: tuple[NDArray, NDArray] | None = None,
+        grams: tuple[Array, Array] | None = None,
     ) -> None:  # fmt: skip
         self.base, self.constraints, self.feasible, self.lam, self.sigma = (
             base, tuple(constraints), feasible, float(lam), float(sigma),
@@ -267,14 +268,14 @@ class ConstrainedSolver:
         self.quadratic = Quadratic(feasible.columns(base.Y.T * d[:, None]), feasible, whole)
 
     # -- data ---------------------------------------------------------------------------------------------------------
-    def compress(self, y: NDArray) -> tuple[NDArray, NDArray]:
+    def compress(self, y: Array) -> tuple[Array, Array]:
         """Right side b of the compressed problem for one vector of data (soft values included), and U^T y."""
         beta = np.zeros(len(self.seen))
         r = self.base.U.shape[1]
         beta[:r] = self.base.U.T @ y
         return self.seen * beta, beta
 
-    def data(self, y: ArrayLike, resultants: Sequence[ArrayLike] | None) -> tuple[NDArray, Feasible]:
+    def data(self, y: ArrayLike, resultants: Sequence[ArrayLike] | None) -> tuple[Array, Feasible]:
         """Data with the soft resultants behind them, (rows, frames), and the set with the exact ones.
 
         Raises
@@ -311,19 +312,24 @@ class ConstrainedSolver:
             Most Newton steps; below its default no other route is tried (flag W410 where it ends the run).
         """
         stacked, feasible = self.data(y, resultants)
-        starts = () if warm is None else warm.points
-        points: list[Point] = []
-        for k, column in enumerate(stacked.T):
-            start = starts[min(k, len(starts) - 1)] if starts and (k < len(starts) or not points) else None
-            start = points[-1] if start is None and points else start
-            points.append(self.point(column, feasible.of(k), start, cap))
+        points = self.points(stacked, feasible, () if warm is None else warm.points, cap)
         return self.finish(stacked, feasible, points, framed=np.ndim(y) == 2)
 
-    def point(self, y: NDArray, feasible: Feasible, start: Point | None, cap: int = CAP) -> Point:
+    def points(
+        self, y: Array, feasible: Feasible, starts: Sequence[ActivePoint], cap: int = CAP
+    ) -> tuple[ActivePoint, ...]:
+        """Answers for the columns of the data, each from its start or, beyond those, from the column before."""
+        found: list[ActivePoint] = []
+        for k, column in enumerate(y.T):
+            start = starts[k] if k < len(starts) else found[-1] if found else None
+            found.append(self.point(column, feasible.of(k), start, cap))
+        return tuple(found)
+
+    def point(self, y: Array, feasible: Feasible, start: ActivePoint | None, cap: int = CAP) -> ActivePoint:
         """Active-set answer for one vector of data."""
         return activeset.solve(self.quadratic, self.compress(y)[0], feasible, start, cap)
 
-    def finish(self, y: NDArray, feasible: Feasible, points: Sequence[Point], framed: bool) -> ConstrainedSolution:
+    def finish(self, y: Array, feasible: Feasible, points: Sequence[ActivePoint], framed: bool) -> ConstrainedSolution:
         """Everything that is reported, from the points of all frames."""
         parts = [self._report(column, feasible.of(k), p) for k, (column, p) in enumerate(zip(y.T, points, strict=True))]
         if not framed:
@@ -344,7 +350,7 @@ class ConstrainedSolver:
             points=tuple(points),
         )
 
-    def _report(self, y: NDArray, feasible: Feasible, p: Point) -> ConstrainedSolution:
+    def _report(self, y: Array, feasible: Feasible, p: ActivePoint) -> ConstrainedSolution:
         problem = self.base.problem
         g = feasible.to_global(p.h)
         b, beta = self.compress(y)
@@ -356,7 +362,7 @@ class ConstrainedSolver:
             slope = self.base.Y @ (self.weights * (self.weights * (self.base.Y.T @ g) - b))
         force = (self.quadratic.A @ p.h - b) @ self.quadratic.A
         push = force + p.nu @ feasible.equal.matrix + p.kappa @ feasible.below.matrix
-        face = Face.near(feasible, p.h - self.quadratic.tau * push)
+        face = ActiveFace.near(feasible, p.h - self.quadratic.tau * push)
         rows = by_constraint(self.constraints, feasible, p, face, slope, push)
         rows = with_soft(rows, self.constraints, rest, self.sigma)
         half = 0.5 * float(y @ y)
@@ -375,7 +381,7 @@ class ConstrainedSolver:
             points=(p,),
         )
 
-    def _gap(self, s: Feasible, p: Point, push: NDArray) -> float:
+    def _gap(self, s: Feasible, p: ActivePoint, push: Array) -> float:
         """Bound of what half the objective lies above its minimum, by the multipliers made admissible."""
         held = np.zeros(len(push))
         low, up = np.isfinite(s.lower) & (push > 0), np.isfinite(s.upper) & (push < 0)

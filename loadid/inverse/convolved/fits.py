@@ -15,7 +15,8 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..convolution import Convolution, toeplitz
+from ..convolution import Convolution, PenalizedConvolution, toeplitz
+from .pcg import Circulant, Sides, solve
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -23,13 +24,9 @@ Progress = Callable[[float, str], None]
 
 
 def over(
-    work: Callable[[T], R],
-    items: Sequence[T],
-    *,
-    workers: int | None = None,
-    progress: Progress | None = None,
+    work: Callable[[T], R], items: Sequence[T], *, workers: int | None = None, progress: Progress | None = None,
     text: str,
-) -> list[R]:
+) -> list[R]:  # fmt: skip
     """Results of `work` for every item, in their order.
 
     Parameters
@@ -68,7 +65,7 @@ def over(
 ALIKE = 1e-3  # relative difference of impulse responses, up to a factor, below which no data tell them apart
 
 
-def difference(h: NDArray) -> NDArray[np.float64]:
+def difference(h: Array) -> Array:
     """Smallest relative difference ``min_c |h_i - c h_j| / |h_i|`` of the responses of each pair, (loads, loads).
 
     Parameters
@@ -79,10 +76,10 @@ def difference(h: NDArray) -> NDArray[np.float64]:
     flat = h.reshape(-1, h.shape[2])
     unit = flat / np.linalg.norm(flat, axis=0)
     cosine = np.einsum("ki,kj->ij", unit, unit)
-    return np.sqrt(np.maximum(1 - cosine**2, 0.0))
+    return np.asarray(np.sqrt(np.maximum(1 - cosine**2, 0.0)))
 
 
-def groups(h: NDArray, near: NDArray | None = None, tolerance: float = ALIKE) -> tuple[tuple[int, ...], ...]:
+def groups(h: Array, near: Mask | None = None, tolerance: float = ALIKE) -> tuple[tuple[int, ...], ...]:
     """Groups of candidates at different places that leave the same data.
 
     Parameters
@@ -103,20 +100,22 @@ def groups(h: NDArray, near: NDArray | None = None, tolerance: float = ALIKE) ->
     return tuple(found)
 
 
-def _components(linked: NDArray) -> NDArray[np.int_]:
+def _components(linked: Mask) -> Index:
     from scipy.sparse.csgraph import connected_components
 
     return np.asarray(connected_components(linked, directed=False)[1])
 
 
 Array = NDArray[np.float64]
-PRECISE = 1e-9  # relative residual of the normal equations at which conjugate gradients stop
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int_]
+PRECISE, EXACT = 1e-9, 1e-8  # relative gradient at which conjugate gradients stop, and that of an exact fit
 CAP = 3000  # their steps at most
 NORM = 1e-4  # relative accuracy of the largest singular value of an operator
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedHistory:
     """One fit of one set of data.
 
     Parameters
@@ -145,7 +144,7 @@ class Fitted:
         return np.concatenate([self.residual.ravel(), self.penalty])
 
 
-class Fit(Protocol):
+class HistoryFit(Protocol):
     """A regularised operator that can be asked for any data."""
 
     lam: Array
@@ -156,7 +155,7 @@ class Fit(Protocol):
         """Effective degrees of freedom."""
         ...
 
-    def solve(self, y: Array) -> Fitted:
+    def solve(self, y: Array) -> FittedHistory:
         """Fit of data (samples, sensors)."""
         ...
 
@@ -185,12 +184,12 @@ class DenseFit:
         """Effective degrees of freedom."""
         return float(np.sum(self.filter))
 
-    def solve(self, y: Array) -> Fitted:
+    def solve(self, y: Array) -> FittedHistory:
         """Fit of data (samples, sensors)."""
         beta = self.U.T @ y.reshape(-1)
         residual = y - (self.U @ (self.filter * beta)).reshape(y.shape)
         load = (self.s / (self.s**2 + self.damping**2) * beta) @ self.V
-        return Fitted(load[:, None], residual, -self.damping * load)
+        return FittedHistory(load[:, None], residual, -self.damping * load)
 
 
 class JointFit:
@@ -220,78 +219,43 @@ class JointFit:
         """Effective degrees of freedom."""
         return float(np.sum(self._upper**2))
 
-    def solve(self, y: Array) -> Fitted:
+    def solve(self, y: Array) -> FittedHistory:
         """Fit of data (samples, sensors)."""
         z = self._upper.T @ y.reshape(-1)
         scaled = self._lower @ z  # lambda g: the lower block is the inverse of R
         residual = y - (self._upper @ z).reshape(y.shape)
-        return Fitted(scaled.reshape(len(y), -1) / self.lam, residual, -scaled)
+        return FittedHistory(scaled.reshape(len(y), -1) / self.lam, residual, -scaled)
 
 
 class LongFit:
-    """The same fit without a matrix: FFT products and conjugate gradients with a circulant preconditioner.
-
-    T. F. Chan, SIAM J. Sci. Stat. Comput. 9 (1988) 766, for the preconditioner: the padded spectrum stands for the
-    operator, exactly so where the response has decayed within the record.
-    """
+    """The same fit without a matrix, by FFT products and preconditioned conjugate gradients (`pcg`)."""
 
     name = "FFT and conjugate gradients"
 
     def __init__(self, h: Array, lam: Array | None = None, *, relative: float | None = None) -> None:
         if lam is None:
             lam = np.full(h.shape[2], (relative or 0.0) * norm(Convolution(h)))
-        self.lam, self.operator = lam, Convolution(h / lam)
-        lines = self.operator.lines
-        gram = np.einsum("ksi,ksj->kij", lines.conj(), lines)
-        self._gram = gram + np.eye(gram.shape[1])
+        self.lam = lam
+        self._circulant = Circulant(PenalizedConvolution(h / lam, len(h)), 1.0)
 
     @property
     def edf(self) -> float:
         """Effective degrees of freedom, estimated over the padded spectrum (an upper estimate)."""
-        per_line = np.sum(1 - 1 / np.linalg.eigvalsh(self._gram), axis=1)
-        return float(self.operator.samples * np.mean(per_line))
+        operator = self._circulant.operator
+        sizes = np.linalg.svd(np.moveaxis(operator.spectrum, -1, 0), compute_uv=False) ** 2
+        return float(operator.samples * np.mean(np.sum(sizes / (sizes + 1), axis=1)))
 
-    def solve(self, y: Array) -> Fitted:
+    def solve(self, y: Array) -> FittedHistory:
         """Fit of data (samples, sensors)."""
-        w, exact = self._conjugate_gradients(self.operator.adjoint(y))
-        return Fitted(w / self.lam, y - self.operator.apply(w), -w.ravel(), exact)
-
-    def _conjugate_gradients(self, b: Array) -> tuple[Array, bool]:
-        """Solve ``(H^T H + I) w = b``."""
-        w, r = np.zeros_like(b), b
-        z = self._precondition(r)
-        d, rz = z, float(np.sum(r * z))
-        limit = PRECISE * float(np.linalg.norm(b))
-        for _ in range(CAP):
-            if float(np.linalg.norm(r)) <= limit:
-                return w, True
-            q = self.operator.adjoint(self.operator.apply(d)) + d
-            step = rz / float(np.sum(d * q))
-            w, r = w + step * d, r - step * q
-            z = self._precondition(r)
-            before, rz = rz, float(np.sum(r * z))
-            d = z + (rz / before) * d
-        return w, False
-
-    def _precondition(self, r: Array) -> Array:
-        from scipy import fft
-
-        padded = self.operator.padded
-        R = fft.rfft(r, padded, axis=0)
-        Z = np.linalg.solve(self._gram, R[..., None])[..., 0]
-        return np.asarray(fft.irfft(Z, padded, axis=0)[: len(r)])
+        operator, sides = self._circulant.operator, Sides(y=y.T[None])
+        found = solve(operator, self._circulant, sides, PRECISE, CAP, strict=False, takeover=False)
+        scaled = np.ascontiguousarray(found.x[0].T)
+        return FittedHistory(scaled / self.lam, found.r[0].T, -scaled.ravel(), found.gradient <= EXACT)
 
 
 def norm(operator: Convolution) -> float:
     """Largest singular value, by Lanczos steps with FFT products."""
-    from scipy.sparse.linalg import LinearOperator, svds
+    from scipy.sparse.linalg import svds
 
-    data, unknowns = (operator.samples, operator.sensors), (operator.samples, operator.loads)
-    wrapped = LinearOperator(
-        operator.shape,
-        matvec=lambda g: operator.apply(g.reshape(unknowns)).ravel(),
-        rmatvec=lambda r: operator.adjoint(r.reshape(data)).ravel(),
-        dtype=float,
-    )
     start = np.random.default_rng(0).standard_normal(min(operator.shape))
-    return float(svds(wrapped, k=1, tol=NORM, v0=start, return_singular_vectors=False)[0])
+    return float(svds(operator, k=1, tol=NORM, v0=start, return_singular_vectors=False)[0])

@@ -9,12 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable
 
-from ..convolution import Operator
+from ..convolution import PenalizedConvolution
 from ..interpolation import STEP, Table, Traces, logs
 from ..path import PathPoint, RegularizationPath, Solution
 from . import posterior as probes
 from .pcg import Circulant, Reached, largest, refined
 from .posterior import SWEPT, ConvolvedPosterior, Moments, chain, columns, moments, profile, slopes
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 SCALARS, TIGHT = 1e-9, 1e-11  # tolerance of solves whose answers are only sums; the second one below `WEAK`
 WEAK = 100.0  # times the smallest lambda
@@ -24,16 +27,41 @@ TRIED, TRY_TO = 1 << 15, 0.1  # samples on which a lambda is tried, and the larg
 LOWEST = 1e-5  # lambda times the largest penalty over the norm of H: below, too many digits are lost
 
 
+def checked(h: Array, y: Array, weight: Array | None) -> tuple[Array, Array, Mask]:
+    """Impulse responses, data and which of them are there, of shapes that fit.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, no data, NaN.
+    """
+    h, y = np.asarray(h, float), np.asarray(y, float)
+    if h.ndim != 3 or y.ndim != 2 or y.shape[1] != h.shape[1] or 0 in h.shape + y.shape:
+        raise InputError("impulse responses and data do not fit", where="convolved path",
+                         found=f"h {h.shape}, y {y.shape}",
+                         expected="(taps, sensors, loads) and (samples, sensors)")  # fmt: skip
+    used = np.ones(y.shape, bool) if weight is None else np.asarray(weight) != 0
+    if used.shape != y.shape or (weight is not None and not np.all(np.isfinite(weight))):
+        raise InputError("the weights do not fit the data", where="convolved path", found=f"shape {used.shape}",
+                         expected=f"{y.shape}, finite")  # fmt: skip
+    if not np.any(used):
+        raise InputError("no data", where="convolved path", found="every sample is missing",
+                         expected="some measured samples")  # fmt: skip
+    if not (np.all(np.isfinite(h)) and np.all(np.isfinite(y[used]))):
+        raise InputError("NaN or inf in the model or the data", where="convolved path", expected="finite numbers",
+                         hint="weight 0 where a sample is missing")  # fmt: skip
+    return h, y, used
+
+
 class ConvolvedPath(RegularizationPath):
     """``min |H g - y|^2 + lambda^2 |L g|^2`` with H the causal block Toeplitz operator of h, right at both ends.
 
     Nothing is assumed of what comes after the record; before it the load is zero. The penalty acts in time with free
-    ends, as the dense one does. A lambda costs some solves by conjugate gradients (`pcg`) with a circulant
-    preconditioner, of six transforms for one load and one sensor in each step. Exact to the tolerance of these: loads,
-    residuals, `exact`, degrees of freedom and the variance of every sample (`displacement`: no probes). Interpolated
-    between half decades of lambda (a quarter for traces): what `at` says (`between`). Estimated by fixed probes
-    (`probes`): traces where sensors, loads and gaps in the data ask for more than `displacement.SWEPT` columns, and
-    variances where they ask for more than `displacement.MANY`.
+    ends, as the dense one does. A lambda costs some solves by conjugate gradients (`pcg`), of six transforms for one
+    load and one sensor in each step. Exact to the tolerance of these: loads, residuals, `exact`, degrees of freedom and
+    the variance of every sample (`posterior.diagonals`). Interpolated between half decades of lambda (a quarter for
+    traces): what `at` says. Estimated by fixed probes: traces where sensors, loads and gaps in the data ask for more
+    than `posterior.SWEPT` columns, and variances where they ask for more than `posterior.MANY`.
 
     Parameters
     ----------
@@ -57,27 +85,13 @@ class ConvolvedPath(RegularizationPath):
     """
 
     def __init__(
-        self, h: NDArray, y: NDArray, penalty: str = "identity", weight: NDArray | None = None,
+        self, h: Array, y: Array, penalty: str = "identity", weight: Array | None = None,
         *, scale: float | None = None,
     ) -> None:  # fmt: skip
-        h, y = np.asarray(h, float), np.asarray(y, float)
-        if h.ndim != 3 or y.ndim != 2 or y.shape[1] != h.shape[1] or 0 in h.shape + y.shape:
-            raise InputError("impulse responses and data do not fit", where="convolved path",
-                             found=f"h {h.shape}, y {y.shape}",
-                             expected="(taps, sensors, loads) and (samples, sensors)")  # fmt: skip
-        used = np.ones(y.shape, bool) if weight is None else np.asarray(weight) != 0
-        if used.shape != y.shape or (weight is not None and not np.all(np.isfinite(weight))):
-            raise InputError("the weights do not fit the data", where="convolved path", found=f"shape {used.shape}",
-                             expected=f"{y.shape}, finite")  # fmt: skip
-        if not np.any(used):
-            raise InputError("no data", where="convolved path", found="every sample is missing",
-                             expected="some measured samples")  # fmt: skip
-        if not (np.all(np.isfinite(h)) and np.all(np.isfinite(y[used]))):
-            raise InputError("NaN or inf in the model or the data", where="convolved path",
-                             expected="finite numbers", hint="weight 0 where a sample is missing")  # fmt: skip
+        h, y, used = checked(h, y, weight)
         if np.all(used) and weight is not None and np.all(np.asarray(weight) == 1.0):
             weight = None
-        self.operator = Operator(h, len(y), penalty, weight)
+        self.operator = PenalizedConvolution(h, len(y), penalty, weight)
         kept = np.where(used, y, 0.0) * (1.0 if weight is None else np.asarray(weight, float))
         self.y = np.ascontiguousarray(kept.T)[None]  # (1, sensors, samples)
         self.m, self.null = int(np.sum(used)), self.operator.order * self.operator.loads
@@ -87,10 +101,10 @@ class ConvolvedPath(RegularizationPath):
                              found=f"largest generalised singular value {float(self.scale):.2g}",
                              expected="between 1e-140 and 1e140", hint="check the units")  # fmt: skip
         self._table = Table(self._node, self.lowest)
-        self._residuals: dict[float, tuple[NDArray, NDArray]] = {}
+        self._residuals: dict[float, tuple[Array, Array]] = {}
         self._errors: dict[float, Table] = {}
         self._kept: tuple[float, Reached] | None = None
-        self._told: tuple[float, tuple[NDArray, NDArray, float], tuple[float, float, float]] | None = None
+        self._told: tuple[float, tuple[Array, Array, float], tuple[float, float, float]] | None = None
 
     # -- the contract -------------------------------------------------------------------------------------------------
     @property
@@ -101,7 +115,7 @@ class ConvolvedPath(RegularizationPath):
     @property
     def unknowns(self) -> int:
         """Loads times samples."""
-        return self.operator.samples * self.operator.loads
+        return int(self.operator.samples * self.operator.loads)
 
     @cached_property
     def range(self) -> tuple[float, float]:
@@ -121,7 +135,7 @@ class ConvolvedPath(RegularizationPath):
         part = self.operator if self.samples <= TRIED else self.operator.cut(TRIED)
         circulant, y = Circulant(part, lam * float(self.scale)), self.y[..., : part.samples]
         try:
-            chain(part, circulant, y, 3, self._tolerance(lam), takeover=False)
+            chain(part, circulant, y, self._tolerance(lam), takeover=False)
         except NotIdentifiable:
             return False
         return True
@@ -130,13 +144,15 @@ class ConvolvedPath(RegularizationPath):
     def lowest(self) -> float:
         """Smallest relative lambda that is solved for: `LOWEST` times the norm of H over that of the penalty."""
         o = self.operator
-        norm = float(self.scale) if o.order == 0 else largest(o.with_penalty("identity"))
-        return LOWEST * norm / 2**o.order / float(self.scale)
+        norm = float(self.scale)
+        if o.order:
+            norm = largest(PenalizedConvolution(o.responses, o.samples, "identity", o.weights))
+        return float(LOWEST * norm / 2**o.order / float(self.scale))
 
     @cached_property
     def seen(self) -> float:
         """Smallest relative generalised singular value of the lines of a padded transform of the impulse responses."""
-        lines = self.operator.cut(min(self.samples, 4096)).lines
+        lines = self.operator.cut(min(self.samples, 4096)).spectrum
         values = np.linalg.svd(np.moveaxis(lines, -1, 0)[1:], compute_uv=False).min(axis=1)
         theta = np.pi * np.arange(1, lines.shape[-1]) / (lines.shape[-1] - 1)
         return float(np.min(values / (2 * np.sin(theta / 2)) ** self.operator.order) / float(self.scale))
@@ -154,22 +170,22 @@ class ConvolvedPath(RegularizationPath):
         """Scalars at one relative lambda without interpolation; traces of powers are left out."""
         return self._alone(np.asarray(float(lam)))
 
-    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64]:
+    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> Array:
         """Squared load error at each `lam` (k,) that would be made if the load were the estimate at `pilot`."""
         lam = np.atleast_1d(np.asarray(lam, float))
         self._check(lam)
         if pilot not in self._errors:
             load = self._solved(pilot).x
-            response = self._response(load)
+            response = self.operator.convolve(load)
             self._errors = {pilot: Table(lambda at: self._bias2(at, load, response), self.lowest)}
         noise = self._noise2(lam) if sigma > 0 else 0.0
-        return self._errors[pilot].at(lam)[0] + sigma**2 * noise
+        return np.asarray(self._errors[pilot].at(lam)[0] + sigma**2 * noise)
 
-    def residual(self, lam: float) -> NDArray[np.float64]:
+    def residual(self, lam: float) -> Array:
         """Whitened residual (samples, sensors), 0 where data are missing."""
         return self._beside(self._solved(lam).r)
 
-    def residuals(self, lams: NDArray) -> list[NDArray[np.float64]]:
+    def residuals(self, lams: Array) -> list[Array]:
         """Residuals for the tests of whiteness: exact for one lambda, from cubics between nodes for many."""
         if len(lams) == 1 or self.y.size > KEPT:
             return [self.residual(float(lam)) for lam in lams]
@@ -184,31 +200,27 @@ class ConvolvedPath(RegularizationPath):
             return Solution(load, None)
         return Solution(load, ConvolvedPosterior(self.operator, float(lam) * float(self.scale), sigma))
 
-    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+    def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
         self._check(np.asarray(lam))
         g = np.ascontiguousarray(np.asarray(load, float).T)[None]
-        found = refined(self.operator, self._circulant(float(lam)), self.operator.apply(g))
+        found = refined(self.operator, self._circulant(float(lam)), self.operator.convolve(g))
         return np.ascontiguousarray(found.x[0].T)
 
     def gradient(self, lam: float) -> float:
         """Norm of half the gradient of the objective at the solution over that of H^T y: a certificate."""
         return self._solved(lam).gradient
 
-    def _residual_between(self, nodes: NDArray, lam: float) -> NDArray[np.float64]:
+    def _residual_between(self, nodes: Array, lam: float) -> Array:
         """Cubic through the residuals and their slopes at the nodes on both sides."""
         k = int(np.clip(np.searchsorted(nodes, lam), 1, len(nodes) - 1))
         width = 2 * np.log(nodes[k] / nodes[k - 1])
         x = 2 * np.log(lam / nodes[k - 1]) / width
         (r, dr), (s, ds) = (self._residuals[float(node)] for node in nodes[k - 1 : k + 1])
         ahead = x * x * (3 - 2 * x)
-        return (1 - ahead) * r + ahead * s + width * x * (1 - x) * ((1 - x) * dr - x * ds)
+        return np.asarray((1 - ahead) * r + ahead * s + width * x * (1 - x) * ((1 - x) * dr - x * ds))
 
     # -- inside -------------------------------------------------------------------------------------------------------
-    def _response(self, load: NDArray) -> NDArray[np.float64]:
-        """H g of loads (k, loads, samples)."""
-        return self.operator.apply(load)
-
     def _circulant(self, lam: float) -> Circulant:
         return Circulant(self.operator, lam * float(self.scale))
 
@@ -222,19 +234,19 @@ class ConvolvedPath(RegularizationPath):
     def _moments(self, lam: float) -> Moments:
         return moments(self.y, *self._chain(lam, self.y))
 
-    def _chain(self, lam: float, y: NDArray) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
+    def _chain(self, lam: float, y: Array) -> tuple[list[Array], list[Array], list[Array]]:
         """Three solves, each of what the one before leaves of the penalty."""
-        return chain(self.operator, self._circulant(lam), y, 3, self._tolerance(lam))
+        return chain(self.operator, self._circulant(lam), y, self._tolerance(lam))
 
     @staticmethod
-    def _beside(x: NDArray) -> NDArray[np.float64]:
+    def _beside(x: Array) -> Array:
         """Responses (1, sensors, samples) as (samples, sensors)."""
         return np.ascontiguousarray(x[0].T)
 
     def _tolerance(self, lam: float) -> float:
         return SCALARS if lam >= WEAK * self.lowest else TIGHT
 
-    def _node(self, lam: float) -> tuple[NDArray, ...]:
+    def _node(self, lam: float) -> tuple[Array, ...]:
         """Objective, residual, roughness and its bend (both times lambda^2); change of the load: logarithms, slopes."""
         found = self._moments(lam)
         if self.y.size <= KEPT:
@@ -245,10 +257,9 @@ class ConvolvedPath(RegularizationPath):
         groups = logs(np.array([objective, residual2, falls[1][:5]])), logs(np.array([falls[2][:4]]))
         if self.operator.order == 0:  # f / c^2 = (1 - f) / lambda^2
             return *groups, logs(np.array([falls[3][:3]]))
-        assert found.change_slope is not None
         return *groups, logs(np.array([[np.sum(found.change2), np.sum(found.change_slope)]]))
 
-    def _between(self, lam: NDArray) -> dict[str, NDArray]:
+    def _between(self, lam: Array) -> dict[str, Array]:
         """Every scalar at relative lambdas (k,)."""
         objective, residual2, rough, bend, change2 = self._table.at(lam)
         powers, x2 = self._traces.powers(lam), (lam * float(self.scale)) ** 2
@@ -272,7 +283,7 @@ class ConvolvedPath(RegularizationPath):
             "bend": -4 * bend / x2,
         }
 
-    def _alone(self, lam: NDArray) -> PathPoint:
+    def _alone(self, lam: Array) -> PathPoint:
         """Exact scalars at one lambda, without those that need its neighbours."""
         relative = float(lam.reshape(-1)[0])
         if self._told is None or self._told[0] != relative:
@@ -282,7 +293,7 @@ class ConvolvedPath(RegularizationPath):
         _, (remains, falls, change2), (part, rest, _) = self._told
         x2 = (relative * float(self.scale)) ** 2
 
-        def shaped(x: float) -> NDArray[np.float64]:
+        def shaped(x: float) -> Array:
             return np.full(lam.shape, x)
 
         return PathPoint(
@@ -304,13 +315,13 @@ class ConvolvedPath(RegularizationPath):
         found = profile(self.operator, x, TRACES)
         return float(np.sum(1.0 - found.rough)), float(np.sum(found.rough)), float(np.sum(found.variance))
 
-    def _noise2(self, lam: NDArray) -> NDArray[np.float64]:
+    def _noise2(self, lam: Array) -> Array:
         """Squared load error that noise of unit level makes, tr B H^T H B."""
         grid, values = self._noise_table
         return np.exp(np.interp(np.log(lam), np.log(grid), np.log(values)))
 
     @cached_property
-    def _noise_table(self) -> tuple[NDArray, NDArray]:
+    def _noise_table(self) -> tuple[Array, Array]:
         grid = self._traces.grid
         if self.operator.order == 0:  # sum of f^2 / c^2 = sum of f (1 - f) / lambda^2
             value = -self._traces.powers(grid).first / (grid * float(self.scale)) ** 2
@@ -320,7 +331,7 @@ class ConvolvedPath(RegularizationPath):
         falling = np.maximum.accumulate(value[::-1])[::-1]
         return grid, np.maximum(falling, np.finfo(float).tiny)
 
-    def _bias2(self, lam: float, load: NDArray, response: NDArray) -> tuple[NDArray, ...]:
+    def _bias2(self, lam: float, load: Array, response: Array) -> tuple[Array, ...]:
         """Squared distance of a load from what would be made of its response: logarithm with two slopes."""
         one, two, three = self._chain(lam, response)[0]
         lost = load - one
@@ -328,7 +339,7 @@ class ConvolvedPath(RegularizationPath):
         second = 2 * float(np.sum(two**2)) + 2 * float(np.sum(lost * (two - 2 * three)))
         return (logs(np.array([[value, first, second]])),)
 
-    def _check(self, lam: NDArray) -> None:
+    def _check(self, lam: Array) -> None:
         if not np.all(np.isfinite(lam)) or np.any(lam < 0.99 * self.lowest):
             raise InputError("lambda is too small for this path", where="lambda", found=float(np.min(lam)),
                              expected=f"a relative lambda of at least {self.lowest:.2g}",

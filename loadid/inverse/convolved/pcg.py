@@ -13,11 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 
-from ..convolution import Operator
+from ..convolution import PenalizedConvolution
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int_]
 
 
 class Circulant:
@@ -28,14 +32,14 @@ class Circulant:
 
     Parameters
     ----------
-    operator : Operator
+    operator : PenalizedConvolution
     lam : float
         Absolute lambda.
     """
 
-    def __init__(self, operator: Operator, lam: float) -> None:
+    def __init__(self, operator: PenalizedConvolution, lam: float) -> None:
         self.operator, self.lam = operator, lam
-        p, H = operator.loads, operator.lines
+        p, H = operator.loads, operator.spectrum
         share = 1.0 if operator.weight is None else float(np.mean(operator.weight**2))
         G = np.empty((p, p, H.shape[-1]), complex)
         for i in range(p):
@@ -47,9 +51,10 @@ class Circulant:
             G[i, i] += damping
         self.lower, self.pivots = _factor(G)
 
-    def solve(self, r: NDArray) -> NDArray[np.float64]:
+    def solve(self, r: Array) -> Array:
         """P^-1 r for loads (k, loads, samples)."""
-        R, L, p = self.operator.transform(r), self.lower, self.operator.loads
+        padded, L, p = self.operator.padded, self.lower, self.operator.loads
+        R = fft.rfft(r, padded)
         for i in range(p):
             for j in range(i):
                 R[:, i] -= L[i, j] * R[:, j]
@@ -57,10 +62,11 @@ class Circulant:
         for i in range(p - 1, -1, -1):
             for j in range(i + 1, p):
                 R[:, i] -= L[j, i].conj() * R[:, j]
-        return self.operator.record(R)
+        x: Array = fft.irfft(R, padded, overwrite_x=True)
+        return x[..., : self.operator.samples]
 
 
-def _factor(G: NDArray) -> tuple[NDArray, NDArray]:
+def _factor(G: Array) -> tuple[Array, Array]:
     """Unit lower factors (p, p, lines) and reciprocal pivots (p, lines) of Hermitian matrices, lower half given."""
     p = len(G)
     L, d = np.zeros_like(G), np.empty((p, G.shape[-1]))
@@ -71,24 +77,24 @@ def _factor(G: NDArray) -> tuple[NDArray, NDArray]:
     return L, 1.0 / d
 
 
-class Factored:
+class ModalInverse:
     """``A^-1 r`` for A = H^T H + lam^2 L^T L by the modes of (H, L), ``X diag(1 / (c^2 + lam^2 s^2)) X^T``.
 
     Conjugate gradients then take some steps, which give back the digits that a product with the inverse loses.
 
     Parameters
     ----------
-    operator : Operator
+    operator : PenalizedConvolution
     lam : float
         Absolute lambda.
     """
 
-    def __init__(self, operator: Operator, lam: float) -> None:
+    def __init__(self, operator: PenalizedConvolution, lam: float) -> None:
         modes = operator.modes
         self.operator, self.lam = operator, lam
         self._X, self._size2 = modes.X, modes.c**2 + (lam * modes.s) ** 2
 
-    def solve(self, r: NDArray) -> NDArray[np.float64]:
+    def solve(self, r: Array) -> Array:
         """A^-1 r for loads (k, loads, samples)."""
         flat = np.swapaxes(r, 1, 2).reshape(len(r), -1)
         found = (flat @ self._X / self._size2) @ self._X.T
@@ -118,9 +124,9 @@ class Sides:
     b : array, shape (k, loads, samples), optional
     """
 
-    y: NDArray | None = None
-    c: NDArray | None = None
-    b: NDArray | None = None
+    y: Array | None = None
+    c: Array | None = None
+    b: Array | None = None
 
     @property
     def count(self) -> int:
@@ -145,16 +151,16 @@ class Reached:
     iterations : int
     """
 
-    x: NDArray[np.float64]
-    r: NDArray[np.float64]
-    q: NDArray[np.float64]
+    x: Array
+    r: Array
+    q: Array
     gradient: float
     iterations: int
 
 
 def solve(
-    operator: Operator, circulant: Circulant | Factored, sides: Sides, tolerance: float = TOLERANCE, most: int = MOST,
-    strict: bool = True, takeover: bool = True,
+    operator: PenalizedConvolution, circulant: Circulant | ModalInverse, sides: Sides, tolerance: float = TOLERANCE,
+    most: int = MOST, strict: bool = True, takeover: bool = True,
 ) -> Reached:  # fmt: skip
     """Solve for all right sides at the lambda of the preconditioner.
 
@@ -174,9 +180,9 @@ def solve(
         or with the preconditioner of a factorisation too (LID-E306).
     """
     if takeover and "modes" in vars(operator):
-        circulant = Factored(operator, circulant.lam)  # it is there, and takes fewer steps
+        circulant = ModalInverse(operator, circulant.lam)  # it is there, and takes fewer steps
     lam, N, k = circulant.lam, operator.samples, sides.count
-    another = takeover and strict and operator.loads * N <= FACTORED and not isinstance(circulant, Factored)
+    another = takeover and strict and operator.loads * N <= FACTORED and not isinstance(circulant, ModalInverse)
     if another:
         most = min(most, operator.loads * N)  # steps after which it had ended but for rounding
     x = np.zeros((k, operator.loads, N))
@@ -184,8 +190,8 @@ def solve(
     q = np.zeros((k, operator.loads, operator.rows)) if sides.c is None else np.array(sides.c, float)
     b = sides.b
 
-    def gradient(live: NDArray) -> NDArray:
-        s = operator.adjoint(r[live]) + lam * operator.rough_adjoint(q[live])
+    def gradient(live: Index) -> Array:
+        s = operator.correlate(r[live]) + lam * operator.rough_adjoint(q[live])
         return s if b is None else s + b[live]
 
     live = np.arange(k)
@@ -201,7 +207,7 @@ def solve(
             live, d, energy = live[keep], d[keep], energy[keep]
         if not len(live) or iterations == most:
             break
-        u, v = operator.apply(d), lam * operator.rough(d)
+        u, v = operator.convolve(d), lam * operator.rough(d)
         step = (energy / (_dot(u, u) + _dot(v, v)))[:, None, None]
         x[live] += step * d
         r[live] -= step * u
@@ -218,13 +224,13 @@ def solve(
     reached = float(np.sqrt(np.max(plain / np.where(zero > 0, zero, 1.0), initial=0.0)))
     failed = not np.isfinite(reached) or (strict and np.any(best > max(tolerance, ROUNDING) ** 2 * first))
     if another and (failed or (len(live) and iterations == most)):
-        return solve(operator, Factored(operator, lam), sides, tolerance)
+        return solve(operator, ModalInverse(operator, lam), sides, tolerance)
     if failed:
         raise unsettled(f"gradient {reached:.2g} times the first after {iterations} steps")
     return Reached(x, r, q, reached, iterations)
 
 
-def refined(operator: Operator, circulant: Circulant, y: NDArray) -> Reached:
+def refined(operator: PenalizedConvolution, circulant: Circulant, y: Array) -> Reached:
     """Solution for data y (1, sensors, samples), corrected from its own residual until the load no longer changes.
 
     A small gradient does not show an error along loads that almost no data and no penalty see (second differences and a
@@ -238,13 +244,13 @@ def refined(operator: Operator, circulant: Circulant, y: NDArray) -> Reached:
     found = solve(operator, circulant, Sides(y=y))
     if found.iterations <= HARD and not operator.order:
         return found
-    scale, lam, change = float(np.linalg.norm(operator.adjoint(y))), circulant.lam, np.inf
+    scale, lam, change = float(np.linalg.norm(operator.correlate(y))), circulant.lam, np.inf
 
-    def slope(r: NDArray, q: NDArray) -> float:
-        return float(np.linalg.norm(operator.adjoint(r) + lam * operator.rough_adjoint(q)))
+    def slope(r: Array, q: Array) -> float:
+        return float(np.linalg.norm(operator.correlate(r) + lam * operator.rough_adjoint(q)))
 
     for _ in range(PASSES):
-        r, q = y - operator.apply(found.x), -lam * operator.rough(found.x)
+        r, q = y - operator.convolve(found.x), -lam * operator.rough(found.x)
         before = slope(r, q)
         found = Reached(found.x, r, q, before / scale if scale else 0.0, found.iterations)
         more = solve(operator, circulant, Sides(y=r, c=q), CORRECTED, strict=False)
@@ -267,9 +273,9 @@ def unsettled(found: str) -> NotIdentifiable:
     )  # fmt: skip
 
 
-def _dot(a: NDArray, b: NDArray) -> NDArray[np.float64]:
+def _dot(a: Array, b: Array) -> Array:
     """Inner products of each right side."""
-    return np.einsum("kij,kij->k", a, b)
+    return np.asarray(np.einsum("kij,kij->k", a, b))
 
 
 STEPS = 60
@@ -278,7 +284,7 @@ UNSEEN = 1e-12
 LONG = 1 << 14  # samples beyond which the largest value is extrapolated
 
 
-def free_responses(operator: Operator) -> NDArray[np.float64]:
+def free_responses(operator: PenalizedConvolution) -> Array:
     """Orthonormal responses (count, sensors, samples) to what a difference penalty leaves free.
 
     Raises
@@ -293,7 +299,7 @@ def free_responses(operator: Operator) -> NDArray[np.float64]:
     for k in range(o):  # Legendre polynomials: their responses stay apart
         for j in range(p):
             loads[k * p + j, j] = np.linspace(-1, 1, N) ** k
-    responses = operator.apply(loads).reshape(o * p, -1).T
+    responses = operator.convolve(loads).reshape(o * p, -1).T
     seen, size = float(np.linalg.norm(responses)), float(np.sqrt(np.sum(operator.h**2) * N))
     Q, R = np.linalg.qr(responses)
     if np.min(np.abs(np.diag(R))) <= UNSEEN * max(seen, size):
@@ -305,7 +311,7 @@ def free_responses(operator: Operator) -> NDArray[np.float64]:
     return np.ascontiguousarray(Q.T).reshape(o * p, operator.sensors, N)
 
 
-def largest(operator: Operator) -> float:
+def largest(operator: PenalizedConvolution) -> float:
     """Largest generalised singular value of (H, L), what the penalty leaves free taken out.
 
     That of a record beyond `LONG` samples is extrapolated by its growth over the last doubling: flat where the response
@@ -317,7 +323,7 @@ def largest(operator: Operator) -> float:
     return float(whole * (operator.samples / LONG) ** max(np.log2(whole / half), 0.0))
 
 
-def _largest(operator: Operator) -> float:
+def _largest(operator: PenalizedConvolution) -> float:
     """Golub & Kahan's bidiagonalisation of ``(I - Q Q^T) H S``, with S the running sums that undo L, until it settles.
 
     Raises
@@ -327,17 +333,17 @@ def _largest(operator: Operator) -> float:
     """
     rng, free = np.random.default_rng(0), free_responses(operator)
     v = rng.standard_normal((1, operator.loads, operator.samples - operator.order))
-    V: list[NDArray] = [v / np.linalg.norm(v)]
-    U: list[NDArray] = []
+    V: list[Array] = [v / np.linalg.norm(v)]
+    U: list[Array] = []
     B = np.zeros((STEPS + 1, STEPS))
     before = 0.0
     for k in range(STEPS):
-        u = _without(_without(operator.apply(_sum(V[-1], operator.order)), free), U)
+        u = _without(_without(operator.convolve(_sum(V[-1], operator.order)), free), U)
         B[k, k] = alpha = float(np.linalg.norm(u))
         if alpha == 0:
             break
         U.append(u / alpha)
-        v = _without(_sum_adjoint(operator.adjoint(_without(U[-1], free)), operator.order), V)
+        v = _without(_sum_adjoint(operator.correlate(_without(U[-1], free)), operator.order), V)
         value = float(np.linalg.norm(B[: k + 1, : k + 1], 2))
         beta = float(np.linalg.norm(v))
         if beta <= 1e-14 * value or abs(value - before) <= SETTLED * value:
@@ -354,7 +360,7 @@ def _largest(operator: Operator) -> float:
     return before
 
 
-def _without(x: NDArray, basis: NDArray | list[NDArray]) -> NDArray[np.float64]:
+def _without(x: Array, basis: Array | list[Array]) -> Array:
     """The part of x (1, rows, samples) at right angles to orthonormal vectors."""
     for _ in range(2 if len(basis) else 0):
         for q in basis:
@@ -362,14 +368,14 @@ def _without(x: NDArray, basis: NDArray | list[NDArray]) -> NDArray[np.float64]:
     return x
 
 
-def _sum(w: NDArray, order: int) -> NDArray[np.float64]:
+def _sum(w: Array, order: int) -> Array:
     """Load with these differences that starts at zero."""
     for _ in range(order):
         w = np.pad(np.cumsum(w, axis=-1), ((0, 0), (0, 0), (1, 0)))
     return w
 
 
-def _sum_adjoint(g: NDArray, order: int) -> NDArray[np.float64]:
+def _sum_adjoint(g: Array, order: int) -> Array:
     """Transpose of `_sum`."""
     for _ in range(order):
         g = np.cumsum(g[..., :0:-1], axis=-1)[..., ::-1]

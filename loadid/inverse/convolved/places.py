@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..convolution import Convolution
-from .fits import Fit, Fitted, norm
+from .fits import FittedHistory, HistoryFit, norm
 
 Array = NDArray[np.float64]
 STEPS = 12
@@ -38,7 +38,7 @@ class Refined:
     Parameters
     ----------
     place : array, shape (loads, dim)
-    fitted : Fitted
+    fitted : FittedHistory
     curvature : array, shape (loads * dim, loads * dim)
         Upper triangular R: ``R^T R`` is the curvature of half the objective over the places.
     chance : array, of the same shape
@@ -50,7 +50,7 @@ class Refined:
     """
 
     place: Array
-    fitted: Fitted
+    fitted: FittedHistory
     curvature: Array
     chance: Array
     edge: bool
@@ -78,16 +78,10 @@ class Refined:
 
 
 def refine(
-    start: Array,
-    y: Array,
-    lam: Array,
-    responses: Callable[[Array], Array],
-    fit: Callable[[Array, Array], Fit],
-    bounds: tuple[Array, Array],
-    spacing: float,
-    *,
+    start: Array, y: Array, lam: Array, responses: Callable[[Array], Array],
+    fit: Callable[[Array, Array], HistoryFit], bounds: tuple[Array, Array], spacing: float, *,
     hopeless: float | None = None,
-) -> Refined:
+) -> Refined:  # fmt: skip
     """Refine the places of loads that act at once.
 
     Parameters
@@ -100,7 +94,7 @@ def refine(
     responses : callable
         Places (n, dim) -> whitened impulse responses (samples, sensors, n).
     fit : callable
-        Impulse responses and lambda -> Fit.
+        Impulse responses and lambda -> HistoryFit.
     bounds : (low, high), arrays of shape (dim,)
         Box that holds the places.
     spacing : float
@@ -161,7 +155,7 @@ def _at(place: Array, responses: Callable[[Array], Array], spacing: float, bound
     return _Model(h[..., :loads], (moved[:, :, 0] - moved[:, :, 1]) / width)
 
 
-def _jacobian(model: _Model, solver: Fit, fitted: Fitted) -> Array:
+def _jacobian(model: _Model, solver: HistoryFit, fitted: FittedHistory) -> Array:
     """Change of the remainder with each coordinate of each load, (remainder, loads * dim)."""
     _, _, loads, dim = model.slope.shape
     columns = []
@@ -172,11 +166,11 @@ def _jacobian(model: _Model, solver: Fit, fitted: Fitted) -> Array:
     return np.column_stack(columns)
 
 
-def _chance(model: _Model, solver: Fit, shape: tuple[int, ...]) -> Array:
+def _chance(model: _Model, solver: HistoryFit, shape: tuple[int, ...]) -> Array:
     """Curvature that unit noise makes by itself, over a few draws of it (fixed, so that two runs agree)."""
     rng = np.random.default_rng(0)
     draws = [_jacobian(model, solver, solver.solve(rng.standard_normal(shape))) for _ in range(PROBES)]
-    return np.mean([np.einsum("ki,kj->ij", J, J) for J in draws], axis=0)
+    return np.asarray(np.mean([np.einsum("ki,kj->ij", J, J) for J in draws], axis=0))
 
 
 SHORTLIST = 5  # candidates that a single fit of the remainder puts first, and that are fitted jointly
@@ -188,20 +182,20 @@ MOST_STEPS = 300
 
 
 @dataclass(frozen=True)
-class Chosen:
+class CandidateSet:
     """Candidates that act together.
 
     Parameters
     ----------
     indices : tuple of int
-    fitted : Fitted
+    fitted : FittedHistory
         Their joint fit.
     scores : array, shape (loads, candidates)
         Squared residual of a single fit of each candidate to the data less the responses of the other loads.
     """
 
     indices: tuple[int, ...]
-    fitted: Fitted
+    fitted: FittedHistory
     scores: Array
 
 
@@ -214,17 +208,19 @@ class Joint:
         Whitened data.
     h : array, shape (samples, sensors, candidates)
         Whitened impulse responses, each over its lambda.
-    singles : sequence of Fit
+    singles : sequence of HistoryFit
         One for each candidate.
     joint : callable
         Indices -> fit of these candidates together.
     """
 
-    def __init__(self, y: Array, h: Array, singles: Sequence[Fit], joint: Callable[[Sequence[int]], Fit]) -> None:
+    def __init__(
+        self, y: Array, h: Array, singles: Sequence[HistoryFit], joint: Callable[[Sequence[int]], HistoryFit]
+    ) -> None:
         self.y, self.h, self.singles, self._joint = y, h, singles, joint
-        self._known: dict[tuple[int, ...], Fitted] = {}
+        self._known: dict[tuple[int, ...], FittedHistory] = {}
 
-    def fitted(self, indices: Sequence[int]) -> Fitted:
+    def fitted(self, indices: Sequence[int]) -> FittedHistory:
         """Joint fit of some candidates, in ascending order."""
         key = tuple(sorted(indices))
         if key not in self._known:
@@ -242,7 +238,7 @@ class Joint:
         return [int(j) for j in np.argsort(left, kind="stable") if j not in others][:SHORTLIST]
 
 
-def together(problem: Joint, count: int) -> Chosen:
+def together(problem: Joint, count: int) -> CandidateSet:
     """The `count` candidates whose joint fit leaves the smallest objective, as far as the exchanges tell."""
     starts = [_greedy(problem, count), *_combined(problem, count)]
     chosen = _exchanged(problem, min(starts, key=problem.objective))
@@ -253,7 +249,7 @@ def together(problem: Joint, count: int) -> Chosen:
         [f.solve(problem.y - response.sum(axis=0) + response[k]).residual2 for f in problem.singles]
         for k in range(count)
     ]
-    return Chosen(key, final, np.array(scores))
+    return CandidateSet(key, final, np.array(scores))
 
 
 def group_norms(h: Array, y: Array, share: float = SHARE) -> Array:
@@ -271,18 +267,18 @@ def group_norms(h: Array, y: Array, share: float = SHARE) -> Array:
     """
     operator = Convolution(h)
     bound = 1.01 * norm(operator) ** 2
-    mu = share * float(np.linalg.norm(operator.adjoint(y), axis=0).max())
+    mu = share * float(np.linalg.norm(operator.apply_transposed(y), axis=0).max())
     x = z = np.zeros((operator.samples, operator.loads))
     pace = 1.0
     for _ in range(MOST_STEPS):
-        g = z - operator.adjoint(operator.apply(z) - y) / bound
+        g = z - operator.apply_transposed(operator.apply(z) - y) / bound
         size = np.linalg.norm(g, axis=0)
         new = g * np.maximum(1 - mu / bound / np.maximum(size, np.finfo(float).tiny), 0.0)
         if np.sum((z - new) * (new - x)) > 0:  # the momentum points uphill
             pace = 1.0
         faster = (1 + np.sqrt(1 + 4 * pace**2)) / 2
         x, z, pace = new, new + (pace - 1) / faster * (new - x), faster
-    return np.linalg.norm(x, axis=0)
+    return np.asarray(np.linalg.norm(x, axis=0))
 
 
 def _greedy(problem: Joint, count: int) -> list[int]:
@@ -310,7 +306,7 @@ def _exchanged(problem: Joint, chosen: list[int]) -> list[int]:
     return chosen
 
 
-def _responses(problem: Joint, key: Sequence[int], final: Fitted) -> Array:
+def _responses(problem: Joint, key: Sequence[int], final: FittedHistory) -> Array:
     """Response of each load alone, (loads, samples, sensors); `h` is over lambda, its history times lambda."""
     scaled = final.penalty.reshape(-1, len(key))  # -lambda g
     return np.array([Convolution(problem.h[:, :, j, None]).apply(-scaled[:, i, None]) for i, j in enumerate(key)])

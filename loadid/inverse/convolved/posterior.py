@@ -19,15 +19,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
 
-from ..convolution import Operator
+from ..convolution import PenalizedConvolution
 from ..penalties import stencil
 from .pcg import Circulant, Reached, Sides, solve
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int_]
 
 TOLERANCE = 1e-13  # of the columns: the differences of their products lose digits
 SWEPT, MANY = 12, 24  # columns beyond which probes cost less: at each node of a path, and at one lambda
@@ -49,8 +53,8 @@ class Diagonals:
         Largest relative difference, in the middle of the record, between the sums from its start and from its end.
     """
 
-    variance: NDArray[np.float64]
-    rough: NDArray[np.float64]
+    variance: Array
+    rough: Array
     mismatch: float
 
 
@@ -62,13 +66,13 @@ class Generators:
     among the right sides, stand unit vectors of the first and of the last sample.
     """
 
-    operator: Operator
+    operator: PenalizedConvolution
     falls: list[tuple[int, int, float]]
-    v: NDArray[np.float64]
-    sign: NDArray[np.float64]
+    v: Array
+    sign: Array
     sides: Sides
 
-    def complement(self, reached: Reached, f: NDArray) -> NDArray[np.float64]:
+    def complement(self, reached: Reached, f: Array) -> Array:
         """``diag(sign) - v^T B v``; where that is small, from the residuals of the solves, which have its digits."""
         p = self.operator.loads
         x, out = reached.x[2 * p :], np.diag(self.sign)
@@ -87,19 +91,19 @@ class Generators:
         return out
 
 
-def edges(operator: Operator) -> list[tuple[int, int, float]]:
+def edges(operator: PenalizedConvolution) -> list[tuple[int, int, float]]:
     """(Sample, sensor, fall) wherever the squared weight of the data falls or rises after a sample; the end counts."""
     w2 = np.ones((operator.sensors, operator.samples)) if operator.weight is None else operator.weight**2
     fall = w2 - np.pad(w2[:, 1:], ((0, 0), (0, 1)))
     return [(int(t), int(s), float(fall[s, t])) for s, t in np.argwhere(np.abs(fall) > 1e-14 * w2.max())]
 
 
-def columns(operator: Operator) -> int:
+def columns(operator: PenalizedConvolution) -> int:
     """Number of solves that `diagonals` takes."""
-    return len(edges(operator)) + (2 + min(operator.order, 2)) * operator.loads
+    return int(len(edges(operator)) + (2 + min(operator.order, 2)) * operator.loads)
 
 
-def diagonals(operator: Operator, circulant: Circulant, tolerance: float = TOLERANCE) -> Diagonals:
+def diagonals(operator: PenalizedConvolution, circulant: Circulant, tolerance: float = TOLERANCE) -> Diagonals:
     """Diagonals of B and of the roughness covariance at the lambda of the preconditioner."""
     p, N, o = operator.loads, operator.samples, operator.order
     made = _generators(operator, circulant.lam)
@@ -113,7 +117,7 @@ def diagonals(operator: Operator, circulant: Circulant, tolerance: float = TOLER
     inner = made.complement(reached, f) + x[X, :, -1] @ _left(end, x[X, :, -1].T)
     inner = 0.5 * (inner + inner.T)
 
-    def steps(y: NDArray, w: NDArray, q: NDArray) -> NDArray:
+    def steps(y: Array, w: Array, q: Array) -> Array:
         """Differences of neighbouring diagonal entries, (loads, entries - 1)."""
         return (
             _products(y[..., 1:], _left(corner, y[..., 1:]))
@@ -133,7 +137,7 @@ def diagonals(operator: Operator, circulant: Circulant, tolerance: float = TOLER
     return Diagonals(variance, _from_end(tail, rows), mismatch)
 
 
-def profile(operator: Operator, lam: float, tolerance: float = TOLERANCE) -> Diagonals:
+def profile(operator: PenalizedConvolution, lam: float, tolerance: float = TOLERANCE) -> Diagonals:
     """`diagonals` of a record of any length: beyond the memory of the problem they do not change along the record.
 
     Records of 2048, 8192, ... samples are tried; where both diagonals are level over the middle quarter of one, what
@@ -151,35 +155,35 @@ def profile(operator: Operator, lam: float, tolerance: float = TOLERANCE) -> Dia
     return diagonals(operator, Circulant(operator, lam), tolerance)
 
 
-def _level(x: NDArray) -> bool:
+def _level(x: Array) -> bool:
     """Whether x (loads, n) is level over its middle quarter."""
     n = x.shape[1]
     part = x[:, 3 * n // 8 : 5 * n // 8]
     return bool(np.all(np.ptp(part, axis=1) <= FLAT * np.abs(part).min(axis=1)))
 
 
-def _stretched(x: NDArray, more: int) -> NDArray[np.float64]:
+def _stretched(x: Array, more: int) -> Array:
     half = x.shape[1] // 2
     return np.concatenate([x[:, :half], np.repeat(x[:, half : half + 1], more, axis=1), x[:, half:]], axis=1)
 
 
-def _from_end(last: NDArray, change: NDArray) -> NDArray[np.float64]:
+def _from_end(last: Array, change: Array) -> Array:
     """Entries with these differences that end at `last`."""
     later = np.cumsum(change[:, ::-1], axis=1)[:, ::-1]
     return last[:, None] - np.pad(later, ((0, 0), (0, 1)))
 
 
-def _left(matrix: NDArray, columns: NDArray) -> NDArray[np.float64]:
+def _left(matrix: Array, columns: Array) -> Array:
     """Solve with a small matrix along the first axis of the columns."""
-    flat = np.linalg.solve(matrix, columns.reshape(len(columns), -1))
+    flat: Array = np.asarray(np.linalg.solve(matrix, columns.reshape(len(columns), -1)))
     return flat.reshape(columns.shape)
 
 
-def _products(a: NDArray, b: NDArray) -> NDArray[np.float64]:
-    return np.einsum("cin,cin->in", a, b)
+def _products(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("cin,cin->in", a, b))
 
 
-def _generators(operator: Operator, lam: float) -> Generators:
+def _generators(operator: PenalizedConvolution, lam: float) -> Generators:
     """Generators at an absolute lambda."""
     p, N, o, m = operator.loads, operator.samples, operator.order, operator.sensors
     falls, difference = edges(operator), stencil(operator.order)
@@ -215,7 +219,7 @@ TEETH = 64  # samples between the teeth of a comb
 AT_ONCE = 16
 
 
-def traces(operator: Operator, lam: float, tolerance: float) -> tuple[float, float, float]:
+def traces(operator: PenalizedConvolution, lam: float, tolerance: float) -> tuple[float, float, float]:
     """Part of the degrees of freedom that the penalty governs, the rest of the governed modes, and the trace of B.
 
     Signs on the rows of the penalty: part and rest are positive and add up to the number of rows, whatever the probes.
@@ -232,7 +236,7 @@ def traces(operator: Operator, lam: float, tolerance: float) -> tuple[float, flo
     return part, float(z[0].size) - part, float(np.sum(w * found.x[count:])) / count
 
 
-def variances(operator: Operator, lam: float, tolerance: float = 1e-6) -> NDArray[np.float64]:
+def variances(operator: PenalizedConvolution, lam: float, tolerance: float = 1e-6) -> Array:
     """Diagonal of B, (loads, samples), by one comb for each load and each of `TEETH` places."""
     rng = np.random.default_rng(0)
     p, N = operator.loads, operator.samples
@@ -256,35 +260,34 @@ class Moments:
 
     Parameters
     ----------
-    rest : array, shape (2 * solves, k)
+    rest : array, shape (2 * SOLVES, k)
         ``sum (1 - f)^j beta^2`` for j = 1, 2, ...: objective, squared residual, and what follows in the derivatives.
-    drop : array, shape (2 * solves, k)
+    drop : array, shape (2 * SOLVES, k)
         ``sum f (1 - f)^j beta^2`` for j = 0, 1, ...: differences of neighbours of `rest`, without cancellation.
-    load2, load_slope : array
-        ``|g_1|^2`` and its derivative in t.
     change2, change_slope : array
-        ``|g_2|^2``, where g_2 = -dg/dt, and its derivative in t; the slope is None after two solves.
+        ``|g_2|^2``, where g_2 = -dg/dt, and its derivative in t.
     residual, residual_slope : array, shape (k, sensors, samples)
         ``y - H g_1`` and its derivative in t.
     """
 
-    rest: NDArray[np.float64]
-    drop: NDArray[np.float64]
-    load2: NDArray[np.float64]
-    load_slope: NDArray[np.float64]
-    change2: NDArray[np.float64]
-    change_slope: NDArray[np.float64] | None
-    residual: NDArray[np.float64]
-    residual_slope: NDArray[np.float64]
+    rest: Array
+    drop: Array
+    change2: Array
+    change_slope: Array
+    residual: Array
+    residual_slope: Array
+
+
+SOLVES = 3  # of a chain: they give every scalar of the path with two derivatives or more
 
 
 def chain(
-    operator: Operator, circulant: Circulant, y: NDArray, solves: int, tolerance: float, takeover: bool = True
-) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
+    operator: PenalizedConvolution, circulant: Circulant, y: Array, tolerance: float, takeover: bool = True,
+) -> tuple[list[Array], list[Array], list[Array]]:  # fmt: skip
     """g_1, g_2, ... for data y (k, sensors, samples), with their responses H g_j and roughnesses lambda L g_j."""
     loads, responses, roughs = [], [], []
     sides = Sides(y=y)
-    for _ in range(solves):
+    for _ in range(SOLVES):
         found = solve(operator, circulant, sides, tolerance, takeover=takeover)
         rough = -found.q if sides.c is None else sides.c - found.q
         loads.append(found.x)
@@ -294,26 +297,25 @@ def chain(
     return loads, responses, roughs
 
 
-def moments(y: NDArray, loads: list[NDArray], responses: list[NDArray], roughs: list[NDArray]) -> Moments:
-    """Moments of data y (k, sensors, samples) from a `chain` of two solves or more."""
-    solves, rests = len(loads), [y]
+def moments(y: Array, loads: list[Array], responses: list[Array], roughs: list[Array]) -> Moments:
+    """Moments of data y (k, sensors, samples) from a `chain`."""
+    rests = [y]
     for response in responses:
         rests.append(rests[-1] - response)
     rest, drop = [], [_dot(y, responses[0])]
-    for k in range(1, solves + 1):
+    for k in range(1, SOLVES + 1):
         size = _dot(rests[k], rests[k])
         rest += [size + _dot(roughs[0], roughs[0]) if k == 1 else _dot(rests[k - 1], rests[k]), size]
         drop += [_dot(roughs[k - 1], roughs[k - 1])]
-        if k < solves:
+        if k < SOLVES:
             drop += [_dot(roughs[k - 1], roughs[k])]
-    slope = None if solves < 3 else 2 * (_dot(loads[1], loads[1]) - 2 * _dot(loads[1], loads[2]))
+    slope = 2 * (_dot(loads[1], loads[1]) - 2 * _dot(loads[1], loads[2]))
     return Moments(
-        np.array(rest), np.array(drop), _dot(loads[0], loads[0]), -2 * _dot(loads[0], loads[1]),
-        _dot(loads[1], loads[1]), slope, rests[1], responses[1],
+        np.array(rest), np.array(drop), _dot(loads[1], loads[1]), slope, rests[1], responses[1],
     )  # fmt: skip
 
 
-def slopes(drop: NDArray) -> list[NDArray]:
+def slopes(drop: Array) -> list[Array]:
     """Each entry j of `drop` with the derivatives in t that those after it give: D_j' = j D_j - (j + 1) D_{j+1}."""
     table = [np.asarray(drop, float)]
     while len(table[-1]) > 1:
@@ -323,8 +325,8 @@ def slopes(drop: NDArray) -> list[NDArray]:
     return [np.array([row[j] for row in table if j < len(row)]) for j in range(len(drop))]
 
 
-def _dot(a: NDArray, b: NDArray) -> NDArray[np.float64]:
-    return np.einsum("kij,kij->k", a, b)
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("kij,kij->k", a, b))
 
 
 SLOPE = 1e-2  # step in ln lambda^2 for a derivative of fourth order
@@ -333,14 +335,14 @@ SLOPE = 1e-2  # step in ln lambda^2 for a derivative of fourth order
 class ConvolvedPosterior:
     """Covariance ``sigma^2 (H^T H + lam^2 L^T L)^-1`` of a load history, never formed.
 
-    `std` is exact to the tolerance of some solves, at both ends and between (`displacement.profile`); with many gaps in
-    the data it is estimated, to some per cent where loads 64 samples apart are no longer correlated (`probes`).
+    `std` is exact to the tolerance of some solves, at both ends and between (`profile`); with many gaps in
+    the data it is estimated, to some per cent where loads 64 samples apart are no longer correlated (`variances`).
     `noise_std` is its derivative in lambda by differences, good to about 1e-6; `variance`, `noise_variance` and
     `bias_weights` take one solve for each weighted sum.
 
     Parameters
     ----------
-    operator : Operator
+    operator : PenalizedConvolution
     lam : float
         Absolute lambda.
     sigma : float
@@ -349,66 +351,68 @@ class ConvolvedPosterior:
 
     kind = "convolved"
 
-    def __init__(self, operator: Operator, lam: float, sigma: float) -> None:
+    def __init__(self, operator: PenalizedConvolution, lam: float, sigma: float) -> None:
         if not (np.isfinite(sigma) and sigma >= 0):
             raise InputError("no noise level", where="sigma", found=sigma, expected="a finite number >= 0")
         self.operator, self.lam, self.sigma = operator, float(lam), float(sigma)
         self.shape = (operator.samples, operator.loads)
 
     @cached_property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Standard deviation, shape (samples, loads)."""
         return self.sigma * np.sqrt(np.maximum(self._variances(self.lam), 0.0))
 
     @cached_property
-    def noise_std(self) -> NDArray[np.float64]:
+    def noise_std(self) -> Array:
         """Standard deviation from the noise alone: B H^T H B is the derivative of lam^2 B in lam^2."""
         steps = np.exp(0.5 * SLOPE * np.array([-2, -1, 1, 2]))
         parts = [x**2 * self._variances(self.lam * x) for x in steps]
         slope = (parts[0] - 8 * parts[1] + 8 * parts[2] - parts[3]) / (12 * SLOPE)
-        return self.sigma * np.sqrt(np.maximum(slope, 0.0))
+        return np.asarray(self.sigma * np.sqrt(np.maximum(slope, 0.0)))
 
-    def variance(self, w: NDArray) -> NDArray[np.float64]:
+    def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
         found, stacked, w = self._solve(w)
         value = self.sigma**2 * np.einsum("kij,kij->k", found.x, w)
-        return value if stacked else value[0]
+        return np.asarray(value if stacked else value[0])
 
-    def noise_variance(self, w: NDArray) -> NDArray[np.float64]:
+    def noise_variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)`` from the noise alone."""
         found, stacked, _ = self._solve(w)
         value = self.sigma**2 * np.einsum("kij,kij->k", found.r, found.r)
-        return value if stacked else value[0]
+        return np.asarray(value if stacked else value[0])
 
-    def bias_weights(self, w: NDArray) -> NDArray[np.float64]:
+    def bias_weights(self, w: Array) -> Array:
         """``(R - I)^T w`` in the shape of `w`: what regularisation takes from the weights, -lam^2 L^T L B w."""
         found, stacked, _ = self._solve(w)
         lost = np.swapaxes(self.lam * self.operator.rough_adjoint(found.q), 1, 2)  # q = -lam L B w
         return lost if stacked else lost[0]
 
-    def to_arrays(self) -> dict[str, object]:
+    def to_arrays(self) -> dict[str, Any]:
         """Plain arrays, for a result file."""
         o = self.operator
-        tree: dict[str, object] = {
-            "kind": self.kind, "h": np.moveaxis(o.h, -1, 0), "samples": o.samples, "penalty": o.penalty,
+        tree: dict[str, Any] = {
+            "kind": self.kind, "h": o.responses, "samples": o.samples, "penalty": o.penalty,
             "lam": self.lam, "sigma": self.sigma,
         }  # fmt: skip
-        return tree if o.weight is None else tree | {"weight": o.weight.T}
+        return tree if o.weights is None else tree | {"weight": o.weights}
 
     @classmethod
-    def from_arrays(cls, tree: dict) -> ConvolvedPosterior:
+    def from_arrays(cls, tree: dict[str, Any]) -> ConvolvedPosterior:
         """From what `to_arrays` gave."""
         weight = None if tree.get("weight") is None else np.asarray(tree["weight"], float)
-        operator = Operator(np.asarray(tree["h"], float), int(tree["samples"]), str(tree["penalty"]), weight)
+        operator = PenalizedConvolution(
+            np.asarray(tree["h"], float), int(tree["samples"]), str(tree["penalty"]), weight
+        )
         return cls(operator, float(tree["lam"]), float(tree["sigma"]))
 
     # -- inside -------------------------------------------------------------------------------------------------------
-    def _variances(self, lam: float) -> NDArray[np.float64]:
+    def _variances(self, lam: float) -> Array:
         if columns(self.operator) > MANY:
             return np.ascontiguousarray(variances(self.operator, lam).T)
         return np.ascontiguousarray(profile(self.operator, lam).variance.T)
 
-    def _solve(self, w: NDArray) -> tuple[Reached, bool, NDArray]:
+    def _solve(self, w: Array) -> tuple[Reached, bool, Array]:
         w = np.asarray(w, float)
         if w.shape[-2:] != self.shape or w.ndim not in (2, 3):
             raise InputError("the weights do not fit the load", where="w", found=f"shape {w.shape}",

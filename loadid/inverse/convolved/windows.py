@@ -11,16 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import InputError
 
-from ..convolution import Operator, Stream, heard
-from .path import ConvolvedPath
+from .. import penalties
+from ..convolution import Convolution, PenalizedConvolution, differences, differences_adjoint, heard
+from .path import ConvolvedPath, checked
 from .pcg import Circulant, Reached, Sides, solve
+
+Array = NDArray[np.float64]
 
 SHORT = 4096  # samples of the first window that is tried
 FADED = 3e-4  # relative height of what the end of a window still does beyond the overlap: sweeps make up for it
@@ -51,7 +53,7 @@ class Windowed:
         Samples in a window, samples given up at its end (in corrections at both), and number of windows.
     """
 
-    load: NDArray[np.float64]
+    load: Array
     bound: float
     gradient: float
     changes: tuple[float, ...]
@@ -61,19 +63,10 @@ class Windowed:
 
 
 def solve_in_windows(
-    h: NDArray,
-    y: NDArray,
-    lam: float,
-    penalty: str = "identity",
-    *,
-    weight: NDArray | None = None,
-    window: int | None = None,
-    overlap: int | None = None,
-    memory: int | None = None,
-    tolerance: float = 1e-4,
-    sweeps: int = 4,
+    h: Array, y: Array, lam: float, penalty: str = "identity", *, weight: Array | None = None,
+    window: int | None = None, overlap: int | None = None, tolerance: float = 1e-4, sweeps: int = 4,
     progress: Progress | None = None,
-) -> Windowed:
+) -> Windowed:  # fmt: skip
     """Solve ``min |H g - y|^2 + lam^2 |L g|^2`` window by window; the work space is that of some windows.
 
     Parameters
@@ -91,8 +84,6 @@ def solve_in_windows(
     window, overlap : int, optional
         Samples in a window and given up at its end. Default: the overlap over which the influence of a window's end
         falls to 3e-4, at most a twelfth of the record, and six times that.
-    memory : int, optional
-        Taps that the windows use of `h`; the gradient and the bound use all, and further sweeps make up for it.
     tolerance : float
         Sweeps end once the bound is below this times the norm of the load.
     sweeps : int
@@ -105,9 +96,12 @@ def solve_in_windows(
     InputError
         Shapes that do not fit, NaN, no positive lambda, or an overlap of half a window and more.
     """
-    h, y, w = _checked(h, y, weight, lam)
-    windows = Windows(h, y.shape[1], lam, penalty, w, window=window, overlap=overlap, memory=memory)
-    return windows.solve(y, tolerance=tolerance, sweeps=sweeps, progress=progress)
+    h, y, used = checked(h, y, weight)
+    if not (np.isfinite(lam) and lam > 0):
+        raise InputError("no lambda", where="windows", found=lam, expected="a finite number above 0")
+    w = np.ones(y.shape) if weight is None else np.asarray(weight, float)
+    windows = Windows(h[: len(y)], len(y), lam, penalty, w.T.copy(), window=window, overlap=overlap)
+    return windows.solve(np.where(used, y, 0.0).T.copy(), tolerance=tolerance, sweeps=sweeps, progress=progress)
 
 
 class Windows:
@@ -121,18 +115,17 @@ class Windows:
     """
 
     def __init__(
-        self, h: NDArray, samples: int, lam: float, penalty: str, weight: NDArray, *, window: int | None = None,
-        overlap: int | None = None, memory: int | None = None, accuracy: float = TOLERANCE,
+        self, h: Array, samples: int, lam: float, penalty: str, weight: Array, *, window: int | None = None,
+        overlap: int | None = None, accuracy: float = TOLERANCE,
     ) -> None:  # fmt: skip
-        used = h if memory is None else h[: max(int(memory), 1)]
         self.samples, self.lam, self.weight = samples, lam, weight
-        self.width, self.overlap = _layout(used, samples, lam, penalty, window, overlap)
-        self.all, self.near = Stream(h, self.width), Stream(used, self.width)
-        self.rules = Operator(np.zeros((1, 1, 1)), min(samples, 8), penalty)  # for its differences alone
-        self.locals = _Locals(used, self.width, penalty, lam, weight, accuracy)
+        self.width, self.overlap = _layout(h, samples, lam, penalty, window, overlap)
+        self.order = penalties.order(penalty)
+        self.all = Convolution(h, samples, block=self.width)
+        self.locals = _Locals(h, self.width, penalty, lam, weight, accuracy)
 
     def solve(
-        self, y: NDArray, *, tolerance: float = 1e-4, sweeps: int = 4, progress: Progress | None = None
+        self, y: Array, *, tolerance: float = 1e-4, sweeps: int = 4, progress: Progress | None = None
     ) -> Windowed:
         """Load of data (sensors, samples), and the bound on its error."""
         ahead, pieces = self._ahead(), list(_pieces(self.samples, self.width, self.overlap))
@@ -144,7 +137,7 @@ class Windows:
 
         load = self.first(y, progress=told)
         least = self.locals.curvature()
-        first = float(np.linalg.norm(self.all.whole_adjoint(self.weight**2 * y)))
+        first = float(np.linalg.norm(self.all.correlate(self.weight**2 * y)))
         slope = self.slope(load, y)
         changes: list[float] = []
         for sweep in range(1, sweeps):
@@ -169,34 +162,34 @@ class Windows:
         )  # fmt: skip
 
     def first(
-        self, y: NDArray | None = None, c: NDArray | None = None, progress: Callable[[int, str], None] | None = None
-    ) -> NDArray[np.float64]:
+        self, y: Array | None = None, c: Array | None = None, progress: Callable[[int, str], None] | None = None
+    ) -> Array:
         """Load (loads, samples) by one sweep for data y (sensors, samples) and roughnesses c (loads, rows).
 
         It minimises ``|y - H g|^2 + |c - lam L g|^2``, of which None is zero.
         """
-        load = np.zeros((self.all.lines.shape[1], self.samples))
+        load = np.zeros((self.all.loads, self.samples))
         for k, (start, stop) in enumerate(self._ahead()):
             end = min(start + self.width, self.samples)
-            rest = -self.near.response(load, start, end, before=start)
+            rest = -self.all.response(load, start, end, before=start)
             if y is not None:
                 rest += y[:, start:end]
-            own = None if c is None else c[:, max(start - self.rules.order, 0) : end - self.rules.order]
+            own = None if c is None else c[:, max(start - self.order, 0) : end - self.order]
             load[:, start:stop] = self.locals.follow(start, rest, load, own)[:, : stop - start]
             if progress is not None:
                 progress(k + 1, "windows")
         return load
 
-    def slope(self, load: NDArray, y: NDArray) -> NDArray[np.float64]:
+    def slope(self, load: Array, y: Array) -> Array:
         """Half the negative gradient of the whole record's objective, (loads, samples)."""
-        out = self.all.whole_adjoint(self.weight**2 * (y - self.all.whole(load)))
-        return out - self.lam**2 * self.rules.rough_adjoint(self.rules.rough(load))
+        out = self.all.correlate(self.weight**2 * (y - self.all.convolve(load)))
+        return out - self.lam**2 * differences_adjoint(differences(load, self.order), self.order)
 
     def _ahead(self) -> list[tuple[int, int]]:
         return list(_ahead(self.samples, self.width, self.overlap))
 
 
-class _Tied(Operator):
+class _Tied(PenalizedConvolution):
     """Operator of a window whose penalty goes on from the load before it; differences with zeros in its place."""
 
     @property
@@ -204,15 +197,15 @@ class _Tied(Operator):
         """Rows of the penalty for one load."""
         return self.samples
 
-    def rough(self, g: NDArray) -> NDArray[np.float64]:
+    def rough(self, g: Array) -> Array:
         """L g."""
         return super().rough(np.pad(g, ((0, 0), (0, 0), (self.order, 0))))
 
-    def rough_adjoint(self, d: NDArray) -> NDArray[np.float64]:
+    def rough_adjoint(self, d: Array) -> Array:
         """L^T d."""
         return super().rough_adjoint(d)[..., self.order :]
 
-    def from_before(self, load: NDArray) -> NDArray[np.float64]:
+    def from_before(self, load: Array) -> Array:
         """What the load before the window (loads, samples) adds to L g."""
         last = load[None, :, load.shape[1] - self.order :]
         return super().rough(np.pad(last, ((0, 0), (0, 0), (0, self.samples))))
@@ -222,23 +215,23 @@ class _Locals:
     """The windows' own problems; one preconditioner for all of them where no data are missing."""
 
     def __init__(
-        self, h: NDArray, width: int, penalty: str, lam: float, weight: NDArray, accuracy: float = TOLERANCE
+        self, h: Array, width: int, penalty: str, lam: float, weight: Array, accuracy: float = TOLERANCE
     ) -> None:
         self.h, self.width, self.penalty, self.lam, self.weight = h, width, penalty, lam, weight
         self.accuracy = accuracy
-        self.operator = Operator(h, width, penalty)
+        self.operator = PenalizedConvolution(h, width, penalty)
         self.circulant = Circulant(self.operator, lam)
-        self.kept: dict[tuple[int, bool], tuple[Operator, Circulant]] = {}
+        self.kept: dict[tuple[int, bool], tuple[PenalizedConvolution, Circulant]] = {}
 
-    def solve(self, start: int, sides: Sides, accuracy: float | None = None) -> NDArray[np.float64]:
+    def solve(self, start: int, sides: Sides, accuracy: float | None = None) -> Array:
         accuracy = self.accuracy if accuracy is None else accuracy
         weight = self.weight[:, start : start + self.width]
         if np.all(weight == 1.0):
             return solve(self.operator, self.circulant, sides, accuracy).x
-        operator = Operator(self.h, self.width, self.penalty, weight.T)
+        operator = PenalizedConvolution(self.h, self.width, self.penalty, weight.T)
         return solve(operator, Circulant(operator, self.lam), sides, accuracy).x
 
-    def follow(self, start: int, rest: NDArray, load: NDArray, rough: NDArray | None = None) -> NDArray[np.float64]:
+    def follow(self, start: int, rest: Array, load: Array, rough: Array | None = None) -> Array:
         """Load of the window at `start`, (loads, samples), given all load before it.
 
         `rest` is what that leaves of the data, `rough` (loads, rows) what ``lam L g`` is drawn to, if not to zero.
@@ -248,10 +241,10 @@ class _Locals:
         side = (rest * weight)[None]
         c = None if rough is None else rough[None]
         if start == 0 and width == self.width:
-            return self.solve(0, Sides(y=side, c=c))[0]
+            return np.asarray(self.solve(0, Sides(y=side, c=c))[0])
         key = (width, start > 0)
         if not np.all(weight == 1.0) or key not in self.kept:
-            kind = _Tied if start else Operator
+            kind = _Tied if start else PenalizedConvolution
             operator = kind(self.h, width, self.penalty, None if np.all(weight == 1.0) else weight.T)
             found = operator, Circulant(operator, self.lam)
             if np.all(weight == 1.0):
@@ -261,7 +254,7 @@ class _Locals:
         operator, circulant = found
         if isinstance(operator, _Tied):
             c = (0.0 if c is None else c) - self.lam * operator.from_before(load[:, :start])
-        return solve(operator, circulant, Sides(y=side, c=c), self.accuracy).x[0]
+        return np.asarray(solve(operator, circulant, Sides(y=side, c=c), self.accuracy).x[0])
 
     def curvature(self) -> float:
         """Smallest curvature of the objective: lambda^2 with the identity, else by the power method on a window."""
@@ -295,7 +288,7 @@ def _pieces(samples: int, width: int, overlap: int) -> Iterator[tuple[int, slice
 
 
 def _layout(
-    h: NDArray, samples: int, lam: float, penalty: str, window: int | None, overlap: int | None
+    h: Array, samples: int, lam: float, penalty: str, window: int | None, overlap: int | None
 ) -> tuple[int, int]:
     """Window and overlap as asked for, or as the memory of the problem wants them."""
     if overlap is None:
@@ -307,11 +300,11 @@ def _layout(
     return width, int(overlap)
 
 
-def _faded(h: NDArray, samples: int, lam: float, penalty: str) -> int:
+def _faded(h: Array, samples: int, lam: float, penalty: str) -> int:
     """Distance from the end of a window at which its last data and load no longer matter."""
     width, most = min(SHORT, samples), max(samples // LARGEST, 1)
     while True:
-        operator = Operator(h, width, penalty)
+        operator = PenalizedConvolution(h, width, penalty)
         y = np.zeros((operator.sensors, operator.sensors, width))
         y[np.arange(operator.sensors), np.arange(operator.sensors), -1] = 1.0
         x = np.abs(solve(operator, Circulant(operator, lam), Sides(y=y), 1e-8).x)
@@ -320,23 +313,6 @@ def _faded(h: NDArray, samples: int, lam: float, penalty: str) -> int:
         if 4 * reach <= width or width == samples or reach > most:
             return min(reach, most)
         width = min(2 * width, samples)
-
-
-def _checked(h: NDArray, y: NDArray, weight: NDArray | None, lam: float) -> tuple[NDArray, NDArray, NDArray]:
-    h, y = np.asarray(h, float), np.asarray(y, float)
-    if h.ndim != 3 or y.ndim != 2 or y.shape[1] != h.shape[1] or 0 in h.shape + y.shape:
-        raise InputError("impulse responses and data do not fit", where="windows", found=f"h {h.shape}, y {y.shape}",
-                         expected="(taps, sensors, loads) and (samples, sensors)")  # fmt: skip
-    if not (np.isfinite(lam) and lam > 0):
-        raise InputError("no lambda", where="windows", found=lam, expected="a finite number above 0")
-    w = np.ones(y.shape) if weight is None else np.asarray(weight, float)
-    if w.shape != y.shape:
-        raise InputError("the weights do not fit the data", where="windows", found=f"shape {w.shape}",
-                         expected=f"{y.shape}")  # fmt: skip
-    if not (np.all(np.isfinite(h)) and np.all(np.isfinite(w)) and np.all(np.isfinite(y[w != 0]))):
-        raise InputError("NaN or inf in the model or the data", where="windows", expected="finite numbers",
-                         hint="weight 0 where a sample is missing")  # fmt: skip
-    return h[: len(y)], np.where(w != 0, y, 0.0).T.copy(), w.T.copy()
 
 
 CLOSE, SWEEPS = 5e-4, 6  # bound over the norm of the load at which sweeps end; most sweeps
@@ -358,7 +334,7 @@ class WindowedPath(ConvolvedPath):
     """
 
     def __init__(
-        self, h: NDArray, y: NDArray, penalty: str = "identity", weight: NDArray | None = None,
+        self, h: Array, y: Array, penalty: str = "identity", weight: Array | None = None,
         *, scale: float | None = None,
     ) -> None:  # fmt: skip
         super().__init__(h, y, penalty, weight, scale=scale)
@@ -366,10 +342,6 @@ class WindowedPath(ConvolvedPath):
             raise InputError("windows know data and missing data", where="weight", found="other weights",
                              expected="0 or 1", hint="whiten model and data instead")  # fmt: skip
         self._last: tuple[float, Windowed] | None = None
-
-    @cached_property
-    def _stream(self) -> Stream:
-        return Stream(heard(np.moveaxis(self.operator.h, -1, 0)))
 
     def solve(self, lam: float, progress: Progress | None = None) -> Windowed:
         """Windows at a relative lambda; the last ones are kept."""
@@ -389,40 +361,35 @@ class WindowedPath(ConvolvedPath):
         """Largest norm of what the windows at a relative lambda may differ by from the solution in one piece."""
         return self.solve(lam).bound
 
-    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+    def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
         self._check(np.asarray(lam))
         g = np.ascontiguousarray(np.asarray(load, float).T)[None]
-        return self._windows(lam).solve(self._response(g)[0]).load
+        return self._windows(lam).solve(self.operator.convolve(g)[0]).load
 
     # -- inside -------------------------------------------------------------------------------------------------------
     def _windows(self, lam: float, accuracy: float = TOLERANCE) -> Windows:
-        weight = self.operator.weight
-        ones = np.broadcast_to(1.0, self.y.shape[1:]) if weight is None else weight
-        h = np.moveaxis(self.operator.h[..., : self._stream.taps], -1, 0)
+        o = self.operator
+        ones = np.broadcast_to(1.0, self.y.shape[1:]) if o.weight is None else o.weight
         absolute = float(lam) * float(self.scale)
-        return Windows(h, self.samples, absolute, self.operator.penalty, ones, accuracy=accuracy)
-
-    def _response(self, load: NDArray) -> NDArray[np.float64]:
-        out = np.stack([self._stream.whole(g) for g in load])
-        return out if self.operator.weight is None else out * self.operator.weight
+        return Windows(heard(o.responses), self.samples, absolute, o.penalty, ones, accuracy=accuracy)
 
     def _solved(self, lam: float) -> Reached:
         """Solution at a relative lambda, in the form of one in one piece."""
         found = self.solve(lam)
         x = np.ascontiguousarray(found.load.T)[None]
         q = -float(lam) * float(self.scale) * self.operator.rough(x)
-        return Reached(x, self.y - self._response(x), q, found.gradient, found.count)
+        return Reached(x, self.y - self.operator.convolve(x), q, found.gradient, found.count)
 
-    def _chain(self, lam: float, y: NDArray) -> tuple[list[NDArray], list[NDArray], list[NDArray]]:
+    def _chain(self, lam: float, y: Array) -> tuple[list[Array], list[Array], list[Array]]:
         windows, absolute = self._windows(lam, PLAIN), float(lam) * float(self.scale)
-        loads: list[NDArray] = []
-        responses: list[NDArray] = []
-        roughs: list[NDArray] = []
+        loads: list[Array] = []
+        responses: list[Array] = []
+        roughs: list[Array] = []
         for _ in range(3):
             side = {"c": roughs[-1][0]} if roughs else {"y": y[0]}
             loads.append(windows.first(**side)[None])
-            responses.append(self._response(loads[-1]))
+            responses.append(self.operator.convolve(loads[-1]))
             roughs.append(absolute * self.operator.rough(loads[-1]))
         return loads, responses, roughs
 
@@ -438,7 +405,8 @@ def beginning_of(path: ConvolvedPath) -> ConvolvedPath | None:
     power, length = np.mean(y**2), FIRST
     while operator.weight is None and 2 * length <= y.shape[1]:
         if np.mean(y[:, :length] ** 2) >= LIVELY * power:
-            h = np.moveaxis(operator.h[..., :length], -1, 0)
-            return ConvolvedPath(h, y[:, :length].T, operator.penalty, scale=float(path.scale))
+            return ConvolvedPath(
+                operator.responses[:length], y[:, :length].T, operator.penalty, scale=float(path.scale)
+            )
         length *= 2
     return None

@@ -170,7 +170,9 @@ class ShiftedAtoms:
 
     def adjoint(self, r: NDArray) -> NDArray[np.float64]:
         """D^T H^T r, (n,)."""
-        return self.dictionary.analyse(self.operator.adjoint(r.reshape(self.samples, self.sensors))).reshape(-1)
+        return self.dictionary.analyse(self.operator.apply_transposed(r.reshape(self.samples, self.sensors))).reshape(
+            -1
+        )
 
     def histories(self, which: NDArray) -> Any:
         """Loads of single atoms, sparse (samples * loads, k)."""
