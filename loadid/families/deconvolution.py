@@ -16,8 +16,7 @@ from structures.model import Model, as_model
 from .. import guards
 from ..guards import families as told
 from ..guards.inversion import windows_apart
-from ..inverse import rules
-from ..inverse.choice import Choice, choose, given, residual_level, unexplained
+from ..inverse.choice import Choice, ChoiceLike, choose, given, is_rule, named, residual_level, unexplained
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.penalties import order
@@ -103,7 +102,7 @@ class Deconvolution:
         *,
         method: str = "tikhonov",
         penalty: str | ArrayLike | None = "identity",
-        choice: str | float | None = None,
+        choice: ChoiceLike = None,
         path: str = "auto",
         initial: str | ArrayLike = "rest",
         leak: float | None = None,
@@ -119,7 +118,7 @@ class Deconvolution:
         coverage: Any = None,
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
-        if choice is not None and not isinstance(choice, str) and real(choice) is None:
+        if choice is not None and not is_rule(choice) and real(choice) is None:
             raise InputError("no relative lambda", where="choice", found=repr(choice)[:80],
                              expected="a number, the name of a rule, or None")  # fmt: skip
         if penalty is None:
@@ -132,7 +131,7 @@ class Deconvolution:
             raise InputError("unknown class of load", where="load_class", found=repr(load_class)[:80],
                              expected=" or ".join(map(repr, told.CLASSES)))  # fmt: skip
         self.load_class = load_class
-        free = not isinstance(choice, str | None) and choice == 0
+        free = choice is not None and not is_rule(choice) and choice == 0
         self.settings = Settings(
             method, penalty, hold, noise, NoiseSource.of(noise_source), guards.allowed(allow), path, initial, leak,
             from_zero, free, signs(constraints), size,
@@ -228,7 +227,7 @@ class Deconvolution:
     def _choose(self, posed: Posed) -> Choice:
         """Lambda by the rules: of a long record on windows first, then on the whole."""
         sigma, source = posed.noise.sigma, posed.noise.source
-        if not isinstance(self.choice, str | bool | None) and posed.path.coefficients is None:
+        if not (is_rule(self.choice) or isinstance(self.choice, bool | None)) and posed.path.coefficients is None:
             return given(posed.path, self.choice, sigma=sigma, source=source)
         choice = choose(posed.judged, self.choice, sigma=sigma, source=source)
         if posed.judged is posed.path:
@@ -322,7 +321,7 @@ class Deconvolution:
                 *layout,
                 None if "W505" in codes(layout) else self._end(posed, residual),
                 self._beginning(posed, choice, data, facts["noise_level"]),
-                *guards.parameter(choice, lambda factor: _discrepancy(posed, factor)),
+                *guards.parameter(choice, posed.judged),
                 guards.inverse_crime(data.record.simulated_by, model.fingerprint),
                 guards.no_coverage(self.coverage),
                 guards.used_for_training("the record", data.fingerprints & model.training),
@@ -336,7 +335,7 @@ class Deconvolution:
             "method": s.method,
             "penalty": s.penalty if isinstance(s.penalty, str | None) else "matrix",
             "size": None if s.size is None else np.asarray(s.size, float).tolist(),
-            "choice": self.choice,
+            "choice": named(self.choice),
             "hold": s.hold,
             "path": posed.name,
             "noise_source": posed.noise.source.text,
@@ -356,8 +355,3 @@ def _prior(settings: Settings) -> str:
 def _process(order: int) -> str:
     """The random process that a difference of this order makes white, in words."""
     return PROCESS[order] if order < len(PROCESS) else f"a random walk in time, integrated {order - 1} times"
-
-
-def _discrepancy(posed: Posed, factor: float) -> float | None:
-    """Lambda of the discrepancy rule at a multiple of the noise level."""
-    return rules.discrepancy(rules.Sweep.over(posed.judged, posed.noise.sigma), factor).lam

@@ -15,7 +15,7 @@ from structures.model import Model, as_model
 
 from .. import guards
 from ..guards import families as told
-from ..inverse.choice import CLEARLY, Choice
+from ..inverse.choice import CLEARLY, Choice, ChoiceLike, named
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.posterior import SpectralPosterior
 from ..results.archive import provenance
@@ -44,9 +44,9 @@ class FrequencyInversion:
     model : Model
         Anything that gives ``frf``; a variance of its FRFs (``frf_variance``) enters the weights and the band.
     method : {"tikhonov", "tsvd"}
-    choice : str, float or None
-        Name of a rule, relative lambda (Tikhonov) or threshold (truncated SVD), 0 for least squares; None is the
-        evidence of the neighbouring lines (truncated SVD: GCV over them).
+    choice : str, callable, float or None
+        Rule by name or itself (`loadid.register_rule`), relative lambda (Tikhonov) or threshold (truncated SVD), 0 for
+        least squares; None is the evidence of the neighbouring lines (truncated SVD: GCV over them).
     over : {"neighbours", "line", "band"}
         Who decides on lambda: each line with its neighbours, each alone, or all together.
     neighbours : int
@@ -91,7 +91,7 @@ class FrequencyInversion:
         model: Model,
         *,
         method: str = "tikhonov",
-        choice: str | float | None = None,
+        choice: ChoiceLike = None,
         over: str = "neighbours",
         neighbours: int = 40,
         count: int | None = None,
@@ -225,7 +225,7 @@ class FrequencyInversion:
     def _named_settings(self, line: LineData) -> dict[str, Any]:
         rule, s = self.rule, self.settings
         return {
-            "method": rule.method, "choice": rule.choice, "over": rule.over, "neighbours": rule.neighbours,
+            "method": rule.method, "choice": named(rule.choice), "over": rule.over, "neighbours": rule.neighbours,
             "count": rule.count, "level": self.level, "kind": line.kind, "signal": s.signal,
             "band": None if s.band is None else list(s.band), "window": s.window, "segment": s.segment,
             "overlap": s.overlap, "noise_source": line.source.text,
@@ -276,7 +276,7 @@ class FrequencyInversion:
                 guards.not_verified(model.certificate),
                 guards.null_space(facts["m"], facts["n"], facts["rank"]),
                 guards.mixed_kinds(line.channels, line.known),
-                *guards.parameter(choice, lambda factor: None),
+                *guards.parameter(choice),
                 told.contradicted(solved.excess, line.source) if line.known else None,
                 told.no_spare_data(line.known, solved.path.m - spectrum.load.shape[1]),
                 told.antiresonance(spectrum, labels),

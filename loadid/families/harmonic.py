@@ -13,8 +13,7 @@ from structures.errors import InputError, NotIdentifiable, plain, positive
 from structures.model import Model, as_model
 
 from .. import guards
-from ..inverse import rules
-from ..inverse.choice import choose, residual_level
+from ..inverse.choice import ChoiceLike, choose, named, residual_level
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource, NoiseSourceLike
 from ..inverse.problem import LinearProblem
@@ -72,7 +71,7 @@ class HarmonicInversion:
         *,
         space: str | ArrayLike | None = None,
         length: float | None = None,
-        choice: str | float | None = None,
+        choice: ChoiceLike = None,
         noise: ArrayLike | None = None,
         noise_source: NoiseSourceLike = None,
         sensors: Sequence[str | int] | None = None,
@@ -148,7 +147,7 @@ class HarmonicInversion:
                     guards.not_verified(self.model.certificate),
                     guards.null_space(facts["m"], facts["n"], facts["rank"]),
                     guards.mixed_kinds(channels, posed.noise.known),
-                    *guards.parameter(choice, posed.discrepancy),
+                    *guards.parameter(choice, posed.path),
                     guards.no_coverage(self.coverage),
                 ]
             ),
@@ -159,7 +158,7 @@ class HarmonicInversion:
             provenance=provenance(
                 self.name,
                 settings={"frequency": self.frequency, "space": self._said, "length": self.length,
-                          "choice": self.choice, "noise_source": posed.noise.source.text,
+                          "choice": named(self.choice), "noise_source": posed.noise.source.text,
                           "sensors": None if self.sensors is None else [str(s) for s in self.sensors]},
                 inputs={},
                 model=self.model.fingerprint,
@@ -290,7 +289,3 @@ class _Posed:
 
     path: SVDPath
     noise: Noise
-
-    def discrepancy(self, factor: float) -> float | None:
-        """Lambda of the discrepancy rule at a multiple of the noise level."""
-        return rules.discrepancy(rules.Sweep.over(self.path, self.noise.sigma), factor).lam

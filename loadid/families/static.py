@@ -8,16 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, real
+from structures.errors import InputError
 from structures.model import Model, as_model
 from structures.models.arrays import MatrixModel
 
 from .. import guards
 from ..inverse import penalties
-from ..inverse.choice import Choice, choose
+from ..inverse.choice import Choice, ChoiceLike, choose, is_rule, relative
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
-from ..inverse.sweep import LARGEST
 from ..results.archive import STATIC, provenance
 from ..results.estimate import LoadEstimate
 from . import smoothness
@@ -82,7 +81,7 @@ class StaticInversion:
         *,
         method: str = "tikhonov",
         penalty: str | ArrayLike | None = "identity",
-        choice: str | float | Absolute | None = None,
+        choice: ChoiceLike | Absolute = None,
         constraints: Sequence[Any] | Any = (),
         noise: Any = None,
         noise_source: NoiseSourceLike = None,
@@ -96,8 +95,8 @@ class StaticInversion:
             raise InputError("unknown method", where="method", found=repr(method), expected="'tikhonov' or 'tsvd'")
         if isinstance(penalty, str):
             penalties.order(penalty)
-        if choice is not None and not isinstance(choice, str | Absolute):
-            choice = _relative(choice)
+        if choice is not None and not (is_rule(choice) or isinstance(choice, Absolute)):
+            choice = relative(choice, SMALLEST)
         if penalty is None:
             if choice not in (None, 0.0):
                 raise InputError(
@@ -303,14 +302,3 @@ class StaticInversion:
                 hint="state the noise in the model (noise= of each sensor) or here",
             )
         return posed
-
-
-def _relative(choice: Any) -> float:
-    """A lambda that a user gave, as a number."""
-    lam = real(choice)
-    if lam is None or not (lam == 0 or SMALLEST <= lam <= LARGEST):
-        raise InputError(
-            "no relative lambda", where="choice", found=repr(choice)[:80],
-            expected=f"0, a number from {SMALLEST:g} to {LARGEST:g}, or the name of a rule",
-        )  # fmt: skip
-    return lam

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,9 @@ from ..inverse.constrained.nonnegative import NonNegativeSolution
 from ..inverse.constrained.solver import ConstrainedSolution
 from ..inverse.constraints import Constraint, Resultant
 from ..inverse.noise_source import MEASURED
-from ..inverse.sweep import ALARM, TESTABLE
+from ..inverse.path import RegularizationPath
+from ..inverse.rules import discrepancy
+from ..inverse.sweep import ALARM, TESTABLE, Sweep
 
 DECADE = 1.0  # spread of the rules, decades
 SIGMA_RULES = ("discrepancy", "dof_discrepancy", "upre", "predicted_error", "evidence")
@@ -25,8 +27,8 @@ GCV_RULES = ("gcv", "robust_gcv", "modified_gcv", "predicted_error")
 FLAT = 1.05  # GCV: highest over lowest within half a decade
 
 
-def parameter(choice: Choice, discrepancy: Callable[[float], float | None]) -> tuple[Flag, ...]:
-    """W401 to W407 and W411 of one choice; `discrepancy` gives its lambda at a multiple of the noise level."""
+def parameter(choice: Choice, path: RegularizationPath | None = None) -> tuple[Flag, ...]:
+    """W401 to W407 and W411 of one choice on a path; without one W406 says nothing of other noise levels."""
     return collect(
         [
             no_corner(choice),
@@ -34,7 +36,7 @@ def parameter(choice: Choice, discrepancy: Callable[[float], float | None]) -> t
             correlated_noise(choice),
             needs_white_noise(choice),
             not_testable(choice),
-            noise_source(choice, discrepancy),
+            noise_source(choice, path),
             disagreement(choice),
             at_the_end(choice),
         ]
@@ -174,7 +176,7 @@ def unexplained(choice: Choice, level: float) -> Flag:
     )
 
 
-def noise_source(choice: Choice, discrepancy: Callable[[float], float | None]) -> Flag | None:
+def noise_source(choice: Choice, path: RegularizationPath | None = None) -> Flag | None:
     """W406: the data contradict the noise level, or it decides and nobody said where it comes from."""
     if choice.shown is not None and choice.sigma is not None:
         ratio = choice.shown / choice.sigma
@@ -187,9 +189,12 @@ def noise_source(choice: Choice, discrepancy: Callable[[float], float | None]) -
         )
     if choice.sigma is None or choice.rule not in SIGMA_RULES or choice.source.measured:
         return None
-    found = [discrepancy(factor) for factor in (0.5, 1.0, 2.0)]
-    values = ", ".join("none" if d is None else f"{d:.3g}" for d in found)
-    meaning = "" if found == [None] * 3 else f"; relative lambda at half, once and twice of it: {values}"
+    meaning = ""
+    if path is not None:
+        sweep = Sweep.over(path, choice.sigma)
+        found = [discrepancy(sweep, factor).lam for factor in (0.5, 1.0, 2.0)]
+        values = ", ".join("none" if d is None else f"{d:.3g}" for d in found)
+        meaning = f"; relative lambda at half, once and twice of it: {values}"
     return Flag(
         "W406",
         Evidence("source of the noise level", choice.source.kind, ", ".join(MEASURED)),

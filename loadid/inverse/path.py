@@ -39,6 +39,9 @@ class PathPoint:
         Sum of ln(1 + gamma^2 / lambda^2) over the modes that the penalty sees (for the evidence).
     bend : array or None
         d penalty2 / d ln lambda (for the curvature of the L-curve).
+    fitted2, log_supports : array or None
+        Of a sparse path: squared residual of the least squares on the support, and ln of the number of supports of
+        its size (for the information criterion).
     """
 
     residual2: NDArray[np.float64]
@@ -52,6 +55,8 @@ class PathPoint:
     objective: NDArray[np.float64] | None = None
     log_ratio: NDArray[np.float64] | None = None
     bend: NDArray[np.float64] | None = None
+    fitted2: NDArray[np.float64] | None = None
+    log_supports: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,12 @@ class RegularizationPath:
         Whether the path is smooth in lambda (Tikhonov) or a staircase (truncation).
     zero_padded : bool
         Whether it takes the record as the beginning of one twice as long, in which the response has decayed.
+    dear : bool
+        Whether every lambda costs a solution of its own, so that a search ends near enough.
+    reals : int
+        Real numbers in one datum: 2 where the data are complex.
+    margin : float or None
+        Share of all noise whose residual the discrepancy rule lets pass; None: the mean of all noise.
     """
 
     m: int
@@ -96,6 +107,14 @@ class RegularizationPath:
     scale: NDArray[np.float64]
     smooth: bool = True
     zero_padded: bool = False
+    dear: bool = False
+    reals: int = 1
+    margin: float | None = 0.95
+
+    @property
+    def stacked(self) -> bool:
+        """Whether it carries several lines on the first axis."""
+        return np.ndim(self.scale) > 0
 
     @property
     def range(self) -> tuple[float, float]:
@@ -116,7 +135,7 @@ class RegularizationPath:
         """Scalars of the path at `lam`."""
         raise self._lack("point at a lambda")
 
-    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64] | None:
+    def predicted_error(self, lam: ArrayLike, pilot: ArrayLike, sigma: ArrayLike) -> NDArray[np.float64] | None:
         """Squared load error expected at `lam` if the estimate at `pilot` were the load."""
         return None
 
@@ -124,8 +143,8 @@ class RegularizationPath:
         """Whitened residual (samples, sensors)."""
         raise self._lack("residual")
 
-    def residuals(self, lams: NDArray) -> Iterable[NDArray[np.float64]]:
-        """Whitened residuals (samples, sensors) at some lambdas, for the tests of whiteness: near enough for those."""
+    def residuals(self, lams: NDArray[np.float64]) -> Iterable[NDArray[np.float64]] | None:
+        """Whitened residuals (samples, sensors) at some lambdas, near enough to test whiteness; None: no record."""
         return (self.residual(float(lam)) for lam in lams)
 
     def white_residual(self, lam: float) -> NDArray[np.float64] | None:
@@ -351,7 +370,7 @@ class FactoredPath(RegularizationPath):
             ]
         )
 
-    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64]:
+    def predicted_error(self, lam: ArrayLike, pilot: ArrayLike, sigma: ArrayLike) -> NDArray[np.float64] | None:
         """Squared load error at each `lam` (k,) that would be made if the load were the estimate at `pilot`.
 
         Bias of the filter on the pilot's load plus the variance of the noise: the parametric bootstrap in closed form.
@@ -361,7 +380,7 @@ class FactoredPath(RegularizationPath):
         def error(lam: NDArray, part: slice) -> NDArray:
             f, g = self._filter(lam, part)
             noise = _dot(f**2, self.weight[part] * self._lengths2() * self._cost[..., part])
-            return (self._length2(g * self._filter(first, part)[0], part) + sigma**2 * noise)[None]
+            return (self._length2(g * self._filter(first, part)[0], part) + np.asarray(sigma) ** 2 * noise)[None]
 
         return self._tiled(error, np.atleast_1d(np.asarray(lam, float)))[0]
 

@@ -200,7 +200,7 @@ ELSEWHERE = {  # kind -> module and class that reads it
     "mapped": (".statespace.posterior", "MappedPosterior"),
     "statespace": (".statespace.posterior", "StateSpacePosterior"),
     "statespace, sized": (".statespace.sized", "SizedPosterior"),
-    "support": (".sparse.path", "SupportPosterior"),
+    "support": (".sparse.support", "SupportPosterior"),
 }
 
 

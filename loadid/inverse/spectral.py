@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
+from .path import FactoredPath
+
 
 @dataclass(frozen=True)
 class Compressed:
@@ -113,6 +115,41 @@ class Factored:
     def seen(self) -> NDArray[np.bool_]:
         """Directions above rounding, (lines, rank)."""
         return self.s > max(self.lines.shape[1:]) * np.finfo(float).eps * self.s[:, :1]
+
+
+class LinesPath(FactoredPath):
+    """Path of independent frequency lines, L = I over the weighted loads: every scalar has the lines first."""
+
+    reals = 2
+
+    def __init__(self, f: Factored, truncated: bool = False) -> None:
+        beta = np.sqrt(np.einsum("krn,krn->kr", f.beta.conj(), f.beta).real)
+        c = np.where(f.seen, f.s, 0.0)
+        m = f.lines.shape[1] + f.lines.left
+        super().__init__(c, np.ones_like(c), beta, f.lines.outside, m, truncated=truncated)
+
+    def residuals(self, lams: NDArray[np.float64]) -> None:
+        """None: lines are no record."""
+
+    def joined(self, step: int = 1) -> JoinedPath:
+        """All lines, or every so many, with one lambda."""
+        return JoinedPath(self, slice(None, None, step))
+
+
+class JoinedPath(FactoredPath):
+    """Lines with one lambda: the modes of every line side by side."""
+
+    reals = 2
+
+    def __init__(self, path: LinesPath, keep: slice) -> None:
+        c = path.c[keep]
+        super().__init__(
+            c.ravel(), np.ones(c.size), path.beta[keep].ravel(), np.sum(path.outside[keep]), path.m * len(c),
+            truncated=not path.smooth,
+        )  # fmt: skip
+
+    def residuals(self, lams: NDArray[np.float64]) -> None:
+        """None: lines are no record."""
 
 
 @dataclass(frozen=True)

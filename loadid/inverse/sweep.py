@@ -1,5 +1,7 @@
 """A path over a grid of lambdas, the two searches of rules, and tests whether the residual is white.
 
+A stacked path has its lines on the first axis and lambda on the last; the searches then answer line by line.
+
 Rules that compare the residual with white noise (GCV and its kin, UPRE, NCP, the dof-corrected discrepancy) take
 correlated noise for response and follow it. Residual: normalised cumulative periodogram, Rust & O'Leary, Inverse
 Problems 24 (2008) 034005, against what white noise would leave after this fit. Coefficients: a plateau that is no
@@ -9,7 +11,7 @@ plateau, by an F-test of its two halves.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,9 @@ from structures.errors import InputError, plain
 from .path import PathPoint, RegularizationPath
 
 LARGEST = 1e3  # relative lambda that leaves of the load, to six digits, only what the penalty does not see
+LEAST, LINE_POINTS = 1e-8, 41  # smallest relative lambda, and points, of the grid of stacked lines
+WALL = 1e3  # height of a wall around the points of a stack where a search does not look, over the largest value
+CLOSE = 0.01  # distance from a level at which a search ends where each point costs a solution
 NULL_SPACE = "the data ask for nothing beyond what the penalty leaves free: null-space solution"
 
 
@@ -47,10 +52,32 @@ class RuleResult:
     note: str = ""
     free: bool = False
 
-    @classmethod
-    def null_space(cls, rule: str, lam: float) -> RuleResult:
+    @staticmethod
+    def null_space(rule: str, lam: float) -> RuleResult:
         """What a rule says that ends where the penalty alone decides."""
-        return cls(rule, lam, True, NULL_SPACE, True)
+        return RuleResult(rule, lam, True, NULL_SPACE, True)
+
+    @property
+    def lines(self) -> NDArray[np.float64] | None:
+        """Relative lambda of every line of a stacked path, (lines,); None of one problem."""
+        return None
+
+
+@dataclass(frozen=True)
+class LineResult(RuleResult):
+    """What one rule said of every line of a stacked path: `lam` is the median of `lams` (lines,)."""
+
+    lams: NDArray[np.float64] = field(kw_only=True)
+
+    @classmethod
+    def of(cls, rule: str, lams: NDArray[np.float64]) -> LineResult:
+        """From the lambdas of the lines."""
+        return cls(rule, float(np.median(lams)), lams=lams)
+
+    @property
+    def lines(self) -> NDArray[np.float64]:
+        """Relative lambda of every line."""
+        return self.lams
 
 
 class Refusal(Exception):
@@ -59,9 +86,23 @@ class Refusal(Exception):
 
 @dataclass(frozen=True)
 class Sweep:
-    """A path evaluated over a grid of relative lambdas (one problem, not a stack).
+    """A path evaluated over a grid of relative lambdas.
 
-    Where it is not the `whole` of the range, a search that ends at a wall goes on in a wider one.
+    Parameters
+    ----------
+    path : RegularizationPath
+    lam : array, shape (points,)
+        Relative lambdas, ascending; of a stack the same for all lines.
+    point : PathPoint
+        Scalars, (points,); of a stack (lines, points).
+    sigma : float or None
+        Noise level of the whitened data.
+    whole : bool
+        Where it is not the whole of the range, a search that ends at a wall goes on in a wider one.
+    mean : callable, optional
+        Mean of a function (lines, points) over the lines that share a decision.
+    outside : array of bool, shape (lines, points), optional
+        Points of a stack where a search does not look.
     """
 
     path: RegularizationPath
@@ -69,11 +110,25 @@ class Sweep:
     point: PathPoint
     sigma: float | None
     whole: bool = True
+    mean: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
+    outside: NDArray[np.bool_] | None = None
 
     @classmethod
-    def over(cls, path: RegularizationPath, sigma: float | None, points: int = 121) -> Sweep:
-        """Evaluate `path` over its range, and up to `LARGEST` where the penalty has a null space to end in."""
+    def over(
+        cls,
+        path: RegularizationPath,
+        sigma: float | None,
+        points: int = 121,
+        mean: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
+    ) -> Sweep:
+        """Evaluate `path` over its range, and up to `LARGEST` where the penalty has a null space to end in.
+
+        A stack is evaluated on `LINE_POINTS`.
+        """
         low, high = path.range
+        if path.stacked:
+            lam: NDArray[np.float64] = np.geomspace(max(low, LEAST), high, LINE_POINTS)
+            return cls(path, lam, path.at(lam), sigma, mean=mean)
         lam = np.geomspace(low, high, points)
         if path.null and high < LARGEST:
             step = np.log10(high / low) / (points - 1)
@@ -81,12 +136,21 @@ class Sweep:
             lam = np.concatenate([lam, np.geomspace(high, LARGEST, more + 1)[1:]])
         return cls(path, lam, path.at(lam), sigma)
 
+    def shared(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        """A function on the grid as the search sees it: walled outside, averaged over the lines that decide together.
+
+        Only the grid itself can be asked so, not points between.
+        """
+        if self.outside is not None:
+            value = np.where(self.outside, WALL * np.abs(value).max(), value)
+        return value if self.mean is None else self.mean(value)
+
     def part(self, keep: NDArray) -> Sweep:
         """Some of its points."""
         given: dict[str, Any] = {f.name: getattr(self.point, f.name) for f in fields(self.point)}
         kept: dict[str, Any] = {name: None if value is None else value[keep] for name, value in given.items()}
         point = PathPoint(**kept)
-        return Sweep(self.path, self.lam[keep], point, self.sigma, self.whole)
+        return replace(self, lam=self.lam[keep], point=point)
 
     @property
     def ends_free(self) -> bool:
@@ -96,7 +160,7 @@ class Sweep:
 
 def need(point: PathPoint, name: str, rule: str) -> NDArray:
     """One ingredient of a rule, or the rule's refusal."""
-    value = getattr(point, name)
+    value: NDArray[np.float64] | None = getattr(point, name)
     if value is None:
         raise Refusal(f"{rule} needs {name}, which this path does not define")
     return value
@@ -109,18 +173,17 @@ def need_sigma(sweep: Sweep, rule: str) -> float:
     return sweep.sigma
 
 
-def seen_modes(path: RegularizationPath) -> tuple[float, float] | None:
-    """Smallest and largest generalised singular value, relative, that rounding leaves; None where they are not known.
+def smallest_seen(path: RegularizationPath) -> NDArray[np.float64] | None:
+    """Smallest relative generalised singular value (of each line) that rounding leaves; None where it is not known.
 
-    A path without a factorisation may state the smallest one as its property ``seen``.
+    A path without a factorisation may state it as its property ``seen``.
     """
     modes = path.coefficients
     if modes is None:
-        seen = path.seen
-        return None if seen is None else (float(seen), 1.0)
-    relative = modes.gamma / modes.gamma.max()
-    floor = 10 * np.finfo(float).eps * np.sqrt(len(relative))
-    return float(np.min(relative[relative > floor], initial=1.0)), 1.0
+        return None if path.seen is None else np.asarray(path.seen, float)
+    relative = modes.gamma / np.maximum(modes.gamma.max(axis=-1, keepdims=True), np.finfo(float).tiny)
+    floor = 10 * np.finfo(float).eps * np.sqrt(relative.shape[-1])
+    return np.asarray(np.min(np.where(relative > floor, relative, np.inf), axis=-1, initial=1.0))
 
 
 def among_modes(sweep: Sweep, rule: str, share: float = 1.0) -> Sweep:
@@ -131,8 +194,10 @@ def among_modes(sweep: Sweep, rule: str, share: float = 1.0) -> Sweep:
     Refusal
         If fewer than three points are left.
     """
-    ends = seen_modes(sweep.path)
-    low = 0.0 if ends is None else share * ends[0]
+    smallest = smallest_seen(sweep.path)
+    low = share * (np.zeros(()) if smallest is None else smallest)
+    if sweep.path.stacked:
+        return replace(sweep, outside=sweep.lam < low[:, None])
     high = sweep.path.range[1] * (1 + 1e-9) if sweep.ends_free else np.inf
     keep = (sweep.lam >= low) & (sweep.lam <= high)
     if np.sum(keep) < 3:
@@ -152,17 +217,23 @@ def dips(value: NDArray) -> NDArray[np.bool_]:
 
 
 # -- one-dimensional searches on the grid ----------------------------------------------------------------------------
-def minimum(name: str, sweep: Sweep, f: Callable[[PathPoint], NDArray]) -> RuleResult:
+def minimum(name: str, sweep: Sweep, f: Callable[[PathPoint], NDArray[np.float64]]) -> RuleResult:
     """Global minimum of a function of the path's scalars."""
     return search(name, sweep, lambda lam: f(sweep.point if lam is sweep.lam else sweep.path.at(lam)))
 
 
-def search(name: str, sweep: Sweep, f: Callable[[NDArray], NDArray]) -> RuleResult:
-    """Global minimum over the sweep, refined between its neighbours where the path is smooth."""
-    value = f(sweep.lam)
-    if not np.any(np.isfinite(value)):
+def search(name: str, sweep: Sweep, f: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> RuleResult:
+    """Global minimum over the sweep, refined between its neighbours where the path is smooth.
+
+    Of a stack the grid alone is known to all lines that decide together: the parabola through three points refines.
+    """
+    value = sweep.shared(f(sweep.lam))
+    defined = np.isfinite(value)
+    value = np.where(defined, value, np.inf)
+    if value.ndim > 1:  # a line on which it is not defined keeps the smallest lambda
+        return LineResult.of(name, _lowest(sweep, value))
+    if not defined.any():
         raise Refusal(f"{name} is not defined anywhere on this path")
-    value = np.where(np.isfinite(value), value, np.inf)
     k, last = int(np.argmin(value)), len(value) - 1
     if sweep.ends_free and value[last] <= value[k] * (1 + 1e-9):  # flat all the way: the end is what it means
         k = last
@@ -179,9 +250,35 @@ def search(name: str, sweep: Sweep, f: Callable[[NDArray], NDArray]) -> RuleResu
     return RuleResult(name, lam, edge)
 
 
-def crossing(name: str, sweep: Sweep, f: Callable[[PathPoint], NDArray]) -> RuleResult:
-    """Largest lambda at which a rising function crosses zero."""
-    value = f(sweep.point)
+def _lowest(sweep: Sweep, value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Minimum of each line (lines, points), between the points of the grid by the parabola through three of them."""
+    k = np.argmin(value, axis=1)
+    if not sweep.path.smooth:
+        return sweep.lam[k]
+    inner = np.clip(k, 1, len(sweep.lam) - 2)
+    rows = np.arange(len(value))
+    a, b, c = (value[rows, inner + d] for d in (-1, 0, 1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        bend = a - 2 * b + c
+        move = np.where((k == inner) & (bend > 0) & np.isfinite(bend), 0.5 * (a - c) / bend, 0.0)
+    step = np.log(sweep.lam[1] / sweep.lam[0])
+    return np.asarray(sweep.lam[k] * np.exp(np.clip(move, -0.5, 0.5) * step))
+
+
+def crossing(
+    name: str,
+    sweep: Sweep,
+    rising: Callable[[PathPoint], NDArray[np.float64]],
+    level: Callable[[PathPoint], NDArray[np.float64]] | float = 0.0,
+) -> RuleResult:
+    """Largest lambda at which a rising function of the path's scalars is below a level, itself one or a number."""
+
+    def f(p: PathPoint) -> NDArray[np.float64]:
+        return rising(p) - (level(p) if callable(level) else level)
+
+    value = sweep.shared(f(sweep.point))
+    if value.ndim > 1:
+        return LineResult.of(name, _crossed(sweep, value))
     below = np.flatnonzero(value < 0)
     if len(below) == 0:
         return RuleResult(
@@ -196,10 +293,39 @@ def crossing(name: str, sweep: Sweep, f: Callable[[PathPoint], NDArray]) -> Rule
             return RuleResult.null_space(name, float(sweep.lam[-1]))
         return RuleResult(name, float(sweep.lam[-1]), True, "the data are within the noise")
     a, b = sweep.lam[k], sweep.lam[k + 1]
+    if sweep.path.dear and level != 0.0:
+        over = level if callable(level) else lambda p: level
+        return RuleResult(name, _crossed_dearly(sweep, k, lambda p: rising(p) / over(p)))
     for _ in range(30 if sweep.path.smooth else 0):
         middle = np.sqrt(a * b)
         a, b = (middle, b) if float(f(sweep.path.at(middle))) < 0 else (a, middle)
     return RuleResult(name, float(a))
+
+
+def _crossed_dearly(sweep: Sweep, k: int, ratio: Callable[[PathPoint], NDArray[np.float64]]) -> float:
+    """Lambda between two points of the grid at which a ratio that rises past 1 is `CLOSE` to it, by few solutions."""
+    values = ratio(sweep.point)
+    low, high = ((float(sweep.lam[j]), float(values[j])) for j in (k, k + 1))
+    for _ in range(12):
+        if high[1] - low[1] <= CLOSE or low[1] > 1 - CLOSE / 2:
+            break
+        share = -np.log(low[1]) / np.log(high[1] / low[1])
+        lam = float(low[0] * (high[0] / low[0]) ** np.clip(share, 0.1, 0.9))
+        here = lam, float(ratio(sweep.path.at(lam)))
+        high, low = (here, low) if here[1] > 1 else (high, here)
+    return low[0]
+
+
+def _crossed(sweep: Sweep, value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Last lambda of each line (lines, points) below zero, between two points by their chord."""
+    below = value < 0
+    last = value.shape[1] - 1
+    k = np.where(below.any(axis=1), last - np.argmax(below[:, ::-1], axis=1), 0)
+    rows, after = np.arange(len(value)), np.minimum(k + 1, last)
+    a, b = value[rows, k], value[rows, after]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where((a < 0) & (b > a), np.clip(-a / (b - a), 0.0, 1.0), 0.0)
+    return np.asarray(sweep.lam[k] * (sweep.lam[after] / sweep.lam[k]) ** share)
 
 
 KS = 1.36  # 95 % quantile of the Kolmogorov-Smirnov statistic times sqrt(q)
@@ -264,7 +390,10 @@ def residual_test(path: RegularizationPath, lam: float) -> Residual | None:
     noise, tr of (I - A)^2 line by line; elsewhere with a flat one, and with a wider limit once the fit spends more
     than a tenth of the data.
     """
-    rest = next(iter(path.residuals(np.array([lam]))))
+    rests = path.residuals(np.array([lam]))
+    if rests is None:
+        return None
+    rest = next(iter(rests))
     rest = rest.reshape(len(rest), -1)
     edf = path.at(lam).edf
     spent = 0.0 if edf is None else float(edf) / path.m

@@ -11,15 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, NotIdentifiable, real, reals
 
 from ...inverse import choice as choosing
-from ...inverse import ruled, rules
-from ...inverse.choice import Choice
+from ...inverse import rules
+from ...inverse.choice import Choice, ChoiceLike, PathCurve, is_rule
 from ...inverse.noise_source import NoiseSource
-from ...inverse.ruled import JoinedPath, joint_sweep
 from ...inverse.rules import MEANING
 from ...inverse.spectral import (
     Compressed,
     Factored,
     Identifiable,
+    LinesPath,
     Posterior,
     Prior,
     compress,
@@ -29,7 +29,7 @@ from ...inverse.spectral import (
     prior,
     window,
 )
-from ...inverse.sweep import RuleResult
+from ...inverse.sweep import LINE_POINTS, RuleResult, Sweep
 
 ROUNDS = 3  # of FRF errors, whose share of the noise depends on the loads
 LEAST = 0.01  # share of the shown noise that stays noise of the response
@@ -46,7 +46,7 @@ class Rule:
     Parameters
     ----------
     method : ``"tikhonov"`` or ``"tsvd"``
-    choice : str, float or None
+    choice : str, callable, float or None
         Rule, relative lambda or threshold; None is the evidence of the neighbouring lines (Tikhonov).
     over : ``"neighbours"``, ``"line"`` or ``"band"``
         Who decides: each line with its neighbours, alone, or all together.
@@ -59,7 +59,7 @@ class Rule:
     """
 
     method: str = "tikhonov"
-    choice: str | float | None = None
+    choice: ChoiceLike = None
     over: str = "neighbours"
     neighbours: int = 40
     count: int | None = None
@@ -79,16 +79,14 @@ class Rule:
              "an integer >= 1")  # fmt: skip
         need(self.count is None or (self.method == "tsvd" and self.choice is None), "count is for truncation alone",
              "count", self.count, "method='tsvd' without choice=")  # fmt: skip
-        if self.choice is not None and not isinstance(self.choice, str):
+        if is_rule(self.choice):
+            rules.name_of(self.choice)
+        elif self.choice is not None:
             value = real(self.choice)
             need(value is not None and np.isfinite(value) and value >= 0, "no relative lambda", "choice", self.choice,
                  "a number >= 0, the name of a rule, or None")  # fmt: skip
         need(self.size is None or not self.pooled, "the evidence of the lines finds the sizes itself", "size",
              self.size, "no size, or a rule (choice=)")  # fmt: skip
-        if isinstance(self.choice, str):
-            known = (*ruled.FUNCTIONS, *ruled.CROSSINGS)
-            what = "no rule for frequency lines" if self.choice in rules.RULES else "unknown rule"
-            need(self.choice in known, what, "choice", self.choice, ", ".join(known))
 
     @property
     def pooled(self) -> bool:
@@ -98,7 +96,7 @@ class Rule:
     @property
     def free(self) -> bool:
         """Least squares, without regularisation."""
-        return self.count is None and not isinstance(self.choice, str | None) and self.choice == 0
+        return self.count is None and not is_rule(self.choice) and self.choice == 0
 
 
 @dataclass(frozen=True)
@@ -144,7 +142,7 @@ class Fit:
     errors: NDArray[np.float64] | None
     lam: NDArray[np.float64]
     edf: NDArray[np.float64]
-    path: ruled.LinesPath
+    path: LinesPath
     used: float
     excess: float
     frf_part: NDArray[np.float64]
@@ -260,11 +258,11 @@ def _refuse_lost(lines: Compressed) -> None:
         )
 
 
-Solved = tuple[Posterior, NDArray, NDArray, ruled.LinesPath, float]
+Solved = tuple[Posterior, NDArray, NDArray, LinesPath, float]
 
 
 def _pooled(f: Factored, guess: Prior, answer: Posterior) -> Solved:
-    path = ruled.LinesPath(f)
+    path = LinesPath(f)
     lam = np.sqrt(guess.noise) / np.maximum(path.scale, 1e-300)
     return answer, guess.noise, lam, path, float(np.sqrt(np.median(guess.noise)))
 
@@ -273,7 +271,7 @@ def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: Rule, known: bool
     """A named rule or a given lambda: one penalty |g / size|^2 for all loads of a line."""
     size = _sizes(lines, rule.size)
     plain = factor(lines, np.broadcast_to(size**2, lines.R.shape[::2]))
-    path = ruled.LinesPath(plain, rule.method == "tsvd")
+    path = LinesPath(plain, rule.method == "tsvd")
     lam = _lambda(path, rule, known)
     absolute = _absolute(lam, np.asarray(path.scale))
     used = float(np.median(absolute))
@@ -289,23 +287,24 @@ def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: Rule, known: bool
     return Posterior(answer.gain, answer.load, covariance, answer.edf), noise, lam, path, used
 
 
-def _lambda(path: ruled.LinesPath, rule: Rule, known: bool) -> NDArray[np.float64]:
+def _lambda(path: LinesPath, rule: Rule, known: bool) -> NDArray[np.float64]:
     lines = len(path.c)
     if rule.count is not None:
         k = min(rule.count, path.c.shape[1]) - 1
         return path.c[:, k] / np.maximum(path.scale, 1e-300)
+    sigma = 1.0 if known else None
     if rule.choice is None:  # truncation where the directions are noise
-        return ruled.choose("gcv", ruled.LineSweep.over(path, 1.0 if known else None, rule.neighbours))
-    if not isinstance(rule.choice, str):
+        return rules.lines("gcv", Sweep.over(path, sigma, mean=window(lines, rule.neighbours)[0]))
+    if not is_rule(rule.choice):
         if rule.over == "band":  # one absolute lambda
             return float(rule.choice) * path.scale.max() / np.maximum(path.scale, 1e-300)
         return np.full(lines, float(rule.choice))
-    sigma = 1.0 if known else None
     if rule.over == "band":
-        joined = ruled.JoinedPath(path)
-        return ruled.together(rule.choice, joined, sigma) * joined.scale / np.maximum(path.scale, 1e-300)
+        joined = path.joined()
+        found = rules.run(rule.choice, Sweep.over(joined, sigma, LINE_POINTS))
+        return rules.answered(found) * joined.scale / np.maximum(path.scale, 1e-300)
     near = rule.neighbours if rule.over == "neighbours" else 0
-    return ruled.choose(rule.choice, ruled.LineSweep.over(path, sigma, near))
+    return rules.lines(rule.choice, Sweep.over(path, sigma, mean=window(lines, near)[0]))
 
 
 def _absolute(lam: NDArray, scale: NDArray) -> NDArray[np.float64]:
@@ -379,8 +378,8 @@ def judged(fit: Fit, rule: Rule, known: bool, source: NoiseSource) -> Choice:
     the lambda of the joined lines is comparable with that of the neighbours' evidence.
     """
     step = max(1, -(-fit.path.c.size // MODES))
-    joined = JoinedPath(fit.path, slice(None, None, step))
-    sweep = joint_sweep(joined, 1.0 if known else None, POINTS)
+    joined = fit.path.joined(step)
+    sweep = Sweep.over(joined, 1.0 if known else None, POINTS)
     asked = {name: rules.run(name, sweep) for name in ASKED}
     used = fit.used / float(joined.scale)
     name = _name(rule)
@@ -389,7 +388,6 @@ def judged(fit: Fit, rule: Rule, known: bool, source: NoiseSource) -> Choice:
     else:
         spread, verdict = _agreement(asked, used)
         odds = f"{MEANING[verdict]}; how often that goes well was not measured for frequency lines"
-    point = sweep.point
     return Choice(
         lam=used,
         scale=float(joined.scale),
@@ -401,21 +399,16 @@ def judged(fit: Fit, rule: Rule, known: bool, source: NoiseSource) -> Choice:
         sigma=1.0 if known else None,
         source=source,
         edf=float(np.sum(fit.edf)),
-        sweep=choosing.Sweep(
-            sweep.lam,
-            np.sqrt(point.residual2),
-            np.sqrt(point.penalty2),
-            point.edf,
-            None if point.left is None else rules.gcv_function(joined, point),
-        ),
+        sweep=PathCurve.of(sweep),
     )
 
 
 def _name(rule: Rule) -> str:
     if rule.pooled:
         return "evidence"
-    return rule.choice if isinstance(rule.choice, str) else ("gcv" if rule.choice is None and rule.count is None else
-                                                             "given")  # fmt: skip
+    if is_rule(rule.choice):
+        return rules.name_of(rule.choice)
+    return "gcv" if rule.choice is None and rule.count is None else "given"
 
 
 def _agreement(asked: dict[str, RuleResult], used: float) -> tuple[float, str]:

@@ -15,9 +15,8 @@ from structures.flags import Flag
 from structures.model import Model
 
 from ... import guards
-from ...inverse import rules
 from ...inverse import sweep as whiteness
-from ...inverse.choice import Choice, choose, residual_level
+from ...inverse.choice import Choice, choose, named, residual_level
 from ...inverse.constrained.path import ConstrainedPath
 from ...inverse.constrained.solver import soft
 from ...inverse.diagnosis import diagnose
@@ -227,11 +226,6 @@ def _refuse_silent(H: NDArray[np.float64], channels: Sequence[Channel]) -> None:
         )
 
 
-def discrepancy(posed: Steady, factor: float) -> float | None:
-    """Lambda of the discrepancy rule at a multiple of the noise level."""
-    return rules.discrepancy(rules.Sweep.over(posed.path, posed.noise.sigma), factor).lam
-
-
 def drawn(posed: Steady, choice: Choice, sigma: float, draws: int, seed: int) -> NDArray[np.float64]:
     """See `StaticInversion.sample`.
 
@@ -305,7 +299,7 @@ def flags(
             guards.mixed_kinds(given.channels, posed.noise.known),
             *_resolved(family, posed, choice, diagnosis),
             *posed.fought(choice, posed.noise.sigma or facts["noise_level"]),
-            *(() if family.free else guards.parameter(choice, lambda factor: discrepancy(posed, factor))),
+            *(() if family.free else guards.parameter(choice, posed.path)),
             guards.absolute_lambda(family.choice.lam, choice.scale) if isinstance(family.choice, Absolute) else None,
             guards.inverse_crime(simulated, model.fingerprint),
             guards.no_coverage(family.coverage),
@@ -323,7 +317,7 @@ def flags(
 
 def settings(family: StaticInversion, posed: Steady) -> dict[str, Any]:
     """Settings of an inversion, for the provenance."""
-    given = family.choice.lam if isinstance(family.choice, Absolute) else family.choice
+    given = family.choice.lam if isinstance(family.choice, Absolute) else named(family.choice)
     return {
         "method": family.method,
         "penalty": family.penalty if isinstance(family.penalty, str | None) else "matrix",
