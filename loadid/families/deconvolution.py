@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.advice import Advice, Option
-from structures.errors import InputError, NotIdentifiable, real
+from structures.errors import InputError, NotIdentifiable
 from structures.flags import Flag, codes
 from structures.model import Model, as_model
 
 from .. import guards
 from ..guards import families as told
 from ..guards.inversion import windows_apart
-from ..inverse.choice import Choice, ChoiceLike, choose, given, is_rule, named, residual_level, unexplained
+from ..inverse.choice import Choice, ChoiceLike, checked, choose, given, named, residual_level, unexplained
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.penalties import order
@@ -56,8 +56,9 @@ class Deconvolution:
     penalty : str, array or None
         ``identity, first_difference, second_difference`` (``gradient``, ``laplacian``), a matrix of shape
         (rows, samples * loads), or None for plain least squares, refused where the data do not determine the load.
-    choice : str, float or None
-        Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
+    choice : str, callable, float or None
+        Rule by name or itself (`loadid.register_rule`), or relative lambda; None chooses as
+        `loadid.inverse.choice.choose` says.
     path : {"auto", "dense", "statespace", "toeplitz", "windows", "fft"}
         Solver; ``auto`` takes what fits the length, the model and the other settings (`loadid.families.posing.pose`).
     initial : ``"rest"``, ``"unknown"`` or array (states,)
@@ -118,9 +119,7 @@ class Deconvolution:
         coverage: Any = None,
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
-        if choice is not None and not is_rule(choice) and real(choice) is None:
-            raise InputError("no relative lambda", where="choice", found=repr(choice)[:80],
-                             expected="a number, the name of a rule, or None")  # fmt: skip
+        choice = checked(choice)
         if penalty is None:
             if choice not in (None, 0):
                 raise InputError(
@@ -131,7 +130,7 @@ class Deconvolution:
             raise InputError("unknown class of load", where="load_class", found=repr(load_class)[:80],
                              expected=" or ".join(map(repr, told.CLASSES)))  # fmt: skip
         self.load_class = load_class
-        free = choice is not None and not is_rule(choice) and choice == 0
+        free = choice == 0
         self.settings = Settings(
             method, penalty, hold, noise, NoiseSource.of(noise_source), guards.allowed(allow), path, initial, leak,
             from_zero, free, signs(constraints), size,
@@ -227,7 +226,7 @@ class Deconvolution:
     def _choose(self, posed: Posed) -> Choice:
         """Lambda by the rules: of a long record on windows first, then on the whole."""
         sigma, source = posed.noise.sigma, posed.noise.source
-        if not (is_rule(self.choice) or isinstance(self.choice, bool | None)) and posed.path.coefficients is None:
+        if isinstance(self.choice, float) and posed.path.coefficients is None:
             return given(posed.path, self.choice, sigma=sigma, source=source)
         choice = choose(posed.judged, self.choice, sigma=sigma, source=source)
         if posed.judged is posed.path:
@@ -248,7 +247,7 @@ class Deconvolution:
     @property
     def _free(self) -> bool:
         """Without regularisation."""
-        return self.settings.penalty is None or (isinstance(self.choice, int | float) and self.choice == 0)
+        return self.settings.penalty is None or self.choice == 0
 
     def _impacts(self, load: NDArray, facts: dict[str, Any], dt: float) -> tuple[Flag, ...]:
         """W510 and W311: whether the load is one of impacts that this prior smears."""

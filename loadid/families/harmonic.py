@@ -13,7 +13,7 @@ from structures.errors import InputError, NotIdentifiable, plain, positive
 from structures.model import Model, as_model
 
 from .. import guards
-from ..inverse.choice import ChoiceLike, choose, named, residual_level
+from ..inverse.choice import ChoiceLike, checked, choose, named, residual_level
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource, NoiseSourceLike
 from ..inverse.problem import LinearProblem
@@ -47,8 +47,8 @@ class HarmonicInversion:
         Spatial prior; see `spatial.root`. None: ``|W G| = |G|``.
     length : float, optional
         Length of the spatial prior (m).
-    choice : str, float or None
-        Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
+    choice : str, callable, float or None
+        Rule by name or itself, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
     noise : float or array (sensors,), optional
         Standard deviation of the complex amplitudes, ``sqrt(mean |error|^2)``.
     noise_source : NoiseSource, str or (str, str), optional
@@ -81,7 +81,7 @@ class HarmonicInversion:
     ) -> None:
         self.model = as_model(model, "HarmonicInversion", "frf")
         self.frequency = positive("frequency", frequency, where="HarmonicInversion", unit="Hz")
-        self.space, self.length, self.choice = space, length, choice
+        self.space, self.length, self.choice = space, length, checked(choice)
         self.noise, self.noise_source, self.sensors = noise, NoiseSource.of(noise_source), sensors
         self.allow, self.coverage = guards.allowed(allow), coverage
         self._progress = progress or (lambda fraction, text: None)
@@ -225,7 +225,7 @@ class HarmonicInversion:
 
     @property
     def _free(self) -> bool:
-        return isinstance(self.choice, int | float) and self.choice == 0
+        return self.choice == 0
 
     def _refuse_undetermined(self, posed: _Posed) -> None:
         rank, n = posed.path.rank, 2 * self.H.shape[1]

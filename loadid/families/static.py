@@ -14,7 +14,7 @@ from structures.models.arrays import MatrixModel
 
 from .. import guards
 from ..inverse import penalties
-from ..inverse.choice import Choice, ChoiceLike, choose, is_rule, relative
+from ..inverse.choice import Choice, ChoiceLike, checked, choose
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..results.archive import STATIC, provenance
@@ -46,8 +46,8 @@ class StaticInversion:
         ``identity``; ``gradient`` or ``laplacian`` of the load field (differences in the order of the loads where the
         model knows no places); ``first_difference``, ``second_difference`` in the order of the loads; a matrix
         (rows, loads); or None for plain least squares, refused where the data do not determine the load.
-    choice : str, float, Absolute or None
-        Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
+    choice : str, callable, float, Absolute or None
+        Rule by name or itself, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
     constraints : sequence
         From `loadid.inverse.constraints`: non-negativity, bounds, support, resultants, friction cones.
     noise : float, array or Cholesky, optional
@@ -95,8 +95,8 @@ class StaticInversion:
             raise InputError("unknown method", where="method", found=repr(method), expected="'tikhonov' or 'tsvd'")
         if isinstance(penalty, str):
             penalties.order(penalty)
-        if choice is not None and not (is_rule(choice) or isinstance(choice, Absolute)):
-            choice = relative(choice, SMALLEST)
+        if not isinstance(choice, Absolute):
+            choice = checked(choice, SMALLEST)
         if penalty is None:
             if choice not in (None, 0.0):
                 raise InputError(
@@ -221,7 +221,7 @@ class StaticInversion:
     @property
     def free(self) -> bool:
         """Without regularisation."""
-        return self.penalty is None or (isinstance(self.choice, int | float) and self.choice == 0)
+        return self.penalty is None or self.choice == 0
 
     def answer(self, given: Readings, posed: Steady, choice: Choice) -> LoadEstimate:
         """Estimate of a problem at the lambda of a choice."""

@@ -234,6 +234,20 @@ def is_rule(choice: object) -> TypeGuard[str | Rule]:
     return isinstance(choice, str) or callable(choice)
 
 
+def checked(choice: object, low: float = 0.0) -> ChoiceLike:
+    """What a user gave as ``choice=``: a rule that there is, a relative lambda (`relative`), or None.
+
+    Raises
+    ------
+    InputError
+        Anything else.
+    """
+    if is_rule(choice):
+        rules.name_of(choice)
+        return choice
+    return None if choice is None else relative(choice, low)
+
+
 def named(choice: ChoiceLike) -> str | float | None:
     """A choice as provenance holds it."""
     return rules.name_of(choice) if is_rule(choice) else choice

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, plain, reals
+from structures.errors import InputError, plain, reals, shown
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -28,6 +28,7 @@ __all__ = [
     "matrix",
     "names",
     "order",
+    "register_penalty",
     "stencil",
     "surface",
     "symbol",
@@ -337,6 +338,29 @@ def _checked(coordinates: ArrayLike, cells: ArrayLike | Sequence[Sequence[int]])
 
 # every named penalty is a difference of the order that stands here; all solvers take any order from this table
 ORDER = {"identity": 0, "gradient": 1, "first_difference": 1, "laplacian": 2, "second_difference": 2}
+
+
+def register_penalty(name: str, order: int) -> None:
+    """Name a difference of your own, which every family with a named penalty then takes.
+
+    Parameters
+    ----------
+    name : str
+    order : int
+        Of the difference, from 0 (the load itself).
+
+    Raises
+    ------
+    InputError
+        No order, or a name that stands for another one.
+    """
+    if isinstance(order, bool) or not isinstance(order, int) or order < 0:
+        raise InputError("no order of a difference", where="register_penalty", found=shown(order),
+                         expected="an integer >= 0")  # fmt: skip
+    if not (isinstance(name, str) and name) or ORDER.get(name, order) != order:
+        raise InputError("a penalty needs a name of its own", where="register_penalty", found=shown(name),
+                         expected=f"none of {names()}")  # fmt: skip
+    ORDER[name] = order
 
 
 def names() -> str:
