@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.advice import Advice, Option, Spelling
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
 
 from ..codes import collect
+from ..inverse.arrays import Array
 from ..inverse.choice import BELOW, Choice
 from ..inverse.constrained.nonnegative import NonNegativeSolution
 from ..inverse.constrained.solver import ConstrainedSolution
@@ -52,12 +52,8 @@ def no_corner(choice: Choice) -> Flag | None:
     if choice.rule != "l_curve" or found is None or (found.lam is not None and not found.edge):
         return None
     value = "none" if found.lam is None else found.lam
-    return Flag(
-        "W401",
-        Evidence("lambda at the corner", value, "inside the sweep"),
-        f"the L-curve has no usable corner ({found.note})",
-        "use discrepancy or GCV",
-    )
+    return Flag("W401", Evidence("lambda at the corner", value, "inside the sweep"),
+                f"the L-curve has no usable corner ({found.note})", "use discrepancy or GCV")  # fmt: skip
 
 
 def gcv_minimum(choice: Choice) -> Flag | None:
@@ -79,12 +75,7 @@ def gcv_minimum(choice: Choice) -> Flag | None:
     else:
         evidence = Evidence("GCV max/min", ratio, FLAT)
         advice = "the response hardly depends on lambda here: compare the rules, and state the noise of the sensors"
-    return Flag(
-        "W402",
-        evidence,
-        f"GCV did not find a minimum (relative lambda {found.lam:.3g})",
-        advice,
-    )
+    return Flag("W402", evidence, f"GCV did not find a minimum (relative lambda {found.lam:.3g})", advice)
 
 
 def _from_gcv(choice: Choice) -> bool:
@@ -137,12 +128,9 @@ def not_testable(choice: Choice) -> Flag | None:
     count = int(max(tests["modes"], tests.get("left", 0.0)))
     if count >= TESTABLE:
         return None
-    return Flag(
-        "W405",
-        Evidence("noise modes", count, TESTABLE),
-        f"{choice.rule} assumes white noise, which is not testable: {count} noise modes",
-        "measure the unloaded sensors, and state their noise",
-    )
+    return Flag("W405", Evidence("noise modes", count, TESTABLE),
+                f"{choice.rule} assumes white noise, which is not testable: {count} noise modes",
+                "measure the unloaded sensors, and state their noise")  # fmt: skip
 
 
 def at_the_end(choice: Choice) -> Flag | None:
@@ -273,12 +261,9 @@ def pulling(solution: NonNegativeSolution, free_residual2: float, sigma: float, 
     rise = (np.sqrt(solution.residual2) - np.sqrt(free_residual2)) / (sigma * np.sqrt(m))
     if not rise > RISE:
         return None
-    return Flag(
-        "W308",
-        Evidence("rise of the residual, noise levels", float(rise), RISE),
-        f"loads that only push fight the data: they raise the residual by {rise:.3g} times the noise",
-        "check the sign of the load and of the sensors, or let the load pull (no constraints)",
-    )
+    return Flag("W308", Evidence("rise of the residual, noise levels", float(rise), RISE),
+                f"loads that only push fight the data: they raise the residual by {rise:.3g} times the noise",
+                "check the sign of the load and of the sensors, or let the load pull (no constraints)")  # fmt: skip
 
 
 def stopped(
@@ -302,7 +287,7 @@ def stopped(
 UNCOUPLED = 0.0  # entries off the one of each row, relative to the largest
 
 
-def diagonal(H: NDArray[np.float64]) -> InputError | None:
+def diagonal(H: Array) -> InputError | None:
     """E102: a transfer matrix without any coupling, f_i proportional to u_i, on more than one load."""
     seen = np.abs(H) > UNCOUPLED
     if min(H.shape) < 2 or np.any(seen.sum(axis=1) > 1) or np.any(seen.sum(axis=0) > 1):
@@ -336,9 +321,6 @@ def changing_lambda(lams: Sequence[float]) -> Flag | None:
     if len(set(lams)) < 2:  # one frame, or a lambda that was fixed before
         return None
     spread = float(np.ptp(np.log10(used))) if len(used) else 0.0
-    return Flag(
-        "W409",
-        Evidence("spread of lambda over the frames, decades", spread, 0.0),
-        f"lambda changes per frame ({len(lams)} frames, {spread:.2g} decades): frames are not comparable",
-        "calibrate([...]) once and freeze(), or leave joint=True",
-    )
+    return Flag("W409", Evidence("spread of lambda over the frames, decades", spread, 0.0),
+                f"lambda changes per frame ({len(lams)} frames, {spread:.2g} decades): frames are not comparable",
+                "calibrate([...]) once and freeze(), or leave joint=True")  # fmt: skip

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 from typing import TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.advice import Advice, Spelling
 from structures.errors import InputError, real, shown
 
 from . import rules
+from .arrays import Array
 from .noise_source import NOT_KNOWN, NoiseSource, NoiseSourceLike
 from .path import RegularizationPath
 from .rules import Rule, answered, in_words
@@ -25,11 +25,11 @@ ChoiceLike = str | Rule | float | None  # name of a rule, a rule, a relative lam
 class PathCurve:
     """The path over a grid of relative lambdas, for pictures: all arrays (points,)."""
 
-    lam: NDArray[np.float64]
-    residual_norm: NDArray[np.float64]
-    penalty_norm: NDArray[np.float64]
-    edf: NDArray[np.float64] | None = None
-    gcv: NDArray[np.float64] | None = None
+    lam: Array
+    residual_norm: Array
+    penalty_norm: Array
+    edf: Array | None = None
+    gcv: Array | None = None
 
     @classmethod
     def of(cls, sweep: Sweep) -> PathCurve:
@@ -126,11 +126,7 @@ CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so m
 
 
 def choose(
-    path: RegularizationPath,
-    choice: ChoiceLike = None,
-    *,
-    sigma: float | None = None,
-    source: NoiseSourceLike = None,
+    path: RegularizationPath, choice: ChoiceLike = None, *, sigma: float | None = None, source: NoiseSourceLike = None
 ) -> Choice:
     """Choose lambda on a path, ask the other rules too, and grade their agreement.
 
@@ -197,12 +193,11 @@ def decide(
 ) -> Choice:  # fmt: skip
     """As `choose`, from a sweep and the rules that were asked already; `refine`: UPRE may step in, as said there."""
     path, sigma, origin = sweep.path, sweep.sigma, NoiseSource.of(source) or NOT_KNOWN
-    if is_rule(choice):
-        wanted, choice = choice, rules.name_of(choice)
-        if choice not in asked:
-            asked[choice] = rules.run(wanted, sweep)
-    shown = contradicted(sweep, asked, origin) if choice is None else None
-    lam, rule = _pick(path, "robust_gcv" if shown is not None else choice, asked, sigma, refine)
+    wanted = named(choice)
+    if is_rule(choice) and wanted not in asked:
+        asked[str(wanted)] = rules.run(choice, sweep)
+    shown = contradicted(sweep, asked, origin) if wanted is None else None
+    lam, rule = _pick(path, "robust_gcv" if shown is not None else wanted, asked, sigma, refine)
     evidence = whiteness_of(path, asked, lam)
     correlated = is_correlated(evidence)
     quasi = asked["quasi_optimality"]
@@ -250,7 +245,7 @@ def checked(choice: object, low: float = 0.0) -> ChoiceLike:
 
 def named(choice: ChoiceLike) -> str | float | None:
     """A choice as provenance holds it."""
-    return rules.name_of(choice) if is_rule(choice) else choice
+    return rules.name_of(choice) if isinstance(choice, str) or callable(choice) else choice
 
 
 def contradicted(sweep: Sweep, asked: dict[str, RuleResult], source: NoiseSource) -> float | None:

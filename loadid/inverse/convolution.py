@@ -15,6 +15,7 @@ from structures.errors import InputError, NotIdentifiable
 from structures.testing.spectra import multiplicity, padded_length, smooth_lines
 
 from . import penalties
+from .arrays import Array, Numbers
 from .path import FactoredPath, Solution
 from .penalties import symbol
 from .posterior import SpectralPosterior
@@ -34,7 +35,7 @@ class Convolution:
         What each datum is multiplied by (0 for a missing one): rows of H are scaled by it.
     """
 
-    def __init__(self, h: NDArray, samples: int | None = None, weight: NDArray | None = None) -> None:
+    def __init__(self, h: Numbers, samples: int | None = None, weight: Numbers | None = None) -> None:
         from scipy import fft
 
         self.samples = len(h) if samples is None else int(samples)
@@ -51,27 +52,27 @@ class Convolution:
         """Data and unknowns."""
         return self.samples * self.sensors, self.samples * self.loads
 
-    def apply(self, g: NDArray) -> NDArray[np.float64]:
+    def apply(self, g: Numbers) -> Array:
         """H g: loads (samples, loads) to responses (samples, sensors)."""
         from scipy import fft
 
         G = fft.rfft(g, self.padded, axis=0)
         y = fft.irfft(np.einsum("ksl,kl->ks", self.lines, G), self.padded, axis=0)[: self.samples]
-        return y if self.weight is None else y * self.weight
+        return np.asarray(y if self.weight is None else y * self.weight)
 
-    def adjoint(self, r: NDArray) -> NDArray[np.float64]:
+    def adjoint(self, r: Numbers) -> Array:
         """H^T r: responses (samples, sensors) to loads (samples, loads)."""
         from scipy import fft
 
         R = fft.rfft(r if self.weight is None else r * self.weight, self.padded, axis=0)
-        return fft.irfft(np.einsum("ksl,ks->kl", self.lines.conj(), R), self.padded, axis=0)[: self.samples]
+        return np.asarray(fft.irfft(np.einsum("ksl,ks->kl", self.lines.conj(), R), self.padded, axis=0)[: self.samples])
 
 
 BLOCK = 1 << 14  # samples of a block, unless the responses are longer
 EMPTY = 1e-15  # share of its norm that an impulse response may lose at its end
 
 
-def heard(h: NDArray) -> NDArray[np.float64]:
+def heard(h: Numbers) -> Array:
     """Impulse responses (taps, sensors, loads) without an end that is zero to rounding."""
     left = np.sqrt(np.cumsum(np.sum(h**2, axis=(1, 2))[::-1])[::-1])
     return h[: max(int(np.sum(left > EMPTY * left[0])), 1)]
@@ -87,37 +88,37 @@ class Stream:
         Samples that `response` and `adjoint` are asked for, at most.
     """
 
-    def __init__(self, h: NDArray, block: int | None = None) -> None:
+    def __init__(self, h: Numbers, block: int | None = None) -> None:
         from scipy import fft
 
         self.taps, self.block = len(h), max(BLOCK, len(h)) if block is None else int(block)
         self.length = int(fft.next_fast_len(self.taps + self.block, real=True))
         self.lines = fft.rfft(np.moveaxis(h, 0, -1), self.length)
 
-    def response(self, g: NDArray, start: int, stop: int, before: int | None = None) -> NDArray[np.float64]:
+    def response(self, g: Numbers, start: int, stop: int, before: int | None = None) -> Array:
         """Responses (sensors, stop - start) to a load (loads, samples), or to what of it comes before a sample."""
         from scipy import fft
 
         first = max(start - self.taps + 1, 0)
         G = fft.rfft(g[:, first : stop if before is None else before], self.length)
         full = fft.irfft(np.einsum("slk,lk->sk", self.lines, G), self.length)
-        return full[:, start - first : stop - first]
+        return np.asarray(full[:, start - first : stop - first])
 
-    def adjoint(self, r: NDArray, start: int, stop: int) -> NDArray[np.float64]:
+    def adjoint(self, r: Numbers, start: int, stop: int) -> Array:
         """Loads (loads, stop - start) of H^T r."""
         from scipy import fft
 
         R = fft.rfft(r[:, start : stop + self.taps - 1], self.length)
-        return fft.irfft(np.einsum("slk,sk->lk", self.lines.conj(), R), self.length)[:, : stop - start]
+        return np.asarray(fft.irfft(np.einsum("slk,sk->lk", self.lines.conj(), R), self.length)[:, : stop - start])
 
-    def whole(self, g: NDArray) -> NDArray[np.float64]:
+    def whole(self, g: Numbers) -> Array:
         """Responses (sensors, samples) to a load (loads, samples) over its whole length."""
         out = np.empty((self.lines.shape[0], g.shape[1]))
         for a in range(0, g.shape[1], self.block):
             out[:, a : a + self.block] = self.response(g, a, min(a + self.block, g.shape[1]))
         return out
 
-    def whole_adjoint(self, r: NDArray) -> NDArray[np.float64]:
+    def whole_adjoint(self, r: Numbers) -> Array:
         """Loads (loads, samples) of H^T r over the whole length."""
         out = np.empty((self.lines.shape[1], r.shape[1]))
         for a in range(0, r.shape[1], self.block):
@@ -125,7 +126,7 @@ class Stream:
         return out
 
 
-def toeplitz(h: NDArray) -> NDArray[np.float64]:
+def toeplitz(h: Numbers) -> Array:
     """Lower block triangular Toeplitz operator of impulse responses (samples, sensors, loads).
 
     Returns
@@ -139,7 +140,7 @@ def toeplitz(h: NDArray) -> NDArray[np.float64]:
     return np.ascontiguousarray(windows.transpose(0, 1, 3, 2)).reshape(N, m, N * p)
 
 
-def decomposed(H: NDArray, Y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
+def decomposed(H: Numbers, Y: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers, Numbers]:
     """Batched SVD of whitened lines.
 
     Parameters
@@ -186,13 +187,13 @@ class SpectralPath(FactoredPath):
 
     def __init__(
         self,
-        H: NDArray,
-        y: NDArray,
-        power: NDArray,
+        H: Numbers,
+        y: Numbers,
+        power: Numbers,
         *,
         penalty: str = "identity",
-        variance: NDArray | None = None,
-        excess: NDArray | None = None,
+        variance: Numbers | None = None,
+        excess: Numbers | None = None,
         truncated: bool = False,
     ) -> None:
         from scipy import fft
@@ -201,12 +202,9 @@ class SpectralPath(FactoredPath):
         self.padded = padded_length(self.samples)
         lines, loads = self.padded // 2 + 1, H.shape[2]
         if H.shape[:2] != (lines, sensors) or power.shape != (lines, sensors) or np.any(power <= 0):
-            raise InputError(
-                "lines do not fit the record",
-                where="spectral path",
-                found=f"H {H.shape}, noise power {power.shape}",
-                expected=f"({lines}, {sensors}, loads) and positive ({lines}, {sensors})",
-            )
+            raise InputError("lines do not fit the record", where="spectral path",
+                             found=f"H {H.shape}, noise power {power.shape}",
+                             expected=f"({lines}, {sensors}, loads) and positive ({lines}, {sensors})")  # fmt: skip
         if not all(np.all(np.isfinite(x)) for x in (H, y, power, *(v for v in (variance, excess) if v is not None))):
             raise InputError("NaN or inf in the model, the record or its noise", where="spectral path",
                              expected="finite numbers", hint="leave out or repair the samples")  # fmt: skip
@@ -235,7 +233,7 @@ class SpectralPath(FactoredPath):
         self.shape = (lines, modes)
         self.unknowns = self.samples * loads
 
-    def _refuse_unseen_constant(self, c: NDArray) -> None:
+    def _refuse_unseen_constant(self, c: Numbers) -> None:
         least = float(c[0].min() / c.max()) if c.shape[1] == self.H.shape[2] and c.max() > 0 else 0.0
         if least <= c.size * np.finfo(float).eps:
             raise NotIdentifiable(
@@ -253,14 +251,14 @@ class SpectralPath(FactoredPath):
 
     def spectrum(self, lam: float) -> NDArray[np.complex128]:
         """Load spectrum (lines, loads) of the padded transform."""
-        return np.sqrt(self.samples) * np.einsum("klr,kr->kl", self.V, self.gains(lam).reshape(self.shape))
+        return np.asarray(np.sqrt(self.samples) * np.einsum("klr,kr->kl", self.V, self.gains(lam).reshape(self.shape)))
 
-    def residual(self, lam: float) -> NDArray[np.float64]:
+    def residual(self, lam: float) -> Array:
         """Whitened residual (samples, sensors), unit variance where the noise level is right."""
         from scipy import fft
 
         lines = self.Y - np.einsum("ksl,kl->ks", self.H, self.spectrum(lam) / np.sqrt(self.samples))
-        return fft.irfft(lines, self.padded, axis=0)[: self.samples] * np.sqrt(self.samples)
+        return np.asarray(fft.irfft(lines, self.padded, axis=0)[: self.samples] * np.sqrt(self.samples))
 
     def solution(self, lam: float, sigma: float | None) -> Solution:
         """Load history (samples, loads) and its posterior, FRF variance included."""
@@ -272,15 +270,15 @@ class SpectralPath(FactoredPath):
             return Solution(load, None)
         return Solution(load, SpectralPosterior(self._covariance(lam, sigma, G), self.samples, self.padded))
 
-    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+    def resolve(self, load: Numbers, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
         from scipy import fft
 
         f = self._filter(np.array([lam]))[0].reshape(self.shape)
         modal = np.einsum("klr,kl->kr", self.V.conj(), fft.rfft(load, self.padded, axis=0))
-        return fft.irfft(np.einsum("klr,kr->kl", self.V, f * modal), self.padded, axis=0)[: self.samples]
+        return np.asarray(fft.irfft(np.einsum("klr,kr->kl", self.V, f * modal), self.padded, axis=0)[: self.samples])
 
-    def _covariance(self, lam: float, sigma: float, G: NDArray) -> NDArray:
+    def _covariance(self, lam: float, sigma: float, G: Numbers) -> Numbers:
         """Covariance (lines, loads, loads) of the load spectrum: noise, prior and FRF variance."""
         c = self.c.reshape(self.shape)
         if self.smooth:
@@ -298,11 +296,11 @@ class SpectralPath(FactoredPath):
             C = C + self.samples * sigma**2 * rest / np.maximum(prior, np.finfo(float).tiny)[..., None]
         spread = self._model_error(G, C)
         if spread is None:
-            return C
+            return np.asarray(C)
         Q = np.sqrt(self.samples) * np.einsum("kir,kr,ksr->kis", self.V, gain, self.U.conj())
-        return C + np.einsum("kis,ks,kjs->kij", Q, spread, Q.conj())
+        return np.asarray(C + np.einsum("kis,ks,kjs->kij", Q, spread, Q.conj()))
 
-    def _model_error(self, G: NDArray, C: NDArray) -> NDArray | None:
+    def _model_error(self, G: Numbers, C: Numbers) -> Numbers | None:
         """Whitened energy (lines, sensors) that the noise level does not hold: FRF variance and excess."""
         spread = self.excess
         if self.variance is not None:
@@ -330,7 +328,7 @@ class Operator:
         What each datum is multiplied by; 0 for a missing one.
     """
 
-    def __init__(self, h: NDArray, samples: int, penalty: str = "identity", weight: NDArray | None = None) -> None:
+    def __init__(self, h: Numbers, samples: int, penalty: str = "identity", weight: Numbers | None = None) -> None:
         self.samples, (self.sensors, self.loads) = int(samples), h.shape[1:]
         self.penalty, self.order = penalty, penalties.order(penalty)
         if self.samples <= self.order:
@@ -373,35 +371,35 @@ class Operator:
             np.moveaxis(self.h, -1, 0), self.samples, penalty, None if self.weight is None else self.weight.T
         )
 
-    def transform(self, x: NDArray) -> NDArray[np.complex128]:
+    def transform(self, x: Numbers) -> NDArray[np.complex128]:
         """Lines of the padded transform."""
         from scipy import fft
 
-        return fft.rfft(x, self.padded)
+        return np.asarray(fft.rfft(x, self.padded))
 
-    def record(self, lines: NDArray) -> NDArray[np.float64]:
+    def record(self, lines: Numbers) -> Array:
         """The samples of the record from lines of the padded transform."""
         from scipy import fft
 
-        return fft.irfft(lines, self.padded, overwrite_x=True)[..., : self.samples]
+        return np.asarray(fft.irfft(lines, self.padded, overwrite_x=True)[..., : self.samples])
 
-    def apply(self, g: NDArray) -> NDArray[np.float64]:
+    def apply(self, g: Numbers) -> Array:
         """H g."""
         y = self.record(_mix(self.lines, self.transform(g)))
         return y if self.weight is None else y * self.weight
 
-    def adjoint(self, r: NDArray) -> NDArray[np.float64]:
+    def adjoint(self, r: Numbers) -> Array:
         """H^T r."""
         R = self.transform(r if self.weight is None else r * self.weight)
         return self.record(np.conj(_mix(self.lines.swapaxes(0, 1), np.conj(R, out=R))))
 
-    def rough(self, g: NDArray) -> NDArray[np.float64]:
+    def rough(self, g: Numbers) -> Array:
         """L g."""
         for _ in range(self.order):
             g = g[..., 1:] - g[..., :-1]
         return g
 
-    def rough_adjoint(self, d: NDArray) -> NDArray[np.float64]:
+    def rough_adjoint(self, d: Numbers) -> Array:
         """L^T d."""
         for _ in range(self.order):
             wider = np.empty((*d.shape[:-1], d.shape[-1] + 1))
@@ -411,7 +409,7 @@ class Operator:
         return d
 
 
-def _mix(matrix: NDArray, x: NDArray) -> NDArray[np.complex128]:
+def _mix(matrix: Numbers, x: Numbers) -> NDArray[np.complex128]:
     """Product line by line: (rows, columns, lines) with (k, columns, lines)."""
     rows, columns = matrix.shape[:2]
     out = np.empty((len(x), rows, x.shape[-1]), complex)

@@ -19,13 +19,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, shown
 
+from .arrays import Array
 from .path import PathPoint
 from .sweep import (
     NULL_SPACE,
@@ -133,21 +134,21 @@ class Counted(Protocol):
         ...
 
 
-def gcv_function(path: Counted, p: PathPoint) -> NDArray:
+def gcv_function(path: Counted, p: PathPoint) -> Array:
     """G = m |r|^2 / (m - edf)^2."""
     left = need(p, "left", "gcv")
-    return path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2
+    return np.asarray(path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2)
 
 
-def robust_gcv_function(path: Counted, p: PathPoint, gamma: float = 0.1) -> NDArray:
+def robust_gcv_function(path: Counted, p: PathPoint, gamma: float = 0.1) -> Array:
     """[gamma + (1 - gamma) tr A^2 / m] G, Lukas (2006)."""
     return (gamma + (1 - gamma) * need(p, "edf2", "robust_gcv") / path.m) * gcv_function(path, p)
 
 
-def modified_gcv_function(path: Counted, p: PathPoint, a: float = 1.4) -> NDArray:
+def modified_gcv_function(path: Counted, p: PathPoint, a: float = 1.4) -> Array:
     """G with a edf in place of edf, only where m > a edf."""
     left = path.m - a * need(p, "edf", "modified_gcv")
-    return path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2
+    return np.asarray(path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2)
 
 
 def gcv(sweep: Sweep) -> RuleResult:
@@ -178,9 +179,7 @@ def quasi_optimality(sweep: Sweep) -> RuleResult:
     """
     need(sweep.point, "sensitivity", "quasi_optimality")
     return minimum(
-        "quasi_optimality",
-        among_modes(sweep, "quasi_optimality"),
-        lambda p: need(p, "sensitivity", "quasi_optimality"),
+        "quasi_optimality", among_modes(sweep, "quasi_optimality"), lambda p: need(p, "sensitivity", "quasi_optimality")
     )
 
 
@@ -188,7 +187,7 @@ def evidence(sweep: Sweep) -> RuleResult:
     """Largest marginal likelihood; with the noise level where it is known, else free of it."""
     path, sigma = sweep.path, sweep.sigma
 
-    def negative(p: PathPoint) -> NDArray:
+    def negative(p: PathPoint) -> Array:
         J, ratio = need(p, "objective", "evidence"), need(p, "log_ratio", "evidence")
         return ratio + (J / sigma**2 if sigma is not None else (path.m - path.null) * log(J))
 
@@ -207,7 +206,7 @@ def predicted_error(sweep: Sweep) -> RuleResult:
     path, sigma = sweep.path, sweep.sigma
     if path.stacked:
         return _predicted_once(sweep)
-    if path.predicted_error(sweep.lam[-1:], sweep.lam[-1], 1.0) is None:
+    if path.predicted_error(sweep.lam[-1:], float(sweep.lam[-1]), 1.0) is None:
         raise Refusal("predicted_error is not defined on this path")
     start = None
     if sigma is not None:
@@ -228,10 +227,10 @@ def predicted_error(sweep: Sweep) -> RuleResult:
     return _settled(lambda pilot: _predicted(sweep, pilot, level), start, sweep.whole)
 
 
-def _predicted(sweep: Sweep, pilot: ArrayLike, sigma: ArrayLike) -> RuleResult:
-    """Smallest error of the load expected if it were the estimate at `pilot`."""
+def _predicted(sweep: Sweep, pilot: Any, sigma: Any) -> RuleResult:
+    """Smallest error of the load expected if it were the estimate at `pilot`; of a stack both are (lines, 1)."""
 
-    def error(lam: NDArray[np.float64]) -> NDArray[np.float64]:
+    def error(lam: Array) -> Array:
         value = sweep.path.predicted_error(lam, pilot, sigma)
         if value is None:
             raise Refusal("predicted_error is not defined on this path")
@@ -348,8 +347,8 @@ def sensitivity(sweep: Sweep, factors: tuple[float, ...] = (0.5, 1.0, 2.0)) -> t
 
 
 def curvature(
-    lam: NDArray, residual2: NDArray, penalty2: NDArray, bend: NDArray | None = None, scale: NDArray | float = 1.0
-) -> NDArray:
+    lam: Array, residual2: Array, penalty2: Array, bend: Array | None = None, scale: Array | float = 1.0
+) -> Array:
     """Signed curvature of the L-curve (ln |r|, ln |L g|), positive at a corner; same shape as `lam`.
 
     Closed form where ``bend`` = d penalty2 / d ln lambda is given (Hansen 1998, section 7.5, with lambda^4 eta^2 in
@@ -402,9 +401,7 @@ def ncp(sweep: Sweep) -> RuleResult:
     return RuleResult("ncp", float(sweep.lam[picks[k]]), k in (0, len(picks) - 1))
 
 
-def information(
-    rest: ArrayLike, count: ArrayLike, log_supports: ArrayLike, m: int, sigma: float | None
-) -> NDArray[np.float64]:
+def information(rest: ArrayLike, count: ArrayLike, log_supports: ArrayLike, m: int, sigma: float | None) -> Array:
     """Extended Bayesian information criterion of a support (Chen & Chen, Biometrika 95 (2008) 759, gamma = 1).
 
     ``|r|^2 / sigma^2``, or ``m ln(|r|^2 / m)`` where sigma is not known, plus ``k ln m + 2 ln C(n, k)``, of the least
@@ -415,7 +412,7 @@ def information(
     return np.asarray(misfit + np.asarray(count) * np.log(m) + 2 * np.asarray(log_supports))
 
 
-def criterion(sweep: Sweep) -> NDArray[np.float64]:
+def criterion(sweep: Sweep) -> Array:
     """Extended Bayesian information criterion over a sweep."""
     rest, count, supports = (need(sweep.point, name, "ebic") for name in ("fitted2", "edf", "log_supports"))
     return information(rest, count, supports, sweep.path.m, sweep.sigma)
@@ -548,7 +545,7 @@ def answered(found: RuleResult) -> float:
     return found.lam
 
 
-def lines(rule: str | Rule, sweep: Sweep) -> NDArray[np.float64]:
+def lines(rule: str | Rule, sweep: Sweep) -> Array:
     """Relative lambda of every line of a stack (lines,), by one rule.
 
     Raises

@@ -15,10 +15,11 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, plain
 
+from .arrays import Array, Flags, Indices
 from .path import PathPoint, RegularizationPath
 
 LARGEST = 1e3  # relative lambda that leaves of the load, to six digits, only what the penalty does not see
@@ -58,7 +59,7 @@ class RuleResult:
         return RuleResult(rule, lam, True, NULL_SPACE, True)
 
     @property
-    def lines(self) -> NDArray[np.float64] | None:
+    def lines(self) -> Array | None:
         """Relative lambda of every line of a stacked path, (lines,); None of one problem."""
         return None
 
@@ -67,15 +68,15 @@ class RuleResult:
 class LineResult(RuleResult):
     """What one rule said of every line of a stacked path: `lam` is the median of `lams` (lines,)."""
 
-    lams: NDArray[np.float64] = field(kw_only=True)
+    lams: Array = field(kw_only=True)
 
     @classmethod
-    def of(cls, rule: str, lams: NDArray[np.float64]) -> LineResult:
+    def of(cls, rule: str, lams: Array) -> LineResult:
         """From the lambdas of the lines."""
         return cls(rule, float(np.median(lams)), lams=lams)
 
     @property
-    def lines(self) -> NDArray[np.float64]:
+    def lines(self) -> Array:
         """Relative lambda of every line."""
         return self.lams
 
@@ -106,12 +107,12 @@ class Sweep:
     """
 
     path: RegularizationPath
-    lam: NDArray[np.float64]
+    lam: Array
     point: PathPoint
     sigma: float | None
     whole: bool = True
-    mean: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
-    outside: NDArray[np.bool_] | None = None
+    mean: Callable[[Array], Array] | None = None
+    outside: Flags | None = None
 
     @classmethod
     def over(
@@ -119,7 +120,7 @@ class Sweep:
         path: RegularizationPath,
         sigma: float | None,
         points: int = 121,
-        mean: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
+        mean: Callable[[Array], Array] | None = None,
     ) -> Sweep:
         """Evaluate `path` over its range, and up to `LARGEST` where the penalty has a null space to end in.
 
@@ -127,7 +128,7 @@ class Sweep:
         """
         low, high = path.range
         if path.stacked:
-            lam: NDArray[np.float64] = np.geomspace(max(low, LEAST), high, LINE_POINTS)
+            lam: Array = np.geomspace(max(low, LEAST), high, LINE_POINTS)
             return cls(path, lam, path.at(lam), sigma, mean=mean)
         lam = np.geomspace(low, high, points)
         if path.null and high < LARGEST:
@@ -136,7 +137,7 @@ class Sweep:
             lam = np.concatenate([lam, np.geomspace(high, LARGEST, more + 1)[1:]])
         return cls(path, lam, path.at(lam), sigma)
 
-    def shared(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+    def shared(self, value: Array) -> Array:
         """A function on the grid as the search sees it: walled outside, averaged over the lines that decide together.
 
         Only the grid itself can be asked so, not points between.
@@ -145,7 +146,7 @@ class Sweep:
             value = np.where(self.outside, WALL * np.abs(value).max(), value)
         return value if self.mean is None else self.mean(value)
 
-    def part(self, keep: NDArray) -> Sweep:
+    def part(self, keep: Flags | Indices) -> Sweep:
         """Some of its points."""
         given: dict[str, Any] = {f.name: getattr(self.point, f.name) for f in fields(self.point)}
         kept: dict[str, Any] = {name: None if value is None else value[keep] for name, value in given.items()}
@@ -158,9 +159,9 @@ class Sweep:
         return self.path.null > 0 and bool(self.lam[-1] >= 0.99 * LARGEST)
 
 
-def need(point: PathPoint, name: str, rule: str) -> NDArray:
+def need(point: PathPoint, name: str, rule: str) -> Array:
     """One ingredient of a rule, or the rule's refusal."""
-    value: NDArray[np.float64] | None = getattr(point, name)
+    value: Array | None = getattr(point, name)
     if value is None:
         raise Refusal(f"{rule} needs {name}, which this path does not define")
     return value
@@ -173,7 +174,7 @@ def need_sigma(sweep: Sweep, rule: str) -> float:
     return sweep.sigma
 
 
-def smallest_seen(path: RegularizationPath) -> NDArray[np.float64] | None:
+def smallest_seen(path: RegularizationPath) -> Array | None:
     """Smallest relative generalised singular value (of each line) that rounding leaves; None where it is not known.
 
     A path without a factorisation may state it as its property ``seen``.
@@ -205,24 +206,24 @@ def among_modes(sweep: Sweep, rule: str, share: float = 1.0) -> Sweep:
     return sweep.part(keep)
 
 
-def log(x: NDArray) -> NDArray:
+def log(x: Array) -> Array:
     """Logarithm of data that may be zero throughout."""
     return np.log(np.maximum(x, np.finfo(float).tiny))
 
 
-def dips(value: NDArray) -> NDArray[np.bool_]:
+def dips(value: Array) -> Flags:
     """Local minima, the ends included."""
     walled = np.concatenate([[np.inf], np.where(np.isfinite(value), value, np.inf), [np.inf]])
     return (walled[1:-1] <= walled[:-2]) & (walled[1:-1] < walled[2:])
 
 
 # -- one-dimensional searches on the grid ----------------------------------------------------------------------------
-def minimum(name: str, sweep: Sweep, f: Callable[[PathPoint], NDArray[np.float64]]) -> RuleResult:
+def minimum(name: str, sweep: Sweep, f: Callable[[PathPoint], Array]) -> RuleResult:
     """Global minimum of a function of the path's scalars."""
     return search(name, sweep, lambda lam: f(sweep.point if lam is sweep.lam else sweep.path.at(lam)))
 
 
-def search(name: str, sweep: Sweep, f: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> RuleResult:
+def search(name: str, sweep: Sweep, f: Callable[[Array], Array]) -> RuleResult:
     """Global minimum over the sweep, refined between its neighbours where the path is smooth.
 
     Of a stack the grid alone is known to all lines that decide together: the parabola through three points refines.
@@ -250,11 +251,11 @@ def search(name: str, sweep: Sweep, f: Callable[[NDArray[np.float64]], NDArray[n
     return RuleResult(name, lam, edge)
 
 
-def _lowest(sweep: Sweep, value: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lowest(sweep: Sweep, value: Array) -> Array:
     """Minimum of each line (lines, points), between the points of the grid by the parabola through three of them."""
     k = np.argmin(value, axis=1)
     if not sweep.path.smooth:
-        return sweep.lam[k]
+        return np.asarray(sweep.lam[k])
     inner = np.clip(k, 1, len(sweep.lam) - 2)
     rows = np.arange(len(value))
     a, b, c = (value[rows, inner + d] for d in (-1, 0, 1))
@@ -266,14 +267,11 @@ def _lowest(sweep: Sweep, value: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def crossing(
-    name: str,
-    sweep: Sweep,
-    rising: Callable[[PathPoint], NDArray[np.float64]],
-    level: Callable[[PathPoint], NDArray[np.float64]] | float = 0.0,
+    name: str, sweep: Sweep, rising: Callable[[PathPoint], Array], level: Callable[[PathPoint], Array] | float = 0.0
 ) -> RuleResult:
     """Largest lambda at which a rising function of the path's scalars is below a level, itself one or a number."""
 
-    def f(p: PathPoint) -> NDArray[np.float64]:
+    def f(p: PathPoint) -> Array:
         return rising(p) - (level(p) if callable(level) else level)
 
     value = sweep.shared(f(sweep.point))
@@ -302,7 +300,7 @@ def crossing(
     return RuleResult(name, float(a))
 
 
-def _crossed_dearly(sweep: Sweep, k: int, ratio: Callable[[PathPoint], NDArray[np.float64]]) -> float:
+def _crossed_dearly(sweep: Sweep, k: int, ratio: Callable[[PathPoint], Array]) -> float:
     """Lambda between two points of the grid at which a ratio that rises past 1 is `CLOSE` to it, by few solutions."""
     values = ratio(sweep.point)
     low, high = ((float(sweep.lam[j]), float(values[j])) for j in (k, k + 1))
@@ -316,7 +314,7 @@ def _crossed_dearly(sweep: Sweep, k: int, ratio: Callable[[PathPoint], NDArray[n
     return low[0]
 
 
-def _crossed(sweep: Sweep, value: NDArray[np.float64]) -> NDArray[np.float64]:
+def _crossed(sweep: Sweep, value: Array) -> Array:
     """Last lambda of each line (lines, points) below zero, between two points by their chord."""
     below = value < 0
     last = value.shape[1] - 1
@@ -335,7 +333,7 @@ TESTABLE = 40  # noise modes below which neither test says anything
 
 
 # -- residual --------------------------------------------------------------------------------------------------------
-def ncp_statistic(residual: NDArray) -> tuple[float, float]:
+def ncp_statistic(residual: Array) -> tuple[float, float]:
     """Distance of the cumulated residual periodogram from white noise: (norm, Kolmogorov-Smirnov times sqrt q).
 
     Parameters
@@ -356,9 +354,9 @@ def ncp_statistic(residual: NDArray) -> tuple[float, float]:
     return float(np.linalg.norm(distance)), float(np.abs(distance).max() * np.sqrt(q * residual.shape[1]))
 
 
-def periodogram(residual: NDArray) -> NDArray[np.float64]:
+def periodogram(residual: Array) -> Array:
     """Periodogram (lines, ...) of (samples, sensors, ...), without the mean, added over the sensors."""
-    return np.sum(np.abs(np.fft.rfft(residual, axis=0)[1:]) ** 2, axis=1)
+    return np.asarray(np.sum(np.abs(np.fft.rfft(residual, axis=0)[1:]) ** 2, axis=1))
 
 
 @dataclass(frozen=True)
@@ -414,7 +412,7 @@ def residual_test(path: RegularizationPath, lam: float) -> Residual | None:
 
 # -- data coefficients -----------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Plateau:
+class PlateauTest:
     """Two halves of the data coefficients beyond those that the fit uses.
 
     Parameters
@@ -442,7 +440,7 @@ class Plateau:
         return not self.testable or self.chance >= ALARM
 
 
-def plateau_test(path: RegularizationPath, lam: float) -> Plateau | None:
+def plateau_test(path: RegularizationPath, lam: float) -> PlateauTest | None:
     """F-test of the coefficients i > 2 tr A + 5 at one lambda; None where the modes of the path are no real vectors.
 
     White noise has the same energy in each; smooth noise loads the first modes, which are smooth too.
@@ -454,14 +452,14 @@ def plateau_test(path: RegularizationPath, lam: float) -> Plateau | None:
     rest = energy[int(2 * float(edf) / copies + 5) :]
     half = len(rest) // 2
     if half < 2:
-        return Plateau(1.0, 1.0, len(rest))
+        return PlateauTest(1.0, 1.0, len(rest))
     first, second = float(np.mean(rest[:half])), float(np.mean(rest[half:]))
     if second <= 0:
-        return Plateau(np.inf if first > 0 else 1.0, 0.0 if first > 0 else 1.0, len(rest))
+        return PlateauTest(np.inf if first > 0 else 1.0, 0.0 if first > 0 else 1.0, len(rest))
     from scipy.special import fdtrc
 
     ratio = first / second
-    return Plateau(ratio, float(fdtrc(half * copies, (len(rest) - half) * copies, ratio)), len(rest))
+    return PlateauTest(ratio, float(fdtrc(half * copies, (len(rest) - half) * copies, ratio)), len(rest))
 
 
 # -- interpolated data -----------------------------------------------------------------------------------------------

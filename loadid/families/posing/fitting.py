@@ -17,11 +17,11 @@ from ...inverse.noise_source import NoiseSource
 from ...inverse.rules import MEANING
 from ...inverse.spectral import (
     Compressed,
-    Factored,
+    FactoredLines,
     Identifiable,
+    LinePosterior,
+    LinePrior,
     LinesPath,
-    Posterior,
-    Prior,
     compress,
     factor,
     identifiable,
@@ -258,16 +258,16 @@ def _refuse_lost(lines: Compressed) -> None:
         )
 
 
-Solved = tuple[Posterior, NDArray, NDArray, LinesPath, float]
+Solved = tuple[LinePosterior, NDArray, NDArray, LinesPath, float]
 
 
-def _pooled(f: Factored, guess: Prior, answer: Posterior) -> Solved:
+def _pooled(f: FactoredLines, guess: LinePrior, answer: LinePosterior) -> Solved:
     path = LinesPath(f)
     lam = np.sqrt(guess.noise) / np.maximum(path.scale, 1e-300)
     return answer, guess.noise, lam, path, float(np.sqrt(np.median(guess.noise)))
 
 
-def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: Rule, known: bool) -> Solved:
+def _ruled(lines: Compressed, f: FactoredLines, guess: LinePrior, rule: Rule, known: bool) -> Solved:
     """A named rule or a given lambda: one penalty |g / size|^2 for all loads of a line."""
     size = _sizes(lines, rule.size)
     plain = factor(lines, np.broadcast_to(size**2, lines.R.shape[::2]))
@@ -284,7 +284,7 @@ def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: Rule, known: bool
     covariance = answer.covariance * scale[:, None, None]
     if cut is not None:  # what was left out is as large as the loads around the line
         covariance = posterior(f, noise, _matching(f, answer)).covariance
-    return Posterior(answer.gain, answer.load, covariance, answer.edf), noise, lam, path, used
+    return LinePosterior(answer.gain, answer.load, covariance, answer.edf), noise, lam, path, used
 
 
 def _lambda(path: LinesPath, rule: Rule, known: bool) -> NDArray[np.float64]:
@@ -327,7 +327,7 @@ def _sizes(lines: Compressed, given: ArrayLike | None) -> NDArray[np.float64]:
     return size
 
 
-def _noise(lines: Compressed, answer: Posterior, rule: Rule) -> NDArray[np.float64]:
+def _noise(lines: Compressed, answer: LinePosterior, rule: Rule) -> NDArray[np.float64]:
     """Variance of the whitened noise that the residual of neighbouring lines shows."""
     rest = lines.b - lines.R @ answer.load
     left = np.maximum(lines.shape[1] + lines.left - answer.edf, 0.0)
@@ -336,7 +336,7 @@ def _noise(lines: Compressed, answer: Posterior, rule: Rule) -> NDArray[np.float
     return np.maximum(near(energy) / np.maximum(near(left), 0.2), 1e-300)
 
 
-def _matching(f: Factored, answer: Posterior) -> NDArray[np.float64]:
+def _matching(f: FactoredLines, answer: LinePosterior) -> NDArray[np.float64]:
     """Threshold over the loads of expected size that keeps as many directions as the answer has."""
     kept = np.clip(np.round(answer.edf).astype(int), 0, f.s.shape[1])
     walled = np.concatenate([np.full((len(kept), 1), np.inf), f.s], axis=1)
@@ -348,7 +348,7 @@ def _alone(shown: NDArray, errors: NDArray) -> NDArray[np.float64]:
     return np.maximum(shown - errors, LEAST * shown)
 
 
-def _beyond(answer: Posterior, noise: NDArray) -> NDArray[np.float64]:
+def _beyond(answer: LinePosterior, noise: NDArray) -> NDArray[np.float64]:
     """Variance of the loads that noise does not make, (lines, loads)."""
     if answer.gain.ndim != 3:  # least squares have no prior
         return np.zeros(answer.variance.shape)
@@ -356,7 +356,7 @@ def _beyond(answer: Posterior, noise: NDArray) -> NDArray[np.float64]:
     return np.maximum(answer.variance - made, 0.0)
 
 
-def _share(H: NDArray, answer: Posterior, errors: NDArray) -> NDArray[np.float64]:
+def _share(H: NDArray, answer: LinePosterior, errors: NDArray) -> NDArray[np.float64]:
     """Variance of the loads that FRF errors make, (lines, loads); errors are those of the whitened data."""
     Q, _ = np.linalg.qr(H)
     gain = answer.gain @ Q.conj().swapaxes(1, 2)

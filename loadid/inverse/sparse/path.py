@@ -6,9 +6,10 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import rules
+from ..arrays import Array
 from ..path import PathPoint, RegularizationPath
 from ..sweep import Sweep
 from . import groups as grouped
@@ -55,11 +56,11 @@ class SparsePath(RegularizationPath):
     def __init__(
         self,
         atoms: Atoms,
-        y: NDArray,
+        y: Array,
         *,
         nonnegative: bool = False,
         groups: Groups | None = None,
-        weights: NDArray | None = None,
+        weights: Array | None = None,
         data: int | None = None,
     ) -> None:
         y = np.asarray(y, float)
@@ -68,7 +69,7 @@ class SparsePath(RegularizationPath):
         self.groups = groups if groups is None or weights is None else Groups(groups.labels, weights)
         self.m = atoms.m if data is None else data
         self._solver = workingset.Solver(atoms, self.y)
-        self._last: NDArray | None = None
+        self._last: Array | None = None
         if self.groups is None:
             self.scale = np.asarray(largest(atoms, self.y, weights, nonnegative))
         else:
@@ -83,7 +84,7 @@ class SparsePath(RegularizationPath):
         self._last = found.x
         return found
 
-    def reweighted(self, x: NDArray) -> SparsePath:
+    def reweighted(self, x: Array) -> SparsePath:
         """The problem whose penalty holds down what is small in x.
 
         Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14 (2008) 877.
@@ -99,7 +100,7 @@ class SparsePath(RegularizationPath):
             data=self.m,
         )
 
-    def penalty(self, x: NDArray) -> float:
+    def penalty(self, x: Array) -> float:
         """Value of the penalty without mu."""
         if self.groups is not None:
             return float(self.groups.weights @ self.groups.norms(x))
@@ -116,11 +117,11 @@ class SparsePath(RegularizationPath):
         found = [self._scalars(float(x)) for x in np.ravel(lam)[::-1]]
         return self._point(np.array(found)[::-1].T.reshape(3, *np.shape(lam)))
 
-    def residual(self, lam: float) -> NDArray[np.float64]:
+    def residual(self, lam: float) -> Array:
         """Whitened residual, in the layout of the data."""
         return self.solve(lam, COARSE).residual.reshape(self.layout)
 
-    def residuals(self, lams: NDArray[np.float64]) -> Iterable[NDArray[np.float64]]:
+    def residuals(self, lams: Array) -> Iterable[Array]:
         """Whitened residuals, computed from the largest mu down."""
         return [self.residual(float(lam)) for lam in lams[::-1]][::-1]
 
@@ -128,13 +129,14 @@ class SparsePath(RegularizationPath):
         """Squared residual, squared penalty and size of the support."""
         if lam >= 1:
             return float(self.y @ self.y), 0.0, 0.0
-        return self._said(self.solve(lam, COARSE))
+        return self._measured(self.solve(lam, COARSE))
 
-    def _said(self, s: SparseSolution) -> tuple[float, float, float]:
+    def _measured(self, s: SparseSolution) -> tuple[float, float, float]:
         return float(s.residual @ s.residual), self.penalty(s.x) ** 2, float(len(s.support))
 
-    def _point(self, scalars: NDArray[np.float64]) -> PathPoint:
-        return PathPoint(*scalars, left=self.m - scalars[2])
+    def _point(self, scalars: Array) -> PathPoint:
+        residual2, penalty2, count = scalars
+        return PathPoint(residual2, penalty2, count, left=self.m - count)
 
     # -- sweeps -----------------------------------------------------------------------------------------------------
     def sweep(self, sigma: float | None) -> Sweep:
@@ -147,13 +149,13 @@ class SparsePath(RegularizationPath):
             if k > DENSE * min(self.m, self.atoms.n):
                 break
             fitted2, count = self.fitted(s.x, 0.0).residual2, log_supports(self.atoms.n, k)
-            rows.append((float(ratio), *self._said(s), fitted2, count))
+            rows.append((float(ratio), *self._measured(s), fitted2, count))
             scores.append(float(rules.information(fitted2, k, count, self.m, sigma)))
             if len(rows) - int(np.argmin(scores)) > PATIENCE:
                 break
-        ratio, *scalars, fitted2, count = np.array(rows[::-1]).reshape(-1, 6).T
-        point = replace(self._point(np.array(scalars)), fitted2=fitted2, log_supports=count)
-        return Sweep(self, ratio, point, sigma)
+        columns = np.array(rows[::-1]).reshape(-1, 6).T
+        point = replace(self._point(columns[1:4]), fitted2=columns[4], log_supports=columns[5])
+        return Sweep(self, columns[0], point, sigma)
 
     def to_noise(self, sigma: float) -> Sweep:
         """The path from where everything is zero down to the noise, where the discrepancy rule looks no further."""
@@ -165,7 +167,7 @@ class SparsePath(RegularizationPath):
         return Sweep(self, np.array(lams[::-1]), self._point(np.array(rows[::-1]).T), sigma)
 
     # -- amplitudes -------------------------------------------------------------------------------------------------
-    def fitted(self, x: NDArray, small: float = SMALL, sigma: float | None = None) -> SupportFit:
+    def fitted(self, x: Array, small: float = SMALL, sigma: float | None = None) -> SupportFit:
         """Least squares on the coefficients of x that exceed a share `small` of the largest.
 
         Where the noise level is known, that share is halved until the fit explains the data.

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array, Indices
 from .atoms import Atoms
 
 DENSE = 4_000_000  # entries of the columns of a support up to which they are factorised; beyond, their Gram matrix
@@ -30,24 +30,24 @@ class SupportFit:
         Upper triangular R with ``R^T R = A_S^T A_S``: the covariance for noise of unit level is ``R^-1 R^-T``.
     """
 
-    support: NDArray[np.int_]
-    x: NDArray[np.float64]
+    support: Indices
+    x: Array
     residual2: float
-    factor: NDArray[np.float64]
+    factor: Array
 
-    def full(self, n: int) -> NDArray[np.float64]:
+    def full(self, n: int) -> Array:
         """Coefficients (n,)."""
         x = np.zeros(n)
         x[self.support] = self.x
         return x
 
     @property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Standard deviation of `x` for noise of unit level, (k,)."""
-        return np.sqrt(np.sum(self.spread**2, axis=1))
+        return np.asarray(np.sqrt(np.sum(self.spread**2, axis=1)))
 
     @property
-    def spread(self) -> NDArray[np.float64]:
+    def spread(self) -> Array:
         """Factor R^-1 of the covariance, (k, k)."""
         from scipy.linalg import solve_triangular
 
@@ -64,7 +64,7 @@ class SupportFit:
         return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
 
 
-def fit(atoms: Atoms, y: NDArray, support: NDArray, *, signs: NDArray | None = None) -> SupportFit:
+def fit(atoms: Atoms, y: Array, support: Indices, *, signs: Array | None = None) -> SupportFit:
     """Least squares on a support, by QR of its columns, or by refinement where these are too many to hold.
 
     Parameters
@@ -92,7 +92,7 @@ def fit(atoms: Atoms, y: NDArray, support: NDArray, *, signs: NDArray | None = N
     return fit(atoms, y, support[kept])
 
 
-def _factor(atoms: Atoms, y: NDArray, support: NDArray) -> tuple[NDArray, NDArray]:
+def _factor(atoms: Atoms, y: Array, support: Indices) -> tuple[Array, Array]:
     """R of the columns of the support, and Q^T y."""
     if atoms.m * len(support) <= DENSE:
         Q, R = np.linalg.qr(atoms.columns(support))
@@ -108,20 +108,20 @@ def _factor(atoms: Atoms, y: NDArray, support: NDArray) -> tuple[NDArray, NDArra
             ridge *= 100
 
 
-def _sound(R: NDArray) -> NDArray[np.float64]:
+def _sound(R: Array) -> Array:
     """R with a diagonal that can be divided by: columns that are equal to rounding share an amplitude."""
     diagonal, floor = np.diag(R), 1e-14 * np.linalg.norm(R, axis=0).max(initial=0.0)
     small = np.abs(diagonal) < floor
     return R + np.diag(np.where(small, floor, 0.0)) if small.any() else R
 
 
-def _back(R: NDArray, z: NDArray) -> NDArray[np.float64]:
+def _back(R: Array, z: Array) -> Array:
     from scipy.linalg import solve_triangular
 
     return np.asarray(solve_triangular(R, z, check_finite=False))
 
 
-def _done(atoms: Atoms, y: NDArray, support: NDArray, x: NDArray, R: NDArray) -> SupportFit:
+def _done(atoms: Atoms, y: Array, support: Indices, x: Array, R: Array) -> SupportFit:
     """The fit, refined by residuals of the operator where R comes from the Gram matrix."""
     from scipy.linalg import solve_triangular
 
@@ -133,7 +133,7 @@ def _done(atoms: Atoms, y: NDArray, support: NDArray, x: NDArray, R: NDArray) ->
     return SupportFit(support, x, float(residual @ residual), R)
 
 
-def _response(atoms: Atoms, support: NDArray, x: NDArray) -> NDArray[np.float64]:
+def _response(atoms: Atoms, support: Indices, x: Array) -> Array:
     full = np.zeros(atoms.n)
     full[support] = x
     return atoms.apply(full)
@@ -157,11 +157,11 @@ class SupportPosterior:
     kind = "support"
     noise_std = None
 
-    def __init__(self, basis: Any, spread: NDArray, shape: tuple[int, ...]) -> None:
+    def __init__(self, basis: Any, spread: Array, shape: tuple[int, ...]) -> None:
         self.basis, self.spread, self.shape = basis.tocsr(), np.asarray(spread, float), tuple(int(i) for i in shape)
 
     @classmethod
-    def of(cls, basis: Any, loads: NDArray, count: int, spread: NDArray, shape: tuple[int, ...]) -> SupportPosterior:
+    def of(cls, basis: Any, loads: Indices, count: int, spread: Array, shape: tuple[int, ...]) -> SupportPosterior:
         """From histories (samples * len(loads), k) of some of `count` loads."""
         from scipy.sparse import coo_matrix
 
@@ -171,7 +171,7 @@ class SupportPosterior:
         return cls(coo_matrix((found.data, (rows, found.col)), (int(np.prod(shape)), found.shape[1])), spread, shape)
 
     @property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Standard deviation (samples, loads); zero where no atom of the support reaches."""
         std = np.zeros(int(np.prod(self.shape)))
         rows = np.flatnonzero(np.diff(self.basis.indptr))
@@ -180,17 +180,17 @@ class SupportPosterior:
             std[part] = np.linalg.norm(self.basis[part] @ self.spread, axis=1)
         return std.reshape(self.shape)
 
-    def variance(self, w: NDArray) -> NDArray[np.float64]:
+    def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` has the shape of the load, or (k,) + that shape."""
         w = np.asarray(w, float)
         flat = w.reshape(*w.shape[: w.ndim - len(self.shape)], -1)
-        return np.sum((np.asarray(flat @ self.basis) @ self.spread) ** 2, axis=-1)
+        return np.asarray(np.sum((np.asarray(flat @ self.basis) @ self.spread) ** 2, axis=-1))
 
-    def noise_variance(self, w: NDArray) -> NDArray[np.float64]:
+    def noise_variance(self, w: Array) -> Array:
         """The same: there is no prior in it."""
         return self.variance(w)
 
-    def bias_weights(self, w: NDArray) -> None:
+    def bias_weights(self, w: Array) -> None:
         """Not known: the support was chosen by the data."""
 
     def to_arrays(self) -> dict[str, object]:
@@ -206,7 +206,7 @@ class SupportPosterior:
         }
 
     @classmethod
-    def from_arrays(cls, tree: dict) -> SupportPosterior:
+    def from_arrays(cls, tree: dict[str, Any]) -> SupportPosterior:
         """What `to_arrays` gave."""
         from scipy.sparse import coo_matrix
 
