@@ -295,7 +295,7 @@ def frames(normals: Array) -> Array:
     return np.asarray(np.eye(dim) - factor[:, None, None] * u[:, :, None] * u[:, None, :])
 
 
-def faces(v: Array, mu: Array, facets: Array) -> ConeFaces:
+def faces(v: Array, mu: Array, facets: Indices) -> ConeFaces:
     """Faces of the cones on which the projections of points `v` lie.
 
     A point is inside if |t| <= mu n; its projection is the apex if mu |t| <= -n, else it lies on the side at
@@ -349,7 +349,9 @@ def _side(e: Array, mu: Array, length: Array) -> Array:
     return axes
 
 
-def _sectors(e: Array, t: Array, size: Array, n: Array, mu: Array, facets: Array) -> tuple[Array, Array, Array, Array]:
+def _sectors(
+    e: Array, t: Array, size: Array, n: Array, mu: Array, facets: Indices
+) -> tuple[Array, Array, Array, Array]:
     """Direction, reach along it and slope of the facet or edge that a point projects to; round cones stay as they are.
 
     Facet j of K has its normal at the angle 2 pi j / K. By symmetry a point projects into its own sector.
@@ -379,7 +381,7 @@ def project(v: Array, face: ConeFaces) -> Array:
     return np.asarray(np.einsum("kij,kj->ki", face.axes, face.share * local))
 
 
-def excess(h: Array, mu: Array, facets: Array) -> Array:
+def excess(h: Array, mu: Array, facets: Indices) -> Array:
     """By how much points lie outside their cones, (k,): |t| - mu n, or -n where that is larger; zero inside."""
     t, n = h[:, :-1], h[:, -1]
     size = np.sqrt(np.sum(t**2, axis=1))

@@ -296,9 +296,10 @@ def _lambda(path: LinesPath, rule: Rule, known: bool) -> NDArray[np.float64]:
     if rule.choice is None:  # truncation where the directions are noise
         return rules.lines("gcv", Sweep.over(path, sigma, mean=window(lines, rule.neighbours)[0]))
     if not is_rule(rule.choice):
+        given = real(rule.choice) or 0.0
         if rule.over == "band":  # one absolute lambda
-            return float(rule.choice) * path.scale.max() / np.maximum(path.scale, 1e-300)
-        return np.full(lines, float(rule.choice))
+            return given * path.scale.max() / np.maximum(path.scale, 1e-300)
+        return np.full(lines, given)
     if rule.over == "band":
         joined = path.joined()
         found = rules.run(rule.choice, Sweep.over(joined, sigma, LINE_POINTS))
