@@ -31,6 +31,8 @@ _PUBLIC = {
     "read": "loadid.readers",
     "read_all": "loadid.readers",
     "recommend": "loadid.families.recommend",
+    "register_penalty": "loadid.inverse.penalties",
+    "register_rule": "loadid.inverse.rules",
 }
 
 __all__ = sorted([*_PUBLIC, "__version__"])

@@ -21,8 +21,7 @@ from loadid.inverse import rules
 from loadid.inverse.choice import choose
 from loadid.inverse.path import PathPoint, RegularizationPath, Solution
 from loadid.inverse.problem import LinearProblem, whiten
-from loadid.inverse.ruled import JoinedPath, LinesPath
-from loadid.inverse.spectral import compress, factor, posterior
+from loadid.inverse.spectral import LinesPath, compress, factor, posterior
 from loadid.inverse.svd import SVDPath
 from loadid.sources.split import SensorSubset
 from structures import ForwardModel, FrfModel, InputError, Model, StateSpace
@@ -116,7 +115,7 @@ def test_joined_lines_serve_every_rule_that_asks_for_no_residual():
     H = beam([0.3, 0.8, 1.4], at=(0.65, 1.25)).frf(f)
     Y = np.random.default_rng(0).standard_normal((2, 6, 3))
     Y = Y[0] + 1j * Y[1]
-    joined = JoinedPath(LinesPath(factor(compress(H, Y), np.ones((6, 2)))))
+    joined = LinesPath(factor(compress(H, Y), np.ones((6, 2)))).joined()
     whole = np.zeros((18, 12), complex)
     for k in range(6):
         whole[3 * k : 3 * k + 3, 2 * k : 2 * k + 2] = H[k]

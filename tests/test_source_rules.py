@@ -15,8 +15,7 @@ import pytest
 from loadid.inverse.convolved.padded import SpectralPath
 from loadid.inverse.path import FactoredPath
 from loadid.inverse.problem import LinearProblem
-from loadid.inverse.ruled import LinesPath
-from loadid.inverse.spectral import compress, factor, posterior
+from loadid.inverse.spectral import LinesPath, compress, factor, posterior
 from loadid.inverse.svd import SVDPath
 from structures.testing.spectra import padded_length
 

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 METHODS = ("tikhonov", "tsvd")
 PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
-SPARSE_RULES = ("ebic",)
 DICTIONARIES = ("dirac", "bspline", "wavelet")
 SIGNALS = ("stationary", "transient")
 OVER = ("neighbours", "line", "band")
@@ -64,17 +63,16 @@ def channels(text: str) -> list[str]:
 
 def choice(text: str) -> str | float:
     """A rule, or a relative lambda >= 0."""
-    from ..inverse.rules import RULES
+    from ..inverse.rules import RULES, known
 
-    known = (*RULES, *SPARSE_RULES)
-    if text in known:
+    if known(text):
         return text
     try:
         lam = float(text)
     except ValueError:
         lam = math.nan
     if not (math.isfinite(lam) and lam >= 0):
-        raise ArgumentTypeError(f"{text!r} is no rule ({', '.join(known)}) and no relative lambda >= 0")
+        raise ArgumentTypeError(f"{text!r} is no rule ({', '.join(RULES)}) and no relative lambda >= 0")
     return lam
 
 

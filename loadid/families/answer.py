@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
@@ -19,7 +18,6 @@ from structures.model import Model
 
 from .. import guards
 from ..guards.inversion import windows_apart
-from ..inverse import rules
 from ..inverse.choice import Choice, residual_level, unexplained, ungraded
 from ..inverse.diagnosis import diagnose
 from ..inverse.path import RegularizationPath, Solution
@@ -203,7 +201,6 @@ def answer(
         What the rules say of lambda is told.
     """
     model, facts = family.model, found.facts
-    at_noise = partial(discrepancy, searched, 1.0 if known else None) if searched is not None else _unknown
     fewer = None
     if full is not None:
         used = set(measured.rows.tolist())
@@ -220,7 +217,7 @@ def answer(
             *flags,
             fewer,
             guards.mixed_kinds(measured.channels, known),
-            *(guards.parameter(choice, at_noise) if judged else ()),
+            *(guards.parameter(choice, searched) if judged else ()),
             guards.inverse_crime(measured.simulated_by, model.fingerprint),
             guards.no_coverage(family.coverage),
             guards.used_for_training("the record", measured.fingerprints & model.training),
@@ -234,15 +231,6 @@ def answer(
         found, model.loads, measured.channels, choice=choice, flags=raised, allowed=family.allow,
         certificate=model.certificate, provenance=history,
     )  # fmt: skip
-
-
-def discrepancy(path: RegularizationPath, sigma: float | None, factor: float) -> float | None:
-    """Lambda of the discrepancy rule at a multiple of the noise level."""
-    return rules.discrepancy(rules.Sweep.over(path, sigma), factor).lam
-
-
-def _unknown(factor: float) -> float | None:
-    return None
 
 
 def undetermined(rank: int, unknowns: str, source: str, advice: Advice | str) -> NotIdentifiable:

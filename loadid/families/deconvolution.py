@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from structures.advice import Advice, Option
-from structures.errors import InputError, real
+from structures.errors import InputError
 from structures.flags import Flag, codes
 from structures.model import Model, as_model
 
 from .. import guards
 from ..guards import families as told
-from ..inverse.choice import Choice, choose, given
+from ..inverse.choice import Choice, ChoiceLike, checked, choose, given, named
 from ..inverse.constrained.nonnegative import NonNegativeSolution
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
@@ -57,8 +57,9 @@ class Deconvolution:
     penalty : str, array or None
         ``identity, first_difference, second_difference`` (``gradient``, ``laplacian``), a matrix of shape
         (rows, samples * loads), or None for plain least squares, refused where the data do not determine the load.
-    choice : str, float or None
-        Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
+    choice : str, callable, float or None
+        Rule by name or itself (`loadid.register_rule`), or relative lambda; None chooses as
+        `loadid.inverse.choice.choose` says.
     path : {"auto", "dense", "statespace", "toeplitz", "windows", "fft"}
         Solver; ``auto`` takes what fits the length, the model and the other settings (`loadid.families.posing.pose`).
     initial : ``"rest"``, ``"unknown"`` or array (states,)
@@ -103,7 +104,7 @@ class Deconvolution:
         *,
         method: str = "tikhonov",
         penalty: str | ArrayLike | None = "identity",
-        choice: str | float | None = None,
+        choice: ChoiceLike = None,
         path: str = "auto",
         initial: str | ArrayLike = "rest",
         leak: float | None = None,
@@ -119,9 +120,7 @@ class Deconvolution:
         coverage: Any = None,
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
-        if choice is not None and not isinstance(choice, str) and real(choice) is None:
-            raise InputError("no relative lambda", where="choice", found=repr(choice)[:80],
-                             expected="a number, the name of a rule, or None")  # fmt: skip
+        choice = checked(choice)
         if penalty is None:
             if choice not in (None, 0):
                 raise InputError(
@@ -132,7 +131,7 @@ class Deconvolution:
             raise InputError("unknown class of load", where="load_class", found=repr(load_class)[:80],
                              expected=" or ".join(map(repr, told.CLASSES)))  # fmt: skip
         self.load_class = load_class
-        free = not isinstance(choice, str | None) and choice == 0
+        free = choice == 0
         self.settings = Settings(
             method, penalty, hold, noise, NoiseSource.of(noise_source), guards.allowed(allow), path, initial, leak,
             from_zero, free, signs(constraints), size,
@@ -210,7 +209,7 @@ class Deconvolution:
     def _choose(self, posed: Posed) -> Choice:
         """Lambda by the rules: of a long record on windows first, then on the whole."""
         sigma, source = posed.noise.sigma, posed.noise.source
-        if not isinstance(self.choice, str | bool | None) and posed.path.coefficients is None:
+        if isinstance(self.choice, float) and posed.path.coefficients is None:
             return given(posed.path, self.choice, sigma=sigma, source=source)
         choice = choose(posed.judged, self.choice, sigma=sigma, source=source)
         if posed.judged is posed.path:
@@ -226,7 +225,7 @@ class Deconvolution:
     @property
     def _free(self) -> bool:
         """Without regularisation."""
-        return self.settings.penalty is None or (isinstance(self.choice, int | float) and self.choice == 0)
+        return self.settings.penalty is None or self.choice == 0
 
     @property
     def allow(self) -> tuple[str, ...]:
@@ -271,7 +270,7 @@ class Deconvolution:
             "method": s.method,
             "penalty": s.penalty if isinstance(s.penalty, str | None) else "matrix",
             "size": None if s.size is None else np.asarray(s.size, float).tolist(),
-            "choice": self.choice,
+            "choice": named(self.choice),
             "hold": s.hold,
             "path": posed.name,
             "noise_source": posed.noise.source.text,

@@ -16,6 +16,7 @@ from structures.models.motion import Motion, motion
 
 from .. import guards
 from ..guards.inversion import undetermined_field
+from ..inverse.choice import ChoiceLike
 from ..inverse.penalties import names
 from ..inverse.statespace.posterior import MappedPosterior
 from ..results.estimate import LoadEstimate
@@ -80,7 +81,7 @@ class FieldDeconvolution:
         ratio: float | None = None,
         shapes: ArrayLike | None = None,
         time: str = "identity",
-        choice: str | float | None = None,
+        choice: ChoiceLike = None,
         sensors: Sequence[str | int] | None = None,
         allow: Sequence[str] = (),
         **settings: Any,

@@ -15,7 +15,7 @@ from structures.model import Model, as_model
 
 from .. import guards
 from ..guards import families as told
-from ..inverse.choice import CLEARLY
+from ..inverse.choice import CLEARLY, ChoiceLike, named
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.posterior import SpectralPosterior
 from ..results.estimate import Axis, LoadEstimate
@@ -46,9 +46,9 @@ class FrequencyInversion:
     model : Model
         Anything that gives ``frf``; a variance of its FRFs (``frf_variance``) enters the weights and the band.
     method : {"tikhonov", "tsvd"}
-    choice : str, float or None
-        Name of a rule, relative lambda (Tikhonov) or threshold (truncated SVD), 0 for least squares; None is the
-        evidence of the neighbouring lines (truncated SVD: GCV over them).
+    choice : str, callable, float or None
+        Rule by name or itself (`loadid.register_rule`), relative lambda (Tikhonov) or threshold (truncated SVD), 0 for
+        least squares; None is the evidence of the neighbouring lines (truncated SVD: GCV over them).
     over : {"neighbours", "line", "band"}
         Who decides on lambda: each line with its neighbours, each alone, or all together.
     neighbours : int
@@ -93,7 +93,7 @@ class FrequencyInversion:
         model: Model,
         *,
         method: str = "tikhonov",
-        choice: str | float | None = None,
+        choice: ChoiceLike = None,
         over: str = "neighbours",
         neighbours: int = 40,
         count: int | None = None,
@@ -205,7 +205,7 @@ class FrequencyInversion:
     def _named_settings(self, line: LineData) -> dict[str, Any]:
         rule, s = self.rule, self.settings
         return {
-            "method": rule.method, "choice": rule.choice, "over": rule.over, "neighbours": rule.neighbours,
+            "method": rule.method, "choice": named(rule.choice), "over": rule.over, "neighbours": rule.neighbours,
             "count": rule.count, "level": self.level, "kind": line.kind, "signal": s.signal,
             "band": None if s.band is None else list(s.band), "window": s.window, "segment": s.segment,
             "overlap": s.overlap, "noise_source": line.source.text,

@@ -13,7 +13,7 @@ from structures.errors import InputError, plain, positive
 from structures.model import Model, as_model
 
 from .. import guards
-from ..inverse.choice import choose
+from ..inverse.choice import ChoiceLike, checked, choose, named
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource, NoiseSourceLike
 from ..inverse.problem import LinearProblem
@@ -47,8 +47,8 @@ class HarmonicInversion:
         Spatial prior; see `spatial.root`. None: ``|W G| = |G|``.
     length : float, optional
         Length of the spatial prior (m).
-    choice : str, float or None
-        Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
+    choice : str, callable, float or None
+        Rule by name or itself, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
     noise : float or array (sensors,), optional
         Standard deviation of the complex amplitudes, ``sqrt(mean |error|^2)``.
     noise_source : NoiseSource, str or (str, str), optional
@@ -71,7 +71,7 @@ class HarmonicInversion:
         *,
         space: str | ArrayLike | None = None,
         length: float | None = None,
-        choice: str | float | None = None,
+        choice: ChoiceLike = None,
         noise: ArrayLike | None = None,
         noise_source: NoiseSourceLike = None,
         sensors: Sequence[str | int] | None = None,
@@ -81,7 +81,7 @@ class HarmonicInversion:
     ) -> None:
         self.model = as_model(model, "HarmonicInversion", "frf")
         self.frequency = positive("frequency", frequency, where="HarmonicInversion", unit="Hz")
-        self.space, self.length, self.choice = space, length, choice
+        self.space, self.length, self.choice = space, length, checked(choice)
         self.noise, self.noise_source, self.sensors = noise, NoiseSource.of(noise_source), sensors
         self.allow, self.coverage = guards.allowed(allow), coverage
         self._progress = progress or (lambda fraction, text: None)
@@ -147,7 +147,7 @@ class HarmonicInversion:
         return {
             "frequency": self.frequency,
             "space": self.space if self.space is None or isinstance(self.space, str) else "matrix",
-            "length": self.length, "choice": self.choice, "noise_source": noise.source.text,
+            "length": self.length, "choice": named(self.choice), "noise_source": noise.source.text,
             "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
         }  # fmt: skip
 
@@ -204,7 +204,7 @@ class HarmonicInversion:
 
     @property
     def _free(self) -> bool:
-        return isinstance(self.choice, int | float) and self.choice == 0
+        return self.choice == 0
 
     def _refuse_undetermined(self, path: SVDPath) -> None:
         rank, n = path.rank, self.unknowns

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError
+from structures.errors import InputError, shown
 from structures.flags import Flag
 from structures.model import Model, as_model
 
 from .. import guards
 from ..design.candidates import of_model
 from ..guards import families as found_flags
+from ..inverse.choice import is_rule
 from ..inverse.convolved import fits, places
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.problem import whiten
@@ -415,8 +416,8 @@ def _one_lambda(choice: Any, method: str) -> float:
         raise found_flags.not_comparable("a truncation rank", "method='tsvd'")
     if method != "tikhonov":
         raise InputError("unknown method", where="method", found=repr(method), expected="'tikhonov'")
-    if isinstance(choice, str):
-        raise found_flags.not_comparable("a rule, which chooses another lambda for each", repr(choice))
+    if is_rule(choice):
+        raise found_flags.not_comparable("a rule, which chooses another lambda for each", shown(choice))
     if np.ndim(choice) > 0 or isinstance(choice, Mapping):
         raise found_flags.not_comparable("a lambda for each", f"{len(choice)} values")
     if isinstance(choice, bool) or not isinstance(choice, int | float | np.number) or not 0 < choice < 1:

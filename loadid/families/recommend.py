@@ -22,6 +22,7 @@ from structures.errors import InputError, NotIdentifiable
 from structures.model import Model
 
 from ..guards import families as told
+from ..inverse import rules
 from ..inverse.kalman.settled import filter_settling
 from ..inverse.noise_source import NoiseSourceLike
 from ..inverse.sparse import dictionaries
@@ -31,7 +32,7 @@ from .data import Data, gather
 from .deconvolution import Deconvolution
 from .histories import half_width, kurtosis
 from .kalman import LoadTracker
-from .posing.sparsity import Problem, pose, posing
+from .posing.sparsity import Problem, pose, posing, score
 from .sparse import SparseDeconvolution
 from .tracking.tracker import Tracker
 
@@ -93,7 +94,7 @@ def compared(model: Model, data: Data, samples: int, settings: Mapping[str, Any]
 
 
 def of_sparse(score: float, problem: Problem, samples: int) -> float:
-    """An information criterion of `loadid.inverse.sparse.path` in the units of a `Process`.
+    """An information criterion of `loadid.inverse.rules` in the units of a `Process`.
 
     Samples before the response begins hold noise alone, which costs what noise of the stated level costs.
     """
@@ -247,9 +248,9 @@ def recommend(
     best = min(scores, key=lambda k: scores[k])
     knots = min((k for k in scores if k > 1), key=lambda k: scores[k], default=None)
     every = dict(criteria)
-    for k, score in scores.items() if criteria else ():
+    for k, value in scores.items() if criteria else ():
         name = "spikes" if k == 1 else "pulses"
-        every[name] = min(of_sparse(score, first, samples), every.get(name, np.inf))
+        every[name] = min(of_sparse(value, first, samples), every.get(name, np.inf))
     if shares[best] > told.DENSE:
         found = asked.process(every, scores)
         dense = f"{'' if criteria else ', but'} {shares[best]:.0%} of the best dictionary would be in use"
@@ -381,9 +382,9 @@ def _compared(problem: Problem, say: Callable[[float, str], None]) -> tuple[dict
         say(0.3 + 0.5 * i / len(spacings), f"knots every {k} samples" if k > 1 else "spikes")
         atoms = first.atoms("dirac" if k == 1 else "bspline", k)
         sweep = first.path(atoms, False).sweep(first.noise.sigma)
-        if len(sweep.ebic):
-            scores[k] = float(sweep.ebic[sweep.best])
-            shares[k] = float(sweep.count[sweep.best]) / atoms.n
+        if len(sweep.lam):
+            scores[k] = score(sweep)
+            shares[k] = float(rules.need(sweep.point, "edf", "ebic")[rules.best_support(sweep)]) / atoms.n
     return scores or {1: 0.0}, shares or {1: 1.0}
 
 

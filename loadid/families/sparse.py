@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, as_array
+from structures.errors import InputError, as_array, real
 from structures.flags import Flag
 from structures.model import Model, as_model
 
 from .. import guards
 from ..guards import families as told
-from ..inverse.choice import Choice, Sweep
+from ..inverse.choice import Choice, ChoiceLike, PathCurve, is_rule, named
 from ..inverse.convolution import Convolution
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
-from ..inverse.sparse.path import TOLERANCE, SupportPosterior
+from ..inverse.rules import name_of
+from ..inverse.sparse.path import TOLERANCE
+from ..inverse.sparse.support import SupportPosterior
 from ..inverse.sweep import RuleResult
 from ..results.estimate import LoadEstimate
 from ..results.facts import Facts
@@ -66,9 +69,10 @@ class SparseDeconvolution:
         Rounds of reweighting, which hold small coefficients down and leave large ones.
     debias : bool
         Least squares on the support; without it the shrunken amplitudes of the penalty are returned.
-    choice : {"discrepancy", "ebic"}, float or None
-        Rule for mu, or mu over the smallest at which everything is zero. None: discrepancy, with the stated noise
-        level, or with that which the least squares of the best extended information criterion leaves.
+    choice : str, callable, float or None
+        Rule for mu (``"discrepancy"``, ``"ebic"``, or any that the size of the support serves as degrees of freedom,
+        such as ``"gcv"``), or mu over the smallest at which everything is zero. None: discrepancy, with the stated
+        noise level, or with that which the least squares of the best extended information criterion leaves.
     load_class : {"impact", "service"}, optional
         What kind of load is expected; flag W510 where this prior does not fit it.
     tol : float
@@ -100,7 +104,7 @@ class SparseDeconvolution:
         groups: str | None = None,
         reweighted: int = 0,
         debias: bool = True,
-        choice: str | float | None = None,
+        choice: ChoiceLike = None,
         load_class: str | None = None,
         tol: float = TOLERANCE,
         hold: str | None = None,
@@ -204,14 +208,11 @@ class SparseDeconvolution:
         rules = tuple(
             RuleResult(name, chosen.ratios.get(name), edge=chosen.edge and name == chosen.rule,
                        note="" if name in chosen.ratios else "not asked")
-            for name in RULES
+            for name in dict.fromkeys((*RULES, *chosen.ratios))
         )  # fmt: skip
         verdict, spread, odds = self._verdict(chosen)
         s = chosen.sweep
-        sweep = None
-        if s is not None and len(s.ratio) > 1:
-            norm, size = np.sqrt(s.residual2)[::-1], s.penalty[::-1]
-            sweep = Sweep(s.ratio[::-1].copy(), norm.copy(), size.copy(), s.count[::-1].astype(float))
+        sweep = None if s is None or len(s.lam) < 2 else replace(PathCurve.of(s), gcv=None)
         return Choice(
             lam=chosen.ratio, scale=chosen.scale, rule=chosen.rule, rules=rules, spread=spread, verdict=verdict,
             odds=odds, sigma=chosen.problem.noise.sigma, source=chosen.problem.noise.source,
@@ -224,7 +225,7 @@ class SparseDeconvolution:
         if other is None or other == chosen.ratio:
             return "usable", 0.0, "mu of one rule alone"
         along = chosen.problem.path(chosen.atoms, self.wanted.nonnegative)
-        second = along.fitted(along.at(other).x, self.wanted.small, chosen.sigma)
+        second = along.fitted(along.solve(other).x, self.wanted.small, chosen.sigma)
         first = chosen.atoms.history(chosen.fit.full(chosen.atoms.n))
         distance = np.linalg.norm(chosen.atoms.history(second.full(chosen.atoms.n)) - first) / np.linalg.norm(first)
         grade = int(np.searchsorted(AGREED, distance))
@@ -270,7 +271,7 @@ class SparseDeconvolution:
             "groups": w.groups,
             "reweighted": w.reweighted,
             "debias": w.debias,
-            "choice": w.choice,
+            "choice": named(w.choice),
             "hold": self.posing.hold,
             "noise_source": chosen.problem.noise.source.text,
             "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
@@ -310,10 +311,11 @@ def _check(w: Wanted, load_class: str | None) -> None:
                          expected="groups='loads' or None")  # fmt: skip
     if isinstance(w.reweighted, bool) or not isinstance(w.reweighted, int) or not 0 <= w.reweighted <= 20:
         raise InputError("no number of rounds", where="reweighted", found=repr(w.reweighted), expected="0 to 20")
-    number = isinstance(w.choice, int | float | np.number) and not isinstance(w.choice, bool)
-    if w.choice is not None and not (w.choice in RULES if isinstance(w.choice, str) else number and 0 < w.choice < 1):
+    if is_rule(w.choice):
+        name_of(w.choice)
+    elif w.choice is not None and not 0 < (real(w.choice) or 0) < 1:
         raise InputError("no rule and no relative mu", where="choice", found=repr(w.choice),
-                         expected="'discrepancy', 'ebic', or a number between 0 and 1")  # fmt: skip
+                         expected="a rule ('discrepancy', 'ebic', ...), or a number between 0 and 1")  # fmt: skip
     if not (isinstance(w.tol, float) and 1e-14 <= w.tol <= 1e-5):
         raise InputError("no tolerance", where="tol", found=repr(w.tol), expected="a duality gap of 1e-14 to 1e-5")
     if load_class is not None and load_class not in told.CLASSES:

@@ -10,17 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.advice import Advice, Option
-from structures.errors import InputError, NotIdentifiable, real
+from structures.errors import InputError, NotIdentifiable
 from structures.flags import Flag
 from structures.model import Model, as_model
 from structures.models.arrays import MatrixModel
 
 from .. import guards
 from ..inverse import penalties
-from ..inverse.choice import Choice, choose
+from ..inverse.choice import Choice, ChoiceLike, checked, choose, named
 from ..inverse.diagnosis import diagnose
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
-from ..inverse.sweep import LARGEST
 from ..results.estimate import LoadEstimate
 from ..results.facts import STATIC, Facts
 from . import smoothness
@@ -52,8 +51,8 @@ class StaticInversion:
         ``identity``; ``gradient`` or ``laplacian`` of the load field (differences in the order of the loads where the
         model knows no places); ``first_difference``, ``second_difference`` in the order of the loads; a matrix
         (rows, loads); or None for plain least squares, refused where the data do not determine the load.
-    choice : str, float, Absolute or None
-        Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
+    choice : str, callable, float, Absolute or None
+        Rule by name or itself, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
     constraints : sequence
         From `loadid.inverse.constraints`: non-negativity, bounds, support, resultants, friction cones.
     noise : float, array or Cholesky, optional
@@ -87,7 +86,7 @@ class StaticInversion:
         *,
         method: str = "tikhonov",
         penalty: str | ArrayLike | None = "identity",
-        choice: str | float | Absolute | None = None,
+        choice: ChoiceLike | Absolute = None,
         constraints: Sequence[Any] | Any = (),
         noise: Any = None,
         noise_source: NoiseSourceLike = None,
@@ -101,8 +100,8 @@ class StaticInversion:
             raise InputError("unknown method", where="method", found=repr(method), expected="'tikhonov' or 'tsvd'")
         if isinstance(penalty, str):
             penalties.order(penalty)
-        if choice is not None and not isinstance(choice, str | Absolute):
-            choice = _relative(choice)
+        if not isinstance(choice, Absolute):
+            choice = checked(choice, SMALLEST)
         if penalty is None:
             if choice not in (None, 0.0):
                 raise InputError(
@@ -225,7 +224,7 @@ class StaticInversion:
     @property
     def free(self) -> bool:
         """Without regularisation."""
-        return self.penalty is None or (isinstance(self.choice, int | float) and self.choice == 0)
+        return self.penalty is None or self.choice == 0
 
     def answer(self, given: Readings, posed: StaticProblem, choice: Choice) -> LoadEstimate:
         """Estimate of a problem at the lambda of a choice."""
@@ -311,7 +310,7 @@ class StaticInversion:
         return {
             "method": self.method,
             "penalty": self.penalty if isinstance(self.penalty, str | None) else "matrix",
-            "choice": self.choice.lam if isinstance(self.choice, Absolute) else self.choice,
+            "choice": self.choice.lam if isinstance(self.choice, Absolute) else named(self.choice),
             "calibration": None if self.calibration is None else str(self.calibration),
             "constraints": [str(c) for c in self.constraints],
             "constraint_kinds": [type(c).__name__ for c in self.constraints],
@@ -320,14 +319,3 @@ class StaticInversion:
             "interpolated": self.interpolation is not None,
             "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
         }
-
-
-def _relative(choice: Any) -> float:
-    """A lambda that a user gave, as a number."""
-    lam = real(choice)
-    if lam is None or not (lam == 0 or SMALLEST <= lam <= LARGEST):
-        raise InputError(
-            "no relative lambda", where="choice", found=repr(choice)[:80],
-            expected=f"0, a number from {SMALLEST:g} to {LARGEST:g}, or the name of a rule",
-        )  # fmt: skip
-    return lam

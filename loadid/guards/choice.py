@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.advice import Advice, Option, Spelling
 from structures.errors import InputError
 from structures.flags import Evidence, Flag
 
 from ..codes import collect
+from ..inverse.arrays import Array
 from ..inverse.choice import BELOW, Choice
 from ..inverse.constrained.nonnegative import NonNegativeSolution
 from ..inverse.constrained.solver import ConstrainedSolution
 from ..inverse.constraints import Constraint, Resultant
 from ..inverse.noise_source import MEASURED
-from ..inverse.sweep import ALARM, TESTABLE
+from ..inverse.path import RegularizationPath
+from ..inverse.rules import discrepancy
+from ..inverse.sweep import ALARM, TESTABLE, Sweep
 
 DECADE = 1.0  # spread of the rules, decades
 SIGMA_RULES = ("discrepancy", "dof_discrepancy", "upre", "predicted_error", "evidence")
@@ -25,8 +27,8 @@ GCV_RULES = ("gcv", "robust_gcv", "modified_gcv", "predicted_error")
 FLAT = 1.05  # GCV: highest over lowest within half a decade
 
 
-def parameter(choice: Choice, discrepancy: Callable[[float], float | None]) -> tuple[Flag, ...]:
-    """W401 to W407 and W411 of one choice; `discrepancy` gives its lambda at a multiple of the noise level."""
+def parameter(choice: Choice, path: RegularizationPath | None = None) -> tuple[Flag, ...]:
+    """W401 to W407 and W411 of one choice on a path; without one W406 says nothing of other noise levels."""
     return collect(
         [
             no_corner(choice),
@@ -34,7 +36,7 @@ def parameter(choice: Choice, discrepancy: Callable[[float], float | None]) -> t
             correlated_noise(choice),
             needs_white_noise(choice),
             not_testable(choice),
-            noise_source(choice, discrepancy),
+            noise_source(choice, path),
             disagreement(choice),
             at_the_end(choice),
         ]
@@ -50,12 +52,8 @@ def no_corner(choice: Choice) -> Flag | None:
     if choice.rule != "l_curve" or found is None or (found.lam is not None and not found.edge):
         return None
     value = "none" if found.lam is None else found.lam
-    return Flag(
-        "W401",
-        Evidence("lambda at the corner", value, "inside the sweep"),
-        f"the L-curve has no usable corner ({found.note})",
-        "use discrepancy or GCV",
-    )
+    return Flag("W401", Evidence("lambda at the corner", value, "inside the sweep"),
+                f"the L-curve has no usable corner ({found.note})", "use discrepancy or GCV")  # fmt: skip
 
 
 def gcv_minimum(choice: Choice) -> Flag | None:
@@ -77,12 +75,7 @@ def gcv_minimum(choice: Choice) -> Flag | None:
     else:
         evidence = Evidence("GCV max/min", ratio, FLAT)
         advice = "the response hardly depends on lambda here: compare the rules, and state the noise of the sensors"
-    return Flag(
-        "W402",
-        evidence,
-        f"GCV did not find a minimum (relative lambda {found.lam:.3g})",
-        advice,
-    )
+    return Flag("W402", evidence, f"GCV did not find a minimum (relative lambda {found.lam:.3g})", advice)
 
 
 def _from_gcv(choice: Choice) -> bool:
@@ -135,12 +128,9 @@ def not_testable(choice: Choice) -> Flag | None:
     count = int(max(tests["modes"], tests.get("left", 0.0)))
     if count >= TESTABLE:
         return None
-    return Flag(
-        "W405",
-        Evidence("noise modes", count, TESTABLE),
-        f"{choice.rule} assumes white noise, which is not testable: {count} noise modes",
-        "measure the unloaded sensors, and state their noise",
-    )
+    return Flag("W405", Evidence("noise modes", count, TESTABLE),
+                f"{choice.rule} assumes white noise, which is not testable: {count} noise modes",
+                "measure the unloaded sensors, and state their noise")  # fmt: skip
 
 
 def at_the_end(choice: Choice) -> Flag | None:
@@ -174,7 +164,7 @@ def unexplained(choice: Choice, level: float) -> Flag:
     )
 
 
-def noise_source(choice: Choice, discrepancy: Callable[[float], float | None]) -> Flag | None:
+def noise_source(choice: Choice, path: RegularizationPath | None = None) -> Flag | None:
     """W406: the data contradict the noise level, or it decides and nobody said where it comes from."""
     if choice.shown is not None and choice.sigma is not None:
         ratio = choice.shown / choice.sigma
@@ -187,9 +177,12 @@ def noise_source(choice: Choice, discrepancy: Callable[[float], float | None]) -
         )
     if choice.sigma is None or choice.rule not in SIGMA_RULES or choice.source.measured:
         return None
-    found = [discrepancy(factor) for factor in (0.5, 1.0, 2.0)]
-    values = ", ".join("none" if d is None else f"{d:.3g}" for d in found)
-    meaning = "" if found == [None] * 3 else f"; relative lambda at half, once and twice of it: {values}"
+    meaning = ""
+    if path is not None:
+        sweep = Sweep.over(path, choice.sigma)
+        found = [discrepancy(sweep, factor).lam for factor in (0.5, 1.0, 2.0)]
+        values = ", ".join("none" if d is None else f"{d:.3g}" for d in found)
+        meaning = f"; relative lambda at half, once and twice of it: {values}"
     return Flag(
         "W406",
         Evidence("source of the noise level", choice.source.kind, ", ".join(MEASURED)),
@@ -268,12 +261,9 @@ def pulling(solution: NonNegativeSolution, free_residual2: float, sigma: float, 
     rise = (np.sqrt(solution.residual2) - np.sqrt(free_residual2)) / (sigma * np.sqrt(m))
     if not rise > RISE:
         return None
-    return Flag(
-        "W308",
-        Evidence("rise of the residual, noise levels", float(rise), RISE),
-        f"loads that only push fight the data: they raise the residual by {rise:.3g} times the noise",
-        "check the sign of the load and of the sensors, or let the load pull (no constraints)",
-    )
+    return Flag("W308", Evidence("rise of the residual, noise levels", float(rise), RISE),
+                f"loads that only push fight the data: they raise the residual by {rise:.3g} times the noise",
+                "check the sign of the load and of the sensors, or let the load pull (no constraints)")  # fmt: skip
 
 
 def stopped(
@@ -297,7 +287,7 @@ def stopped(
 UNCOUPLED = 0.0  # entries off the one of each row, relative to the largest
 
 
-def diagonal(H: NDArray[np.float64]) -> InputError | None:
+def diagonal(H: Array) -> InputError | None:
     """E102: a transfer matrix without any coupling, f_i proportional to u_i, on more than one load."""
     seen = np.abs(H) > UNCOUPLED
     if min(H.shape) < 2 or np.any(seen.sum(axis=1) > 1) or np.any(seen.sum(axis=0) > 1):
@@ -331,9 +321,6 @@ def changing_lambda(lams: Sequence[float]) -> Flag | None:
     if len(set(lams)) < 2:  # one frame, or a lambda that was fixed before
         return None
     spread = float(np.ptp(np.log10(used))) if len(used) else 0.0
-    return Flag(
-        "W409",
-        Evidence("spread of lambda over the frames, decades", spread, 0.0),
-        f"lambda changes per frame ({len(lams)} frames, {spread:.2g} decades): frames are not comparable",
-        "calibrate([...]) once and freeze(), or leave joint=True",
-    )
+    return Flag("W409", Evidence("spread of lambda over the frames, decades", spread, 0.0),
+                f"lambda changes per frame ({len(lams)} frames, {spread:.2g} decades): frames are not comparable",
+                "calibrate([...]) once and freeze(), or leave joint=True")  # fmt: skip

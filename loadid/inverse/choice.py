@@ -4,29 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.advice import Advice, Spelling
 from structures.errors import InputError, real, shown
 
 from . import rules
+from .arrays import Array
 from .noise_source import NOT_KNOWN, NoiseSource, NoiseSourceLike
 from .path import RegularizationPath
-from .rules import in_words
-from .sweep import ALARM, LARGEST, TESTABLE, Refusal, RuleResult, plateau_test, residual_test, seen_modes
+from .rules import Rule, answered, in_words
+from .sweep import ALARM, LARGEST, TESTABLE, Refusal, RuleResult, Sweep, plateau_test, residual_test, smallest_seen
+
+ChoiceLike = str | Rule | float | None  # name of a rule, a rule, a relative lambda, or nothing said
 
 
 @dataclass(frozen=True)
-class Sweep:
+class PathCurve:
     """The path over a grid of relative lambdas, for pictures: all arrays (points,)."""
 
-    lam: NDArray[np.float64]
-    residual_norm: NDArray[np.float64]
-    penalty_norm: NDArray[np.float64]
-    edf: NDArray[np.float64] | None = None
-    gcv: NDArray[np.float64] | None = None
+    lam: Array
+    residual_norm: Array
+    penalty_norm: Array
+    edf: Array | None = None
+    gcv: Array | None = None
+
+    @classmethod
+    def of(cls, sweep: Sweep) -> PathCurve:
+        """What the pictures show of a sweep."""
+        p = sweep.point
+        gcv = None if p.left is None else rules.gcv_function(sweep.path, p)
+        return cls(sweep.lam, np.sqrt(p.residual2), np.sqrt(p.penalty2), p.edf, gcv)
 
 
 @dataclass(frozen=True)
@@ -55,7 +65,7 @@ class Choice:
         Where the noise level comes from.
     edf : float or None
         Effective degrees of freedom at `lam`.
-    sweep : Sweep or None
+    sweep : PathCurve or None
         For the pictures.
     whiteness : mapping of str to float
         What the tests of the noise found (`whiteness_of`); empty where none could run.
@@ -76,7 +86,7 @@ class Choice:
     sigma: float | None = None
     source: NoiseSource = NOT_KNOWN
     edf: float | None = None
-    sweep: Sweep | None = field(default=None, repr=False)
+    sweep: PathCurve | None = field(default=None, repr=False)
     whiteness: Mapping[str, float] = field(default_factory=dict)
     correlated: bool = False
     shown: float | None = None
@@ -116,25 +126,21 @@ CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so m
 
 
 def choose(
-    path: RegularizationPath,
-    choice: str | float | None = None,
-    *,
-    sigma: float | None = None,
-    source: NoiseSourceLike = None,
+    path: RegularizationPath, choice: ChoiceLike = None, *, sigma: float | None = None, source: NoiseSourceLike = None
 ) -> Choice:
     """Choose lambda on a path, ask the other rules too, and grade their agreement.
 
     Parameters
     ----------
     path : RegularizationPath
-    choice : str, float or None
-        Rule, or relative lambda. None: the smallest predicted error of the load (`rules.predicted_error`), from the
-        discrepancy solution where the noise level is known, else from robust GCV; where it cannot run or ends at an
-        edge, discrepancy and UPRE (noise level known) or robust GCV, then GCV and the L-curve. Noise level known and
-        more than a fifth of the data spent: UPRE, if it is not more than a decade below. Noise level not known
-        and the noise shows itself as correlated (`whiteness_of`): quasi-optimality, which does not ask for white noise.
-        A noise level that the data contradict (`contradicted`) is set aside, and robust GCV decides: a level far below
-        the true one would let the noise through.
+    choice : str, callable, float or None
+        Rule by name or itself, or relative lambda. None: the smallest predicted error of the load
+        (`rules.predicted_error`), from the discrepancy solution where the noise level is known, else from robust GCV;
+        where it cannot run or ends at an edge, discrepancy and UPRE (noise level known) or robust GCV, then GCV and the
+        L-curve. Noise level known and more than a fifth of the data spent: UPRE, if it is not more than a decade below.
+        Noise level not known and the noise shows itself as correlated (`whiteness_of`): quasi-optimality, which does
+        not ask for white noise. A noise level that the data contradict (`contradicted`) is set aside, and robust GCV
+        decides: a level far below the true one would let the noise through.
     sigma : float, optional
         Noise level of the whitened data.
     source : NoiseSource or str, optional
@@ -164,7 +170,7 @@ def choose(
     ``rules disagree`` or worse: 39 % of the white cases (39 % with the level known), 91 % (92 %) of the correlated
     ones, 96 % (94 %) of those in which the default is off by more than 3.
     """
-    sweep = rules.Sweep.over(path, sigma)
+    sweep = Sweep.over(path, sigma)
     return decide(sweep, choice, {name: rules.run(name, sweep) for name in DEFAULT_RULES}, source)
 
 
@@ -172,7 +178,7 @@ def given(
     path: RegularizationPath, lam: float, *, sigma: float | None = None, source: NoiseSourceLike = None
 ) -> Choice:
     """A relative lambda of the user, where no rule is asked: for paths on which a sweep is dear."""
-    lam = _pick(path, lam, {}, sigma)[0]
+    lam = relative(lam)
     point = path.at(lam)
     return Choice(
         lam=lam, scale=float(path.scale), rule="given", verdict="not asked",
@@ -182,15 +188,16 @@ def given(
 
 
 def decide(
-    sweep: rules.Sweep, choice: str | float | None, asked: dict[str, RuleResult], source: NoiseSourceLike = None,
+    sweep: Sweep, choice: ChoiceLike, asked: dict[str, RuleResult], source: NoiseSourceLike = None,
     refine: bool = True,
 ) -> Choice:  # fmt: skip
     """As `choose`, from a sweep and the rules that were asked already; `refine`: UPRE may step in, as said there."""
     path, sigma, origin = sweep.path, sweep.sigma, NoiseSource.of(source) or NOT_KNOWN
-    if isinstance(choice, str) and choice not in asked:
-        asked[choice] = rules.run(choice, sweep)
-    shown = contradicted(sweep, asked, origin) if choice is None else None
-    lam, rule = _pick(path, "robust_gcv" if shown is not None else choice, asked, sigma, refine)
+    wanted = named(choice)
+    if is_rule(choice) and wanted not in asked:
+        asked[str(wanted)] = rules.run(choice, sweep)
+    shown = contradicted(sweep, asked, origin) if wanted is None else None
+    lam, rule = _pick(path, "robust_gcv" if shown is not None else wanted, asked, sigma, refine)
     evidence = whiteness_of(path, asked, lam)
     correlated = is_correlated(evidence)
     quasi = asked["quasi_optimality"]
@@ -210,20 +217,38 @@ def decide(
         sigma=sigma,
         source=origin,
         edf=None if point.edf is None else float(point.edf),
-        sweep=Sweep(
-            sweep.lam,
-            np.sqrt(sweep.point.residual2),
-            np.sqrt(sweep.point.penalty2),
-            sweep.point.edf,
-            None if sweep.point.left is None else rules.gcv_function(path, sweep.point),
-        ),
+        sweep=PathCurve.of(sweep),
         whiteness=evidence,
         correlated=correlated,
         shown=shown,
     )
 
 
-def contradicted(sweep: rules.Sweep, asked: dict[str, RuleResult], source: NoiseSource) -> float | None:
+def is_rule(choice: object) -> TypeGuard[str | Rule]:
+    """Whether a choice is the name of a rule, or a rule."""
+    return isinstance(choice, str) or callable(choice)
+
+
+def checked(choice: object, low: float = 0.0) -> ChoiceLike:
+    """What a user gave as ``choice=``: a rule that there is, a relative lambda (`relative`), or None.
+
+    Raises
+    ------
+    InputError
+        Anything else.
+    """
+    if is_rule(choice):
+        rules.name_of(choice)
+        return choice
+    return None if choice is None else relative(choice, low)
+
+
+def named(choice: ChoiceLike) -> str | float | None:
+    """A choice as provenance holds it."""
+    return rules.name_of(choice) if isinstance(choice, str) or callable(choice) else choice
+
+
+def contradicted(sweep: Sweep, asked: dict[str, RuleResult], source: NoiseSource) -> float | None:
     """Noise level that the data show, where chance cannot explain that it is above the stated one.
 
     The fit may spend all data but `SPARE` of them, so that the residual which it leaves is noise, or what the model
@@ -296,8 +321,8 @@ def agreement(
     counted. Correlated noise leaves no better verdict than ``rules disagree``. Where the noise level is not known,
     a corner of the L-curve far below the lambda in use has a voice too.
     """
-    ends = None if path is None else seen_modes(path)
-    low, high = (BENEATH * ends[0], ends[1]) if ends else (0.0, np.inf)
+    smallest = None if path is None else smallest_seen(path)
+    low, high = (0.0, np.inf) if smallest is None else (BENEATH * float(smallest), 1.0)
     heard = [next((asked[name].lam for name in kind if asked[name].lam is not None), None) for kind in KINDS]
     if path is not None and _spends(path, used):
         heard[2] = None
@@ -331,17 +356,9 @@ def _pick(
     refine: bool = True,
 ) -> tuple[float, str]:  # fmt: skip
     if isinstance(choice, str):
-        return _given(asked[choice]), choice
+        return answered(asked[choice]), choice
     if choice is not None:
-        lam = real(choice)
-        if lam is None or not 0 <= lam <= LARGEST:
-            raise InputError(
-                "no relative lambda",
-                where="choice",
-                found=shown(choice),
-                expected=f"a number from 0 to {LARGEST:g}, or the name of a rule",
-            )
-        return lam, "given"
+        return relative(choice), "given"
     order = [asked[name] for name in ORDERS[sigma is not None] if asked[name].lam is not None]
     inside = [r for r in order if not r.edge or r.free]
     running = inside or order or [r for r in asked.values() if r.lam is not None]
@@ -355,9 +372,25 @@ def _pick(
         )
     first, upre = running[0], asked["upre"]
     refined = refine and first.rule == "predicted_error" and upre.lam is not None and not (upre.edge or first.edge)
-    if refined and _spends(path, _given(first)) and _given(upre) > 10**-NEAR * _given(first):
+    if refined and _spends(path, answered(first)) and answered(upre) > 10**-NEAR * answered(first):
         first = upre
-    return _given(first), first.rule
+    return answered(first), first.rule
+
+
+def relative(choice: object, low: float = 0.0) -> float:
+    """A lambda that a user gave, as a number: 0, or from `low` to `LARGEST`.
+
+    Raises
+    ------
+    InputError
+        Anything else.
+    """
+    lam = real(choice)
+    if lam is None or not (lam == 0 or low <= lam <= LARGEST):
+        raise InputError("no relative lambda", where="choice", found=shown(choice),
+                         expected=f"{f'0, a number from {low:g}' if low else 'a number from 0'} to {LARGEST:g}, or the "
+                                  "name of a rule")  # fmt: skip
+    return lam
 
 
 def _spends(path: RegularizationPath, lam: float) -> bool:
@@ -366,7 +399,7 @@ def _spends(path: RegularizationPath, lam: float) -> bool:
     return edf is not None and float(edf) > WIDE * path.m
 
 
-def _with_sensitivity(found: RuleResult, sweep: rules.Sweep) -> RuleResult:
+def _with_sensitivity(found: RuleResult, sweep: Sweep) -> RuleResult:
     """The discrepancy rule with what it says at half and twice the noise level."""
     try:
         values = rules.sensitivity(sweep)
@@ -403,14 +436,3 @@ def residual_level(path: RegularizationPath, lam: float) -> float | None:
     if point.left is None or float(point.left) < 0.2 * path.m:
         return None
     return float(np.sqrt(point.residual2 / point.left))
-
-
-def _given(result: RuleResult) -> float:
-    if result.lam is None:
-        raise InputError(
-            f"the rule {result.rule} cannot run here",
-            where="choice",
-            found=result.note,
-            expected="another rule or a relative lambda",
-        )
-    return result.lam

@@ -41,7 +41,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class RuleComparison:
     """What every rule says. `str` of it is a table.
 
     Parameters
@@ -96,7 +96,7 @@ class Comparison:
         return "\n".join([*lines, *tail])
 
 
-def compare(path: RegularizationPath, sigma: float | None = None, source: NoiseSourceLike = None) -> Comparison:
+def compare(path: RegularizationPath, sigma: float | None = None, source: NoiseSourceLike = None) -> RuleComparison:
     """Run every rule on a path and grade their agreement.
 
     Parameters
@@ -109,7 +109,7 @@ def compare(path: RegularizationPath, sigma: float | None = None, source: NoiseS
 
     Returns
     -------
-    Comparison
+    RuleComparison
         Rows in the order of `rules.RULES`.
 
     Raises
@@ -142,7 +142,7 @@ def compare(path: RegularizationPath, sigma: float | None = None, source: NoiseS
         sensitivity = rules.sensitivity(sweep)
     except Refusal:
         sensitivity = ()
-    return Comparison(
+    return RuleComparison(
         rows=tuple(rows),
         choice=chosen,
         spread=chosen.spread,

@@ -7,18 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, as_array, reals
 
-__all__ = [
-    "Bounds",
-    "Constraint",
-    "FrictionCone",
-    "NonNegative",
-    "Resultant",
-    "Support",
-]
+from .arrays import Array, Indices
+
+__all__ = ["Bounds", "Constraint", "FrictionCone", "NonNegative", "Resultant", "Support"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +222,7 @@ def _facets(count: Any) -> bool:
     return bool(isinstance(count, int | np.integer) and not isinstance(count, bool) and 3 <= count <= FACETS)
 
 
-def _numbers(loads: ArrayLike | None, where: str) -> NDArray | None:
+def _numbers(loads: ArrayLike | None, where: str) -> Array | None:
     """Distinct load numbers, or None for all."""
     if loads is None:
         return None
@@ -247,7 +242,7 @@ def _masked(loads: ArrayLike | None) -> int | None:
     return mask.size if loads is not None and mask.dtype == bool else None
 
 
-def _covariance(covariance: ArrayLike, R: int) -> NDArray[np.float64]:
+def _covariance(covariance: ArrayLike, R: int) -> Array:
     S = reals(covariance, where="Resultant")
     S = np.diag(S) if S.ndim == 1 else S
     if S.shape != (R, R) or not np.all(np.isfinite(S)) or not np.allclose(S, S.T, rtol=1e-8, atol=0):
@@ -284,12 +279,12 @@ class ConeFaces:
         0 open (apex), 1 sliding (on the side), 2 sticking (inside).
     """
 
-    axes: NDArray[np.float64]
-    share: NDArray[np.float64]
-    status: NDArray[np.int_]
+    axes: Array
+    share: Array
+    status: Indices
 
 
-def frames(normals: NDArray) -> NDArray[np.float64]:
+def frames(normals: Array) -> Array:
     """Orthogonal frames whose last axis is the normal, (k, dim, dim): global = frame @ local (Householder)."""
     k, dim = normals.shape
     last = np.zeros(dim)
@@ -297,10 +292,10 @@ def frames(normals: NDArray) -> NDArray[np.float64]:
     u = last - normals
     size = np.sum(u**2, axis=1)
     factor = np.divide(2.0, size, out=np.zeros(k), where=size > 0)
-    return np.eye(dim) - factor[:, None, None] * u[:, :, None] * u[:, None, :]
+    return np.asarray(np.eye(dim) - factor[:, None, None] * u[:, :, None] * u[:, None, :])
 
 
-def faces(v: NDArray, mu: NDArray, facets: NDArray) -> ConeFaces:
+def faces(v: Array, mu: Array, facets: Indices) -> ConeFaces:
     """Faces of the cones on which the projections of points `v` lie.
 
     A point is inside if |t| <= mu n; its projection is the apex if mu |t| <= -n, else it lies on the side at
@@ -343,7 +338,7 @@ def faces(v: NDArray, mu: NDArray, facets: NDArray) -> ConeFaces:
     return ConeFaces(axes, share, 2 * inside + side)
 
 
-def _side(e: NDArray, mu: NDArray, length: NDArray) -> NDArray[np.float64]:
+def _side(e: Array, mu: Array, length: Array) -> Array:
     """Axes on the side of a cone: ray, across (in space), outward normal."""
     k, flat = e.shape
     axes = np.zeros((k, flat + 1, flat + 1))
@@ -355,8 +350,8 @@ def _side(e: NDArray, mu: NDArray, length: NDArray) -> NDArray[np.float64]:
 
 
 def _sectors(
-    e: NDArray, t: NDArray, size: NDArray, n: NDArray, mu: NDArray, facets: NDArray
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    e: Array, t: Array, size: Array, n: Array, mu: Array, facets: Indices
+) -> tuple[Array, Array, Array, Array]:
     """Direction, reach along it and slope of the facet or edge that a point projects to; round cones stay as they are.
 
     Facet j of K has its normal at the angle 2 pi j / K. By symmetry a point projects into its own sector.
@@ -380,13 +375,13 @@ def _sectors(
     return np.where(choose, d, e), np.where(pyramid, reach, size), np.where(pyramid, steep, mu), vertex
 
 
-def project(v: NDArray, face: ConeFaces) -> NDArray[np.float64]:
+def project(v: Array, face: ConeFaces) -> Array:
     """Projections of points onto their cones, (k, dim), given their faces."""
     local = np.einsum("kij,ki->kj", face.axes, v)
-    return np.einsum("kij,kj->ki", face.axes, face.share * local)
+    return np.asarray(np.einsum("kij,kj->ki", face.axes, face.share * local))
 
 
-def excess(h: NDArray, mu: NDArray, facets: NDArray) -> NDArray[np.float64]:
+def excess(h: Array, mu: Array, facets: Indices) -> Array:
     """By how much points lie outside their cones, (k,): |t| - mu n, or -n where that is larger; zero inside."""
     t, n = h[:, :-1], h[:, -1]
     size = np.sqrt(np.sum(t**2, axis=1))
@@ -396,4 +391,4 @@ def excess(h: NDArray, mu: NDArray, facets: NDArray) -> NDArray[np.float64]:
         off = np.arctan2(t[:, 1], t[:, 0])
         off = off - np.round(off / step) * step
         size = np.where(facets > 0, size * np.cos(off), size)
-    return np.maximum(np.maximum(size - mu * n, -n), 0.0)
+    return np.asarray(np.maximum(np.maximum(size - mu * n, -n), 0.0))

@@ -19,7 +19,8 @@ from functools import cached_property
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
+
+from .arrays import Array
 
 ROUNDED = 1e-15  # part of the modes that rounding leaves
 TINY = np.finfo(float).tiny
@@ -29,7 +30,7 @@ BEYOND = np.array([1e2, 1e3, 1e4])  # relative lambda where the governed part is
 DECADE = np.log(10)
 
 
-class Table:
+class HermiteTable:
     """Logarithms of scalars with derivatives in t at nodes, each node computed when first asked for.
 
     Parameters
@@ -40,15 +41,15 @@ class Table:
         Smallest relative lambda of a node.
     """
 
-    def __init__(self, compute: Callable[[float], tuple[NDArray, ...]], low: float) -> None:
+    def __init__(self, compute: Callable[[float], tuple[Array, ...]], low: float) -> None:
         self._compute, self._t = compute, nodes(low, STEP, BEYOND[-1])
-        self._found: dict[int, tuple[NDArray, ...]] = {}
+        self._found: dict[int, tuple[Array, ...]] = {}
 
-    def holds(self, lam: NDArray) -> bool:
+    def holds(self, lam: Array) -> bool:
         """Whether these can be answered without computing anything."""
         return all(i in self._found for i in self._range(lam))
 
-    def at(self, lam: NDArray) -> NDArray[np.float64]:
+    def at(self, lam: Array) -> Array:
         """Scalars of all groups at relative lambdas (k,): shape (scalars, k)."""
         from scipy.interpolate import BPoly
 
@@ -60,7 +61,7 @@ class Table:
         curves = [BPoly.from_derivatives(self._t[where], [values.T for values in group]) for group in groups]
         return np.concatenate([np.exp(curve(2 * np.log(lam))).T for curve in curves])
 
-    def _range(self, lam: NDArray) -> range:
+    def _range(self, lam: Array) -> range:
         last = len(self._t) - 1
         low = int(np.searchsorted(self._t, 2 * np.log(lam.min()), side="right")) - 1
         high = int(np.searchsorted(self._t, 2 * np.log(lam.max()), side="left"))
@@ -68,14 +69,14 @@ class Table:
         return range(low, min(max(high, low + 1), last) + 1)
 
 
-def nodes(low: float, step: float, high: float) -> NDArray[np.float64]:
+def nodes(low: float, step: float, high: float) -> Array:
     """Values of t = ln lambda^2 from `low` to beyond `high`, `step` decades of lambda apart, twice that above 1."""
     fine = np.arange(np.log(low), np.log(WIDE) + step * DECADE, step * DECADE)
     coarse = np.arange(fine[-1], np.log(high) + 2 * step * DECADE, 2 * step * DECADE)[1:]
     return 2 * np.concatenate([fine, coarse])
 
 
-def logs(values: NDArray) -> NDArray[np.float64]:
+def logs(values: Array) -> Array:
     """Logarithms with derivatives from values with derivatives, both (scalars, d)."""
     value = np.maximum(values[:, :1], TINY)
     share = np.where(values[:, :1] > TINY, values / value, 0.0)
@@ -89,11 +90,11 @@ def logs(values: NDArray) -> NDArray[np.float64]:
 class Powers:
     """Traces at some lambdas, (k,) each: the part of tr A that the penalty governs, its rest, and derivatives in t."""
 
-    part: NDArray[np.float64]
-    rest: NDArray[np.float64]
-    first: NDArray[np.float64]
-    second: NDArray[np.float64]
-    third: NDArray[np.float64]
+    part: Array
+    rest: Array
+    first: Array
+    second: Array
+    third: Array
 
 
 class Traces:
@@ -111,7 +112,7 @@ class Traces:
         self._compute, self._low = compute, low
 
     @cached_property
-    def _nodes(self) -> tuple[NDArray, NDArray]:
+    def _nodes(self) -> tuple[Array, Array]:
         t = nodes(self._low, CLOSE, 10.0)
         lam = np.exp(0.5 * t)
         found = np.array([self._compute(float(x)) for x in lam])
@@ -121,16 +122,17 @@ class Traces:
         return np.append(t, 2 * np.log(BEYOND)), np.concatenate([found, rows])
 
     @cached_property
-    def _spline(self) -> Callable[..., NDArray]:
+    def _spline(self) -> Callable[..., Array]:
         from scipy.interpolate import make_interp_spline
 
         t, found = self._nodes
         least = ROUNDED * np.sum(found[-1, :2])  # a part that is nothing beside all modes is rounding, of either sign
         part, rest, trace = np.maximum(found, [least, least, TINY]).T
         # beyond the largest mode the odds fall as 1 / lambda^2: taken out, little is left to interpolate
-        return make_interp_spline(t, np.array([np.log(part / rest) + t, np.log(trace)]).T, k=5)
+        spline: Callable[..., Array] = make_interp_spline(t, np.array([np.log(part / rest) + t, np.log(trace)]).T, k=5)
+        return spline
 
-    def powers(self, lam: NDArray) -> Powers:
+    def powers(self, lam: Array) -> Powers:
         """Part, rest and derivatives at relative lambdas."""
         t, (_, found) = 2 * np.log(lam), self._nodes
         count = float(found[-1, 0] + found[-1, 1])
@@ -145,24 +147,24 @@ class Traces:
             count * f * g * (((g - f) ** 2 - 2 * f * g) * s1**3 + 3 * (g - f) * s1 * s2 + s3),
         )
 
-    def trace(self, lam: NDArray) -> tuple[NDArray, NDArray]:
+    def trace(self, lam: Array) -> tuple[Array, Array]:
         """Trace of B and its derivative in t."""
         t = 2 * np.log(lam)
         value = np.exp(self._spline(t)[:, 1])
         return value, value * self._spline(t, nu=1)[:, 1]
 
     @property
-    def grid(self) -> NDArray[np.float64]:
+    def grid(self) -> Array:
         """Relative lambdas, closely spaced, over all nodes."""
         t = self._nodes[0]
         return np.exp(0.5 * np.linspace(t[0], t[-1], 16 * len(t)))
 
-    def log_ratio(self, lam: NDArray) -> NDArray[np.float64]:
+    def log_ratio(self, lam: Array) -> Array:
         """Sum of ln(1 + gamma^2 / lambda^2): the integral of the part over t, from lambda to infinity."""
         nodes = self._nodes[0]
         x, w = np.polynomial.legendre.leggauss(8)
 
-        def over(a: NDArray, b: NDArray) -> NDArray:
+        def over(a: Array, b: Array) -> Array:
             t = 0.5 * (a + b)[:, None] + 0.5 * (b - a)[:, None] * x
             return 0.5 * (b - a) * (self.powers(np.exp(0.5 * t.ravel())).part.reshape(t.shape) @ w)
 
@@ -170,7 +172,7 @@ class Traces:
         after = np.append(np.cumsum(whole[::-1])[::-1], 0.0) + self._nodes[1][-1, 0]  # beyond: part ~ 1 / lambda^2
         t = 2 * np.log(lam)
         k = np.clip(np.searchsorted(nodes, t, side="left"), 0, len(nodes) - 1)
-        return over(t, nodes[k]) + after[k]
+        return np.asarray(over(t, nodes[k]) + after[k])
 
 
 NODE_STEP = 0.15  # decades of lambda between nodes
@@ -192,20 +194,20 @@ class SplineTable:
     """
 
     def __init__(
-        self, compute: Callable[[float], NDArray], step: float = NODE_STEP, around: int = AROUND, degree: int = DEGREE
+        self, compute: Callable[[float], Array], step: float = NODE_STEP, around: int = AROUND, degree: int = DEGREE
     ) -> None:
         self._compute, self._step, self._around, self._degree = compute, step, around, degree
-        self._found: dict[int, NDArray] = {}
+        self._found: dict[int, Array] = {}
 
-    def holds(self, lam: NDArray) -> bool:
+    def holds(self, lam: Array) -> bool:
         """Whether these can be answered without computing anything."""
         return all(i in self._found for i in self._range(lam))
 
-    def nodes(self, lam: NDArray) -> NDArray[np.float64]:
+    def nodes(self, lam: Array) -> Array:
         """Relative lambdas of the nodes that answer for these."""
         return 10 ** (self._step * np.asarray(self._range(lam)))
 
-    def at(self, lam: NDArray) -> Values:
+    def at(self, lam: Array) -> Values:
         """Values at relative lambdas (k,)."""
         from scipy.interpolate import make_interp_spline
 
@@ -218,7 +220,7 @@ class SplineTable:
         at = 2 * np.log(lam)
         return Values(*(np.asarray(spline(at, nu)).T for nu in range(4)))
 
-    def _range(self, lam: NDArray) -> range:
+    def _range(self, lam: Array) -> range:
         where = np.log10(lam) / self._step
         low, high = int(np.floor(where.min())) - self._around, int(np.ceil(where.max())) + self._around
         while high - low < self._degree:  # a spline needs so many
@@ -230,22 +232,22 @@ class SplineTable:
 class Values:
     """Logarithms of scalars and their derivatives in t = ln lam^2, each of shape (scalars, k)."""
 
-    log: NDArray[np.float64]
-    first: NDArray[np.float64]
-    second: NDArray[np.float64]
-    third: NDArray[np.float64]
+    log: Array
+    first: Array
+    second: Array
+    third: Array
 
-    def value(self, i: int) -> NDArray[np.float64]:
+    def value(self, i: int) -> Array:
         """Scalar `i`."""
-        return np.exp(self.log[i])
+        return np.asarray(np.exp(self.log[i]))
 
-    def slopes(self, i: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    def slopes(self, i: int) -> tuple[Array, Array, Array, Array]:
         """Scalar `i` with its first three derivatives in t."""
         q, a, b, c = self.value(i), self.first[i], self.second[i], self.third[i]
         return q, q * a, q * (a**2 + b), q * (a**3 + 3 * a * b + c)
 
 
-def powers_of_rest(slopes: tuple[NDArray, NDArray, NDArray, NDArray]) -> tuple[NDArray, NDArray]:
+def powers_of_rest(slopes: tuple[Array, Array, Array, Array]) -> tuple[Array, Array]:
     """Traces of (I - A)^2 and (I - A)^4 from tr (I - A) and its derivatives.
 
     With h = 1 - f: h' = h - h^2, so that h^2 = h - h', h^3 = h^2 - (h^2)'/2, h^4 = h^3 - (h^3)'/3.

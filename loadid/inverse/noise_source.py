@@ -46,12 +46,9 @@ class NoiseSource:
 
     def __post_init__(self) -> None:
         if not isinstance(self.kind, str) or self.kind not in KINDS or not isinstance(self.text, str):
-            raise InputError(
-                "no source of a noise level",
-                where="noise_source",
-                found=shown(self.kind if isinstance(self.text, str) else self.text),
-                expected=f"a kind ({', '.join(KINDS)}) and a text",
-            )
+            raise InputError("no source of a noise level", where="noise_source",
+                             found=shown(self.kind if isinstance(self.text, str) else self.text),
+                             expected=f"a kind ({', '.join(KINDS)}) and a text")  # fmt: skip
         object.__setattr__(self, "white", bool(self.white))
         if not self.text:
             object.__setattr__(self, "text", KINDS[self.kind] + (", white" if self.white else ""))
@@ -91,12 +88,8 @@ class NoiseSource:
             return cls(given) if given in KINDS else WRITTEN.get(given) or cls("stated", given)
         if isinstance(given, tuple | list) and len(given) == 2:
             return cls(*given)
-        raise InputError(
-            "no source of a noise level",
-            where="noise_source",
-            found=shown(given),
-            expected=f"a kind ({', '.join(KINDS)}), (kind, text), or a text",
-        )
+        raise InputError("no source of a noise level", where="noise_source", found=shown(given),
+                         expected=f"a kind ({', '.join(KINDS)}), (kind, text), or a text")  # fmt: skip
 
 
 NoiseSourceLike: TypeAlias = NoiseSource | str | tuple[str, str] | None

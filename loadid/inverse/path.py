@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.advice import Advice, Option
 from structures.errors import InputError
 
+from .arrays import Array
 from .posterior import Posterior
 
 ALL = slice(None)
@@ -39,34 +40,39 @@ class PathPoint:
         Sum of ln(1 + gamma^2 / lambda^2) over the modes that the penalty sees (for the evidence).
     bend : array or None
         d penalty2 / d ln lambda (for the curvature of the L-curve).
+    fitted2, log_supports : array or None
+        Of a sparse path: squared residual of the least squares on the support, and ln of the number of supports of
+        its size (for the information criterion).
     """
 
-    residual2: NDArray[np.float64]
-    penalty2: NDArray[np.float64]
-    edf: NDArray[np.float64] | None = None
-    edf2: NDArray[np.float64] | None = None
-    left: NDArray[np.float64] | None = None
-    rest2: NDArray[np.float64] | None = None
-    rest4: NDArray[np.float64] | None = None
-    sensitivity: NDArray[np.float64] | None = None
-    objective: NDArray[np.float64] | None = None
-    log_ratio: NDArray[np.float64] | None = None
-    bend: NDArray[np.float64] | None = None
+    residual2: Array
+    penalty2: Array
+    edf: Array | None = None
+    edf2: Array | None = None
+    left: Array | None = None
+    rest2: Array | None = None
+    rest4: Array | None = None
+    sensitivity: Array | None = None
+    objective: Array | None = None
+    log_ratio: Array | None = None
+    bend: Array | None = None
+    fitted2: Array | None = None
+    log_supports: Array | None = None
 
 
 @dataclass(frozen=True)
 class Coefficients:
     """Data coefficients |u_i^T y| and generalised singular values, for the Picard plot."""
 
-    beta: NDArray
-    gamma: NDArray[np.float64]
+    beta: Array
+    gamma: Array
 
 
 @dataclass(frozen=True)
 class Solution:
     """Load coefficients at one lambda, and what is known of their error."""
 
-    load: NDArray[np.float64]
+    load: Array
     posterior: Posterior | None
 
 
@@ -89,13 +95,27 @@ class RegularizationPath:
         Whether the path is smooth in lambda (Tikhonov) or a staircase (truncation).
     zero_padded : bool
         Whether it takes the record as the beginning of one twice as long, in which the response has decayed.
+    dear : bool
+        Whether every lambda costs a solution of its own, so that a search ends near enough.
+    reals : int
+        Real numbers in one datum: 2 where the data are complex.
+    margin : float or None
+        Share of all noise whose residual the discrepancy rule lets pass; None: the mean of all noise.
     """
 
     m: int
     null: int
-    scale: NDArray[np.float64]
+    scale: Array
     smooth: bool = True
     zero_padded: bool = False
+    dear: bool = False
+    reals: int = 1
+    margin: float | None = 0.95
+
+    @property
+    def stacked(self) -> bool:
+        """Whether it carries several lines on the first axis."""
+        return np.ndim(self.scale) > 0
 
     @property
     def range(self) -> tuple[float, float]:
@@ -116,23 +136,23 @@ class RegularizationPath:
         """Scalars of the path at `lam`."""
         raise self._lack("point at a lambda")
 
-    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64] | None:
+    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> Array | None:
         """Squared load error expected at `lam` if the estimate at `pilot` were the load."""
         return None
 
-    def residual(self, lam: float) -> NDArray[np.float64]:
+    def residual(self, lam: float) -> Array:
         """Whitened residual (samples, sensors)."""
         raise self._lack("residual")
 
-    def residuals(self, lams: NDArray) -> Iterable[NDArray[np.float64]]:
-        """Whitened residuals (samples, sensors) at some lambdas, for the tests of whiteness: near enough for those."""
+    def residuals(self, lams: Array) -> Iterable[Array] | None:
+        """Whitened residuals (samples, sensors) at some lambdas, near enough to test whiteness; None: no record."""
         return (self.residual(float(lam)) for lam in lams)
 
-    def white_residual(self, lam: float) -> NDArray[np.float64] | None:
+    def white_residual(self, lam: float) -> Array | None:
         """Expected periodogram (lines,) of the residual if the data were unit white noise; None where not known."""
         return None
 
-    def energies(self) -> tuple[NDArray[np.float64], float] | None:
+    def energies(self) -> tuple[Array, float] | None:
         """Energy of the data in each mode that meets some, the best seen mode first, and how many data sets share it.
 
         None where the modes are no real vectors, or not known.
@@ -150,7 +170,7 @@ class RegularizationPath:
         """Load coefficients and posterior at noise level `sigma` of the whitened data."""
         raise self._lack("solution")
 
-    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+    def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load`: the resolution matrix applied to it."""
         raise self._lack("resolution")
 
@@ -187,13 +207,13 @@ class FactoredPath(RegularizationPath):
 
     def __init__(
         self,
-        c: NDArray,
-        s: NDArray,
-        beta: NDArray,
-        outside: NDArray | float,
+        c: Array,
+        s: Array,
+        beta: Array,
+        outside: Array | float,
         m: int,
         *,
-        weight: NDArray | None = None,
+        weight: Array | None = None,
         null: int = 0,
         truncated: bool = False,
     ) -> None:
@@ -208,29 +228,19 @@ class FactoredPath(RegularizationPath):
                 "NaN or inf in the operator or the data", where="inverse problem", expected="no such number"
             )
         if np.all(self.scale <= 0) and c.max(initial=0.0) > 0:
-            raise InputError(
-                "the sensors see only what the penalty leaves free: no lambda changes the load",
-                where="inverse problem",
-                found=f"{len(np.flatnonzero(c))} observed modes, none of them penalised",
-                expected="a sensor that sees more",
-                hint=Advice(Option("penalty", "identity"), ", or another sensor"),
-            )
+            raise InputError("the sensors see only what the penalty leaves free: no lambda changes the load",
+                             where="inverse problem",
+                             found=f"{len(np.flatnonzero(c))} observed modes, none of them penalised",
+                             expected="a sensor that sees more",
+                             hint=Advice(Option("penalty", "identity"), ", or another sensor"))  # fmt: skip
         if np.all(self.scale <= 0):
-            raise InputError(
-                "the forward model is zero: no load moves any sensor",
-                where="inverse problem",
-                found="largest singular value 0",
-                expected="a sensor that sees a load",
-                hint="check the sensors, the loads and the units",
-            )
+            raise InputError("the forward model is zero: no load moves any sensor", where="inverse problem",
+                             found="largest singular value 0", expected="a sensor that sees a load",
+                             hint="check the sensors, the loads and the units")  # fmt: skip
         if not 1e-140 < c.max() < 1e140:  # squares of these would leave the range of double precision
-            raise InputError(
-                "the forward model is beyond the range of numbers",
-                where="inverse problem",
-                found=f"largest singular value {c.max():.2g}",
-                expected="between 1e-140 and 1e140",
-                hint="check the units",
-            )
+            raise InputError("the forward model is beyond the range of numbers", where="inverse problem",
+                             found=f"largest singular value {c.max():.2g}", expected="between 1e-140 and 1e140",
+                             hint="check the units")  # fmt: skip
         self._gamma, self._seen, self._beta2 = gamma, seen, np.abs(beta) ** 2
         self._cost = np.divide(1.0, c**2, out=np.zeros(c.shape), where=c > 0)
 
@@ -249,7 +259,7 @@ class FactoredPath(RegularizationPath):
         # well-conditioned problems must be able to choose next to no regularisation
         return float(max(floor, 1e-3 * smallest)), 1.0
 
-    def _filter(self, lam: NDArray, part: slice = ALL) -> tuple[NDArray, NDArray]:
+    def _filter(self, lam: Array, part: slice = ALL) -> tuple[Array, Array]:
         """Filter factors and their complements, shape (..., lams, modes)."""
         c, s = self.c[..., None, part], self.s[..., None, part]
         x = self._absolute(lam)
@@ -289,15 +299,15 @@ class FactoredPath(RegularizationPath):
         )
 
     @property
-    def gamma(self) -> NDArray[np.float64]:
+    def gamma(self) -> Array:
         """Generalised singular values c / s in the order of the modes; infinite in the null space of the penalty."""
         return np.where(self._seen, self._gamma, np.where(self.c > 0, np.inf, 0.0))
 
-    def rejected(self, lam: ArrayLike) -> NDArray[np.float64]:
+    def rejected(self, lam: ArrayLike) -> Array:
         """Share 1 - f of each mode that the fit leaves in the residual, shape (lams, modes)."""
         return self._filter(np.asarray(lam, float))[1]
 
-    def energies(self) -> tuple[NDArray[np.float64], float] | None:
+    def energies(self) -> tuple[Array, float] | None:
         """Energy of the data in each mode that meets some, best seen first, and how many frames share it."""
         if np.iscomplexobj(self.beta) or self.c.ndim > 1:
             return None
@@ -305,7 +315,7 @@ class FactoredPath(RegularizationPath):
         order = np.argsort(-self.gamma[met], kind="stable")
         return (np.abs(self.beta[met]) ** 2)[order], float(self.weight.max(initial=1.0))
 
-    def _tiled(self, sums: Callable[[NDArray, slice], NDArray], lam: NDArray) -> NDArray:
+    def _tiled(self, sums: Callable[[Array, slice], Array], lam: Array) -> Array:
         """Sums over the modes at each lambda, (sums, ..., lams), a tile of modes and lambdas at a time.
 
         A long spectrum times a long grid does not fit in memory, let alone in the cache: the time would grow faster
@@ -318,13 +328,13 @@ class FactoredPath(RegularizationPath):
         parts = [slice(k, k + width) for k in range(0, modes, width)]
         return np.concatenate([np.sum([sums(block, part) for part in parts], axis=0) for block in blocks], axis=-1)
 
-    def _absolute(self, lam: NDArray) -> NDArray:
+    def _absolute(self, lam: Array) -> Array:
         """Absolute lambda, with an axis for the modes at the end: shape (..., lams, 1)."""
         if not np.all(lam >= 0):
             raise InputError("no relative lambda", where="lambda", found=lam, expected="finite numbers >= 0")
         return (lam * self.scale[..., None])[..., None]
 
-    def _sums(self, lam: NDArray, part: slice) -> NDArray:
+    def _sums(self, lam: Array, part: slice) -> Array:
         """Everything that `at` sums over modes, for some of them: shape (11, ..., lams)."""
         f, g = self._filter(lam, part)  # g = 1 - f
         s2, w, b2 = self.s[..., part] ** 2, self.weight[part], self._beta2[..., part] * self.weight[part]
@@ -351,35 +361,35 @@ class FactoredPath(RegularizationPath):
             ]
         )
 
-    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64]:
+    def predicted_error(self, lam: ArrayLike, pilot: ArrayLike, sigma: ArrayLike) -> Array | None:
         """Squared load error at each `lam` (k,) that would be made if the load were the estimate at `pilot`.
 
         Bias of the filter on the pilot's load plus the variance of the noise: the parametric bootstrap in closed form.
         """
         first = np.atleast_1d(np.asarray(pilot, float))
 
-        def error(lam: NDArray, part: slice) -> NDArray:
+        def error(lam: Array, part: slice) -> Array:
             f, g = self._filter(lam, part)
             noise = _dot(f**2, self.weight[part] * self._lengths2() * self._cost[..., part])
-            return (self._length2(g * self._filter(first, part)[0], part) + sigma**2 * noise)[None]
+            return (self._length2(g * self._filter(first, part)[0], part) + np.asarray(sigma) ** 2 * noise)[None]
 
-        return self._tiled(error, np.atleast_1d(np.asarray(lam, float)))[0]
+        return np.asarray(self._tiled(error, np.atleast_1d(np.asarray(lam, float)))[0])
 
-    def _lengths2(self) -> NDArray | float:
+    def _lengths2(self) -> Array | float:
         """Squared length of each mode of the load."""
         return 1.0
 
-    def _length2(self, factors: NDArray, part: slice) -> NDArray:
+    def _length2(self, factors: Array, part: slice) -> Array:
         """Squared length of the loads with mode coefficients ``factors * beta / c``, orthonormal modes."""
         return _dot(factors**2, self.weight[part] * self._beta2[..., part] * self._cost[..., part])
 
-    def gains(self, lam: ArrayLike) -> NDArray:
+    def gains(self, lam: ArrayLike) -> Array:
         """Mode coefficients f / c * beta of the solution at one relative `lam` (per line of a stack)."""
         f, _ = self._filter(np.asarray(lam, float)[..., None])
         f = f[..., 0, :]
         return np.where(self.c > 0, f / np.where(self.c > 0, self.c, 1.0), 0.0) * self.beta
 
 
-def _dot(x: NDArray, w: NDArray) -> NDArray:
+def _dot(x: Array, w: Array) -> Array:
     """Sum over the modes of x (..., lams, modes) with weights w (..., modes)."""
-    return np.einsum("...km,...m->...k", x, w)
+    return np.asarray(np.einsum("...km,...m->...k", x, w))

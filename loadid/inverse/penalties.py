@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from structures.errors import InputError, plain, reals
+from structures.errors import InputError, plain, reals, shown
+
+from .arrays import Array, Flags, Indices
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -28,6 +30,7 @@ __all__ = [
     "matrix",
     "names",
     "order",
+    "register_penalty",
     "stencil",
     "surface",
     "symbol",
@@ -133,7 +136,7 @@ def grid(shape: Sequence[int], kind: int | str = "gradient", spacing: Any = 1.0)
     return csr_array(diags_array(1 / np.sqrt(area)) @ stiffness)
 
 
-def _steps(spacing: float | ArrayLike, n: int) -> NDArray[np.float64]:
+def _steps(spacing: float | ArrayLike, n: int) -> Array:
     h = np.asarray(plain(spacing), float)
     if h.shape not in {(), (n - 1,)} or not np.all(np.isfinite(h)) or np.any(h <= 0):
         raise InputError("no spacing of points", where="penalty", found=f"shape {h.shape}, or not > 0",
@@ -141,7 +144,7 @@ def _steps(spacing: float | ArrayLike, n: int) -> NDArray[np.float64]:
     return np.broadcast_to(h, (n - 1,)).astype(float)
 
 
-def _mass(h: NDArray) -> csr_array:
+def _mass(h: Array) -> csr_array:
     """Gram matrix of the hat functions of a line."""
     from scipy.sparse import csr_array, diags_array
 
@@ -149,7 +152,7 @@ def _mass(h: NDArray) -> csr_array:
     return csr_array(diags_array([h / 6, diagonal, h / 6], offsets=[-1, 0, 1]))
 
 
-def _mass_root(h: NDArray) -> csr_array:
+def _mass_root(h: Array) -> csr_array:
     """Upper bidiagonal C with C^T C = the Gram matrix of the hat functions: its Cholesky factor."""
     from scipy.linalg import cholesky_banded
     from scipy.sparse import csr_array, diags_array
@@ -159,7 +162,7 @@ def _mass_root(h: NDArray) -> csr_array:
     return csr_array(diags_array([band[1], band[0, 1:]], offsets=[0, 1]))
 
 
-def _stiffness(h: NDArray) -> csr_array:
+def _stiffness(h: Array) -> csr_array:
     """Integrals of products of the slopes of the hat functions of a line."""
     from scipy.sparse import csr_array, diags_array
 
@@ -194,9 +197,9 @@ class Cells:
         Integral of each shape function.
     """
 
-    points: NDArray[np.int_]
-    root: NDArray[np.float64]
-    area: NDArray[np.float64]
+    points: Indices
+    root: Array
+    area: Array
 
 
 def surface(
@@ -254,7 +257,7 @@ def surface(
     return csr_array(diags_array(1 / np.sqrt(mass)) @ K)
 
 
-def _triangles(places: NDArray, points: NDArray) -> Cells:
+def _triangles(places: Array, points: Indices) -> Cells:
     """Linear elements: the gradient is constant, R^-T of the two differences from the first corner."""
     edges = places[points[:, 1:]] - places[points[:, :1]]  # (cells, 2, dim)
     R = _triangle_of(edges, points)
@@ -263,7 +266,7 @@ def _triangles(places: NDArray, points: NDArray) -> Cells:
     return Cells(points, _from_differences(slopes), np.repeat(area[:, None] / 3, 3, axis=1))
 
 
-def _quadrilaterals(places: NDArray, points: NDArray) -> Cells:
+def _quadrilaterals(places: Array, points: Indices) -> Cells:
     """Bilinear elements with two by two Gauss points: four gradients, compressed to three rows by QR."""
     corners = places[points]  # (cells, 4, dim)
     rows, normals, area = [], [], np.zeros(points.shape)
@@ -283,7 +286,7 @@ def _quadrilaterals(places: NDArray, points: NDArray) -> Cells:
     return Cells(points, _from_differences(np.asarray(compressed)), area)
 
 
-def _triangle_of(tangents: NDArray, points: NDArray) -> NDArray[np.float64]:
+def _triangle_of(tangents: Array, points: Indices) -> Array:
     """R of two tangents = Q R in the plane that they span, for each cell; refuses those without area."""
     R = np.asarray(np.linalg.qr(tangents.swapaxes(1, 2), mode="r"))
     size, length = np.abs(R[:, 0, 0] * R[:, 1, 1]), np.max(np.linalg.norm(tangents, axis=2), axis=1)
@@ -291,14 +294,14 @@ def _triangle_of(tangents: NDArray, points: NDArray) -> NDArray[np.float64]:
     return R
 
 
-def _normal(tangents: NDArray) -> NDArray[np.float64]:
+def _normal(tangents: Array) -> Array:
     """Normal vectors (cells, 3) of pairs of tangents, not of unit length."""
     room = np.zeros((len(tangents), 2, 3))
     room[:, :, : tangents.shape[2]] = tangents
     return np.cross(room[:, 0], room[:, 1])
 
 
-def _refuse_flat(bad: NDArray[np.bool_], points: NDArray) -> None:
+def _refuse_flat(bad: Flags, points: Indices) -> None:
     if np.any(bad):
         raise InputError(
             "a cell of the surface has no area or crosses itself", where="penalty",
@@ -306,12 +309,12 @@ def _refuse_flat(bad: NDArray[np.bool_], points: NDArray) -> None:
         )  # fmt: skip
 
 
-def _from_differences(slopes: NDArray) -> NDArray[np.float64]:
+def _from_differences(slopes: Array) -> Array:
     """Slopes from differences to the first corner -> from the values at all corners: constants give zero exactly."""
     return np.concatenate([-slopes.sum(axis=2, keepdims=True), slopes], axis=2)
 
 
-def _checked(coordinates: ArrayLike, cells: ArrayLike | Sequence[Sequence[int]]) -> tuple[NDArray, list[NDArray]]:
+def _checked(coordinates: ArrayLike, cells: ArrayLike | Sequence[Sequence[int]]) -> tuple[Array, list[Indices]]:
     """Places, and the cells in groups of equal kind."""
     places = np.asarray(plain(coordinates), float)
     if places.ndim != 2 or places.shape[1] not in (2, 3) or not np.all(np.isfinite(places)):
@@ -339,6 +342,29 @@ def _checked(coordinates: ArrayLike, cells: ArrayLike | Sequence[Sequence[int]])
 ORDER = {"identity": 0, "gradient": 1, "first_difference": 1, "laplacian": 2, "second_difference": 2}
 
 
+def register_penalty(name: str, order: int) -> None:
+    """Name a difference of your own, which every family with a named penalty then takes.
+
+    Parameters
+    ----------
+    name : str
+    order : int
+        Of the difference, from 0 (the load itself).
+
+    Raises
+    ------
+    InputError
+        No order, or a name that stands for another one.
+    """
+    if isinstance(order, bool) or not isinstance(order, int) or order < 0:
+        raise InputError("no order of a difference", where="register_penalty", found=shown(order),
+                         expected="an integer >= 0")  # fmt: skip
+    if not (isinstance(name, str) and name) or ORDER.get(name, order) != order:
+        raise InputError("a penalty needs a name of its own", where="register_penalty", found=shown(name),
+                         expected=f"none of {names()}")  # fmt: skip
+    ORDER[name] = order
+
+
 def names() -> str:
     """The named penalties, for messages."""
     return ", ".join(ORDER)
@@ -359,17 +385,17 @@ def order(penalty: str) -> int:
     return ORDER[penalty]
 
 
-def stencil(degree: int) -> NDArray[np.float64]:
+def stencil(degree: int) -> Array:
     """Coefficients (degree + 1,) of a difference of order `degree`, oldest sample first."""
-    return difference(degree + 1, degree)[0]
+    return np.asarray(difference(degree + 1, degree)[0])
 
 
-def difference(samples: int, degree: int) -> NDArray[np.float64]:
+def difference(samples: int, degree: int) -> Array:
     """Difference matrix of order `degree`, shape (samples - degree, samples): ends are free."""
     return np.asarray(np.diff(np.eye(samples), n=degree, axis=0), float)
 
 
-def matrix(penalty: str | ArrayLike, samples: int, loads: int = 1) -> NDArray[np.float64] | None:
+def matrix(penalty: str | ArrayLike, samples: int, loads: int = 1) -> Array | None:
     """Penalty over load histories flattened as (samples, loads), time first.
 
     Parameters
@@ -387,12 +413,8 @@ def matrix(penalty: str | ArrayLike, samples: int, loads: int = 1) -> NDArray[np
         if degree == 0:
             return None
         if samples <= degree:
-            raise InputError(
-                "too few samples for this penalty",
-                where="penalty",
-                found=samples,
-                expected=f"more than {degree} for {penalty}",
-            )
+            raise InputError("too few samples for this penalty", where="penalty", found=samples,
+                             expected=f"more than {degree} for {penalty}")  # fmt: skip
         return np.asarray(np.kron(difference(samples, degree), np.eye(loads)), float)
     L = reals(penalty, what="the penalty is no matrix of real numbers", where="penalty")
     if L.ndim == 1 and L.shape == (samples * loads,):
@@ -402,18 +424,15 @@ def matrix(penalty: str | ArrayLike, samples: int, loads: int = 1) -> NDArray[np
         )  # fmt: skip
     L = np.atleast_2d(L)
     if L.ndim != 2 or L.shape[1] != samples * loads or not np.all(np.isfinite(L)):
-        raise InputError(
-            "the penalty matrix does not fit the unknowns",
-            where="penalty",
-            found=f"shape {L.shape}" + ("" if np.all(np.isfinite(L)) else " with NaN or inf"),
-            expected=f"finite, shape (rows, {samples * loads})",
-        )
+        raise InputError("the penalty matrix does not fit the unknowns", where="penalty",
+                         found=f"shape {L.shape}" + ("" if np.all(np.isfinite(L)) else " with NaN or inf"),
+                         expected=f"finite, shape (rows, {samples * loads})")  # fmt: skip
     return L
 
 
-def symbol(penalty: str, theta: NDArray) -> NDArray[np.float64]:
+def symbol(penalty: str, theta: Array) -> Array:
     """Modulus of a named penalty at the digital frequencies `theta` (rad/sample)."""
-    return np.abs(2 * np.sin(theta / 2)) ** order(penalty)
+    return np.asarray(np.abs(2 * np.sin(theta / 2)) ** order(penalty))
 
 
 def graph(n: int, edges: ArrayLike, weights: ArrayLike | None = None, kind: int | str = "gradient") -> csr_array:

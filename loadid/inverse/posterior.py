@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.errors import InputError
 from structures.testing.spectra import multiplicity
+
+from .arrays import Array, Numbers
 
 
 @runtime_checkable
@@ -18,11 +19,11 @@ class Posterior(Protocol):
     """Covariance of a load estimate."""
 
     @property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Standard deviation, in the shape of the load."""
         ...
 
-    def variance(self, w: NDArray) -> NDArray[np.float64]:
+    def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` has the shape of the load, or (k,) + that shape."""
         ...
 
@@ -55,11 +56,11 @@ class DensePosterior:
 
     def __init__(
         self,
-        factor: NDArray,
+        factor: Array,
         shape: tuple[int, ...],
         *,
-        passed: NDArray | None = None,
-        dual: NDArray | None = None,
+        passed: Array | None = None,
+        dual: Array | None = None,
         orthogonal: bool = False,
         frames: int | None = None,
     ) -> None:
@@ -67,27 +68,27 @@ class DensePosterior:
         self.frame_shape = tuple(int(i) for i in shape)
         self.frames = None if frames is None else int(frames)
         self.shape = self.frame_shape if frames is None else (int(frames), *self.frame_shape)
-        self._lu: tuple[NDArray, NDArray] | None = None
+        self._lu: tuple[Array, Array] | None = None
 
     @property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Standard deviation, in the shape of the load."""
         return self._spread(np.sum(self.factor**2, axis=1))
 
     @property
-    def noise_std(self) -> NDArray[np.float64] | None:
+    def noise_std(self) -> Array | None:
         """Standard deviation from the noise alone, in the shape of the load; None where the shares are not known."""
         return None if self.passed is None else self._spread(self.factor**2 @ self.passed)
 
-    def variance(self, w: NDArray) -> NDArray[np.float64]:
+    def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` has the shape of the load, (k,) + that shape, or that of one frame."""
         return self._variance(w, 1.0)
 
-    def noise_variance(self, w: NDArray) -> NDArray[np.float64] | None:
+    def noise_variance(self, w: Array) -> Array | None:
         """Variance of ``sum(w * load)`` from the noise alone; None where the shares are not known."""
         return None if self.passed is None else self._variance(w, self.passed)
 
-    def bias_weights(self, w: NDArray) -> NDArray[np.float64] | None:
+    def bias_weights(self, w: Array) -> Array | None:
         """``(R - I)^T w`` in the shape of `w`: the bias of ``sum(w * estimate)`` is the sum of these times the load.
 
         If no load exceeds a limit the bias stays below the limit times the sum of their moduli; if the norm of the load
@@ -106,22 +107,17 @@ class DensePosterior:
     def to_arrays(self) -> dict[str, object]:
         """Plain arrays, for a result file."""
         tree: dict[str, object] = {"kind": self.kind, "factor": self.factor, "shape": list(self.frame_shape)}
-        extra = {
-            "passed": self.passed,
-            "dual": self.dual,
-            "orthogonal": self.orthogonal or None,
-            "frames": self.frames,
-        }
+        extra = {"passed": self.passed, "dual": self.dual, "orthogonal": self.orthogonal or None, "frames": self.frames}
         return tree | {name: value for name, value in extra.items() if value is not None}
 
-    def _spread(self, variance: NDArray) -> NDArray[np.float64]:
+    def _spread(self, variance: Array) -> Array:
         return np.broadcast_to(np.sqrt(variance).reshape(self.frame_shape), self.shape)
 
-    def _variance(self, w: NDArray, weight: NDArray | float) -> NDArray[np.float64]:
+    def _variance(self, w: Array, weight: Array | float) -> Array:
         modal, framed = self._modal(w)
-        return np.sum(modal**2 * weight, axis=(-2, -1) if framed else -1)  # noise of different frames is independent
+        return np.asarray(np.sum(modal**2 * weight, axis=(-2, -1) if framed else -1))  # frames have independent noise
 
-    def _modal(self, w: NDArray) -> tuple[NDArray[np.float64], bool]:
+    def _modal(self, w: Array) -> tuple[Array, bool]:
         """``factor.T @ w`` on the last axis, and whether the axis before it holds frames."""
         w = np.asarray(w, float)
         for shape in (self.shape, self.frame_shape):
@@ -136,19 +132,19 @@ class DensePosterior:
             expected=f"shape {self.shape}" + (f", or {self.frame_shape} for one frame" if self.frames else ""),
         )  # fmt: skip
 
-    def _undo(self, modal: NDArray) -> NDArray[np.float64]:
+    def _undo(self, modal: Array) -> Array:
         """Dual of the factor times modal values on the last axis."""
         if self.dual is not None:
             return modal @ self.dual.T
         length = np.linalg.norm(self.factor, axis=0)
         if self.orthogonal:
-            return (modal / length**2) @ self.factor.T
+            return np.asarray((modal / length**2) @ self.factor.T)
         from scipy.linalg import lu_factor, lu_solve
 
         if self._lu is None:  # factored once, columns scaled to equal length
             self._lu = lu_factor((self.factor / length).T)
         flat = (modal / length).reshape(-1, modal.shape[-1]).T
-        return lu_solve(self._lu, flat).T.reshape(modal.shape)
+        return np.asarray(lu_solve(self._lu, flat).T.reshape(modal.shape))
 
 
 class SpectralPosterior:
@@ -164,30 +160,30 @@ class SpectralPosterior:
 
     kind = "spectral"
 
-    def __init__(self, lines: NDArray, samples: int, padded: int) -> None:
+    def __init__(self, lines: Numbers, samples: int, padded: int) -> None:
         self.lines, self.samples, self.padded = lines, int(samples), int(padded)
 
     @property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Standard deviation, shape (samples, loads): the same at every sample."""
         diagonal = np.einsum("kii->ki", self.lines).real
         level = np.sqrt(multiplicity(self.padded) @ diagonal / (self.padded * self.samples))
         return np.tile(level, (self.samples, 1))
 
-    def variance(self, w: NDArray) -> NDArray[np.float64]:
+    def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
         W = np.fft.rfft(np.asarray(w, float), self.padded, axis=-2)
         quadratic = np.einsum("...ki,kij,...kj->...k", W.conj(), self.lines, W).real
-        return quadratic @ multiplicity(self.padded) / (self.padded * self.samples)
+        return np.asarray(quadratic @ multiplicity(self.padded) / (self.padded * self.samples))
 
     @property
     def noise_std(self) -> None:
         """Not known: the lines hold noise and prior together."""
 
-    def noise_variance(self, w: NDArray) -> None:
+    def noise_variance(self, w: Array) -> None:
         """Not known: the lines hold noise and prior together."""
 
-    def bias_weights(self, w: NDArray) -> None:
+    def bias_weights(self, w: Array) -> None:
         """Not known: the lines do not hold the resolution."""
 
     def to_arrays(self) -> dict[str, object]:
@@ -200,11 +196,11 @@ ELSEWHERE = {  # kind -> module and class that reads it
     "mapped": (".statespace.posterior", "MappedPosterior"),
     "statespace": (".statespace.posterior", "StateSpacePosterior"),
     "statespace, sized": (".statespace.sized", "SizedPosterior"),
-    "support": (".sparse.path", "SupportPosterior"),
+    "support": (".sparse.support", "SupportPosterior"),
 }
 
 
-def from_arrays(tree: dict) -> Posterior:
+def from_arrays(tree: dict[str, Any]) -> Posterior:
     """Posterior from what `to_arrays` gave.
 
     Raises
@@ -222,12 +218,8 @@ def from_arrays(tree: dict) -> Posterior:
         module, name = ELSEWHERE[tree["kind"]]
         found: Posterior = getattr(import_module(module, __package__), name).from_arrays(tree)
         return found
-    raise InputError(
-        "unknown kind of posterior",
-        where="result file",
-        found=tree.get("kind"),
-        expected="a kind that this version knows",
-    )
+    raise InputError("unknown kind of posterior", where="result file", found=tree.get("kind"),
+                     expected="a kind that this version knows")  # fmt: skip
 
 
 class FacePosterior(DensePosterior):
@@ -241,7 +233,7 @@ class FacePosterior(DensePosterior):
     kind = "face"
     approximation = "active-set approximation"
 
-    def bias_weights(self, w: NDArray) -> None:
+    def bias_weights(self, w: Array) -> None:
         """Not known under constraints: another load lies on another face."""
 
 
@@ -266,33 +258,33 @@ class FramesPosterior:
         return next((p.approximation for p in self.each if isinstance(p, FacePosterior)), None)
 
     @property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Standard deviation, in the shape of the load, (frames,) + that of one frame."""
         return np.stack([p.std for p in self.each])
 
     @property
-    def noise_std(self) -> NDArray[np.float64] | None:
+    def noise_std(self) -> Array | None:
         """Standard deviation from the noise alone."""
         parts = [p.noise_std for p in self.each]
         return None if any(p is None for p in parts) else np.stack([p for p in parts if p is not None])
 
-    def variance(self, w: NDArray) -> NDArray[np.float64]:
+    def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` has the shape of the load, (k,) may stand in front."""
-        return np.sum([p.variance(x) for p, x in self._frames(w)], axis=0)
+        return np.asarray(np.sum([p.variance(x) for p, x in self._frames(w)], axis=0))
 
-    def noise_variance(self, w: NDArray) -> NDArray[np.float64] | None:
+    def noise_variance(self, w: Array) -> Array | None:
         """Variance of ``sum(w * load)`` from the noise alone."""
         parts = [p.noise_variance(x) for p, x in self._frames(w)]
         return None if any(v is None for v in parts) else np.sum([v for v in parts if v is not None], axis=0)
 
-    def _frames(self, w: NDArray) -> list[tuple[DensePosterior, NDArray]]:
+    def _frames(self, w: Array) -> list[tuple[DensePosterior, Array]]:
         w = np.asarray(w, float)
         if w.shape[max(w.ndim - len(self.shape), 0) :] != self.shape:
             raise InputError("the weights do not fit the load", where="w", found=f"shape {w.shape}",
                              expected=f"shape {self.shape}")  # fmt: skip
         return list(zip(self.each, np.moveaxis(w, w.ndim - len(self.shape), 0), strict=True))
 
-    def bias_weights(self, w: NDArray) -> NDArray[np.float64] | None:
+    def bias_weights(self, w: Array) -> Array | None:
         """``(R - I)^T w`` in the shape of `w`, frame by frame; None under constraints."""
         parts = [p.bias_weights(x) for p, x in self._frames(w)]
         known = [v for v in parts if v is not None]
@@ -303,12 +295,12 @@ class FramesPosterior:
         return {"kind": self.kind, "frames": {str(i): p.to_arrays() for i, p in enumerate(self.each)}}
 
     @classmethod
-    def from_arrays(cls, tree: dict) -> FramesPosterior:
+    def from_arrays(cls, tree: dict[str, Any]) -> FramesPosterior:
         """Inverse of `to_arrays`."""
         return cls([dense(tree["frames"][str(i)]) for i in range(len(tree["frames"]))])
 
 
-def dense(tree: dict) -> DensePosterior:
+def dense(tree: dict[str, Any]) -> DensePosterior:
     """A dense posterior, or one on a face, from its arrays."""
     passed, dual = (None if tree.get(k) is None else np.asarray(tree[k]) for k in ("passed", "dual"))
     made = FacePosterior if tree["kind"] == FacePosterior.kind else DensePosterior

@@ -10,16 +10,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, plain
 
-__all__ = [
-    "Cholesky",
-    "LinearProblem",
-    "whiten",
-    "whitener",
-]
+from .arrays import Array, Numbers
+
+__all__ = ["Cholesky", "LinearProblem", "whiten", "whitener"]
 
 LEAVES = 1e-6  # share of the data outside the range of a singular covariance that is more than rounding
 
@@ -56,12 +53,12 @@ class Whitener:
         Orthonormal basis of that range.
     """
 
-    scale: NDArray[np.float64]
-    lower: NDArray[np.float64] | None = None
-    across: NDArray[np.float64] | None = None
-    basis: NDArray[np.float64] | None = None
+    scale: Array
+    lower: Array | None = None
+    across: Array | None = None
+    basis: Array | None = None
 
-    def apply(self, values: NDArray, axis: int) -> NDArray:
+    def apply(self, values: Numbers, axis: int) -> Numbers:
         """``R^(-1/2) values`` along the sensor axis, which shrinks to the rank of a singular covariance."""
         scaled = np.moveaxis(values, axis, -1) / self.scale
         if self.lower is not None:
@@ -73,7 +70,7 @@ class Whitener:
             scaled = scaled @ self.across.T
         return np.moveaxis(scaled, -1, axis)
 
-    def outside(self, values: NDArray, axis: int) -> float:
+    def outside(self, values: Numbers, axis: int) -> float:
         """Share of the scaled values, by their norm, that lies outside the range of the covariance."""
         if self.basis is None:
             return 0.0
@@ -106,7 +103,7 @@ def whitener(noise: Noise, sensors: int) -> Whitener:
     return _from_covariance(values)
 
 
-def whiten(values: NDArray, noise: Noise | None, axis: int) -> NDArray:
+def whiten(values: Numbers, noise: Noise | None, axis: int) -> Numbers:
     """``R^(-1/2) values`` along the sensor axis; on the range of R, where R is singular.
 
     ``whiten(np.eye(sensors), noise, 0)`` is the whitening matrix, (kept, sensors).
@@ -119,20 +116,17 @@ def whiten(values: NDArray, noise: Noise | None, axis: int) -> NDArray:
     return values if noise is None else whitener(noise, values.shape[axis]).apply(values, axis)
 
 
-def _checked(noise: ArrayLike, sensors: int, matrices_only: bool = False) -> NDArray[np.float64]:
+def _checked(noise: ArrayLike, sensors: int, matrices_only: bool = False) -> Array:
     values = np.asarray(plain(noise), float)
     shapes = {(sensors, sensors)} if matrices_only else {(sensors,), (sensors, sensors)}
     if values.shape not in shapes or not np.all(np.isfinite(values)):
-        raise InputError(
-            "the noise does not fit the sensors",
-            where="noise",
-            found=f"shape {values.shape}" + ("" if np.all(np.isfinite(values)) else " with NaN or inf"),
-            expected="finite, shape " + " or ".join(str(s) for s in sorted(shapes, key=len)),
-        )
+        raise InputError("the noise does not fit the sensors", where="noise",
+                         found=f"shape {values.shape}" + ("" if np.all(np.isfinite(values)) else " with NaN or inf"),
+                         expected="finite, shape " + " or ".join(str(s) for s in sorted(shapes, key=len)))  # fmt: skip
     return values
 
 
-def _from_factor(factor: NDArray[np.float64], sensors: int) -> Whitener:
+def _from_factor(factor: Array, sensors: int) -> Whitener:
     if np.any(np.triu(factor, 1)) or np.any(np.diag(factor) <= 0):
         raise InputError(
             "this is no Cholesky factor of a noise covariance", where="noise",
@@ -143,7 +137,7 @@ def _from_factor(factor: NDArray[np.float64], sensors: int) -> Whitener:
     return Whitener(scale, lower=factor / scale[:, None])
 
 
-def _from_covariance(noise: NDArray[np.float64]) -> Whitener:
+def _from_covariance(noise: Array) -> Whitener:
     """From a full covariance; every check is made on correlations, so that units play no part."""
     if np.any(np.diag(noise) <= 0):
         raise InputError(
@@ -156,13 +150,9 @@ def _from_covariance(noise: NDArray[np.float64]) -> Whitener:
     values, vectors = np.linalg.eigh((correlation + correlation.T) / 2)
     rounding = 10 * len(values) * np.finfo(float).eps * values[-1]
     if values[0] < -rounding:
-        raise InputError(
-            "the noise covariance is not positive definite",
-            where="noise",
-            found=f"smallest eigenvalue {values[0]:.3g} of its correlation matrix",
-            expected="no negative one",
-            hint="a covariance is W S W^T of independent noise",
-        )
+        raise InputError("the noise covariance is not positive definite", where="noise",
+                         found=f"smallest eigenvalue {values[0]:.3g} of its correlation matrix",
+                         expected="no negative one", hint="a covariance is W S W^T of independent noise")  # fmt: skip
     if values[0] > rounding:
         return Whitener(scale, lower=np.asarray(np.linalg.cholesky(correlation), float))
     keep = values > rounding
@@ -190,9 +180,9 @@ class LinearProblem:
         Share of the operator, by its norm, outside the range of a singular noise covariance; whitening dropped it.
     """
 
-    H: NDArray
-    y: NDArray
-    L: NDArray | None
+    H: Numbers
+    y: Numbers
+    L: Numbers | None
     layout: tuple[int, ...]
     shape: tuple[int, ...]
     dropped: float = 0.0
@@ -209,12 +199,7 @@ class LinearProblem:
 
     @classmethod
     def whitened(
-        cls,
-        H: ArrayLike,
-        y: ArrayLike,
-        noise: Noise | None = None,
-        L: Any = None,
-        shape: tuple[int, ...] | None = None,
+        cls, H: ArrayLike, y: ArrayLike, noise: Noise | None = None, L: Any = None, shape: tuple[int, ...] | None = None
     ) -> LinearProblem:
         """Whiten an operator and its data by the noise of the sensors.
 
@@ -240,23 +225,15 @@ class LinearProblem:
         H, y = np.asarray(plain(H)), np.asarray(plain(y))
         framed = H.ndim >= 2 and y.ndim == H.ndim and y.shape[1:] == H.shape[:-1]
         if not framed and (H.ndim < 2 or H.shape[:-1] != y.shape):
-            raise InputError(
-                "operator and data do not fit",
-                where="inverse problem",
-                found=f"H {H.shape}, y {y.shape}",
-                expected="H (..., sensors, unknowns) with y (..., sensors), or y (frames, ..., sensors)",
-                hint="frames come first, then sensors",
-            )
+            raise InputError("operator and data do not fit", where="inverse problem", found=f"H {H.shape}, y {y.shape}",
+                             expected="H (..., sensors, unknowns) with y (..., sensors), or y (frames, ..., sensors)",
+                             hint="frames come first, then sensors")  # fmt: skip
         if 0 in H.shape or 0 in y.shape:
             raise InputError("nothing to invert", where="inverse problem", found=f"H {H.shape}, y {y.shape}",
                              expected="at least one sensor, one unknown and one frame")  # fmt: skip
         if not (np.all(np.isfinite(H)) and np.all(np.isfinite(y))):
-            raise InputError(
-                "NaN or inf in the operator or the data",
-                where="inverse problem",
-                expected="finite numbers",
-                hint="leave out or repair the samples",
-            )
+            raise InputError("NaN or inf in the operator or the data", where="inverse problem",
+                             expected="finite numbers", hint="leave out or repair the samples")  # fmt: skip
         n = H.shape[-1]
         L, dropped = _penalty(L, n), 0.0
         if noise is not None:
@@ -268,22 +245,18 @@ class LinearProblem:
         return cls(H.reshape(-1, n), data, L, y.shape, shape or (n,), dropped)
 
 
-def _penalty(L: Any, n: int) -> NDArray[np.float64] | None:
+def _penalty(L: Any, n: int) -> Array | None:
     """Penalty as a dense matrix that fits."""
     if L is None:
         return None
     L = np.asarray(plain(L.toarray() if hasattr(L, "toarray") else L), float)
     if not (L.ndim == 2 and L.shape[1] == n and np.all(np.isfinite(L))):
-        raise InputError(
-            "the penalty matrix does not fit the unknowns",
-            where="penalty",
-            found=f"shape {L.shape}, or NaN",
-            expected=f"finite, shape (rows, {n})",
-        )
-    return L
+        raise InputError("the penalty matrix does not fit the unknowns", where="penalty",
+                         found=f"shape {L.shape}, or NaN", expected=f"finite, shape (rows, {n})")  # fmt: skip
+    return np.asarray(L)
 
 
-def _refuse_outside(white: Whitener, y: NDArray) -> None:
+def _refuse_outside(white: Whitener, y: Numbers) -> None:
     """Data with a part that the noise cannot reach are not what the covariance says that they are."""
     share = white.outside(y, axis=-1)
     if share > LEAVES:

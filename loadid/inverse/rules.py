@@ -1,5 +1,9 @@
 """Rules that choose lambda, each from a path and nothing else; and what a verdict is worth, as measured.
 
+A rule is a function ``Sweep -> RuleResult``, written on scalars whose last axis is lambda: it serves one problem and a
+stack of lines alike, or refuses by name (`Refusal`) where the path does not give what it needs. `register_rule` adds
+one of the user, as do entry points of the group ``loadid.rules``; a function itself is accepted wherever a name is.
+
 Seven discrete ill-posed problems, n = 32, 64, 200, noise 1e-2, 1e-3, 1e-4, three penalties, 50 draws of white noise and
 100 of correlated noise (AR(1) with 0.9, and interpolated from every second sample).
 
@@ -15,13 +19,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from structures.errors import InputError
+from structures.errors import InputError, shown
 
+from .arrays import Array
 from .path import PathPoint
 from .sweep import (
     NULL_SPACE,
@@ -43,11 +48,18 @@ __all__ = [
     "NULL_SPACE",
     "RULES",
     "Refusal",
+    "Rule",
     "RuleResult",
     "Sweep",
+    "lines",
+    "name_of",
     "ncp_statistic",
+    "register_rule",
     "run",
 ]
+
+Rule = Callable[[Sweep], RuleResult]
+GROUP = "loadid.rules"  # entry points by which other distributions add rules
 
 MEANING = {
     "determined": "different kinds of rule lie within half a decade",
@@ -122,21 +134,21 @@ class Counted(Protocol):
         ...
 
 
-def gcv_function(path: Counted, p: PathPoint) -> NDArray:
+def gcv_function(path: Counted, p: PathPoint) -> Array:
     """G = m |r|^2 / (m - edf)^2."""
     left = need(p, "left", "gcv")
-    return path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2
+    return np.asarray(path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2)
 
 
-def robust_gcv_function(path: Counted, p: PathPoint, gamma: float = 0.1) -> NDArray:
+def robust_gcv_function(path: Counted, p: PathPoint, gamma: float = 0.1) -> Array:
     """[gamma + (1 - gamma) tr A^2 / m] G, Lukas (2006)."""
     return (gamma + (1 - gamma) * need(p, "edf2", "robust_gcv") / path.m) * gcv_function(path, p)
 
 
-def modified_gcv_function(path: Counted, p: PathPoint, a: float = 1.4) -> NDArray:
+def modified_gcv_function(path: Counted, p: PathPoint, a: float = 1.4) -> Array:
     """G with a edf in place of edf, only where m > a edf."""
     left = path.m - a * need(p, "edf", "modified_gcv")
-    return path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2
+    return np.asarray(path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2)
 
 
 def gcv(sweep: Sweep) -> RuleResult:
@@ -167,9 +179,7 @@ def quasi_optimality(sweep: Sweep) -> RuleResult:
     """
     need(sweep.point, "sensitivity", "quasi_optimality")
     return minimum(
-        "quasi_optimality",
-        among_modes(sweep, "quasi_optimality"),
-        lambda p: need(p, "sensitivity", "quasi_optimality"),
+        "quasi_optimality", among_modes(sweep, "quasi_optimality"), lambda p: need(p, "sensitivity", "quasi_optimality")
     )
 
 
@@ -177,7 +187,7 @@ def evidence(sweep: Sweep) -> RuleResult:
     """Largest marginal likelihood; with the noise level where it is known, else free of it."""
     path, sigma = sweep.path, sweep.sigma
 
-    def negative(p: PathPoint) -> NDArray:
+    def negative(p: PathPoint) -> Array:
         J, ratio = need(p, "objective", "evidence"), need(p, "log_ratio", "evidence")
         return ratio + (J / sigma**2 if sigma is not None else (path.m - path.null) * log(J))
 
@@ -194,6 +204,8 @@ def predicted_error(sweep: Sweep) -> RuleResult:
     bootstrap choice of a smoothing parameter.
     """
     path, sigma = sweep.path, sweep.sigma
+    if path.stacked:
+        return _predicted_once(sweep)
     if path.predicted_error(sweep.lam[-1:], float(sweep.lam[-1]), 1.0) is None:
         raise Refusal("predicted_error is not defined on this path")
     start = None
@@ -212,16 +224,31 @@ def predicted_error(sweep: Sweep) -> RuleResult:
         sigma = sigma or float(np.sqrt(sweep.point.residual2[k] / need(sweep.point, "left", "predicted_error")[k]))
     assert sigma is not None
     level = sigma
+    return _settled(lambda pilot: _predicted(sweep, pilot, level), start, sweep.whole)
 
-    def best(pilot: float) -> RuleResult:
-        def error(lam: NDArray) -> NDArray:
-            value = path.predicted_error(lam, pilot, level)
-            assert value is not None
-            return value
 
-        return search("predicted_error", sweep, error)
+def _predicted(sweep: Sweep, pilot: Any, sigma: Any) -> RuleResult:
+    """Smallest error of the load expected if it were the estimate at `pilot`; of a stack both are (lines, 1)."""
 
-    return _settled(best, start, sweep.whole)
+    def error(lam: Array) -> Array:
+        value = sweep.path.predicted_error(lam, pilot, sigma)
+        if value is None:
+            raise Refusal("predicted_error is not defined on this path")
+        return value
+
+    return search("predicted_error", sweep, error)
+
+
+def _predicted_once(sweep: Sweep) -> RuleResult:
+    """Of every line of a stack: one step from the minimum of robust GCV, which few data have to themselves."""
+    pilot = robust_gcv(sweep).lines
+    assert pilot is not None
+    if sweep.sigma is not None:
+        return _predicted(sweep, pilot[:, None], np.asarray(sweep.sigma)[..., None])
+    rows, k = np.arange(len(pilot)), np.clip(np.searchsorted(sweep.lam, pilot), 0, len(sweep.lam) - 1)
+    left = need(sweep.point, "left", "predicted_error")[rows, k]
+    sigma = np.sqrt(sweep.point.residual2[rows, k] / np.maximum(left, 1e-12))
+    return _predicted(sweep, pilot[:, None], sigma[:, None])
 
 
 def _settled(best: Callable[[float], RuleResult], pilot: float, whole: bool) -> RuleResult:
@@ -268,23 +295,31 @@ def _pilot(sweep: Sweep) -> int:
 
 
 # -- rules of another form -------------------------------------------------------------------------------------------
-def discrepancy_level(m: float, sigma: float, margin: float = 0.95) -> float:
-    """Squared residual that noise of this level stays below in `margin` of all cases."""
+def discrepancy_level(m: float, sigma: float, margin: float | None = 0.95, reals: int = 1) -> float:
+    """Squared residual that noise of this level stays below in `margin` of all cases (None: that of the mean case).
+
+    Every one of the `m` data has so many `reals`: 2 where it is complex.
+    """
     from scipy.special import gammaincinv
 
-    return float(sigma**2 * 2 * gammaincinv(m / 2, margin))
+    if margin is None:
+        return sigma**2 * m
+    return float(sigma**2 * (2 / reals) * gammaincinv(reals * m / 2, margin))
 
 
-def discrepancy(sweep: Sweep, factor: float = 1.0, margin: float = 0.95) -> RuleResult:
+def discrepancy(sweep: Sweep, factor: float = 1.0, margin: float | None = None) -> RuleResult:
     """Residual equals the noise, with the chi-square margin of a finite record (`factor` scales the noise level)."""
-    level = discrepancy_level(sweep.path.m, need_sigma(sweep, "discrepancy") * factor, margin)
-    return crossing("discrepancy", sweep, lambda p: p.residual2 - level)
+    path, sigma = sweep.path, need_sigma(sweep, "discrepancy") * factor
+    level = discrepancy_level(path.m, sigma, path.margin if margin is None else margin, path.reals)
+    return crossing("discrepancy", sweep, lambda p: p.residual2, level)
 
 
 def dof_discrepancy(sweep: Sweep) -> RuleResult:
     """|r|^2 = sigma^2 (m - edf), its largest crossing."""
     sigma = need_sigma(sweep, "dof_discrepancy")
-    return crossing("dof_discrepancy", sweep, lambda p: p.residual2 - sigma**2 * need(p, "left", "dof_discrepancy"))
+    return crossing(
+        "dof_discrepancy", sweep, lambda p: p.residual2, lambda p: sigma**2 * need(p, "left", "dof_discrepancy")
+    )
 
 
 def sensitivity(sweep: Sweep, factors: tuple[float, ...] = (0.5, 1.0, 2.0)) -> tuple[float | None, ...]:
@@ -295,7 +330,8 @@ def sensitivity(sweep: Sweep, factors: tuple[float, ...] = (0.5, 1.0, 2.0)) -> t
     Refusal
         Without a noise level.
     """
-    level = discrepancy_level(sweep.path.m, need_sigma(sweep, "discrepancy"))
+    path = sweep.path
+    level = discrepancy_level(path.m, need_sigma(sweep, "discrepancy"), path.margin, path.reals)
     rest = np.maximum.accumulate(sweep.point.residual2)
     found: list[float | None] = []
     for factor in factors:
@@ -311,8 +347,8 @@ def sensitivity(sweep: Sweep, factors: tuple[float, ...] = (0.5, 1.0, 2.0)) -> t
 
 
 def curvature(
-    lam: NDArray, residual2: NDArray, penalty2: NDArray, bend: NDArray | None = None, scale: NDArray | float = 1.0
-) -> NDArray:
+    lam: Array, residual2: Array, penalty2: Array, bend: Array | None = None, scale: Array | float = 1.0
+) -> Array:
     """Signed curvature of the L-curve (ln |r|, ln |L g|), positive at a corner; same shape as `lam`.
 
     Closed form where ``bend`` = d penalty2 / d ln lambda is given (Hansen 1998, section 7.5, with lambda^4 eta^2 in
@@ -339,7 +375,10 @@ def l_curve(sweep: Sweep) -> RuleResult:
         raise Refusal("l_curve needs a path that is smooth in lambda")
     sweep = among_modes(sweep, "l_curve", 0.03)  # far below all modes the curve is flat, and its bends are rounding
     p = sweep.point
-    kappa = curvature(sweep.lam, p.residual2, p.penalty2, p.bend, float(np.asarray(sweep.path.scale)))
+    kappa = curvature(sweep.lam, p.residual2, p.penalty2, p.bend, np.asarray(sweep.path.scale)[..., None])
+    if sweep.path.stacked:
+        kappa[..., :EDGE] = kappa[..., -EDGE:] = -np.inf
+        return search("l_curve", sweep, lambda lam: -kappa)
     inner = kappa[EDGE:-EDGE]
     if len(inner) == 0 or not np.any(inner > 0):
         raise Refusal("the L-curve has no corner: its curvature is nowhere positive")
@@ -354,12 +393,44 @@ def ncp(sweep: Sweep) -> RuleResult:
         raise Refusal(f"ncp is left out beyond {LONGEST_NCP} data")
     count = len(sweep.lam) if sweep.path.m <= SHORT_NCP else 41
     picks = np.unique(np.linspace(0, len(sweep.lam) - 1, count).round().astype(int))
-    value = [ncp_statistic(rest.reshape(len(rest), -1))[0] for rest in sweep.path.residuals(sweep.lam[picks])]
+    rests = sweep.path.residuals(sweep.lam[picks])
+    if rests is None:
+        raise Refusal("ncp needs the residual of a record, which this path does not define")
+    value = [ncp_statistic(rest.reshape(len(rest), -1))[0] for rest in rests]
     k = int(np.argmin(value))
     return RuleResult("ncp", float(sweep.lam[picks[k]]), k in (0, len(picks) - 1))
 
 
-RULES: dict[str, Callable[[Sweep], RuleResult]] = {
+def information(rest: ArrayLike, count: ArrayLike, log_supports: ArrayLike, m: int, sigma: float | None) -> Array:
+    """Extended Bayesian information criterion of a support (Chen & Chen, Biometrika 95 (2008) 759, gamma = 1).
+
+    ``|r|^2 / sigma^2``, or ``m ln(|r|^2 / m)`` where sigma is not known, plus ``k ln m + 2 ln C(n, k)``, of the least
+    squares on the k atoms of a support, `rest` their squared residual.
+    """
+    rest = np.asarray(rest, float)
+    misfit = m * np.log(np.maximum(rest, 1e-300) / m) if sigma is None else rest / sigma**2
+    return np.asarray(misfit + np.asarray(count) * np.log(m) + 2 * np.asarray(log_supports))
+
+
+def criterion(sweep: Sweep) -> Array:
+    """Extended Bayesian information criterion over a sweep."""
+    rest, count, supports = (need(sweep.point, name, "ebic") for name in ("fitted2", "edf", "log_supports"))
+    return information(rest, count, supports, sweep.path.m, sweep.sigma)
+
+
+def best_support(sweep: Sweep) -> int:
+    """Point of the sweep with the best support, at the largest lambda that has it."""
+    value = criterion(sweep)
+    return len(value) - 1 - int(np.argmin(value[::-1]))
+
+
+def ebic(sweep: Sweep) -> RuleResult:
+    """Extended Bayesian information criterion: the largest lambda of the best support."""
+    k = best_support(sweep)
+    return RuleResult("ebic", float(sweep.lam[k]), k == 0)
+
+
+RULES: dict[str, Rule] = {
     rule.__name__: rule
     for rule in (
         discrepancy,
@@ -373,27 +444,116 @@ RULES: dict[str, Callable[[Sweep], RuleResult]] = {
         quasi_optimality,
         ncp,
         evidence,
+        ebic,
     )
 }
 
 
-def run(name: str, sweep: Sweep) -> RuleResult:
-    """Ask one rule; a refusal comes back as a result without a lambda.
+def register_rule(function: Rule, name: str | None = None) -> Rule:
+    """Add a rule of your own to those that every family takes as ``choice=``.
+
+    Parameters
+    ----------
+    function : callable
+        ``Sweep -> RuleResult``; `loadid.inverse.sweep.minimum` and `crossing` make one of a function of the path's
+        scalars, which then serves frequency lines too.
+    name : str, optional
+        Its name; default that of the function.
+
+    Returns
+    -------
+    callable
+        The function itself, so that this decorates.
+
+    Raises
+    ------
+    InputError
+        No function, or a name that another rule has.
+    """
+    if not callable(function):
+        raise InputError("no rule", where="register_rule", found=shown(function), expected="a function of a Sweep")
+    name = function.__name__ if name is None else name
+    if not (isinstance(name, str) and name) or RULES.get(name, function) is not function:
+        raise InputError("a rule needs a name of its own", where="register_rule", found=shown(name),
+                         expected=f"none of {', '.join(RULES)}")  # fmt: skip
+    RULES[name] = function
+    return function
+
+
+def known(name: str) -> bool:
+    """Whether there is a rule of this name: here, registered, or an entry point of another distribution."""
+    if name in RULES:
+        return True
+    from importlib.metadata import entry_points
+
+    found = next(iter(entry_points(group=GROUP, name=name)), None)
+    if found is not None:
+        register_rule(found.load(), name)
+    return found is not None
+
+
+def name_of(rule: str | Rule) -> str:
+    """Name of a rule, which results and provenance hold: of a function of the user its module and qualified name.
 
     Raises
     ------
     InputError
         If there is no such rule.
     """
-    if name not in RULES:
-        raise InputError(
-            "unknown rule",
-            where="choice",
-            found=repr(name),
-            expected=f"one of {', '.join(RULES)}, or a relative lambda",
-        )
+    if callable(rule):
+        return next((name for name, own in RULES.items() if own is rule), f"{rule.__module__}.{rule.__qualname__}")
+    if not known(rule):
+        raise InputError("unknown rule", where="choice", found=repr(rule),
+                         expected=f"one of {', '.join(RULES)}, or a relative lambda")  # fmt: skip
+    return rule
+
+
+def run(rule: str | Rule, sweep: Sweep) -> RuleResult:
+    """Ask one rule; a refusal comes back as a result without a lambda.
+
+    Raises
+    ------
+    InputError
+        If there is no such rule, or it gives no `RuleResult`.
+    """
+    name = name_of(rule)
     try:
-        return RULES[name](sweep)
+        found = rule(sweep) if callable(rule) else RULES[rule](sweep)
     except Refusal as why:
         note = str(why)
         return RuleResult(name, None, note=note if name in note else f"{name}: {note}")
+    if not isinstance(found, RuleResult) or sweep.path.stacked != (found.lines is not None):
+        raise InputError(
+            f"the rule {name} gives no lambda" + " of every line" * sweep.path.stacked, where="choice",
+            found=shown(found), expected="a RuleResult, as loadid.inverse.sweep.minimum and crossing make it",
+            hint="over='band' asks it of all lines together" if sweep.path.stacked else "",
+        )  # fmt: skip
+    return found if found.rule == name else replace(found, rule=name)
+
+
+def answered(found: RuleResult) -> float:
+    """Lambda of a rule that was wanted.
+
+    Raises
+    ------
+    InputError
+        Where it refused.
+    """
+    if found.lam is None:
+        raise InputError(f"the rule {found.rule} cannot run here", where="choice", found=found.note,
+                         expected="another rule or a relative lambda")  # fmt: skip
+    return found.lam
+
+
+def lines(rule: str | Rule, sweep: Sweep) -> Array:
+    """Relative lambda of every line of a stack (lines,), by one rule.
+
+    Raises
+    ------
+    InputError
+        As `run` and `answered`.
+    """
+    found = run(rule, sweep)
+    answered(found)
+    assert found.lines is not None
+    return found.lines

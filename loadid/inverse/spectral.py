@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
+from .arrays import Array, Flags, Numbers
+from .path import FactoredPath
+
 
 @dataclass(frozen=True)
 class Compressed:
@@ -36,7 +39,7 @@ class Compressed:
 
     R: NDArray[np.complex128]
     b: NDArray[np.complex128]
-    outside: NDArray[np.float64]
+    outside: Array
     left: int
 
     @property
@@ -44,12 +47,12 @@ class Compressed:
         """Lines, rows and loads."""
         return self.R.shape
 
-    def scaled(self, factor: NDArray) -> Compressed:
+    def scaled(self, factor: Numbers) -> Compressed:
         """The same data over other unknowns: load ``g = factor z``, factor (loads,) or (lines, loads)."""
         return Compressed(self.R * np.asarray(factor)[..., None, :], self.b, self.outside, self.left)
 
 
-def compress(H: NDArray, X: NDArray) -> Compressed:
+def compress(H: Numbers, X: Numbers) -> Compressed:
     """Reduce whitened lines by QR.
 
     Parameters
@@ -78,13 +81,13 @@ def compress(H: NDArray, X: NDArray) -> Compressed:
     return Compressed(R, b, outside, max(sensors - loads, 0))
 
 
-def _power(x: NDArray) -> NDArray[np.float64]:
+def _power(x: Numbers) -> Array:
     """Energy of each line."""
-    return np.einsum("ksn,ksn->k", x.conj(), x).real
+    return np.asarray(np.einsum("ksn,ksn->k", x.conj(), x).real)
 
 
 @dataclass(frozen=True)
-class Factored:
+class FactoredLines:
     """Singular value decomposition of the lines over loads of equal expected size.
 
     Parameters
@@ -99,9 +102,9 @@ class Factored:
     """
 
     lines: Compressed
-    root: NDArray[np.float64]
+    root: Array
     U: NDArray[np.complex128]
-    s: NDArray[np.float64]
+    s: Array
     V: NDArray[np.complex128]
 
     @property
@@ -110,13 +113,48 @@ class Factored:
         return self.U.conj().swapaxes(1, 2) @ self.lines.b
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def seen(self) -> Flags:
         """Directions above rounding, (lines, rank)."""
         return self.s > max(self.lines.shape[1:]) * np.finfo(float).eps * self.s[:, :1]
 
 
+class LinesPath(FactoredPath):
+    """Path of independent frequency lines, L = I over the weighted loads: every scalar has the lines first."""
+
+    reals = 2
+
+    def __init__(self, f: FactoredLines, truncated: bool = False) -> None:
+        beta = np.sqrt(np.einsum("krn,krn->kr", f.beta.conj(), f.beta).real)
+        c = np.where(f.seen, f.s, 0.0)
+        m = f.lines.shape[1] + f.lines.left
+        super().__init__(c, np.ones_like(c), beta, f.lines.outside, m, truncated=truncated)
+
+    def residuals(self, lams: Array) -> None:
+        """None: lines are no record."""
+
+    def joined(self, step: int = 1) -> JoinedPath:
+        """All lines, or every so many, with one lambda."""
+        return JoinedPath(self, slice(None, None, step))
+
+
+class JoinedPath(FactoredPath):
+    """Lines with one lambda: the modes of every line side by side."""
+
+    reals = 2
+
+    def __init__(self, path: LinesPath, keep: slice) -> None:
+        c = path.c[keep]
+        super().__init__(
+            c.ravel(), np.ones(c.size), path.beta[keep].ravel(), np.sum(path.outside[keep]), path.m * len(c),
+            truncated=not path.smooth,
+        )  # fmt: skip
+
+    def residuals(self, lams: Array) -> None:
+        """None: lines are no record."""
+
+
 @dataclass(frozen=True)
-class Posterior:
+class LinePosterior:
     """What the data say of the loads of each line.
 
     Parameters
@@ -133,12 +171,12 @@ class Posterior:
     gain: NDArray[np.complex128]
     load: NDArray[np.complex128]
     covariance: NDArray[np.complex128]
-    edf: NDArray[np.float64]
+    edf: Array
 
     @property
-    def variance(self) -> NDArray[np.float64]:
+    def variance(self) -> Array:
         """``E|error|^2``, shape (lines, loads)."""
-        return np.maximum(np.einsum("kjj->kj", self.covariance).real, 0.0)
+        return np.asarray(np.maximum(np.einsum("kjj->kj", self.covariance).real, 0.0))
 
 
 @dataclass(frozen=True)
@@ -156,24 +194,24 @@ class Identifiable:
         Largest over smallest singular value; infinite where the line loses rank.
     """
 
-    gain: NDArray[np.float64]
+    gain: Array
     naive: NDArray[np.complex128]
-    condition: NDArray[np.float64]
+    condition: Array
 
 
-def factor(lines: Compressed, variance: NDArray) -> Factored:
+def factor(lines: Compressed, variance: Numbers) -> FactoredLines:
     """Decompose every line, its loads weighted by the root of their variance (lines, loads)."""
     root = np.sqrt(variance)
     U, s, Vh = np.linalg.svd(lines.scaled(root).R, full_matrices=False)
-    return Factored(lines, root, U, s, root[..., None] * Vh.conj().swapaxes(1, 2))
+    return FactoredLines(lines, root, U, s, root[..., None] * Vh.conj().swapaxes(1, 2))
 
 
-def posterior(f: Factored, noise: NDArray, cut: NDArray | None = None) -> Posterior:
+def posterior(f: FactoredLines, noise: Numbers, cut: Numbers | None = None) -> LinePosterior:
     """Solve every line.
 
     Parameters
     ----------
-    f : Factored
+    f : FactoredLines
         Its `root` is the standard deviation of the loads before the data.
     noise : array, shape (lines,)
         Variance of the whitened noise.
@@ -195,10 +233,10 @@ def posterior(f: Factored, noise: NDArray, cut: NDArray | None = None) -> Poster
         j = np.arange(f.root.shape[1])
         covariance -= f.V @ f.V.conj().swapaxes(1, 2)
         covariance[:, j, j] += f.root**2
-    return Posterior(gain, gain @ f.lines.b, covariance, np.sum(told, axis=1))
+    return LinePosterior(gain, gain @ f.lines.b, covariance, np.sum(told, axis=1))
 
 
-def identifiable(f: Factored) -> Identifiable:
+def identifiable(f: FactoredLines) -> Identifiable:
     """Judge every line."""
     seen = f.seen
     inverse = np.where(seen, 1 / np.where(seen, f.s, 1.0), 0.0)
@@ -224,7 +262,7 @@ TINY = 1e-300
 
 
 @dataclass(frozen=True)
-class Prior:
+class LinePrior:
     """Variances around each line.
 
     Parameters
@@ -241,16 +279,16 @@ class Prior:
         Median of the noise over the stated level on the lines that contradict it; 1 where none does.
     """
 
-    load: NDArray[np.float64]
-    probable: NDArray[np.float64]
-    noise: NDArray[np.float64]
+    load: Array
+    probable: Array
+    noise: Array
     sweeps: int
     excess: float = 1.0
 
 
 def prior(
-    lines: Compressed, *, neighbours: int = 40, known: bool = False, averages: float = 1.0, noise: NDArray | None = None
-) -> Prior:
+    lines: Compressed, *, neighbours: int = 40, known: bool = False, averages: float = 1.0, noise: Numbers | None = None
+) -> LinePrior:
     """Variances of loads and noise with the largest evidence in a window around each line.
 
     What no load explains shows the noise by itself; only where no sensor is left over does the evidence settle it,
@@ -296,10 +334,10 @@ def prior(
             break
     error = 1 / (np.sqrt(count * averages) * information)
     load *= _raised(lines, load, v, np.einsum("kin,kin->k", scaled.b.conj(), a).real, averages)[:, None]
-    return Prior(load * (1 + error), load, v, sweeps, excess)
+    return LinePrior(load * (1 + error), load, v, sweeps, excess)
 
 
-def _raised(lines: Compressed, load: NDArray, v: NDArray, misfit: NDArray, averages: float) -> NDArray[np.float64]:
+def _raised(lines: Compressed, load: Numbers, v: Numbers, misfit: Numbers, averages: float) -> Array:
     """How much larger the loads of each line are than around it, (lines,): 1 but where the line cannot be chance.
 
     Parameters
@@ -317,7 +355,7 @@ def _raised(lines: Compressed, load: NDArray, v: NDArray, misfit: NDArray, avera
     return np.maximum(factor, 1.0)
 
 
-def window(lines: int, half: int) -> tuple[Callable[[NDArray], NDArray[np.float64]], float]:
+def window(lines: int, half: int) -> tuple[Callable[[Numbers], Array], float]:
     """Hann-weighted mean over neighbouring lines, and to how many independent ones that amounts."""
     from scipy.ndimage import convolve1d
 
@@ -329,7 +367,7 @@ def window(lines: int, half: int) -> tuple[Callable[[NDArray], NDArray[np.float6
     return lambda x: convolve1d(np.asarray(x, float), kernel, axis=0, mode="mirror"), float(1 / np.sum(kernel**2))
 
 
-def contradicted(lines: Compressed, averages: float = 1.0) -> tuple[NDArray[np.float64], float]:
+def contradicted(lines: Compressed, averages: float = 1.0) -> tuple[Array, float]:
     """Variance of the whitened noise where the data show more than the stated 1, else 1; and how much in the middle."""
     half = int(np.ceil(2 * ENOUGH / (2 * lines.left * averages)))
     beside, count = window(len(lines.R), half)
@@ -347,15 +385,15 @@ def _by_chance(data: float, windows: float) -> float:
     return float(gammainccinv(data, RARE / max(windows, 1.0)) / data)
 
 
-def _start(lines: Compressed, beside: Callable, load: NDArray, energy: NDArray) -> NDArray[np.float64]:
+def _start(lines: Compressed, beside: Callable[[Numbers], Array], load: Numbers, energy: Numbers) -> Array:
     """First guess of the noise."""
     data = _energy(lines.b) + lines.outside
     if lines.left:
-        return np.maximum(beside(lines.outside) / lines.left, 1e-24 * np.max(data))
-    return np.maximum(1e-3 * beside(data) / lines.shape[1], 1e-24 * np.max(data))
+        return np.asarray(np.maximum(beside(lines.outside) / lines.left, 1e-24 * np.max(data)))
+    return np.asarray(np.maximum(1e-3 * beside(data) / lines.shape[1], 1e-24 * np.max(data)))
 
 
-def _explained(scaled: Compressed, v: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+def _explained(scaled: Compressed, v: Numbers) -> tuple[Numbers, Numbers, Numbers]:
     """``M^-1 b``, ``|A^H M^-1 b|^2`` and the diagonal of ``A^H M^-1 A``; M = A A^H + v I is the covariance of the data.
 
     The noise in M keeps it well conditioned.
@@ -371,10 +409,10 @@ def _explained(scaled: Compressed, v: NDArray) -> tuple[NDArray, NDArray, NDArra
     return a, _square(adjoint @ a), np.einsum("kij,kij->kj", A.conj(), B).real
 
 
-def _square(x: NDArray) -> NDArray[np.float64]:
+def _square(x: Numbers) -> Array:
     """Sum of squares over the snapshots."""
-    return np.einsum("kjn,kjn->kj", x.conj(), x).real
+    return np.asarray(np.einsum("kjn,kjn->kj", x.conj(), x).real)
 
 
-def _energy(x: NDArray) -> NDArray[np.float64]:
-    return np.einsum("kjn,kjn->k", x.conj(), x).real
+def _energy(x: Numbers) -> Array:
+    return np.asarray(np.einsum("kjn,kjn->k", x.conj(), x).real)

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 
+from .arrays import Array
 from .path import FactoredPath, Solution
 from .posterior import DensePosterior
 from .problem import LinearProblem
@@ -37,23 +38,23 @@ class Factors:
         ``|H| / |L|``: the absolute lambda at which the two terms weigh the same.
     """
 
-    U: NDArray[np.float64]
-    c: NDArray[np.float64]
-    s: NDArray[np.float64]
-    X: NDArray[np.float64]
-    Y: NDArray[np.float64]
+    U: Array
+    c: Array
+    s: Array
+    X: Array
+    Y: Array
     meeting: float
     balance: float
 
 
-def plain(H: NDArray) -> Factors:
+def plain(H: Array) -> Factors:
     """Ordinary SVD, L = I."""
     U, c, Wt = svd(H)
     n = H.shape[1]
     return Factors(U, pad(c, n), np.ones(n), Wt.T, Wt.T, 1.0, float(c[0]))
 
 
-def paired(H: NDArray, L: NDArray, labels: Sequence[str] | None = None) -> Factors:
+def paired(H: Array, L: Array, labels: Sequence[str] | None = None) -> Factors:
     """Modes of (H, L) from the QR of ``[H; alpha L]`` and the SVD of its upper block.
 
     The sines come from the lower block, not from sqrt(1 - c^2), which loses every digit where c is near 1; the scaling
@@ -89,7 +90,7 @@ def paired(H: NDArray, L: NDArray, labels: Sequence[str] | None = None) -> Facto
     return Factors(U, pad(c, n), s, scipy.linalg.solve_triangular(R, W), R.T @ W, meeting, alpha)
 
 
-def weighted(H: NDArray, weights: NDArray) -> Factors:
+def weighted(H: Array, weights: Array) -> Factors:
     """Modes of (H, diag(weights)): the SVD of H diag(1 / weights), no more than without a penalty."""
     U, c, Wt = svd(H / weights)
     n, W = H.shape[1], Wt.T
@@ -98,7 +99,7 @@ def weighted(H: NDArray, weights: NDArray) -> Factors:
     return Factors(U, pad(c, n), np.ones(n), W / weights[:, None], W * weights[:, None], least, balance)
 
 
-def augmented(H: NDArray, L: NDArray, y: NDArray, x: float) -> NDArray[np.float64]:
+def augmented(H: Array, L: Array, y: Array, x: float) -> Array:
     """Tikhonov solution (n,) or (n, frames) at the absolute lambda `x`, by Householder QR of ``[x L; H]``.
 
     The most accurate way at one small lambda: an SVD rotates the rounding of the data into the weak modes.
@@ -111,10 +112,10 @@ def augmented(H: NDArray, L: NDArray, y: NDArray, x: float) -> NDArray[np.float6
     stack[:rows, :n], stack[rows:, :n], stack[rows:, n:] = L, H, data
     stack[:rows, :n] *= x
     R = scipy.linalg.qr(stack, mode="r", overwrite_a=True, check_finite=False)[0]
-    return scipy.linalg.solve_triangular(R[:n, :n], R[:n, n:]).reshape(n, *y.shape[1:])
+    return np.asarray(scipy.linalg.solve_triangular(R[:n, :n], R[:n, n:]).reshape(n, *y.shape[1:]))
 
 
-def svd(A: NDArray, overwrite: bool = False) -> tuple[NDArray, NDArray, NDArray]:
+def svd(A: Array, overwrite: bool = False) -> tuple[Array, Array, Array]:
     """SVD by divide and conquer, with all right vectors: U (m, r), c (r,), Wt (n, n)."""
     import scipy.linalg
 
@@ -123,15 +124,15 @@ def svd(A: NDArray, overwrite: bool = False) -> tuple[NDArray, NDArray, NDArray]
     return U[:, : len(c)], c, Wt
 
 
-def pad(x: NDArray, n: int) -> NDArray:
+def pad(x: Array, n: int) -> Array:
     """`x` with zeros up to length `n` on its first axis."""
     return x if len(x) >= n else np.concatenate([x, np.zeros((n - len(x), *x.shape[1:]), x.dtype)])
 
 
-def norm2(A: NDArray, steps: int = 30) -> float:
+def norm2(A: Array, steps: int = 30) -> float:
     """Spectral norm, to a few per cent, from power iterations."""
     top = float(np.abs(A).max(initial=0.0))
-    x: NDArray = np.random.default_rng(0).standard_normal((A.shape[1],))
+    x: Array = np.random.default_rng(0).standard_normal((A.shape[1],))
     size = 0.0
     for _ in range(steps if top > 0 else 0):
         x = x / np.linalg.norm(x)
@@ -143,7 +144,7 @@ def norm2(A: NDArray, steps: int = 30) -> float:
     return size * top
 
 
-def _smallest(R: NDArray, n: int, labels: Sequence[str] | None) -> float:
+def _smallest(R: Array, n: int, labels: Sequence[str] | None) -> float:
     """Smallest singular value of the triangle; refuses where it is rounding."""
     if len(R) == n:
         diagonal = np.abs(np.diag(R))
@@ -169,7 +170,7 @@ def _smallest(R: NDArray, n: int, labels: Sequence[str] | None) -> float:
     return float(values[-1])
 
 
-def _inverse_iteration(R: NDArray, steps: int = 8) -> float:
+def _inverse_iteration(R: Array, steps: int = 8) -> float:
     """Smallest singular value of a regular triangle, from above: the cost is a few triangular solves."""
     from scipy.linalg import solve_triangular
 
@@ -183,7 +184,7 @@ def _inverse_iteration(R: NDArray, steps: int = 8) -> float:
     return 1 / growth
 
 
-def names(directions: NDArray, labels: Sequence[str] | None = None, most: int = 5) -> str:
+def names(directions: Array, labels: Sequence[str] | None = None, most: int = 5) -> str:
     """Load patterns in words: constant, linear in the order of the loads, or the loads with the largest entries.
 
     Parameters
@@ -261,12 +262,13 @@ class SVDPath(FactoredPath):
         self._sines = parts.s
         self._kernel = 0 if L is None else int(np.sum(parts.s <= 1e-10 * parts.s.max(initial=0.0)))
         self._orthonormal, self._balance = L is None, parts.balance
-        self._lengths: NDArray | None = None
+        self._lengths: Array | None = None
         self._take(problem, truncated)
 
     def _take(self, problem: LinearProblem, truncated: bool) -> None:
         """Coefficients of the data of a problem with this operator."""
-        self.problem, self._coupling = problem, None
+        self.problem = problem
+        self._coupling: Array | None = None
         y, (m, n) = problem.y, problem.H.shape
         frames = problem.frames or 1
         beta = self.U.T @ y
@@ -309,7 +311,7 @@ class SVDPath(FactoredPath):
         return int(np.sum(self.singular_values > tol * self.singular_values.max()))
 
     @property
-    def null_space(self) -> NDArray[np.float64]:
+    def null_space(self) -> Array:
         """Orthonormal loads that no sensor sees, shape (n, n - rank)."""
         unseen = self.X[:, self.c == 0]
         return unseen if self._orthonormal else np.linalg.qr(unseen)[0]
@@ -327,44 +329,44 @@ class SVDPath(FactoredPath):
         N = self.null_space
         return float(np.linalg.norm(g - N @ (N.T @ g))) / size if size > 0 else 0.0
 
-    def filter_factors(self, lam: float) -> NDArray[np.float64]:
+    def filter_factors(self, lam: float) -> Array:
         """Share of each mode that comes from the data, shape (n,), in the order of the columns of `X`."""
-        return self._filter(np.array([lam]))[0][0]
+        return np.asarray(self._filter(np.array([lam]))[0][0])
 
-    def inverse(self, lam: float) -> NDArray[np.float64]:
+    def inverse(self, lam: float) -> Array:
         """Regularised inverse of the whitened operator, (n, m): one product takes whitened data to the load."""
         r = self.U.shape[1]
         return (self.X[:, :r] * self._per_coefficient(lam)[:r]) @ self.U.T
 
-    def resolution(self, lam: float) -> NDArray[np.float64]:
+    def resolution(self, lam: float) -> Array:
         """Resolution matrix R, (n, n): the estimate is R times the load, but for noise."""
         return (self.X * self.filter_factors(lam)) @ self.Y.T
 
-    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+    def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load`: R g; frames stand in front."""
         g = load.reshape(-1, self.problem.H.shape[1]).T
         return (self.X @ (self.filter_factors(lam)[:, None] * (self.Y.T @ g))).T.reshape(load.shape)
 
     # -- the answer ---------------------------------------------------------------------------------------------------
-    def gains(self, lam: ArrayLike) -> NDArray:
+    def gains(self, lam: ArrayLike) -> Array:
         """Mode coefficients f / c * beta of the solution, shape (n,) or (n, frames)."""
         per = self._per_coefficient(float(np.asarray(lam)))
         return per * self._data if self._data.ndim == 1 else per[:, None] * self._data
 
-    def _per_coefficient(self, lam: float) -> NDArray[np.float64]:
+    def _per_coefficient(self, lam: float) -> Array:
         """Gain f / c of each mode, zero beyond the rank."""
         return np.divide(self.filter_factors(lam), self.c, out=np.zeros(self.c.shape), where=self.c > 0)
 
-    def residual(self, lam: float) -> NDArray[np.float64]:
+    def residual(self, lam: float) -> Array:
         """Whitened residual y - H g, in the layout of the data."""
         rest = self.problem.y - self.problem.H @ (self.X @ self.gains(lam))
         return rest.T.reshape(self.problem.layout)
 
-    def residuals(self, lams: NDArray) -> Iterable[NDArray[np.float64]]:
+    def residuals(self, lams: Array) -> Iterable[Array]:
         """Whitened residuals (samples, sensors) at some lambdas, of one record by one product for a tile of them."""
         problem = self.problem
         if problem.y.ndim > 1:
-            yield from super().residuals(lams)
+            yield from (self.residual(float(lam)) for lam in lams)
             return
         r, samples = self.U.shape[1], problem.layout[0]
         beta = np.asarray(self.beta)[:r]
@@ -374,7 +376,7 @@ class SVDPath(FactoredPath):
             rest = (self.rejected(lams[k : k + width])[:, :r] * beta) @ self.U.T + outside
             yield from rest.reshape(len(rest), samples, -1)
 
-    def white_residual(self, lam: float) -> NDArray[np.float64] | None:
+    def white_residual(self, lam: float) -> Array | None:
         """Expected periodogram (lines,) of the residual of unit white noise; None for frames, or few samples."""
         y, samples = self.problem.y, self.problem.layout[0]
         if y.ndim > 1 or samples < 4:
@@ -383,7 +385,7 @@ class SVDPath(FactoredPath):
         return np.maximum(samples * (len(y) // samples) - self.mode_lines @ taken, 0.0)
 
     @cached_property
-    def mode_lines(self) -> NDArray[np.float64]:
+    def mode_lines(self) -> Array:
         """Periodogram of each left vector, (lines, modes): made once for a factorisation and its copies."""
         U, samples = self.U, self.problem.layout[0]
         return np.concatenate([periodogram(U[:, k : k + 64].reshape(samples, -1, U[:, k : k + 64].shape[1]))
@@ -394,7 +396,7 @@ class SVDPath(FactoredPath):
         load = self._load(float(lam)).T.reshape(self.problem.load_shape)
         return Solution(load, None if sigma is None else self._posterior(lam, sigma))
 
-    def _load(self, lam: float) -> NDArray[np.float64]:
+    def _load(self, lam: float) -> Array:
         """Load (n,) or (n, frames): from the modes, or at a very small lambda from a QR, which keeps more digits."""
         x, L = lam * float(self.scale), self.problem.L
         if L is not None and self.smooth and WEAK[0] < x / self._balance < WEAK[1]:
@@ -418,20 +420,20 @@ class SVDPath(FactoredPath):
         return DensePosterior(X * spread, shape, passed=f, dual=dual, orthogonal=self._orthonormal, frames=frames)
 
     # -- what the sums over modes need where the modes are not at right angles ----------------------------------------
-    def _lengths2(self) -> NDArray | float:
+    def _lengths2(self) -> Array | float:
         if self._orthonormal:
             return 1.0
         if self._lengths is None:
             self._lengths = np.sum(self.X**2, axis=0)
         return self._lengths
 
-    def _length2(self, factors: NDArray, part: slice) -> NDArray:
+    def _length2(self, factors: Array, part: slice) -> Array:
         if self._orthonormal:
             return super()._length2(factors, part)
         if self._data.ndim == 1:
             per = np.divide(self.beta, self.c, out=np.zeros(self.c.shape), where=self.c > 0)
-            return np.sum(((factors * per) @ self.X.T) ** 2, axis=-1)
+            return np.asarray(np.sum(((factors * per) @ self.X.T) ** 2, axis=-1))
         if self._coupling is None:  # lengths of sums of modes, over all frames: nothing is solved with it
             per = np.divide(self._data, self.c[:, None], out=np.zeros(self._data.shape), where=self.c[:, None] > 0)
             self._coupling = np.einsum("ki,kj->ij", self.X, self.X, optimize=True) * (per @ per.T)
-        return np.maximum(np.sum((factors @ self._coupling) * factors, axis=-1), 0.0)
+        return np.asarray(np.maximum(np.sum((factors @ self._coupling) * factors, axis=-1), 0.0))

@@ -1,5 +1,7 @@
 """A path over a grid of lambdas, the two searches of rules, and tests whether the residual is white.
 
+A stacked path has its lines on the first axis and lambda on the last; the searches then answer line by line.
+
 Rules that compare the residual with white noise (GCV and its kin, UPRE, NCP, the dof-corrected discrepancy) take
 correlated noise for response and follow it. Residual: normalised cumulative periodogram, Rust & O'Leary, Inverse
 Problems 24 (2008) 034005, against what white noise would leave after this fit. Coefficients: a plateau that is no
@@ -9,17 +11,21 @@ plateau, by an F-test of its two halves.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, plain
 
+from .arrays import Array, Flags, Indices
 from .path import PathPoint, RegularizationPath
 
 LARGEST = 1e3  # relative lambda that leaves of the load, to six digits, only what the penalty does not see
+LEAST, LINE_POINTS = 1e-8, 41  # smallest relative lambda, and points, of the grid of stacked lines
+WALL = 1e3  # height of a wall around the points of a stack where a search does not look, over the largest value
+CLOSE = 0.01  # distance from a level at which a search ends where each point costs a solution
 NULL_SPACE = "the data ask for nothing beyond what the penalty leaves free: null-space solution"
 
 
@@ -47,10 +53,32 @@ class RuleResult:
     note: str = ""
     free: bool = False
 
-    @classmethod
-    def null_space(cls, rule: str, lam: float) -> RuleResult:
+    @staticmethod
+    def null_space(rule: str, lam: float) -> RuleResult:
         """What a rule says that ends where the penalty alone decides."""
-        return cls(rule, lam, True, NULL_SPACE, True)
+        return RuleResult(rule, lam, True, NULL_SPACE, True)
+
+    @property
+    def lines(self) -> Array | None:
+        """Relative lambda of every line of a stacked path, (lines,); None of one problem."""
+        return None
+
+
+@dataclass(frozen=True)
+class LineResult(RuleResult):
+    """What one rule said of every line of a stacked path: `lam` is the median of `lams` (lines,)."""
+
+    lams: Array = field(kw_only=True)
+
+    @classmethod
+    def of(cls, rule: str, lams: Array) -> LineResult:
+        """From the lambdas of the lines."""
+        return cls(rule, float(np.median(lams)), lams=lams)
+
+    @property
+    def lines(self) -> Array:
+        """Relative lambda of every line."""
+        return self.lams
 
 
 class Refusal(Exception):
@@ -59,21 +87,49 @@ class Refusal(Exception):
 
 @dataclass(frozen=True)
 class Sweep:
-    """A path evaluated over a grid of relative lambdas (one problem, not a stack).
+    """A path evaluated over a grid of relative lambdas.
 
-    Where it is not the `whole` of the range, a search that ends at a wall goes on in a wider one.
+    Parameters
+    ----------
+    path : RegularizationPath
+    lam : array, shape (points,)
+        Relative lambdas, ascending; of a stack the same for all lines.
+    point : PathPoint
+        Scalars, (points,); of a stack (lines, points).
+    sigma : float or None
+        Noise level of the whitened data.
+    whole : bool
+        Where it is not the whole of the range, a search that ends at a wall goes on in a wider one.
+    mean : callable, optional
+        Mean of a function (lines, points) over the lines that share a decision.
+    outside : array of bool, shape (lines, points), optional
+        Points of a stack where a search does not look.
     """
 
     path: RegularizationPath
-    lam: NDArray[np.float64]
+    lam: Array
     point: PathPoint
     sigma: float | None
     whole: bool = True
+    mean: Callable[[Array], Array] | None = None
+    outside: Flags | None = None
 
     @classmethod
-    def over(cls, path: RegularizationPath, sigma: float | None, points: int = 121) -> Sweep:
-        """Evaluate `path` over its range, and up to `LARGEST` where the penalty has a null space to end in."""
+    def over(
+        cls,
+        path: RegularizationPath,
+        sigma: float | None,
+        points: int = 121,
+        mean: Callable[[Array], Array] | None = None,
+    ) -> Sweep:
+        """Evaluate `path` over its range, and up to `LARGEST` where the penalty has a null space to end in.
+
+        A stack is evaluated on `LINE_POINTS`.
+        """
         low, high = path.range
+        if path.stacked:
+            lam: Array = np.geomspace(max(low, LEAST), high, LINE_POINTS)
+            return cls(path, lam, path.at(lam), sigma, mean=mean)
         lam = np.geomspace(low, high, points)
         if path.null and high < LARGEST:
             step = np.log10(high / low) / (points - 1)
@@ -81,12 +137,21 @@ class Sweep:
             lam = np.concatenate([lam, np.geomspace(high, LARGEST, more + 1)[1:]])
         return cls(path, lam, path.at(lam), sigma)
 
-    def part(self, keep: NDArray) -> Sweep:
+    def shared(self, value: Array) -> Array:
+        """A function on the grid as the search sees it: walled outside, averaged over the lines that decide together.
+
+        Only the grid itself can be asked so, not points between.
+        """
+        if self.outside is not None:
+            value = np.where(self.outside, WALL * np.abs(value).max(), value)
+        return value if self.mean is None else self.mean(value)
+
+    def part(self, keep: Flags | Indices) -> Sweep:
         """Some of its points."""
         given: dict[str, Any] = {f.name: getattr(self.point, f.name) for f in fields(self.point)}
         kept: dict[str, Any] = {name: None if value is None else value[keep] for name, value in given.items()}
         point = PathPoint(**kept)
-        return Sweep(self.path, self.lam[keep], point, self.sigma, self.whole)
+        return replace(self, lam=self.lam[keep], point=point)
 
     @property
     def ends_free(self) -> bool:
@@ -94,9 +159,9 @@ class Sweep:
         return self.path.null > 0 and bool(self.lam[-1] >= 0.99 * LARGEST)
 
 
-def need(point: PathPoint, name: str, rule: str) -> NDArray:
+def need(point: PathPoint, name: str, rule: str) -> Array:
     """One ingredient of a rule, or the rule's refusal."""
-    value = getattr(point, name)
+    value: Array | None = getattr(point, name)
     if value is None:
         raise Refusal(f"{rule} needs {name}, which this path does not define")
     return value
@@ -109,18 +174,17 @@ def need_sigma(sweep: Sweep, rule: str) -> float:
     return sweep.sigma
 
 
-def seen_modes(path: RegularizationPath) -> tuple[float, float] | None:
-    """Smallest and largest generalised singular value, relative, that rounding leaves; None where they are not known.
+def smallest_seen(path: RegularizationPath) -> Array | None:
+    """Smallest relative generalised singular value (of each line) that rounding leaves; None where it is not known.
 
-    A path without a factorisation may state the smallest one as its property ``seen``.
+    A path without a factorisation may state it as its property ``seen``.
     """
     modes = path.coefficients
     if modes is None:
-        seen = path.seen
-        return None if seen is None else (float(seen), 1.0)
-    relative = modes.gamma / modes.gamma.max()
-    floor = 10 * np.finfo(float).eps * np.sqrt(len(relative))
-    return float(np.min(relative[relative > floor], initial=1.0)), 1.0
+        return None if path.seen is None else np.asarray(path.seen, float)
+    relative = modes.gamma / np.maximum(modes.gamma.max(axis=-1, keepdims=True), np.finfo(float).tiny)
+    floor = 10 * np.finfo(float).eps * np.sqrt(relative.shape[-1])
+    return np.asarray(np.min(np.where(relative > floor, relative, np.inf), axis=-1, initial=1.0))
 
 
 def among_modes(sweep: Sweep, rule: str, share: float = 1.0) -> Sweep:
@@ -131,8 +195,10 @@ def among_modes(sweep: Sweep, rule: str, share: float = 1.0) -> Sweep:
     Refusal
         If fewer than three points are left.
     """
-    ends = seen_modes(sweep.path)
-    low = 0.0 if ends is None else share * ends[0]
+    smallest = smallest_seen(sweep.path)
+    low = share * (np.zeros(()) if smallest is None else smallest)
+    if sweep.path.stacked:
+        return replace(sweep, outside=sweep.lam < low[:, None])
     high = sweep.path.range[1] * (1 + 1e-9) if sweep.ends_free else np.inf
     keep = (sweep.lam >= low) & (sweep.lam <= high)
     if np.sum(keep) < 3:
@@ -140,29 +206,35 @@ def among_modes(sweep: Sweep, rule: str, share: float = 1.0) -> Sweep:
     return sweep.part(keep)
 
 
-def log(x: NDArray) -> NDArray:
+def log(x: Array) -> Array:
     """Logarithm of data that may be zero throughout."""
     return np.log(np.maximum(x, np.finfo(float).tiny))
 
 
-def dips(value: NDArray) -> NDArray[np.bool_]:
+def dips(value: Array) -> Flags:
     """Local minima, the ends included."""
     walled = np.concatenate([[np.inf], np.where(np.isfinite(value), value, np.inf), [np.inf]])
     return (walled[1:-1] <= walled[:-2]) & (walled[1:-1] < walled[2:])
 
 
 # -- one-dimensional searches on the grid ----------------------------------------------------------------------------
-def minimum(name: str, sweep: Sweep, f: Callable[[PathPoint], NDArray]) -> RuleResult:
+def minimum(name: str, sweep: Sweep, f: Callable[[PathPoint], Array]) -> RuleResult:
     """Global minimum of a function of the path's scalars."""
     return search(name, sweep, lambda lam: f(sweep.point if lam is sweep.lam else sweep.path.at(lam)))
 
 
-def search(name: str, sweep: Sweep, f: Callable[[NDArray], NDArray]) -> RuleResult:
-    """Global minimum over the sweep, refined between its neighbours where the path is smooth."""
-    value = f(sweep.lam)
-    if not np.any(np.isfinite(value)):
+def search(name: str, sweep: Sweep, f: Callable[[Array], Array]) -> RuleResult:
+    """Global minimum over the sweep, refined between its neighbours where the path is smooth.
+
+    Of a stack the grid alone is known to all lines that decide together: the parabola through three points refines.
+    """
+    value = sweep.shared(f(sweep.lam))
+    defined = np.isfinite(value)
+    value = np.where(defined, value, np.inf)
+    if value.ndim > 1:  # a line on which it is not defined keeps the smallest lambda
+        return LineResult.of(name, _lowest(sweep, value))
+    if not defined.any():
         raise Refusal(f"{name} is not defined anywhere on this path")
-    value = np.where(np.isfinite(value), value, np.inf)
     k, last = int(np.argmin(value)), len(value) - 1
     if sweep.ends_free and value[last] <= value[k] * (1 + 1e-9):  # flat all the way: the end is what it means
         k = last
@@ -179,9 +251,32 @@ def search(name: str, sweep: Sweep, f: Callable[[NDArray], NDArray]) -> RuleResu
     return RuleResult(name, lam, edge)
 
 
-def crossing(name: str, sweep: Sweep, f: Callable[[PathPoint], NDArray]) -> RuleResult:
-    """Largest lambda at which a rising function crosses zero."""
-    value = f(sweep.point)
+def _lowest(sweep: Sweep, value: Array) -> Array:
+    """Minimum of each line (lines, points), between the points of the grid by the parabola through three of them."""
+    k = np.argmin(value, axis=1)
+    if not sweep.path.smooth:
+        return np.asarray(sweep.lam[k])
+    inner = np.clip(k, 1, len(sweep.lam) - 2)
+    rows = np.arange(len(value))
+    a, b, c = (value[rows, inner + d] for d in (-1, 0, 1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        bend = a - 2 * b + c
+        move = np.where((k == inner) & (bend > 0) & np.isfinite(bend), 0.5 * (a - c) / bend, 0.0)
+    step = np.log(sweep.lam[1] / sweep.lam[0])
+    return np.asarray(sweep.lam[k] * np.exp(np.clip(move, -0.5, 0.5) * step))
+
+
+def crossing(
+    name: str, sweep: Sweep, rising: Callable[[PathPoint], Array], level: Callable[[PathPoint], Array] | float = 0.0
+) -> RuleResult:
+    """Largest lambda at which a rising function of the path's scalars is below a level, itself one or a number."""
+
+    def f(p: PathPoint) -> Array:
+        return rising(p) - (level(p) if callable(level) else level)
+
+    value = sweep.shared(f(sweep.point))
+    if value.ndim > 1:
+        return LineResult.of(name, _crossed(sweep, value))
     below = np.flatnonzero(value < 0)
     if len(below) == 0:
         return RuleResult(
@@ -196,10 +291,39 @@ def crossing(name: str, sweep: Sweep, f: Callable[[PathPoint], NDArray]) -> Rule
             return RuleResult.null_space(name, float(sweep.lam[-1]))
         return RuleResult(name, float(sweep.lam[-1]), True, "the data are within the noise")
     a, b = sweep.lam[k], sweep.lam[k + 1]
+    if sweep.path.dear and level != 0.0:
+        over = level if callable(level) else lambda p: level
+        return RuleResult(name, _crossed_dearly(sweep, k, lambda p: rising(p) / over(p)))
     for _ in range(30 if sweep.path.smooth else 0):
         middle = np.sqrt(a * b)
         a, b = (middle, b) if float(f(sweep.path.at(middle))) < 0 else (a, middle)
     return RuleResult(name, float(a))
+
+
+def _crossed_dearly(sweep: Sweep, k: int, ratio: Callable[[PathPoint], Array]) -> float:
+    """Lambda between two points of the grid at which a ratio that rises past 1 is `CLOSE` to it, by few solutions."""
+    values = ratio(sweep.point)
+    low, high = ((float(sweep.lam[j]), float(values[j])) for j in (k, k + 1))
+    for _ in range(12):
+        if high[1] - low[1] <= CLOSE or low[1] > 1 - CLOSE / 2:
+            break
+        share = -np.log(low[1]) / np.log(high[1] / low[1])
+        lam = float(low[0] * (high[0] / low[0]) ** np.clip(share, 0.1, 0.9))
+        here = lam, float(ratio(sweep.path.at(lam)))
+        high, low = (here, low) if here[1] > 1 else (high, here)
+    return low[0]
+
+
+def _crossed(sweep: Sweep, value: Array) -> Array:
+    """Last lambda of each line (lines, points) below zero, between two points by their chord."""
+    below = value < 0
+    last = value.shape[1] - 1
+    k = np.where(below.any(axis=1), last - np.argmax(below[:, ::-1], axis=1), 0)
+    rows, after = np.arange(len(value)), np.minimum(k + 1, last)
+    a, b = value[rows, k], value[rows, after]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where((a < 0) & (b > a), np.clip(-a / (b - a), 0.0, 1.0), 0.0)
+    return np.asarray(sweep.lam[k] * (sweep.lam[after] / sweep.lam[k]) ** share)
 
 
 KS = 1.36  # 95 % quantile of the Kolmogorov-Smirnov statistic times sqrt(q)
@@ -209,7 +333,7 @@ TESTABLE = 40  # noise modes below which neither test says anything
 
 
 # -- residual --------------------------------------------------------------------------------------------------------
-def ncp_statistic(residual: NDArray) -> tuple[float, float]:
+def ncp_statistic(residual: Array) -> tuple[float, float]:
     """Distance of the cumulated residual periodogram from white noise: (norm, Kolmogorov-Smirnov times sqrt q).
 
     Parameters
@@ -230,9 +354,9 @@ def ncp_statistic(residual: NDArray) -> tuple[float, float]:
     return float(np.linalg.norm(distance)), float(np.abs(distance).max() * np.sqrt(q * residual.shape[1]))
 
 
-def periodogram(residual: NDArray) -> NDArray[np.float64]:
+def periodogram(residual: Array) -> Array:
     """Periodogram (lines, ...) of (samples, sensors, ...), without the mean, added over the sensors."""
-    return np.sum(np.abs(np.fft.rfft(residual, axis=0)[1:]) ** 2, axis=1)
+    return np.asarray(np.sum(np.abs(np.fft.rfft(residual, axis=0)[1:]) ** 2, axis=1))
 
 
 @dataclass(frozen=True)
@@ -264,7 +388,10 @@ def residual_test(path: RegularizationPath, lam: float) -> Residual | None:
     noise, tr of (I - A)^2 line by line; elsewhere with a flat one, and with a wider limit once the fit spends more
     than a tenth of the data.
     """
-    rest = next(iter(path.residuals(np.array([lam]))))
+    rests = path.residuals(np.array([lam]))
+    if rests is None:
+        return None
+    rest = next(iter(rests))
     rest = rest.reshape(len(rest), -1)
     edf = path.at(lam).edf
     spent = 0.0 if edf is None else float(edf) / path.m
@@ -285,7 +412,7 @@ def residual_test(path: RegularizationPath, lam: float) -> Residual | None:
 
 # -- data coefficients -----------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Plateau:
+class PlateauTest:
     """Two halves of the data coefficients beyond those that the fit uses.
 
     Parameters
@@ -313,7 +440,7 @@ class Plateau:
         return not self.testable or self.chance >= ALARM
 
 
-def plateau_test(path: RegularizationPath, lam: float) -> Plateau | None:
+def plateau_test(path: RegularizationPath, lam: float) -> PlateauTest | None:
     """F-test of the coefficients i > 2 tr A + 5 at one lambda; None where the modes of the path are no real vectors.
 
     White noise has the same energy in each; smooth noise loads the first modes, which are smooth too.
@@ -325,14 +452,14 @@ def plateau_test(path: RegularizationPath, lam: float) -> Plateau | None:
     rest = energy[int(2 * float(edf) / copies + 5) :]
     half = len(rest) // 2
     if half < 2:
-        return Plateau(1.0, 1.0, len(rest))
+        return PlateauTest(1.0, 1.0, len(rest))
     first, second = float(np.mean(rest[:half])), float(np.mean(rest[half:]))
     if second <= 0:
-        return Plateau(np.inf if first > 0 else 1.0, 0.0 if first > 0 else 1.0, len(rest))
+        return PlateauTest(np.inf if first > 0 else 1.0, 0.0 if first > 0 else 1.0, len(rest))
     from scipy.special import fdtrc
 
     ratio = first / second
-    return Plateau(ratio, float(fdtrc(half * copies, (len(rest) - half) * copies, ratio)), len(rest))
+    return PlateauTest(ratio, float(fdtrc(half * copies, (len(rest) - half) * copies, ratio)), len(rest))
 
 
 # -- interpolated data -----------------------------------------------------------------------------------------------

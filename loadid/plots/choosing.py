@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, reals
 
-from ..inverse.choice import Choice, Sweep
+from ..inverse.choice import Choice, PathCurve
 from .style import (
     BLUE,
     GREEN,
@@ -127,7 +127,7 @@ def mark_style(k: int) -> dict[str, Any]:
     return style | ({"color": ORANGE, "mec": INK} if k == 0 else {"color": INK, "mfc": "none"})
 
 
-def _draw_lcurve(ax: Axes, choice: Choice, sweep: Sweep) -> None:
+def _draw_lcurve(ax: Axes, choice: Choice, sweep: PathCurve) -> None:
     ax.loglog(sweep.residual_norm, sweep.penalty_norm, color=BLUE, lw=1.3)
     ax.set(xlabel="residual norm (whitened)", ylabel="penalty norm")
     ax.set_title("L-curve", loc="left", fontsize=9)
@@ -164,7 +164,7 @@ def _last(estimate: LoadEstimate) -> str:
     return f"singular value of mode i* = {estimate.diagnosis.plateau}"
 
 
-def _swept(estimate: LoadEstimate) -> tuple[Choice, Sweep]:
+def _swept(estimate: LoadEstimate) -> tuple[Choice, PathCurve]:
     choice = estimate.choice
     if choice is None or choice.sweep is None:
         raise InputError("the estimate carries no sweep of lambda", where="plot", hint="choose lambda by a rule")

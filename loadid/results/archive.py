@@ -14,7 +14,7 @@ from structures.files import storage
 from structures.flags import Flag
 from structures.model import Certificate
 
-from ..inverse.choice import Choice, Sweep
+from ..inverse.choice import Choice, PathCurve
 from ..inverse.diagnosis.diagnose import Diagnosis
 from ..inverse.noise_source import NOT_KNOWN, NoiseSource
 from ..inverse.posterior import from_arrays
@@ -112,7 +112,7 @@ def arguments(tree: dict[str, Any]) -> dict[str, Any]:
         said, source = choice.pop("sigma_source", None), choice.pop("source", None)
         origin = NoiseSource(**source) if source else NoiseSource.of(said)  # files of release 0.1 have the text only
         choice["source"] = origin or NOT_KNOWN
-        choice["sweep"] = choice["sweep"] and Sweep(**choice["sweep"])
+        choice["sweep"] = choice["sweep"] and PathCurve(**choice["sweep"])
         tree["choice"] = Choice(**choice)
     if (certificate := tree["certificate"]) is not None:
         known: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in certificate.items()}

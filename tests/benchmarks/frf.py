@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 
 from loadid import FrequencyInversion, Spectra
 from loadid.families.posing.fitting import LineRule, fit
-from loadid.inverse import ruled
-from loadid.inverse.spectral import compress, factor
+from loadid.inverse import rules
+from loadid.inverse.spectral import LinesPath, compress, factor
+from loadid.inverse.sweep import Sweep
 from structures import FrfModel
 from tests import frfplate
 from tests.frfplate import KINDS, Lines
@@ -164,8 +165,9 @@ def every_rule(case: Lines) -> dict[str, NDArray]:
     """Lambda of every line by each of the rules, each line on its own, from bare arrays."""
     whitened = case.H / case.sigma, case.Y / case.sigma
     lines = factor(compress(*whitened), np.ones((len(case.H), case.H.shape[2])))
-    sweep = ruled.LineSweep.over(ruled.LinesPath(lines), 1.0)
-    return {name: ruled.choose(name, sweep) for name in (*ruled.FUNCTIONS, *ruled.CROSSINGS)}
+    sweep = Sweep.over(LinesPath(lines), 1.0)
+    asked = {name: rules.run(name, sweep) for name in rules.RULES}
+    return {name: found.lines for name, found in asked.items() if found.lines is not None}
 
 
 def moved(cases: dict[str, Lines]) -> dict[str, float]:

@@ -91,11 +91,13 @@ def test_waveforms_and_processes_are_judged_in_one_unit(known):
     rng, sd = np.random.default_rng(0), c.noise
     y = sd * rng.standard_normal(c.y.shape)
     from loadid.families.data import gather
-    from loadid.inverse.sparse.path import ebic
+    from loadid.inverse.rules import information
+    from loadid.inverse.sparse.path import log_supports
 
     noise = sd if known else None
     problem = pose(space(), gather(y, c.dt, space(), None), posing(None, noise, "data sheet" if known else None, ()))
-    score = ebic(float(np.sum(problem.y**2)), 0, problem.data, len(y), problem.noise.sigma)
+    misfit, supports = float(np.sum(problem.y**2)), log_supports(len(y), 0)
+    score = float(information(misfit, 0, supports, problem.data, problem.noise.sigma))
     level = problem.noise.level if known else problem.noise.level * np.sqrt(np.mean(problem.y**2))
     density = np.sum(np.log(2 * np.pi * level**2) + (problem.values / level) ** 2)
     assert of_sparse(score, problem, problem.samples) == pytest.approx(density, rel=1e-9)

@@ -200,7 +200,7 @@ def test_width_on_a_line_is_in_metres(shuffled: bool) -> None:
     spread = np.exp(-0.5 * ((x - 0.8) / 0.1) ** 2)[order]
     place = np.column_stack([np.zeros(201), 0.6 * x, 0.8 * x])[order]  # a line in space
     own = int(np.argmax(spread))
-    found = diagnose.Layout.of(201, 1, {"coordinates": place})
+    found = diagnose.LoadLayout.of(201, 1, {"coordinates": place})
     assert found.unit == "m"
     assert found.width(spread, own) == pytest.approx(FWHM * 0.1, rel=0.01)
 
@@ -213,7 +213,7 @@ def test_width_on_a_surface_and_cross_talk() -> None:
     spread[:, 1] += 0.2 * (np.hypot(X - 0.9, Y - 0.9).ravel() < 0.01)  # a ghost far away
     own = 3 * int(np.argmin(np.hypot(X - 0.5, Y - 0.5))) + 1
     geometry = {"coordinates": places, "components": ["+X", "+Y", "+Z"], "kind": "nodal"}
-    found = diagnose.Layout.of(3 * X.size, 1, geometry)
+    found = diagnose.LoadLayout.of(3 * X.size, 1, geometry)
     assert found.dimension == 2
     wide = found.width(spread.ravel(), own)
     assert wide == pytest.approx(FWHM * 0.1, rel=0.06)
@@ -224,7 +224,7 @@ def test_width_on_a_surface_and_cross_talk() -> None:
 
 def test_places_of_other_loads_are_refused() -> None:
     with pytest.raises(InputError, match="not those of the loads"):
-        diagnose.Layout.of(10, 1, {"coordinates": np.zeros((4, 2))})
+        diagnose.LoadLayout.of(10, 1, {"coordinates": np.zeros((4, 2))})
 
 
 # -- refining the loads -----------------------------------------------------------------------------------------------

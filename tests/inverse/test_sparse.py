@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from loadid.inverse import rules
 from loadid.inverse.sparse import dictionaries, groups, lasso
 from loadid.inverse.sparse import lasso as workingset
-from loadid.inverse.sparse import path as debias
+from loadid.inverse.sparse import support as debias
 from loadid.inverse.sparse.atoms import DenseAtoms, MatrixAtoms, ShiftedAtoms
-from loadid.inverse.sparse.path import SparsePath, ebic
+from loadid.inverse.sparse.path import SparsePath, log_supports
 from structures import InputError
 from tests import halfsine
 
@@ -226,8 +227,8 @@ def test_an_iterate_that_has_not_converged_says_so(monkeypatch):
 def test_units_do_not_change_a_solution(factor):
     atoms, y = struck(300)
     scaled = ShiftedAtoms(factor * halfsine.impulse_response(300)[:, None, None], dictionaries.dirac(300))
-    first = SparsePath(atoms, y).at(0.01, 1e-10)
-    second = SparsePath(scaled, factor * y).at(0.01, 1e-10)
+    first = SparsePath(atoms, y).solve(0.01, 1e-10)
+    second = SparsePath(scaled, factor * y).solve(0.01, 1e-10)
     np.testing.assert_allclose(second.x, first.x, atol=1e-7 * np.abs(first.x).max())
     assert second.gap < 1e-10
 
@@ -256,17 +257,34 @@ def test_the_discrepancy_rule_meets_the_noise():
     atoms, y = struck()
     sigma = halfsine.level(halfsine.respond(halfsine.pulses(11, 500)), 0.05)
     along = SparsePath(atoms, y)
-    ratio, edge = along.discrepancy(sigma)
-    r = along.at(ratio).residual
-    assert not edge
+    found = rules.discrepancy(along.to_noise(sigma))
+    r = along.solve(found.lam).residual
+    assert not found.edge
     assert 0.98 < r @ r / (sigma**2 * 500) <= 1.0 + 1e-3
+
+
+def test_every_rule_runs_on_the_path_or_refuses_by_name():
+    """The size of the support is the number of degrees of freedom; what that does not give is refused."""
+    atoms, y = struck()
+    sigma = halfsine.level(halfsine.respond(halfsine.pulses(11, 500)), 0.05)
+    sweep = SparsePath(atoms, y).sweep(sigma)
+    asked = {name: rules.run(name, sweep) for name in rules.RULES}
+    refused = {name for name, found in asked.items() if found.lam is None}
+    assert refused == {"robust_gcv", "predicted_error", "l_curve", "quasi_optimality", "evidence"}
+    assert all(name in asked[name].note for name in refused)
+    p, m = sweep.point, 500
+    assert asked["upre"].lam == sweep.lam[np.argmin(p.residual2 + 2 * sigma**2 * p.edf)]
+    assert asked["gcv"].lam == sweep.lam[np.argmin(p.residual2 / (m - p.edf) ** 2)]
 
 
 def test_the_extended_criterion_counts_the_supports():
     from math import comb, log
 
-    assert ebic(50.0, 3, 100, 40, 1.0) == pytest.approx(50 + 3 * log(100) + 2 * log(comb(40, 3)))
-    assert ebic(50.0, 3, 100, 40, None) == pytest.approx(100 * log(0.5) + 3 * log(100) + 2 * log(comb(40, 3)))
+    supports = log_supports(40, 3)
+    assert rules.information(50.0, 3, supports, 100, 1.0) == pytest.approx(50 + 3 * log(100) + 2 * log(comb(40, 3)))
+    assert rules.information(50.0, 3, supports, 100, None) == pytest.approx(
+        100 * log(0.5) + 3 * log(100) + 2 * log(comb(40, 3))
+    )
 
 
 def test_amplitudes_are_least_squares_with_their_covariance(monkeypatch):
@@ -296,7 +314,7 @@ def test_amplitudes_keep_their_signs():
 def test_reweighting_holds_small_coefficients_down():
     atoms, y = struck()
     along = SparsePath(atoms, y)
-    first = along.at(0.01)
-    second = along.reweighted(first.x).at(0.01)
+    first = along.solve(0.01)
+    second = along.reweighted(first.x).solve(0.01)
     assert len(second.support) < len(first.support)
     assert np.abs(second.x).max() >= np.abs(first.x).max()  # less shrinkage of what is large

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
-from loadid.inverse import ruled, rules
+from loadid.inverse import rules
 from loadid.inverse import spectral as pooled
 from loadid.inverse.problem import LinearProblem
-from loadid.inverse.spectral import Compressed, compress, factor, identifiable, posterior
+from loadid.inverse.spectral import Compressed, LinesPath, compress, factor, identifiable, posterior, window
 from loadid.inverse.svd import SVDPath
+from loadid.inverse.sweep import RuleResult, Sweep
 from loadid.results.functionals import nearest_zeros
 from structures import InputError
 
@@ -185,7 +187,7 @@ def real_form(H, y):
 def test_lines_path_is_the_real_problem_of_each_line():
     H, X, _ = problem(lines=3)
     size = np.array([1.0, 4.0, 0.2])
-    path = ruled.LinesPath(factor(compress(H, X), np.broadcast_to(size**2, (3, 3))))
+    path = LinesPath(factor(compress(H, X), np.broadcast_to(size**2, (3, 3))))
     lam = np.geomspace(1e-4, 1, 7)
     at = path.at(lam)
     for k in range(3):
@@ -239,8 +241,6 @@ class Dense:
         }[rule]
 
     def crossing(self, rule, sigma):
-        from scipy.stats import chi2
-
         level = sigma**2 * (chi2.ppf(0.95, 2 * self.m) / 2 if rule == "discrepancy" else self.m - self.edf)
         below = np.flatnonzero(self.r2 < level)
         return self.lam[below[-1]] if len(below) else self.lam[0]
@@ -253,14 +253,14 @@ RULES = ["gcv", "robust_gcv", "modified_gcv", "upre", "quasi_optimality", "evide
 def test_rule_of_each_line_is_that_of_a_fine_dense_search(rule):
     c = case(6, 6, 3, noise=0.05, seed=4)
     lines = compress(c.H / c.sigma, c.Y / c.sigma)
-    path = ruled.LinesPath(factor(lines, np.ones((6, 3))))
-    chosen = ruled.choose(rule, ruled.LineSweep.over(path, 1.0))
+    path = LinesPath(factor(lines, np.ones((6, 3))))
+    chosen = rules.lines(rule, Sweep.over(path, 1.0))
     low, high = max(path.range[0], 1e-8), path.range[1]
     agree = 0
     for k in range(6):
         lam = np.geomspace(low, high, 500)
         dense = Dense(c.H[k] / c.sigma, c.Y[k] / c.sigma, lam * path.scale[k])
-        if rule in ruled.CROSSINGS:
+        if rule.endswith("discrepancy"):
             best = dense.crossing(rule, 1.0) / path.scale[k]
             assert np.log(chosen[k] / best) == pytest.approx(0, abs=0.2), k
             agree += 1
@@ -283,11 +283,11 @@ def test_rule_of_each_line_is_that_of_a_fine_dense_search(rule):
 
 def test_neighbours_share_the_decision_and_a_band_is_one():
     c = case(60, 6, 3, noise=0.05)
-    path = ruled.LinesPath(factor(compress(c.H / c.sigma, c.Y / c.sigma), np.ones((60, 3))))
-    alone, near = (ruled.choose("gcv", ruled.LineSweep.over(path, 1.0, n)) for n in (0, 20))
+    path = LinesPath(factor(compress(c.H / c.sigma, c.Y / c.sigma), np.ones((60, 3))))
+    alone, near = (rules.lines("gcv", Sweep.over(path, 1.0, mean=window(60, n)[0])) for n in (0, 20))
     assert np.std(np.diff(np.log(near))) < 0.1 * np.std(np.diff(np.log(alone)))
-    joined = ruled.JoinedPath(path)
-    one = ruled.together("gcv", joined, 1.0) * float(joined.scale)
+    joined = path.joined()
+    one = rules.answered(rules.run("gcv", Sweep.over(joined, 1.0))) * float(joined.scale)
     blocks = [c.H[k] / c.sigma for k in range(60)]
     lam = np.geomspace(1e-3, 1, 200) * float(joined.scale)
 
@@ -307,17 +307,23 @@ def test_neighbours_share_the_decision_and_a_band_is_one():
 def test_rules_that_cannot_run_say_so():
     H, X, _ = problem()
     plain = factor(compress(H, X), np.ones((4, 3)))
-    smooth, stairs = ruled.LinesPath(plain), ruled.LinesPath(plain, truncated=True)
+    smooth, stairs = LinesPath(plain), LinesPath(plain, truncated=True)
     with pytest.raises(InputError, match="needs the noise level"):
-        ruled.choose("upre", ruled.LineSweep.over(smooth, None))
+        rules.lines("upre", Sweep.over(smooth, None))
     for rule in ("l_curve", "quasi_optimality", "evidence"):
         with pytest.raises(InputError, match=rule):
-            ruled.choose(rule, ruled.LineSweep.over(stairs, 1.0))
-    with pytest.raises(InputError, match="over='band'"):
-        ruled.choose("balancing", ruled.LineSweep.over(smooth, 1.0)) if "balancing" in rules.RULES else ruled.choose(
-            next(r for r in rules.RULES if r not in ruled.FUNCTIONS and r not in ruled.CROSSINGS),
-            ruled.LineSweep.over(smooth, 1.0),
-        )
+            rules.lines(rule, Sweep.over(stairs, 1.0))
+    with pytest.raises(InputError, match="residual of a record"):
+        rules.lines("ncp", Sweep.over(smooth, 1.0))
+    with pytest.raises(InputError, match="over='band'"):  # one lambda for all lines is no answer
+        rules.lines(lambda sweep: RuleResult("first", float(sweep.lam[0])), Sweep.over(smooth, 1.0))
+
+
+def test_discrepancy_of_joined_lines_has_the_margin_of_complex_noise():
+    c = case(12, 6, 3, noise=0.05)
+    joined = LinesPath(factor(compress(c.H / c.sigma, c.Y / c.sigma), np.ones((12, 3)))).joined()
+    found = rules.run("discrepancy", Sweep.over(joined, 1.0))
+    assert float(joined.at(found.lam).residual2) == pytest.approx(chi2.ppf(0.95, 2 * 72) / 2, rel=1e-6)
 
 
 def test_bad_lines_are_refused():

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loadid.inverse.choice import Choice, Sweep
+from loadid.inverse.choice import Choice, PathCurve
 from loadid.inverse.noise_source import NoiseSource
 from loadid.inverse.sweep import RuleResult
 from loadid.results.estimate import Axis, LoadEstimate
@@ -43,8 +43,8 @@ def impact(loads=1, rows=3, samples=400, seed=0, **changes):
     response = np.cumsum(np.cumsum(truth[:, :1], 0), 0) * 1e-6 * np.sin(np.arange(1, rows + 1))
     residual = 0.01 * rng.standard_normal(response.shape)
     lam = np.logspace(-6, 0, 61)
-    sweep = Sweep(lam, np.sqrt(300 + (200 * lam) ** 2), 1e3 / (1 + 300 * lam), 300 / (1 + 100 * lam), None)
-    sweep = Sweep(
+    sweep = PathCurve(lam, np.sqrt(300 + (200 * lam) ** 2), 1e3 / (1 + 300 * lam), 300 / (1 + 100 * lam), None)
+    sweep = PathCurve(
         lam, sweep.residual_norm, sweep.penalty_norm, sweep.edf, 1 / (1200 - sweep.edf) ** 2 * sweep.residual_norm**2
     )
     settings = {

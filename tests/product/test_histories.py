@@ -43,7 +43,7 @@ def check(kind, path, penalty, choice, options, count=2):
     given = not isinstance(choice, str | None) and choice is not False
     free = penalty == "none" or (given and choice == 0)
     expected = histories.objections(kind, path, penalty, free, options)
-    if choice is False or (penalty == "none" and choice not in (None, 0)):
+    if choice is False or choice == "ebic" or (penalty == "none" and choice not in (None, 0)):
         expected = {"choice"}
     family, refused, undetermined = (
         partial(Deconvolution, histories.model(kind, count), path=path, choice=choice),

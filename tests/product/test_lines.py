@@ -20,7 +20,7 @@ N, LINES, LAM = 60, 24, 0.05
 SEEN = [sensors.Accelerometer(at=x, label=f"s{i}") for i, x in enumerate((0.3, 0.9, 1.2, 1.6))]
 MODEL = ForwardModel(BEAM, SEEN, [loads.Point(at=x, direction="Z", label=f"p{x}") for x in (0.65, 1.25)], modes=3)
 CHOICES = (*rules.RULES, None, False, 0, 0.0, LAM)
-PER_LINE = {"ncp"}  # rules that no line can run: they ask for the residual of a record
+PER_LINE = {"ncp", "ebic"}  # rules that no line can run: the residual of a record, the support of a sparse load
 OPTIONS = {"": {}, "size": {"size": [1.0, 3.0]}, "two": {"sensors": ["s0", "s2"]}, "one": {"sensors": ["s0"]},
            "count": {"count": 1}, "gap": {}}  # fmt: skip
 

@@ -76,7 +76,7 @@ def check(kind, penalty, choice, constraints=(), *, method="tikhonov", frames=1,
     expected = set()
     if method == "tsvd" and constraints:
         expected |= {"method"}
-    if choice is False or (penalty == "none" and choice not in (None, 0)):
+    if choice is False or choice == "ebic" or (penalty == "none" and choice not in (None, 0)):
         expected |= {"choice"}
     if constraints and choice in ("evidence", "predicted_error"):
         expected |= {"choice"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse.choice import Choice, Sweep
+from loadid.inverse.choice import Choice, PathCurve
 from loadid.inverse.sweep import RuleResult
 from structures.errors import InputError
 from tactile.closed.presses import Press
@@ -40,7 +40,7 @@ def asked(upre: float, gcv: float, met: float | None, *, rms: float, spent: floa
     """What two rules and the discrepancy say of 1000 data of unit noise; rms residual and share spent of any fit."""
     lam = np.geomspace(1e-6, 1, 7)
     said = {"upre": upre, "gcv": gcv, "discrepancy": met, "robust_gcv": 0.02}
-    sweep = Sweep(lam, np.full(7, rms * np.sqrt(1000)), np.ones(7), np.full(7, 1000 * spent))
+    sweep = PathCurve(lam, np.full(7, rms * np.sqrt(1000)), np.ones(7), np.full(7, 1000 * spent))
     return Choice(
         upre, 1.0, "upre", tuple(RuleResult(k, v, v == lam[0]) for k, v in said.items()), sigma=1.0, sweep=sweep
     )

@@ -12,17 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, NotIdentifiable, real, reals
 
 from ...inverse import choice as choosing
-from ...inverse import ruled, rules
-from ...inverse.choice import Choice
+from ...inverse import rules
+from ...inverse.choice import Choice, ChoiceLike, PathCurve, is_rule
 from ...inverse.noise_source import NoiseSource
-from ...inverse.ruled import JoinedPath, joint_sweep
 from ...inverse.rules import MEANING
 from ...inverse.spectral import (
     Compressed,
-    Factored,
+    FactoredLines,
     Identifiable,
-    Posterior,
-    Prior,
+    LinePosterior,
+    LinePrior,
+    LinesPath,
     compress,
     factor,
     identifiable,
@@ -30,7 +30,7 @@ from ...inverse.spectral import (
     prior,
     window,
 )
-from ...inverse.sweep import RuleResult
+from ...inverse.sweep import LINE_POINTS, RuleResult, Sweep
 
 Array = NDArray[Any]
 
@@ -49,8 +49,8 @@ class LineRule:
     Parameters
     ----------
     method : ``"tikhonov"`` or ``"tsvd"``
-    choice : str, float or None
-        LineRule, relative lambda or threshold; None is the evidence of the neighbouring lines (Tikhonov).
+    choice : str, callable, float or None
+        Rule, relative lambda or threshold; None is the evidence of the neighbouring lines (Tikhonov).
     over : ``"neighbours"``, ``"line"`` or ``"band"``
         Who decides: each line with its neighbours, alone, or all together.
     neighbours : int
@@ -62,7 +62,7 @@ class LineRule:
     """
 
     method: str = "tikhonov"
-    choice: str | float | None = None
+    choice: ChoiceLike = None
     over: str = "neighbours"
     neighbours: int = 40
     count: int | None = None
@@ -82,16 +82,14 @@ class LineRule:
              "an integer >= 1")  # fmt: skip
         need(self.count is None or (self.method == "tsvd" and self.choice is None), "count is for truncation alone",
              "count", self.count, "method='tsvd' without choice=")  # fmt: skip
-        if self.choice is not None and not isinstance(self.choice, str):
+        if is_rule(self.choice):
+            rules.name_of(self.choice)
+        elif self.choice is not None:
             value = real(self.choice)
             need(value is not None and np.isfinite(value) and value >= 0, "no relative lambda", "choice", self.choice,
                  "a number >= 0, the name of a rule, or None")  # fmt: skip
         need(self.size is None or not self.pooled, "the evidence of the lines finds the sizes itself", "size",
              self.size, "no size, or a rule (choice=)")  # fmt: skip
-        if isinstance(self.choice, str):
-            known = (*ruled.FUNCTIONS, *ruled.CROSSINGS)
-            what = "no rule for frequency lines" if self.choice in rules.RULES else "unknown rule"
-            need(self.choice in known, what, "choice", self.choice, ", ".join(known))
 
     @property
     def pooled(self) -> bool:
@@ -101,7 +99,7 @@ class LineRule:
     @property
     def free(self) -> bool:
         """Least squares, without regularisation."""
-        return self.count is None and not isinstance(self.choice, str | None) and self.choice == 0
+        return self.count is None and not is_rule(self.choice) and self.choice == 0
 
 
 @dataclass(frozen=True)
@@ -147,7 +145,7 @@ class LineFit:
     errors: NDArray[np.float64] | None
     lam: NDArray[np.float64]
     edf: NDArray[np.float64]
-    path: ruled.LinesPath
+    path: LinesPath
     used: float
     excess: float
     frf_part: NDArray[np.float64]
@@ -263,20 +261,20 @@ def _refuse_lost(lines: Compressed) -> None:
         )
 
 
-Solved = tuple[Posterior, Array, Array, ruled.LinesPath, float]
+Solved = tuple[LinePosterior, Array, Array, LinesPath, float]
 
 
-def _pooled(f: Factored, guess: Prior, answer: Posterior) -> Solved:
-    path = ruled.LinesPath(f)
+def _pooled(f: FactoredLines, guess: LinePrior, answer: LinePosterior) -> Solved:
+    path = LinesPath(f)
     lam = np.sqrt(guess.noise) / np.maximum(path.scale, 1e-300)
     return answer, guess.noise, lam, path, float(np.sqrt(np.median(guess.noise)))
 
 
-def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: LineRule, known: bool) -> Solved:
+def _ruled(lines: Compressed, f: FactoredLines, guess: LinePrior, rule: LineRule, known: bool) -> Solved:
     """A named rule or a given lambda: one penalty |g / size|^2 for all loads of a line."""
     size = _sizes(lines, rule.size)
     plain = factor(lines, np.broadcast_to(size**2, lines.R.shape[::2]))
-    path = ruled.LinesPath(plain, rule.method == "tsvd")
+    path = LinesPath(plain, rule.method == "tsvd")
     lam = _lambda(path, rule, known)
     absolute = _absolute(lam, np.asarray(path.scale))
     used = float(np.median(absolute))
@@ -289,26 +287,28 @@ def _ruled(lines: Compressed, f: Factored, guess: Prior, rule: LineRule, known: 
     covariance = answer.covariance * scale[:, None, None]
     if cut is not None:  # what was left out is as large as the loads around the line
         covariance = posterior(f, noise, _matching(f, answer)).covariance
-    return Posterior(answer.gain, answer.load, covariance, answer.edf), noise, lam, path, used
+    return LinePosterior(answer.gain, answer.load, covariance, answer.edf), noise, lam, path, used
 
 
-def _lambda(path: ruled.LinesPath, rule: LineRule, known: bool) -> NDArray[np.float64]:
+def _lambda(path: LinesPath, rule: LineRule, known: bool) -> NDArray[np.float64]:
     lines = len(path.c)
     if rule.count is not None:
         k = min(rule.count, path.c.shape[1]) - 1
         return path.c[:, k] / np.maximum(path.scale, 1e-300)
-    if rule.choice is None:  # truncation where the directions are noise
-        return ruled.choose("gcv", ruled.LineSweep.over(path, 1.0 if known else None, rule.neighbours))
-    if not isinstance(rule.choice, str):
-        if rule.over == "band":  # one absolute lambda
-            return np.asarray(float(rule.choice) * path.scale.max() / np.maximum(path.scale, 1e-300))
-        return np.full(lines, float(rule.choice))
     sigma = 1.0 if known else None
+    if rule.choice is None:  # truncation where the directions are noise
+        return rules.lines("gcv", Sweep.over(path, sigma, mean=window(lines, rule.neighbours)[0]))
+    if not is_rule(rule.choice):
+        given = real(rule.choice) or 0.0
+        if rule.over == "band":  # one absolute lambda
+            return given * path.scale.max() / np.maximum(path.scale, 1e-300)
+        return np.full(lines, given)
     if rule.over == "band":
-        joined = ruled.JoinedPath(path)
-        return ruled.together(rule.choice, joined, sigma) * joined.scale / np.maximum(path.scale, 1e-300)
+        joined = path.joined()
+        found = rules.run(rule.choice, Sweep.over(joined, sigma, LINE_POINTS))
+        return rules.answered(found) * joined.scale / np.maximum(path.scale, 1e-300)
     near = rule.neighbours if rule.over == "neighbours" else 0
-    return ruled.choose(rule.choice, ruled.LineSweep.over(path, sigma, near))
+    return rules.lines(rule.choice, Sweep.over(path, sigma, mean=window(lines, near)[0]))
 
 
 def _absolute(lam: Array, scale: Array) -> NDArray[np.float64]:
@@ -331,7 +331,7 @@ def _sizes(lines: Compressed, given: ArrayLike | None) -> NDArray[np.float64]:
     return size
 
 
-def _noise(lines: Compressed, answer: Posterior, rule: LineRule) -> NDArray[np.float64]:
+def _noise(lines: Compressed, answer: LinePosterior, rule: LineRule) -> NDArray[np.float64]:
     """Variance of the whitened noise that the residual of neighbouring lines shows."""
     rest = lines.b - lines.R @ answer.load
     left = np.maximum(lines.shape[1] + lines.left - answer.edf, 0.0)
@@ -340,7 +340,7 @@ def _noise(lines: Compressed, answer: Posterior, rule: LineRule) -> NDArray[np.f
     return np.maximum(near(energy) / np.maximum(near(left), 0.2), 1e-300)
 
 
-def _matching(f: Factored, answer: Posterior) -> NDArray[np.float64]:
+def _matching(f: FactoredLines, answer: LinePosterior) -> NDArray[np.float64]:
     """Threshold over the loads of expected size that keeps as many directions as the answer has."""
     kept = np.clip(np.round(answer.edf).astype(int), 0, f.s.shape[1])
     walled = np.concatenate([np.full((len(kept), 1), np.inf), f.s], axis=1)
@@ -352,7 +352,7 @@ def _alone(shown: Array, errors: Array) -> NDArray[np.float64]:
     return np.asarray(np.maximum(shown - errors, LEAST * shown))
 
 
-def _beyond(answer: Posterior, noise: Array) -> NDArray[np.float64]:
+def _beyond(answer: LinePosterior, noise: Array) -> NDArray[np.float64]:
     """Variance of the loads that noise does not make, (lines, loads)."""
     if answer.gain.ndim != 3:  # least squares have no prior
         return np.zeros(answer.variance.shape)
@@ -360,7 +360,7 @@ def _beyond(answer: Posterior, noise: Array) -> NDArray[np.float64]:
     return np.asarray(np.maximum(answer.variance - made, 0.0))
 
 
-def _share(H: Array, answer: Posterior, errors: Array) -> NDArray[np.float64]:
+def _share(H: Array, answer: LinePosterior, errors: Array) -> NDArray[np.float64]:
     """Variance of the loads that FRF errors make, (lines, loads); errors are those of the whitened data."""
     Q, _ = np.linalg.qr(H)
     gain = answer.gain @ Q.conj().swapaxes(1, 2)
@@ -382,8 +382,8 @@ def judged(fit: LineFit, rule: LineRule, known: bool, source: NoiseSource) -> Ch
     the lambda of the joined lines is comparable with that of the neighbours' evidence.
     """
     step = max(1, -(-fit.path.c.size // MODES))
-    joined = JoinedPath(fit.path, slice(None, None, step))
-    sweep = joint_sweep(joined, 1.0 if known else None, POINTS)
+    joined = fit.path.joined(step)
+    sweep = Sweep.over(joined, 1.0 if known else None, POINTS)
     asked = {name: rules.run(name, sweep) for name in ASKED}
     used = fit.used / float(joined.scale)
     name = _name(rule)
@@ -392,7 +392,6 @@ def judged(fit: LineFit, rule: LineRule, known: bool, source: NoiseSource) -> Ch
     else:
         spread, verdict = _agreement(asked, used)
         odds = f"{MEANING[verdict]}; how often that goes well was not measured for frequency lines"
-    point = sweep.point
     return Choice(
         lam=used,
         scale=float(joined.scale),
@@ -404,21 +403,16 @@ def judged(fit: LineFit, rule: LineRule, known: bool, source: NoiseSource) -> Ch
         sigma=1.0 if known else None,
         source=source,
         edf=float(np.sum(fit.edf)),
-        sweep=choosing.Sweep(
-            sweep.lam,
-            np.sqrt(point.residual2),
-            np.sqrt(point.penalty2),
-            point.edf,
-            None if point.left is None else rules.gcv_function(joined, point),
-        ),
+        sweep=PathCurve.of(sweep),
     )
 
 
 def _name(rule: LineRule) -> str:
     if rule.pooled:
         return "evidence"
-    return rule.choice if isinstance(rule.choice, str) else ("gcv" if rule.choice is None and rule.count is None else
-                                                             "given")  # fmt: skip
+    if is_rule(rule.choice):
+        return rules.name_of(rule.choice)
+    return "gcv" if rule.choice is None and rule.count is None else "given"
 
 
 def _agreement(asked: dict[str, RuleResult], used: float) -> tuple[float, str]:

@@ -12,13 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, NotIdentifiable
 from structures.model import Model
 
+from ...inverse import rules
+from ...inverse.choice import ChoiceLike, is_rule, relative
 from ...inverse.noise_source import NoiseSource, NoiseSourceLike
 from ...inverse.problem import whiten
 from ...inverse.sparse import dictionaries, path
 from ...inverse.sparse.atoms import MatrixAtoms, ShiftedAtoms
 from ...inverse.sparse.groups import Groups
 from ...inverse.sparse.lasso import SparseSolution
-from ...inverse.sparse.path import SparsePath, SupportFit, Sweep, fit
+from ...inverse.sparse.path import SparsePath
+from ...inverse.sparse.support import SupportFit, fit
+from ...inverse.sweep import RuleResult, Sweep
 from .. import noise as noises
 from ..data import Data
 from .paths import coloured
@@ -31,6 +35,7 @@ SEGMENT = 16384  # samples at the start of a longer record on which dictionaries
 ONSET = 0.1  # share of the energy of the data that such a segment holds at least
 SOLVED = 1e-5  # relative duality gap above which an iterate is not reported
 WIDER = (4, 8, 16)  # knots with which spikes are compared
+FEWEST = 3  # points of a sweep on which a rule is asked
 CANDIDATES = 6  # loads between which groups leave the choice to the information criterion
 
 Atoms = ShiftedAtoms | MatrixAtoms
@@ -46,7 +51,7 @@ class Wanted:
     groups: str | None
     reweighted: int
     debias: bool
-    choice: str | float | None
+    choice: ChoiceLike
     tol: float
 
     @property
@@ -113,7 +118,7 @@ class Problem:
 
     def path(self, atoms: Atoms, nonnegative: bool, groups: Groups | None = None) -> SparsePath:
         """The problem on a dictionary."""
-        return SparsePath(atoms, self.y.reshape(-1), nonnegative=nonnegative, groups=groups, data=self.data)
+        return SparsePath(atoms, self.y, nonnegative=nonnegative, groups=groups, data=self.data)
 
     def beginning(self) -> Problem:
         """The first part of a long record, with enough of its energy: the structure is at rest before it."""
@@ -237,7 +242,8 @@ def choose(problem: Problem, wanted: Wanted, progress: Callable[[float, str], No
     """
     first = problem.beginning()
     spacings, sweeps = _swept(first, wanted, progress)
-    best = min(spacings, key=lambda k: sweeps[k].ebic.min(initial=np.inf)) if len(spacings) > 1 else spacings[0]
+    scores = {k: score(s) for k, s in sweeps.items()}
+    best = min(spacings, key=lambda k: scores[k]) if len(spacings) > 1 else spacings[0]
     knots = best if wanted.named == "bspline" else None
     sweep = sweeps[best]
     sigma, shown = _level(first, sweep)
@@ -254,17 +260,17 @@ def choose(problem: Problem, wanted: Wanted, progress: Callable[[float, str], No
     for _ in range(wanted.reweighted):
         along = along.reweighted(solution.x)
         if rule == "discrepancy":
-            ratio, edge = along.discrepancy(sigma)
+            met = _met(along, sigma)
+            ratio, edge = rules.answered(met), met.edge
         solution = _solved(along, ratio, wanted.tol)
     progress(0.9, "amplitudes")
     # a support chosen by the criterion is the whole support of its solution
     small = 0.0 if rule == "ebic" else wanted.small
     found = along.fitted(solution.x, small, sigma)
-    scores = {k: float(s.ebic.min(initial=np.inf)) for k, s in sweeps.items()}
     if group_gap is not None:
         solution = replace(solution, gap=max(solution.gap, group_gap))
-    return SparseChoice(problem, loads, atoms, knots, solution, found, ratio, along.scale, rule, edge, ratios, sigma,
-                        shown, sweep, scores)  # fmt: skip
+    return SparseChoice(problem, loads, atoms, knots, solution, found, ratio, float(along.scale), rule, edge, ratios,
+                        sigma, shown, sweep, scores)  # fmt: skip
 
 
 def _swept(
@@ -303,10 +309,11 @@ def _level(first: Problem, sweep: Sweep) -> tuple[float, float | None]:
     """Noise level of the whitened data, and what the data show where that contradicts the stated level."""
     from scipy.special import gammaincinv
 
-    if not len(sweep.ebic):
+    if not len(sweep.lam):
         return first.noise.sigma or float(np.sqrt(np.mean(first.y**2))), None
-    freedom = max(first.data - int(sweep.count[sweep.best]), 1)
-    seen = float(np.sqrt(sweep.fitted2[sweep.best] / freedom))
+    best = sweep.part(np.array([rules.best_support(sweep)])).point
+    freedom = max(first.data - int(rules.need(best, "edf", "ebic")[0]), 1)
+    seen = float(np.sqrt(rules.need(best, "fitted2", "ebic")[0] / freedom))
     if first.noise.sigma is None:
         return seen, None
     margin = max(1.3, float(np.sqrt(2 * gammaincinv(freedom / 2, 0.99) / freedom)))
@@ -315,32 +322,57 @@ def _level(first: Problem, sweep: Sweep) -> tuple[float, float | None]:
 
 
 def _ratio(
-    along: SparsePath, choice: str | float | None, sigma: float, sweep: Sweep, whole: bool
+    along: SparsePath, choice: ChoiceLike, sigma: float, sweep: Sweep, whole: bool
 ) -> tuple[float, str, bool, dict[str, float]]:
     """Relative mu, the rule that chose it, whether at the end of its range, and what every rule said."""
     ratios: dict[str, float] = {}
-    if len(sweep.ebic) and whole:
-        ratios["ebic"] = float(sweep.ratio[sweep.best])
-    if choice is not None and not isinstance(choice, str):
-        return float(choice), "given", False, ratios
+    best = rules.ebic(sweep) if len(sweep.lam) and whole else None
+    if best is not None:
+        ratios["ebic"] = rules.answered(best)
+    if choice is not None and not is_rule(choice):
+        return relative(choice), "given", False, ratios
     if choice == "ebic":
-        if not ratios:
+        if best is None:
             raise InputError(
                 "the information criterion is asked on short records only", where="choice", found="'ebic'",
                 expected="None, 'discrepancy' or a relative mu", hint=f"a window of up to {SEGMENT} samples",
             )  # fmt: skip
-        return ratios["ebic"], "ebic", sweep.best == len(sweep.ebic) - 1, ratios
-    ratio, edge = along.discrepancy(sigma)
+        return ratios["ebic"], "ebic", best.edge, ratios
+    if choice not in (None, "discrepancy"):
+        own = _asked(along, choice, sigma)
+        return rules.answered(own), own.rule, own.edge, ratios | {own.rule: rules.answered(own)}
+    met = _met(along, sigma)
+    ratio = rules.answered(met)
     if ratio >= 1:
         raise NotIdentifiable(
             "the record holds nothing beyond its noise: no load is needed to explain it",
-            advice="check the noise level (noise=), or take a record with a larger response", code="LID-E312",
-        )  # fmt: skip
-    return ratio, "discrepancy", edge, ratios | {"discrepancy": ratio}
+            advice="check the noise level (noise=), or take a record with a larger response",
+            code="LID-E312",
+        )
+    return ratio, "discrepancy", met.edge, ratios | {"discrepancy": ratio}
+
+
+def _met(along: SparsePath, sigma: float) -> RuleResult:
+    """The discrepancy rule, which needs the path down to the noise alone."""
+    return rules.run("discrepancy", along.to_noise(sigma))
+
+
+def _asked(along: SparsePath, choice: str | rules.Rule, sigma: float) -> RuleResult:
+    """Another rule, on the path as far as it is sparse."""
+    sweep = along.sweep(sigma)
+    if len(sweep.lam) < FEWEST:
+        raise InputError("the solutions are sparse at no mu: no rule says anything", where="choice",
+                         found=rules.name_of(choice), expected="a relative mu, or another dictionary")  # fmt: skip
+    return rules.run(choice, sweep)
+
+
+def score(sweep: Sweep) -> float:
+    """Smallest information criterion; infinite where nothing is sparse."""
+    return float(rules.criterion(sweep).min(initial=np.inf))
 
 
 def _solved(along: SparsePath, ratio: float, tol: float) -> SparseSolution:
-    found = along.at(ratio, tol)
+    found = along.solve(ratio, tol)
     if found.gap > max(SOLVED, tol):
         raise NotIdentifiable(
             f"the l1 problem could not be solved: relative duality gap {found.gap:.2g} after {found.steps} steps",
@@ -357,15 +389,14 @@ def _candidates(problem: Problem, wanted: Wanted, knots: int | None, sigma: floa
     atoms = problem.atoms(wanted.dictionary, knots)
     groups = Groups(atoms.load)
     along = problem.path(atoms, False, groups)
-    ratio, _ = along.discrepancy(sigma)
-    found = along.at(ratio, wanted.tol)
+    found = along.solve(rules.answered(_met(along, sigma)), wanted.tol)
     norms = groups.norms(found.x)
     order = [int(j) for j in np.argsort(-norms) if norms[j] > 0][:CANDIDATES]
     scores = []
     for count in range(1, len(order) + 1):
         some = problem.of(np.sort(order[:count]))
         part = some.path(some.atoms(wanted.dictionary, knots), wanted.nonnegative)
-        scores.append(float(part.sweep(sigma).ebic.min(initial=np.inf)))
+        scores.append(score(part.sweep(sigma)))
     if not scores:
         raise NotIdentifiable("the record holds nothing beyond its noise: no candidate is needed to explain it",
                               advice="check the noise level (noise=)", code="LID-E312")  # fmt: skip
@@ -390,3 +421,6 @@ def amplitude_share(chosen: SparseChoice) -> tuple[float, int] | None:
 def posing(hold: str | None, noise: ArrayLike | None, source: NoiseSourceLike, allow: tuple[str, ...]) -> Posing:
     """What the shared posing of a record asks."""
     return Posing("tikhonov", "identity", hold, noise, NoiseSource.of(source), allow)
+
+
+__all__ = ["Problem", "SparseChoice", "Wanted", "amplitude_share", "choose", "pose", "posing", "score"]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, NotIdentifiable
 
 from ..convolution import PenalizedConvolution
-from ..interpolation import STEP, Table, Traces, logs
+from ..interpolation import STEP, HermiteTable, Traces, logs
 from ..path import PathPoint, RegularizationPath, Solution
 from . import posterior as probes
 from .pcg import Circulant, Reached, largest, refined
@@ -100,9 +100,9 @@ class ConvolvedPath(RegularizationPath):
             raise InputError("the forward model is beyond the range of numbers", where="inverse problem",
                              found=f"largest generalised singular value {float(self.scale):.2g}",
                              expected="between 1e-140 and 1e140", hint="check the units")  # fmt: skip
-        self._table = Table(self._node, self.lowest)
+        self._table = HermiteTable(self._node, self.lowest)
         self._residuals: dict[float, tuple[Array, Array]] = {}
-        self._errors: dict[float, Table] = {}
+        self._errors: dict[float, HermiteTable] = {}
         self._kept: tuple[float, Reached] | None = None
         self._told: tuple[float, tuple[Array, Array, float], tuple[float, float, float]] | None = None
 
@@ -177,7 +177,7 @@ class ConvolvedPath(RegularizationPath):
         if pilot not in self._errors:
             load = self._solved(pilot).x
             response = self.operator.convolve(load)
-            self._errors = {pilot: Table(lambda at: self._bias2(at, load, response), self.lowest)}
+            self._errors = {pilot: HermiteTable(lambda at: self._bias2(at, load, response), self.lowest)}
         noise = self._noise2(lam) if sigma > 0 else 0.0
         return np.asarray(self._errors[pilot].at(lam)[0] + sigma**2 * noise)
 

@@ -11,14 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import NotIdentifiable, plain
 
+from ..arrays import Array
 from ..path import RegularizationPath
 from ..svd import SVDPath
 from .picard import Decay, Plateau, decay, plateau
-from .resolution import Layout, Refinement, against_half, refinement, spreads, width
+from .resolution import LoadLayout, Refinement, against_half, refinement, spreads, width
 
 __all__ = [
-    "Decay", "Diagnosis", "Layout", "Plateau", "Refinement", "against_half", "decay", "diagnose", "hidden", "layout",
-    "plateau", "refinement", "resolution", "spreads", "width",
+    "Decay", "Diagnosis", "LoadLayout", "Plateau", "Refinement", "against_half", "decay", "diagnose", "hidden",
+    "layout", "plateau", "refinement", "resolution", "spreads", "width",
 ]  # fmt: skip
 
 WHOLE = 400  # loads up to which the resolution matrix is kept
@@ -82,10 +83,10 @@ class Diagnosis:
     m: int
     n: int
     frames: int
-    singular_values: NDArray[np.float64]
-    generalised: NDArray[np.float64]
-    coefficients: NDArray[np.float64]
-    filter_factors: NDArray[np.float64]
+    singular_values: Array
+    generalised: Array
+    coefficients: Array
+    filter_factors: Array
     plateau: int
     floor: float
     kappa: float
@@ -93,19 +94,19 @@ class Diagnosis:
     nullity: int
     decay: Decay
     null_share: float | None
-    heights: NDArray[np.float64]
+    heights: Array
     columns: NDArray[np.int64]
-    widths: NDArray[np.float64]
-    cross_talk: NDArray[np.float64]
+    widths: Array
+    cross_talk: Array
     width_unit: str
     load: int
     width: float
     peak_bias: float
     worst: int
-    matrix: NDArray[np.float64] | None = field(repr=False)
+    matrix: Array | None = field(repr=False)
     shown: NDArray[np.int64]
-    signatures: NDArray[np.float64] = field(repr=False)
-    point_spreads: NDArray[np.float64] = field(repr=False)
+    signatures: Array = field(repr=False)
+    point_spreads: Array = field(repr=False)
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -191,7 +192,7 @@ def diagnose(
     if sigma is not None and found.floor > LOUD * sigma:  # too loud for noise: what is flat there is signal
         found = Plateau(int(np.flatnonzero(modes.beta[known] > LOUD * sigma).max(initial=-1)) + 1, float(sigma))
     components = path.problem.shape[1] if len(path.problem.shape) == 2 else 1
-    where = Layout.of(n, components, geometry)
+    where = LoadLayout.of(n, components, geometry)
     heights = np.einsum("ik,k,ik->i", path.X, path.filter_factors(lam), path.Y)
     candidate = None if load is None else np.asarray(plain(load), float).ravel()
     peak = n // 2 if candidate is None or not np.any(candidate) else int(np.argmax(np.abs(candidate)))
@@ -239,9 +240,9 @@ def diagnose(
 
 @dataclass(frozen=True)
 class _Modes:
-    gamma: NDArray[np.float64]
-    beta: NDArray[np.float64]
-    f: NDArray[np.float64]
+    gamma: Array
+    beta: Array
+    f: Array
 
 
 def _modes(path: SVDPath, lam: float) -> _Modes:
@@ -254,12 +255,12 @@ def _modes(path: SVDPath, lam: float) -> _Modes:
     return _Modes(gamma[order], np.abs(path.beta[:k])[order], path.filter_factors(lam)[:k][order])
 
 
-def _columns(path: SVDPath, lam: float, loads: NDArray[np.int64]) -> NDArray[np.float64]:
+def _columns(path: SVDPath, lam: float, loads: NDArray[np.int64]) -> Array:
     """Columns of the resolution matrix, (n, k)."""
     return (path.X * path.filter_factors(lam)) @ path.Y[loads].T
 
 
-def layout(singular_values: NDArray, n: int) -> tuple[float, int, int]:
+def layout(singular_values: ArrayLike, n: int) -> tuple[float, int, int]:
     """Conditioning of the observed subspace with its rank and nullity: (kappa, rank, nullity)."""
     s = np.sort(np.asarray(plain(singular_values), float))[::-1]
     tol = max(len(s), n) * np.finfo(float).eps * s[0]
@@ -267,7 +268,7 @@ def layout(singular_values: NDArray, n: int) -> tuple[float, int, int]:
     return float(s[0] / s[rank - 1]), rank, max(n - rank, 0)
 
 
-def resolution(path: RegularizationPath, lam: float, load: NDArray) -> tuple[float, float]:
+def resolution(path: RegularizationPath, lam: float, load: Array) -> tuple[float, float]:
     """Width in samples of the answer to a single-sample load at the peak, and the share of its height that is lost."""
     sample, j = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
     unit = np.zeros(load.shape)
@@ -278,7 +279,7 @@ def resolution(path: RegularizationPath, lam: float, load: NDArray) -> tuple[flo
     return width(spread, int(sample)), float(1 - spread[sample])
 
 
-def hidden(path: RegularizationPath, lam: float, load: NDArray, std: NDArray, *, axis: int = 0) -> NDArray[np.float64]:
+def hidden(path: RegularizationPath, lam: float, load: Array, std: Array, *, axis: int = 0) -> Array:
     """What regularisation is expected to hide, (R - I) g for the part of the estimate that stands out of its noise.
 
     The estimate itself has lost it already (low frequencies that accelerometers do not see come back as a slow

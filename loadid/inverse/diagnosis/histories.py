@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import penalties
+from ..arrays import Array, Flags
 from ..convolution import toeplitz
 
 WINDOW = 48  # samples from the start that are looked at
@@ -48,7 +48,7 @@ class Start:
 
 
 def start(
-    h: NDArray, y: NDArray, lam: float, penalty: str = "identity", sigma: float = 1.0, missing: NDArray | None = None
+    h: Array, y: Array, lam: float, penalty: str = "identity", sigma: float = 1.0, missing: Flags | None = None
 ) -> Start | None:
     """Test of a start at rest, on the first samples alone.
 
@@ -88,9 +88,9 @@ def start(
     A = np.vstack([within[keep], LOOSE * lam * L])
     Q = np.linalg.qr(A)[0]
 
-    def left(columns: NDArray) -> NDArray:
+    def left(columns: Array) -> Array:
         tall = np.vstack([columns, np.zeros((len(L), columns.shape[1]))])
-        return tall - Q @ (Q.T @ tall)
+        return np.asarray(tall - Q @ (Q.T @ tall))
 
     misfit, motions = left(y[:n].reshape(-1, 1)[keep]), left(free[keep])
     found = np.linalg.lstsq(motions, misfit, rcond=1e-8)[0]
@@ -101,18 +101,18 @@ def start(
         gain=float(np.sum((motions @ found) ** 2)) / variance,
         motions=free.shape[1],
         share=float(np.max(motion[largest > 0] / largest[largest > 0])),
-        first=_first(y, there, largest, sigma),
+        first=_first(y, np.asarray(there, bool), largest, sigma),
     )
 
 
-def _first(y: NDArray, there: NDArray, largest: NDArray, sigma: float) -> float:
+def _first(y: Array, there: Flags, largest: Array, sigma: float) -> float:
     """Share of the first sample; the noise is judged by third differences too, as a misfit may be no noise at all."""
     rough = np.median(np.abs(np.diff(y, n=3, axis=0)), axis=0) / (0.6745 * np.sqrt(20))
     clear = there[0] & (np.abs(y[0]) > CLEAR * np.minimum(sigma, rough)) & (largest > 0)
     return float(np.max(np.abs(y[0, clear]) / largest[clear], initial=0.0))
 
 
-def _free(h: NDArray, n: int) -> NDArray[np.float64]:
+def _free(h: Array, n: int) -> Array:
     """Orthonormal free motions of the first `n` samples, (n * sensors, motions): tails of the impulse responses."""
     delays = np.unique(np.geomspace(1, len(h) - n, PAST).astype(int))
     tails = np.stack([h[j : j + n] for j in delays], axis=-1).reshape(n * h.shape[1], -1)
@@ -124,7 +124,7 @@ TAPS = 2048  # samples of the impulse response that are looked at
 LINES = 200  # lines that are looked at
 
 
-def apart(h: NDArray) -> tuple[float, NDArray[np.float64]]:
+def apart(h: Array) -> tuple[float, Array]:
     """How well the best line tells all loads apart, and the combination of loads that is seen least over all lines.
 
     Parameters

@@ -6,12 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, as_array
 
+from ..arrays import Array, Indices
+
 # how signals fall with the index of the mode; each has a rate that is fitted
-LAWS: dict[str, Callable[[NDArray], NDArray]] = {
+LAWS: dict[str, Callable[[Array], Array]] = {
     "algebraic": np.log,
     "root": np.sqrt,
     "exponential": lambda i: i,
@@ -97,15 +99,15 @@ def plateau(coefficients: ArrayLike, *, frames: int = 1, rest: tuple[float, int]
 class _Data:
     """Squares of coefficients, of neighbours together where there are many, and how many normal numbers are in each."""
 
-    i: NDArray[np.float64]  # index of the mode
-    squares: NDArray[np.float64]  # mean
-    freedom: NDArray[np.float64]
+    i: Array  # index of the mode
+    squares: Array  # mean
+    freedom: Array
     rest: float  # mean square of what no load can cause
     count: float  # its freedom
     modes: int
 
     @classmethod
-    def of(cls, b: NDArray, frames: int, rest: float, count: int) -> _Data:
+    def of(cls, b: Array, frames: int, rest: float, count: int) -> _Data:
         each, nu = -(-len(b) // BINS), float(min(max(frames, 1), MOST))
         edges = np.arange(0, len(b), each)
         size = np.diff([*edges, len(b)])
@@ -120,7 +122,7 @@ class _Data:
         freedom = np.sum(self.freedom[first:]) + self.count
         return max(0.5 * float(np.log(max(total / freedom, 1e-300))), LEAST) if freedom else LEAST
 
-    def likelihood(self, x: NDArray, law: Callable[[NDArray], NDArray]) -> float:
+    def likelihood(self, x: Array, law: Callable[[Array], Array]) -> float:
         """Log-likelihood of noise level, signal level and rate, `x` = (ln s, ln t at the first mode, ln rate)."""
         s2 = np.exp(2 * max(x[0], LEAST))
         t = np.exp(np.maximum(_trend(x, law, self.i, self.modes), LEAST))
@@ -128,16 +130,16 @@ class _Data:
         each = -0.5 * self.freedom * (self.squares / v + np.log(v))
         top = each.max(axis=0)
         modes = top + np.log(SHARE @ np.exp(each - top))
-        return float(np.sum(modes)) - 0.5 * self.count * (self.rest / s2 + np.log(s2))
+        return float(float(np.sum(modes)) - 0.5 * self.count * (self.rest / s2 + np.log(s2)))
 
 
-def _trend(x: NDArray, law: Callable[[NDArray], NDArray], i: NDArray, modes: int) -> NDArray:
+def _trend(x: Array, law: Callable[[Array], Array], i: Array | Indices, modes: int) -> Array:
     """Log of the level of the signal: from x[1] at the first mode, falling at the rate exp(x[2])."""
     span = float(law(np.array([max(modes, 2.0)]))[0] - law(np.array([1.0]))[0])
-    return x[1] - np.exp(min(x[2], 8.0)) * (law(i) - law(np.array([1.0]))[0]) / span
+    return np.asarray(x[1] - np.exp(min(x[2], 8.0)) * (law(np.asarray(i, float)) - law(np.array([1.0]))[0]) / span)
 
 
-def _climb(data: _Data, law: Callable[[NDArray], NDArray]) -> tuple[float, NDArray, Callable[[NDArray], NDArray]]:
+def _climb(data: _Data, law: Callable[[Array], Array]) -> tuple[float, Array, Callable[[Array], Array]]:
     """Likeliest levels and rate under one law, from the best of some starts."""
     from scipy.optimize import minimize
 
@@ -158,11 +160,11 @@ def _climb(data: _Data, law: Callable[[NDArray], NDArray]) -> tuple[float, NDArr
     return -float(found.fun), found.x, law
 
 
-def _silent(data: _Data, best: NDArray, law: Callable[[NDArray], NDArray]) -> NDArray[np.float64]:
+def _silent(data: _Data, best: Array, law: Callable[[Array], Array]) -> Array:
     """Likeliest signal if there is no noise."""
     from scipy.optimize import minimize
 
-    def whole(x: NDArray) -> NDArray:
+    def whole(x: Array) -> Array:
         return np.array([LEAST, *x])
 
     options = {"maxfev": 120, "xatol": 0.02, "fatol": 0.02}
@@ -173,7 +175,7 @@ def _silent(data: _Data, best: NDArray, law: Callable[[NDArray], NDArray]) -> ND
 DECAY_LAWS = ("gaussian", "exponential", "algebraic")
 DEEPEST = 1e-6  # of the largest singular value: no sensor resolves 120 dB, and below it kinks and the grid rule
 FEWEST_VALUES = 6  # values above rounding without which no law can be told
-_RISE: dict[str, Callable[[NDArray], NDArray]] = {"gaussian": np.square, "exponential": np.asarray, "algebraic": np.log}
+_RISE: dict[str, Callable[[Array], Array]] = {"gaussian": np.square, "exponential": np.asarray, "algebraic": np.log}
 
 
 @dataclass(frozen=True)
@@ -213,7 +215,7 @@ class Decay:
             return float("nan")
         if self.law == "algebraic":
             return float(np.exp(room / self.rate))
-        return float(max(room, 0.0) / self.rate) ** (0.5 if self.law == "gaussian" else 1.0)
+        return float(float(max(room, 0.0) / self.rate) ** (0.5 if self.law == "gaussian" else 1.0))
 
     def buys(self, gain: float = 100.0, snr: float = 100.0) -> float:
         """How many times finer the resolution becomes when an SNR of `snr` is raised by `gain`.
@@ -259,14 +261,14 @@ def decay(singular_values: ArrayLike, dimension: int = 1, unknowns: int | None =
     s = s[:within] if within >= FEWEST_VALUES else s
     if len(s) < FEWEST_VALUES or s[-1] == s[0]:
         return Decay("unknown", 0.0, 0.0, 0.0, {}, len(s), dimension)
-    y, k = np.log(s / s[0]), np.arange(1, len(s) + 1) ** (1 / dimension)
-    fits = {law: _line(np.asarray(_RISE[law](k), float), y) for law in DECAY_LAWS}
+    y, k = np.log(s / s[0]), np.arange(1.0, len(s) + 1) ** (1 / dimension)
+    fits = {law: _line(_RISE[law](k), y) for law in DECAY_LAWS}
     best = max(DECAY_LAWS, key=lambda law: fits[law][2])
     slope, level, r2 = fits[best]
     return Decay(best, -slope, level, r2, {law: fits[law][2] for law in DECAY_LAWS}, len(s), dimension)
 
 
-def _line(x: NDArray, y: NDArray) -> tuple[float, float, float]:
+def _line(x: Array, y: Array) -> tuple[float, float, float]:
     """Slope, level and R2 of a straight line."""
     slope, level = np.polyfit(x, y, 1)
     return float(slope), float(level), float(1 - np.sum((y - level - slope * x) ** 2) / np.sum((y - y.mean()) ** 2))

@@ -11,23 +11,25 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 
+from ..arrays import Array
 
-def width(spread: NDArray, peak: int) -> float:
+
+def width(spread: Array, peak: int) -> float:
     """Full width at half maximum of a point spread around its peak, in samples, interpolated."""
     x = np.abs(spread) / abs(spread[peak])
 
-    def reach(y: NDArray) -> float:
+    def reach(y: Array) -> float:
         below = np.flatnonzero(y < 0.5)
         if len(below) == 0:
             return float(len(y))
         k = int(below[0])
-        return k - 1 + (y[k - 1] - 0.5) / (y[k - 1] - y[k])
+        return float(k - 1 + (y[k - 1] - 0.5) / (y[k - 1] - y[k]))
 
     return max(1.0, reach(x[peak:]) + reach(x[peak::-1]))
 
 
 @dataclass(frozen=True)
-class Layout:
+class LoadLayout:
     """Where loads are: in a row, on a line, or on a surface. Load index = point * components + component.
 
     Parameters
@@ -41,12 +43,12 @@ class Layout:
 
     points: int
     components: int = 1
-    places: NDArray[np.float64] | None = None
-    measures: NDArray[np.float64] | None = None
+    places: Array | None = None
+    measures: Array | None = None
 
     @classmethod
-    def of(cls, n: int, components: int = 1, geometry: Mapping[str, Any] | None = None) -> Layout:
-        """Layout of `n` loads, with the geometry of a load basis where there is one.
+    def of(cls, n: int, components: int = 1, geometry: Mapping[str, Any] | None = None) -> LoadLayout:
+        """LoadLayout of `n` loads, with the geometry of a load basis where there is one.
 
         Raises
         ------
@@ -78,7 +80,7 @@ class Layout:
         """Unit of a width."""
         return "loads" if self.places is None else "m"
 
-    def width(self, spread: NDArray, load: int) -> float:
+    def width(self, spread: Array, load: int) -> float:
         """Full width at half maximum of a point spread (n,), among the loads of its own direction.
 
         On a line interpolated; on a surface the diameter of a disc (of a ball) as large as all that is above the half.
@@ -96,7 +98,7 @@ class Layout:
         # nodes of a surface carry its area; those of a body are taken for points of a surface in it
         return 2 * float(np.sqrt(size / np.pi))
 
-    def cross_talk(self, spread: NDArray, load: int, reach: float) -> float:
+    def cross_talk(self, spread: Array, load: int, reach: float) -> float:
         """Largest response beyond `reach` of a load, or in another direction, over that at the load itself.
 
         Infinite where the load itself is shown nowhere in place.
@@ -110,16 +112,16 @@ class Layout:
         return largest / float(mine) if mine > 0 else (np.inf if largest > 0 else 0.0)
 
 
-def _flattened(x: NDArray) -> NDArray[np.float64]:
+def _flattened(x: Array) -> Array:
     """Coordinates along the directions in which the places differ."""
     centred = x - x.mean(axis=0)
     if not np.any(centred):
-        return centred[:, :0]
+        return np.asarray(centred[:, :0])
     span, axes = np.linalg.svd(centred, full_matrices=False)[1:]
     return np.asarray(centred @ axes[span > 1e-6 * span[0]].T)
 
 
-def _cells(x: NDArray) -> NDArray[np.float64]:
+def _cells(x: Array) -> Array:
     """Tributary length on a line; an equal share of the box elsewhere."""
     if x.shape[1] > 1:
         return np.full(len(x), float(np.prod(np.sort(np.ptp(x, axis=0))[-2:])) / len(x))
@@ -129,12 +131,12 @@ def _cells(x: NDArray) -> NDArray[np.float64]:
     return cells
 
 
-def _crossings(x: NDArray, y: NDArray, own: int) -> float:
+def _crossings(x: Array, y: Array, own: int) -> float:
     """Distance between the places left and right of a peak of height 1 where it has fallen to a half."""
     order = np.argsort(x)
     x, y, k = x[order], y[order], int(np.flatnonzero(order == own)[0])
 
-    def reach(a: NDArray, b: NDArray) -> float:
+    def reach(a: Array, b: Array) -> float:
         below = np.flatnonzero(b < 0.5)
         if len(below) == 0:
             return abs(float(a[-1] - a[0]))
@@ -150,11 +152,11 @@ class Spreads:
     """Height, width and cross-talk of some columns of a resolution matrix; arrays (columns,)."""
 
     loads: NDArray[np.int64]
-    widths: NDArray[np.float64]
-    cross_talk: NDArray[np.float64]
+    widths: Array
+    cross_talk: Array
 
 
-def spreads(columns: ArrayLike, loads: NDArray[np.int64], layout: Layout) -> Spreads:
+def spreads(columns: ArrayLike, loads: NDArray[np.int64], layout: LoadLayout) -> Spreads:
     """Measure columns (n, k) of a resolution matrix that belong to `loads` (k,)."""
     columns = np.asarray(columns, float)
     widths = np.array([layout.width(column, int(j)) for column, j in zip(columns.T, loads, strict=True)])
@@ -239,12 +241,9 @@ def against_half(H: ArrayLike, eta: float, *, components: int = 1, edges: ArrayL
     H = np.asarray(H, float)
     points, odd = divmod(H.shape[1], components)
     if odd or points < 2:
-        raise InputError(
-            "these loads cannot be merged in pairs",
-            where="refinement",
-            found=f"{H.shape[1]} loads of {components} components",
-            expected="two points or more",
-        )
+        raise InputError("these loads cannot be merged in pairs", where="refinement",
+                         found=f"{H.shape[1]} loads of {components} components",
+                         expected="two points or more")  # fmt: skip
     pairs = np.column_stack([np.arange(points - 1), np.arange(1, points)]) if edges is None else np.asarray(edges, int)
     group = _matched(points, pairs)
     size = np.bincount(group)
@@ -255,7 +254,7 @@ def against_half(H: ArrayLike, eta: float, *, components: int = 1, edges: ArrayL
     return refinement(merged.reshape(len(H), -1), H, eta)
 
 
-def _matched(points: int, edges: NDArray) -> NDArray[np.int64]:
+def _matched(points: int, edges: Array) -> NDArray[np.int64]:
     """Group of each point: neighbours in pairs, as many as can be found in order."""
     partner = np.full(points, -1)
     for a, b in edges:
@@ -265,7 +264,7 @@ def _matched(points: int, edges: NDArray) -> NDArray[np.int64]:
     return np.unique(first, return_inverse=True)[1]
 
 
-def _values(A: ArrayLike) -> tuple[int, NDArray[np.float64]]:
+def _values(A: ArrayLike) -> tuple[int, Array]:
     A = np.asarray(A, float)
     if A.ndim not in (1, 2) or A.size == 0 or not np.all(np.isfinite(A)):
         raise InputError("no operator and no singular values", where="refinement", found=f"shape {A.shape}, or NaN",

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.errors import InputError
 
+from ..arrays import Array, Flags, Indices
 from ..convolution import Convolution
 from .dictionaries import Dictionary
 
@@ -23,19 +23,19 @@ class Atoms(Protocol):
     m: int
     n: int
 
-    def apply(self, x: NDArray) -> NDArray[np.float64]:
+    def apply(self, x: Array) -> Array:
         """A x, (m,)."""
         ...
 
-    def adjoint(self, r: NDArray) -> NDArray[np.float64]:
+    def adjoint(self, r: Array) -> Array:
         """A^T r, (n,)."""
         ...
 
-    def columns(self, which: NDArray) -> NDArray[np.float64]:
+    def columns(self, which: Indices) -> Array:
         """Columns of A, (m, k)."""
         ...
 
-    def gram(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+    def gram(self, rows: Indices, columns: Indices) -> Array:
         """Block of A^T A."""
         ...
 
@@ -43,27 +43,27 @@ class Atoms(Protocol):
 class DenseAtoms:
     """Atoms that are given as a matrix (m, n)."""
 
-    def __init__(self, matrix: NDArray) -> None:
+    def __init__(self, matrix: Array) -> None:
         self.matrix = np.asarray(matrix, float)
         if self.matrix.ndim != 2 or not np.all(np.isfinite(self.matrix)):
             raise InputError("no matrix of finite numbers", where="dictionary", found=f"shape {self.matrix.shape}")
         self.m, self.n = self.matrix.shape
 
-    def apply(self, x: NDArray) -> NDArray[np.float64]:
+    def apply(self, x: Array) -> Array:
         """A x."""
         return self.matrix @ x
 
-    def adjoint(self, r: NDArray) -> NDArray[np.float64]:
+    def adjoint(self, r: Array) -> Array:
         """A^T r."""
         return self.matrix.T @ r
 
-    def columns(self, which: NDArray) -> NDArray[np.float64]:
+    def columns(self, which: Indices) -> Array:
         """Columns of A, (m, k)."""
         return self.matrix[:, which]
 
-    def gram(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+    def gram(self, rows: Indices, columns: Indices) -> Array:
         """Block of A^T A."""
-        return self.matrix[:, rows].T @ self.matrix[:, columns]
+        return np.asarray(self.matrix[:, rows].T @ self.matrix[:, columns])
 
 
 class MatrixAtoms(DenseAtoms):
@@ -84,7 +84,7 @@ class MatrixAtoms(DenseAtoms):
         Where the responses do not fit in `LARGEST` numbers.
     """
 
-    def __init__(self, h: NDArray, D: NDArray, weight: NDArray | None = None) -> None:
+    def __init__(self, h: Array, D: Array, weight: Array | None = None) -> None:
         self.D, self.samples, self.loads = np.asarray(D, float), len(D), h.shape[2]
         operator = Convolution(h, self.samples, weight)
         size = operator.shape[0] * self.D.shape[1] * self.loads
@@ -106,11 +106,11 @@ class MatrixAtoms(DenseAtoms):
         self.load = np.tile(np.arange(self.loads), self.D.shape[1])
         self.slot = np.repeat(np.arange(self.D.shape[1]), self.loads)
 
-    def history(self, x: NDArray) -> NDArray[np.float64]:
+    def history(self, x: Array) -> Array:
         """D x: coefficients (n,) to loads (samples, loads)."""
         return self.D @ x.reshape(-1, self.loads)
 
-    def histories(self, which: NDArray) -> Any:
+    def histories(self, which: Indices) -> Any:
         """Loads of single atoms, sparse (samples * loads, k)."""
         from scipy.sparse import csc_matrix
 
@@ -137,7 +137,7 @@ class ShiftedAtoms:
         0 for missing data.
     """
 
-    def __init__(self, h: NDArray, dictionary: Dictionary, weight: NDArray | None = None) -> None:
+    def __init__(self, h: Array, dictionary: Dictionary, weight: Array | None = None) -> None:
         self.dictionary, self.samples = dictionary, dictionary.samples
         self.operator = Convolution(h, self.samples, weight)
         self._h = np.zeros((self.samples, *h.shape[1:]))
@@ -154,27 +154,27 @@ class ShiftedAtoms:
         name = (cut * len(dictionary.families) + self.wave) * self.loads + self.load
         _, self._first, self._kind = np.unique(name, return_index=True, return_inverse=True)
         self._begin = np.maximum(self.shift, 0)
-        self._kernels: dict[int, NDArray[np.float64]] = {}
+        self._kernels: dict[int, Array] = {}
         self._alive = np.full(len(self._first), -1)
-        self._products: dict[tuple[int, int], NDArray[np.float64]] = {}
+        self._products: dict[tuple[int, int], Array] = {}
         self._partial = None if weight is None else np.flatnonzero(np.any(weight != 1, axis=1))
 
     # -- products ---------------------------------------------------------------------------------------------------
-    def history(self, x: NDArray) -> NDArray[np.float64]:
+    def history(self, x: Array) -> Array:
         """D x: coefficients (n,) to loads (samples, loads)."""
         return self.dictionary.synthesise(x.reshape(-1, self.loads))
 
-    def apply(self, x: NDArray) -> NDArray[np.float64]:
+    def apply(self, x: Array) -> Array:
         """H D x, (m,)."""
         return self.operator.apply(self.history(x)).reshape(-1)
 
-    def adjoint(self, r: NDArray) -> NDArray[np.float64]:
+    def adjoint(self, r: Array) -> Array:
         """D^T H^T r, (n,)."""
         return self.dictionary.analyse(self.operator.apply_transposed(r.reshape(self.samples, self.sensors))).reshape(
             -1
         )
 
-    def histories(self, which: NDArray) -> Any:
+    def histories(self, which: Indices) -> Any:
         """Loads of single atoms, sparse (samples * loads, k)."""
         from scipy.sparse import csc_matrix
 
@@ -190,11 +190,11 @@ class ShiftedAtoms:
         return csc_matrix((np.concatenate(values), at), (self.samples * self.loads, len(which)))
 
     # -- columns ----------------------------------------------------------------------------------------------------
-    def columns(self, which: NDArray) -> NDArray[np.float64]:
+    def columns(self, which: Indices) -> Array:
         """Columns of A, (m, k)."""
         return self._rows(which, 0, self.samples, self.weight).reshape(self.m, len(which))
 
-    def _rows(self, which: NDArray, start: int, stop: int, weight: NDArray | None) -> NDArray[np.float64]:
+    def _rows(self, which: Indices, start: int, stop: int, weight: Array | None) -> Array:
         """Samples start to stop of some columns, (stop - start, sensors, k)."""
         block = np.zeros((stop - start, self.sensors, len(which)))
         for c, j in enumerate(which):
@@ -206,7 +206,7 @@ class ShiftedAtoms:
             block *= weight[start:stop, :, None]
         return block
 
-    def _kernel(self, kind: int) -> NDArray[np.float64]:
+    def _kernel(self, kind: int) -> Array:
         """Response (samples, sensors) to a waveform from its first sample in the record on."""
         if kind not in self._kernels:
             j = self._first[kind]
@@ -219,7 +219,7 @@ class ShiftedAtoms:
         return self._kernels[kind]
 
     # -- Gram matrix ------------------------------------------------------------------------------------------------
-    def gram(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+    def gram(self, rows: Indices, columns: Indices) -> Array:
         """Block of A^T A."""
         block = np.empty((len(rows), len(columns)))
         first, second = self._dies(rows), self._dies(columns)
@@ -231,13 +231,13 @@ class ShiftedAtoms:
             block[np.ix_(~first, ~second)] = self._multiplied(rows[~first], columns[~second])
         return block
 
-    def _dies(self, which: NDArray) -> NDArray[np.bool_]:
+    def _dies(self, which: Indices) -> Flags:
         """Whether the response to an atom has died away within the record."""
         for kind in np.unique(self._kind[which]):
             self._kernel(kind)
-        return self._begin[which] + self._alive[self._kind[which]] <= self.samples
+        return np.asarray(self._begin[which] + self._alive[self._kind[which]] <= self.samples)
 
-    def _looked_up(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+    def _looked_up(self, rows: Indices, columns: Indices) -> Array:
         block = np.empty((len(rows), len(columns)))
         for a in np.unique(self._kind[rows]):
             i = np.flatnonzero(self._kind[rows] == a)
@@ -249,15 +249,15 @@ class ShiftedAtoms:
             block -= self._lost(rows, columns)
         return block
 
-    def _lost(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+    def _lost(self, rows: Indices, columns: Indices) -> Array:
         """What the weights take away from the products of full columns."""
         assert self.weight is not None
         assert self._partial is not None
         left, right = self._at(rows, self._partial), self._at(columns, self._partial)
         rest = 1 - self.weight[self._partial] ** 2
-        return np.einsum("tsi,ts,tsj->ij", left, rest, right, optimize=True)
+        return np.asarray(np.einsum("tsi,ts,tsj->ij", left, rest, right, optimize=True))
 
-    def _at(self, which: NDArray, samples: NDArray) -> NDArray[np.float64]:
+    def _at(self, which: Indices, samples: Indices) -> Array:
         """Columns at some samples only, without weights, (len(samples), sensors, k)."""
         block = np.zeros((len(samples), self.sensors, len(which)))
         for c, j in enumerate(which):
@@ -265,7 +265,7 @@ class ShiftedAtoms:
             block[after, :, c] = self._kernel(self._kind[j])[samples[after] - self._begin[j]]
         return block
 
-    def _correlation(self, a: int, b: int) -> NDArray[np.float64]:
+    def _correlation(self, a: int, b: int) -> Array:
         """``sum_t a_t b_(t + lag)`` over all sensors at lags -samples .. samples, stored from index 0."""
         if (a, b) in self._products:
             return self._products[a, b]
@@ -278,7 +278,7 @@ class ShiftedAtoms:
         self._products[a, b] = np.concatenate([circular[-self.samples :], circular[: self.samples + 1]])
         return self._products[a, b]
 
-    def _multiplied(self, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+    def _multiplied(self, rows: Indices, columns: Indices) -> Array:
         """Block of A^T A by multiplying columns, a chunk of samples at a time."""
         block = np.zeros((len(rows), len(columns)))
         begin = int(max(self._begin[rows].min(), self._begin[columns].min()))
@@ -292,7 +292,7 @@ class ShiftedAtoms:
         return block
 
 
-def _convolved(q: NDArray, waveform: NDArray) -> NDArray[np.float64]:
+def _convolved(q: Array, waveform: Array) -> Array:
     """Response (samples, sensors) to a waveform instead of a spike."""
     response = np.zeros_like(q)
     for k, value in enumerate(waveform[: len(q)]):

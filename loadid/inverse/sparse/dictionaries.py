@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.errors import InputError
+
+from ..arrays import Array
 
 KNOTS = (1, 2, 4, 8, 16)  # spacings that are scanned, in samples
 MOMENTS = 4  # vanishing moments of the wavelets
@@ -27,7 +28,7 @@ class Family:
     step, count : int
     """
 
-    waveform: NDArray[np.float64]
+    waveform: Array
     first: int
     step: int
     count: int
@@ -53,7 +54,7 @@ class Dictionary:
         """Number of columns of D."""
         return sum(f.count for f in self.families)
 
-    def synthesise(self, x: NDArray) -> NDArray[np.float64]:
+    def synthesise(self, x: Array) -> Array:
         """D x: coefficients (atoms, loads) to histories (samples, loads)."""
         g = np.zeros((self.samples, x.shape[1]))
         at = 0
@@ -66,7 +67,7 @@ class Dictionary:
             at += f.count
         return g
 
-    def analyse(self, g: NDArray) -> NDArray[np.float64]:
+    def analyse(self, g: Array) -> Array:
         """D^T g: histories (samples, loads) to coefficients (atoms, loads)."""
         x = np.zeros((self.atoms, g.shape[1]))
         at = 0
@@ -136,19 +137,19 @@ def wavelet(samples: int, moments: int = MOMENTS, coarsest: int = COARSEST) -> D
     return Dictionary("wavelet", tuple(families), samples)
 
 
-def _copies(waveform: NDArray, step: int, samples: int) -> Family:
+def _copies(waveform: Array, step: int, samples: int) -> Family:
     """All copies on a grid of `step` that touch the record."""
     reach = (len(waveform) - 1) // step
     return Family(waveform, -reach * step, step, reach + (samples - 1) // step + 1)
 
 
-def _spread(taps: NDArray, hole: int) -> NDArray[np.float64]:
+def _spread(taps: Array, hole: int) -> Array:
     wide = np.zeros((len(taps) - 1) * hole + 1)
     wide[::hole] = taps
     return wide
 
 
-def daubechies(moments: int) -> NDArray[np.float64]:
+def daubechies(moments: int) -> Array:
     """Orthonormal low-pass filter of 2 * `moments` taps, sum sqrt(2), by spectral factorisation.
 
     Daubechies, Comm. Pure Appl. Math. 41 (1988) 909: the roots of the half-band polynomial inside the unit circle.

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.errors import InputError
 
+from ..arrays import Array, Indices
 from .atoms import Atoms
 from .lasso import SparseSolution, gap
 
@@ -33,25 +33,25 @@ class Groups:
         Default 1.
     """
 
-    def __init__(self, labels: NDArray, weights: NDArray | None = None) -> None:
+    def __init__(self, labels: Indices, weights: Array | None = None) -> None:
         self.labels = np.asarray(labels, int)
         self.count = int(self.labels.max(initial=-1)) + 1
         self.weights = np.ones(self.count) if weights is None else np.asarray(weights, float)
         order = np.argsort(self.labels, kind="stable")
         self.members = np.split(order, np.cumsum(np.bincount(self.labels, minlength=self.count))[:-1])
 
-    def norms(self, x: NDArray) -> NDArray[np.float64]:
+    def norms(self, x: Array) -> Array:
         """Euclidean norm of each group, (count,)."""
         return np.sqrt(np.bincount(self.labels, x**2, minlength=self.count))
 
 
-def largest(atoms: Atoms, y: NDArray, groups: Groups) -> float:
+def largest(atoms: Atoms, y: Array, groups: Groups) -> float:
     """Smallest mu at which everything is zero."""
     return float(np.max(groups.norms(atoms.adjoint(y)) / groups.weights))
 
 
 def solve(
-    atoms: Atoms, y: NDArray, mu: float, groups: Groups, *, tol: float = 1e-6, start: NDArray | None = None
+    atoms: Atoms, y: Array, mu: float, groups: Groups, *, tol: float = 1e-6, start: Array | None = None
 ) -> SparseSolution:
     """Minimise ``1/2 |A x - y|^2 + mu sum_g w_g |x_g|`` to a relative duality gap.
 
@@ -84,13 +84,9 @@ def solve(
         used[new] = True
         which = np.concatenate([groups.members[g] for g in np.flatnonzero(used)]) if used.any() else known
         if len(which) > LARGEST:
-            raise InputError(
-                "the groups in use are too large",
-                where="groups",
-                found=f"{len(which)} coefficients",
-                expected=f"at most {LARGEST}",
-                hint="a coarser dictionary (knots=), a window of the record, or a larger mu",
-            )
+            raise InputError("the groups in use are too large", where="groups", found=f"{len(which)} coefficients",
+                             expected=f"at most {LARGEST}",
+                             hint="a coarser dictionary (knots=), a window of the record, or a larger mu")  # fmt: skip
         G = _gram(atoms, which, known, G)
         known = which
         part = _Part(G, c[which], x[which], groups.labels[which], mu * groups.weights)
@@ -102,7 +98,7 @@ def solve(
     return replace(best, steps=steps)
 
 
-def _standing_out(size: NDArray, mu: float, small: bool) -> NDArray[np.int_]:
+def _standing_out(size: Array, mu: float, small: bool) -> Indices:
     """Groups to take in: all that exceed both neighbours where they are small (slots in time), else the worst."""
     outside = size > mu * (1 + SLACK)
     if not outside.any():
@@ -114,7 +110,7 @@ def _standing_out(size: NDArray, mu: float, small: bool) -> NDArray[np.int_]:
     return peaks if len(peaks) else np.array([np.argmax(size)])
 
 
-def _gram(atoms: Atoms, which: NDArray, known: NDArray, G: NDArray) -> NDArray[np.float64]:
+def _gram(atoms: Atoms, which: Indices, known: Indices, G: Array) -> Array:
     """Gram matrix of `which`, of which that of `known` is there already."""
     place = {int(j): k for k, j in enumerate(known)}
     old = np.array([place.get(int(j), -1) for j in which])
@@ -131,11 +127,11 @@ def _gram(atoms: Atoms, which: NDArray, known: NDArray, G: NDArray) -> NDArray[n
 class _Part:
     """The problem on the groups in use; `c` are the correlations at the `x` it starts from."""
 
-    def __init__(self, G: NDArray, c: NDArray, x: NDArray, labels: NDArray, levels: NDArray) -> None:
+    def __init__(self, G: Array, c: Array, x: Array, labels: Indices, levels: Array) -> None:
         names, self.group = np.unique(labels, return_inverse=True)
         self.G, self.b, self.x, self.level = G, c + G @ x, x.copy(), levels[names]
         self.count = len(names)
-        self._modes: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+        self._modes: dict[int, tuple[Array, Array]] = {}
         self.members = [np.flatnonzero(self.group == g) for g in range(self.count)]
 
     def minimise(self, enough: float) -> int:
@@ -160,14 +156,14 @@ class _Part:
                 return step + 1
         return STEPS
 
-    def _norms(self) -> NDArray[np.float64]:
+    def _norms(self) -> Array:
         return np.sqrt(np.bincount(self.group, self.x**2, minlength=self.count))
 
-    def _objective(self, x: NDArray) -> float:
+    def _objective(self, x: Array) -> float:
         norms = np.sqrt(np.bincount(self.group, x**2, minlength=self.count))
         return float(0.5 * x @ (self.G @ x) - self.b @ x + self.level @ norms)
 
-    def _own(self, g: int) -> NDArray[np.float64]:
+    def _own(self, g: int) -> Array:
         """Correlations of a group with what the others leave."""
         m = self.members[g]
         return self.b[m] - self.G[m] @ self.x + self.G[np.ix_(m, m)] @ self.x[m]
@@ -197,7 +193,7 @@ class _Part:
         norm = np.exp(brentq(excess, low, high + 1, xtol=1e-12))
         self.x[m] = vectors @ (norm * modal / (norm * values + self.level[g]))
 
-    def _clear(self, before: NDArray) -> None:
+    def _clear(self, before: Array) -> None:
         """Set groups to zero that are best there while the others stay; minimise alone over those that have shrunk."""
         norms = self._norms()
         for g in map(int, np.flatnonzero(norms > 0)):
@@ -206,7 +202,7 @@ class _Part:
             elif norms[g] < SHRUNK * before[g]:
                 self._alone(g)  # Newton's model holds within a norm of the group: near zero it cannot move
 
-    def _model(self, a: NDArray) -> tuple[NDArray, NDArray]:
+    def _model(self, a: Indices) -> tuple[Array, Array]:
         """Descent slope and Hessian of the objective on the coefficients `a`, whose groups are not zero."""
         H = self.G[np.ix_(a, a)].copy()
         norms, group = self._norms(), self.group[a]
@@ -218,7 +214,7 @@ class _Part:
             H[np.ix_(m, m)] -= self.level[g] / norms[g] * np.outer(u, u)
         return slope, H
 
-    def _move(self, a: NDArray, d: NDArray, gain: float) -> bool:
+    def _move(self, a: Indices, d: Array, gain: float) -> bool:
         """Go along d as far as the objective falls; whether it did."""
         start, t = self._objective(self.x), 1.0
         while t > 1e-12:
@@ -231,7 +227,7 @@ class _Part:
         return False
 
 
-def _solved(H: NDArray, slope: NDArray) -> NDArray[np.float64]:
+def _solved(H: Array, slope: Array) -> Array:
     from scipy.linalg import lapack
 
     diagonal, ridge = np.diag(H).copy(), RIDGE

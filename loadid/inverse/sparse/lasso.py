@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array, Flags, Indices
 from .atoms import Atoms
 
 
@@ -32,9 +32,9 @@ class SparseSolution:
         Whether the gap that was asked for is reached.
     """
 
-    x: NDArray[np.float64]
-    support: NDArray[np.int_]
-    residual: NDArray[np.float64]
+    x: Array
+    support: Indices
+    residual: Array
     mu: float
     gap: float
     objective: float
@@ -54,37 +54,37 @@ class L1:
     """
 
     mu: float
-    weights: NDArray[np.float64] | None = None
+    weights: Array | None = None
     nonnegative: bool = False
 
-    def levels(self, n: int) -> NDArray[np.float64]:
+    def levels(self, n: int) -> Array:
         """Bound of each correlation, mu w_j, (n,)."""
         return np.full(n, self.mu) if self.weights is None else self.mu * self.weights
 
-    def excess(self, c: NDArray) -> NDArray[np.float64]:
+    def excess(self, c: Array) -> Array:
         """How far the correlations c = A^T r exceed their levels: positive where a zero should not stay zero."""
         return (c if self.nonnegative else np.abs(c)) - self.levels(len(c))
 
-    def dual_scale(self, c: NDArray) -> float:
+    def dual_scale(self, c: Array) -> float:
         """Largest factor up to 1 that makes the residual a feasible dual point."""
         size = c if self.nonnegative else np.abs(c)
         worst = float(np.max(size / self.levels(len(c)), initial=0.0))
         return 1.0 if worst <= 1 else 1 / worst
 
-    def value(self, x: NDArray, which: NDArray) -> float:
+    def value(self, x: Array, which: Indices) -> float:
         """The penalty of some coefficients `x` at the places `which`."""
         size = np.abs(x)
         return float(self.mu * (size.sum() if self.weights is None else self.weights[which] @ size))
 
 
-def largest(atoms: Atoms, y: NDArray, weights: NDArray | None = None, nonnegative: bool = False) -> float:
+def largest(atoms: Atoms, y: Array, weights: Array | None = None, nonnegative: bool = False) -> float:
     """Smallest mu at which everything is zero."""
     c = atoms.adjoint(y)
     c = c if weights is None else c / weights
     return float(np.max(c if nonnegative else np.abs(c), initial=0.0))
 
 
-def gap(y: NDArray, residual: NDArray, penalty: float, scale: float) -> tuple[float, float]:
+def gap(y: Array, residual: Array, penalty: float, scale: float) -> tuple[float, float]:
     """Objective, and its distance from the dual objective at ``scale * residual``, both over ``1/2 |y|^2``.
 
     The gap is formed from differences of vectors, so that it can fall to the rounding of the objective itself.
@@ -111,11 +111,11 @@ class _WorkingSet:
     """Atoms that have been active, with their Gram matrix; grows, and is cut back when most of it is idle."""
 
     atoms: Atoms
-    which: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, int))
-    gram: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
-    x: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    which: Indices = field(default_factory=lambda: np.zeros(0, int))
+    gram: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    x: Array = field(default_factory=lambda: np.zeros(0))
 
-    def grow(self, new: NDArray[np.int_]) -> None:
+    def grow(self, new: Indices) -> None:
         """Take in new atoms with coefficient zero."""
         if not len(new):
             return
@@ -135,7 +135,7 @@ class _WorkingSet:
         if len(keep) > 100 + 3 * np.count_nonzero(keep):
             self.which, self.x, self.gram = self.which[keep], self.x[keep], self.gram[np.ix_(keep, keep)]
 
-    def full(self, n: int) -> NDArray[np.float64]:
+    def full(self, n: int) -> Array:
         """Coefficients (n,)."""
         x = np.zeros(n)
         x[self.which] = self.x
@@ -157,7 +157,7 @@ class Solver:
     y : array, shape (m,)
     """
 
-    def __init__(self, atoms: Atoms, y: NDArray) -> None:
+    def __init__(self, atoms: Atoms, y: Array) -> None:
         self.atoms, self.y = atoms, np.asarray(y, float)
         self._work = _WorkingSet(atoms)
 
@@ -202,12 +202,12 @@ class Solver:
         return replace(best, steps=steps)
 
 
-def solve(atoms: Atoms, y: NDArray, penalty: L1, *, tol: float = 1e-6) -> SparseSolution:
+def solve(atoms: Atoms, y: Array, penalty: L1, *, tol: float = 1e-6) -> SparseSolution:
     """One l1 problem, from zero: see `Solver.solve`."""
     return Solver(atoms, y).solve(penalty, tol=tol)
 
 
-def _standing_out(excess: NDArray, levels: NDArray, known: NDArray) -> NDArray[np.int_]:
+def _standing_out(excess: Array, levels: Array, known: Indices) -> Indices:
     """Violating atoms that exceed both neighbours and are not in the working set; else the worst one."""
     outside = excess > SLACK * levels
     padded = np.concatenate([[-np.inf], excess, [-np.inf]])
@@ -219,7 +219,7 @@ def _standing_out(excess: NDArray, levels: NDArray, known: NDArray) -> NDArray[n
     return np.array([np.argmax(np.where(outside, excess, -np.inf))]) if outside.any() else np.zeros(0, int)
 
 
-def _minimise(work: _WorkingSet, c: NDArray, levels: NDArray, nonnegative: bool) -> int:
+def _minimise(work: _WorkingSet, c: Array, levels: Array, nonnegative: bool) -> int:
     """Minimise over the working set, starting at its x, where the correlations are `c`; returns the Newton steps."""
     G, x0 = work.gram, work.x
     x = x0.copy()
@@ -249,7 +249,7 @@ def _minimise(work: _WorkingSet, c: NDArray, levels: NDArray, nonnegative: bool)
     return steps
 
 
-def _newton(G: NDArray, a: NDArray, slope: NDArray) -> NDArray[np.float64]:
+def _newton(G: Array, a: Indices, slope: Array) -> Array:
     """Newton direction on the active atoms."""
     from scipy.linalg import lapack
 
@@ -264,7 +264,7 @@ def _newton(G: NDArray, a: NDArray, slope: NDArray) -> NDArray[np.float64]:
         ridge *= 100
 
 
-def _start(G: NDArray, g: NDArray, levels: NDArray, active: NDArray, sign: NDArray, nonnegative: bool) -> bool:
+def _start(G: Array, g: Array, levels: Array, active: Flags, sign: Array, nonnegative: bool) -> bool:
     """Activate idle atoms that violate their bound, the worst first, each unlike those before it; whether any did."""
     size = np.where(active, -np.inf, (g if nonnegative else np.abs(g)) - levels * (1 + SLACK))
     todo = np.flatnonzero(size > 0)
@@ -279,9 +279,7 @@ def _start(G: NDArray, g: NDArray, levels: NDArray, active: NDArray, sign: NDArr
     return bool(taken)
 
 
-def _step(
-    G: NDArray, g: NDArray, x: NDArray, a: NDArray, d: NDArray, sign: NDArray, levels: NDArray
-) -> tuple[float, NDArray[np.int_]]:
+def _step(G: Array, g: Array, x: Array, a: Indices, d: Array, sign: Array, levels: Array) -> tuple[float, Indices]:
     """Length of the step along d, and the atoms that it drops: as many as still lower the objective."""
     crossing = (x[a] + d) * sign[a] <= 0
     if not crossing.any():

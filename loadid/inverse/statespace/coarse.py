@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from structures.errors import InputError, NotIdentifiable
 
 from .. import rules
-from ..choice import ORDERS, Choice, decide
+from ..choice import ORDERS, Choice, ChoiceLike, decide, is_rule
 from ..noise_source import NoiseSource
 from ..path import RegularizationPath, Solution
 from ..sweep import LARGEST, RuleResult, Sweep
@@ -34,7 +34,7 @@ SHARED = ("discrepancy", "upre", "gcv", "robust_gcv", "predicted_error", "eviden
 
 
 def confirm(
-    path: RegularizationPath, guess: Choice, choice: str | float | None, *, sigma: float | None, source: NoiseSource
+    path: RegularizationPath, guess: Choice, choice: ChoiceLike, *, sigma: float | None, source: NoiseSource
 ) -> Choice:
     """Choose on the whole record, near the lambdas that the rules chose on its windows (`guess`).
 
@@ -46,13 +46,16 @@ def confirm(
     if guess.rule == "given":
         return guess
     on_windows = {r.rule: r for r in guess.rules}
-    first = choice if isinstance(choice, str) else ORDERS[sigma is not None][0]
+    first = rules.name_of(choice) if is_rule(choice) else ORDERS[sigma is not None][0]
+    own = {first: choice} if is_rule(choice) else {}
     wanted = {first if on_windows[first].lam is not None else guess.rule}
     asking = [r for r in guess.rules if r.rule in SHARED and r.lam is not None]
     wanted |= {r.rule for r in asking if not r.edge or (r.lam or 0.0) > _MIDDLE}
     search = _Search.around(path, guess, sigma)
     while True:
-        asked = {r: rules.run(r, search.sweep) if r in wanted | {*SHARED} else on_windows[r] for r in on_windows}
+        asked = {
+            r: rules.run(own.get(r, r), search.sweep) if r in wanted | {*SHARED} else on_windows[r] for r in on_windows
+        }
         wider = next((w for r in wanted if (w := search.beyond(asked[r])) is not None), None)
         if wider is None:
             # a long record leaves data enough for the predicted error, whose band holds more than that of UPRE
