@@ -86,7 +86,7 @@ def test_a_name_that_is_not_there_raises_by_name(package: str) -> None:
 
 
 def test_the_default_install_has_what_the_packages_import() -> None:
-    """A test extra, such as scikit-fem, is imported by no module; opencv and Pillow are optional where they are used."""
+    """A test extra, such as scikit-fem, is imported by no module; opencv and Pillow are optional where used."""
     import tomllib
 
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["dependencies"]
