@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from structures.certificate import Certificate
 from structures.errors import InputError
 from structures.files import storage
 from structures.flags import Flag
-from structures.model import Certificate
 
 from ..inverse.choice import Choice, Sweep
 from ..inverse.noise_source import NOT_KNOWN, NoiseSource

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, plain, shown
 from ..system.structure import Structure
-from .domains import Domain, Face, domain_of, frames
+from .domains import Domain, FaceDomain, domain_of, frames
 from .grids import PAIRS, SNAP, merged
 
 Array = NDArray[np.float64]
@@ -115,7 +115,7 @@ class Region:
         return np.stack(each, axis=1)
 
     def _first(self) -> int:
-        return self.domain.axes[0] if isinstance(self.domain, Face) else 0
+        return self.domain.axes[0] if isinstance(self.domain, FaceDomain) else 0
 
 
 def _extent(domain: Domain, window: Array) -> str:
@@ -189,7 +189,7 @@ def _window(domain: Domain, window: Any, where: str) -> Array:
             found=shown(window),
             expected=f"(start, stop) in m along each of {', '.join(domain.names)}, within {_extent(domain, bounds)}",
             hint="leave region out for all of it"
-            if not isinstance(domain, Face)
+            if not isinstance(domain, FaceDomain)
             else 'region="top" for all of the face',
         )
     return np.clip(box, bounds[:, :1], bounds[:, 1:])

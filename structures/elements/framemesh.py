@@ -81,7 +81,7 @@ class Member:
         return self.hinge in ("start", "both"), self.hinge in ("end", "both")
 
 
-class Layout:
+class DofTable:
     """Nodes, their places and the DOF table: joints, then the insides of the members, then the hinged ends."""
 
     def __init__(self, joints: dict[int, Array], members: Sequence[Member], plane: bool) -> None:
@@ -122,7 +122,7 @@ class Layout:
         return np.array([a + b for a, b in itertools.pairwise(ends)], np.intp)
 
 
-def meshed(k: int, m: Member, lay: Layout, plane: bool, shear: bool) -> Piece:
+def meshed(k: int, m: Member, lay: DofTable, plane: bool, shear: bool) -> Piece:
     """A member as it is meshed, its section checked against what the theory needs."""
     assert m.section is not None
     assert m.material is not None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..channels import Dof
-from .uff_records import Axis, Head, Place, numbers, parse_head, text_of, whole
+from .uff_records import AxisRecord, Head, Place, numbers, parse_head, text_of, whole
 
 MARK = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE)
 _AFTER_BINARY = re.compile(rb"(?:\r?\n)? {4}-1[ \t]*(?:\r?\n|\Z)")
@@ -250,7 +250,7 @@ class Function:
         return _label(self.head.reference)
 
     @property
-    def axis(self) -> Axis:
+    def axis(self) -> AxisRecord:
         """What its abscissa is."""
         return self.head.axes[0]
 

@@ -20,7 +20,7 @@ HOLDS = ("foh", "zoh")
 
 
 @dataclass(frozen=True)
-class Blocks:
+class ModalRecurrence:
     """One small discrete system per mode, each driven by its own modal force ``g``.
 
     ``x_{k+1} = A x_k + (G1 - G2) g_k + G2 g_{k+1}``, ``y = c x + d g``; with a zero-order hold ``G2 = 0``.
@@ -80,7 +80,7 @@ def blocks(
     *,
     derivative: int = 0,
     corner: float = 0.0,
-) -> Blocks:
+) -> ModalRecurrence:
     """Discrete system of every mode, seen through one kind of sensor.
 
     Parameters
@@ -97,7 +97,7 @@ def blocks(
 
     Returns
     -------
-    Blocks
+    ModalRecurrence
         With 2 states per mode, or 3 where there is a corner.
     """
     k, s = len(lam), 3 if corner > 0 else 2
@@ -125,7 +125,7 @@ def blocks(
     rows[:, :2], feed = output_rows(lam, c, derivative)
     if corner > 0:
         rows[:, 2] = -1.0
-    return Blocks(A, G1, G2 if hold == "foh" else np.zeros_like(G2), rows, feed)
+    return ModalRecurrence(A, G1, G2 if hold == "foh" else np.zeros_like(G2), rows, feed)
 
 
 def output_rows(lam: NDArray, c: NDArray, derivative: int) -> tuple[NDArray[np.float64], float]:
@@ -285,7 +285,7 @@ def markov(reduced: ReducedModel, dt: float, hold: str, samples: int) -> NDArray
     return h
 
 
-def sequence(system: Blocks, samples: int) -> NDArray[np.float64]:
+def sequence(system: ModalRecurrence, samples: int) -> NDArray[np.float64]:
     """``D, cB, cAB, ...`` of every block (k, samples): each pass doubles what is known."""
     k, s = system.c.shape
     x = np.empty((k, s, max(samples - 1, 1)))

@@ -426,7 +426,7 @@ class ForwardModel(Model):
         InputError
             A load that moves, a file that cannot be written.
         """
-        told = self._told()  # refuses loads that move
+        told = self._as_stored()  # refuses loads that move
         parts = placing.kept(self.structure, self.sensors, self.loads if self.basis is None else self.basis)
         flags = [f.to_dict() for f in self.flags]
         storage.write(path, {**parts, "settings": dict(self.settings), "flags": flags, **told}, FILE)

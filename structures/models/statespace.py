@@ -295,7 +295,7 @@ class StateSpace(Model):
             A load that moves, a file that cannot be written.
         """
         matrices = {"A": self.A, "B": self.B, "C": self.C, "D": self.D}
-        storage.write(path, {**matrices, "dt": self.dt, "hold": self.hold, **self._told()}, FILE)
+        storage.write(path, {**matrices, "dt": self.dt, "hold": self.hold, **self._as_stored()}, FILE)
 
     def _own(self, dt: float, hold: str | None, method: str) -> None:
         same = np.ndim(dt) == 0 and np.isfinite(dt) and abs(dt - self.dt) <= 1e-9 * self.dt

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..advice import Advice, Spelling
+from ..certificate import Certificate
 from ..channels import Channel
 from ..errors import InputError, as_array
-from ..model import Certificate
 from .spectra import checked_decay, exponential, gate, padded_length, smooth_lines, taken_out
 
 SECOND_HIT = 0.2  # share of the main peak that a separate later pulse must reach
@@ -42,6 +42,25 @@ class Hit:
     reason: str
     peak: float
     digests: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingRecords:
+    """The records that an FRF was estimated from, and what it leaves of them.
+
+    Parameters
+    ----------
+    hits : tuple of Hit
+        Each record: used, or why not.
+    samples : int, optional
+        Their length.
+    noise_power : array, shape (lines, sensors), optional
+        Mean squared residual per sample of record: what one more test will miss by.
+    """
+
+    hits: tuple[Hit, ...] = ()
+    samples: int | None = None
+    noise_power: ArrayLike | None = None
 
 
 def digests(columns: NDArray) -> tuple[str, ...]:
@@ -190,12 +209,13 @@ def from_hits(
     peaks = np.argmax(np.abs(stack[..., 0]), axis=1)
     w = np.stack([exponential(longest, first.dt, decay, int(k)) for k in peaks])
     found = estimate(stack[..., 0] * w, stack[..., 1:] * w[..., None], first.dt, labels)
+    if decay:
+        found = _undamped(found, decay * first.dt, longest, float(np.mean(w**2)))
     return {
-        **(_undamped(found, decay * first.dt, longest, float(np.mean(w**2))) if decay else found),
         "loads": first.channels[:1],
         "sensors": first.channels[1:],
-        "hits": hits,
-        "samples": longest,
+        "records": TrainingRecords(tuple(hits), longest, found.pop("noise_power", None)),
+        **found,
     }
 
 

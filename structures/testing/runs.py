@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..certificate import Certificate
 from ..channels import Channel
 from ..errors import InputError
 from ..flags import Evidence, Flag
-from ..model import Certificate
 from . import kinds
 from .frfs import FrfEstimate, channels_of, estimate
-from .impact import SILENT, Hit, digests
+from .impact import SILENT, Hit, TrainingRecords, digests
 from .welch import CrossSpectra, cross_spectra, gather
 
 
@@ -99,11 +99,9 @@ def full(records: Any, forces: Any, responses: Any, kind: str | None, estimator:
         "H": H,
         "variance": None if found.variance is None else _filled(found.variance[inner], kept),
         "coherence": _filled(found.coherence[inner], kept),
-        "noise_power": None if found.variance is None else power,
+        "records": TrainingRecords(tuple(hits), spectra.segment, None if found.variance is None else power),
         "sensors": sensors,
         "loads": loads,
-        "hits": hits,
-        "samples": spectra.segment,
         "certificate": held_out(tables, dt, channels, spectra, loads, y, estimator, cut),
         "flags": (*found.flags, *flags),
     }
