@@ -168,7 +168,7 @@ class Model:
         """
         self.refuse("with_sensors")
 
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model to a file, whole or not at all.
 
         Raises

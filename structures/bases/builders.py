@@ -215,7 +215,7 @@ def polynomials(structure: Structure, degree: int, *, region: Any = None, compon
 
     def products(along: Array) -> Array:
         each = [grids.legendre(span, degree, along[:, k]) for k, span in enumerate(window)]
-        return np.prod([table[:, orders[:, k]] for k, table in enumerate(each)], axis=0)
+        return np.asarray(np.prod([table[:, orders[:, k]] for k, table in enumerate(each)], axis=0))
 
     area = rule.weights.sum()
     mix = np.eye(len(orders))  # on a rectangle the products are orthonormal as they are

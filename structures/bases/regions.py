@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, plain, shown
+from ..errors import InputError, numbers, plain, shown
 from ..system.structure import Structure
 from .domains import Domain, FaceDomain, domain_of, frames
 from .grids import PAIRS, SNAP, merged
@@ -97,7 +97,7 @@ class Region:
                 expected=f"start < stop within {_extent(self.domain, self.window)}",
                 hint="give places in metres, in the frame of the structure",
             )
-        return np.clip(boxes, self.window[:, :1], self.window[:, 1:])
+        return np.asarray(np.clip(boxes, self.window[:, :1], self.window[:, 1:]))
 
     def normals_at(self, places: Array) -> Array | None:
         """Outward unit normals near places, (P, 3); None on beams and plates."""
@@ -172,10 +172,7 @@ def split(structure: Structure, region: Any) -> tuple[Any, Any]:
 
 def _window(domain: Domain, window: Any, where: str) -> Array:
     bounds = domain.bounds
-    try:
-        box = np.asarray(plain(window), float)
-    except (TypeError, ValueError):
-        box = np.empty(0)
+    box = numbers(window)
     box = box[None] if len(bounds) == 1 and box.shape == (2,) else box
     slack = SNAP * np.ptp(bounds, axis=1)
     fits = box.shape == bounds.shape and bool(np.all(np.isfinite(box)))
@@ -192,4 +189,4 @@ def _window(domain: Domain, window: Any, where: str) -> Array:
             if not isinstance(domain, FaceDomain)
             else 'region="top" for all of the face',
         )
-    return np.clip(box, bounds[:, :1], bounds[:, 1:])
+    return np.asarray(np.clip(box, bounds[:, :1], bounds[:, 1:]))

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ..channels import Dof, direction_code
-from ..errors import InputError, number, real, shown
+from ..errors import InputError, number, one_of, real, shown
+from ..errors import span as span_of
 from ..system.fields import Line, Span, field_of
 from ..system.loads import Load
 from ..system.sensors import fixed_quantity
@@ -66,14 +67,11 @@ class Member:
 
     def __post_init__(self) -> None:
         number("tension", self.tension, where="frame member", unit="N")
-        if not isinstance(self.hinge, str) or self.hinge not in HINGES:
-            raise InputError(
-                "unknown hinge",
-                where=f"frame, member {self.start}-{self.end}",
-                found=shown(self.hinge),
-                expected='"", "start", "end" or "both"',
-                hint='hinge="end" lets the end turn freely on its joint',
-            )
+        where, ways = f"frame, member {self.start}-{self.end}", '"", "start", "end" or "both"'
+        one_of(
+            "unknown hinge", self.hinge, HINGES, where=where, expected=ways,
+            hint='hinge="end" lets the end turn freely on its joint',
+        )  # fmt: skip
 
     @property
     def hinges(self) -> tuple[bool, bool]:
@@ -268,17 +266,10 @@ class LineLoad(Load):
                 hint="members are counted from 0",
             )
         if self.span is not None:
-            ends = [real(v) for v in self.span] if np.ndim(self.span) == 1 else []
-            if len(ends) != 2 or ends[0] is None or ends[1] is None or ends[0] >= ends[1]:
-                raise InputError(
-                    "no span",
-                    where="LineLoad, span",
-                    found=shown(self.span),
-                    expected="(start, stop) in m, start < stop",
-                    hint="span=(0.2, 0.4), or leave it out for the whole member",
-                )
-            object.__setattr__(self, "span", (ends[0], ends[1]))
-            object.__setattr__(self, "measure", ends[1] - ends[0])
+            hint = "span=(0.2, 0.4), or leave it out for the whole member"
+            start, stop = span_of(self.span, where="LineLoad, span", hint=hint)
+            object.__setattr__(self, "span", (start, stop))
+            object.__setattr__(self, "measure", stop - start)
         object.__setattr__(self, "direction", _direction(self.direction))
         object.__setattr__(self, "label", self.label or self._words())
         super().__post_init__()

@@ -28,7 +28,7 @@ Units = str | Mapping[str, str] | None
 
 
 def read_frfs(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     *,
     kind: str | None = None,
     responses: Sequence[Any] | None = None,
@@ -269,7 +269,7 @@ def of_mat(
 
 
 def oriented(
-    values: NDArray, sizes: Mapping[str, int], axes: Sequence[str] | None, where: str
+    values: NDArray[Any], sizes: Mapping[str, int], axes: Sequence[str] | None, where: str
 ) -> NDArray[np.complex128]:
     """An array with its axes in the order lines, responses, references; the shape must tell which is which.
 

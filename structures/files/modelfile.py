@@ -98,7 +98,7 @@ class StoredLoad(Load):
         return None
 
 
-def save(model: Model, path: str | os.PathLike) -> None:
+def save(model: Model, path: str | os.PathLike[str]) -> None:
     """Write a model, whole or not at all, with checksums: ``model.save(path)``.
 
     Parameters
@@ -115,7 +115,7 @@ def save(model: Model, path: str | os.PathLike) -> None:
     as_model(model, "modelfile.save").save(path)
 
 
-def load(path: str | os.PathLike) -> ForwardModel | StateSpace:
+def load(path: str | os.PathLike[str]) -> ForwardModel | StateSpace:
     """Read a model that `save` wrote.
 
     Raises

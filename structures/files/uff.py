@@ -203,7 +203,7 @@ class UffFile:
         return ", ".join(f"{n} x {name}" for name, n in found.items()) or "no function"
 
 
-def read_uff(path: str | os.PathLike) -> UffFile:
+def read_uff(path: str | os.PathLike[str]) -> UffFile:
     """All data sets of a universal file.
 
     Parameters

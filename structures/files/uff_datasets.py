@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -230,7 +230,7 @@ class Function:
     head: Head = field(repr=False)
     abscissa: NDArray[np.float64]
     step: float | None
-    values: NDArray
+    values: NDArray[Any]
     line: int
     notes: tuple[str, ...] = ()
 

@@ -43,7 +43,7 @@ def spacing(own: Array) -> Array:
     if len(own) == 1:
         return np.maximum(own, 1.0)
     step = np.diff(own)
-    return np.minimum(np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]]))
+    return np.asarray(np.minimum(np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])))
 
 
 def nearest(f: Array, own: Array) -> tuple[NDArray[np.int_], NDArray[np.bool_]]:
@@ -83,7 +83,7 @@ def between(f: Array, own: Array, table: NDArray[Any]) -> NDArray[Any]:
     right = np.clip(np.searchsorted(own, f), 1, len(own) - 1)
     weight = np.clip((f - own[right - 1]) / (own[right] - own[right - 1]), 0.0, 1.0)
     weight = weight.reshape(-1, *[1] * (table.ndim - 1))
-    return (1 - weight) * table[right - 1] + weight * table[right]
+    return np.asarray((1 - weight) * table[right - 1] + weight * table[right])
 
 
 def interpolated(f: Array, own: Array, table: NDArray[Any]) -> NDArray[Any]:

@@ -145,7 +145,7 @@ class MeasuredModel(FrfModel):
         channels: Sequence[Channel | str] | None = None,
         kind: str | None = None,
         estimator: str = "H1",
-        window: str | tuple = "hann",
+        window: str | tuple[Any, ...] = "hann",
         segment: int | None = None,
         overlap: float = 0.5,
         detrend: str | None = "constant",

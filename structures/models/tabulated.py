@@ -148,7 +148,7 @@ class FrfModel(Model):
         channels: Sequence[Channel | str] | None = None,
         kind: str | None = None,
         estimator: str = "H1",
-        window: str | tuple = "hann",
+        window: str | tuple[Any, ...] = "hann",
         segment: int | None = None,
         overlap: float = 0.5,
         detrend: str | None = "constant",
@@ -385,7 +385,7 @@ class FrfModel(Model):
         return digest("FrfModel", self.frequencies, self.H, self.variance, self.sensors, self.loads)
 
     # -- files ------------------------------------------------------------------------------------------------------
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model to HDF5, whole or not at all, with checksums."""
         flags = [f.to_dict() for f in self._given_flags]
         storage.write(path, {**self._arguments(), "flags": flags, **self._as_stored()}, self.file)
@@ -395,7 +395,7 @@ class FrfModel(Model):
         return {name: getattr(self, name) for name in ("frequencies", *self.tables, "interpolate")}
 
     @classmethod
-    def load(cls, path: str | os.PathLike) -> Self:
+    def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read a model that `save` wrote.
 
         Raises

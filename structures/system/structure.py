@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -72,7 +72,7 @@ class Structure:
     terms: Mapping[str, sparse.csr_array] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        fix = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731  (a frozen dataclass needs it)
+        fix = partial(object.__setattr__, self)  # a frozen dataclass needs it
         fix("K", checks.matrix("K", self.K))
         n = self.K.shape[0]
         for name in ("M", "C"):
@@ -130,7 +130,7 @@ class Structure:
     @property
     def n(self) -> int:
         """Number of DOFs, supported ones included."""
-        return self.K.shape[0]
+        return int(self.K.shape[0])
 
     def index(self, dof: Any) -> int:
         """Row of a DOF, whatever its polarity.
@@ -142,7 +142,7 @@ class Structure:
         """
         wanted = Dof.parse(dof)
         try:
-            return self._index[wanted.key]  # type: ignore[attr-defined]
+            return int(self._index[wanted.key])  # type: ignore[attr-defined]
         except KeyError:
             raise InputError(
                 "the structure has no such DOF",
@@ -245,7 +245,7 @@ class Structure:
                 expected="finite numbers",
                 hint="look where the static response became so: an unsupported structure has none",
             )
-        return (self.K @ u - f)[self.supported]
+        return np.asarray((self.K @ u - f)[self.supported])
 
     def rigid_body_motions(self) -> tuple[RigidBodyMotion, ...]:
         """Motions that the supports leave free and that cost no energy; empty for a structure that carries static load.
