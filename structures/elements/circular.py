@@ -24,7 +24,7 @@ from scipy import sparse
 from ..channels import Dof, direction_code, direction_label
 from ..errors import InputError, integer, one_of, pair, positive, real, shown
 from ..system.damping import Damping, settled
-from ..system.fields import Line, Span, field_of, gauss, shape
+from ..system.fields import Line, Span, field_of_kind, gauss, shape
 from ..system.loads import Load, upright
 from ..system.sensors import fixed_quantity
 from ..system.structure import Structure
@@ -101,15 +101,14 @@ class Pressure(Load):
         super().__post_init__()
 
     def _spans(self, structure: Structure) -> tuple[CircularField, Span, Span]:
-        field = field_of(structure, f"load {self.label}")
-        if not isinstance(field, CircularField):
-            raise InputError(
-                "a circular.Pressure acts on a circular plate",
-                where=f"load {self.label}",
-                found=type(field).__name__,
-                expected="a structure of circular.plate",
-                hint="loads.Patch(x=, y=) on a rectangular plate",
-            )
+        field = field_of_kind(
+            structure,
+            CircularField,
+            self.label,
+            what="a circular.Pressure acts on a circular plate",
+            expected="a structure of circular.plate",
+            hint="loads.Patch(x=, y=) on a rectangular plate",
+        )
         rim = (field.line.origin, field.line.origin + field.line.length)
         return field, self.radius or rim, self.angle or (0.0, 2 * math.pi)
 

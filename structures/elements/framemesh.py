@@ -14,7 +14,7 @@ from scipy import sparse
 from ..channels import Dof, direction_code
 from ..errors import InputError, number, one_of, real, shown
 from ..errors import span as span_of
-from ..system.fields import Line, Span, field_of
+from ..system.fields import Line, Span, assembled, field_of_kind
 from ..system.loads import Load
 from ..system.sensors import fixed_quantity
 from .framefield import FrameField, Piece
@@ -204,16 +204,10 @@ def _axes(m: Member, x: Array, plane: bool) -> Array:
 
 def assemble(pieces: Sequence[Piece], local: Sequence[Array], size: int) -> sparse.csr_array:
     """Matrix of all DOFs from one element matrix in local axes per member."""
-    data, rows, columns = [], [], []
-    for piece, A in zip(pieces, local, strict=True):
-        turned = piece.matrix(A)
-        turned = (turned + turned.T) / 2  # the rotation leaves rounding
-        i, j = np.broadcast_arrays(piece.dofs[:, :, None], piece.dofs[:, None, :])
-        data.append(np.broadcast_to(turned, i.shape).ravel())
-        rows.append(i.ravel())
-        columns.append(j.ravel())
-    where = (np.concatenate(rows), np.concatenate(columns))
-    return sparse.coo_array((np.concatenate(data), where), shape=(size, size)).tocsr()
+    blocks = [piece.matrix(A) for piece, A in zip(pieces, local, strict=True)]
+    # the rotation leaves rounding, which is mirrored
+    each = [np.broadcast_to((A + A.T) / 2, (len(p.dofs), *A.shape)) for A, p in zip(blocks, pieces, strict=True)]
+    return assembled(np.concatenate(each), np.concatenate([piece.dofs for piece in pieces]), size)
 
 
 @dataclass(frozen=True)
@@ -282,16 +276,14 @@ class LineLoad(Load):
         return f"member={self.member}{part} {way}"
 
     def _field(self, structure: Structure) -> FrameField:
-        field = field_of(structure, f"load {self.label}")
-        if not isinstance(field, FrameField):
-            raise InputError(
-                "a LineLoad acts on a member of a frame",
-                where=f"load {self.label}",
-                found=type(field).__name__,
-                expected="a structure of frames.frame",
-                hint="loads.Patch(x=(x0, x1)) on a beam",
-            )
-        return field
+        return field_of_kind(
+            structure,
+            FrameField,
+            self.label,
+            what="a LineLoad acts on a member of a frame",
+            expected="a structure of frames.frame",
+            hint="loads.Patch(x=(x0, x1)) on a beam",
+        )
 
     def region(self, structure: Structure) -> tuple[Span, ...]:
         """Member and span."""

@@ -58,7 +58,7 @@ class HexField(SolidField):
         return np.arange(math.prod(counts)).reshape(counts[::-1]).transpose(2, 1, 0)
 
     @cached_property
-    def coordinates(self) -> Array:
+    def coordinates(self) -> Array:  # type: ignore[override]  # made when it is first asked for
         """Places of the nodes (nodes, 3), in the order of their numbers."""
         x, y, z = np.meshgrid(*(line.nodes for line in self.lines), indexing="ij")
         order = np.argsort(self.grid.ravel())

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ..channels import direction_label
-from ..errors import InputError, plain, reals
+from ..errors import InputError, one_of, plain, reals
 from ..flags import Flag
 from ..system import fields
 from ..system.fields import Span, field_of, gauss
@@ -331,7 +331,8 @@ class MeshField(SolidField):
         return (3 * np.unique(self.boundary[shared])[:, None] + np.arange(3)).ravel()
 
     def _centred(self) -> Array:
-        return (self.coordinates - self.coordinates.mean(axis=0)) / np.ptp(self.coordinates, axis=0).max()
+        size = np.ptp(self.coordinates, axis=0).max()
+        return np.asarray((self.coordinates - self.coordinates.mean(axis=0)) / size, float)
 
     def strains(self, u: Array) -> Array:
         """Strains (cells, 6) at the centres, from the motion of all DOFs (n,)."""
@@ -390,14 +391,8 @@ class MeshField(SolidField):
             If the name is unknown or there are no such faces.
         """
         if faces is None:
-            if name not in ("top", "bottom"):
-                raise InputError(
-                    "a mesh has no such face",
-                    where="face",
-                    found=repr(name),
-                    expected="top, bottom",
-                    hint="surface(name, faces) takes rows of field.boundary",
-                )
+            hint = "surface(name, faces) takes rows of field.boundary"
+            one_of("a mesh has no such face", name, ("top", "bottom"), where="face", hint=hint)
             faces = self.facing((0, 0, 1 if name == "top" else -1))
         chosen = self.boundary[faces]
         if len(chosen) == 0:

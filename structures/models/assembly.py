@@ -12,7 +12,7 @@ from scipy import sparse
 
 from ..bases.basis import Basis
 from ..channels import Channel, named
-from ..errors import InputError, positive, shown
+from ..errors import InputError, one_of, positive
 from ..system.damping import Damping, loss_factor
 from ..system.loads import Load, sparse_matrix
 from ..system.structure import Structure
@@ -147,14 +147,9 @@ def settled(structure: Structure, count: Any, residual: Any, band: Any, reductio
             expected=f"1..{size}",
             hint="leave modes out: band= in Hz chooses them",
         )
-    if reduction not in KINDS:
-        raise InputError(
-            "no such reduction",
-            where="reduction",
-            found=shown(reduction),
-            expected="'modes' or 'krylov'",
-            hint="leave it out: modes and their static residual",
-        )
+    one_of(
+        "no such reduction", reduction, KINDS, where="reduction", hint="leave it out: modes, and their static residual"
+    )
     if reduction == "krylov" and (band is None or count is not None):
         raise InputError(
             "a Krylov basis is made for a band, not for a number of modes",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.float64]
+F = TypeVar("F")
 Span = tuple[float, float]
 CARRIER = 1.25  # how far out a gauge on its glue and carrier may lie, over the outer fibre
 
@@ -110,6 +111,38 @@ def field_of(structure: Structure, where: str) -> Field:
             hint="name the DOF instead of at=, x= or y=",
         )
     return structure.field
+
+
+def field_of_kind(structure: Structure, kind: type[F], load: str, *, what: str, expected: str, hint: str) -> F:
+    """Field of a structure, or a refusal where it is of another kind.
+
+    Raises
+    ------
+    InputError
+        If it is none of the `kind`.
+    """
+    field = field_of(structure, f"load {load}")
+    if not isinstance(field, kind):
+        raise InputError(what, where=f"load {load}", found=type(field).__name__, expected=expected, hint=hint)
+    return field
+
+
+def one_place(who: str, dof: Any, at: Any) -> None:
+    """Refuse both a DOF and a place, and neither.
+
+    Raises
+    ------
+    InputError
+        If not exactly one is given.
+    """
+    if (dof is None) == (at is None):
+        raise InputError(
+            "one place is needed",
+            where=who,
+            found=f"dof={dof}, at={at}",
+            expected="a DOF such as 12+Z, or at=",
+            hint="pass one of the two",
+        )
 
 
 def point(at: ArrayLike, names: Sequence[str]) -> tuple[float, ...]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..channels import ARBITRARY, TWIST, Channel, Dof, direction_code, direction_label
 from ..errors import InputError, number, numbers, pair, plain, positive, real, shown
-from .fields import field_of
+from .fields import field_of, one_place
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -72,14 +72,7 @@ def spot(who: str, dof: Any, at: Any, direction: str) -> tuple[Dof | None, Place
     InputError
         If not exactly one of DOF and place is given, or the twist of a plate is asked for.
     """
-    if (dof is None) == (at is None):
-        raise InputError(
-            "one place is needed",
-            where=who,
-            found=f"dof={dof}, at={at}",
-            expected="a DOF such as 12+Z, or at=",
-            hint="pass one of the two",
-        )
+    one_place(who, dof, at)
     known = None if dof is None else Dof.parse(dof)
     code = direction_code(direction) if known is None else known.direction
     if abs(code) == TWIST:

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ..channels import Dof
-from ..errors import InputError, plain, positive
+from ..errors import InputError, one_of, plain, positive
 from . import checks
 from .damping import Damping, Rayleigh, settled
-from .fields import field_of
+from .fields import field_of, one_place
 
 if TYPE_CHECKING:
     from .checks import RigidBodyMotion
@@ -306,14 +306,7 @@ class Structure:
                 hint="build it with M=",
             )
         kg = positive("a mass", kg, where="with_mass", unit="kg")
-        if (dof is None) == (at is None):
-            raise InputError(
-                "one place is needed",
-                where="with_mass",
-                found=f"dof={dof!r}, at={at!r}",
-                expected="a DOF or at=",
-                hint="pass one of the two",
-            )
+        one_place("with_mass", dof, at)
         row = self.unit_row(dof) if at is None else field_of(self, "with_mass").motion(at, 3)
         column = sparse.csr_array(row[:, None])
         return replace(self, M=self.M + kg * (column @ column.T))
@@ -327,14 +320,8 @@ class Structure:
             If the parameter is unknown or the factor is not positive.
         """
         factor = positive("a factor", factor, where=f"scaled({parameter!r})")
-        if not isinstance(parameter, str) or parameter not in self.parameters:
-            raise InputError(
-                "no such parameter",
-                where="scaled",
-                found=repr(parameter),
-                expected=", ".join(self.parameters),
-                hint="structure.parameters lists what can be scaled",
-            )
+        hint = "structure.parameters lists what can be scaled"
+        one_of("no such parameter", parameter, self.parameters, where="scaled", hint=hint)
         changed: dict[str, Any] = {"parameters": {**self.parameters, parameter: self.parameters[parameter] * factor}}
         if parameter == "stiffness":
             changed |= {"K": factor * self.K, "terms": {name: factor * term for name, term in self.terms.items()}}
