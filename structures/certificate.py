@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from .errors import InputError
+from .errors import InputError, frozen
+
+if TYPE_CHECKING:
+    from .model import Model
 
 WRONG = 0.5  # residual over response of a check from which on a model does not predict a sensor
 LOUD = 3.0  # times the noise below which a residual may be noise
@@ -108,3 +111,39 @@ class Certificate:
             return None
         fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in tree.items()}
         return cls(**fields)
+
+
+def verified(model: Model, load: ArrayLike, response: ArrayLike, dt: float | None, source: str) -> Certificate:
+    """Certificate of a model against a known load, by `Model.verify`; parameters and errors are those of it."""
+    load, response = frozen(load, "load"), frozen(response, "response")
+    names = [s.label for s in model.sensors]
+    if dt is None:
+        load, response = np.atleast_1d(load), np.atleast_2d(response)
+        if load.shape != (len(model.loads),):
+            raise bad_load(model, "verify", f"shape {load.shape}", "one number per load; give dt for a history")
+        predicted = (model.static() @ load)[None]
+    else:
+        predicted = model.predict(load, dt)
+        response = response[:, None] if response.ndim == 1 else response
+    if response.shape != predicted.shape:
+        raise InputError(
+            "the response does not fit the model",
+            where="verify",
+            found=f"shape {response.shape}",
+            expected=f"shape {predicted.shape} for the sensors {names}",
+            hint="one column per sensor, in the order of model.sensors",
+        )
+    noise = model.noise
+    std = noise if noise is None or noise.ndim == 1 else np.sqrt(np.diagonal(noise))
+    return Certificate.compare(predicted, response, names, noise=std, source=source)
+
+
+def bad_load(model: Model, where: str, found: str, shape: str) -> InputError:
+    """The refusal of a load that does not fit a model."""
+    return InputError(
+        "the load does not fit the model",
+        where=where,
+        found=found,
+        expected=f"{shape}; loads: {[c.label for c in model.loads]}",
+        hint="one column per load, in the order of model.loads",
+    )

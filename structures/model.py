@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NoReturn, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .certificate import Certificate
+from .certificate import Certificate, bad_load, verified
 from .channels import CHANNEL, Channel
 from .errors import InputError, digest, frozen, shown
 from .flags import Flag
@@ -322,25 +322,7 @@ class Model:
         NotIdentifiable
             From `static` of a structure that is not supported.
         """
-        load, response = frozen(load, "load"), frozen(response, "response")
-        names = [s.label for s in self.sensors]
-        if dt is None:
-            load, response = np.atleast_1d(load), np.atleast_2d(response)
-            if load.shape != (len(self.loads),):
-                raise self._bad_load("verify", f"shape {load.shape}", "one number per load; give dt for a history")
-            predicted = (self.static() @ load)[None]
-        else:
-            predicted = self.predict(load, dt)
-            response = response[:, None] if response.ndim == 1 else response
-        if response.shape != predicted.shape:
-            raise InputError(
-                "the response does not fit the model",
-                where="verify",
-                found=f"shape {response.shape}",
-                expected=f"shape {predicted.shape} for the sensors {names}",
-                hint="one column per sensor, in the order of model.sensors",
-            )
-        self.certificate = Certificate.compare(predicted, response, names, noise=self._noise_std(), source=source)
+        self.certificate = verified(self, load, response, dt, source)
         return self.certificate
 
     # -- shared ---------------------------------------------------------------------------------------------------
@@ -370,21 +352,12 @@ class Model:
         load = frozen(load, "load")
         load = load[:, None] if load.ndim == 1 else load
         if load.ndim != 2 or load.shape[1] != len(self.loads) or len(load) == 0:
-            raise self._bad_load("predict", f"shape {load.shape}", "(samples, loads)")
+            raise bad_load(self, "predict", f"shape {load.shape}", "(samples, loads)")
         h = impulse_of(self, dt, len(load), hold or self.default_hold)
         response = np.zeros((len(load), len(self.sensors)))
         for j in range(len(self.loads)):
             response += fftconvolve(h[:, :, j], load[:, j, None], axes=0)[: len(load)]
         return response
-
-    def _bad_load(self, where: str, found: str, shape: str) -> InputError:
-        return InputError(
-            "the load does not fit the model",
-            where=where,
-            found=found,
-            expected=f"{shape}; loads: {[c.label for c in self.loads]}",
-            hint="one column per load, in the order of model.loads",
-        )
 
     def _as_stored(self) -> dict[str, Any]:
         """Channels and certificate, as a file keeps them; refuses loads that move."""
@@ -401,10 +374,6 @@ class Model:
             "loads": [{k: getattr(c, k) for k in CHANNEL} for c in self.loads],
             "certificate": None if self.certificate is None else asdict(self.certificate),
         }
-
-    def _noise_std(self) -> NDArray[np.float64] | None:
-        noise = self.noise
-        return noise if noise is None or noise.ndim == 1 else np.sqrt(np.diagonal(noise))
 
 
 def as_model(given: Any, where: str, *methods: str) -> Model:

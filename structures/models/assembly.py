@@ -148,7 +148,7 @@ def settled(structure: Structure, count: Any, residual: Any, band: Any, reductio
             hint="leave modes out: band= in Hz chooses them",
         )
     one_of(
-        "no such reduction", reduction, KINDS, where="reduction", hint="leave it out: modes, and their static residual"
+        "no such reduction", reduction, KINDS, where="reduction", hint="leave it out: modes and their static residual"
     )
     if reduction == "krylov" and (band is None or count is not None):
         raise InputError(
