@@ -6,7 +6,7 @@ import importlib
 from typing import Any
 
 _PUBLIC = {
-    "Certificate": "model",
+    "Certificate": "certificate",
     "Channel": "channels",
     "CrossSpectra": "testing.welch",
     "Dof": "channels",
@@ -22,6 +22,7 @@ _PUBLIC = {
     "StateSpace": "models.statespace",
     "Structure": "system.structure",
     "Surface": "elements.surfaces",
+    "TrainingRecords": "testing.impact",
     "cross_spectra": "testing.welch",
 }
 _MODULES = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -157,6 +157,63 @@ def reals(value: Any, *, where: str, what: str = "no real numbers", hint: str = 
         return np.array(array, float)
     except (TypeError, ValueError) as error:
         raise InputError(what, where=where, found=str(error)[:200], expected="real numbers", hint=hint) from None
+
+
+def numbers(value: Any) -> NDArray[np.float64]:
+    """Real numbers as an array, masked ones NaN; an empty array where they are none: for a check of the shape."""
+    try:
+        return np.asarray(plain(value), float)
+    except (TypeError, ValueError):
+        return np.empty(0)
+
+
+def one_of(what: str, value: Any, names: Iterable[str], *, where: str, hint: str = "", expected: str = "") -> str:
+    """One of some names.
+
+    Raises
+    ------
+    InputError
+        `what`, if it is none of them.
+    """
+    if not isinstance(value, str) or value not in names:
+        raise InputError(what, where=where, found=shown(value), expected=expected or ", ".join(names), hint=hint)
+    return value
+
+
+def span(value: Any, *, where: str, hint: str) -> tuple[float, float]:
+    """Start and stop in m, the start below the stop.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    ends = [real(v) for v in value] if np.ndim(value) == 1 else []
+    if len(ends) != 2 or ends[0] is None or ends[1] is None or ends[0] >= ends[1]:
+        expected = "(start, stop) in m, start < stop"
+        raise InputError("no span", where=where, found=shown(value), expected=expected, hint=hint)
+    return ends[0], ends[1]
+
+
+def own_step(own: Any, given: Any, where: str) -> float:
+    """Step (s) of a record that may have its own, which a given one must not contradict.
+
+    Raises
+    ------
+    InputError
+        If none is known, one is not positive, or the two differ.
+    """
+    what, found, expected = "", f"dt = {given!r}", "dt= in s, > 0"
+    step = given if own is None else own
+    if own is not None and given is not None and abs(given / own - 1) > 1e-9:
+        what, expected = "the record has its own step", f"dt = {own}"
+    elif step is None:
+        what, found = "the step of a bare array is not known", "no dt"
+    elif real(step) is None or step <= 0:
+        what, found = "the step is not positive", f"dt = {step!r}"
+    if what:
+        raise InputError(what, where=where, found=found, expected=expected, hint="state dt= of bare arrays only")
+    return float(step)
 
 
 def shown(value: Any) -> str:

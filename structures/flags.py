@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from .advice import Advice, Spelling, on_command_line
 from .errors import InputError
@@ -101,7 +102,7 @@ class Flag:
         }
 
     @classmethod
-    def from_dict(cls, data: dict) -> Flag:
+    def from_dict(cls, data: dict[str, Any]) -> Flag:
         """Inverse of `to_dict`."""
         advice = data["advice"]
         if "command" in data:

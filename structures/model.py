@@ -4,106 +4,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
+from dataclasses import asdict
 from typing import Any, ClassVar, NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .certificate import Certificate, bad_load, verified
 from .channels import CHANNEL, Channel
-from .errors import InputError, digest, plain, shown
+from .errors import InputError, digest, frozen, shown
 from .flags import Flag
 
-WRONG = 0.5  # residual over response of a check from which on a model does not predict a sensor
-LOUD = 3.0  # times the noise below which a residual may be noise
 ASKED = (1e-2, 1e-3, 1e-4, 1e-5)  # steps in s at which a model that has none of its own is asked who it is
-
-
-@dataclass(frozen=True)
-class Certificate:
-    """Outcome of the check of a forward model against a known load.
-
-    Parameters
-    ----------
-    gain : tuple of float
-        Per sensor, the factor that scales the predicted onto the measured response (1 is right).
-    shape : tuple of float
-        Per sensor, correlation of predicted and measured response (1 is right).
-    error : tuple of float
-        Per sensor, norm of measured minus predicted over norm of measured.
-    noise_ratio : tuple of float or None
-        Per sensor, rms residual over the noise std; None where the noise is not known.
-    sensors : tuple of str
-        Labels.
-    source : str
-        What it was checked against.
-    date : str
-        ISO date and time, UTC.
-    """
-
-    gain: tuple[float, ...]
-    shape: tuple[float, ...]
-    error: tuple[float, ...]
-    noise_ratio: tuple[float, ...] | None
-    sensors: tuple[str, ...]
-    source: str
-    date: str
-
-    def __str__(self) -> str:
-        rows = [
-            f"{name}: gain {g:.4g}, shape {s:.4f}, residual {e:.2%}"
-            for name, g, s, e in zip(self.sensors, self.gain, self.shape, self.error, strict=True)
-        ]
-        verdict = "disagrees with" if self.wrong else "verified against"
-        return f"forward model {verdict} {self.source} on {self.date[:10]} ({'; '.join(rows)})"
-
-    @property
-    def wrong(self) -> tuple[str, ...]:
-        """Sensors that the model does not predict: a residual above half of the response, and above its noise."""
-        noise = [np.inf] * len(self.sensors) if self.noise_ratio is None else self.noise_ratio
-        found = zip(self.sensors, self.error, noise, strict=True)
-        return tuple(name for name, error, ratio in found if error > WRONG and ratio > LOUD)
-
-    @classmethod
-    def compare(
-        cls,
-        predicted: NDArray,
-        measured: NDArray,
-        sensors: Sequence[str],
-        *,
-        noise: NDArray | None = None,
-        source: str = "a known load",
-    ) -> Certificate:
-        """Certificate of predicted against measured responses, both (samples, sensors).
-
-        Raises
-        ------
-        InputError
-            If a response is zero: nothing can be compared.
-        """
-        pp, mm, pm = (
-            np.sum(a * b, axis=0) for a, b in ((predicted, predicted), (measured, measured), (predicted, measured))
-        )
-        residual = measured - predicted
-        if np.any(pp == 0) or np.any(mm == 0):
-            raise InputError(
-                "a response is zero: nothing can be compared",
-                where="verify",
-                found=[s for s, a, b in zip(sensors, pp, mm, strict=True) if a == 0 or b == 0],
-                expected="a load that moves every sensor",
-                hint="leave this sensor out, or choose another load",
-            )
-        ratio = None if noise is None else tuple((np.sqrt(np.mean(residual**2, axis=0)) / noise).tolist())
-        return cls(
-            gain=tuple((pm / pp).tolist()),
-            shape=tuple((pm / np.sqrt(pp * mm)).tolist()),
-            error=tuple(np.sqrt(np.sum(residual**2, axis=0) / mm).tolist()),
-            noise_ratio=ratio,
-            sensors=tuple(sensors),
-            source=source,
-            date=datetime.now(UTC).isoformat(timespec="seconds"),
-        )
 
 
 class Model:
@@ -256,7 +168,7 @@ class Model:
         """
         self.refuse("with_sensors")
 
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model to a file, whole or not at all.
 
         Raises
@@ -368,7 +280,7 @@ class Model:
             hint=f"families that can run on this model: {', '.join(can) or 'none'}",
         )
 
-    def _answers(self) -> Iterator[NDArray]:
+    def _answers(self) -> Iterator[NDArray[Any]]:
         """What it says when it is asked who it is; a question that it does not answer is left out."""
         lines = np.array([1 / (20 * dt) for dt in ASKED]) if self.frequencies is None else self.frequencies[:8]
         steps = ASKED if self.dt is None else (self.dt,)
@@ -410,25 +322,7 @@ class Model:
         NotIdentifiable
             From `static` of a structure that is not supported.
         """
-        load, response = _finite(load, "load"), _finite(response, "response")
-        names = [s.label for s in self.sensors]
-        if dt is None:
-            load, response = np.atleast_1d(load), np.atleast_2d(response)
-            if load.shape != (len(self.loads),):
-                raise self._bad_load("verify", f"shape {load.shape}", "one number per load; give dt for a history")
-            predicted = (self.static() @ load)[None]
-        else:
-            predicted = self.predict(load, dt)
-            response = response[:, None] if response.ndim == 1 else response
-        if response.shape != predicted.shape:
-            raise InputError(
-                "the response does not fit the model",
-                where="verify",
-                found=f"shape {response.shape}",
-                expected=f"shape {predicted.shape} for the sensors {names}",
-                hint="one column per sensor, in the order of model.sensors",
-            )
-        self.certificate = Certificate.compare(predicted, response, names, noise=self._noise_std(), source=source)
+        self.certificate = verified(self, load, response, dt, source)
         return self.certificate
 
     # -- shared ---------------------------------------------------------------------------------------------------
@@ -455,26 +349,17 @@ class Model:
         """
         from scipy.signal import fftconvolve
 
-        load = _finite(load, "load")
+        load = frozen(load, "load")
         load = load[:, None] if load.ndim == 1 else load
         if load.ndim != 2 or load.shape[1] != len(self.loads) or len(load) == 0:
-            raise self._bad_load("predict", f"shape {load.shape}", "(samples, loads)")
+            raise bad_load(self, "predict", f"shape {load.shape}", "(samples, loads)")
         h = impulse_of(self, dt, len(load), hold or self.default_hold)
         response = np.zeros((len(load), len(self.sensors)))
         for j in range(len(self.loads)):
             response += fftconvolve(h[:, :, j], load[:, j, None], axes=0)[: len(load)]
         return response
 
-    def _bad_load(self, where: str, found: str, shape: str) -> InputError:
-        return InputError(
-            "the load does not fit the model",
-            where=where,
-            found=found,
-            expected=f"{shape}; loads: {[c.label for c in self.loads]}",
-            hint="one column per load, in the order of model.loads",
-        )
-
-    def _told(self) -> dict[str, Any]:
+    def _as_stored(self) -> dict[str, Any]:
         """Channels and certificate, as a file keeps them; refuses loads that move."""
         if self.moving:
             raise InputError(
@@ -489,10 +374,6 @@ class Model:
             "loads": [{k: getattr(c, k) for k in CHANNEL} for c in self.loads],
             "certificate": None if self.certificate is None else asdict(self.certificate),
         }
-
-    def _noise_std(self) -> NDArray | None:
-        noise = self.noise
-        return noise if noise is None or noise.ndim == 1 else np.sqrt(np.diagonal(noise))
 
 
 def as_model(given: Any, where: str, *methods: str) -> Model:
@@ -548,21 +429,3 @@ def impulse_of(model: Model, dt: float, samples: int, hold: str) -> NDArray[np.f
             hint="samples first, then sensors, then loads",
         )  # fmt: skip
     return h
-
-
-def _finite(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    try:
-        array = np.asarray(plain(values), float)
-    except (TypeError, ValueError):
-        raise InputError(
-            "not a real array", where=name, found=repr(values)[:60], expected="numbers", hint="pass an array of numbers"
-        ) from None
-    if not np.all(np.isfinite(array)):
-        raise InputError(
-            "NaN or infinity",
-            where=name,
-            found=f"{np.sum(~np.isfinite(array))} entries",
-            expected="finite",
-            hint="repair or leave out what is missing",
-        )
-    return array

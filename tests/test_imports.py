@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import json
 import os
@@ -10,7 +11,7 @@ import sys
 
 import pytest
 
-from .sources import ROOT
+from .sources import PACKAGES, ROOT, imported, modules, parsed
 
 HEAVY = ("scipy", "matplotlib", "casadi", "filterpy", "h5py", "skfem", "clarabel", "numba")
 QUIET = (
@@ -82,3 +83,19 @@ def test_a_name_that_is_not_there_raises_by_name(package: str) -> None:
     module = importlib.import_module(package)
     with pytest.raises(AttributeError, match=r"module '\w+' has no attribute 'no_such_name'"):
         _ = module.no_such_name
+
+
+def test_the_default_install_has_what_the_packages_import() -> None:
+    """A test extra, such as scikit-fem, is imported by no module; opencv and Pillow are optional where used."""
+    import tomllib
+
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["dependencies"]
+    allowed = {line.split(">")[0] for line in declared} | {"cv2", "PIL"} | {*PACKAGES} | sys.stdlib_module_names
+    outside = {
+        (name, base.split(".")[0])
+        for name, path in modules(*PACKAGES)
+        for node in ast.walk(parsed(path))
+        for base, *_ in imported(node, name)
+        if base.split(".")[0] not in allowed
+    }
+    assert outside == set()

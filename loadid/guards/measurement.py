@@ -6,9 +6,9 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 from structures.advice import Advice, Spelling
+from structures.certificate import WRONG, Certificate
 from structures.channels import Channel
 from structures.flags import Evidence, Flag
-from structures.model import WRONG, Certificate
 
 CORRELATED = 0.5  # effective over nominal number of data
 LOST = 0.5  # missing share of a channel

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from structures import units as _units
-from structures.files.uff import SUFFIXES, Said, UffFile, parse_uff, unit_of
+from structures.files.uff import SUFFIXES, StatedUnit, UffFile, parse_uff, unit_of
 from structures.files.uff_datasets import TIME, Function
 
 from .settle import distinct
@@ -110,12 +110,12 @@ def _seconds(function: Function, source: Source) -> float:
     return unit.factor if unit else 1.0
 
 
-def _scale(said: Said) -> float:
+def _scale(said: StatedUnit) -> float:
     """1 where the unit has a symbol of its own; else its size, and the numbers become SI here."""
     return 1.0 if said.unit is None or _units.known(said.unit.symbol) else said.unit.factor
 
 
-def _text(said: Said) -> str | None:
+def _text(said: StatedUnit) -> str | None:
     if said.unit is None:
         return None
     return said.unit.symbol if _units.known(said.unit.symbol) else said.unit.si

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from structures.certificate import Certificate
 from structures.errors import InputError
 from structures.files import storage
 from structures.flags import Flag
-from structures.model import Certificate
 
 from ..inverse.choice import Choice, PathCurve
 from ..inverse.diagnosis.diagnose import Diagnosis

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.certificate import Certificate
 from structures.errors import InputError
 from structures.flags import Flag, canonical, codes
-from structures.model import Certificate
 
 from ..inverse.choice import Choice
 from .facts import Facts

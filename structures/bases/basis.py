@@ -13,7 +13,7 @@ from scipy import sparse
 
 from ..elements.beams import BeamField
 from ..elements.plates import PlateField
-from ..errors import InputError, plain, shown
+from ..errors import InputError, numbers, shown
 from ..system.loads import Load, refuse_supported
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class BasisLoad(Load):
 
     def shape(self, structure: Structure) -> Array:
         """Consistent nodal forces of one unit, shape (n,)."""
-        return self.basis.all_columns(structure)[:, [self.index]].toarray()[:, 0]
+        return np.asarray(self.basis.all_columns(structure)[:, [self.index]].toarray()[:, 0])
 
     def region(self, structure: Structure) -> None:
         """None: the basis answers for the supports near its loads."""
@@ -312,10 +312,7 @@ class Basis(Sequence[Load]):
         each = values.reshape(*values.shape[:-1], self.points, count)
         if at is None and self.kind != "polynomials":
             return each
-        try:
-            places = np.asarray(plain(self.coordinates if at is None else at), float)
-        except (TypeError, ValueError):
-            places = np.empty(0)
+        places = numbers(self.coordinates if at is None else at)
         places = places[:, None] if places.ndim == 1 and dim == 1 else places
         if places.ndim != 2 or places.shape[1] != dim or not np.all(np.isfinite(places)):
             raise InputError(
@@ -338,10 +335,7 @@ class Basis(Sequence[Load]):
         return np.asarray(out.reshape(*values.shape[:-1], len(places), count), float)
 
     def _fitting(self, loads: ArrayLike, where: str) -> Array:
-        try:
-            values = np.asarray(plain(loads), float)
-        except (TypeError, ValueError):
-            values = np.empty(0)
+        values = numbers(loads)
         if values.ndim == 0 or values.shape[-1] != len(self) or not np.all(np.isfinite(values)):
             raise InputError(
                 "the loads do not fit the basis",
@@ -358,10 +352,7 @@ def _same(a: Array | None, b: Array | None) -> bool:
 
 
 def _point(about: ArrayLike, dim: int) -> Array:
-    try:
-        x = np.atleast_1d(np.asarray(plain(about), float))
-    except (TypeError, ValueError):
-        x = np.empty(0)
+    x = np.atleast_1d(numbers(about))
     if x.shape != (dim,) or not np.all(np.isfinite(x)):
         raise InputError(
             "no point",

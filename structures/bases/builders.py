@@ -13,7 +13,7 @@ from scipy import linalg, sparse
 from ..errors import InputError, integer, shown
 from . import grids
 from .basis import ROUNDING, Basis
-from .domains import Domain, Face, Rule
+from .domains import Domain, FaceDomain, Quadrature
 from .regions import Region, region_of
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def patches(
     domain = part.domain
     if grid is None and rectangles is None and not (part.whole or domain.boxed):
         raise part.curved(where)
-    if grid is None and rectangles is None and isinstance(domain, Face) and part.whole:
+    if grid is None and rectangles is None and isinstance(domain, FaceDomain) and part.whole:
         return _cell_patches(structure, part, components)
     if grid is not None and rectangles is not None:
         raise InputError(
@@ -142,7 +142,7 @@ def hats(structure: Structure, grid: Any = None, *, region: Any = None, componen
     where = "bases.hats"
     part = region_of(structure, region, where)
     domain = part.domain
-    if grid is None and part.whole and isinstance(domain, Face):
+    if grid is None and part.whole and isinstance(domain, FaceDomain):
         every = np.arange(len(domain.cells))
         rule = domain.cell_rule(every, 1)
         psi, places = domain.node_hats(rule), domain.coordinates
@@ -215,7 +215,7 @@ def polynomials(structure: Structure, degree: int, *, region: Any = None, compon
 
     def products(along: Array) -> Array:
         each = [grids.legendre(span, degree, along[:, k]) for k, span in enumerate(window)]
-        return np.prod([table[:, orders[:, k]] for k, table in enumerate(each)], axis=0)
+        return np.asarray(np.prod([table[:, orders[:, k]] for k, table in enumerate(each)], axis=0))
 
     area = rule.weights.sum()
     mix = np.eye(len(orders))  # on a rectangle the products are orthonormal as they are
@@ -304,7 +304,7 @@ def _distributed(
     structure: Structure,
     part: Region,
     components: Components,
-    rule: Rule,
+    rule: Quadrature,
     psi: sparse.csr_array,
     places: Array,
     names: Sequence[str],
@@ -329,7 +329,7 @@ def _distributed(
         moments.append((weighted.T @ np.cross(arms, vectors)).T)
     count = len(chosen)
     B = interleaved(columns)
-    several = count > 1 or isinstance(domain, Face)
+    several = count > 1 or isinstance(domain, FaceDomain)
     labels = [f"{name} {labelled(*c)}" if several else name for name in names for c in chosen]
     normals = part.normals_at(places)
     return Basis(
@@ -353,9 +353,9 @@ def _distributed(
     )
 
 
-def _joined(rules: Sequence[Rule]) -> Rule:
+def _joined(rules: Sequence[Quadrature]) -> Quadrature:
     parts = [[getattr(r, name) for r in rules] for name in ("cell", "along", "places", "weights")]
-    return Rule(*(np.concatenate(part) for part in parts))
+    return Quadrature(*(np.concatenate(part) for part in parts))
 
 
 def _place(names: Sequence[str], values: ArrayLike) -> str:

@@ -28,7 +28,7 @@ Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class Rule:
+class Quadrature:
     """Quadrature points of a domain: cell, coordinates along its axes (Q, axes), places (Q, dim), weights (Q,)."""
 
     cell: Index
@@ -81,16 +81,16 @@ class Domain:
         """Places (m, dim) of coordinates along the axes."""
         return along
 
-    def motion(self, rule: Rule, direction: str) -> sparse.csr_array:
+    def motion(self, rule: Quadrature, direction: str) -> sparse.csr_array:
         """Rows of the motion along a direction at quadrature points, sparse (Q, n)."""
         raise NotImplementedError
 
-    def vectors(self, direction: str, rule: Rule | None = None) -> Array:
+    def vectors(self, direction: str, rule: Quadrature | None = None) -> Array:
         """Unit vectors (nodes or Q, 3) of a direction."""
         count = len(self.nodes) if rule is None else len(rule.weights)
         return np.tile(np.eye(3)["XYZ".index(direction)], (count, 1))
 
-    def node_hats(self, rule: Rule) -> sparse.csr_array:
+    def node_hats(self, rule: Quadrature) -> sparse.csr_array:
         """Values of the (bi)linear function of every node at quadrature points, sparse (Q, nodes)."""
         lower, upper = self.lower[rule.cell], self.upper[rule.cell]
         size = upper - lower
@@ -98,13 +98,13 @@ class Domain:
         values = np.prod(1 - np.abs(rule.along[:, None] - corners) / size[:, None], axis=-1)
         return self._spread(rule, values)
 
-    def _spread(self, rule: Rule, values: Array) -> sparse.csr_array:
+    def _spread(self, rule: Quadrature, values: Array) -> sparse.csr_array:
         corners = self.cells[rule.cell]
         row = np.repeat(np.arange(len(corners)), corners.shape[1])
         size = len(corners), len(self.nodes)
         return sparse.coo_array((values.ravel(), (row, corners.ravel())), shape=size).tocsr()
 
-    def rule(self, window: Array, lines: list[Array] | None, degree: int, only: Index | None = None) -> Rule:
+    def rule(self, window: Array, lines: list[Array] | None, degree: int, only: Index | None = None) -> Quadrature:
         """Gauss points for cubic shape functions times a load of `degree` along each axis.
 
         Parameters
@@ -145,9 +145,9 @@ class Domain:
             weights = np.tile(weights, (1, len(xi))) * np.repeat(steps[:, None] * w, old, axis=1)
         each = along.shape[1]
         flat = along.reshape(-1, along.shape[-1])
-        return Rule(np.repeat(cell[part], each), flat, self.lift(flat), weights.ravel())
+        return Quadrature(np.repeat(cell[part], each), flat, self.lift(flat), weights.ravel())
 
-    def cell_rule(self, cells: Index, degree: int) -> Rule:
+    def cell_rule(self, cells: Index, degree: int) -> Quadrature:
         """Quadrature of some cells, uncut."""
         return self.rule(self.bounds, None, degree, cells)
 
@@ -163,7 +163,7 @@ class Domain:
             on = np.all((part >= lower) & (part <= upper), axis=-1)
             found[start : start + step], first[start : start + step] = on.any(axis=1), on.argmax(axis=1)
         where = np.flatnonzero(found)
-        rule = Rule(cells[first[where]], along[where], places[where], np.ones(len(where)))
+        rule = Quadrature(cells[first[where]], along[where], places[where], np.ones(len(where)))
         hats = self.node_hats(rule).tocoo()
         rows = where[hats.coords[0]]
         return sparse.coo_array((hats.data, (rows, hats.coords[1])), shape=(len(places), len(self.nodes))).tocsr()
@@ -196,7 +196,7 @@ class Span(Domain):
         self.nodes, self.coordinates = np.arange(len(x)), x[:, None]
         self.cells = np.column_stack([self.nodes[:-1], self.nodes[1:]])
 
-    def motion(self, rule: Rule, direction: str) -> sparse.csr_array:
+    def motion(self, rule: Quadrature, direction: str) -> sparse.csr_array:
         """Rows of the deflection."""
         if direction not in self.directions:
             raise self._bad_direction(direction)
@@ -224,7 +224,7 @@ class Sheet(Domain):
         self.dof_at = np.argsort(field.order)  # DOF of each place in the Kronecker product
         self.i, self.j = i, j
 
-    def motion(self, rule: Rule, direction: str) -> sparse.csr_array:
+    def motion(self, rule: Quadrature, direction: str) -> sparse.csr_array:
         """Rows of the deflection: products of Hermite functions of x and of y."""
         if direction not in self.directions:
             raise self._bad_direction(direction)
@@ -243,7 +243,7 @@ def _hermite(x: Array, start: Array, h: float) -> Array:
     return shape((x - start) / h, h).T  # type: ignore[arg-type]
 
 
-class Face(Domain):
+class FaceDomain(Domain):
     """A face of a solid: bilinear quadrilaterals, loaded along any direction (Pa).
 
     Parameters
@@ -298,7 +298,7 @@ class Face(Domain):
         return out
 
     # -- general quadrilaterals ------------------------------------------------------------------------------------
-    def cell_rule(self, cells: Index, degree: int) -> Rule:
+    def cell_rule(self, cells: Index, degree: int) -> Quadrature:
         """Gauss points of some cells, whatever their shape."""
         xi, w = gauss(degree + 2)
         a, b = (m.ravel() for m in np.meshgrid(xi, xi, indexing="ij"))
@@ -309,13 +309,13 @@ class Face(Domain):
         places = np.einsum("qc,qcd->qd", bilinear(local), corners)
         area = np.linalg.norm(_area_vectors(local, corners), axis=1)
         weights = np.tile(np.outer(w, w).ravel(), len(cells)) * area
-        return Rule(cell, self.project(places), places, weights, local)
+        return Quadrature(cell, self.project(places), places, weights, local)
 
-    def node_hats(self, rule: Rule) -> sparse.csr_array:
+    def node_hats(self, rule: Quadrature) -> sparse.csr_array:
         """Bilinear functions of the nodes."""
         return super().node_hats(rule) if rule.local is None else self._spread(rule, bilinear(rule.local))
 
-    def motion(self, rule: Rule, direction: str) -> sparse.csr_array:
+    def motion(self, rule: Quadrature, direction: str) -> sparse.csr_array:
         """Rows of the motion along a coordinate axis, the normal or a tangent."""
         hats = self.node_hats(rule)
         vectors = self.vectors(direction, rule)
@@ -327,7 +327,7 @@ class Face(Domain):
         """Motion of every node along X, Y or Z from the DOFs, sparse (nodes, n)."""
         return selector(self.structure, self.nodes, axis + 1)
 
-    def vectors(self, direction: str, rule: Rule | None = None) -> Array:
+    def vectors(self, direction: str, rule: Quadrature | None = None) -> Array:
         """Unit vectors of a direction; the normal at a quadrature point is that of its cell there."""
         if direction not in self.directions:
             raise self._bad_direction(direction)
@@ -422,4 +422,4 @@ def domain_of(structure: Structure, surface: Any = None) -> Domain | None:
         return Sheet(structure, field)
     if surface is None:
         return None
-    return Face(structure, field.surface(surface) if isinstance(surface, str) else surface)  # type: ignore[union-attr]
+    return FaceDomain(structure, field.surface(surface) if isinstance(surface, str) else surface)  # type: ignore[union-attr]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from ..errors import InputError, plain, shown
+from ..errors import InputError, numbers, plain, shown
 
 Array = NDArray[np.float64]
 SNAP = 1e-9  # of the region's side: breaks closer than this are one
@@ -20,7 +20,7 @@ PAIRS = 4000  # rectangles of a list: all pairs are compared
 def merged(values: ArrayLike, size: float) -> Array:
     """Sorted values (k,), those within rounding of each other (1e-9 of `size`) taken once."""
     x = np.unique(np.asarray(plain(values), float))
-    return x[np.concatenate([[True], np.diff(x) > SNAP * size])]
+    return np.asarray(x[np.concatenate([[True], np.diff(x) > SNAP * size])])
 
 
 def breaks(grid: Any, window: Array, names: Sequence[str], where: str) -> list[Array]:
@@ -46,10 +46,7 @@ def _axis(one: Any, span: Array, name: str, where: str) -> Array:
         if isinstance(one, bool) or not isinstance(one, int | np.integer) or not 1 <= one <= LIMIT:
             raise _no_grid(one, (name,), where)
         return np.linspace(span[0], span[1], int(one) + 1)
-    try:
-        x = np.asarray(plain(one), float)
-    except (TypeError, ValueError):
-        x = np.empty(0)
+    x = numbers(one)
     slack = SNAP * (span[1] - span[0])
     rising = x.ndim == 1 and len(x) >= 2 and bool(np.all(np.isfinite(x)) and np.all(np.diff(x) > slack))
     if not rising or x[0] < span[0] - slack or x[-1] > span[1] + slack:
@@ -60,7 +57,7 @@ def _axis(one: Any, span: Array, name: str, where: str) -> Array:
             expected=f"two or more rising numbers in m, from {span[0]:.9g} to {span[1]:.9g}",
             hint=f"np.linspace({span[0]:.9g}, {span[1]:.9g}, 11), or a number of divisions",
         )
-    return np.clip(x, span[0], span[1])
+    return np.asarray(np.clip(x, span[0], span[1]))
 
 
 def _no_grid(found: Any, names: Sequence[str], where: str) -> InputError:
@@ -153,7 +150,7 @@ def step(nodes: Array, x: Array) -> sparse.csr_array:
 def legendre(span: Array, degree: int, x: Array) -> Array:
     """Legendre polynomials on a span, of mean square one over it, at the points `x`; (points, degree + 1)."""
     t = (2 * x - span[0] - span[1]) / (span[1] - span[0])
-    return np.polynomial.legendre.legvander(t, degree) * np.sqrt(2 * np.arange(degree + 1) + 1.0)
+    return np.asarray(np.polynomial.legendre.legvander(t, degree) * np.sqrt(2 * np.arange(degree + 1) + 1.0))
 
 
 def rowwise(parts: Sequence[sparse.csr_array]) -> sparse.csr_array:

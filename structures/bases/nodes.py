@@ -14,7 +14,7 @@ from ..errors import InputError, plain, shown
 from ..system.fields import Lumped
 from .basis import Basis
 from .builders import Components, _sides, interleaved, labelled, parsed
-from .domains import Domain, Face, domain_of, selector
+from .domains import Domain, FaceDomain, domain_of, selector
 from .grids import SNAP
 from .regions import Region, region_of, split
 
@@ -59,9 +59,9 @@ def nodal(structure: Structure, region: Any = None, *, nodes: Any = None, compon
     surface, window = split(structure, region)
     part = region_of(structure, region, where) if region is not None or _meshed(structure, surface) else None
     domain = None if part is None else part.domain
-    if part is not None and window is not None and isinstance(domain, Face):
+    if part is not None and window is not None and isinstance(domain, FaceDomain):
         part.flat(where)
-    allowed: tuple[str, ...] = AXES if domain is None or not isinstance(domain, Face) else domain.directions
+    allowed: tuple[str, ...] = AXES if domain is None or not isinstance(domain, FaceDomain) else domain.directions
     allowed = tuple(d for d in allowed if d not in AXES or _has(structure, d))
     chosen = parsed(components, allowed, domain, where)
     places = _places(structure, domain)
@@ -114,7 +114,7 @@ def nodal(structure: Structure, region: Any = None, *, nodes: Any = None, compon
 
 # -- which nodes ------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
-class _Places:
+class _NodePlaces:
     numbers: Index
     coordinates: Array | None
 
@@ -132,10 +132,10 @@ def _meshed(structure: Structure, surface: Any) -> bool:
     return hasattr(structure, "field") and domain_of(structure, surface) is not None
 
 
-def _places(structure: Structure, domain: Domain | None) -> _Places:
+def _places(structure: Structure, domain: Domain | None) -> _NodePlaces:
     if domain is not None:
-        return _Places(domain.nodes, domain.coordinates)
-    return _Places(np.array(sorted({dof.node for dof in structure.dofs}), np.intp), structure.coordinates)
+        return _NodePlaces(domain.nodes, domain.coordinates)
+    return _NodePlaces(np.array(sorted({dof.node for dof in structure.dofs}), np.intp), structure.coordinates)
 
 
 def _has(structure: Structure, name: str) -> bool:
@@ -146,7 +146,7 @@ def _has(structure: Structure, name: str) -> bool:
 def _kept(
     structure: Structure,
     part: Region | None,
-    places: _Places,
+    places: _NodePlaces,
     nodes: Any,
     chosen: Sequence[tuple[float, str]],
     whole: bool,
@@ -201,7 +201,7 @@ def _held(structure: Structure, chosen: Sequence[tuple[float, str]]) -> set[int]
     return {dof.node for dof in structure.supports if dof.axis in axes}
 
 
-def _dropped(domain: Domain | None, kept: Index, places: _Places, structure: Structure, nodes: Any) -> Index:
+def _dropped(domain: Domain | None, kept: Index, places: _NodePlaces, structure: Structure, nodes: Any) -> Index:
     """Supported nodes beside the kept ones: cells that reach them still count as loaded."""
     if domain is None:
         return np.empty(0, np.intp)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, plain, shown
+from ..errors import InputError, numbers, plain, shown
 from ..system.structure import Structure
-from .domains import Domain, Face, domain_of, frames
+from .domains import Domain, FaceDomain, domain_of, frames
 from .grids import PAIRS, SNAP, merged
 
 Array = NDArray[np.float64]
@@ -97,7 +97,7 @@ class Region:
                 expected=f"start < stop within {_extent(self.domain, self.window)}",
                 hint="give places in metres, in the frame of the structure",
             )
-        return np.clip(boxes, self.window[:, :1], self.window[:, 1:])
+        return np.asarray(np.clip(boxes, self.window[:, :1], self.window[:, 1:]))
 
     def normals_at(self, places: Array) -> Array | None:
         """Outward unit normals near places, (P, 3); None on beams and plates."""
@@ -115,7 +115,7 @@ class Region:
         return np.stack(each, axis=1)
 
     def _first(self) -> int:
-        return self.domain.axes[0] if isinstance(self.domain, Face) else 0
+        return self.domain.axes[0] if isinstance(self.domain, FaceDomain) else 0
 
 
 def _extent(domain: Domain, window: Array) -> str:
@@ -172,10 +172,7 @@ def split(structure: Structure, region: Any) -> tuple[Any, Any]:
 
 def _window(domain: Domain, window: Any, where: str) -> Array:
     bounds = domain.bounds
-    try:
-        box = np.asarray(plain(window), float)
-    except (TypeError, ValueError):
-        box = np.empty(0)
+    box = numbers(window)
     box = box[None] if len(bounds) == 1 and box.shape == (2,) else box
     slack = SNAP * np.ptp(bounds, axis=1)
     fits = box.shape == bounds.shape and bool(np.all(np.isfinite(box)))
@@ -189,7 +186,7 @@ def _window(domain: Domain, window: Any, where: str) -> Array:
             found=shown(window),
             expected=f"(start, stop) in m along each of {', '.join(domain.names)}, within {_extent(domain, bounds)}",
             hint="leave region out for all of it"
-            if not isinstance(domain, Face)
+            if not isinstance(domain, FaceDomain)
             else 'region="top" for all of the face',
         )
-    return np.clip(box, bounds[:, :1], bounds[:, 1:])
+    return np.asarray(np.clip(box, bounds[:, :1], bounds[:, 1:]))

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ..channels import Dof, direction_label
-from ..errors import InputError, integer, number, positive, shown
+from ..errors import InputError, integer, number, one_of, positive, shown
 from ..system import fields
 from ..system.damping import Damping, Rayleigh, settled
 from ..system.fields import Line, Span, curvature_matrix, mass_matrix
@@ -169,14 +169,7 @@ def beam(
     """
     EI, mass = _properties(EI, mass_per_length, section, material)
     for side, end in (("left", left), ("right", right)):
-        if not isinstance(end, str) or end not in ENDS:
-            raise InputError(
-                "unknown end",
-                where=f"beam, {side}",
-                found=repr(end),
-                expected=", ".join(ENDS),
-                hint=f'{side}="clamped", for example',
-            )
+        one_of("unknown end", end, ENDS, where=f"beam, {side}", hint=f'{side}="clamped", for example')
     if section is not None and 4 * section.c > positive("length", length, where="beam", unit="m"):
         raise InputError(
             "the section is too deep for a beam of this length: it would shear, not bend",

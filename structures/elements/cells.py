@@ -88,7 +88,7 @@ class Brick:
         """Gradients (8, 3) of the trilinear functions at `xi` (1/m)."""
         along = np.where(_CORNERS, xi, 1 - xi)
         others = np.column_stack([along[:, 1] * along[:, 2], along[:, 0] * along[:, 2], along[:, 0] * along[:, 1]])
-        return _BRICK_SIGNS * others / self.h
+        return np.asarray(_BRICK_SIGNS * others / self.h)
 
     def _bubbles(self, xi: Array) -> Array:
         """Strains (6, 9) of the bubbles 4 xi_k (1 - xi_k)."""

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ..channels import Dof, direction_code, direction_label
-from ..errors import InputError, plain, shown
+from ..errors import InputError, one_of, plain, shown
 from ..system.damping import Damping, settled
 from ..system.fields import Lumped
 from ..system.structure import Structure
@@ -53,14 +53,7 @@ def chain(
         If a value is not positive, a count is wrong or an end is unknown.
     """
     for side, end in (("left", left), ("right", right)):
-        if end not in ENDS:
-            raise InputError(
-                "unknown end",
-                where=f"chain, {side}",
-                found=repr(end),
-                expected=" or ".join(ENDS),
-                hint=f'{side}="fixed"',
-            )
+        one_of("unknown end", end, ENDS, where=f"chain, {side}", hint=f'{side}="fixed"')
     m = _values("masses", masses, None)
     first, last = (0 if left == "fixed" else 1), (m.size + 1 if right == "fixed" else m.size)
     nodes = range(first, last + 1)

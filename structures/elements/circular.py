@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ..channels import Dof, direction_code, direction_label
-from ..errors import InputError, integer, pair, positive, real, shown
+from ..errors import InputError, integer, one_of, pair, positive, real, shown
 from ..system.damping import Damping, settled
-from ..system.fields import Line, Span, field_of, gauss, shape
-from ..system.loads import Load
+from ..system.fields import Line, Span, field_of_kind, gauss, shape
+from ..system.loads import Load, upright
 from ..system.sensors import fixed_quantity
 from ..system.structure import Structure
 from .circularfield import CircularField
-from .members import Material
+from .members import Material, a_material
 
 __all__ = ["EDGES", "CircularField", "Pressure", "plate"]
 
@@ -90,15 +90,7 @@ class Pressure(Load):
                         hint="radius=(0, 0.1) in m, angle=(0, 3.14) in rad",
                     )
                 object.__setattr__(self, name, (a, b))
-        code = direction_code(self.direction)
-        if abs(code) != 3:
-            raise InputError(
-                "a pressure acts along Z",
-                where="Pressure",
-                found=self.direction,
-                expected="+Z or -Z",
-                hint="-Z turns its sign",
-            )
+        code = upright("a pressure", "Pressure", self.direction)
         object.__setattr__(self, "direction", direction_label(code))
         spans = [f"{k}={v[0]:.9g}..{v[1]:.9g}" for k, v in (("r", self.radius), ("angle", self.angle)) if v]
         object.__setattr__(self, "label", self.label or " ".join(["pressure", *spans]))
@@ -109,15 +101,14 @@ class Pressure(Load):
         super().__post_init__()
 
     def _spans(self, structure: Structure) -> tuple[CircularField, Span, Span]:
-        field = field_of(structure, f"load {self.label}")
-        if not isinstance(field, CircularField):
-            raise InputError(
-                "a circular.Pressure acts on a circular plate",
-                where=f"load {self.label}",
-                found=type(field).__name__,
-                expected="a structure of circular.plate",
-                hint="loads.Patch(x=, y=) on a rectangular plate",
-            )
+        field = field_of_kind(
+            structure,
+            CircularField,
+            self.label,
+            what="a circular.Pressure acts on a circular plate",
+            expected="a structure of circular.plate",
+            hint="loads.Patch(x=, y=) on a rectangular plate",
+        )
         rim = (field.line.origin, field.line.origin + field.line.length)
         return field, self.radius or rim, self.angle or (0.0, 2 * math.pi)
 
@@ -203,14 +194,7 @@ def plate(
             expected="a thickness of at most a third of the width; a twentieth is usual",
             hint="check the units of thickness (m); Kirchhoff theory has no shear",
         )
-    if not isinstance(material, Material):
-        raise InputError(
-            "no material",
-            where="circular plate, material",
-            found=shown(material),
-            expected="a Material",
-            hint="beams.materials.steel, or beams.Material(E=, rho=, nu=)",
-        )
+    a_material(material, "circular plate")
     line = Line(a - b, count, b, "r")
     top = integer("harmonics", harmonics, where="circular plate", limit=HARMONICS)
     field = CircularField(line, top, pair("centre", centre, where="circular plate", unit="m"), thickness / 2)
@@ -234,15 +218,7 @@ def plate(
 
 
 def _edge(name: str, edge: Any) -> str:
-    if not isinstance(edge, str) or edge not in EDGES:
-        raise InputError(
-            f"unknown {name}",
-            where="circular plate",
-            found=shown(edge),
-            expected=", ".join(EDGES),
-            hint='edge="clamped"',
-        )
-    return edge
+    return one_of(f"unknown {name}", edge, EDGES, where="circular plate", hint='edge="clamped"')
 
 
 def _inner(inner: Any, radius: float) -> tuple[float, Any]:

@@ -113,20 +113,20 @@ class CircularField:
             x, y = fields.point(at, ("x", "y"))
             ends = [self._polar((x + k * c * length / 2, y + k * s * length / 2)) for k in (1, -1)]
             rows = [self._gradient(r, theta, c, s) for r, theta in ends]
-            return -fibre * (rows[0] - rows[1]) / length
+            return np.asarray(-fibre * (rows[0] - rows[1]) / length)
         r, theta = self._polar(at)
         if self.full and r < CENTRE * self.line.h:
             # of all harmonics only r^2 and r^2 cos 2 theta curve at the centre
             order = self._orders
             bend = np.where(order == 0, 1.0, np.where(order == 2, self._angular(angle), 0.0))
-            return -fibre * self._row(self.line.row(0.0, 2), bend)
+            return np.asarray(-fibre * self._row(self.line.row(0.0, 2), bend))
         c, s = math.cos(angle - theta), math.sin(angle - theta)
         w, slope = self.line.row(r), self.line.row(r, 1)
         none, once, twice = (self._angular(theta, order) for order in range(3))
         radial = self._row(self.line.row(r, 2), none)
         hoop = self._row(slope / r, none) + self._row(w / r**2, twice)
         twist = self._row(slope / r - w / r**2, once)
-        return -fibre * (c * c * radial + s * s * hoop + 2 * c * s * twist)
+        return np.asarray(-fibre * (c * c * radial + s * s * hoop + 2 * c * s * twist))
 
     # -- regions --------------------------------------------------------------------------------------------------
     def resultant(self, region: tuple[Span, ...]) -> Array:

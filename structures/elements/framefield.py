@@ -64,7 +64,7 @@ class Piece:
     @property
     def plane(self) -> bool:
         """Whether it belongs to a plane frame."""
-        return self.dofs.shape[1] == 6
+        return bool(self.dofs.shape[1] == 6)
 
     def on_global(self, rows: Array) -> Array:
         """Columns of local unknowns (r, 12) as columns of the DOFs of one element (r, 6 or 12)."""

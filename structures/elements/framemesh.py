@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ..channels import Dof, direction_code
-from ..errors import InputError, number, real, shown
-from ..system.fields import Line, Span, field_of
+from ..errors import InputError, number, one_of, real, shown
+from ..errors import span as span_of
+from ..system.fields import Line, Span, assembled, field_of_kind
 from ..system.loads import Load
 from ..system.sensors import fixed_quantity
 from .framefield import FrameField, Piece
@@ -66,14 +67,11 @@ class Member:
 
     def __post_init__(self) -> None:
         number("tension", self.tension, where="frame member", unit="N")
-        if not isinstance(self.hinge, str) or self.hinge not in HINGES:
-            raise InputError(
-                "unknown hinge",
-                where=f"frame, member {self.start}-{self.end}",
-                found=shown(self.hinge),
-                expected='"", "start", "end" or "both"',
-                hint='hinge="end" lets the end turn freely on its joint',
-            )
+        where, ways = f"frame, member {self.start}-{self.end}", '"", "start", "end" or "both"'
+        one_of(
+            "unknown hinge", self.hinge, HINGES, where=where, expected=ways,
+            hint='hinge="end" lets the end turn freely on its joint',
+        )  # fmt: skip
 
     @property
     def hinges(self) -> tuple[bool, bool]:
@@ -81,7 +79,7 @@ class Member:
         return self.hinge in ("start", "both"), self.hinge in ("end", "both")
 
 
-class Layout:
+class DofTable:
     """Nodes, their places and the DOF table: joints, then the insides of the members, then the hinged ends."""
 
     def __init__(self, joints: dict[int, Array], members: Sequence[Member], plane: bool) -> None:
@@ -122,7 +120,7 @@ class Layout:
         return np.array([a + b for a, b in itertools.pairwise(ends)], np.intp)
 
 
-def meshed(k: int, m: Member, lay: Layout, plane: bool, shear: bool) -> Piece:
+def meshed(k: int, m: Member, lay: DofTable, plane: bool, shear: bool) -> Piece:
     """A member as it is meshed, its section checked against what the theory needs."""
     assert m.section is not None
     assert m.material is not None
@@ -206,16 +204,10 @@ def _axes(m: Member, x: Array, plane: bool) -> Array:
 
 def assemble(pieces: Sequence[Piece], local: Sequence[Array], size: int) -> sparse.csr_array:
     """Matrix of all DOFs from one element matrix in local axes per member."""
-    data, rows, columns = [], [], []
-    for piece, A in zip(pieces, local, strict=True):
-        turned = piece.matrix(A)
-        turned = (turned + turned.T) / 2  # the rotation leaves rounding
-        i, j = np.broadcast_arrays(piece.dofs[:, :, None], piece.dofs[:, None, :])
-        data.append(np.broadcast_to(turned, i.shape).ravel())
-        rows.append(i.ravel())
-        columns.append(j.ravel())
-    where = (np.concatenate(rows), np.concatenate(columns))
-    return sparse.coo_array((np.concatenate(data), where), shape=(size, size)).tocsr()
+    blocks = [piece.matrix(A) for piece, A in zip(pieces, local, strict=True)]
+    # the rotation leaves rounding, which is mirrored
+    each = [np.broadcast_to((A + A.T) / 2, (len(p.dofs), *A.shape)) for A, p in zip(blocks, pieces, strict=True)]
+    return assembled(np.concatenate(each), np.concatenate([piece.dofs for piece in pieces]), size)
 
 
 @dataclass(frozen=True)
@@ -268,17 +260,10 @@ class LineLoad(Load):
                 hint="members are counted from 0",
             )
         if self.span is not None:
-            ends = [real(v) for v in self.span] if np.ndim(self.span) == 1 else []
-            if len(ends) != 2 or ends[0] is None or ends[1] is None or ends[0] >= ends[1]:
-                raise InputError(
-                    "no span",
-                    where="LineLoad, span",
-                    found=shown(self.span),
-                    expected="(start, stop) in m, start < stop",
-                    hint="span=(0.2, 0.4), or leave it out for the whole member",
-                )
-            object.__setattr__(self, "span", (ends[0], ends[1]))
-            object.__setattr__(self, "measure", ends[1] - ends[0])
+            hint = "span=(0.2, 0.4), or leave it out for the whole member"
+            start, stop = span_of(self.span, where="LineLoad, span", hint=hint)
+            object.__setattr__(self, "span", (start, stop))
+            object.__setattr__(self, "measure", stop - start)
         object.__setattr__(self, "direction", _direction(self.direction))
         object.__setattr__(self, "label", self.label or self._words())
         super().__post_init__()
@@ -291,16 +276,14 @@ class LineLoad(Load):
         return f"member={self.member}{part} {way}"
 
     def _field(self, structure: Structure) -> FrameField:
-        field = field_of(structure, f"load {self.label}")
-        if not isinstance(field, FrameField):
-            raise InputError(
-                "a LineLoad acts on a member of a frame",
-                where=f"load {self.label}",
-                found=type(field).__name__,
-                expected="a structure of frames.frame",
-                hint="loads.Patch(x=(x0, x1)) on a beam",
-            )
-        return field
+        return field_of_kind(
+            structure,
+            FrameField,
+            self.label,
+            what="a LineLoad acts on a member of a frame",
+            expected="a structure of frames.frame",
+            hint="loads.Patch(x=(x0, x1)) on a beam",
+        )
 
     def region(self, structure: Structure) -> tuple[Span, ...]:
         """Member and span."""

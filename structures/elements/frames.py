@@ -20,7 +20,7 @@ from ..errors import InputError, integer, plain, positive, real, shown
 from ..system.damping import Damping, settled
 from ..system.structure import Structure
 from .framefield import At, FrameField
-from .framemesh import Layout, LineLoad, Member, assemble, meshed
+from .framemesh import DofTable, LineLoad, Member, assemble, meshed
 from .members import Material, Section
 
 __all__ = ["SUPPORTS", "At", "FrameField", "LineLoad", "Material", "Member", "Section", "frame", "portal"]
@@ -82,7 +82,7 @@ def frame(
     plane = len(next(iter(joints.values()))) == 2
     given = [_member(m, joints, section, material, elements) for m in _listed(members)]
     _connected(given, joints)
-    lay = Layout(joints, given, plane)
+    lay = DofTable(joints, given, plane)
     pieces = tuple(meshed(k, m, lay, plane, shear) for k, m in enumerate(given))
     table = tuple(lay.dofs)
     places = np.array([lay.places[dof.node] for dof in table])
@@ -291,7 +291,7 @@ def _connected(members: Sequence[Member], joints: dict[int, Array]) -> None:
         )
 
 
-def _supports(supports: Mapping[int, Any], joints: dict[int, Array], lay: Layout) -> list[Dof]:
+def _supports(supports: Mapping[int, Any], joints: dict[int, Array], lay: DofTable) -> list[Dof]:
     """Held DOFs of every supported joint."""
     held = []
     for joint, kind in supports.items():

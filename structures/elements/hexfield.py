@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ..channels import direction_label
-from ..errors import InputError
+from ..errors import InputError, one_of, plain
 from ..flags import Evidence, Flag, canonical
 from ..system import fields
 from ..system.factor import Factor
 from ..system.fields import Line, Span, gauss
 from .cells import Brick, shape
+from .meshfield import SNAP_BLOCK, SolidField, along, outside
 from .surfaces import Surface
 
 FACES = {"bottom": (2, 0), "top": (2, 1), "left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1)}
@@ -26,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class HexField:
+class HexField(SolidField):
     """A regular block of bricks; node n = i + (nx + 1) (j + (ny + 1) k), DOFs 3 n + (0, 1, 2).
 
     Parameters
@@ -56,13 +57,8 @@ class HexField:
         counts = [line.elements + 1 for line in self.lines]
         return np.arange(math.prod(counts)).reshape(counts[::-1]).transpose(2, 1, 0)
 
-    @property
-    def size(self) -> int:
-        """Number of DOFs."""
-        return 3 * self.grid.size
-
     @cached_property
-    def coordinates(self) -> Array:
+    def coordinates(self) -> Array:  # type: ignore[override]  # made when it is first asked for
         """Places of the nodes (nodes, 3), in the order of their numbers."""
         x, y, z = np.meshgrid(*(line.nodes for line in self.lines), indexing="ij")
         order = np.argsort(self.grid.ravel())
@@ -72,15 +68,13 @@ class HexField:
         """Nodes of the corners of cell (i, j, k), (..., 8)."""
         i, j, k = (np.asarray(v)[..., None] for v in (i, j, k))
         a = np.arange(8)
-        return self.grid[i + (a & 1), j + (a >> 1 & 1), k + (a >> 2)]
+        return np.asarray(self.grid[i + (a & 1), j + (a >> 1 & 1), k + (a >> 2)])
 
     def assemble(self, element: Array) -> sparse.csr_array:
         """Sparse (n, n) matrix from the one matrix (24, 24) of every cell."""
         cells = np.meshgrid(*(np.arange(line.elements) for line in self.lines), indexing="ij")
         dofs = (3 * self.corners(*cells).reshape(-1, 8, 1) + np.arange(3)).reshape(-1, 24).astype(np.int32)
-        i, j = np.repeat(dofs, 24, axis=1).ravel(), np.tile(dofs, (1, 24)).ravel()
-        data = np.tile(element.ravel(), len(dofs))
-        return sparse.coo_array((data, (i, j)), shape=(self.size, self.size)).tocsr()
+        return fields.assembled(element, dofs, self.size)
 
     # -- points ---------------------------------------------------------------------------------------------------
     def _cells(self, at: ArrayLike) -> list[tuple[NDArray[np.intp], Array]]:
@@ -92,30 +86,35 @@ class HexField:
             for cell in itertools.product(*choices)
         ]
 
-    def motion(self, at: ArrayLike, axis: int) -> Array:
-        """Row of the motion along X, Y or Z at (x, y, z)."""
-        if axis not in (1, 2, 3):
-            raise InputError(
-                "a point of a solid moves along X, Y and Z and has no rotation",
-                where="sensor or load on a solid",
-                found=direction_label(axis),
-                expected="+X, +Y or +Z",
-                hint="two forces some way apart make a couple, two displacements a rotation",
-            )
+    def _held(self, at: ArrayLike) -> tuple[NDArray[np.intp], Array]:
         nodes, xi = self._cells(at)[0]
-        row = np.zeros(self.size)
-        row[3 * nodes + axis - 1] = shape(xi)
-        return row
+        return nodes, shape(xi)
 
-    def strain(self, at: ArrayLike, fibre: float, angle: float, length: float | None) -> Array:
-        """Refuses: a solid has no neutral axis."""
-        raise InputError(
-            "a solid has no neutral axis from which a fibre could be counted",
-            where="StrainGauge on a solid",
-            found=f"fibre={fibre:g}",
-            expected="sensors.SolidGauge",
-            hint="sensors.SolidGauge(at=(x, y, z), direction=(1, 0, 0), length=2e-3)",
-        )
+    def interpolants(self, points: ArrayLike, reach: float = SNAP_BLOCK) -> tuple[NDArray[np.intp], Array]:
+        """Nodes (N, 8) of the cell that holds each point, and their weights (N, 8).
+
+        Raises
+        ------
+        InputError
+            If a point lies outside.
+        """
+        places = np.asarray(plain(points), float)
+        origin, steps = (np.array([getattr(line, name) for line in self.lines]) for name in ("origin", "h"))
+        counts = np.array([line.elements for line in self.lines])
+        stations = (places - origin) / steps
+        beyond = np.any((stations < -SNAP_BLOCK) | (stations > counts + SNAP_BLOCK), axis=1)
+        outside(beyond, places, origin, origin + counts * steps)
+        cell = np.clip(np.floor(stations).astype(np.intp), 0, counts - 1)
+        xi = np.clip(stations - cell, 0.0, 1.0)
+        corners = np.arange(8)
+        high = np.stack([corners & 1, corners >> 1 & 1, corners >> 2], axis=1).astype(bool)
+        return self.corners(*cell.T), np.prod(np.where(high, xi[:, None], 1 - xi[:, None]), axis=2)
+
+    def strains(self, u: Array) -> Array:
+        """Strains (cells, 6) at the centres, from the motion of all DOFs (n,)."""
+        cells = np.meshgrid(*(np.arange(line.elements) for line in self.lines[::-1]), indexing="ij")[::-1]
+        nodes = self.corners(*(c.ravel() for c in cells))
+        return np.asarray(u.reshape(-1, 3)[nodes].reshape(-1, 24) @ self.cell.strain(np.full(3, 0.5)).T, float)
 
     def direct_strain(self, at: ArrayLike, direction: Array, length: float | None) -> Array:
         """Row of d^T eps d along the unit vector `direction`, at a point or its mean over a line of `length` about it.
@@ -146,9 +145,7 @@ class HexField:
         return [found[0], *(b for a, b in itertools.pairwise(found) if b - a > 1e-12)]
 
     def _strain(self, at: Array, d: Array) -> Array:
-        # d^T eps d with shears counted as angles
-        weights = np.concatenate([d**2, [d[1] * d[2], d[0] * d[2], d[0] * d[1]]])
-        row, cells = np.zeros(self.size), self._cells(at)
+        weights, row, cells = along(d), np.zeros(self.size), self._cells(at)
         for nodes, xi in cells:
             dofs = (3 * nodes[:, None] + np.arange(3)).ravel()
             row[dofs] += weights @ self.cell.strain(xi) / len(cells)
@@ -162,7 +159,7 @@ class HexField:
     def face_nodes(self, face: str) -> NDArray[np.intp]:
         """Nodes of a face as a grid over its two coordinates, in the order x, y, z."""
         axis, end = FACES[known_face(face)]
-        return np.take(self.grid, -end, axis=axis)
+        return np.asarray(np.take(self.grid, -end, axis=axis))
 
     def face_lines(self, face: str) -> tuple[Line, Line]:
         """The divisions of the two sides of a face."""
@@ -233,10 +230,6 @@ class HexField:
         return self.traction("top", region, 3)
 
     # -- neighbours, rigid motions ----------------------------------------------------------------------------------
-    def box(self, node: int) -> tuple[Span, ...]:
-        """Place of a node."""
-        return tuple((float(v), float(v)) for v in self.coordinates[node])
-
     def near(self, region: tuple[Span, ...]) -> NDArray[np.intp]:
         """DOFs of the cells that a box shares; on a face of a pad, those of that face only.
 
@@ -253,13 +246,9 @@ class HexField:
             picks.append(pick)
         return (3 * self.grid[np.ix_(*picks)].ravel()[:, None] + np.arange(3)).ravel()
 
-    def rigid(self) -> dict[str, Array]:
-        """Three translations, and three rotations about the centre."""
+    def _centred(self) -> Array:
         places = np.array(np.meshgrid(*(line.local_nodes - line.length / 2 for line in self.lines), indexing="ij"))
-        places = places.reshape(3, -1).T[np.argsort(self.grid.ravel())] / max(line.length for line in self.lines)
-        nodes = len(places)
-        out = {f"translation {name}": np.tile(np.eye(3)[k], nodes) for k, name in enumerate("XYZ")}
-        return out | {f"rotation R{name}": np.cross(np.eye(3)[k], places).ravel() for k, name in enumerate("XYZ")}
+        return places.reshape(3, -1).T[np.argsort(self.grid.ravel())] / max(line.length for line in self.lines)
 
 
 def known_face(name: object) -> str:
@@ -270,15 +259,8 @@ def known_face(name: object) -> str:
     InputError
         If there is no such face.
     """
-    if not isinstance(name, str) or name not in FACES:
-        raise InputError(
-            "a block has no such face",
-            where="face",
-            found=repr(name),
-            expected=", ".join(FACES),
-            hint="bottom and top along Z, left and right along X, front and back along Y",
-        )
-    return name
+    hint = "bottom and top along Z, left and right along X, front and back along Y"
+    return one_of("a block has no such face", name, FACES, where="face", hint=hint)
 
 
 def _line_mass(line: Line) -> sparse.csr_array:
@@ -325,18 +307,32 @@ def locking(field: HexField, fixed: Sequence[str], allow: Iterable[str] = ()) ->
     InputError
         Code LID-E109, with the number, unless it is allowed.
     """
-    nu = field.cell.nu
-    allowed = {canonical(code) for code in ([allow] if isinstance(allow, str) else allow)}
+    nu, allowed = field.cell.nu, codes_of(allow)
     if field.cell.element != "standard" or nu <= WARN:
         return ()
-    excess, how = _excess(field, fixed)
+    return too_stiff(nu, *_excess(field, fixed), allowed, "solids.block")
+
+
+def codes_of(allow: Iterable[str]) -> set[str]:
+    """The guard codes that a user allows, each checked."""
+    return {canonical(code) for code in ([allow] if isinstance(allow, str) else allow)}
+
+
+def too_stiff(nu: float, excess: float, how: str, allowed: set[str], where: str) -> tuple[Flag, ...]:
+    """W108 or E109 of plain bricks that are `excess` per cent too stiff, as was found on `how`.
+
+    Raises
+    ------
+    InputError
+        Code LID-E109, unless it is allowed.
+    """
     message = f"plain Hex-8 is {excess:.0f} % too stiff at nu = {nu:g} ({how})"
     if nu <= REFUSE:
         return (Flag("W108", Evidence("Poisson's ratio", nu, WARN), message, ADVICE),)
     if "LID-E109" not in allowed:
         raise InputError(
             message,
-            where="solids.block, element",
+            where=f"{where}, element",
             found=f"element='standard' and nu = {nu:g}",
             expected=f"nu <= {REFUSE}, or another element",
             hint=ADVICE + '; allow=("E109",) builds it all the same',
@@ -345,13 +341,18 @@ def locking(field: HexField, fixed: Sequence[str], allow: Iterable[str] = ()) ->
     return (Flag("E109", Evidence("Poisson's ratio", nu, REFUSE), message + ", allowed by the user", ADVICE),)
 
 
+def of_a_pad(nu: float) -> tuple[float, str]:
+    """By how many per cent plain bricks of a bonded pad are too stiff against B-bar, and what pad that is."""
+    x = [np.log10(1 - 2 * v) for v in PAD]
+    found = np.interp(np.log10(1 - 2 * nu), x[::-1], list(PAD.values())[::-1])
+    return float(found), "a bonded pad of 16 x 16 x 4 cells"
+
+
 def _excess(field: HexField, fixed: Sequence[str]) -> tuple[float, str]:
     """By how many per cent plain bricks are too stiff against B-bar, and on what mesh that was found."""
     face = _loaded(fixed)
     if face is None or field.size > TRIAL:
-        x = [np.log10(1 - 2 * nu) for nu in PAD]
-        found = np.interp(np.log10(1 - 2 * field.cell.nu), x[::-1], list(PAD.values())[::-1])
-        return float(found), "a bonded pad of 16 x 16 x 4 cells"
+        return of_a_pad(field.cell.nu)
     held = np.unique(np.concatenate([field.face_nodes(name).ravel() for name in fixed or ("bottom",)]))
     free = np.setdiff1d(np.arange(field.size), (3 * held[:, None] + np.arange(3)).ravel())
     f = _press(field, face)[free]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,25 @@ aluminium = Material(E=70e9, rho=2700.0, nu=0.33)
 
 
 SERIES = 60  # odd terms of the torsion series: the next one is below 1e-10 of the sum
+
+
+def a_material(material: Any, where: str) -> Material:
+    """A material.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    if not isinstance(material, Material):
+        raise InputError(
+            "no material",
+            where=f"{where}, material",
+            found=shown(material),
+            expected="a Material",
+            hint="beams.materials.steel, or beams.Material(E=, rho=, nu=)",
+        )
+    return material
 
 
 @dataclass(frozen=True)

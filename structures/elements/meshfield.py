@@ -14,13 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ..channels import direction_label
-from ..errors import InputError, plain, reals
+from ..errors import InputError, one_of, plain, reals
 from ..flags import Flag
 from ..system import fields
 from ..system.fields import Span, field_of, gauss
 from ..system.structure import Structure
 from .cells import Cell, gradients, strain_matrices
-from .hexfield import HexField
 from .surfaces import Surface, flat, spread
 
 Array = NDArray[np.float64]
@@ -80,28 +79,8 @@ def interpolants(structure: Structure, points: ArrayLike, *, reach: float | None
             hint="leave lost markers out",
         )
     field: Any = field_of(structure, "points of a solid")
-    if isinstance(field, HexField):
-        return _in_block(field, places)
-    return field.interpolants(places) if reach is None else field.interpolants(places, reach)
-
-
-def _in_block(field: HexField, places: Array) -> tuple[Index, Array]:
-    origin = np.array([line.origin for line in field.lines])
-    steps = np.array([line.h for line in field.lines])
-    counts = np.array([line.elements for line in field.lines])
-    stations = (places - origin) / steps
-    outside(
-        np.any((stations < -SNAP_BLOCK) | (stations > counts + SNAP_BLOCK), axis=1),
-        places,
-        origin,
-        origin + counts * steps,
-    )
-    cell = np.clip(np.floor(stations).astype(np.intp), 0, counts - 1)
-    xi = np.clip(stations - cell, 0.0, 1.0)
-    corners = np.arange(8)
-    high = np.stack([corners & 1, corners >> 1 & 1, corners >> 2], axis=1).astype(bool)
-    values = np.prod(np.where(high, xi[:, None], 1 - xi[:, None]), axis=2)
-    return field.corners(*cell.T), values
+    held: tuple[Index, Array] = field.interpolants(places) if reach is None else field.interpolants(places, reach)
+    return held
 
 
 def outside(beyond: NDArray[np.bool_], places: Array, lower: Array, upper: Array) -> None:
@@ -150,11 +129,8 @@ def strains(structure: Structure, u: ArrayLike) -> Array:
             expected=f"({structure.n},), finite",
             hint="structure.expand completes the motion of the free DOFs",
         )
-    if not isinstance(field, HexField):
-        return field.strains(u)
-    cells = np.meshgrid(*(np.arange(line.elements) for line in field.lines[::-1]), indexing="ij")[::-1]
-    nodes = field.corners(*(c.ravel() for c in cells))
-    return np.asarray(u.reshape(-1, 3)[nodes].reshape(-1, 24) @ field.cell.strain(np.full(3, 0.5)).T, float)
+    found: Array = field.strains(u)
+    return found
 
 
 def largest_strain(strain: ArrayLike) -> Array:
@@ -171,8 +147,67 @@ SNAP = 1e-6  # of a cell: points so far outside are on the surface
 NEWTON = 20
 
 
+def along(d: Array) -> Array:
+    """What d^T eps d takes of the six strains, shears counted as angles, (6,)."""
+    return np.concatenate([d**2, [d[1] * d[2], d[0] * d[2], d[0] * d[1]]])
+
+
+class SolidField:
+    """What blocks and meshes of solids share: motion at a point, rigid motions; DOFs 3 node + (0, 1, 2)."""
+
+    coordinates: Array
+
+    @property
+    def size(self) -> int:
+        """Number of DOFs."""
+        return 3 * len(self.coordinates)
+
+    def _held(self, at: ArrayLike) -> tuple[Index, Array]:
+        """Nodes (m,) of the cell that holds a point, and their weights."""
+        raise NotImplementedError
+
+    def _centred(self) -> Array:
+        """Places of the nodes from the centre, over the largest side."""
+        raise NotImplementedError
+
+    def motion(self, at: ArrayLike, axis: int) -> Array:
+        """Row of the motion along X, Y or Z at (x, y, z)."""
+        if axis not in (1, 2, 3):
+            raise InputError(
+                "a point of a solid moves along X, Y and Z and has no rotation",
+                where="sensor or load on a solid",
+                found=direction_label(axis),
+                expected="+X, +Y or +Z",
+                hint="two forces some way apart make a couple, two displacements a rotation",
+            )
+        nodes, values = self._held(at)
+        row = np.zeros(self.size)
+        row[3 * nodes + axis - 1] = values
+        return row
+
+    def strain(self, at: ArrayLike, fibre: float, angle: float, length: float | None) -> Array:
+        """Refuses: a solid has no neutral axis."""
+        raise InputError(
+            "a solid has no neutral axis from which a fibre could be counted",
+            where="StrainGauge on a solid",
+            found=f"fibre={fibre:g}",
+            expected="sensors.SolidGauge",
+            hint="sensors.SolidGauge(at=(x, y, z), direction=(1, 0, 0), length=2e-3)",
+        )
+
+    def box(self, node: int) -> tuple[Span, ...]:
+        """Place of a node."""
+        return tuple((float(v), float(v)) for v in self.coordinates[node])
+
+    def rigid(self) -> dict[str, Array]:
+        """Three translations, and three rotations about the centre."""
+        places = self._centred()
+        out = {f"translation {name}": np.tile(np.eye(3)[k], len(places)) for k, name in enumerate("XYZ")}
+        return out | {f"rotation R{name}": np.cross(np.eye(3)[k], places).ravel() for k, name in enumerate("XYZ")}
+
+
 @dataclass(frozen=True, eq=False)
-class MeshField:
+class MeshField(SolidField):
     """A mesh of equal kinds of cells; DOFs 3 node + (0, 1, 2).
 
     Parameters
@@ -191,11 +226,6 @@ class MeshField:
     cells: Index
     cell: Cell
     flags: tuple[Flag, ...] = ()
-
-    @property
-    def size(self) -> int:
-        """Number of DOFs."""
-        return 3 * len(self.coordinates)
 
     @cached_property
     def _boxes(self) -> tuple[Array, Array]:
@@ -254,30 +284,9 @@ class MeshField:
         xi[rest > 1e-9 * size] = np.nan
         return xi
 
-    def motion(self, at: ArrayLike, axis: int) -> Array:
-        """Row of the motion along X, Y or Z at (x, y, z)."""
-        if axis not in (1, 2, 3):
-            raise InputError(
-                "a point of a solid moves along X, Y and Z and has no rotation",
-                where="sensor or load on a solid",
-                found=direction_label(axis),
-                expected="+X, +Y or +Z",
-                hint="two forces some way apart make a couple, two displacements a rotation",
-            )
+    def _held(self, at: ArrayLike) -> tuple[Index, Array]:
         nodes, values = self.interpolants(np.array([fields.point(at, "xyz")]))
-        row = np.zeros(self.size)
-        row[3 * nodes[0] + axis - 1] = values[0]
-        return row
-
-    def strain(self, at: ArrayLike, fibre: float, angle: float, length: float | None) -> Array:
-        """Refuses: a solid has no neutral axis."""
-        raise InputError(
-            "a solid has no neutral axis from which a fibre could be counted",
-            where="StrainGauge on a solid",
-            found=f"fibre={fibre:g}",
-            expected="the motion of points some way apart",
-            hint="two Displacement sensors along the direction of the gauge",
-        )
+        return nodes[0], values[0]
 
     def direct_strain(self, at: ArrayLike, direction: Array, length: float | None) -> Array:
         """Row of d^T eps d along the unit vector `direction`, at a point or its mean over a line of `length` about it.
@@ -290,8 +299,7 @@ class MeshField:
         places = centre + (stations[:, None] - 0.5) * (length or 0.0) * direction
         cell, xi, beyond = self._located(places)
         outside(beyond > SNAP, places, self.coordinates.min(axis=0), self.coordinates.max(axis=0))
-        d, row = direction, np.zeros(self.size)
-        share = np.concatenate([d**2, [d[1] * d[2], d[0] * d[2], d[0] * d[1]]])  # shears count as angles
+        share, row = along(direction), np.zeros(self.size)
         for c, local, weight in zip(cell, xi, weights, strict=True):
             g, _ = gradients(self.cell, self.coordinates[self.cells[[c]]], local[None])
             dofs = (3 * self.cells[c][:, None] + np.arange(3)).ravel()
@@ -312,10 +320,6 @@ class MeshField:
         """Whether (x, y, z) lies in the mesh."""
         return bool(self._located(np.array([fields.point(at, "xyz")]))[2][0] <= SNAP)
 
-    def box(self, node: int) -> tuple[Span, ...]:
-        """Place of a node."""
-        return tuple((float(v), float(v)) for v in self.coordinates[node])
-
     def near(self, region: tuple[Span, ...]) -> Index:
         """DOFs of the boundary faces that a box shares."""
         lower, upper = (np.array([span[k] for span in region]) for k in (0, 1))
@@ -326,11 +330,9 @@ class MeshField:
         shared = np.all((low <= upper + slack) & (high >= lower - slack), axis=1)
         return (3 * np.unique(self.boundary[shared])[:, None] + np.arange(3)).ravel()
 
-    def rigid(self) -> dict[str, Array]:
-        """Three translations, and three rotations about the centre."""
-        places = (self.coordinates - self.coordinates.mean(axis=0)) / np.ptp(self.coordinates, axis=0).max()
-        out = {f"translation {name}": np.tile(np.eye(3)[k], len(places)) for k, name in enumerate("XYZ")}
-        return out | {f"rotation R{name}": np.cross(np.eye(3)[k], places).ravel() for k, name in enumerate("XYZ")}
+    def _centred(self) -> Array:
+        size = np.ptp(self.coordinates, axis=0).max()
+        return np.asarray((self.coordinates - self.coordinates.mean(axis=0)) / size, float)
 
     def strains(self, u: Array) -> Array:
         """Strains (cells, 6) at the centres, from the motion of all DOFs (n,)."""
@@ -359,7 +361,7 @@ class MeshField:
                 expected="a conforming mesh",
                 hint="look for cells that are listed twice",
             )
-        return faces[np.sort(first[times == 1])]
+        return np.asarray(faces[np.sort(first[times == 1])])
 
     @cached_property
     def face_normals(self) -> Array:
@@ -389,14 +391,8 @@ class MeshField:
             If the name is unknown or there are no such faces.
         """
         if faces is None:
-            if name not in ("top", "bottom"):
-                raise InputError(
-                    "a mesh has no such face",
-                    where="face",
-                    found=repr(name),
-                    expected="top, bottom",
-                    hint="surface(name, faces) takes rows of field.boundary",
-                )
+            hint = "surface(name, faces) takes rows of field.boundary"
+            one_of("a mesh has no such face", name, ("top", "bottom"), where="face", hint=hint)
             faces = self.facing((0, 0, 1 if name == "top" else -1))
         chosen = self.boundary[faces]
         if len(chosen) == 0:

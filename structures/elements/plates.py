@@ -28,7 +28,7 @@ from ..system.damping import Damping, settled
 from ..system.fields import Line, Span, curvature_matrix, mass_matrix, mixed_matrix, slope_matrix
 from ..system.structure import Structure
 from . import circular as circular
-from .members import Material
+from .members import Material, a_material
 
 # plates.circular.plate
 
@@ -61,7 +61,7 @@ class PlateField:
         j, i, dy, dx = np.meshgrid(
             np.arange(self.y.elements + 1), np.arange(self.x.elements + 1), [0, 1], [0, 1], indexing="ij"
         )
-        return ((2 * j + dy) * self.x.size + 2 * i + dx).ravel()
+        return np.asarray(((2 * j + dy) * self.x.size + 2 * i + dx).ravel())
 
     def _row(self, x: float, y: float, order: tuple[int, int] = (0, 0)) -> Array:
         return np.asarray(np.kron(self.y.row(y, order[1]), self.x.row(x, order[0]))[self.order], float)
@@ -205,14 +205,7 @@ def plate(
             expected="a thickness of at most a third of the shorter side; a twentieth is usual",
             hint="check the units of thickness (m); Kirchhoff theory has no shear",
         )
-    if not isinstance(material, Material):
-        raise InputError(
-            "no material",
-            where="plate, material",
-            found=shown(material),
-            expected="a Material",
-            hint="beams.materials.steel, or beams.Material(E=, rho=, nu=)",
-        )
+    a_material(material, "plate")
     field = PlateField(x, y, thickness / 2)
     stiffness = material.E * thickness**3 / 12 / (1 - material.nu**2)
     K, terms = stiffness * _bending(field, material.nu), {}

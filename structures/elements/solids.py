@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ..channels import Dof
-from ..errors import InputError, as_array, integer, number, plain, positive, reals, shown
-from ..flags import Evidence, Flag, canonical
+from ..errors import InputError, as_array, integer, number, one_of, plain, positive, reals, shown
+from ..flags import Flag
 from ..system.damping import Damping, settled
-from ..system.fields import Line
+from ..system.fields import Line, assembled
 from ..system.structure import Structure
 from .cells import CELLS, ELEMENTS, Brick, Cell, mass_matrix, masses, stiffnesses, upright
-from .hexfield import ADVICE, PAD, REFUSE, WARN, HexField, known_face, locking
-from .members import Material
+from .hexfield import WARN, HexField, codes_of, known_face, locking, of_a_pad, too_stiff
+from .members import Material, a_material
 from .meshfield import MeshField
 from .surfaces import FacePatch
 
@@ -93,10 +93,8 @@ def mesh(
     K = material.E * stiffnesses(cell, X, material.nu, bbar=cell.name == "C3D8" and element == "bbar")
     held = held_nodes(field, fixed, where)
     return Structure(
-        K=_assembled(K, (3 * table[:, :, None] + np.arange(3)).reshape(len(table), -1), field.size),
-        M=sparse.csr_array(
-            sparse.kron(_assembled(masses(cell, X, material.rho), table, len(places)), sparse.eye_array(3))
-        ),
+        K=assembled(K, (3 * table[:, :, None] + np.arange(3)).reshape(len(table), -1), field.size),
+        M=sparse.csr_array(sparse.kron(assembled(masses(cell, X, material.rho), table, len(places)), np.eye(3))),
         dofs=tuple(Dof(node, axis) for node in range(len(places)) for axis in (1, 2, 3)),
         coordinates=places,
         supports=tuple(Dof(int(node), axis) for node in held for axis in (1, 2, 3)),
@@ -164,24 +162,10 @@ def _checked(nodes: Any, cells: Any, cell: Cell, where: str) -> tuple[Array, Ind
 
 def _locking(cell: Cell, element: str, nu: float, allow: Iterable[str], where: str) -> tuple[Flag, ...]:
     """W108 and E109 for plain hexahedra, with the figures of a pad."""
+    allowed = codes_of(allow)
     if cell.name != "C3D8" or element != "standard" or nu <= WARN:
         return ()
-    allowed = {canonical(code) for code in ([allow] if isinstance(allow, str) else allow)}
-    x = [np.log10(1 - 2 * v) for v in PAD]
-    excess = float(np.interp(np.log10(1 - 2 * nu), x[::-1], list(PAD.values())[::-1]))
-    message = f"plain Hex-8 is {excess:.0f} % too stiff at nu = {nu:g} (a bonded pad of 16 x 16 x 4 cells)"
-    if nu <= REFUSE:
-        return (Flag("W108", Evidence("Poisson's ratio", nu, WARN), message, ADVICE),)
-    if "LID-E109" not in allowed:
-        raise InputError(
-            message,
-            where=f"{where}, element",
-            found=f"element='standard' and nu = {nu:g}",
-            expected=f"nu <= {REFUSE}, or another element",
-            hint=ADVICE + '; allow=("E109",) builds it all the same',
-            code="LID-E109",
-        )
-    return (Flag("E109", Evidence("Poisson's ratio", nu, REFUSE), message + ", allowed by the user", ADVICE),)
+    return too_stiff(nu, *of_a_pad(nu), allowed, where)
 
 
 def _connected(field: MeshField, where: str) -> None:
@@ -230,14 +214,6 @@ def held_nodes(field: MeshField, fixed: Any, where: str) -> Index:
             hint="name the node set of the bonded base",
         )
     return nodes.astype(np.intp)
-
-
-def _assembled(blocks: Array, dofs: Index, size: int) -> sparse.csr_array:
-    """Sparse matrix from the blocks (F, m, m) of cells with DOFs (F, m)."""
-    m = dofs.shape[1]
-    i, j = np.repeat(dofs, m, axis=1).ravel(), np.tile(dofs, (1, m)).ravel()
-    out = sparse.coo_array((blocks.ravel(), (i, j)), shape=(size, size)).tocsr()
-    return (out + out.T) / 2
 
 
 MOST_CELLS = 50_000  # matrices of half a GB, a factor of many GB
@@ -292,22 +268,9 @@ def block(
     -----
     Elements: see `structures.elements.cells`. The mass is that of the plain brick for all of them.
     """
-    if not isinstance(element, str) or element not in ELEMENTS:
-        raise InputError(
-            "unknown element",
-            where="solids.block, element",
-            found=shown(element),
-            expected=", ".join(ELEMENTS),
-            hint='"bbar" for pads and rubber, "incompatible" for thin parts in bending',
-        )
-    if not isinstance(material, Material):
-        raise InputError(
-            "no material",
-            where="solids.block, material",
-            found=shown(material),
-            expected="a Material",
-            hint="beams.materials.steel, or beams.Material(E=, rho=, nu=)",
-        )
+    hint = '"bbar" for pads and rubber, "incompatible" for thin parts in bending'
+    one_of("unknown element", element, ELEMENTS, where="solids.block, element", hint=hint)
+    a_material(material, "solids.block")
     lines = _lines(lengths, elements, origin)
     h = np.array([line.h for line in lines])
     field = HexField(*lines, cell=Brick(h, material.nu, element))

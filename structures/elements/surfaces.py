@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ..channels import direction_code, direction_label
-from ..errors import InputError, plain, shown
+from ..errors import InputError, numbers, plain, shown
 from ..system.factor import Factor
-from ..system.fields import Span, field_of, gauss
+from ..system.fields import Span, assembled, field_of, gauss
 from ..system.loads import Load
 from ..system.sensors import fixed_quantity
 
@@ -60,10 +60,7 @@ class Surface:
         return float(self.areas.sum())
 
     def _on_nodes(self, values: ArrayLike, what: str) -> Array:
-        try:
-            found = np.asarray(plain(values), float)
-        except (TypeError, ValueError):
-            found = np.empty(0)
+        found = numbers(values)
         if found.shape != (len(self.nodes), 3) or not np.all(np.isfinite(found)):
             raise InputError(
                 f"the {what} do not fit the surface",
@@ -145,11 +142,9 @@ def flat(name: str, faces: Index, coordinates: Array) -> Surface:
                 v = (1 - a) * (p[:, 3] - p[:, 0]) + a * (p[:, 2] - p[:, 1])
                 mass += wa * wb * np.linalg.norm(np.cross(u, v), axis=1)[:, None, None] * np.outer(N, N)
         normal = np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 1]) / 2
-    size, corners = len(nodes), faces.shape[1]
-    i, j = np.repeat(cells, corners, axis=1).ravel(), np.tile(cells, (1, corners)).ravel()
-    M = sparse.coo_array((mass.ravel(), (i, j)), shape=(size, size)).tocsr()
-    normals = np.zeros((size, 3))
-    np.add.at(normals, cells.ravel(), np.repeat(normal, corners, axis=0))
+    M = assembled(mass, cells, len(nodes))
+    normals = np.zeros((len(nodes), 3))
+    np.add.at(normals, cells.ravel(), np.repeat(normal, faces.shape[1], axis=0))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return Surface(name, nodes, coordinates[nodes], cells, normals, np.asarray(M.sum(axis=1)).ravel(), M)
 
@@ -254,10 +249,7 @@ class FacePatch(Load):
 
 def _rectangle(spans: Any) -> tuple[Span, Span]:
     """Two spans, checked."""
-    try:
-        found = np.asarray(plain(spans), float)
-    except (TypeError, ValueError):
-        found = np.empty(0)
+    found = numbers(spans)
     if found.shape != (2, 2) or not np.all(np.isfinite(found)) or np.any(found[:, 0] >= found[:, 1]):
         raise InputError(
             "no rectangle",

@@ -39,7 +39,7 @@ class Container:
     """
 
     path: str
-    arrays: dict[str, Callable[[], NDArray]]
+    arrays: dict[str, Callable[[], NDArray[Any]]]
     shapes: dict[str, int]
 
     def named(self, wanted: str, own: str | None = None) -> str | None:
@@ -94,7 +94,7 @@ class Container:
     def _parts(self, stem: str) -> set[str]:
         return {part for name in self.arrays for s, part in [split(name)] if s == stem and part}
 
-    def array(self, name: str) -> NDArray | None:
+    def array(self, name: str) -> NDArray[Any] | None:
         """An array by its name, whatever its case; None where there is none."""
         match = [key for key in self.arrays if key.lower().rsplit("/", 1)[-1] == name]
         return self.arrays[match[0]]() if match else None
@@ -110,7 +110,7 @@ class Container:
         where = f"{self.path}, {name or 'matrix'}"
         if name in self.arrays:
             return numbers(self.arrays[name](), where, square=True)
-        parts: dict[str, NDArray] = {}
+        parts: dict[str, NDArray[Any]] = {}
         for key, get in self.arrays.items():
             stem, part = split(key)
             if stem == name and part and part != "format":
@@ -134,7 +134,7 @@ def split(name: str) -> tuple[str, str | None]:
     return name, None
 
 
-def numbers(values: NDArray, where: str, *, square: bool = False) -> NDArray:
+def numbers(values: NDArray[Any], where: str, *, square: bool = False) -> NDArray[Any]:
     """An array of finite real numbers.
 
     Raises
@@ -164,7 +164,7 @@ def numbers(values: NDArray, where: str, *, square: bool = False) -> NDArray:
     return values
 
 
-def finite(values: NDArray, where: str) -> None:
+def finite(values: NDArray[Any], where: str) -> None:
     """Refuse NaN and infinity."""
     if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
         raise InputError(
@@ -176,7 +176,7 @@ def finite(values: NDArray, where: str) -> None:
         )
 
 
-def assembled(parts: dict[str, NDArray], form: str, rows: int | None, where: str) -> Any:
+def assembled(parts: dict[str, NDArray[Any]], form: str, rows: int | None, where: str) -> Any:
     """Sparse matrix of its parts: CSR or CSC (data, indices, indptr), COO (data, row, col), MATLAB (data, ir, jc).
 
     Raises
@@ -228,11 +228,11 @@ def assembled(parts: dict[str, NDArray], form: str, rows: int | None, where: str
     return sparse.coo_array((data, (index["row"], index["col"])), shape=shape).tocsr()
 
 
-def _only(parts: dict[str, NDArray], name: str) -> dict[str, NDArray]:
+def _only(parts: dict[str, NDArray[Any]], name: str) -> dict[str, NDArray[Any]]:
     return {name: parts[name]} if name in parts else {}
 
 
-def _indices(values: NDArray, where: str) -> NDArray:
+def _indices(values: NDArray[Any], where: str) -> NDArray[Any]:
     flat = np.ravel(values)
     if flat.dtype.kind == "f" and flat.size and np.all(np.isfinite(flat)) and np.all(flat == np.rint(flat)):
         flat = flat.astype(np.int64) if np.abs(flat).max() < 2**53 else flat
@@ -247,7 +247,7 @@ def _indices(values: NDArray, where: str) -> NDArray:
     return flat.astype(np.int64)
 
 
-def _consistent(index: dict[str, NDArray], count: int, n: int, compressed: bool, where: str) -> None:
+def _consistent(index: dict[str, NDArray[Any]], count: int, n: int, compressed: bool, where: str) -> None:
     names = ("indices",) if compressed else ("row", "col")
     wrong = ""
     for name in names:
@@ -297,13 +297,13 @@ def open_npz(path: Path) -> Container:
             expected=f"at most {MEMBERS} arrays and {BUDGET} bytes",
             hint="store large matrices sparse: sparse.save_npz",
         )
-    arrays: dict[str, Callable[[], NDArray]] = {
+    arrays: dict[str, Callable[[], NDArray[Any]]] = {
         m.filename.removesuffix(".npy"): partial(_read, path, m) for m in members if m.filename.endswith(".npy")
     }
     return Container(str(path), arrays, {})
 
 
-def _read(path: Path, member: zipfile.ZipInfo) -> NDArray:
+def _read(path: Path, member: zipfile.ZipInfo) -> NDArray[Any]:
     where = f"{path}, {member.filename.removesuffix('.npy')}"
     try:
         with zipfile.ZipFile(path) as archive:
@@ -328,7 +328,7 @@ def _read(path: Path, member: zipfile.ZipInfo) -> NDArray:
             expected=f"{expected} bytes for shape {shape}",
             hint="transfer or export it again",
         )
-    return np.load(io.BytesIO(data), allow_pickle=False)
+    return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
 
 
 def _header(data: bytes) -> tuple[tuple[int, ...], np.dtype, int]:

@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..testing import kinds
 from .hdf5 import MatFile, read_mat
 from .storage import as_path
-from .uff import SUFFIXES, Said, UffFile, ratio, read_uff, unit_of
+from .uff import SUFFIXES, StatedUnit, UffFile, ratio, read_uff, unit_of
 from .uff_datasets import COHERENCE, FRF, MULTIPLE_COHERENCE, Function
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ Units = str | Mapping[str, str] | None
 
 
 def read_frfs(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     *,
     kind: str | None = None,
     responses: Sequence[Any] | None = None,
@@ -88,7 +88,7 @@ def read_frfs(
     )
 
 
-def _model(found: Found, asked: Asked) -> FrfModel:
+def _model(found: RecordedFrfs, asked: Asked) -> FrfModel:
     """The model, in SI, with described channels; what was decided while reading is logged."""
     from ..models.tabulated import FrfModel
 
@@ -122,7 +122,7 @@ def _model(found: Found, asked: Asked) -> FrfModel:
     return model.judged()
 
 
-def _settled(label: str, said: Said, stated: Units, argument: str, path: str) -> units.Unit:
+def _settled(label: str, said: StatedUnit, stated: Units, argument: str, path: str) -> units.Unit:
     """The unit of one channel: what the caller states, else what the file says."""
     text = stated.get(label) if isinstance(stated, Mapping) else stated
     if text is None:
@@ -201,15 +201,15 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Found:
+class RecordedFrfs:
     """FRFs as recorded: lines (Hz), table (lines, responses, references), labels, units, coherence, decisions."""
 
     frequencies: NDArray[np.float64]
     H: NDArray[np.complex128]
     responses: tuple[str, ...]
     references: tuple[str, ...]
-    response_units: tuple[Said, ...]
-    reference_units: tuple[Said, ...]
+    response_units: tuple[StatedUnit, ...]
+    reference_units: tuple[StatedUnit, ...]
     coherence: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
 
@@ -224,7 +224,7 @@ ROLES = ("lines", "responses", "references")
 
 def of_mat(
     file: MatFile, asked: Asked, frf: str | None, frequencies: str | None, axes: Sequence[str] | None, unit: str
-) -> Found:
+) -> RecordedFrfs:
     """The table of FRFs that two arrays of a MAT file hold.
 
     Raises
@@ -257,8 +257,8 @@ def of_mat(
         )
     sizes = {"lines": f.size, "responses": len(responses), "references": len(references)}
     H = oriented(file.named(frf or "", "FRFs"), sizes, axes, f"{file.path}, {frf}")
-    open_ = Said(None, None, "a MAT file states no unit")
-    return Found(
+    open_ = StatedUnit(None, None, "a MAT file states no unit")
+    return RecordedFrfs(
         np.ravel(f).astype(float) * known.factor * scale,
         H,
         responses,
@@ -269,7 +269,7 @@ def of_mat(
 
 
 def oriented(
-    values: NDArray, sizes: Mapping[str, int], axes: Sequence[str] | None, where: str
+    values: NDArray[Any], sizes: Mapping[str, int], axes: Sequence[str] | None, where: str
 ) -> NDArray[np.complex128]:
     """An array with its axes in the order lines, responses, references; the shape must tell which is which.
 
@@ -305,7 +305,7 @@ def oriented(
 _SAME_LINES = 1e-6  # of the spacing
 
 
-def of_uff(file: UffFile, asked: Asked) -> Found:
+def of_uff(file: UffFile, asked: Asked) -> RecordedFrfs:
     """The table of all FRFs of a universal file, or of those that are asked for.
 
     Raises
@@ -345,7 +345,7 @@ def of_uff(file: UffFile, asked: Asked) -> Found:
         _check_lines(function, first, file.path)
     H = np.stack([np.stack([f.values for f in row], axis=1) for row in rows], axis=1)
     said = [[_said(f, file) for f in row] for row in rows]
-    return Found(
+    return RecordedFrfs(
         lines,
         H,
         responses,
@@ -357,20 +357,20 @@ def of_uff(file: UffFile, asked: Asked) -> Found:
     )
 
 
-def _said(function: Function, file: UffFile) -> tuple[Said, Said]:
+def _said(function: Function, file: UffFile) -> tuple[StatedUnit, StatedUnit]:
     """Units of response and reference of one FRF."""
     _, over, under, _ = function.head.axes
     both = ratio(over.unit)
     if both and not under.unit:  # one text for both, such as g/N
         left, right = (units.parse(text) for text in both)
-        return Said(left, left.quantity), Said(right, right.quantity)
+        return StatedUnit(left, left.quantity), StatedUnit(right, right.quantity)
     return (
         unit_of(over, function.head.response[2], file.system),
         unit_of(under, function.head.reference[2], file.system),
     )
 
 
-def _agreed(said: list[Said], label: str, path: str) -> Said:
+def _agreed(said: list[StatedUnit], label: str, path: str) -> StatedUnit:
     """The unit of a response or reference that all its FRFs state."""
     for other in said[1:]:
         a, b = said[0], other

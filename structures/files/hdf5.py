@@ -52,7 +52,7 @@ def open_hdf5(path: Path) -> Container:
     """
     if storage.kind_of(path) is not None:
         tree = storage.read(path, KIND)
-        arrays: dict[str, Callable[[], NDArray]] = {}
+        arrays: dict[str, Callable[[], NDArray[Any]]] = {}
         _flatten(tree, "", arrays)
         return Container(str(path), arrays, {})
     _signed(path)
@@ -61,7 +61,7 @@ def open_hdf5(path: Path) -> Container:
     return Container(str(path), {name: partial(_guarded, path, partial(_get, name=name)) for name in names}, shapes)
 
 
-def _flatten(tree: dict[str, Any], prefix: str, out: dict[str, Callable[[], NDArray]]) -> None:
+def _flatten(tree: dict[str, Any], prefix: str, out: dict[str, Callable[[], NDArray[Any]]]) -> None:
     for name, value in tree.items():
         if isinstance(value, dict):
             _flatten(value, f"{prefix}{name}/", out)
@@ -188,7 +188,7 @@ def _list(file: Any) -> tuple[list[str], dict[str, int]]:
     return names, shapes
 
 
-def _get(file: Any, name: str) -> NDArray:
+def _get(file: Any, name: str) -> NDArray[Any]:
     item = file[name]
     where = f"{file.filename}, {name}"
     settings = item.id.get_create_plist()
@@ -248,10 +248,10 @@ class MatFile:
     """
 
     path: str
-    arrays: dict[str, NDArray]
+    arrays: dict[str, NDArray[Any]]
     others: dict[str, str] = field(default_factory=dict)
 
-    def named(self, name: str, what: str) -> NDArray:
+    def named(self, name: str, what: str) -> NDArray[Any]:
         """An array of numbers by its name.
 
         Raises
@@ -278,7 +278,7 @@ def is_mat73(head: bytes) -> bool:
     return len(head) >= 128 and head[124:128] in HDF5_MARKS
 
 
-def read_mat(path: str | os.PathLike) -> MatFile:
+def read_mat(path: str | os.PathLike[str]) -> MatFile:
     """Arrays of a MAT file (-v6, -v7, -v7.3).
 
     Raises
@@ -307,7 +307,7 @@ def read_mat(path: str | os.PathLike) -> MatFile:
             hint="save it again: save('x.mat', '-v7')",
         )
     container = open_hdf5(place)
-    arrays: dict[str, NDArray] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     others: dict[str, str] = {}
     for name, get in container.arrays.items():
         if "/" in name:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import zlib
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ def is_level5(head: bytes) -> bool:
     return len(head) >= HEADER and head[124:128] in MARKS
 
 
-def read_level5(data: bytes, path: str) -> tuple[dict[str, NDArray], dict[str, str]]:
+def read_level5(data: bytes, path: str) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
     """Arrays of a file by their names, as MATLAB indexes them, and the kinds of the variables that are not read.
 
     A text becomes an array of one string.
@@ -56,7 +56,7 @@ def read_level5(data: bytes, path: str) -> tuple[dict[str, NDArray], dict[str, s
     if not is_level5(data):
         _refuse(path, "no MAT file of level 5", data[:20], "a file that MATLAB writes with -v6 or -v7")
     reader = _Reader(path, MARKS[data[124:128]], min(LEVEL5_BUDGET, max(FREE, EXPANSION * len(data))))
-    arrays: dict[str, NDArray] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     others: dict[str, str] = {}
     at = HEADER
     while at < len(data):
@@ -130,7 +130,7 @@ class _Reader:
             _refuse(self.path, "a compressed variable is cut or damaged", f"{len(body)} bytes", f"{size + 8}", at)
         return body
 
-    def matrix(self, data: bytes, whole: Tag, at: int) -> tuple[str, NDArray | str]:
+    def matrix(self, data: bytes, whole: Tag, at: int) -> tuple[str, NDArray[Any] | str]:
         """Name and numbers of an array; of what is none, the word for it."""
         data = data[: whole.start + whole.size]
         flags_tag = self.tag(data, whole.start)
@@ -165,14 +165,14 @@ class _Reader:
             _refuse(self.path, "a variable holds more than it declares", f"{name!r}", f"{count} numbers", at)
         return name, part.reshape(sizes, order="F")
 
-    def part(self, data: bytes, tag: Tag, count: int, kind: int, name: str, at: int) -> NDArray:
+    def part(self, data: bytes, tag: Tag, count: int, kind: int, name: str, at: int) -> NDArray[Any]:
         """Real or imaginary part of an array, as many numbers as it declares."""
         values = self.values(data, tag, at)
         if len(values) != count:
             _refuse(self.path, f"truncated: {len(values)} of {count} numbers", f"{name!r}", f"{count} numbers", at)
         return values.astype(_CLASSES[kind])
 
-    def values(self, data: bytes, tag: Tag, at: int) -> NDArray:
+    def values(self, data: bytes, tag: Tag, at: int) -> NDArray[Any]:
         """Numbers of a data element."""
         if tag.type not in _NUMBERS:
             _refuse(self.path, "a data element holds no numbers", f"type {tag.type}", "a numeric type", at)
@@ -181,7 +181,7 @@ class _Reader:
             _refuse(self.path, "a data element is cut", f"{tag.size} bytes", f"a multiple of {dtype.itemsize}", at)
         return np.frombuffer(data, dtype, tag.size // dtype.itemsize, tag.start)
 
-    def text(self, data: bytes, tag: Tag) -> NDArray:
+    def text(self, data: bytes, tag: Tag) -> NDArray[Any]:
         """One string; what is no text in it is replaced."""
         raw = data[tag.start : tag.start + tag.size]
         if tag.type in (4, _UTF16):

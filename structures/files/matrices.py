@@ -25,13 +25,13 @@ from .text import from_arrays, read_market, read_table
 
 NAMES = ("K", "M", "C")
 HDF5 = (".h5", ".hdf5", ".hdf", ".mat")
-Files = str | os.PathLike | Sequence[str | os.PathLike] | Mapping[str, str | os.PathLike]
+Files = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Mapping[str, str | os.PathLike[str]]
 
 
 def load(
     path: Files,
     *,
-    dofs: str | os.PathLike | Sequence[Any] | None = None,
+    dofs: str | os.PathLike[str] | Sequence[Any] | None = None,
     supports: Iterable[Any] | None = None,
     coordinates: ArrayLike | None = None,
     damping: Damping | float | None = None,
@@ -170,8 +170,8 @@ def _by_name(paths: Sequence[Path]) -> dict[str, Path]:
     return out
 
 
-def _existing(path: Any) -> Path:
-    path = as_path(path)
+def _existing(given: Any) -> Path:
+    path: Path = as_path(given)
     if not path.is_file():
         raise InputError(
             "no such file" if not path.exists() else "this is no file",
@@ -267,7 +267,7 @@ def _whole(A: Any, name: str, expand: bool, where: str) -> sparse.csr_array:
     )
 
 
-def _table(dofs: Any, container: Container | None) -> tuple[list[Dof] | None, NDArray | None]:
+def _table(dofs: Any, container: Container | None) -> tuple[list[Dof] | None, NDArray[Any] | None]:
     if isinstance(dofs, str | os.PathLike):
         return read_table(_existing(dofs))
     if dofs is not None:
@@ -325,7 +325,7 @@ def _in_si(
     return {name: (force * length * (weight @ A @ weight)).tocsr() for name, A in matrices.items()}
 
 
-def save(structure: Structure, path: str | os.PathLike) -> None:
+def save(structure: Structure, path: str | os.PathLike[str]) -> None:
     """Write matrices, DOF table, coordinates, supports and damping to one file, whole or not at all.
 
     Parameters

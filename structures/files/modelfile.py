@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from ..certificate import Certificate
 from ..channels import Channel, Dof
 from ..errors import InputError
 from ..flags import Flag
-from ..model import Certificate, Model, as_model
+from ..model import Model, as_model
 from ..models import forward, statespace
 from ..models.forward import ForwardModel
-from ..models.measured import tuples
 from ..models.statespace import StateSpace
 from ..system.damping import Damping, Modal, Rayleigh, Structural
 from ..system.loads import Load
@@ -98,7 +98,7 @@ class StoredLoad(Load):
         return None
 
 
-def save(model: Model, path: str | os.PathLike) -> None:
+def save(model: Model, path: str | os.PathLike[str]) -> None:
     """Write a model, whole or not at all, with checksums: ``model.save(path)``.
 
     Parameters
@@ -115,7 +115,7 @@ def save(model: Model, path: str | os.PathLike) -> None:
     as_model(model, "modelfile.save").save(path)
 
 
-def load(path: str | os.PathLike) -> ForwardModel | StateSpace:
+def load(path: str | os.PathLike[str]) -> ForwardModel | StateSpace:
     """Read a model that `save` wrote.
 
     Raises
@@ -134,8 +134,7 @@ def load(path: str | os.PathLike) -> ForwardModel | StateSpace:
             found=f"{type(error).__name__}: {error}",
             hint="read it with the release that wrote it",
         ) from error
-    known = tree["certificate"]
-    model.certificate = None if known is None else Certificate(**tuples(known))
+    model.certificate = Certificate.stored(tree["certificate"])
     return model
 
 

@@ -26,7 +26,7 @@ _FLETCHER32 = 3  # HDF5's number of that filter; the only one that is written or
 _SCALARS = {bool: "bool", int: "int", float: "float", complex: "complex", str: "str"}
 
 
-def write(path: str | os.PathLike, tree: Mapping[str, Any], kind: str) -> None:
+def write(path: str | os.PathLike[str], tree: Mapping[str, Any], kind: str) -> None:
     """Write a nested dictionary to one file, whole or not at all.
 
     Parameters
@@ -49,7 +49,7 @@ def write(path: str | os.PathLike, tree: Mapping[str, Any], kind: str) -> None:
     replace(path, _block(kind, _digest(kind, body)) + body)
 
 
-def read(path: str | os.PathLike, kind: str) -> dict[str, Any]:
+def read(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     """Read a file that `write` wrote.
 
     Raises
@@ -71,7 +71,7 @@ def read(path: str | os.PathLike, kind: str) -> dict[str, Any]:
     return _decode(data, str(path))
 
 
-def kind_of(path: str | os.PathLike) -> str | None:
+def kind_of(path: str | os.PathLike[str]) -> str | None:
     """Kind of a file that `write` wrote, or None where it is some other file.
 
     Raises
@@ -85,7 +85,7 @@ def kind_of(path: str | os.PathLike) -> str | None:
     return _verified(path)[0]
 
 
-def as_path(path: str | os.PathLike) -> Path:
+def as_path(path: str | os.PathLike[str]) -> Path:
     """The argument as a path.
 
     Raises
@@ -271,7 +271,7 @@ def _put_array(group: Any, name: str, value: np.ndarray, where: str) -> None:
     _dataset(group, name, "array", data=value, **({"fletcher32": True, "chunks": True} if chunked else {}))
 
 
-def _put_list(group: Any, name: str, value: list, where: str, depth: int) -> None:
+def _put_list(group: Any, name: str, value: list[Any], where: str, depth: int) -> None:
     """A list of numbers or of text of one type is one dataset; any other list is a group of numbered items."""
     value = [v.item() if isinstance(v, np.generic) else v for v in value]
     types = {type(v) for v in value}
@@ -320,7 +320,10 @@ def _decode(data: bytes, where: str) -> dict[str, Any]:
 
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
-            return _get(file["/"], where, set())  # the file itself lists its members by name in h5py 3.11
+            tree: dict[str, Any] = _get(
+                file["/"], where, set()
+            )  # the file itself lists its members by name in h5py 3.11
+            return tree
     except InputError:
         raise
     except Exception as error:  # HDF5 raises OSError, KeyError, RuntimeError, ValueError, ... on what it cannot read

@@ -118,7 +118,7 @@ def _coordinates(dofs: Sequence[Dof], places: dict[int, tuple[float, ...]], wher
 
 
 def from_arrays(
-    dofs: NDArray | None, nodes: NDArray | None, directions: NDArray | None, where: str
+    dofs: NDArray[Any] | None, nodes: NDArray[Any] | None, directions: NDArray[Any] | None, where: str
 ) -> list[Dof] | None:
     """DOF table of a container: labels, or two columns (node, code), or two arrays.
 

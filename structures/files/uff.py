@@ -19,7 +19,7 @@ from .. import units
 from ..errors import InputError
 from .storage import as_path
 from .uff_datasets import Block, Function, function_of, split
-from .uff_records import Axis, Place, numbers, text_of
+from .uff_records import AxisRecord, Place, numbers, text_of
 
 # specific data type -> quantity of a translation, of a rotation; {L} is a length, {F} a force
 _TYPES = {
@@ -53,7 +53,7 @@ class System:
 
 
 @dataclass(frozen=True)
-class Said:
+class StatedUnit:
     """What a file says of a unit: itself or None, the quantity where the type tells it, why there is no unit."""
 
     unit: units.Unit | None
@@ -93,7 +93,7 @@ def system_of(block: Block, place: Place) -> System:
     return System(1.0 / length, 1.0 / force, name)
 
 
-def unit_of(axis: Axis, direction: int, system: System | None) -> Said:
+def unit_of(axis: AxisRecord, direction: int, system: System | None) -> StatedUnit:
     """Unit of an ordinate: the text of its axis, else its type in the system of the file; never a guess.
 
     A text and a type that contradict each other in their dimension, or in the size that data set 164 gives, leave the
@@ -107,16 +107,16 @@ def unit_of(axis: Axis, direction: int, system: System | None) -> Said:
     if text and units.known(text):
         stated = units.parse(text)
         if derived is not None and stated.dimension != derived.dimension:
-            return Said(None, None, f"data type {axis.type} is {derived.quantity}, and its unit reads {text!r}")
+            return StatedUnit(None, None, f"data type {axis.type} is {derived.quantity}, and its unit reads {text!r}")
         if derived is not None and system is not None and abs(stated.factor / derived.factor - 1) > _SAME:
-            return Said(None, quantity, f"its unit reads {text!r}, and data set 164 makes it {derived.symbol}")
-        return Said(stated, stated.quantity)
+            return StatedUnit(None, quantity, f"its unit reads {text!r}, and data set 164 makes it {derived.symbol}")
+        return StatedUnit(stated, stated.quantity)
     why = f"its unit reads {text!r}, which is not known" if text else "its axis names no unit"
     if derived is None:
-        return Said(None, None, f"{why}, and data type {axis.type} tells none")
+        return StatedUnit(None, None, f"{why}, and data type {axis.type} tells none")
     if system is None:
-        return Said(None, quantity, f"{why}, and there is no data set 164")
-    return Said(derived, quantity)
+        return StatedUnit(None, quantity, f"{why}, and there is no data set 164")
+    return StatedUnit(derived, quantity)
 
 
 def ratio(text: str) -> tuple[str, str] | None:
@@ -203,7 +203,7 @@ class UffFile:
         return ", ".join(f"{n} x {name}" for name, n in found.items()) or "no function"
 
 
-def read_uff(path: str | os.PathLike) -> UffFile:
+def read_uff(path: str | os.PathLike[str]) -> UffFile:
     """All data sets of a universal file.
 
     Parameters

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..channels import Dof
-from .uff_records import Axis, Head, Place, numbers, parse_head, text_of, whole
+from .uff_records import AxisRecord, Head, Place, numbers, parse_head, text_of, whole
 
 MARK = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE)
 _AFTER_BINARY = re.compile(rb"(?:\r?\n)? {4}-1[ \t]*(?:\r?\n|\Z)")
@@ -230,7 +230,7 @@ class Function:
     head: Head = field(repr=False)
     abscissa: NDArray[np.float64]
     step: float | None
-    values: NDArray
+    values: NDArray[Any]
     line: int
     notes: tuple[str, ...] = ()
 
@@ -250,7 +250,7 @@ class Function:
         return _label(self.head.reference)
 
     @property
-    def axis(self) -> Axis:
+    def axis(self) -> AxisRecord:
         """What its abscissa is."""
         return self.head.axes[0]
 

@@ -42,7 +42,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Axis:
+class AxisRecord:
     """What is measured along an axis (records 8 to 11 of data set 58).
 
     Parameters
@@ -86,7 +86,7 @@ class Head:
         Of an even abscissa.
     step_text : str
         The step as it is written: its digits tell how far it was rounded.
-    axes : tuple of Axis
+    axes : tuple of AxisRecord
         Abscissa, ordinate, denominator of the ordinate, z.
     """
 
@@ -102,7 +102,7 @@ class Head:
     start: float
     step: float
     step_text: str
-    axes: tuple[Axis, Axis, Axis, Axis]
+    axes: tuple[AxisRecord, AxisRecord, AxisRecord, AxisRecord]
 
     @property
     def complex(self) -> bool:
@@ -263,7 +263,7 @@ def _form_record(text: str, place: Place, at: int) -> tuple[int, int, int, float
     return precision, count, spacing, start, step, words[4]
 
 
-def _axis_record(text: str, place: Place, at: int) -> Axis:
+def _axis_record(text: str, place: Place, at: int) -> AxisRecord:
     match = _AXIS.match(text)
     if match is None:
         place.refuse("no axis record of a data set 58", at, repr(text[:80]), "data type, three exponents, label, unit")
@@ -273,4 +273,4 @@ def _axis_record(text: str, place: Place, at: int) -> Axis:
         label, unit = text[26:46], text[47:]
     else:
         label, unit = [*re.split(r"\s{2,}", rest.strip(), maxsplit=1), ""][:2]
-    return Axis(kind, length, force, temperature, _said(label), _said(unit))
+    return AxisRecord(kind, length, force, temperature, _said(label), _said(unit))

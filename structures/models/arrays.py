@@ -220,7 +220,7 @@ class ImpulseModel(Model):
         return digest("ImpulseModel", self.h, self.dt, self.hold, self.sensors, self.loads)
 
 
-def _moves(response: NDArray, where: str) -> None:
+def _moves(response: NDArray[Any], where: str) -> None:
     """Refuse a model in which no load moves any sensor."""
     if not np.any(response):
         raise InputError(

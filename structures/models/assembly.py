@@ -12,7 +12,7 @@ from scipy import sparse
 
 from ..bases.basis import Basis
 from ..channels import Channel, named
-from ..errors import InputError, positive, shown
+from ..errors import InputError, one_of, positive
 from ..system.damping import Damping, loss_factor
 from ..system.loads import Load, sparse_matrix
 from ..system.structure import Structure
@@ -101,7 +101,7 @@ def _columns(structure: Any, loads: Any) -> Any:
     return np.stack([np.broadcast_to(part, (length, free.size)) for part in parts], axis=-1)
 
 
-def arrays(matrix: Any) -> tuple[NDArray, ...]:
+def arrays(matrix: Any) -> tuple[NDArray[Any], ...]:
     """Arrays that a matrix is made of, in one form for equal matrices."""
     if not sparse.issparse(matrix):
         return (matrix,)
@@ -110,7 +110,7 @@ def arrays(matrix: Any) -> tuple[NDArray, ...]:
     return tuple(np.asarray(part)[order] for part in (coo.data, *(c.astype(np.int64) for c in coo.coords)))
 
 
-def _finite(values: NDArray) -> None:
+def _finite(values: NDArray[Any]) -> None:
     """A row or a column that holds NaN is named at once, not found in a result."""
     if not np.all(np.isfinite(values)):
         raise InputError(
@@ -147,14 +147,9 @@ def settled(structure: Structure, count: Any, residual: Any, band: Any, reductio
             expected=f"1..{size}",
             hint="leave modes out: band= in Hz chooses them",
         )
-    if reduction not in KINDS:
-        raise InputError(
-            "no such reduction",
-            where="reduction",
-            found=shown(reduction),
-            expected="'modes' or 'krylov'",
-            hint="leave it out: modes and their static residual",
-        )
+    one_of(
+        "no such reduction", reduction, KINDS, where="reduction", hint="leave it out: modes and their static residual"
+    )
     if reduction == "krylov" and (band is None or count is not None):
         raise InputError(
             "a Krylov basis is made for a band, not for a number of modes",
@@ -183,7 +178,7 @@ def needs(settings: Mapping[str, Any], reduction: str, what: str) -> None:
         )
 
 
-def within(settings: Mapping[str, Any], f: NDArray) -> None:
+def within(settings: Mapping[str, Any], f: NDArray[Any]) -> None:
     """Refuse lines above the band of a Krylov basis: nothing is known of its error there."""
     band = settings["band"]
     if settings["reduction"] == "krylov" and len(f) and f.max() > band * (1 + 1e-9):
@@ -221,7 +216,7 @@ def reduced(
     S: Any,
     B: Any,
     readings: tuple[NDArray[np.int64], NDArray[np.float64]],
-    static: Callable[[], NDArray] | None,
+    static: Callable[[], NDArray[Any]] | None,
 ) -> ReducedModel:
     """The small model that modes, or the Ritz pairs in their place, make of a structure.
 

@@ -8,6 +8,7 @@ all digits for small ``omega h``.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ HOLDS = ("foh", "zoh")
 
 
 @dataclass(frozen=True)
-class Blocks:
+class ModalRecurrence:
     """One small discrete system per mode, each driven by its own modal force ``g``.
 
     ``x_{k+1} = A x_k + (G1 - G2) g_k + G2 g_{k+1}``, ``y = c x + d g``; with a zero-order hold ``G2 = 0``.
@@ -43,12 +44,12 @@ class Blocks:
     @property
     def B(self) -> NDArray[np.float64]:
         """Input of the causal form (k, s): the state is shifted by ``G2 g``."""
-        return self.G1 + np.einsum("kst,kt->ks", self.A, self.G2) - self.G2
+        return np.asarray(self.G1 + np.einsum("kst,kt->ks", self.A, self.G2) - self.G2)
 
     @property
     def D(self) -> NDArray[np.float64]:
         """Feedthrough of the causal form (k,)."""
-        return np.einsum("ks,ks->k", self.c, self.G2) + self.d
+        return np.asarray(np.einsum("ks,ks->k", self.c, self.G2) + self.d)
 
 
 def check(dt: float, hold: str) -> None:
@@ -80,7 +81,7 @@ def blocks(
     *,
     derivative: int = 0,
     corner: float = 0.0,
-) -> Blocks:
+) -> ModalRecurrence:
     """Discrete system of every mode, seen through one kind of sensor.
 
     Parameters
@@ -97,7 +98,7 @@ def blocks(
 
     Returns
     -------
-    Blocks
+    ModalRecurrence
         With 2 states per mode, or 3 where there is a corner.
     """
     k, s = len(lam), 3 if corner > 0 else 2
@@ -125,10 +126,10 @@ def blocks(
     rows[:, :2], feed = output_rows(lam, c, derivative)
     if corner > 0:
         rows[:, 2] = -1.0
-    return Blocks(A, G1, G2 if hold == "foh" else np.zeros_like(G2), rows, feed)
+    return ModalRecurrence(A, G1, G2 if hold == "foh" else np.zeros_like(G2), rows, feed)
 
 
-def output_rows(lam: NDArray, c: NDArray, derivative: int) -> tuple[NDArray[np.float64], float]:
+def output_rows(lam: NDArray[Any], c: NDArray[Any], derivative: int) -> tuple[NDArray[np.float64], float]:
     """What a sensor reads of the state ``(omega q, dq/dt)`` (k, 2), and of the modal force."""
     omega = np.sqrt(lam)
     one, zero = np.ones_like(omega), np.zeros_like(omega)
@@ -171,7 +172,9 @@ class ModalSystem:
     D: NDArray[np.float64]
 
 
-def discretise(reduced: ReducedModel, dt: float, hold: str) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def discretise(
+    reduced: ReducedModel, dt: float, hold: str
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Matrices ``A, B, C, D`` of the causal discrete system, exact under the hold.
 
     Parameters
@@ -285,7 +288,7 @@ def markov(reduced: ReducedModel, dt: float, hold: str, samples: int) -> NDArray
     return h
 
 
-def sequence(system: Blocks, samples: int) -> NDArray[np.float64]:
+def sequence(system: ModalRecurrence, samples: int) -> NDArray[np.float64]:
     """``D, cB, cAB, ...`` of every block (k, samples): each pass doubles what is known."""
     k, s = system.c.shape
     x = np.empty((k, s, max(samples - 1, 1)))
@@ -312,7 +315,7 @@ def _filtered_feedthrough(corner: float, dt: float, hold: str, samples: int) -> 
     return out
 
 
-def continuous(reduced: ReducedModel) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def continuous(reduced: ReducedModel) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Matrices of ``dx/dt = A x + B p``, ``y = C x + D p``.
 
     States: ``omega q`` (``q`` of a rigid mode) and ``dq/dt`` of every mode, then the low-pass of every sensor with a

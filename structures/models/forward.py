@@ -418,7 +418,7 @@ class ForwardModel(Model):
         return digest("ForwardModel", self.structure.digest, *parts, self.sensors, self.loads, *settings)
 
     # -- inside ---------------------------------------------------------------------------------------------------
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model to HDF5, whole or not at all, with checksums; `modelfile.load` reads it.
 
         Raises
@@ -426,7 +426,7 @@ class ForwardModel(Model):
         InputError
             A load that moves, a file that cannot be written.
         """
-        told = self._told()  # refuses loads that move
+        told = self._as_stored()  # refuses loads that move
         parts = placing.kept(self.structure, self.sensors, self.loads if self.basis is None else self.basis)
         flags = [f.to_dict() for f in self.flags]
         storage.write(path, {**parts, "settings": dict(self.settings), "flags": flags, **told}, FILE)
@@ -442,6 +442,6 @@ class ForwardModel(Model):
                 hint="state_space() carries B(t); predict() simulates",
             )
 
-    def _reading(self, f: NDArray) -> NDArray[np.complex128]:
+    def _reading(self, f: NDArray[Any]) -> NDArray[np.complex128]:
         """What every sensor makes of a displacement (lines, sensors): its derivative and its high-pass."""
-        return (2j * np.pi * f[:, None]) ** self._derivative * highpass(f, self._corner)
+        return np.asarray((2j * np.pi * f[:, None]) ** self._derivative * highpass(f, self._corner))

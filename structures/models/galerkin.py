@@ -160,7 +160,7 @@ class Projection:
             H[part], truncation[part], rounding[part] = self._errors(omega[part])
         return H, truncation, rounding
 
-    def _errors(self, omega: NDArray) -> tuple[NDArray, Array, Array]:
+    def _errors(self, omega: NDArray[Any]) -> tuple[NDArray[Any], Array, Array]:
         y, w = self._coordinates(omega)
         H = self.S @ y
         size = np.abs(self.pencil.coefficients(omega)[1])[:, None]
@@ -174,7 +174,7 @@ class Projection:
         rounding = np.linalg.norm(root * w, axis=1)[:, :, None] * np.linalg.norm(root * y, axis=1)[:, None, :]
         return H, truncation, rounding
 
-    def _coordinates(self, omega: NDArray) -> tuple[NDArray, NDArray]:
+    def _coordinates(self, omega: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """Response of ``V`` to the loads (lines, r, loads) and, transposed, to the sensors (lines, r, sensors)."""
         a, c = self.pencil.coefficients(omega)
         if self.C is None:
@@ -187,7 +187,7 @@ class Projection:
         x = np.linalg.solve(D, np.broadcast_to(both, (len(D), *both.shape)))
         return x[:, :, : self.B.shape[1]], x[:, :, self.B.shape[1] :]
 
-    def _amplification(self, omega: NDArray) -> Array:
+    def _amplification(self, omega: NDArray[Any]) -> Array:
         """Largest growth of a residual in ``D^-1`` (lines,): the nearest resonance that ``V`` does not hold yet.
 
         A natural frequency lies within ``distance`` of every Ritz value. A pair that has converged takes no part: both
@@ -207,7 +207,7 @@ class Projection:
         missed[-1] = 1.0
         with np.errstate(divide="ignore"):
             grown = np.where(missed > 0, missed / nearest, 0.0)
-        return np.maximum(grown.max(axis=1), 1 / np.abs(a[:, 0]))
+        return np.asarray(np.maximum(grown.max(axis=1), 1 / np.abs(a[:, 0])))
 
 
 @dataclass(frozen=True)
@@ -255,13 +255,13 @@ def project(pencil: Pencil, images: Images) -> Projection:
     theta, q = theta[::-1], q[:, ::-1]
     V, KV = images.W @ q, images.KW @ q
 
-    def rest(Z: NDArray) -> NDArray:
+    def rest(Z: NDArray[Any]) -> NDArray[Any]:
         for _ in range(2):
             Z = Z - V @ (KV.T @ Z)
         return Z
 
-    def norms(Z: NDArray) -> NDArray:
-        return np.sqrt(np.maximum(np.einsum("ij,ij->j", Z, pencil.K_s @ Z), 0.0))
+    def norms(Z: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(np.sqrt(np.maximum(np.einsum("ij,ij->j", Z, pencil.K_s @ Z), 0.0)))
 
     size = np.abs(V)
     return Projection(
@@ -279,9 +279,9 @@ def project(pencil: Pencil, images: Images) -> Projection:
     )
 
 
-def _root(pencil: Pencil, Z: NDArray) -> Array:
+def _root(pencil: Pencil, Z: NDArray[Any]) -> Array:
     """A small factor (q, r) whose products have the energy norm of those of `Z` (n, r)."""
     gram = Z.T @ (pencil.K_s @ Z)
     energy, u = linalg.eigh(0.5 * (gram + gram.T))
     kept = energy > EPS * max(energy[-1], 0.0)
-    return np.sqrt(energy[kept])[:, None] * u[:, kept].T
+    return np.asarray(np.sqrt(energy[kept])[:, None] * u[:, kept].T)

@@ -98,7 +98,7 @@ class ReductionError:
         return _over(np.linalg.norm(self.bound, axis=(1, 2)), np.linalg.norm(self.size, axis=(1, 2)))
 
 
-def _over(bound: NDArray, size: NDArray) -> NDArray[np.float64]:
+def _over(bound: NDArray[Any], size: NDArray[Any]) -> NDArray[np.float64]:
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(bound > 0, bound / size, 0.0)
 
@@ -165,7 +165,7 @@ def krylov(structure: Any, S: Any, B: Any, band: float, tolerance: float = TOLER
             )
 
 
-def worst(H: NDArray, bound: NDArray, rounding: NDArray) -> float:
+def worst(H: NDArray[Any], bound: NDArray[Any], rounding: NDArray[Any]) -> float:
     """Largest error of an entry over its response, down to a millionth of its peak.
 
     Entries of zeros are left out: those that are nowhere above their rounding, or tiny beside their row and column.
@@ -212,7 +212,7 @@ def _shifted(pencil: Pencil, sigma: float) -> Factor:
     )
 
 
-def _start(pencil: Pencil, rows: NDArray, columns: NDArray) -> Images:
+def _start(pencil: Pencil, rows: NDArray[Any], columns: NDArray[Any]) -> Images:
     """The rigid-body modes, exactly: no load reaches them alone."""
     none = np.empty((len(rows), 0))
     images = Images(
@@ -234,7 +234,7 @@ def _start(pencil: Pencil, rows: NDArray, columns: NDArray) -> Images:
     return _extended(pencil, images, X)
 
 
-def _deeper(pencil: Pencil, factor: Factor | None, images: Images, block: NDArray) -> tuple[Images, NDArray]:
+def _deeper(pencil: Pencil, factor: Factor | None, images: Images, block: NDArray[Any]) -> tuple[Images, NDArray[Any]]:
     """The basis with one more block of a shift, and the right-hand sides of the next.
 
     Those of the lowest shift (no factor) are solved for already: the error needs them.
@@ -250,7 +250,7 @@ def _deeper(pencil: Pencil, factor: Factor | None, images: Images, block: NDArra
     return grown, np.hstack(following)
 
 
-def _extended(pencil: Pencil, images: Images, X: NDArray) -> Images:
+def _extended(pencil: Pencil, images: Images, X: NDArray[Any]) -> Images:
     if X.shape[1] == 0:
         return images
     MX = pencil.M @ X
@@ -267,7 +267,7 @@ def _extended(pencil: Pencil, images: Images, X: NDArray) -> Images:
     )
 
 
-def orthonormal(X: NDArray, M: Any, W: NDArray, MW: NDArray) -> NDArray[np.float64]:
+def orthonormal(X: NDArray[Any], M: Any, W: NDArray[Any], MW: NDArray[Any]) -> NDArray[np.float64]:
     """M-orthonormal basis of what the columns of `X` add to the M-orthonormal `W`; dependent columns are dropped."""
     whole = _norms(X, M)
     for _ in range(2):
@@ -285,5 +285,5 @@ def orthonormal(X: NDArray, M: Any, W: NDArray, MW: NDArray) -> NDArray[np.float
     return X
 
 
-def _norms(X: NDArray, M: Any) -> NDArray[np.float64]:
-    return np.sqrt(np.einsum("ij,ij->j", X, M @ X))
+def _norms(X: NDArray[Any], M: Any) -> NDArray[np.float64]:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->j", X, M @ X)))

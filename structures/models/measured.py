@@ -3,31 +3,30 @@
 from __future__ import annotations
 
 import hashlib
-import os
+import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, replace
-from typing import Any, Self
+from dataclasses import asdict
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..advice import Advice, Option
+from ..certificate import Certificate
 from ..channels import Channel
-from ..errors import InputError, as_array, plain
-from ..files import storage
+from ..errors import InputError, as_array, lines, plain
 from ..flags import Flag
-from ..model import Certificate, Model
 from ..testing import kinds
-from ..testing import kinds as causality
-from ..testing.impact import Hit, from_hits
+from ..testing.impact import Hit, TrainingRecords, from_hits
 from ..testing.runs import full
 from ..testing.spectra import checked_decay, exponential, resample_lines, taken_out
+from .lines import between, checked
+from .tabulated import FrfModel
 
-ARRAYS = ("frequencies", "H", "variance", "noise_power", "coherence")
-PARTS = (*ARRAYS, "sensors", "loads", "hits", "samples")
+OLD = ("noise_power", "hits", "samples")  # what 0.1 took beside `records`
 
 
-class MeasuredModel(Model):
+class MeasuredModel(FrfModel):
     """Frequency responses (lines, sensors, loads) on a uniform grid from 0 to the Nyquist frequency.
 
     Parameters
@@ -38,23 +37,33 @@ class MeasuredModel(Model):
         Response over load.
     sensors, loads : sequence of Channel
     variance : array like H, optional
-        Variance of H.
-    noise_power : array, shape (lines, sensors), optional
-        Mean squared residual of the training hits per sample of record: what one more hit will miss by.
+        Variance E|error|^2 of H.
     coherence : array, shape (lines, sensors), optional
-    hits : sequence of Hit
-    samples : int, optional
-        Length of the training records.
+    records : TrainingRecords
+        What the tests tell of themselves that H was estimated from: hits, their length, residual power.
+    certificate : Certificate, optional
+    flags : sequence of Flag
+    **old
+        ``hits``, ``samples`` and ``noise_power`` of version 0.1, which `records` holds now.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, NaN, lines that do not run uniformly from 0 Hz, doubled labels, a table of zeros.
 
     Notes
     -----
-    The ratio of sampled response to sampled force is a discrete response already: it knows no hold.
+    The ratio of sampled response to sampled force is a discrete response already: it knows no hold. `from_frf` fills a
+    missing line at 0 Hz, by 0 for accelerance and mobility, by the first line otherwise.
     """
 
     sampled = True
-    frequencies: NDArray[np.float64]
     dt: float
     samples: int
+    file = "measured model"
+    tables: ClassVar[tuple[str, ...]] = ("H", "variance", "coherence", "noise_power")
+    powers: ClassVar[tuple[str, ...]] = ("variance", "noise_power")
+    others: ClassVar[tuple[str, ...]] = ("frequencies", "sensors", "loads")
 
     def __init__(
         self,
@@ -64,23 +73,22 @@ class MeasuredModel(Model):
         sensors: Sequence[Channel],
         loads: Sequence[Channel],
         variance: ArrayLike | None = None,
-        noise_power: ArrayLike | None = None,
         coherence: ArrayLike | None = None,
-        hits: Sequence[Hit] = (),
-        samples: int | None = None,
+        records: TrainingRecords | None = None,
         certificate: Certificate | None = None,
         flags: Sequence[Flag] = (),
+        **old: Any,
     ) -> None:
-        self.frequencies, self.H = np.asarray(plain(frequencies), float), np.asarray(plain(H), complex)
-        self.sensors, self.loads, self.hits = tuple(sensors), tuple(loads), tuple(hits)
-        self.variance = None if variance is None else np.asarray(plain(variance), float)
-        self.noise_power = None if noise_power is None else np.asarray(plain(noise_power), float)
-        self.coherence = None if coherence is None else np.asarray(plain(coherence), float)
-        self.samples = samples or len(self.frequencies) - 1
-        self.certificate = certificate
-        _check(self)
+        super().__init__(
+            frequencies, H, sensors=sensors, loads=loads, variance=variance, coherence=coherence,
+            certificate=certificate, flags=flags,
+        )  # fmt: skip
+        records = _records(records, old)
+        power, rows = records.noise_power, self.H.shape[:2]
+        self.noise_power = None if power is None else checked("noise_power", power, rows, where=type(self).__name__)
+        self.hits, self.samples = tuple(records.hits), records.samples or len(self.frequencies) - 1
         self.dt = float(1 / (2 * self.frequencies[-1]))
-        self.flags = (*flags, *causality.whole(self.frequencies, self.H, self.sensors, self.loads))
+        self.flags = (*self.flags, *kinds.whole(self.frequencies, self.H, self.sensors, self.loads))
 
     # -- construction -----------------------------------------------------------------------------------------------
     @classmethod
@@ -137,7 +145,7 @@ class MeasuredModel(Model):
         channels: Sequence[Channel | str] | None = None,
         kind: str | None = None,
         estimator: str = "H1",
-        window: str | tuple = "hann",
+        window: str | tuple[Any, ...] = "hann",
         segment: int | None = None,
         overlap: float = 0.5,
         detrend: str | None = "constant",
@@ -172,58 +180,40 @@ class MeasuredModel(Model):
         H: ArrayLike,
         *,
         kind: str | None = None,
-        sensors: Sequence[str | Channel] | None = None,
-        loads: Sequence[str | Channel] | None = None,
         variance: ArrayLike | None = None,
+        **settings: Any,
     ) -> Self:
-        """Model from an FRF of somebody else.
+        """Model from an FRF of somebody else; parameters and errors as for `FrfModel.from_frf`.
 
-        Parameters
-        ----------
-        frequencies : array, shape (lines,)
-            Hz, uniform; a missing 0 Hz line is filled by 0 for accelerance and mobility, by the first line otherwise.
-        H : array, shape (lines,), (lines, sensors) or (lines, sensors, loads)
-        kind : {"accelerance", "mobility", "receptance"}
-            What the response is; required, and never guessed.
-        sensors, loads : sequence of str or Channel, optional
-        variance : array like H, optional
-
-        Raises
-        ------
-        InputError
-            Kind missing (LID-W208), wrong shapes, a grid that is not uniform.
+        The lines are uniform; a missing one at 0 Hz is filled by 0 for accelerance and mobility, by the first line
+        otherwise.
         """
-        kind = kinds.check(kind, "from_frf")
         f = np.atleast_1d(as_array(frequencies, where="from_frf, frequencies", dtype=float))
-        H = _cube(as_array(H, where="from_frf, H", dtype=complex))
-        spread = None if variance is None else _cube(as_array(variance, where="from_frf, variance", dtype=float))
+        table = np.atleast_1d(as_array(H, where="from_frf, H", dtype=complex))
+        spread = None if variance is None else np.atleast_1d(as_array(variance, where="from_frf, variance"))
         if len(f) > 1 and 0.5 < f[0] / (f[1] - f[0]) < 1.5:
-            first = H[:1].real if kind == "receptance" else np.zeros_like(H[:1])
-            f, H = np.concatenate([[0.0], f]), np.concatenate([first, H])
+            first = table[:1].real if kind == "receptance" else np.zeros_like(table[:1])
+            f, table = np.concatenate([[0.0], f]), np.concatenate([first, table])
             spread = None if spread is None else np.concatenate([spread[:1], spread])
-        rows, flags = kinds.rows(sensors, H.shape[1], kind)
-        columns = [
-            c if isinstance(c, Channel) else Channel(label=str(c), quantity="force", unit="N")
-            for c in (loads or [f"load {j + 1}" for j in range(H.shape[2])])
-        ]
-        return cls(f, H, sensors=rows, loads=columns, variance=spread, flags=flags)
+        return super().from_frf(f, table, kind=kind, variance=spread, **settings)
 
-    def as_kind(self, kind: str) -> Self:
-        """The same model with its motion sensors as accelerance, mobility or receptance.
+    @classmethod
+    def _lines(cls, frequencies: ArrayLike) -> NDArray[np.float64]:
+        f = lines(frequencies)
+        step = np.diff(f)
+        if len(f) < 3 or f[0] != 0 or np.any(np.abs(step - step.mean()) > 1e-6 * step.mean()):
+            raise InputError(
+                "the lines of a measured model run uniformly from 0 Hz",
+                where="measured model",
+                found=f"{len(f)} lines from {f[0] if len(f) else 'none'} Hz",
+                expected="uniform spacing, first line 0 Hz",
+                hint="interpolate the FRF onto a uniform grid first",
+            )
+        return f
 
-        Where a sensor changes its kind the 0 Hz line tells nothing: it becomes 0, as uncertain as the line beside it.
-        """
-        kind = kinds.check(kind, "as_kind")
-        factor, size, _ = kinds.conversion(self.sensors, self.frequencies, kind)
-        sensors = [kinds.convert(s, kind) for s in self.sensors]
-        known = self.certificate
-        return self._like(
-            H=self.H * factor[..., None],
-            sensors=sensors,
-            variance=None if self.variance is None else self.variance * size[..., None],
-            noise_power=None if self.noise_power is None else self.noise_power * size,
-            certificate=known and replace(known, source=f"{known.source} (before it was converted to {kind})"),
-        )
+    def judged(self) -> Self:
+        """The model itself: its whole impulse response was judged when it was made."""
+        return self
 
     def without_window(self, decay: float, duration: float | None = None) -> Self:
         """The model without the damping of an exponential window ``exp(-decay t)`` under which it was measured.
@@ -258,41 +248,18 @@ class MeasuredModel(Model):
         decay = checked_decay(decay, samples * self.dt, "without_window")
         H = taken_out(self.H, decay * self.dt, samples)
         f = np.linspace(0.0, self.frequencies[-1], len(H))
-        changed = {name: getattr(self, name) for name in ("variance", "noise_power", "coherence")}
-        moved = {n: None if x is None else _interpolate(f, self.frequencies, x) for n, x in changed.items()}
+        moved = self._each(lambda x: between(f, self.frequencies, x))
         if moved["variance"] is not None:
             moved["variance"] = moved["variance"] / np.mean(exponential(samples, self.dt, decay) ** 2)
-        known = self.certificate
         return self._like(
-            frequencies=f,
-            H=H,
-            **moved,
-            certificate=known and replace(known, source=f"{known.source} (before its window was taken out)"),
-        )
-
-    def perturbed(self, parameter: str, factor: float) -> Self:
-        """The same model with its gain multiplied by `factor`; nothing else of a measured model has a name."""
-        if parameter != "gain":
-            raise InputError(
-                "a measured model has no such parameter", where="perturbed", found=repr(parameter), expected="'gain'"
-            )
-        return self._like(H=self.H * factor, variance=None if self.variance is None else self.variance * factor**2)
-
-    def with_sensors(self, rows: Sequence[int] | NDArray[np.intp]) -> Self:
-        """The same model with some of its sensors, in the order given, and not yet verified."""
-        rows = np.asarray(rows, np.intp)
-        return self._like(
-            sensors=[self.sensors[i] for i in rows],
-            H=self.H[:, rows],
-            variance=None if self.variance is None else self.variance[:, rows],
-            coherence=None if self.coherence is None else self.coherence[:, rows],
-            noise_power=None if self.noise_power is None else self.noise_power[:, rows],
-            certificate=None,
+            **{**moved, "frequencies": f, "H": H}, certificate=self._certified("its window was taken out")
         )
 
     def _like(self, **changes: Any) -> Self:
-        same = {name: getattr(self, name) for name in PARTS}
-        return type(self)(**{**same, "flags": self._given_flags, **changes})
+        """The same model with other arguments."""
+        records = TrainingRecords(self.hits, self.samples, changes.pop("noise_power", self.noise_power))
+        same = {name: getattr(self, name) for name in ("H", "variance", "coherence", *self.others)}
+        return type(self)(**{**same, "flags": self._given_flags, "records": records, **changes})
 
     # -- the contract -----------------------------------------------------------------------------------------------
     def frf(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
@@ -321,15 +288,22 @@ class MeasuredModel(Model):
         if n > 1 and np.allclose(f, np.linspace(0, top, n + 1), rtol=1e-9, atol=1e-9 * top):
             return resample_lines(self.H, 2 * n)
         fine = resample_lines(self.H, 16 * (len(own) - 1))
-        return _interpolate(f, np.linspace(0, top, len(fine)), fine)
+        return between(f, np.linspace(0, top, len(fine)), fine)
 
     def frf_variance(self, frequencies: ArrayLike) -> NDArray[np.float64] | None:
         """Variance of the FRF at `frequencies`, or None where one hit or an imported FRF does not tell."""
-        return None if self.variance is None else _interpolate(frequencies, self.frequencies, self.variance)
+        return None if self.variance is None else self._read(self.variance, frequencies)
 
     def noise_spectrum(self, frequencies: ArrayLike) -> NDArray[np.float64] | None:
         """Mean squared residual of the hits, per sample of record, shape (lines, sensors); None for one hit."""
-        return None if self.noise_power is None else _interpolate(frequencies, self.frequencies, self.noise_power)
+        return None if self.noise_power is None else self._read(self.noise_power, frequencies)
+
+    def has_lines(self, frequencies: ArrayLike) -> NDArray[np.bool_]:
+        """It answers at all frequencies (Hz) of its range."""
+        return np.ones(np.shape(frequencies), bool)
+
+    def _read(self, table: NDArray[Any], frequencies: ArrayLike) -> NDArray[Any]:
+        return between(np.atleast_1d(np.asarray(plain(frequencies), float)), self.frequencies, table)
 
     def impulse_response(self, dt: float, samples: int, hold: str = "foh") -> NDArray[np.float64]:
         """Impulse response (samples, sensors, loads) at the step of the training records.
@@ -368,42 +342,16 @@ class MeasuredModel(Model):
             h.update(f"|{name}|".encode() + (b"" if x is None else np.ascontiguousarray(x).tobytes()))
         return h.hexdigest()
 
-    @property
-    def _given_flags(self) -> tuple[Flag, ...]:
-        """Flags that no constructor finds again."""
-        return tuple(f for f in self.flags if f.code != "LID-W207")
-
     # -- files ------------------------------------------------------------------------------------------------------
-    def save(self, path: str | os.PathLike) -> None:
-        """Write the model to HDF5, whole or not at all, with checksums."""
-        tree: dict[str, Any] = {
-            **{name: getattr(self, name) for name in ARRAYS},
-            "samples": self.samples,
-            "hits": [asdict(h) for h in self.hits],
-            "flags": [f.to_dict() for f in self._given_flags],
-            **self._told(),
-        }
-        storage.write(path, tree, "measured model")
+    def _arguments(self) -> dict[str, Any]:
+        names = ("frequencies", *self.tables, "samples")
+        return {name: getattr(self, name) for name in names} | {"hits": [asdict(h) for h in self.hits]}
 
     @classmethod
-    def load(cls, path: str | os.PathLike) -> Self:
-        """Read a model that `save` wrote.
-
-        Raises
-        ------
-        InputError
-            A damaged file, or one of another kind.
-        """
-        tree = storage.read(path, "measured model")
-        known = tree.pop("certificate")
-        return cls(
-            sensors=[Channel(**c) for c in tree.pop("sensors")],
-            loads=[Channel(**c) for c in tree.pop("loads")],
-            hits=[Hit(**tuples(h)) for h in tree.pop("hits")],
-            flags=[Flag.from_dict(f) for f in tree.pop("flags")],
-            certificate=None if known is None else Certificate(**tuples(known)),
-            **tree,
-        )
+    def _restored(cls, tree: dict[str, Any]) -> dict[str, Any]:
+        hits = tuple(Hit(**{**h, "digests": tuple(h["digests"])}) for h in tree.pop("hits"))
+        records = TrainingRecords(hits, tree.pop("samples"), tree.pop("noise_power"))
+        return {**tree, "records": records}
 
     def __repr__(self) -> str:
         used = sum(h.used for h in self.hits)
@@ -414,59 +362,13 @@ class MeasuredModel(Model):
         )
 
 
-def _check(m: MeasuredModel) -> None:
-    f, H = m.frequencies, m.H
-    rows = (len(f), len(m.sensors))
-    if H.ndim != 3 or H.shape != (*rows, len(m.loads)) or not H.size:
-        raise InputError(
-            "FRF, lines and channels do not fit",
-            where="measured model",
-            found=f"H {H.shape}, {len(f)} lines, {len(m.sensors)} sensors, {len(m.loads)} loads",
-            expected="H (lines, sensors, loads)",
-        )
-    for name, shape in (("variance", H.shape), ("noise_power", rows), ("coherence", rows)):
-        x = getattr(m, name)
-        if x is not None and x.shape != shape:
-            raise InputError(f"{name} does not fit the FRF", where="measured model", found=x.shape, expected=shape)
-    for name in ARRAYS:
-        x = getattr(m, name)
-        if x is not None and not np.all(np.isfinite(x)):
-            raise InputError(
-                "NaN or inf",
-                where=f"measured model, {name}",
-                found=f"{int(np.sum(~np.isfinite(x)))} of {x.size}",
-                expected="finite numbers",
-                hint="mask or repair the lines",
-            )
-        if name in ARRAYS[2:] and x is not None and np.any(x < 0):
-            raise InputError("a negative power", where=f"measured model, {name}", found=x.min(), expected=">= 0")
-    step = np.diff(f)
-    if len(f) < 3 or f[0] != 0 or np.any(np.abs(step - step.mean()) > 1e-6 * step.mean()):
-        raise InputError(
-            "the lines of a measured model run uniformly from 0 Hz",
-            where="measured model",
-            found=f"{len(f)} lines from {f[0] if len(f) else 'none'} Hz",
-            expected="uniform spacing, first line 0 Hz",
-            hint="interpolate the FRF onto a uniform grid first",
-        )
-    labels = [c.label for c in m.sensors]
-    if len(set(labels)) != len(labels):
-        raise InputError("sensor labels are not unique", where="measured model", found=labels, expected="unique labels")
-
-
-def _interpolate(f: ArrayLike, own: NDArray, x: NDArray) -> NDArray:
-    from scipy.interpolate import make_interp_spline
-
-    f = np.clip(np.atleast_1d(np.asarray(f, float)), own[0], own[-1])
-    if np.iscomplexobj(x):
-        return make_interp_spline(own, x.real, k=1)(f) + 1j * make_interp_spline(own, x.imag, k=1)(f)
-    return make_interp_spline(own, x, k=1)(f)
-
-
-def _cube(H: NDArray) -> NDArray:
-    return H.reshape(H.shape + (1,) * (3 - H.ndim))
-
-
-def tuples(tree: dict[str, Any]) -> dict[str, Any]:
-    """What a file gives back as lists, as the tuples that it was."""
-    return {k: tuple(v) if isinstance(v, list) else v for k, v in tree.items()}
+def _records(records: TrainingRecords | None, old: dict[str, Any]) -> TrainingRecords:
+    """The records, or what 0.1 called them."""
+    unknown = [name for name in old if name not in OLD]
+    if unknown:
+        raise TypeError(f"MeasuredModel takes no argument {unknown[0]!r}")
+    if not old:
+        return records or TrainingRecords()
+    new = "records=structures.TrainingRecords(hits=, samples=, noise_power=)"
+    warnings.warn(f"MeasuredModel({', '.join(f'{n}=' for n in old)}) is now {new}", DeprecationWarning, stacklevel=3)
+    return TrainingRecords(tuple(old.get("hits", ())), old.get("samples"), old.get("noise_power"))

@@ -141,7 +141,7 @@ def anchor(structure: Any) -> tuple[int, float, Factor]:
     return rigid, shift, Factor(K - shift * M, structure=structure)
 
 
-def _lanczos(structure: Any, k: int, shift: float, factor: Factor) -> tuple[NDArray, NDArray]:
+def _lanczos(structure: Any, k: int, shift: float, factor: Factor) -> tuple[NDArray[Any], NDArray[Any]]:
     n = factor.n
     start = np.random.default_rng(0).standard_normal(n)  # fixed, so that two runs agree to the last bit
     inverse = LinearOperator((n, n), matvec=factor.solve, dtype=float)
@@ -150,7 +150,7 @@ def _lanczos(structure: Any, k: int, shift: float, factor: Factor) -> tuple[NDAr
     return lam[order], phi[:, order]
 
 
-def _dense(structure: Any, k: int, shift: float, rigid: int, factor: Factor) -> tuple[NDArray, NDArray]:
+def _dense(structure: Any, k: int, shift: float, rigid: int, factor: Factor) -> tuple[NDArray[Any], NDArray[Any]]:
     """All modes: the eigensolver's error is absolute, so the low ones come from ``K^-1`` and the high ones from `K`."""
     K, M = structure.K_free.toarray(), structure.M_free.toarray()
     lam, phi = _dense_inverse(M, shift, factor)
@@ -167,7 +167,7 @@ def _dense(structure: Any, k: int, shift: float, rigid: int, factor: Factor) -> 
     return lam[:k], linalg.solve_triangular(R, phi[:, :k].T, trans="T").T
 
 
-def _dense_direct(K: NDArray, M: NDArray) -> tuple[NDArray, NDArray]:
+def _dense_direct(K: NDArray[Any], M: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     scale = 1 / np.sqrt(_positive(M))  # displacements and rotations made comparable
     try:
         lam, phi = linalg.eigh(scale[:, None] * K * scale, scale[:, None] * M * scale)
@@ -176,7 +176,7 @@ def _dense_direct(K: NDArray, M: NDArray) -> tuple[NDArray, NDArray]:
     return lam, scale[:, None] * phi
 
 
-def _dense_inverse(M: NDArray, shift: float, factor: Factor) -> tuple[NDArray, NDArray]:
+def _dense_inverse(M: NDArray[Any], shift: float, factor: Factor) -> tuple[NDArray[Any], NDArray[Any]]:
     """Modes from ``L^T (K - shift M)^-1 L``, ``M = L L^T``: the low ones with full relative accuracy."""
     scale = np.sqrt(_positive(M))
     try:
@@ -192,14 +192,14 @@ def _dense_inverse(M: NDArray, shift: float, factor: Factor) -> tuple[NDArray, N
     return lam[order], phi[:, order]
 
 
-def _positive(M: NDArray) -> NDArray[np.float64]:
+def _positive(M: NDArray[Any]) -> NDArray[np.float64]:
     mass = M.diagonal()
     if np.any(mass <= 0):
         raise _bad_mass(M)
     return mass
 
 
-def _bad_mass(M: NDArray) -> InputError:
+def _bad_mass(M: NDArray[Any]) -> InputError:
     low = float(linalg.eigvalsh(0.5 * (M + M.T))[0])
     return InputError(
         "the mass matrix is not positive definite",
@@ -221,7 +221,7 @@ def modal_damping(structure: Any, shapes: Modes) -> NDArray[np.float64]:
     C = shapes.phi.T @ (structure.C_free @ shapes.phi)
     diagonal = C.diagonal()
     off = np.abs(C - np.diag(diagonal)).max()
-    return diagonal.copy() if off <= DIAGONAL * np.abs(diagonal).max(initial=0.0) else 0.5 * (C + C.T)
+    return np.asarray(diagonal.copy() if off <= DIAGONAL * np.abs(diagonal).max(initial=0.0) else 0.5 * (C + C.T))
 
 
 ON_RESONANCE = 1e-12  # share of omega^2 that an eigenvalue and its square root keep: nearer is on the resonance
@@ -282,7 +282,7 @@ class ReducedModel:
             A = np.block([[np.zeros((k, k)), np.eye(k)], [-np.diag(self.lam), -damping]])
             s = np.linalg.eigvals(A)
             rates.append(float(np.min(-s.real)) if np.all(elastic) else 0.0)
-            return max(min(rates), 0.0)
+            return float(max(min(rates), 0.0))
         lam = self.lam[elastic]
         c = self.damping[elastic] + self.loss * np.sqrt(lam)
         root = np.sqrt(np.maximum(c**2 / 4 - lam, 0.0))
@@ -311,7 +311,7 @@ class ReducedModel:
             raise unbounded(frequencies[line], self.lam)
         return H * highpass(frequencies, self.corner)[:, :, None]
 
-    def _proportional(self, omega: NDArray) -> NDArray[np.complex128]:
+    def _proportional(self, omega: NDArray[Any]) -> NDArray[np.complex128]:
         lines, (m, k), p = len(omega), self.S.shape, self.B.shape[1]
         H = np.empty((lines, m, p), dtype=complex)
         elastic = self.lam > 0
@@ -337,7 +337,7 @@ class ReducedModel:
                     H[a : a + step, s] = part
         return H
 
-    def _coupled(self, omega: NDArray) -> NDArray[np.complex128]:
+    def _coupled(self, omega: NDArray[Any]) -> NDArray[np.complex128]:
         k = len(self.lam)
         H = np.empty((len(omega), len(self.S), self.B.shape[1]), dtype=complex)
         step = max(1, FLOATS // k**2)
@@ -353,11 +353,11 @@ class ReducedModel:
             H += self.residual / self._stiffening(omega)[:, None, None]
         return H * (1j * omega[:, None, None]) ** self.derivative[:, None]
 
-    def _stiffening(self, omega: NDArray) -> NDArray[np.complex128]:
+    def _stiffening(self, omega: NDArray[Any]) -> NDArray[np.complex128]:
         """What structural damping makes of a stiffness of one: ``1 + i loss``, and 1 at rest."""
         return np.asarray(1 + 1j * self.loss * (omega > 0), complex)
 
-    def _unbounded(self, D: NDArray, omega: float) -> bool:
+    def _unbounded(self, D: NDArray[Any], omega: float) -> bool:
         """Whether the dynamic stiffness is singular to rounding; only near an undamped frequency can it be."""
         if np.abs(self.lam - omega**2).min() > 1e-6 * omega**2:
             return False
@@ -367,12 +367,12 @@ class ReducedModel:
         return bool(np.linalg.svd(scale[:, None] * D * scale, compute_uv=False)[-1] <= ON_RESONANCE)
 
 
-def on_resonance(omega: float, lam: NDArray) -> bool:
+def on_resonance(omega: float, lam: NDArray[Any]) -> bool:
     """Whether a line (rad/s) lies on an undamped natural frequency, to rounding."""
     return bool(np.any(np.abs(lam - omega**2) <= ON_RESONANCE * lam))
 
 
-def unbounded(frequency: float, lam: NDArray) -> NotIdentifiable:
+def unbounded(frequency: float, lam: NDArray[Any]) -> NotIdentifiable:
     """The refusal of a line (Hz) at which the response is unbounded; names the mode that has it."""
     k = int(np.argmin(np.abs(lam - (2 * np.pi * frequency) ** 2)))
     natural = float(np.sqrt(lam[k]) / (2 * np.pi))
@@ -386,7 +386,12 @@ def unbounded(frequency: float, lam: NDArray) -> NotIdentifiable:
 
 
 def modal_weights(
-    omega: NDArray, lam: NDArray, c: NDArray, elastic: NDArray[np.bool_], derivative: int, loss: float = 0.0
+    omega: NDArray[Any],
+    lam: NDArray[Any],
+    c: NDArray[Any],
+    elastic: NDArray[np.bool_],
+    derivative: int,
+    loss: float = 0.0,
 ) -> NDArray[np.complex128]:
     """Frequency response of every mode (lines, k) to a unit modal force, differentiated; its limit for rigid modes."""
     jw = 1j * omega[:, None]
@@ -404,14 +409,14 @@ def modal_weights(
     return w
 
 
-def highpass(frequencies: NDArray, corner: NDArray) -> NDArray[np.complex128]:
+def highpass(frequencies: NDArray[Any], corner: NDArray[Any]) -> NDArray[np.complex128]:
     """First-order high-pass ``j f / (fc + j f)`` of every sensor (lines, sensors); 1 where there is no corner."""
     f = frequencies[:, None]
     return np.where(corner > 0, 1j * f / np.where(corner > 0, corner + 1j * f, 1.0), 1.0)
 
 
 def static_residual(
-    shapes: Modes, S: Any, B: Any, modal_S: NDArray, modal_B: NDArray, static: NDArray | None = None
+    shapes: Modes, S: Any, B: Any, modal_S: NDArray[Any], modal_B: NDArray[Any], static: NDArray[Any] | None = None
 ) -> NDArray[np.float64]:
     """Static response of the modes left out (sensors, loads).
 
@@ -423,4 +428,4 @@ def static_residual(
         ``S K^-1 B`` where it is known already (supported structure).
     """
     full = shapes.factor.transfer(S, B) if static is None else static
-    return full - (modal_S / (shapes.lam - shapes.shift)) @ modal_B
+    return np.asarray(full - (modal_S / (shapes.lam - shapes.shift)) @ modal_B)

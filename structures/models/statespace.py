@@ -257,7 +257,7 @@ class StateSpace(Model):
                 x = self.A @ x + push
             response = states @ self.C.T + direct
         self._refuse_overflow(response, "simulate")
-        return response
+        return np.asarray(response)
 
     def predict(self, load: ArrayLike, dt: float, hold: str | None = None) -> NDArray[np.float64]:
         """Response (samples, sensors) to a load history (samples, loads), at rest before its first sample.
@@ -286,7 +286,7 @@ class StateSpace(Model):
         """Sha256 of the matrices, the step, the hold and the channels."""
         return digest("StateSpace", self.A, self.B, self.C, self.D, self.dt, self.hold, self.sensors, self.loads)
 
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model to HDF5, whole or not at all, with checksums; `modelfile.load` reads it.
 
         Raises
@@ -295,7 +295,7 @@ class StateSpace(Model):
             A load that moves, a file that cannot be written.
         """
         matrices = {"A": self.A, "B": self.B, "C": self.C, "D": self.D}
-        storage.write(path, {**matrices, "dt": self.dt, "hold": self.hold, **self._told()}, FILE)
+        storage.write(path, {**matrices, "dt": self.dt, "hold": self.hold, **self._as_stored()}, FILE)
 
     def _own(self, dt: float, hold: str | None, method: str) -> None:
         same = np.ndim(dt) == 0 and np.isfinite(dt) and abs(dt - self.dt) <= 1e-9 * self.dt
@@ -318,7 +318,7 @@ class StateSpace(Model):
                 hint="check A, its step dt, and that it is discrete, not continuous; simulate() runs it all the same",
             )
 
-    def _refuse_overflow(self, response: NDArray, method: str) -> None:
+    def _refuse_overflow(self, response: NDArray[Any], method: str) -> None:
         bad = ~np.isfinite(response).reshape(len(response), -1).all(axis=1)
         if np.any(bad):
             raise InputError(

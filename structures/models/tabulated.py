@@ -3,36 +3,35 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..advice import Advice
+from ..certificate import Certificate
 from ..channels import Channel
 from ..errors import InputError, as_array, digest, lines, plain
 from ..files import storage
-from ..flags import Evidence, Flag
-from ..model import Certificate, Model
+from ..flags import Flag
+from ..model import Model
 from ..testing import kinds
-from ..testing import kinds as causality
 from ..testing.runs import of_spectra, tabulated
-from .measured import tuples
+from .lines import BETWEEN, ascending, checked, cube, index_of, interpolated, interpolation_flag, nearest, one_name_each
 
 if TYPE_CHECKING:
     from ..testing.welch import CrossSpectra
 
 
+Table = NDArray[Any]
 FILE = "table of FRFs"
-ON_A_LINE = 1e-6  # of the spacing: how near a frequency must be to a line to be that line
 ADVICE = {
     "static": "MatrixModel takes a measured static matrix; ForwardModel computes one",
     "impulse_response": "MeasuredModel.from_frf takes an FRF on a uniform grid from 0 Hz to the Nyquist frequency",
     "state_space": "fit modes to the FRF and give ForwardModel the structure",
 }
-PARTS = ("frequencies", "H", "sensors", "loads", "variance", "coherence", "certificate", "flags", "interpolate")
 
 
 class FrfModel(Model):
@@ -62,6 +61,11 @@ class FrfModel(Model):
     """
 
     frequencies: NDArray[np.float64]
+    file: ClassVar[str] = FILE  # the kind of file that `save` writes
+    tables: ClassVar[tuple[str, ...]] = ("H", "variance", "coherence")  # lines first, then sensors
+    powers: ClassVar[tuple[str, ...]] = ("variance",)  # those that go with the square of the response
+    others: ClassVar[tuple[str, ...]] = ("frequencies", "sensors", "loads", "certificate", "interpolate")
+    interpolate: bool = False
 
     def __init__(
         self,
@@ -76,20 +80,19 @@ class FrfModel(Model):
         flags: Sequence[Flag] = (),
         interpolate: bool = False,
     ) -> None:
+        where = type(self).__name__
         self.sensors, self.loads = tuple(sensors), tuple(loads)
-        self.frequencies = _ascending(frequencies)
+        self.frequencies = self._lines(frequencies)
         rows = (len(self.frequencies), len(self.sensors))
-        self.H = _table("H", H, (*rows, len(self.loads)), complex)
-        self.variance = None if variance is None else _table("variance", variance, self.H.shape)
-        self.coherence = None if coherence is None else _table("coherence", coherence, rows)
+        self.H = checked("H", H, (*rows, len(self.loads)), where=where, kind=complex)
+        self.variance = None if variance is None else checked("variance", variance, self.H.shape, where=where)
+        self.coherence = None if coherence is None else checked("coherence", coherence, rows, where=where)
         self.certificate, self.interpolate = certificate, bool(interpolate)
-        _check_labels(self)
+        one_name_each(self.sensors, self.loads, where)
         if not np.any(self.H):
-            raise InputError(
-                "no load moves any sensor", where="FrfModel", found="zeros on every line", expected="an FRF"
-            )
-        known = [f for f in flags if f.evidence.name != _BETWEEN]
-        self.flags = (*known, *([_between_lines(self.frequencies)] if interpolate else []))
+            raise InputError("no load moves any sensor", where=where, found="zeros on every line", expected="an FRF")
+        known = [f for f in flags if f.evidence.name != BETWEEN]
+        self.flags = (*known, *([interpolation_flag(self.frequencies)] if interpolate else []))
 
     # -- construction -----------------------------------------------------------------------------------------------
     @classmethod
@@ -124,23 +127,15 @@ class FrfModel(Model):
             Kind missing (LID-W208), shapes that do not fit, NaN, lines that do not ascend.
         """
         kind = kinds.check(kind, "from_frf")
-        H = _cube(as_array(H, where="from_frf, H"))
-        rows, flags = kinds.rows(sensors, H.shape[1], kind)
+        table = cube(as_array(H, where="from_frf, H"))
+        rows, flags = kinds.rows(sensors, table.shape[1], kind)
         columns = [
             c if isinstance(c, Channel) else Channel(label=str(c), quantity="force", unit="N")
-            for c in (loads or [f"load {j + 1}" for j in range(H.shape[2])])
+            for c in (loads or [f"load {j + 1}" for j in range(table.shape[2])])
         ]
-        model = cls(
-            frequencies,
-            H,
-            sensors=rows,
-            loads=columns,
-            variance=None if variance is None else _cube(as_array(variance, where="from_frf, variance")),
-            coherence=coherence,
-            flags=flags,
-            interpolate=interpolate,
-        )
-        return model.judged()
+        spread = None if variance is None else cube(as_array(variance, where="from_frf, variance"))
+        made = cls(frequencies, table, sensors=rows, loads=columns, variance=spread, coherence=coherence, flags=flags)
+        return made._between(interpolate).judged()
 
     @classmethod
     def from_records(
@@ -153,7 +148,7 @@ class FrfModel(Model):
         channels: Sequence[Channel | str] | None = None,
         kind: str | None = None,
         estimator: str = "H1",
-        window: str | tuple = "hann",
+        window: str | tuple[Any, ...] = "hann",
         segment: int | None = None,
         overlap: float = 0.5,
         detrend: str | None = "constant",
@@ -192,8 +187,8 @@ class FrfModel(Model):
         """
         cut = {"dt": dt, "channels": channels, "window": window, "segment": segment, "overlap": overlap}
         cut["detrend"] = detrend
-        made = tabulated(records, forces, responses, kind, least_coherence, estimator, cut)
-        return cls(**made, interpolate=interpolate).judged()
+        made = cls(**tabulated(records, forces, responses, kind, least_coherence, estimator, cut))
+        return made._between(interpolate).judged()
 
     @classmethod
     def from_spectra(
@@ -208,8 +203,8 @@ class FrfModel(Model):
         interpolate: bool = False,
     ) -> Self:
         """FRFs from cross spectra of forces and responses; parameters and errors as for `from_records`."""
-        made = of_spectra(spectra, forces, responses, kind, least_coherence, estimator)
-        return cls(**made, interpolate=interpolate).judged()
+        made = cls(**of_spectra(spectra, forces, responses, kind, least_coherence, estimator))
+        return made._between(interpolate).judged()
 
     @classmethod
     def of(cls, model: Model, frequencies: ArrayLike) -> Self:
@@ -220,7 +215,7 @@ class FrfModel(Model):
         InputError
             Where the model has no `frf`, or none at these lines.
         """
-        f = _ascending(frequencies)
+        f = ascending(frequencies)
         return cls(
             f,
             model.frf(f),
@@ -258,20 +253,25 @@ class FrfModel(Model):
                     expected="the same sensors, in the same order, on the same lines",
                     hint="model.at(lines) takes those that all of them have",
                 )
-        spreads = [m.variance for m in models]
-        return cls(
+        variances = [m.variance for m in models if m.variance is not None]
+        made = cls(
             first.frequencies,
             np.concatenate([m.H for m in models], axis=2),
             sensors=first.sensors,
             loads=[c for m in models for c in m.loads],
-            variance=None if any(v is None for v in spreads) else np.concatenate(spreads, axis=2),  # type: ignore[arg-type]
+            variance=np.concatenate(variances, axis=2) if len(variances) == len(models) else None,
             flags=tuple(dict.fromkeys(f for m in models for f in m.flags)),
-            interpolate=all(m.interpolate for m in models),
         )
+        return made._between(all(m.interpolate for m in models))
+
+    @classmethod
+    def _lines(cls, frequencies: ArrayLike) -> NDArray[np.float64]:
+        """The lines of a model of this kind, checked."""
+        return ascending(frequencies)
 
     def judged(self) -> Self:
         """The same model with what its phases tell: W207 where it is turned, N207 where that cannot be told."""
-        found = causality.lines(self.frequencies, self.H, self.sensors, self.loads)
+        found = kinds.lines(self.frequencies, self.H, self.sensors, self.loads)
         known = [f for f in self.flags if f.code not in ("LID-W207", "LID-N207")]
         return self._like(flags=(*known, *found))
 
@@ -294,14 +294,8 @@ class FrfModel(Model):
                 )
             index = np.flatnonzero(wanted)
         else:
-            index = self._index(_ascending(wanted))
-        spread, coherence = self.variance, self.coherence
-        return self._like(
-            frequencies=self.frequencies[index],
-            H=self.H[index],
-            variance=None if spread is None else spread[index],
-            coherence=None if coherence is None else coherence[index],
-        )
+            index = index_of(ascending(wanted), self.frequencies)
+        return self._like(frequencies=self.frequencies[index], **self._each(lambda x: x[index]))
 
     def as_kind(self, kind: str) -> Self:
         """The same model with its motion sensors as accelerance, mobility or receptance.
@@ -316,36 +310,53 @@ class FrfModel(Model):
         """
         kind = kinds.check(kind, "as_kind")
         factor, size, lost = kinds.conversion(self.sensors, self.frequencies, kind)
-        known = self.certificate
         return self._like(
             H=self.H * factor[..., None],
+            **self._each(lambda x: x * (size if x.ndim == 2 else size[..., None]), self.powers),
             sensors=[kinds.convert(s, kind) for s in self.sensors],
-            variance=None if self.variance is None else self.variance * size[..., None],
-            certificate=known and replace(known, source=f"{known.source} (before it was converted to {kind})"),
-            flags=tuple(dict.fromkeys([*self.flags, *lost])),
+            certificate=self._certified(f"it was converted to {kind}"),
+            flags=tuple(dict.fromkeys([*self._given_flags, *([] if self.sampled else lost)])),
         )
 
     def perturbed(self, parameter: str, factor: float) -> Self:
         """The same model with its gain multiplied by `factor`; nothing else of a table has a name."""
         if parameter != "gain":
             raise InputError(
-                "a table of FRFs has no such parameter", where="perturbed", found=repr(parameter), expected="'gain'"
+                "a model of measured FRFs has no such parameter",
+                where="perturbed",
+                found=repr(parameter),
+                expected="'gain'",
             )
         return self._like(H=self.H * factor, variance=None if self.variance is None else self.variance * factor**2)
 
     def with_sensors(self, rows: Sequence[int] | NDArray[np.intp]) -> Self:
         """The same model with some of its sensors, in the order given, and not yet verified."""
         rows = np.asarray(rows, np.intp)
-        return self._like(
-            sensors=[self.sensors[i] for i in rows],
-            H=self.H[:, rows],
-            variance=None if self.variance is None else self.variance[:, rows],
-            coherence=None if self.coherence is None else self.coherence[:, rows],
-            certificate=None,
-        )
+        kept = [self.sensors[i] for i in rows]
+        return self._like(sensors=kept, certificate=None, **self._each(lambda x: x[:, rows]))
+
+    def _each(self, change: Callable[[Table], Table], names: Sequence[str] = ()) -> dict[str, Table | None]:
+        """Its tables, or some, each changed; None where one is not known."""
+        own = {name: getattr(self, name) for name in names or self.tables}
+        return {name: None if x is None else change(x) for name, x in own.items()}
 
     def _like(self, **changes: Any) -> Self:
-        return type(self)(**{**{name: getattr(self, name) for name in PARTS}, **changes})
+        """The same model with other arguments."""
+        same = {name: getattr(self, name) for name in (*self.tables, *self.others)}
+        return type(self)(**{**same, "flags": self._given_flags, **changes})
+
+    def _between(self, interpolate: bool) -> Self:
+        return self._like(interpolate=True) if interpolate else self
+
+    def _certified(self, change: str) -> Certificate | None:
+        """Its certificate, which speaks of the model before a change."""
+        known = self.certificate
+        return known and replace(known, source=f"{known.source} (before {change})")
+
+    @property
+    def _given_flags(self) -> tuple[Flag, ...]:
+        """Flags that no constructor finds again."""
+        return tuple(f for f in self.flags if not (self.sampled and f.code == "LID-W207"))
 
     # -- the contract -----------------------------------------------------------------------------------------------
     def frf(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
@@ -374,17 +385,17 @@ class FrfModel(Model):
         return digest("FrfModel", self.frequencies, self.H, self.variance, self.sensors, self.loads)
 
     # -- files ------------------------------------------------------------------------------------------------------
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model to HDF5, whole or not at all, with checksums."""
-        tree: dict[str, Any] = {
-            **{name: getattr(self, name) for name in ("frequencies", "H", "variance", "coherence", "interpolate")},
-            "flags": [f.to_dict() for f in self.flags],
-            **self._told(),
-        }
-        storage.write(path, tree, FILE)
+        flags = [f.to_dict() for f in self._given_flags]
+        storage.write(path, {**self._arguments(), "flags": flags, **self._as_stored()}, self.file)
+
+    def _arguments(self) -> dict[str, Any]:
+        """What a file keeps of its arguments, beside channels, certificate and flags."""
+        return {name: getattr(self, name) for name in ("frequencies", *self.tables, "interpolate")}
 
     @classmethod
-    def load(cls, path: str | os.PathLike) -> Self:
+    def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read a model that `save` wrote.
 
         Raises
@@ -392,15 +403,19 @@ class FrfModel(Model):
         InputError
             A damaged file, or one of another kind.
         """
-        tree = storage.read(path, FILE)
-        known = tree.pop("certificate")
+        tree = storage.read(path, cls.file)
         return cls(
             sensors=[Channel(**c) for c in tree.pop("sensors")],
             loads=[Channel(**c) for c in tree.pop("loads")],
             flags=[Flag.from_dict(f) for f in tree.pop("flags")],
-            certificate=None if known is None else Certificate(**tuples(known)),
-            **tree,
+            certificate=Certificate.stored(tree.pop("certificate")),
+            **cls._restored(tree),
         )
+
+    @classmethod
+    def _restored(cls, tree: dict[str, Any]) -> dict[str, Any]:
+        """Arguments of what `_arguments` gave."""
+        return tree
 
     def __repr__(self) -> str:
         f = self.frequencies
@@ -408,38 +423,16 @@ class FrfModel(Model):
         return f"FrfModel({len(self.sensors)} sensors, {len(self.loads)} loads, {len(f)} lines, {band})"
 
     # -- lines ------------------------------------------------------------------------------------------------------
-    def _read(self, table: NDArray, frequencies: ArrayLike) -> NDArray:
+    def _read(self, table: Table, frequencies: ArrayLike) -> Table:
         f = lines(frequencies)
         if self.interpolate and len(self.frequencies) > 1:
-            return _between(f, self.frequencies, table, ON_A_LINE * _spacing(self.frequencies).min())
-        return table[self._index(f)]
+            return interpolated(f, self.frequencies, table)
+        return table[index_of(f, self.frequencies)]
 
     def has_lines(self, frequencies: ArrayLike) -> NDArray[np.bool_]:
         """Which of some `frequencies` (Hz) are its own lines, shape (lines,); all of them where it interpolates."""
         f = lines(frequencies)
-        return np.ones(len(f), bool) if self.interpolate else self._nearest(f)[1]
-
-    def _nearest(self, f: NDArray) -> tuple[NDArray[np.int_], NDArray[np.bool_]]:
-        """The line next to each frequency, and whether that is the frequency."""
-        own = self.frequencies
-        nearest = np.clip(np.searchsorted(own, f), 1, len(own) - 1) if len(own) > 1 else np.zeros(len(f), int)
-        if len(own) > 1:
-            nearest = nearest - (f - own[nearest - 1] < own[nearest] - f)
-        return nearest, np.abs(f - own[nearest]) <= ON_A_LINE * _spacing(own)[nearest]
-
-    def _index(self, f: NDArray) -> NDArray[np.int_]:
-        own, (nearest, there) = self.frequencies, self._nearest(f)
-        off = ~there
-        if np.any(off):
-            k = int(np.argmax(off))
-            raise InputError(
-                "a frequency that is no line of the table",
-                where="FrfModel",
-                found=f"{f[k]:.9g} Hz" + (f" and {int(off.sum()) - 1} others" if off.sum() > 1 else ""),
-                expected=f"one of its {len(own)} lines; the nearest is {own[nearest[k]]:.9g} Hz",
-                hint="ask at model.frequencies, or build it with interpolate=True where the lines are dense enough",
-            )
-        return nearest
+        return np.ones(len(f), bool) if self.interpolate else nearest(f, self.frequencies)[1]
 
     def refuse(self, method: str, family: str | None = None) -> NoReturn:
         """Refuse a method that a table does not have, and say what does."""
@@ -453,104 +446,3 @@ class FrfModel(Model):
                 expected=error.expected,
                 hint=Advice(error.hint, "; " if error.hint and ADVICE.get(method) else "", ADVICE.get(method, "")),
             ) from None
-
-
-# -- checks -----------------------------------------------------------------------------------------------------------
-_BETWEEN = "spacing of the lines, Hz"
-
-
-def _between_lines(own: NDArray) -> Flag:
-    step = float(_spacing(own).max())
-    return Flag(
-        "W211",
-        Evidence(_BETWEEN, step),
-        f"between its lines, up to {step:.4g} Hz apart, the FRF is interpolated linearly",
-        "trust it where many lines lie on each peak and each antiresonance; measure the lines that you need otherwise",
-    )
-
-
-def _ascending(frequencies: ArrayLike) -> NDArray[np.float64]:
-    f = lines(frequencies)
-    if len(f) == 0 or np.any(np.diff(f) <= 0):
-        k = int(np.argmax(np.diff(f) <= 0)) if len(f) else 0
-        raise InputError(
-            "the lines do not ascend" if len(f) else "no lines",
-            where="frequencies",
-            found=f"{f[k]:.9g} Hz before {f[k + 1]:.9g} Hz" if len(f) else "an empty list",
-            expected="Hz, ascending, each line once",
-            hint="sort the lines together with the FRF" if len(f) else "",
-        )
-    return f
-
-
-def _table(name: str, values: ArrayLike, shape: tuple[int, ...], kind: type = float) -> Any:
-    """Read-only finite copy of this shape; powers are not negative."""
-    where = f"FrfModel, {name}"
-    try:
-        raw = np.asarray(plain(values))
-        if kind is float and np.iscomplexobj(raw):
-            raise TypeError("complex numbers")
-        found: NDArray[Any] = np.array(raw, kind)
-    except (TypeError, ValueError) as error:
-        raise InputError("no numbers", where=where, found=str(error)[:200], expected="an array of numbers") from None
-    if found.shape != shape or not found.size:
-        axes = "(lines, sensors, loads)" if len(shape) == 3 else "(lines, sensors)"
-        raise InputError(
-            "lines, channels and table do not fit",
-            where=where,
-            found=f"shape {found.shape}",
-            expected=f"{axes} = {shape}",
-            hint="lines come first, then sensors, then loads",
-        )
-    if not np.all(np.isfinite(found)):
-        raise InputError(
-            "NaN or infinity",
-            where=where,
-            found=f"{int(np.sum(~np.isfinite(found)))} of {found.size}",
-            expected="finite numbers",
-            hint="leave out the lines that are not known",
-        )
-    if kind is float and (np.any(found < 0) or (name == "coherence" and np.any(found > 1 + 1e-9))):
-        raise InputError(
-            "a coherence outside 0 to 1" if name == "coherence" else "a negative power",
-            where=where,
-            found=f"{found.min():.6g} to {found.max():.6g}",
-            expected="0 to 1" if name == "coherence" else ">= 0",
-        )
-    found.flags.writeable = False
-    return found
-
-
-def _check_labels(model: FrfModel) -> None:
-    for name, own in (("sensors", model.sensors), ("loads", model.loads)):
-        labels = [c.label for c in own]
-        if len(set(labels)) != len(labels):
-            raise InputError(
-                f"labels of {name} are not unique", where="FrfModel", found=labels, expected="one name each"
-            )
-
-
-def _spacing(own: NDArray) -> NDArray[np.float64]:
-    """Distance of each line to its nearer neighbour; a single line is measured by itself."""
-    if len(own) == 1:
-        return np.maximum(own, 1.0)
-    step = np.diff(own)
-    return np.minimum(np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]]))
-
-
-def _between(f: NDArray, own: NDArray, table: NDArray, slack: float) -> NDArray:
-    if np.any((f < own[0] - slack) | (f > own[-1] + slack)):
-        raise InputError(
-            "a frequency outside the lines of the table",
-            where="FrfModel",
-            found=f"{f.min():.6g} to {f.max():.6g} Hz",
-            expected=f"{own[0]:.6g} to {own[-1]:.6g} Hz",
-            hint="nothing is extrapolated",
-        )
-    right = np.clip(np.searchsorted(own, f), 1, len(own) - 1)
-    weight = np.clip((f - own[right - 1]) / (own[right] - own[right - 1]), 0.0, 1.0)[:, None, None]
-    return (1 - weight) * table[right - 1] + weight * table[right]
-
-
-def _cube(H: NDArray) -> NDArray:
-    return H.reshape(H.shape + (1,) * (3 - H.ndim))

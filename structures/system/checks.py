@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from ..channels import Dof, direction_label
-from ..errors import InputError, plain
+from ..errors import InputError, numbers, plain
 from .damping import Modal, Rayleigh
 
 if TYPE_CHECKING:
@@ -127,10 +127,7 @@ def places(coordinates: Any, nodes: int) -> NDArray[np.float64] | None:
     """Read-only coordinates (nodes, dim), checked; one-dimensional ones become a column."""
     if coordinates is None:
         return None
-    try:
-        x = np.array(plain(coordinates), float)
-    except (TypeError, ValueError):
-        x = np.empty(0)
+    x = np.array(numbers(coordinates))
     x = x[:, None] if x.ndim == 1 else x
     if x.ndim != 2 or len(x) != nodes or not 1 <= x.shape[1] <= 3:
         raise InputError(
@@ -286,7 +283,7 @@ def _energy_free(structure: Structure, V: Array, rounding: float = 0.0) -> Array
     force = structure.K @ V
     force[np.abs(force) < rounding * (abs(structure.K) @ np.abs(V))] = 0.0
     w, X = linalg.eigh(V.T @ force, V.T @ (D * V))
-    return X[:, w < ZERO]
+    return np.asarray(X[:, w < ZERO])
 
 
 def _scale(structure: Structure) -> Array:

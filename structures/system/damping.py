@@ -171,7 +171,7 @@ class Modal:
 
     def coefficient(self, omega: ArrayLike) -> NDArray[np.float64]:
         """Modal damping coefficient 2 zeta omega (1/s) of the modes with frequencies `omega`, same shape."""
-        return 2 * self.ratio(omega) * np.asarray(plain(omega), float)
+        return np.asarray(2 * self.ratio(omega) * np.asarray(plain(omega), float))
 
     def scaled(self, factor: float) -> Modal:
         """Damping multiplied by `factor`."""

@@ -96,7 +96,7 @@ class Factor:
                 raise mechanism(motion.vector[structure.free], structure)
         return cls(structure.K_free, structure=structure)
 
-    def solve(self, B: Any) -> NDArray:
+    def solve(self, B: Any) -> NDArray[Any]:
         """Solution of ``K X = B``, in blocks of columns.
 
         Parameters
@@ -127,7 +127,7 @@ class Factor:
             X[:, start : start + BLOCK] = self._block(columns[:, start : start + BLOCK])
         return X.reshape(B.shape)
 
-    def transfer(self, S: Any, B: Any) -> NDArray:
+    def transfer(self, S: Any, B: Any) -> NDArray[Any]:
         """``S K^-1 B`` with the fewer solves: over the columns of `B`, or by reciprocity over the rows of `S`.
 
         Where both are many and touch the same few DOFs, such as a surface, these are condensed first (`compliance`).
@@ -153,7 +153,7 @@ class Factor:
             H[:, start : start + BLOCK] = S @ self.solve(B[:, start : start + BLOCK])
         return H
 
-    def _condensed(self, S: Any, B: Any) -> NDArray | None:
+    def _condensed(self, S: Any, B: Any) -> NDArray[Any] | None:
         """``S K^-1 B`` through the compliance of the DOFs that they touch; None where single solves are quicker."""
         fewer = min(S.shape[0], B.shape[1])
         if fewer < max(DENSE_SHARE * self.n, MANY) or np.iscomplexobj(self.K):
@@ -168,7 +168,7 @@ class Factor:
         H = S[:, touched] @ A
         return np.asarray((B[touched].T @ H.T).T)
 
-    def condense(self, dofs: ArrayLike) -> NDArray:
+    def condense(self, dofs: ArrayLike) -> NDArray[Any]:
         """Schur complement of `K` on `dofs`: the stiffness that these DOFs see, all others unloaded.
 
         Parameters
@@ -200,7 +200,7 @@ class Factor:
         self.solves += sum(factor.solves for factor in inner)
         return out
 
-    def compliance(self, dofs: ArrayLike) -> NDArray:
+    def compliance(self, dofs: ArrayLike) -> NDArray[Any]:
         """Block of ``K^-1`` on `dofs`: their displacements under forces on them.
 
         Many DOFs are condensed first and the dense rest is inverted in place (LAPACK potrf and potri); few are solved
@@ -247,12 +247,12 @@ class Factor:
             )
         return s.astype(np.intp)
 
-    def raw(self, B: NDArray) -> NDArray:
+    def raw(self, B: NDArray[Any]) -> NDArray[Any]:
         """Solution of ``K X = B`` for a dense block, neither checked nor refined; for who checks the whole."""
         self.solves += B.shape[1]
         return self._apply(B)
 
-    def _block(self, B: Any) -> NDArray:
+    def _block(self, B: Any) -> NDArray[Any]:
         B = B.toarray() if sparse.issparse(B) else np.ascontiguousarray(B)
         if not np.all(np.isfinite(B)):
             raise InputError(
@@ -282,10 +282,10 @@ class Factor:
             )
         return X
 
-    def _apply(self, B: NDArray) -> NDArray:
+    def _apply(self, B: NDArray[Any]) -> NDArray[Any]:
         if np.iscomplexobj(B) and not np.iscomplexobj(self.K):
-            return self._lu.solve(B.real) + 1j * self._lu.solve(B.imag)
-        return self._lu.solve(B)
+            return np.asarray(self._lu.solve(B.real) + 1j * self._lu.solve(B.imag))
+        return np.asarray(self._lu.solve(B))
 
 
 def null_vector(K: Any, lu: Any = None) -> NDArray[np.float64] | None:
@@ -301,7 +301,7 @@ def null_vector(K: Any, lu: Any = None) -> NDArray[np.float64] | None:
     diagonal = size.diagonal()
     loose = np.flatnonzero(np.asarray(size.sum(axis=0)).ravel() == 0)
     if loose.size:
-        return np.eye(1, K.shape[0], loose[0])[0]
+        return np.asarray(np.eye(1, K.shape[0], loose[0])[0])
     if lu is None:
         lu = _shifted(K, np.where(diagonal > 0, diagonal, diagonal.max()))
         if lu is None:
@@ -316,7 +316,7 @@ def null_vector(K: Any, lu: Any = None) -> NDArray[np.float64] | None:
         x = x / np.linalg.norm(x * scale)
         rest = np.linalg.norm((K @ x) / scale) / np.linalg.norm((size @ np.abs(x)) / scale)
         if rest < SINGULAR:
-            return x
+            return np.asarray(x)
         x = x * scale
     return None
 
@@ -388,7 +388,7 @@ def _check(K: Any) -> None:
 
 
 # -- condensation, dense and in place -------------------------------------------------------------------------------
-def schur(K: Any, s: Index, interior: Any) -> NDArray:
+def schur(K: Any, s: Index, interior: Any) -> NDArray[Any]:
     """Schur complement ``K_ss - K_si K_ii^-1 K_is``, exactly symmetric.
 
     Parameters
@@ -407,14 +407,14 @@ def schur(K: Any, s: Index, interior: Any) -> NDArray:
     i = np.setdiff1d(np.arange(rows.shape[0]), s)
     out = rows[s][:, s].toarray(order="F")
     if i.size == 0:
-        return out
+        return np.asarray(out)
     Kis = rows[i][:, s].tocsc()
     Ksi, factor = Kis.T.tocsr(), interior(rows[i][:, i])
     _subtract(out, Ksi, Kis, factor)
     return mirrored(out)
 
 
-def _subtract(out: NDArray, Ksi: Any, Kis: Any, factor: Any) -> None:
+def _subtract(out: NDArray[Any], Ksi: Any, Kis: Any, factor: Any) -> None:
     """Take ``K_si K_ii^-1 K_is`` off `out`, in blocks; one random combination of all columns checks the solutions."""
     weights = np.random.default_rng(0).standard_normal(Kis.shape[1])
     combined = np.zeros(Kis.shape[0], dtype=out.dtype)
@@ -433,7 +433,7 @@ def _subtract(out: NDArray, Ksi: Any, Kis: Any, factor: Any) -> None:
             out[:, start:stop] -= Ksi @ (factor.solve(B) - factor.raw(B))
 
 
-def mirrored(A: NDArray) -> NDArray:
+def mirrored(A: NDArray[Any]) -> NDArray[Any]:
     """`A` with its lower triangle copied to the upper one, in place and in blocks."""
     n = len(A)
     for a in range(0, n, MIRROR):

@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from ..errors import InputError, integer, number, plain, positive, real, shown
+from ..errors import InputError, integer, number, numbers, positive, real, shown
 
 if TYPE_CHECKING:
     from .structure import Structure
 
 
 Array = NDArray[np.float64]
+F = TypeVar("F")
 Span = tuple[float, float]
 CARRIER = 1.25  # how far out a gauge on its glue and carrier may lie, over the outer fibre
 
@@ -112,6 +113,38 @@ def field_of(structure: Structure, where: str) -> Field:
     return structure.field
 
 
+def field_of_kind(structure: Structure, kind: type[F], load: str, *, what: str, expected: str, hint: str) -> F:
+    """Field of a structure, or a refusal where it is of another kind.
+
+    Raises
+    ------
+    InputError
+        If it is none of the `kind`.
+    """
+    field = field_of(structure, f"load {load}")
+    if not isinstance(field, kind):
+        raise InputError(what, where=f"load {load}", found=type(field).__name__, expected=expected, hint=hint)
+    return field
+
+
+def one_place(who: str, dof: Any, at: Any) -> None:
+    """Refuse both a DOF and a place, and neither.
+
+    Raises
+    ------
+    InputError
+        If not exactly one is given.
+    """
+    if (dof is None) == (at is None):
+        raise InputError(
+            "one place is needed",
+            where=who,
+            found=f"dof={dof}, at={at}",
+            expected="a DOF such as 12+Z, or at=",
+            hint="pass one of the two",
+        )
+
+
 def point(at: ArrayLike, names: Sequence[str]) -> tuple[float, ...]:
     """Coordinates of a point, checked: one finite number per name.
 
@@ -120,10 +153,7 @@ def point(at: ArrayLike, names: Sequence[str]) -> tuple[float, ...]:
     InputError
         If their number or a value is wrong.
     """
-    try:
-        values = np.atleast_1d(np.asarray(plain(at), float)).ravel()
-    except (TypeError, ValueError):
-        values = np.empty(0)
+    values = np.atleast_1d(numbers(at)).ravel()
     if values.size != len(names) or not np.all(np.isfinite(values)):
         raise InputError(
             "no point of this structure",
@@ -207,6 +237,13 @@ def gauss(points: int) -> tuple[Array, Array]:
     """Gauss points and weights on [0, 1]."""
     x, w = np.polynomial.legendre.leggauss(points)
     return np.asarray(x + 1, float) / 2, np.asarray(w, float) / 2
+
+
+def assembled(blocks: Array, dofs: NDArray[Any], size: int) -> sparse.csr_array:
+    """Sparse (size, size) matrix from one block (m, m) for all elements, or one for each, with DOFs (elements, m)."""
+    i, j = np.broadcast_arrays(dofs[:, :, None], dofs[:, None, :])
+    data = np.broadcast_to(blocks, i.shape)
+    return sparse.coo_array((data.ravel(), (i.ravel(), j.ravel())), shape=(size, size)).tocsr()
 
 
 @dataclass(frozen=True)
@@ -322,10 +359,7 @@ class Line:
     # -- matrices -------------------------------------------------------------------------------------------------
     def assemble(self, element: ArrayLike) -> sparse.csr_array:
         """Sparse (size, size) matrix from one element matrix for all, (4, 4), or one for each, (elements, 4, 4)."""
-        blocks = np.broadcast_to(np.asarray(element, float), (self.elements, 4, 4))
-        dofs = 2 * np.arange(self.elements)[:, None] + np.arange(4)
-        i, j = np.broadcast_arrays(dofs[:, :, None], dofs[:, None, :])
-        return sparse.coo_array((blocks.ravel(), (i.ravel(), j.ravel())), shape=(self.size, self.size)).tocsr()
+        return assembled(np.asarray(element, float), 2 * np.arange(self.elements)[:, None] + np.arange(4), self.size)
 
     def tension(self, T: float | Callable[[float], float]) -> sparse.csr_array:
         """Geometric stiffness of an axial force `T` (N), constant or a function of the coordinate."""

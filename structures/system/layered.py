@@ -163,7 +163,7 @@ class SymmetricFactor:
             if factor is None:
                 factor = self._factors[i] = Factor(T.T @ self.K @ T)
             X += T @ factor.solve(part)
-        return X
+        return np.asarray(X)
 
 
 STRIP = 256  # rows at once: no second copy of the whole

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ..channels import Channel, direction_code, direction_label
-from ..errors import InputError, plain, real, shown
+from ..errors import InputError, numbers, one_of
+from ..errors import span as span_of
 from ..flags import Evidence, Flag
 from .fields import Span, field_of
 from .sensors import Place, fixed_quantity, spot, words
@@ -22,6 +23,22 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.float64]
+
+
+def upright(what: str, who: str, direction: Any) -> int:
+    """Code of a direction along Z.
+
+    Raises
+    ------
+    InputError
+        If it is another.
+    """
+    code = direction_code(direction)
+    if abs(code) != 3:
+        raise InputError(
+            f"{what} acts along Z", where=who, found=direction, expected="+Z or -Z", hint="-Z turns its sign"
+        )
+    return code
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,23 +192,8 @@ class Patch(Load):
     def __post_init__(self) -> None:
         spans = [self.x] if self.y is None else [self.x, self.y]
         for name, span in zip("xy", spans, strict=False):
-            ends = [real(v) for v in span] if isinstance(span, Sequence | np.ndarray) else []
-            if len(ends) != 2 or ends[0] is None or ends[1] is None or ends[0] >= ends[1]:
-                raise InputError(
-                    "no span",
-                    where=f"Patch, {name}",
-                    found=shown(span),
-                    expected="(start, stop) in m, start < stop",
-                    hint=f"{name}=(0.2, 0.4), for example",
-                )
-        if direction_code(self.direction) not in (3, -3):
-            raise InputError(
-                "a patch acts along Z",
-                where="Patch",
-                found=self.direction,
-                expected="+Z or -Z",
-                hint="-Z turns its sign",
-            )
+            span_of(span, where=f"Patch, {name}", hint=f"{name}=(0.2, 0.4), for example")
+        upright("a patch", "Patch", self.direction)
         quantity, unit = ("line_load", "N/m") if self.y is None else ("pressure", "Pa")
         fixed_quantity(self, quantity)
         place = " ".join(f"{name}={a:.9g}..{b:.9g}" for name, (a, b) in zip("xy", spans, strict=False))
@@ -246,10 +248,7 @@ class MovingPoint(Load):
     unit: str = "N"
 
     def __post_init__(self) -> None:
-        try:
-            path = np.array(plain(self.path), float)
-        except (TypeError, ValueError):
-            path = np.empty(0)
+        path = np.array(numbers(self.path))
         path = path[:, None] if path.ndim == 1 else path
         if path.ndim != 2 or path.size == 0 or not np.all(np.isfinite(path)):
             raise InputError(
@@ -259,22 +258,9 @@ class MovingPoint(Load):
                 expected="finite places, (samples,) or (samples, 2), in m",
                 hint="one place per sample of the record",
             )
-        if self.outside not in ("raise", "zero"):
-            raise InputError(
-                "unknown setting",
-                where="MovingPoint, outside",
-                found=repr(self.outside),
-                expected="raise or zero",
-                hint="zero where the force enters or leaves the structure",
-            )
-        if abs(direction_code(self.direction)) != 3:
-            raise InputError(
-                "a moving force acts along Z",
-                where="MovingPoint",
-                found=self.direction,
-                expected="+Z or -Z",
-                hint="-Z turns its sign",
-            )
+        hint = "zero where the force enters or leaves the structure"
+        one_of("unknown setting", self.outside, ("raise", "zero"), where="MovingPoint, outside", hint=hint)
+        upright("a moving force", "MovingPoint", self.direction)
         fixed_quantity(self, "force")
         path.flags.writeable = False
         object.__setattr__(self, "path", path)
@@ -318,7 +304,7 @@ def matrix(structure: Structure, loads: Sequence[Load]) -> Array:
     InputError
         Code LID-E104, naming all loads that act on supported DOFs only.
     """
-    return sparse_matrix(structure, loads).toarray()
+    return np.asarray(sparse_matrix(structure, loads).toarray())
 
 
 def sparse_matrix(structure: Structure, loads: Sequence[Load]) -> sparse.csc_array:

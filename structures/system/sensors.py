@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..channels import ARBITRARY, TWIST, Channel, Dof, direction_code, direction_label
-from ..errors import InputError, number, pair, plain, positive, real, shown
-from .fields import field_of
+from ..errors import InputError, number, numbers, pair, plain, positive, real, shown
+from .fields import field_of, one_place
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -50,7 +50,8 @@ def settled(who: str, at: Any) -> Place:
             hint="name a DOF such as 12+Z, or give at= in metres",
         )
     if hasattr(at, "_fields"):  # a place that names its coordinates keeps them
-        return type(at)(*at)
+        named: tuple[float, ...] = type(at)(*at)
+        return named
     return float(values.ravel()[0]) if values.size == 1 else tuple(values.ravel().tolist())
 
 
@@ -71,14 +72,7 @@ def spot(who: str, dof: Any, at: Any, direction: str) -> tuple[Dof | None, Place
     InputError
         If not exactly one of DOF and place is given, or the twist of a plate is asked for.
     """
-    if (dof is None) == (at is None):
-        raise InputError(
-            "one place is needed",
-            where=who,
-            found=f"dof={dof}, at={at}",
-            expected="a DOF such as 12+Z, or at=",
-            hint="pass one of the two",
-        )
+    one_place(who, dof, at)
     known = None if dof is None else Dof.parse(dof)
     code = direction_code(direction) if known is None else known.direction
     if abs(code) == TWIST:
@@ -303,10 +297,7 @@ def _unit_vector(direction: Any) -> tuple[float, float, float]:
     if isinstance(direction, str) and abs(direction_code(direction)) in (1, 2, 3):
         code = direction_code(direction)
         direction = math.copysign(1.0, code) * np.eye(3)[abs(code) - 1]
-    try:
-        d = np.asarray(plain(direction), float)
-    except (TypeError, ValueError):
-        d = np.empty(0)
+    d = numbers(direction)
     size = float(np.linalg.norm(d))
     if d.shape != (3,) or not np.isfinite(size) or size == 0:
         raise InputError(

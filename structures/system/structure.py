@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ..channels import Dof
-from ..errors import InputError, plain, positive
+from ..errors import InputError, one_of, plain, positive
 from . import checks
 from .damping import Damping, Rayleigh, settled
-from .fields import field_of
+from .fields import field_of, one_place
 
 if TYPE_CHECKING:
     from .checks import RigidBodyMotion
@@ -72,7 +72,7 @@ class Structure:
     terms: Mapping[str, sparse.csr_array] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        fix = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731  (a frozen dataclass needs it)
+        fix = partial(object.__setattr__, self)  # a frozen dataclass needs it
         fix("K", checks.matrix("K", self.K))
         n = self.K.shape[0]
         for name in ("M", "C"):
@@ -130,7 +130,7 @@ class Structure:
     @property
     def n(self) -> int:
         """Number of DOFs, supported ones included."""
-        return self.K.shape[0]
+        return int(self.K.shape[0])
 
     def index(self, dof: Any) -> int:
         """Row of a DOF, whatever its polarity.
@@ -142,7 +142,7 @@ class Structure:
         """
         wanted = Dof.parse(dof)
         try:
-            return self._index[wanted.key]  # type: ignore[attr-defined]
+            return int(self._index[wanted.key])  # type: ignore[attr-defined]
         except KeyError:
             raise InputError(
                 "the structure has no such DOF",
@@ -245,7 +245,7 @@ class Structure:
                 expected="finite numbers",
                 hint="look where the static response became so: an unsupported structure has none",
             )
-        return (self.K @ u - f)[self.supported]
+        return np.asarray((self.K @ u - f)[self.supported])
 
     def rigid_body_motions(self) -> tuple[RigidBodyMotion, ...]:
         """Motions that the supports leave free and that cost no energy; empty for a structure that carries static load.
@@ -306,14 +306,7 @@ class Structure:
                 hint="build it with M=",
             )
         kg = positive("a mass", kg, where="with_mass", unit="kg")
-        if (dof is None) == (at is None):
-            raise InputError(
-                "one place is needed",
-                where="with_mass",
-                found=f"dof={dof!r}, at={at!r}",
-                expected="a DOF or at=",
-                hint="pass one of the two",
-            )
+        one_place("with_mass", dof, at)
         row = self.unit_row(dof) if at is None else field_of(self, "with_mass").motion(at, 3)
         column = sparse.csr_array(row[:, None])
         return replace(self, M=self.M + kg * (column @ column.T))
@@ -327,14 +320,8 @@ class Structure:
             If the parameter is unknown or the factor is not positive.
         """
         factor = positive("a factor", factor, where=f"scaled({parameter!r})")
-        if not isinstance(parameter, str) or parameter not in self.parameters:
-            raise InputError(
-                "no such parameter",
-                where="scaled",
-                found=repr(parameter),
-                expected=", ".join(self.parameters),
-                hint="structure.parameters lists what can be scaled",
-            )
+        hint = "structure.parameters lists what can be scaled"
+        one_of("no such parameter", parameter, self.parameters, where="scaled", hint=hint)
         changed: dict[str, Any] = {"parameters": {**self.parameters, parameter: self.parameters[parameter] * factor}}
         if parameter == "stiffness":
             changed |= {"K": factor * self.K, "terms": {name: factor * term for name, term in self.terms.items()}}

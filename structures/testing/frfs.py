@@ -61,15 +61,15 @@ class FrfEstimate:
 class _Blocks:
     """Cross spectra S_ff (lines, loads, loads), S_yf, and S_yy (lines, sensors) on the diagonal, of `averages`."""
 
-    S_ff: NDArray
-    S_yf: NDArray
-    S_yy: NDArray
+    S_ff: NDArray[Any]
+    S_yf: NDArray[Any]
+    S_yy: NDArray[Any]
     averages: float
 
     @property
     def freedom(self) -> float:
         """Averages that are left when each response has been fitted with one number per load."""
-        return self.averages - self.S_ff.shape[1]
+        return float(self.averages - self.S_ff.shape[1])
 
 
 def estimate(
@@ -148,7 +148,7 @@ def estimate(
 
 
 # -- the forces -------------------------------------------------------------------------------------------------------
-def _excited(S_ff: NDArray, names: Sequence[str]) -> NDArray[np.bool_]:
+def _excited(S_ff: NDArray[Any], names: Sequence[str]) -> NDArray[np.bool_]:
     """Lines (lines,) on which every force has energy."""
     power = np.einsum("kjj->kj", S_ff).real
     top = power.max(axis=0)
@@ -161,11 +161,11 @@ def _excited(S_ff: NDArray, names: Sequence[str]) -> NDArray[np.bool_]:
             expected="forces that excite the same band",
             hint="leave a silent force out",
         )
-    return excited
+    return np.asarray(excited)
 
 
 def _apart(
-    S_ff: NDArray, excited: NDArray, names: Sequence[str], averages: float
+    S_ff: NDArray[Any], excited: NDArray[Any], names: Sequence[str], averages: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64], list[Flag]]:
     """Lines on which the forces differ, the inflation of the variance there, and W212 where they nearly do not."""
     count = S_ff.shape[1]
@@ -205,7 +205,7 @@ def _apart(
     return kept, inflation, flags
 
 
-def _unit(S: NDArray) -> tuple[NDArray, NDArray]:
+def _unit(S: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Spectral matrix with unit diagonal, and the scale (lines, channels) that makes it so; silent channels stay 0."""
     power = np.einsum("kjj->kj", S).real
     d = np.divide(1.0, np.sqrt(power), out=np.zeros(power.shape), where=power > 0)
@@ -213,7 +213,7 @@ def _unit(S: NDArray) -> tuple[NDArray, NDArray]:
 
 
 # -- the estimators ---------------------------------------------------------------------------------------------------
-def _regression(b: _Blocks) -> tuple[NDArray, NDArray]:
+def _regression(b: _Blocks) -> tuple[NDArray[Any], NDArray[Any]]:
     """H1 (lines, sensors, loads) and the diagonal (lines, loads) of the inverse of S_ff."""
     C, d = _unit(b.S_ff)
     values, V = np.linalg.eigh(C)
@@ -222,13 +222,13 @@ def _regression(b: _Blocks) -> tuple[NDArray, NDArray]:
     return H1, np.einsum("kjm,km->kj", np.abs(scaled) ** 2, 1 / values)
 
 
-def _variance_h1(b: _Blocks, coherence: NDArray, inverse: NDArray) -> NDArray | None:
+def _variance_h1(b: _Blocks, coherence: NDArray[Any], inverse: NDArray[Any]) -> NDArray[Any] | None:
     if b.freedom <= 0:
         return None
-    return (b.S_yy * (1 - coherence))[:, :, None] * inverse[:, None, :] / b.freedom
+    return np.asarray((b.S_yy * (1 - coherence))[:, :, None] * inverse[:, None, :] / b.freedom)
 
 
-def _h2(b: _Blocks, S_yy: NDArray, coherence: NDArray) -> tuple[NDArray, NDArray | None]:
+def _h2(b: _Blocks, S_yy: NDArray[Any], coherence: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any] | None]:
     """H2 and its variance: per sensor for one force, else for as many sensors as forces."""
     sensors, count = b.S_yf.shape[1:]
     if count == 1:
@@ -270,7 +270,7 @@ def _h2(b: _Blocks, S_yy: NDArray, coherence: NDArray) -> tuple[NDArray, NDArray
     return H, np.maximum(out, 0.0)[:, :, None] * np.sum(np.abs(root @ H) ** 2, axis=1)[:, None, :] / b.freedom
 
 
-def _total(b: _Blocks, coherence: NDArray, noise: NDArray | None) -> tuple[NDArray, NDArray | None]:
+def _total(b: _Blocks, coherence: NDArray[Any], noise: NDArray[Any] | None) -> tuple[NDArray[Any], NDArray[Any] | None]:
     """Total least squares of each sensor on the forces, scaled by their powers or by the noise (loads + sensors,)."""
     lines, sensors, count = b.S_yf.shape
     H = np.zeros(b.S_yf.shape, complex)
@@ -315,11 +315,13 @@ def _noise(channels: Sequence[Channel]) -> NDArray[np.float64]:
     return np.array([c.noise for c in channels], float)
 
 
-def _residual(b: _Blocks, H: NDArray) -> NDArray[np.float64]:
+def _residual(b: _Blocks, H: NDArray[Any]) -> NDArray[np.float64]:
     """Density (lines, sensors) of Y - H F, with the freedom that the fit took allowed for."""
     cross = np.einsum("kij,kij->ki", H, b.S_yf.conj()).real
     quadratic = np.einsum("kij,kjm,kim->ki", H, b.S_ff, H.conj()).real
-    return np.maximum(b.S_yy - 2 * cross + quadratic, 0.0) * (b.averages / b.freedom if b.freedom > 0 else 1.0)
+    return np.asarray(
+        np.maximum(b.S_yy - 2 * cross + quadratic, 0.0) * (b.averages / b.freedom if b.freedom > 0 else 1.0)
+    )
 
 
 # -- records ----------------------------------------------------------------------------------------------------------

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..advice import Advice, Spelling
+from ..certificate import Certificate
 from ..channels import Channel
-from ..errors import InputError, as_array
-from ..model import Certificate
+from ..errors import InputError, as_array, own_step
 from .spectra import checked_decay, exponential, gate, padded_length, smooth_lines, taken_out
 
 SECOND_HIT = 0.2  # share of the main peak that a separate later pulse must reach
@@ -44,12 +44,31 @@ class Hit:
     digests: tuple[str, ...] = ()
 
 
-def digests(columns: NDArray) -> tuple[str, ...]:
+@dataclass(frozen=True, eq=False)
+class TrainingRecords:
+    """The records that an FRF was estimated from, and what it leaves of them.
+
+    Parameters
+    ----------
+    hits : tuple of Hit
+        Each record: used, or why not.
+    samples : int, optional
+        Their length.
+    noise_power : array, shape (lines, sensors), optional
+        Mean squared residual per sample of record: what one more test will miss by.
+    """
+
+    hits: tuple[Hit, ...] = ()
+    samples: int | None = None
+    noise_power: ArrayLike | None = None
+
+
+def digests(columns: NDArray[Any]) -> tuple[str, ...]:
     """sha256 of the samples of each column of an array (samples, columns)."""
     return tuple(hashlib.sha256(np.ascontiguousarray(c, float).tobytes()).hexdigest() for c in np.asarray(columns).T)
 
 
-def unusable(force: NDArray, responses: NDArray, labels: Sequence[str]) -> str:
+def unusable(force: NDArray[Any], responses: NDArray[Any], labels: Sequence[str]) -> str:
     """Why no FRF at all can be made of a record: numbers that are missing, or a channel that never moves; else ""."""
     if not (np.all(np.isfinite(force)) and np.all(np.isfinite(responses))):
         return "NaN or inf in the record"
@@ -59,7 +78,7 @@ def unusable(force: NDArray, responses: NDArray, labels: Sequence[str]) -> str:
     return f"dead: {', '.join(dead)} never moves" if dead else ""
 
 
-def judge(force: NDArray, responses: NDArray, labels: Sequence[str]) -> str:
+def judge(force: NDArray[Any], responses: NDArray[Any], labels: Sequence[str]) -> str:
     """Reason to reject a usable record, or "".
 
     Parameters
@@ -87,12 +106,12 @@ def judge(force: NDArray, responses: NDArray, labels: Sequence[str]) -> str:
     return ""
 
 
-def scatter(x: NDArray) -> float:
+def scatter(x: NDArray[Any]) -> float:
     """Standard deviation of the noise in `x` from its inner nine tenths: a second hit in there does not count."""
     return float(np.quantile(np.abs(x - np.median(x)), 0.9) / 1.645)
 
 
-def clipped(x: NDArray, top: float) -> int:
+def clipped(x: NDArray[Any], top: float) -> int:
     """Length of the longest stretch of samples at the extreme `top`, 0 where it is no rail.
 
     The parabola of a crest whose `n` samples in the middle are hidden falls by 8 times the hidden height over the next
@@ -106,7 +125,7 @@ def clipped(x: NDArray, top: float) -> int:
     return int(n) if fall / 8 > 2.5 * last_bit(x) else 0
 
 
-def last_bit(x: NDArray) -> float:
+def last_bit(x: NDArray[Any]) -> float:
     """Smallest step between the levels of a recorded signal, from above; 0 where two levels or one do not tell."""
     tiny = 1e-6 * float(np.ptp(x))
     steps = np.diff(np.unique(x))
@@ -118,12 +137,12 @@ def last_bit(x: NDArray) -> float:
     )
 
 
-def stretches(mask: NDArray) -> NDArray[np.int_]:
+def stretches(mask: NDArray[Any]) -> NDArray[np.int_]:
     """First sample and end of every stretch of a mask, shape (stretches, 2)."""
     return np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]))).reshape(-1, 2)
 
 
-def second_pulse(force: NDArray, k: int, noise: float = 0.0) -> int | None:
+def second_pulse(force: NDArray[Any], k: int, noise: float = 0.0) -> int | None:
     """Sample of a later or earlier pulse of the same sign that is separate from the one at k, or None.
 
     Separate: more than three widths away (at least 8 samples, so that the ringing of an anti-alias filter is not taken
@@ -190,12 +209,13 @@ def from_hits(
     peaks = np.argmax(np.abs(stack[..., 0]), axis=1)
     w = np.stack([exponential(longest, first.dt, decay, int(k)) for k in peaks])
     found = estimate(stack[..., 0] * w, stack[..., 1:] * w[..., None], first.dt, labels)
+    if decay:
+        found = _undamped(found, decay * first.dt, longest, float(np.mean(w**2)))
     return {
-        **(_undamped(found, decay * first.dt, longest, float(np.mean(w**2))) if decay else found),
         "loads": first.channels[:1],
         "sensors": first.channels[1:],
-        "hits": hits,
-        "samples": longest,
+        "records": TrainingRecords(tuple(hits), longest, found.pop("noise_power", None)),
+        **found,
     }
 
 
@@ -213,7 +233,7 @@ def _undamped(found: dict[str, Any], decay: float, samples: int, power: float) -
     return found
 
 
-def _repeated(responses: NDArray, hits: Sequence[Hit]) -> str:
+def _repeated(responses: NDArray[Any], hits: Sequence[Hit]) -> str:
     """Why a record is no hit of its own: it is one of those before it. Twice the same would look like perfect data."""
     same = [h.name for h in hits if h.digests == digests(responses)]
     return f"the same record as {same[0]}" if same else ""
@@ -241,7 +261,7 @@ def check_quantities(channels: Sequence[Channel]) -> None:
         )
 
 
-def estimate(force: NDArray, responses: NDArray, dt: float, labels: Sequence[str]) -> dict[str, Any]:
+def estimate(force: NDArray[Any], responses: NDArray[Any], dt: float, labels: Sequence[str]) -> dict[str, Any]:
     """H1 and what several hits tell of its errors.
 
     Parameters
@@ -296,7 +316,9 @@ def estimate(force: NDArray, responses: NDArray, dt: float, labels: Sequence[str
     }
 
 
-def leave_one_out(F: NDArray, Y: NDArray, responses: NDArray, labels: Sequence[str], padded: int) -> Certificate:
+def leave_one_out(
+    F: NDArray[Any], Y: NDArray[Any], responses: NDArray[Any], labels: Sequence[str], padded: int
+) -> Certificate:
     """Certificate of each hit predicted from the others, from spectra F (hits, lines) and Y (hits, lines, sensors)."""
     from scipy import fft
 
@@ -356,19 +378,7 @@ def _test(record: Any, dt: float | None, wanted: list[str | int], i: int) -> Imp
     if len(set(index)) < len(index):
         raise InputError("a channel is named twice", where=name, found=wanted, expected="a force and other channels")
     load, *sensors = (described[j] for j in index)
-    return Impact(values[:, index], _step(record, dt, name), (load, *sensors), name)
-
-
-def _step(record: Any, dt: float | None, name: str) -> float:
-    own = getattr(record, "dt", None)
-    if own is not None and dt is not None and abs(dt / own - 1) > 1e-9:
-        raise InputError("the record has its own step", where=name, found=f"dt = {dt}", expected=f"dt = {own}")
-    step = own if own is not None else dt
-    if step is None:
-        raise InputError("the step of a bare array is not known", where=name, found="no dt", expected="dt= in s")
-    if not (np.isfinite(step) and step > 0):
-        raise InputError("the step is not positive", where=name, found=f"dt = {step}", expected="seconds, > 0")
-    return float(step)
+    return Impact(values[:, index], own_step(getattr(record, "dt", None), dt, name), (load, *sensors), name)
 
 
 def _index(wanted: str | int, labels: Sequence[str], where: str) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,15 +70,15 @@ def convert(sensor: Channel, kind: str) -> Channel:
     return Channel(label=sensor.label, quantity=quantity, unit=unit, highpass=sensor.highpass, measure=sensor.measure)
 
 
-def factors(sensors: Sequence[Channel], frequencies: NDArray, kind: str) -> NDArray[np.complex128]:
+def factors(sensors: Sequence[Channel], frequencies: NDArray[Any], kind: str) -> NDArray[np.complex128]:
     """``(i omega)^k`` that takes each sensor to another kind, shape (lines, sensors); 0 at 0 Hz where k is not 0."""
     power = np.array([KINDS[kind] - ORDER[s.quantity] if s.quantity in ORDER else 0 for s in sensors])
     omega = 2j * np.pi * np.where(frequencies > 0, frequencies, 1.0)[:, None]
-    return np.where(frequencies[:, None] > 0, omega**power, (power == 0).astype(complex))
+    return np.asarray(np.where(frequencies[:, None] > 0, omega**power, (power == 0).astype(complex)))
 
 
 def conversion(
-    sensors: Sequence[Channel], frequencies: NDArray, kind: str
+    sensors: Sequence[Channel], frequencies: NDArray[Any], kind: str
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64], list[Flag]]:
     """What takes an FRF, and what takes its variance, to another kind; and a flag W211 where a line is lost by it.
 
@@ -123,7 +124,9 @@ CHANCE = 6.0  # standard deviations above what noise alone puts there
 WRONG_SIGN = 0.75  # share of a drive-point FRF that feeds energy back
 
 
-def whole(frequencies: NDArray, H: NDArray, sensors: Sequence[Channel], loads: Sequence[Channel]) -> tuple[Flag, ...]:
+def whole(
+    frequencies: NDArray[Any], H: NDArray[Any], sensors: Sequence[Channel], loads: Sequence[Channel]
+) -> tuple[Flag, ...]:
     """W207 on a full grid: share of the impulse response's energy at negative times (0 if causal, 1 if conjugated).
 
     Parameters
@@ -164,7 +167,9 @@ def whole(frequencies: NDArray, H: NDArray, sensors: Sequence[Channel], loads: S
     return (flag, *signs)
 
 
-def lines(frequencies: NDArray, H: NDArray, sensors: Sequence[Channel], loads: Sequence[Channel]) -> tuple[Flag, ...]:
+def lines(
+    frequencies: NDArray[Any], H: NDArray[Any], sensors: Sequence[Channel], loads: Sequence[Channel]
+) -> tuple[Flag, ...]:
     """W207 on any lines: what rings before zero in a band, and drive points that feed energy back; or a note N207.
 
     Parameters
@@ -198,7 +203,7 @@ def lines(frequencies: NDArray, H: NDArray, sensors: Sequence[Channel], loads: S
     return tuple(flags)
 
 
-def before_zero(frequencies: NDArray, H: NDArray) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def before_zero(frequencies: NDArray[Any], H: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Share of the energy before zero of each entry on its longest run of uniform lines, and whether that tells it.
 
     Returns
@@ -233,7 +238,7 @@ def before_zero(frequencies: NDArray, H: NDArray) -> tuple[NDArray[np.float64], 
 
 
 def feeds_back(
-    frequencies: NDArray, H: NDArray, sensors: Sequence[Channel], loads: Sequence[Channel]
+    frequencies: NDArray[Any], H: NDArray[Any], sensors: Sequence[Channel], loads: Sequence[Channel]
 ) -> NDArray[np.float64]:
     """Share of each drive-point FRF whose imaginary part, as a receptance, is positive; NaN for other entries.
 
@@ -261,7 +266,7 @@ def drive_point(sensor: Channel, load: Channel) -> int:
     return here.sign * there.sign if here.key == there.key else 0
 
 
-def uniform_run(frequencies: NDArray) -> tuple[int, int]:
+def uniform_run(frequencies: NDArray[Any]) -> tuple[int, int]:
     """First line and end of the longest run of evenly spaced lines."""
     step = np.diff(frequencies)
     if len(step) < 2:
@@ -273,7 +278,7 @@ def uniform_run(frequencies: NDArray) -> tuple[int, int]:
 
 
 def _signs(
-    back: NDArray, turned: NDArray, told: NDArray, sensors: Sequence[Channel], loads: Sequence[Channel]
+    back: NDArray[Any], turned: NDArray[Any], told: NDArray[Any], sensors: Sequence[Channel], loads: Sequence[Channel]
 ) -> tuple[Flag, ...]:
     """W207 for drive points of the wrong sign that are not known to be conjugated."""
     only = (back > WRONG_SIGN) & ~turned
@@ -291,7 +296,7 @@ def _signs(
     return (flag,)
 
 
-def _untold(frequencies: NDArray) -> Flag:
+def _untold(frequencies: NDArray[Any]) -> Flag:
     start, stop = uniform_run(frequencies)
     return Flag(
         "N207",
@@ -303,5 +308,5 @@ def _untold(frequencies: NDArray) -> Flag:
     )
 
 
-def _pairs(mask: NDArray, sensors: Sequence[Channel], loads: Sequence[Channel]) -> list[str]:
+def _pairs(mask: NDArray[Any], sensors: Sequence[Channel], loads: Sequence[Channel]) -> list[str]:
     return [f"{sensors[i].label} / {loads[j].label}" for i, j in np.argwhere(mask).tolist()]

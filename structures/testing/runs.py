@@ -8,18 +8,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..certificate import Certificate
 from ..channels import Channel
 from ..errors import InputError
 from ..flags import Evidence, Flag
-from ..model import Certificate
 from . import kinds
 from .frfs import FrfEstimate, channels_of, estimate
-from .impact import SILENT, Hit, digests
+from .impact import SILENT, Hit, TrainingRecords, digests
 from .welch import CrossSpectra, cross_spectra, gather
 
 
 def tabulated(
-    records: Any, forces: Any, responses: Any, kind: str | None, least_coherence: float, estimator: str, cut: dict
+    records: Any,
+    forces: Any,
+    responses: Any,
+    kind: str | None,
+    least_coherence: float,
+    estimator: str,
+    cut: dict[str, Any],
 ) -> dict[str, Any]:
     """Arguments of `FrfModel`; parameters and errors as for `FrfModel.from_records`."""
     spectra = cross_spectra(records, **cut)
@@ -55,7 +61,9 @@ def of_spectra(
     }
 
 
-def full(records: Any, forces: Any, responses: Any, kind: str | None, estimator: str, cut: dict) -> dict[str, Any]:
+def full(
+    records: Any, forces: Any, responses: Any, kind: str | None, estimator: str, cut: dict[str, Any]
+) -> dict[str, Any]:
     """Arguments of `MeasuredModel`; parameters and errors as for `MeasuredModel.from_random`."""
     tables, dt, channels = gather(records, cut.pop("dt"), cut.pop("channels"))
     spectra = cross_spectra(tables, dt, channels=channels, **cut)
@@ -99,25 +107,23 @@ def full(records: Any, forces: Any, responses: Any, kind: str | None, estimator:
         "H": H,
         "variance": None if found.variance is None else _filled(found.variance[inner], kept),
         "coherence": _filled(found.coherence[inner], kept),
-        "noise_power": None if found.variance is None else power,
+        "records": TrainingRecords(tuple(hits), spectra.segment, None if found.variance is None else power),
         "sensors": sensors,
         "loads": loads,
-        "hits": hits,
-        "samples": spectra.segment,
         "certificate": held_out(tables, dt, channels, spectra, loads, y, estimator, cut),
         "flags": (*found.flags, *flags),
     }
 
 
 def held_out(
-    tables: Sequence[NDArray],
+    tables: Sequence[NDArray[Any]],
     dt: float,
     channels: Sequence[Channel],
     spectra: CrossSpectra,
     loads: Sequence[Channel],
     responses: Sequence[int],
     estimator: str,
-    cut: dict,
+    cut: dict[str, Any],
 ) -> Certificate | None:
     """Certificate of each record predicted from the others, one record in two halves; None where it is too short.
 
@@ -171,10 +177,10 @@ def _clear(found: FrfEstimate, least: float) -> NDArray[np.bool_]:
             expected=f">= {least}",
             hint="is the force the one that moves the structure?",
         )
-    return clear
+    return np.asarray(clear)
 
 
-def _left_out(found: FrfEstimate, clear: NDArray, lines: int, least: float) -> list[Flag]:
+def _left_out(found: FrfEstimate, clear: NDArray[Any], lines: int, least: float) -> list[Flag]:
     gone = lines - int(np.sum(clear))
     if not gone:
         return []
@@ -189,7 +195,7 @@ def _left_out(found: FrfEstimate, clear: NDArray, lines: int, least: float) -> l
     ]
 
 
-def _filled(x: NDArray, kept: NDArray[np.bool_]) -> NDArray:
+def _filled(x: NDArray[Any], kept: NDArray[np.bool_]) -> NDArray[Any]:
     """Values of the kept lines on all of them, those of the nearest kept line elsewhere."""
     index = np.flatnonzero(kept)
     middle = (index[1:] + index[:-1]) / 2

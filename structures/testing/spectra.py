@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ def multiplicity(padded: int) -> NDArray[np.float64]:
     return count
 
 
-def smooth_lines(power: NDArray, half: int) -> NDArray[np.float64]:
+def smooth_lines(power: NDArray[Any], half: int) -> NDArray[np.float64]:
     """Hann-weighted mean over ``2 half + 1`` neighbouring lines, the ends mirrored; shape (lines, ...)."""
     lines = len(power)
     half = min(half, (lines - 1) // 2)
@@ -42,10 +43,10 @@ def smooth_lines(power: NDArray, half: int) -> NDArray[np.float64]:
     from scipy.ndimage import convolve1d
 
     kernel = np.hanning(2 * half + 3)[1:-1]
-    return convolve1d(np.asarray(power, float), kernel / kernel.sum(), axis=0, mode="mirror")
+    return np.asarray(convolve1d(np.asarray(power, float), kernel / kernel.sum(), axis=0, mode="mirror"))
 
 
-def resample_lines(H: NDArray, padded: int) -> NDArray[np.complex128]:
+def resample_lines(H: NDArray[Any], padded: int) -> NDArray[np.complex128]:
     """Lines of a one-sided response on another spacing: zero-pad or cut its impulse response, both sides of zero.
 
     Parameters
@@ -64,10 +65,10 @@ def resample_lines(H: NDArray, padded: int) -> NDArray[np.complex128]:
     half = min(old, padded) // 2
     new = np.zeros((padded, *h.shape[1:]))
     new[:half], new[-half:] = h[:half], h[-half:]
-    return fft.rfft(new, axis=0)
+    return np.asarray(fft.rfft(new, axis=0))
 
 
-def minimum_phase(magnitude: NDArray) -> NDArray[np.complex128]:
+def minimum_phase(magnitude: NDArray[Any]) -> NDArray[np.complex128]:
     """Response of the causal filter with this magnitude whose inverse is causal too, by folding the cepstrum.
 
     Oppenheim & Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, section 13.
@@ -83,14 +84,14 @@ def minimum_phase(magnitude: NDArray) -> NDArray[np.complex128]:
     cepstrum = fft.irfft(np.log(magnitude), padded, axis=0)
     cepstrum[1 : padded // 2] *= 2
     cepstrum[padded // 2 + 1 :] = 0
-    return np.exp(fft.rfft(cepstrum, axis=0))
+    return np.asarray(np.exp(fft.rfft(cepstrum, axis=0)))
 
 
 TAPER = 0.25  # share of each side of the gate that its cosine takes
 GROWTH = 1e3  # of the noise at the end of a record, above which an exponential window is too steep to be taken out
 
 
-def gate(force: NDArray, dt: float, length: float) -> NDArray[np.float64]:
+def gate(force: NDArray[Any], dt: float, length: float) -> NDArray[np.float64]:
     """Window (samples,) that keeps `length` seconds on each side of the largest force, with cosine flanks.
 
     Outside there is noise and no force: without it H1 loses the bias that it would have from there.
@@ -112,7 +113,7 @@ def exponential(samples: int, dt: float, decay: float, start: int = 0) -> NDArra
     On force and response alike it turns ``H(omega)`` into ``H(omega - i decay)``: a mode of damping ratio z seems to
     have ``z + decay / omega_r`` (Fladung & Rost, Mech. Syst. Signal Process. 11, 1997).
     """
-    return np.exp(-decay * dt * (np.arange(samples) - start))
+    return np.asarray(np.exp(-decay * dt * (np.arange(samples) - start)))
 
 
 def checked_decay(decay: float, duration: float, where: str) -> float:
@@ -135,7 +136,7 @@ def checked_decay(decay: float, duration: float, where: str) -> float:
     return a
 
 
-def taken_out(H: NDArray, decay: float, samples: int) -> NDArray[np.complex128]:
+def taken_out(H: NDArray[Any], decay: float, samples: int) -> NDArray[np.complex128]:
     """``H(omega)`` from ``H(omega - i decay)``, on lines of a transform that holds the record twice.
 
     Parameters
@@ -164,10 +165,10 @@ def taken_out(H: NDArray, decay: float, samples: int) -> NDArray[np.complex128]:
     moved[:after] = h[:after] * weights[:after].reshape(-1, *[1] * (h.ndim - 1))
     if before:
         moved[-before:] = h[-before:] * weights[after:].reshape(-1, *[1] * (h.ndim - 1))
-    return fft.rfft(moved, axis=0)
+    return np.asarray(fft.rfft(moved, axis=0))
 
 
-def transforms(table: NDArray, w: NDArray, hop: int, detrend: str | None) -> Iterator[NDArray[np.complex128]]:
+def transforms(table: NDArray[Any], w: NDArray[Any], hop: int, detrend: str | None) -> Iterator[NDArray[np.complex128]]:
     """Transforms (segments, lines, channels) of the windowed segments of one table, some segments at a time."""
     from scipy import fft
 
@@ -175,7 +176,7 @@ def transforms(table: NDArray, w: NDArray, hop: int, detrend: str | None) -> Ite
         yield fft.rfft(pieces * w[:, None], axis=1)
 
 
-def segments(table: NDArray, n: int, hop: int, detrend: str | None) -> Iterator[NDArray[np.float64]]:
+def segments(table: NDArray[Any], n: int, hop: int, detrend: str | None) -> Iterator[NDArray[np.float64]]:
     """Segments (some, n, channels) of one table, each freed of its mean or its straight line."""
     view = np.lib.stride_tricks.sliding_window_view(table, n, axis=0)[::hop].transpose(0, 2, 1)
     some = max(1, BLOCK // (n * table.shape[1]))
@@ -197,11 +198,11 @@ LIFTED = 4.0  # over the spectrum with a Hann window, both smoothed over eleven 
 
 
 def leakage(
-    tables: Sequence[NDArray],
+    tables: Sequence[NDArray[Any]],
     dt: float,
-    matrix: NDArray,
+    matrix: NDArray[Any],
     channels: Sequence[Channel],
-    w: NDArray,
+    w: NDArray[Any],
     hop: int,
     detrend: str | None,
     averages: float,
@@ -220,7 +221,7 @@ def leakage(
     return tuple(f for f in found if f)
 
 
-def burst(tables: Sequence[NDArray], channels: Sequence[Channel], n: int, hop: int) -> Flag | None:
+def burst(tables: Sequence[NDArray[Any]], channels: Sequence[Channel], n: int, hop: int) -> Flag | None:
     """W508 where the energy of a channel comes from few of its segments."""
     energy = np.concatenate([_energies(t, n, hop) for t in tables])
     if len(energy) < 4:
@@ -239,11 +240,11 @@ def burst(tables: Sequence[NDArray], channels: Sequence[Channel], n: int, hop: i
 
 
 def narrow(
-    tables: Sequence[NDArray],
+    tables: Sequence[NDArray[Any]],
     dt: float,
-    auto: NDArray,
+    auto: NDArray[Any],
     channels: Sequence[Channel],
-    w: NDArray,
+    w: NDArray[Any],
     hop: int,
     detrend: str | None,
     averages: float,
@@ -275,7 +276,12 @@ def narrow(
 
 
 def smeared(
-    tables: Sequence[NDArray], dt: float, auto: NDArray, channels: Sequence[Channel], hop: int, detrend: str | None
+    tables: Sequence[NDArray[Any]],
+    dt: float,
+    auto: NDArray[Any],
+    channels: Sequence[Channel],
+    hop: int,
+    detrend: str | None,
 ) -> Flag | None:
     """W508 where a box window lifts lines far above what a Hann window shows: strong lines leak.
 
@@ -296,35 +302,35 @@ def smeared(
     )
 
 
-def _decayed(tables: Sequence[NDArray], n: int, hop: int) -> NDArray[np.bool_]:
+def _decayed(tables: Sequence[NDArray[Any]], n: int, hop: int) -> NDArray[np.bool_]:
     """Channels (channels,) that are near rest at the end of every other segment or more."""
     ratios = []
     for table in tables:
         for pieces in segments(table, n, hop, None):
             peak = np.abs(pieces).max(axis=1)
             ratios.append(np.abs(pieces[:, -max(1, n // 50) :]).max(axis=1) / np.where(peak > 0, peak, 1.0))
-    return np.median(np.concatenate(ratios), axis=0) < DECAYED
+    return np.asarray(np.median(np.concatenate(ratios), axis=0) < DECAYED)
 
 
-def _energies(table: NDArray, n: int, hop: int) -> NDArray[np.float64]:
+def _energies(table: NDArray[Any], n: int, hop: int) -> NDArray[np.float64]:
     """Sum of squares about its mean of each segment, shape (segments, channels)."""
     start = np.arange(0, len(table) - n + 1, hop)
     centred = table - table.mean(axis=0)
     sums = [np.concatenate([np.zeros((1, table.shape[1])), np.cumsum(centred**p, axis=0)]) for p in (1, 2)]
     first, second = (s[start + n] - s[start] for s in sums)
-    return np.maximum(second - first**2 / n, 0.0)
+    return np.asarray(np.maximum(second - first**2 / n, 0.0))
 
 
 def _autospectra(
-    tables: Sequence[NDArray], dt: float, w: NDArray, hop: int, detrend: str | None
+    tables: Sequence[NDArray[Any]], dt: float, w: NDArray[Any], hop: int, detrend: str | None
 ) -> NDArray[np.float64]:
     n, total, count = len(w), np.zeros((len(w) // 2 + 1, tables[0].shape[1])), 0
     for table in tables:
         for X in transforms(table, w, max(1, min(hop, n // 2)), detrend):
             total += np.sum(np.abs(X) ** 2, axis=0)
             count += len(X)
-    return total * (multiplicity(n) * dt / np.sum(w**2) / count)[:, None]
+    return np.asarray(total * (multiplicity(n) * dt / np.sum(w**2) / count)[:, None])
 
 
-def _names(channels: Sequence[Channel], index: NDArray) -> str:
+def _names(channels: Sequence[Channel], index: NDArray[Any]) -> str:
     return ", ".join(channels[i].label for i in index[:8])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..channels import Channel, named
-from ..errors import InputError, as_array, frozen, plain
+from ..errors import InputError, as_array, frozen, own_step, plain
 from ..errors import lines as checked_lines
 from ..flags import Flag
 from .spectra import leakage, multiplicity, transforms
@@ -105,7 +105,9 @@ class CrossSpectra:
     def coherence(self) -> NDArray[np.float64]:
         """Ordinary coherence of every two channels, shape (lines, channels, channels); 0 where a channel is silent."""
         power = self.autospectra[:, :, None] * self.autospectra[:, None, :]
-        return np.minimum(np.divide(np.abs(self.matrix) ** 2, power, out=np.zeros(power.shape), where=power > 0), 1.0)
+        return np.asarray(
+            np.minimum(np.divide(np.abs(self.matrix) ** 2, power, out=np.zeros(power.shape), where=power > 0), 1.0)
+        )
 
     def restricted(self, channels: Sequence[str | int | Channel]) -> Self:
         """The spectra of some channels, by label or index, in the order given.
@@ -167,7 +169,7 @@ def cross_spectra(
     dt: float | None = None,
     *,
     channels: Sequence[Channel | str] | None = None,
-    window: str | tuple = "hann",
+    window: str | tuple[Any, ...] = "hann",
     segment: int | None = None,
     overlap: float = 0.5,
     detrend: str | None = "constant",
@@ -238,7 +240,7 @@ def cross_spectra(
 
 
 # -- windows and segments ---------------------------------------------------------------------------------------------
-def taper(window: str | tuple, samples: int) -> NDArray[np.float64]:
+def taper(window: str | tuple[Any, ...], samples: int) -> NDArray[np.float64]:
     """Periodic window (samples,) of that name; a box for "boxcar" or "none".
 
     Raises
@@ -259,12 +261,12 @@ def taper(window: str | tuple, samples: int) -> NDArray[np.float64]:
         ) from None
 
 
-def noise_bandwidth(w: NDArray, dt: float) -> float:
+def noise_bandwidth(w: NDArray[Any], dt: float) -> float:
     """Equivalent noise bandwidth of a window, Hz: 1 / (samples dt) for a box, 1.5 of that for a Hann window."""
     return float(np.sum(w**2) / np.sum(w) ** 2 / dt)
 
 
-def effective_averages(w: NDArray, hop: int, counts: Sequence[int]) -> float:
+def effective_averages(w: NDArray[Any], hop: int, counts: Sequence[int]) -> float:
     """Independent averages that records with `counts` segments are worth, each `hop` samples after the last (Welch)."""
     n = len(w)
     shifts = np.arange(hop, n, hop)
@@ -291,7 +293,7 @@ def gather(
     if not records:
         raise InputError("no records", where="cross_spectra", found="an empty list", expected="at least one")
     tables = [_table(r, i) for i, r in enumerate(records)]
-    steps = [_step(r, dt, i) for i, r in enumerate(records)]
+    steps = [own_step(getattr(r, "dt", None), dt, f"record {i + 1}") for i, r in enumerate(records)]
     if max(steps) / min(steps) - 1 > 1e-6:
         raise InputError(
             "the records have different steps",
@@ -324,25 +326,7 @@ def _table(record: Any, i: int) -> NDArray[np.float64]:
     return table
 
 
-def _step(record: Any, dt: float | None, i: int) -> float:
-    own = getattr(record, "dt", None)
-    if own is not None and dt is not None and abs(dt / own - 1) > 1e-9:
-        raise InputError(
-            "the record has its own step", where=f"record {i + 1}", found=f"dt = {dt}", expected=f"dt = {own}"
-        )
-    step = own if own is not None else dt
-    try:
-        good = step is not None and bool(np.isfinite(step) and step > 0)
-    except TypeError:
-        good = False
-    if not good:
-        raise InputError(
-            "no step", where=f"record {i + 1}", found=f"dt = {step!r}", expected="seconds, > 0", hint="pass dt="
-        )
-    return float(step)  # type: ignore[arg-type]
-
-
-def _segment(segment: int | None, tables: Sequence[NDArray]) -> int:
+def _segment(segment: int | None, tables: Sequence[NDArray[Any]]) -> int:
     shortest, total = min(map(len, tables)), sum(map(len, tables))
     if segment is None:
         segment = min(1 << max(int(np.log2(max(total / SEGMENTS, 1))), 0), shortest)
@@ -383,7 +367,7 @@ def _finite(matrix: Any) -> NDArray[np.complex128]:
     return S
 
 
-def _hermitian(S: NDArray, channels: Sequence[Channel]) -> NDArray[np.complex128]:
+def _hermitian(S: NDArray[Any], channels: Sequence[Channel]) -> NDArray[np.complex128]:
     """The matrix itself, exactly Hermitian and read-only, or a refusal that names the two channels."""
     auto = np.diagonal(S, axis1=1, axis2=2)
     if np.any(auto.real < 0):

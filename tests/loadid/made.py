@@ -8,8 +8,8 @@ from loadid.inverse.choice import Choice, PathCurve
 from loadid.inverse.noise_source import NoiseSource
 from loadid.inverse.sweep import RuleResult
 from loadid.results.estimate import Axis, LoadEstimate
+from structures.certificate import Certificate
 from structures.flags import Evidence, Flag
-from structures.model import Certificate
 
 
 @dataclass

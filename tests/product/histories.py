@@ -10,7 +10,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from loadid.inverse.constraints import NonNegative
-from structures import ForwardModel, ImpulseModel, MeasuredModel
+from structures import ForwardModel, ImpulseModel, MeasuredModel, TrainingRecords
 from structures.elements import beams
 from structures.system import damping, loads, sensors
 
@@ -58,7 +58,9 @@ def model(kind: str, count: int = 2) -> Any:
     if kind == "impulses":
         return ImpulseModel(h, DT, kind="held", sensors=own.sensors, loads=own.loads)
     f = np.linspace(0, 0.5 / DT, N + 1)
-    return MeasuredModel(f, np.fft.rfft(h, 2 * N, axis=0), sensors=own.sensors, loads=own.loads, samples=N)
+    return MeasuredModel(
+        f, np.fft.rfft(h, 2 * N, axis=0), sensors=own.sensors, loads=own.loads, records=TrainingRecords(samples=N)
+    )
 
 
 @cache

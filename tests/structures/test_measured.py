@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from structures import Channel, InputError, MeasuredModel
+from structures import Channel, FrfModel, InputError, MeasuredModel, TrainingRecords
 from structures.testing.impact import digests
 from tests.data import measured
 
@@ -305,7 +305,7 @@ class TestImported:
     @pytest.mark.parametrize(
         ("extra", "words"),
         [
-            ({"variance": np.ones(7)}, "variance does not fit"),
+            ({"variance": np.ones(7)}, "variance: lines, channels and table do not fit"),
             ({"variance": -np.ones(513)}, "negative"),
             ({"variance": np.full(513, np.inf)}, "NaN or inf"),
             ({"sensors": ["a", "b"]}, "do not fit"),
@@ -519,7 +519,8 @@ def test_fingerprint_changes_with_content():
     m = model(tables)
     label = replace(m.sensors[0], label="x")
     unit = replace(m.sensors[0], unit="m")
-    parts = {n: getattr(m, n) for n in ("frequencies", "H", "sensors", "loads", "variance", "noise_power", "hits")}
+    records = TrainingRecords(m.hits, m.samples, m.noise_power)
+    parts = {n: getattr(m, n) for n in ("frequencies", "H", "sensors", "loads", "variance")} | {"records": records}
     others = [
         {"frequencies": m.frequencies * 2},
         {"H": m.H * (1 + 1e-15)},
@@ -527,7 +528,7 @@ def test_fingerprint_changes_with_content():
         {"sensors": [unit]},
         {"variance": 2 * m.variance},
         {"variance": None},
-        {"noise_power": 2 * m.noise_power},
+        {"records": replace(records, noise_power=2 * m.noise_power)},
     ]
     seen = {MeasuredModel(**{**parts, **change}).fingerprint for change in ({}, *others)}
     assert len(seen) == 1 + len(others)
@@ -583,3 +584,27 @@ def test_noise_on_unexcited_lines_is_not_taken_for_a_wrong_sign():
     assert not MeasuredModel.from_frf(np.fft.rfftfreq(2000, 1e-3), np.fft.rfft(noisy), kind="accelerance").flags
     turned = MeasuredModel.from_frf(np.fft.rfftfreq(2000, 1e-3), np.fft.rfft(noisy).conj(), kind="accelerance")
     assert [f.code for f in turned.flags] == ["LID-W207"]
+
+
+def test_the_spelling_of_0_1_goes_on_working():
+    m = model(hits(3, noise=0.5))
+    old = {n: getattr(m, n) for n in ("variance", "coherence", "noise_power", "hits", "samples")}
+    with pytest.warns(DeprecationWarning, match=r"MeasuredModel\(noise_power=, hits=, samples=\) is now records="):
+        again = MeasuredModel(m.frequencies, m.H, sensors=m.sensors, loads=m.loads, **old)
+    assert (again.fingerprint, again.hits, again.samples) == (m.fingerprint, m.hits, m.samples)
+    with pytest.raises(TypeError, match="no argument 'hit'"):
+        MeasuredModel(m.frequencies, m.H, sensors=m.sensors, loads=m.loads, hit=())
+
+
+def test_it_is_a_table_of_frfs():
+    """What every table of FRFs has: some lines no more, as they would not run from 0 Hz to the Nyquist frequency."""
+    m = model(hits(3, noise=0.5))
+    assert isinstance(m, FrfModel)
+    assert np.all(m.has_lines([0.3, 60.1]))
+    assert m.judged() is m
+    whole = m.at(m.frequencies)
+    assert (whole.fingerprint, whole.certificate) == (m.fingerprint, None)
+    with pytest.raises(InputError, match="uniformly from 0"):
+        m.at(m.frequencies[1:])
+    with pytest.raises(TypeError, match="no argument 'interpolate'"):
+        MeasuredModel.from_frf(m.frequencies, m.H, kind="mobility", interpolate=True)

@@ -1,4 +1,4 @@
-"""General meshes: against the regular block, against scikit-fem, patch tests, points, boundary, refusals."""
+"""General meshes: against the regular block, patch tests, points, boundary, refusals."""
 
 import numpy as np
 import pytest
@@ -10,49 +10,26 @@ from structures.elements.members import Material
 from structures.elements.meshfield import interpolants, largest_strain, motions, strains
 from structures.flags import codes
 from structures.system.factor import Factor
+from tests.benchmarks.assembly import hexahedra, skewed, tetrahedra
 
 GEL = Material(E=2e5, rho=1e3, nu=0.45)
 SIDES = (6e-3, 4e-3, 3e-3)
 BLOCK = solids.block(lengths=SIDES, elements=(3, 2, 2), material=GEL, element="bbar")
-ORDER = [0, 1, 3, 2, 4, 5, 7, 6]  # corners i + 2 j + 4 k in cyclic order
 
 
 def hexes(block=BLOCK):
-    """The cells of a block in the order of Abaqus."""
-    i, j, k = (m.ravel() for m in np.meshgrid(*(np.arange(line.elements) for line in block.field.lines), indexing="ij"))
-    return block.field.corners(i, j, k)[:, ORDER]
+    return hexahedra(block)
 
 
 def tets(n=(2, 2, 2)):
-    """A box of ten-node tetrahedra: six for each of n boxes (Kuhn), nodes in the middle of all sides."""
-    n = np.array(n)
-    lattice = np.array(list(np.ndindex(*(2 * n + 1))))
-    number = {tuple(p): i for i, p in enumerate(lattice)}
-    cells = []
-    for corner in np.ndindex(*n):
-        start = 2 * np.array(corner)
-        for path in ((0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (2, 1, 0), (1, 0, 2)):
-            p = [start]
-            for axis in path:
-                p.append(p[-1] + 2 * np.eye(3, dtype=int)[axis])
-            if np.linalg.det(np.array([p[1] - p[0], p[2] - p[0], p[3] - p[0]])) < 0:
-                p[1], p[2] = p[2], p[1]
-            middles = [(p[a] + p[b]) // 2 for a, b in ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))]
-            cells.append([number[tuple(q)] for q in (*p, *middles)])
-    used, local = np.unique(cells, return_inverse=True)
-    return lattice[used] / (2 * n) * SIDES, local.reshape(-1, 10)
-
-
-def skewed(places, seed=0, share=0.12):
-    """Nodes moved at random inside, everything sheared: no cell stays a box."""
-    rng = np.random.default_rng(seed)
-    moved = places + share * 1e-3 * rng.uniform(-1, 1, places.shape)
-    return moved @ np.array([[1, 0.1, 0], [0, 1, 0.2], [0.1, 0, 1]])
+    return tetrahedra(n, SIDES)
 
 
 MESHES = {
-    "hexahedra": solids.mesh(skewed(BLOCK.coordinates), hexes(), material=GEL, fixed=None),
-    "plain hexahedra": solids.mesh(skewed(BLOCK.coordinates), hexes(), material=GEL, element="standard", fixed=None),
+    "hexahedra": solids.mesh(skewed(BLOCK.coordinates, 1e-3), hexes(), material=GEL, fixed=None),
+    "plain hexahedra": solids.mesh(
+        skewed(BLOCK.coordinates, 1e-3), hexes(), material=GEL, element="standard", fixed=None
+    ),
     "tetrahedra": solids.mesh(*tets(), material=GEL, kind="C3D10", fixed=None),
 }
 
@@ -68,54 +45,6 @@ def test_boxes_are_those_of_the_block(element):
     assert np.array_equal(ours.nodes, np.sort(theirs.nodes))
     assert abs(ours.mass - theirs.mass).max() < 1e-14 * theirs.area
     assert ours.normals == pytest.approx(theirs.normals)
-
-
-@pytest.mark.parametrize("name", ["plain hexahedra", "tetrahedra"])
-def test_matrices_are_those_of_scikit_fem(name):
-    import skfem
-    from skfem.models.elasticity import lame_parameters, linear_elasticity
-
-    mesh = MESHES[name]
-    field = mesh.field
-    if name == "tetrahedra":
-        grid = skfem.MeshTet(*_corner_mesh(field))
-        basis = skfem.Basis(grid, skfem.ElementVector(skfem.ElementTetP2()), intorder=2)
-    else:
-        # scikit-fem numbers the corners of a hexahedron in another order; the DOFs are matched by place
-        order = _hex_order()
-        grid = skfem.MeshHex(field.coordinates.T, field.cells.T[order])
-        basis = skfem.Basis(grid, skfem.ElementVector(skfem.ElementHex1()), intorder=3)
-    lam, mu = lame_parameters(GEL.E, GEL.nu)
-    K = linear_elasticity(lam, mu).assemble(basis)
-    places = basis.doflocs.T
-    rows = np.array(
-        [
-            3 * int(np.argmin(np.linalg.norm(field.coordinates - place, axis=1))) + int(axis)
-            for place, axis in zip(places, _axes(basis), strict=True)
-        ]
-    )
-    ours = mesh.K[rows][:, rows]
-    assert abs(ours - K).max() < 1e-10 * abs(K).max()
-
-
-def _corner_mesh(field):
-    corners, local = np.unique(field.cells[:, :4], return_inverse=True)
-    return field.coordinates[corners].T, local.reshape(-1, 4).T
-
-
-def _axes(basis):
-    axes = np.empty(basis.N, int)
-    for group in (basis.nodal_dofs, basis.edge_dofs):
-        for k, dofs in enumerate(group):
-            axes[dofs] = k % 3
-    return axes
-
-
-def _hex_order():
-    import skfem
-
-    ours = {tuple(s): i for i, s in enumerate((HEX8.points > 0).astype(int))}
-    return [ours[tuple(p)] for p in skfem.refdom.RefHex.p.T.astype(int)]
 
 
 @pytest.mark.parametrize("name", MESHES)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy import sparse
 from scipy.linalg import eigh
 
 from structures import ForwardModel, InputError, NotIdentifiable
@@ -26,43 +25,6 @@ def block(element="bbar", material=SOFT, **settings):
 def nodal(structure, field):
     """Displacements of all DOFs of a vector field of the places (nodes, 3)."""
     return np.asarray(field(structure.coordinates)).ravel()
-
-
-def skfem_matrices(element, nu, h=(0.01, 0.01, 0.005), cells=(2, 1, 2)):
-    """Stiffness and mass by scikit-fem (plain and B-bar), its coordinates, for E = rho = 1."""
-    from skfem import Basis, BilinearForm, ElementHex0, ElementHex1, ElementVector, MeshHex
-    from skfem.helpers import ddot, div, dot, eye, sym_grad, trace
-
-    mesh = MeshHex.init_tensor(*(np.arange(n + 1) * side for n, side in zip(cells, h, strict=True)))
-    basis = Basis(mesh, ElementVector(ElementHex1()), intorder=2)
-    mu, kappa = 1 / 2 / (1 + nu), 1 / 3 / (1 - 2 * nu)
-
-    @BilinearForm
-    def shear(u, v, _):
-        e = sym_grad(u)
-        return 2 * mu * ddot(e - eye(trace(e), 3) / 3, sym_grad(v))
-
-    K = shear.assemble(basis)
-    if element == "standard":
-        K = K + kappa * BilinearForm(lambda u, v, _: div(u) * div(v)).assemble(basis)
-    else:
-        means = basis.with_element(ElementHex0())
-        D = BilinearForm(lambda u, q, _: div(u) * q).assemble(basis, means)
-        V = BilinearForm(lambda p, q, _: p * q).assemble(means).diagonal()
-        K = K + D.T @ sparse.diags_array(kappa / V) @ D
-    return K, BilinearForm(lambda u, v, _: dot(u, v)).assemble(basis), mesh.p.T, basis.nodal_dofs.T
-
-
-@pytest.mark.parametrize("element", ["standard", "bbar"])
-def test_matrices_are_those_of_scikit_fem(element):
-    nu = 0.45
-    K, M, places, dofs = skfem_matrices(element, nu)
-    mine = block(element, Material(E=1.0, rho=1.0, nu=nu), lengths=(0.02, 0.01, 0.01), elements=(2, 1, 2))
-    node = [int(np.argmin(np.linalg.norm(places - x, axis=1))) for x in mine.coordinates]
-    order = dofs[node].ravel()
-    for ours, theirs in ((mine.K, K), (mine.M, M)):
-        theirs = theirs.tocsr()[order][:, order].toarray()
-        assert np.abs(ours.toarray() - theirs).max() < 1e-13 * np.abs(theirs).max()
 
 
 def test_incompatible_cell_minimises_the_energy_over_its_bubbles():

@@ -8,7 +8,7 @@ import pytest
 from structures.errors import InputError
 from structures.files.uff import System, parse_uff, ratio, read_uff, unit_of
 from structures.files.uff_datasets import unrounded
-from structures.files.uff_records import Axis
+from structures.files.uff_records import AxisRecord
 
 from .uff_made import END, binary58, block, frfs, head, text58, units
 
@@ -246,7 +246,7 @@ def test_skipped_sets_are_counted():
     ],
 )
 def test_units_that_are_known(kind, direction, text, system, expected):
-    said = unit_of(Axis(kind, 0, 0, 0, "", text), direction, system)
+    said = unit_of(AxisRecord(kind, 0, 0, 0, "", text), direction, system)
     assert said.unit is not None
     assert set(said.unit.symbol.split("*")) == set(expected.split("*"))
 
@@ -262,13 +262,13 @@ def test_units_that_are_known(kind, direction, text, system, expected):
     ],
 )
 def test_units_that_stay_open(kind, text, system, why):
-    said = unit_of(Axis(kind, 0, 0, 0, "", text), 3, system)
+    said = unit_of(AxisRecord(kind, 0, 0, 0, "", text), 3, system)
     assert said.unit is None
     assert why in said.why
 
 
 def test_a_system_without_symbols_keeps_its_factor():
-    said = unit_of(Axis(15, 0, 0, 0, "", ""), 3, System(1e-2, 1e-2))  # centinewtons per square centimetre
+    said = unit_of(AxisRecord(15, 0, 0, 0, "", ""), 3, System(1e-2, 1e-2))  # centinewtons per square centimetre
     assert said.unit is not None
     assert (said.unit.factor, said.unit.si) == (pytest.approx(100.0), "Pa")
 

@@ -93,9 +93,9 @@ class TestRecords:
     @pytest.mark.parametrize(
         ("values", "settings", "words"),
         [
-            (X, {"dt": None}, "no step"),
-            (X, {"dt": -1.0}, "no step"),
-            (X, {"dt": "x"}, "no step"),
+            (X, {"dt": None}, "step"),
+            (X, {"dt": -1.0}, "step"),
+            (X, {"dt": "x"}, "step"),
             ([], {}, "no records"),
             (np.where(np.abs(X) > 4, np.nan, X), {}, "NaN"),
             (X.astype(complex), {}, "not a real array"),
