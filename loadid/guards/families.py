@@ -41,7 +41,6 @@ def antiresonance(spectrum: Spectrum, labels: tuple[str, ...]) -> Flag | None:
         f"{count} of {lines} lines do not tell some load to {spectrum.level:.0%} ({where}): antiresonances, or no load "
         f"there. They hold up to {held:.0%} of the power of a load and are shaded; what stands in `load` "
         "there is mostly prior",
-        "add sensors that move at these lines, lower the noise, or average longer; estimate.trust(level) is the mask",
     )
 
 
@@ -112,7 +111,6 @@ def inseparable(spectrum: Spectrum, H: NDArray, strength: NDArray, labels: tuple
         Evidence("condition of H on an excited line", float(min(condition[k], 1e16)), float(strength[k])),
         f"forces not separable on {where}: the condition of H exceeds signal over noise, so that "
         f"{', '.join(labels[:4])} can be exchanged",
-        "report the resultant of the group, or add sensors that see the loads differently",
     )
 
 
@@ -264,7 +262,6 @@ def alike_allowed(groups: Sequence[Sequence[str]], difference: float) -> Flag:
         "E512",
         Evidence("relative difference of the impulse responses", f"at most {difference:.1g}", f"{difference:.1g}"),
         f"{_listed(groups)} give the same data",
-        "move or add a sensor off the symmetry axis; the load may act at any of them",
     )
 
 
@@ -315,7 +312,6 @@ def impulsive(kurtosis: float, prior: str) -> Flag | None:
         "W311",
         Evidence("kurtosis of the load", float(kurtosis), PEAKED),
         f"the load looks impulsive (kurtosis {kurtosis:.3g}); the prior used was {prior}: it smears and lowers peaks",
-        "compare SparseDeconvolution(dictionary='bspline'), or let the load only push; recommend() says which fits",
     )
 
 

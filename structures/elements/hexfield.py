@@ -332,7 +332,7 @@ def locking(field: HexField, fixed: Sequence[str], allow: Iterable[str] = ()) ->
     excess, how = _excess(field, fixed)
     message = f"plain Hex-8 is {excess:.0f} % too stiff at nu = {nu:g} ({how})"
     if nu <= REFUSE:
-        return (Flag("W108", Evidence("Poisson's ratio", nu, WARN), message, ADVICE),)
+        return (Flag("W108", Evidence("Poisson's ratio", nu, WARN), message),)
     if "LID-E109" not in allowed:
         raise InputError(
             message,
@@ -342,7 +342,7 @@ def locking(field: HexField, fixed: Sequence[str], allow: Iterable[str] = ()) ->
             hint=ADVICE + '; allow=("E109",) builds it all the same',
             code="LID-E109",
         )
-    return (Flag("E109", Evidence("Poisson's ratio", nu, REFUSE), message + ", allowed by the user", ADVICE),)
+    return (Flag("E109", Evidence("Poisson's ratio", nu, REFUSE), message + ", allowed by the user"),)
 
 
 def _excess(field: HexField, fixed: Sequence[str]) -> tuple[float, str]:
