@@ -20,7 +20,7 @@ from ._tracker import add_fit_options, require_fit_options, started
 
 if TYPE_CHECKING:
     from ..families.tracking.tracker import Tracker
-    from ..stream import Followed
+    from ..stream import StreamSummary
     from ..stream.output import StateLock
 
 
@@ -248,7 +248,7 @@ def _until_told() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def show(tracker: Tracker, done: Followed) -> str:
+def show(tracker: Tracker, done: StreamSummary) -> str:
     """What came of a stream, in words."""
     lines = [
         f"{done.samples} samples in {done.seconds:.3g} s: {done.ended}" + (", gone on from a state" * done.resumed),
@@ -360,7 +360,7 @@ def _tracked(args: Namespace, state: StateLock | None, units: dict[str, str]) ->
     return 0
 
 
-def _picture(path: str, tracker: Tracker, past: Any, done: Followed) -> None:
+def _picture(path: str, tracker: Tracker, past: Any, done: StreamSummary) -> None:
     from ..plots.choosing import tracked_figure
     from ..plots.style import save
 
@@ -370,7 +370,7 @@ def _picture(path: str, tracker: Tracker, past: Any, done: Followed) -> None:
     save(tracked_figure(past.labels, past.units, past.times, past.bins, note), path)
 
 
-def _told(args: Namespace, tracker: Tracker, done: Followed) -> None:
+def _told(args: Namespace, tracker: Tracker, done: StreamSummary) -> None:
     data = {"samples": done.samples, "seconds": done.seconds, "resumed": done.resumed, "ended": done.ended,
             "phase": done.phase, "counts": done.counts, "flags": [f.to_dict() for f in tracker.flags],
             "prior": tracker.fitted.words, "tuned": dict(tracker.fitted.numbers),

@@ -64,7 +64,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class CandidateSensors:
     """Sensors that could be used, and the loads they shall tell apart.
 
     Parameters
@@ -153,8 +153,8 @@ def settle(
     at: ArrayLike | None = None,
     loads_at: ArrayLike | None = None,
     where: str = "design",
-) -> Candidates:
-    """Candidates from a model or an array (sensors, loads).
+) -> CandidateSensors:
+    """CandidateSensors from a model or an array (sensors, loads).
 
     Raises
     ------
@@ -183,7 +183,7 @@ def settle(
     pick = np.arange(H.shape[1]) if loads is None else _loads(loads, names, where)
     sensors_at = sensors_at if at is None else _places(at, len(H), "at")
     columns_at = columns_at if loads_at is None else _places(loads_at, len(names), "loads_at")
-    return Candidates(
+    return CandidateSensors(
         H[:, pick],
         level,
         labels,
@@ -289,7 +289,7 @@ class Expected:
     words: str
 
 
-def expected(sets: Sequence[Candidates], amplitude: ArrayLike | None, snr: float | None, where: str) -> Expected:
+def expected(sets: Sequence[CandidateSensors], amplitude: ArrayLike | None, snr: float | None, where: str) -> Expected:
     """Amplitude of the loads: as stated, or such that the sensor that sees a load of each unit best reads it at `snr`.
 
     Raises

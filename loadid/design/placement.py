@@ -13,9 +13,9 @@ from structures.errors import InputError
 from structures.model import Model
 
 from . import layout as search
-from .candidates import Candidates, expected, settle
+from .candidates import CandidateSensors, expected, settle
 from .comparison import checked, of
-from .layout import Judged, State, table
+from .layout import Judged, RowSet, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -252,7 +252,7 @@ def _steps(progress: Callable[[float, str], None] | None, start: float, stop: fl
 
 def _swapped(A: NDArray, best: frozenset[int], keep: list[int], criterion: float) -> Sets:
     """Sets as good as the best one that differ from it in one sensor."""
-    state = State(A, sorted(best))
+    state = RowSet(A, sorted(best))
     inside, change = search.swaps(state, keep)
     if criterion == search.D:
         i, j = np.nonzero(np.abs(change) <= EQUAL)
@@ -266,12 +266,12 @@ def _swapped(A: NDArray, best: frozenset[int], keep: list[int], criterion: float
 
 
 def _in_turn(
-    A: NDArray, chosen: frozenset[int], pool: Candidates
+    A: NDArray, chosen: frozenset[int], pool: CandidateSensors
 ) -> tuple[NDArray[np.intp], tuple[tuple[str, float, float], ...]]:
     """The chosen sensors, the most useful first, and what each adds."""
     rows = np.array(sorted(chosen), dtype=np.intp)
     rank = search.canonical(A)[rows]
-    state, gains = State(A[rows], []), []
+    state, gains = RowSet(A[rows], []), []
     for _ in rows:
         allowed = np.ones(len(rows), bool)
         allowed[state.members] = False

@@ -37,7 +37,7 @@ from .source import (
     Format,
     NotStated,
     Options,
-    Outline,
+    RecordOutline,
     Source,
     Table,
     formats,
@@ -54,7 +54,7 @@ __all__ = [
     "Format",
     "NotStated",
     "Options",
-    "Outline",
+    "RecordOutline",
     "Source",
     "Table",
     "formats",
@@ -141,7 +141,7 @@ def outline(
     columns: Sequence[str | int] | None = None,
     axis: int | None = None,
     units: Mapping[str | int, Any] | None = None,
-) -> tuple[Outline, ...]:
+) -> tuple[RecordOutline, ...]:
     """What a file holds, under the names and indices that `read` takes, where units or the step are not stated.
 
     Raises

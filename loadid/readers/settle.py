@@ -19,7 +19,7 @@ from structures.errors import InputError
 
 from ..record import Record, copy_of, find
 from .numbers import fill, timebase
-from .source import COLUMNS, RATE, NotStated, Options, Outline, Source, Table
+from .source import COLUMNS, RATE, NotStated, Options, RecordOutline, Source, Table
 
 TIME_NAMES = {"time", "t", "zeit", "temps", "tiempo", "tempo", "x_value", "seconds", "timestamp", "time stamp", "t_s"}
 APART = 0.01  # relative difference of a stated and a recorded step that is a contradiction
@@ -93,7 +93,7 @@ def check_unit_keys(tables: list[Table], source: Source, options: Options) -> No
             find(key, max((names for names, _ in known), key=len), what="channel", where=str(source.path))
 
 
-def outlined(table: Table, source: Source, options: Options) -> Outline:
+def outlined(table: Table, source: Source, options: Options) -> RecordOutline:
     """A table under the names and indices that its record has, before units and step are stated.
 
     Raises
@@ -105,7 +105,7 @@ def outlined(table: Table, source: Source, options: Options) -> Outline:
     names = table.columns or ()
     stated, notes = _stated(names, source, options)
     units = tuple(stated.get(i, table.units[i] if table.units else None) for i in range(len(names)))
-    return Outline(
+    return RecordOutline(
         table.name,
         len(table.values),
         names,

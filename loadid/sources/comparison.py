@@ -50,7 +50,7 @@ class BandLevels:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class ResponseComparison:
     """Measured and synthesised responses of the same sensors.
 
     Parameters
@@ -277,7 +277,7 @@ def compare(
     dt: float | None = None,
     sensors: Sequence[str] | None = None,
     units: Sequence[str] | None = None,
-) -> Comparison:
+) -> ResponseComparison:
     """Compare measured with synthesised responses.
 
     Parameters
@@ -318,7 +318,7 @@ def compare(
     return checked(axis, m, s, kind, names, of)
 
 
-def compare_estimate(estimate: LoadEstimate) -> Comparison:
+def compare_estimate(estimate: LoadEstimate) -> ResponseComparison:
     """Response that an estimate was made from, against the one that its load gives: its training sensors.
 
     Raises
@@ -351,7 +351,7 @@ def checked(
     estimate: LoadEstimate | None = None,
     std: Real | None = None,
     points: NDArray[np.intp] | None = None,
-) -> Comparison:
+) -> ResponseComparison:
     """A comparison whose parts fit together.
 
     Raises
@@ -373,7 +373,7 @@ def checked(
             expected="measured responses that moved", hint="leave dead sensors out",
         )  # fmt: skip
     none = np.empty(0, np.intp)
-    return Comparison(
+    return ResponseComparison(
         axis, measured, synthesised, kind, tuple(sensors), tuple(units), std, none if points is None else points,
         estimate,
     )  # fmt: skip

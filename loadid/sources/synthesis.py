@@ -19,7 +19,7 @@ SPECTRA, DENSITIES, HISTORIES = "spectra", "densities", "histories"
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
+class SynthesisedResponse:
     """Response of some sensors to an estimated load.
 
     Parameters
@@ -83,7 +83,7 @@ def synthesise(
     sensors: Any = None,
     covariance: ArrayLike | None = None,
     points: int = 0,
-) -> Response:
+) -> SynthesisedResponse:
     """Response of the sensors of a model to an estimated load.
 
     Parameters
@@ -101,7 +101,7 @@ def synthesise(
 
     Returns
     -------
-    Response
+    SynthesisedResponse
         The std holds that of the loads and, over frequency, the variance of the FRFs of this model where it is known.
 
     Raises
@@ -123,16 +123,16 @@ def synthesise(
     return whole(estimate.axis, chosen, paths(model, estimate, rows, covariance))
 
 
-def whole(axis: Axis, sensors: tuple[Channel, ...], parts: Paths) -> Response:
+def whole(axis: Axis, sensors: tuple[Channel, ...], parts: Paths) -> SynthesisedResponse:
     """Response over frequency to all loads together."""
     every = np.arange(len(axis.values))
     if parts.load is not None:
         values = np.einsum("lij,lj->li", parts.H, parts.load)
-        return Response(axis, values, sensors, SPECTRA, np.sqrt(_amplitude_variance(parts)), every)
+        return SynthesisedResponse(axis, values, sensors, SPECTRA, np.sqrt(_amplitude_variance(parts)), every)
     assert parts.cross is not None
     seen = np.einsum("ljk,lik->lij", parts.cross, parts.H.conj())  # S h^H
     values = np.maximum(np.einsum("lij,lij->li", parts.H, seen).real, 0.0)
-    return Response(axis, values, sensors, DENSITIES, np.sqrt(_density_variance(parts, seen)), every)
+    return SynthesisedResponse(axis, values, sensors, DENSITIES, np.sqrt(_density_variance(parts, seen)), every)
 
 
 def kind_of(estimate: LoadEstimate) -> str:
@@ -304,12 +304,12 @@ def spread(samples: int, count: int) -> NDArray[np.intp]:
 # -- inside ------------------------------------------------------------------------------------------------------------
 def _history(
     model: Model, estimate: LoadEstimate, rows: list[int], chosen: tuple[Channel, ...], points: int
-) -> Response:
+) -> SynthesisedResponse:
     columns = order(model, estimate)
     axis = estimate.over("time")
     values = model.predict(estimate.load[:, columns], axis.step)[:, rows]
     _, std, at = band_of_history(model, estimate, rows, points, each=False)
-    return Response(axis, values, chosen, HISTORIES, std, at)
+    return SynthesisedResponse(axis, values, chosen, HISTORIES, std, at)
 
 
 def _amplitude_variance(p: Paths) -> Real:

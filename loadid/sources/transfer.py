@@ -24,8 +24,8 @@ from ..results.estimate import Axis, LoadEstimate
 from ..validate.checks import SensorCheck, Validation
 from ..validate.validation import RECORD, held_out
 from . import comparison
-from .comparison import Comparison
-from .synthesis import DENSITIES, HISTORIES, SPECTRA, Response, kind_of, reliable, synthesise
+from .comparison import ResponseComparison
+from .synthesis import DENSITIES, HISTORIES, SPECTRA, SynthesisedResponse, kind_of, reliable, synthesise
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,7 +42,7 @@ class Transfer:
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResponseComparison
         Measured and predicted responses; its std is that of their difference: loads, FRFs of the model, noise, and of
         measured densities what their number of averages leaves open.
     level : float
@@ -57,7 +57,7 @@ class Transfer:
         What it was validated on.
     """
 
-    comparison: Comparison
+    comparison: ResponseComparison
     level: float
     flags: tuple[Flag, ...]
     left_out: int
@@ -113,7 +113,7 @@ class Transfer:
         path: str | os.PathLike | None = None,
         show: bool = False,
     ) -> Figure:
-        """Picture of measured against predicted responses with the band, as `Comparison.plot`."""
+        """Picture of measured against predicted responses with the band, as `ResponseComparison.plot`."""
         from ..plots.sources import draw_comparison
 
         return draw_comparison(
@@ -214,7 +214,9 @@ def _over_time(
     return Transfer(made, level, found.flags, 0, known, source)
 
 
-def _over_frequency(measured: Any, model: Model, response: Response) -> tuple[NDArray, NDArray[np.intp], Any]:
+def _over_frequency(
+    measured: Any, model: Model, response: SynthesisedResponse
+) -> tuple[NDArray, NDArray[np.intp], Any]:
     """Measured values (lines, sensors), the lines of the estimate that they belong to, and the stated noise."""
     density, f = response.kind == DENSITIES, np.asarray(response.axis.values, float)
     if isinstance(measured, Record):
@@ -322,7 +324,7 @@ def _noise(given: Any, model: Model, kind: str, lines: int) -> Real | None:
     return array if array.ndim == 2 else np.broadcast_to(array, (count,))
 
 
-def _reliable(response: Response, trust: float) -> NDArray[np.bool_]:
+def _reliable(response: SynthesisedResponse, trust: float) -> NDArray[np.bool_]:
     """Lines whose prediction is trusted; every sensor counts by its own rms."""
     assert response.std is not None
     size = np.sqrt(np.mean(np.abs(response.values) ** 2, axis=0))

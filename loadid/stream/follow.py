@@ -26,9 +26,9 @@ from structures.errors import InputError
 from ..families.tracking import tracker as checkpoint
 from ..families.tracking.tracker import Tracker
 from .clock import Behind, Clock
-from .framing import Layout, Lines
+from .framing import ColumnLayout, Lines
 from .output import Output, StateLock
-from .sources import Source, open_source
+from .sources import ByteSource, open_source
 
 EVERY = 5000  # samples from one checkpoint to the next
 SECONDS = 5.0  # and the longest time, where something has come
@@ -38,7 +38,7 @@ Watch = Callable[[NDArray, NDArray, NDArray], None]
 
 
 @dataclass(frozen=True)
-class Followed:
+class StreamSummary:
     """What came of a stream.
 
     Parameters
@@ -74,7 +74,7 @@ def follow(
     stop: threading.Event | None = None,
     watch: Watch | None = None,
     units: Mapping[str, str] | None = None,
-) -> Followed:
+) -> StreamSummary:
     """Track a stream until it ends.
 
     Parameters
@@ -124,7 +124,7 @@ class _Run:
         before = stream or {}
         self.resumed = "clock" in before  # else it says only which output it belongs to
         layout = before.get("layout")
-        self.lines = Lines(f.sensors, None if layout is None else Layout.from_tree(layout), units)
+        self.lines = Lines(f.sensors, None if layout is None else ColumnLayout.from_tree(layout), units)
         self.clock = Clock(f.dt, tracker.replay)
         self.waiting = np.array(before.get("waiting", []), float)  # times of samples that are answered later
         same = before.get("source") == _identity(source)
@@ -136,7 +136,7 @@ class _Run:
             self.lines.skipping = bool(before["skipping"]) and same
             self.lines.heading = list(heading) if same and heading else None
             self.clock.restore(before["clock"])
-        self.source: Source = open_source(source, before.get("place") if same else None, self.lines.another)
+        self.source: ByteSource = open_source(source, before.get("place") if same else None, self.lines.another)
         self.source.counts.update(before.get("waits") or {})
         self.clock.again = self.resumed and not (same and self.source.seekable)
         if self.clock.again:
@@ -154,7 +154,7 @@ class _Run:
         if state is not None:
             _swept(Path(state))  # now that no other run is known to write it
 
-    def go(self, every: int, idle: float | None, stop: threading.Event, watch: Watch) -> Followed:
+    def go(self, every: int, idle: float | None, stop: threading.Event, watch: Watch) -> StreamSummary:
         begun = told = last = time.monotonic()
         samples = fresh = 0
         ended, broken = "stopped", None
@@ -183,7 +183,7 @@ class _Run:
         if broken is not None:
             raise broken
         counts = self.counts | ({"unfinished": 1} if self.lines.rest.strip() else {})
-        return Followed(samples, time.monotonic() - begun, self.resumed, ended, counts, self.tracker.phase)
+        return StreamSummary(samples, time.monotonic() - begun, self.resumed, ended, counts, self.tracker.phase)
 
     def close(self) -> None:
         self.source.close()

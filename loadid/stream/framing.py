@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Layout:
+class ColumnLayout:
     """What stands in the columns of a line.
 
     Parameters
@@ -62,7 +62,7 @@ class Layout:
                 "tick": self.tick}  # fmt: skip
 
     @classmethod
-    def from_tree(cls, tree: dict[str, Any]) -> Layout:
+    def from_tree(cls, tree: dict[str, Any]) -> ColumnLayout:
         """Inverse of `to_tree`."""
         columns, factors = tuple(tree["columns"]), tuple(tree["factors"])
         return cls(int(tree["width"]), tree["time"], columns, factors, float(tree.get("tick", 1.0)))
@@ -75,7 +75,7 @@ class Lines:
     ----------
     sensors : sequence of Channel
         Of the tracker, in its order.
-    layout : Layout, optional
+    layout : ColumnLayout, optional
         As found before; else the first line that is no comment tells it.
     units : mapping of str to str, optional
         Units of columns, by the names of their sensors; they override those of a header.
@@ -101,13 +101,13 @@ class Lines:
     """
 
     def __init__(
-        self, sensors: Sequence[Channel], layout: Layout | None = None, units: Mapping[str, str] | None = None
+        self, sensors: Sequence[Channel], layout: ColumnLayout | None = None, units: Mapping[str, str] | None = None
     ) -> None:
         self.sensors, self.layout, self.units = tuple(sensors), layout, dict(units or {})
         self._labels = {c.label for c in self.sensors}
         self.rest = b""
         self.skipping = False  # inside a line that is too long
-        self.before: Layout | None = None  # of the header or the file before
+        self.before: ColumnLayout | None = None  # of the header or the file before
         self.heading: list[str] | None = None
         self.headings: list[int] = []
         self.refused: InputError | None = None
@@ -226,7 +226,7 @@ class Lines:
         self.before, self.layout = self.layout or self.before, None
         self.heading = cells
 
-    def _settle(self, layout: Layout) -> None:
+    def _settle(self, layout: ColumnLayout) -> None:
         before = self.before
         if before is not None and (before.time is None) != (layout.time is None):
             lost = layout.time is None
@@ -238,8 +238,8 @@ class Lines:
             log.warning("the columns of the stream or their units are others now: it is read by the new header")
         self.layout, self.heading = layout, None
 
-    def _bare(self, width: int) -> Layout:
-        """Layout of a stream without names."""
+    def _bare(self, width: int) -> ColumnLayout:
+        """ColumnLayout of a stream without names."""
         if self.before is not None and self.before.width == width:
             self._require_stated(self.before)
             return self.before
@@ -251,9 +251,11 @@ class Lines:
                              "time stamp first")  # fmt: skip
         first = width - m
         factors = tuple(self._stated.get(c.label, 1.0) for c in self.sensors)
-        return Layout(width, 0 if first else None, tuple(range(first, width)), factors, self._stated.get(TICK, 1.0))
+        return ColumnLayout(
+            width, 0 if first else None, tuple(range(first, width)), factors, self._stated.get(TICK, 1.0)
+        )
 
-    def _require_stated(self, layout: Layout) -> None:
+    def _require_stated(self, layout: ColumnLayout) -> None:
         """Units that were stated now are those by which a stream is gone on with."""
         factors = dict(zip((c.label for c in self.sensors), layout.factors, strict=True)) | {TICK: layout.tick}
         wrong = [name or TIME[1] for name, factor in self._stated.items() if factor != factors[name]]
@@ -363,8 +365,8 @@ def header(
     sensors: Sequence[Channel],
     units: Mapping[str, str] | None = None,
     below: Sequence[str] | None = None,
-) -> Layout:
-    """Layout of a line of names, ``time,a1,d2`` or ``t [s];a1 [g];d2 [mm]``; columns of no sensor are left out.
+) -> ColumnLayout:
+    """ColumnLayout of a line of names, ``time,a1,d2`` or ``t [s];a1 [g];d2 [mm]``; columns of no sensor are left out.
 
     Parameters
     ----------
@@ -396,9 +398,9 @@ def header(
     factors = tuple(_factor(found[k], c) for k, c in zip(columns, sensors, strict=True))
     time = next((k for k, (name, _) in enumerate(titles) if name.lower() in TIME and k not in columns), None)
     if time is None:
-        return Layout(len(cells), None, columns, factors)
+        return ColumnLayout(len(cells), None, columns, factors)
     tick = next((unit for name, unit in stated.items() if name.lower() in TIME), found[time])
-    return Layout(len(cells), time, columns, factors, _tick(tick))
+    return ColumnLayout(len(cells), time, columns, factors, _tick(tick))
 
 
 def _columns(cells: Sequence[str], sensors: Sequence[Channel]) -> tuple[int, ...]:

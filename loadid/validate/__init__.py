@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .checks import Coverage, DistributionCheck, ResultantCheck, SensorCheck, Validation, coverage
-from .references import Known, PressureMat, Wrench
+from .references import Known, PressureMat, ReferenceWrench
 from .validation import HeldOut, held_out, validate
 
 __all__ = [
@@ -12,10 +12,10 @@ __all__ = [
     "HeldOut",
     "Known",
     "PressureMat",
+    "ReferenceWrench",
     "ResultantCheck",
     "SensorCheck",
     "Validation",
-    "Wrench",
     "coverage",
     "held_out",
     "validate",

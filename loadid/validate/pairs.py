@@ -15,7 +15,7 @@ from ..quality import require_finite
 from ..record import Record
 from ..results.estimate import LoadEstimate
 from .checks import DistributionCheck, ResultantCheck, compare, resultant_check
-from .references import Known, PressureMat, Wrench, at_places, factor, numbers, spread
+from .references import Known, PressureMat, ReferenceWrench, at_places, factor, numbers, spread
 
 BATCH = 4_000_000  # entries of the weights that are handed to a posterior at once
 
@@ -65,7 +65,7 @@ def areas_of(e: LoadEstimate, columns: NDArray, tractions: bool) -> NDArray[np.f
     return weights / weights.mean()
 
 
-def resultants_of(e: LoadEstimate, wrench: Wrench) -> tuple[NDArray[np.float64], list[str], list[str]]:
+def resultants_of(e: LoadEstimate, wrench: ReferenceWrench) -> tuple[NDArray[np.float64], list[str], list[str]]:
     """Weights, labels and units of the resultants."""
     labels = [wrench.labels] if isinstance(wrench.labels, str) else [str(x) for x in wrench.labels]
     if wrench.C is not None:
@@ -73,7 +73,7 @@ def resultants_of(e: LoadEstimate, wrench: Wrench) -> tuple[NDArray[np.float64],
         labels = labels or [f"R{i + 1}" for i in range(len(C))]
         if C.shape != (len(labels), e.load.shape[-1]):
             raise InputError(
-                "the weights of the resultants do not fit", where="Wrench", found=f"shape {C.shape}",
+                "the weights of the resultants do not fit", where="ReferenceWrench", found=f"shape {C.shape}",
                 expected=f"({len(labels)}, {e.load.shape[-1]})", hint="one row per resultant, one column per load",
             )  # fmt: skip
         return C, labels, [_resultant_unit(x, e) for x in labels]
@@ -81,7 +81,7 @@ def resultants_of(e: LoadEstimate, wrench: Wrench) -> tuple[NDArray[np.float64],
     labels = labels or have
     if not have or e.geometry is None or e.geometry.get("resultant") is None or set(labels) - set(have):
         raise InputError(
-            "the estimate knows no such resultant", where="Wrench", found=labels or "loads without a basis",
+            "the estimate knows no such resultant", where="ReferenceWrench", found=labels or "loads without a basis",
             expected=f"some of {have}" if have else "a model whose loads are a Basis",
             hint="give C (resultants, loads): the weights of the loads in each resultant",
         )  # fmt: skip
@@ -138,7 +138,7 @@ def against_known(e: LoadEstimate, known: Known, level: float) -> list[Distribut
         scale = factor(known.unit, unit or name, known.source)
         stds = None if std is None else (std[:, columns[pick]], None if error is None else error[:, pick] * scale)
         pair = found[:, columns[pick]], own[:, pick] * scale
-        places, weights = _Places(e, columns[pick].tolist()), areas_of(e, columns[pick], unit is not None)
+        places, weights = _Entries(e, columns[pick].tolist()), areas_of(e, columns[pick], unit is not None)
         checks.append(_distribution(pair, stds, weights, places, unit or name, level, known.source, "load"))
     return checks
 
@@ -167,12 +167,12 @@ def against_mat(e: LoadEstimate, mat: PressureMat, level: float) -> tuple[Distri
         check = resultant_check(labels, same, found, own * scale, _total(band, error), _axis(e), mat.source)
         return check, rank
     stds = None if band is None else (np.broadcast_to(band, found.shape), error)
-    places = _Places(e, None)
+    places = _Entries(e, None)
     pair = found, own * scale
     return _distribution(pair, stds, np.ones(len(P)), places, unit, level, mat.source, "average"), rank
 
 
-def against_wrench(e: LoadEstimate, wrench: Wrench) -> tuple[ResultantCheck, int]:
+def against_wrench(e: LoadEstimate, wrench: ReferenceWrench) -> tuple[ResultantCheck, int]:
     """Resultants, and how many independent numbers of the load they are."""
     C, labels, units = resultants_of(e, wrench)
     found = np.atleast_2d(e.load) @ C.T
@@ -181,7 +181,7 @@ def against_wrench(e: LoadEstimate, wrench: Wrench) -> tuple[ResultantCheck, int
     if wrench.units:
         if len(wrench.units) != len(C):
             raise InputError(
-                "units and resultants do not fit", where="Wrench", found=len(wrench.units), expected=len(C),
+                "units and resultants do not fit", where="ReferenceWrench", found=len(wrench.units), expected=len(C),
                 hint="one unit per resultant",
             )  # fmt: skip
         scale = np.array([factor(u, x, wrench.source) for u, x in zip(wrench.units, units, strict=True)])
@@ -279,7 +279,7 @@ def _fitted(own: NDArray, shape: tuple[int, int], source: str, static: bool, wid
 
 
 # -- the comparison ----------------------------------------------------------------------------------------------------
-class _Places:
+class _Entries:
     """Where an entry of the compared arrays is, in words and in metres or seconds."""
 
     def __init__(self, e: LoadEstimate, columns: Sequence[int] | None) -> None:
@@ -309,7 +309,7 @@ def _distribution(
     pair: tuple[NDArray, NDArray],
     stds: tuple[NDArray, NDArray | None] | None,
     weights: NDArray,
-    places: _Places,
+    places: _Entries,
     unit: str,
     level: float,
     source: str,

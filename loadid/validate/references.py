@@ -76,7 +76,7 @@ class PressureMat:
 
 
 @dataclass(frozen=True, eq=False)
-class Wrench:
+class ReferenceWrench:
     """Resultant force and moment, of a force/torque sensor for example.
 
     Parameters

@@ -23,7 +23,7 @@ from ..results.archive import STATIC
 from ..results.estimate import LoadEstimate
 from .checks import Check, SensorCheck, Validation
 from .pairs import against_known, against_mat, against_wrench
-from .references import Known, PressureMat, Wrench, numbers
+from .references import Known, PressureMat, ReferenceWrench, numbers
 
 RECORD = 8  # frames from which equal columns are the same record, and no coincidence
 
@@ -220,9 +220,9 @@ def validate(estimate: LoadEstimate, *references: Any, level: float = 0.95) -> V
     ----------
     estimate : LoadEstimate
     *references
-        One or more of: `Known`, `PressureMat` (distribution); `Wrench`, or a resultant constraint with ``C`` and
-        ``value`` (resultant); the answer of `held_out` (held-out sensors). An array, a function of the places, a pair
-        ``(coordinates, values)`` and a Record with channels named as the loads are taken as `Known`.
+        One or more of: `Known`, `PressureMat` (distribution); `ReferenceWrench`, or a resultant constraint with ``C``
+        and ``value`` (resultant); the answer of `held_out` (held-out sensors). An array, a function of the places, a
+        pair ``(coordinates, values)`` and a Record with channels named as the loads are taken as `Known`.
     level : float
         Probability of the band whose coverage is counted.
 
@@ -254,7 +254,7 @@ def validate(estimate: LoadEstimate, *references: Any, level: float = 0.95) -> V
         raise InputError(
             "nothing to validate against", where="validate", found="no reference",
             expected="a known load, a pressure mat, a wrench or held-out sensors",
-            hint="validate(estimate, Wrench(value, std=...)), for example",
+            hint="validate(estimate, ReferenceWrench(value, std=...)), for example",
         )  # fmt: skip
     if isinstance(level, bool) or not isinstance(level, int | float) or not 0 < level < 1:
         raise InputError(
@@ -267,7 +267,7 @@ def validate(estimate: LoadEstimate, *references: Any, level: float = 0.95) -> V
         if isinstance(reference, HeldOut):
             checks.append(SensorCheck(reference.labels, reference.error, reference.noise_ratio, "held-out sensors"))
             raised += reference.flags
-        elif isinstance(reference, Wrench):
+        elif isinstance(reference, ReferenceWrench):
             check, rank = against_wrench(estimate, reference)
             checks, known = [*checks, check], max(known, rank)
             raised.append(_imposed(estimate))
@@ -281,9 +281,9 @@ def validate(estimate: LoadEstimate, *references: Any, level: float = 0.95) -> V
     return Validation(tuple(checks), guards.collect(raised), datetime.now(UTC).isoformat(timespec="seconds"))
 
 
-def _settled(reference: Any) -> Known | PressureMat | Wrench | HeldOut:
+def _settled(reference: Any) -> Known | PressureMat | ReferenceWrench | HeldOut:
     """The reference as one of the four kinds."""
-    if isinstance(reference, Known | PressureMat | Wrench | HeldOut):
+    if isinstance(reference, Known | PressureMat | ReferenceWrench | HeldOut):
         return reference
     if isinstance(reference, Record):
         return Known(reference, source=reference.name or reference.source or "a record")  # type: ignore[arg-type]
@@ -294,12 +294,12 @@ def _settled(reference: Any) -> Known | PressureMat | Wrench | HeldOut:
     return Known(reference)
 
 
-def _wrench(constraint: Any) -> Wrench:
+def _wrench(constraint: Any) -> ReferenceWrench:
     import numpy as np
 
     covariance = getattr(constraint, "covariance", None)
     std = None if covariance is None else np.sqrt(np.diagonal(np.atleast_2d(np.asarray(covariance, float))))
-    return Wrench(constraint.value, std, tuple(getattr(constraint, "labels", ())), constraint.C)
+    return ReferenceWrench(constraint.value, std, tuple(getattr(constraint, "labels", ())), constraint.C)
 
 
 def _scalar(x: Any) -> bool:
