@@ -24,13 +24,9 @@ def known_codes(codes: Iterable[str], *, where: str = "allow") -> tuple[str, ...
     for code in codes:
         short = str(code).strip().upper().removeprefix("LID-")
         if short not in GUARDS:
-            raise InputError(
-                "there is no such guard code",
-                where=where,
-                found=repr(code),
-                expected=f"one of {', '.join(GUARDS)}",
-                hint="only refusals (E) can be overridden",
-            )
+            raise InputError("there is no such guard code", where=where, found=repr(code),
+                             expected=f"one of {', '.join(GUARDS)}",
+                             hint="only refusals (E) can be overridden")  # fmt: skip
         full.append(canonical(short))
     return tuple(full)
 

@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from ..codes import explained
+
 
 @dataclass(frozen=True)
 class Command:
@@ -36,11 +38,11 @@ class Command:
 def emit(args: Namespace, data: Any, text: str) -> None:
     """Print the answer: text for people, one strict JSON value with ``--json``."""
     if args.json or getattr(args, "json_full", False):
-        from ..codes import explained
         from ..results.archive import plain
 
         if isinstance(data, dict) and "flags" in data:
-            data = {**data, "flags": [explained(flag) for flag in data["flags"]]}
+            flags = [explained(flag) if isinstance(flag, dict) else flag for flag in data["flags"]]
+            data = {**data, "flags": flags}
         text = json.dumps(plain(data), allow_nan=False, ensure_ascii=False)
     print(text)
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.model import Model
+from structures.models.forward import ForwardModel
 
 from ..guards.measurement import lost_channels
 from .candidates import CandidateSensors, expected, settle
@@ -210,10 +211,8 @@ def _placed(given: Any, structure: Any, loads: Any) -> Any:
     """The model of one layout of sensors on a structure; anything else as it is."""
     if structure is None or isinstance(given, Model):
         return given
-    from structures.models.forward import ForwardModel
-
     return ForwardModel(structure, given, loads)
 
 
-def _sub(noise: NDArray | None, rows: NDArray[np.intp]) -> NDArray | None:
+def _sub(noise: NDArray[Any] | None, rows: NDArray[np.intp]) -> NDArray[Any] | None:
     return noise if noise is None else noise[rows] if noise.ndim == 1 else noise[np.ix_(rows, rows)]

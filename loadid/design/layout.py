@@ -298,7 +298,7 @@ def pick(gains: Array, allowed: NDArray[np.bool_], rank: NDArray[np.intp]) -> in
     return int(equal[np.argmin(rank[equal])])
 
 
-def greedy(A: Array, n: int, keep: Rows, criterion: float, rank: NDArray, step: Callable[[], None]) -> RowSet:
+def greedy(A: Array, n: int, keep: Rows, criterion: float, rank: NDArray[Any], step: Callable[[], None]) -> RowSet:
     """Add one row after the other, each the best now."""
     state = RowSet(A, keep)
     while len(state.members) < n:
@@ -309,7 +309,7 @@ def greedy(A: Array, n: int, keep: Rows, criterion: float, rank: NDArray, step: 
     return state
 
 
-def backward(A: Array, n: int, keep: Rows, criterion: float, rank: NDArray, step: Callable[[], None]) -> RowSet:
+def backward(A: Array, n: int, keep: Rows, criterion: float, rank: NDArray[Any], step: Callable[[], None]) -> RowSet:
     """Start from all rows and take out those of least leverage until n are left: a tenth at once while there are many,
     then one by one.
     """
@@ -329,7 +329,7 @@ def backward(A: Array, n: int, keep: Rows, criterion: float, rank: NDArray, step
     return RowSet(A, rows[state.members].tolist())
 
 
-def exchange(state: RowSet, keep: Rows, criterion: float, rank: NDArray, step: Callable[[], None]) -> RowSet:
+def exchange(state: RowSet, keep: Rows, criterion: float, rank: NDArray[Any], step: Callable[[], None]) -> RowSet:
     """Swap a chosen row for another while that helps: the best of all swaps (log det), or the first row that gains."""
     asked: dict[int, int] = {}
     for _ in range(SWAPS * max(len(state.members), 1)):
@@ -363,7 +363,7 @@ def swaps(state: RowSet, keep: Rows) -> tuple[NDArray[np.intp], Array]:
     return inside, change
 
 
-def _best_swap(state: RowSet, keep: Rows, rank: NDArray) -> tuple[int, int] | None:
+def _best_swap(state: RowSet, keep: Rows, rank: NDArray[Any]) -> tuple[int, int] | None:
     inside, change = swaps(state, keep)
     if not change.size or change.max() <= TIE:
         return None
@@ -393,7 +393,7 @@ def without(state: RowSet, rows: Rows, criterion: float) -> Iterator[tuple[int, 
 
 
 def _first_swap(
-    state: RowSet, keep: Rows, criterion: float, rank: NDArray, asked: dict[int, int]
+    state: RowSet, keep: Rows, criterion: float, rank: NDArray[Any], asked: dict[int, int]
 ) -> tuple[int, int] | None:
     """The first member that another row beats: those not `asked` for longest first, then the least useful ones."""
     fixed, score, leverage = set(keep), state.score(criterion), np.round(state.leverage, 9)

@@ -194,7 +194,7 @@ Sets = list[frozenset[int]]
 
 
 def _search(
-    A: NDArray, n: int, keep: list[int], goal: float, every: bool, progress: Callable[[float, str], None] | None
+    A: NDArray[Any], n: int, keep: list[int], goal: float, every: bool, progress: Callable[[float, str], None] | None
 ) -> tuple[frozenset[int], Sets]:
     """The best set, and others that are as good."""
     rank = search.canonical(A)
@@ -214,11 +214,11 @@ def _search(
 
 
 def _from_starts(
-    A: NDArray,
+    A: NDArray[Any],
     n: int,
     keep: list[int],
     goal: float,
-    rank: NDArray,
+    rank: NDArray[Any],
     progress: Callable[[float, str], None] | None,
 ) -> dict[frozenset[int], float]:
     """Sets that exchange ends at, with their scores. Ties are settled both ways, so that mirror images are found."""
@@ -250,7 +250,7 @@ def _steps(progress: Callable[[float, str], None] | None, start: float, stop: fl
     return step
 
 
-def _swapped(A: NDArray, best: frozenset[int], keep: list[int], criterion: float) -> Sets:
+def _swapped(A: NDArray[Any], best: frozenset[int], keep: list[int], criterion: float) -> Sets:
     """Sets as good as the best one that differ from it in one sensor."""
     state = RowSet(A, sorted(best))
     inside, change = search.swaps(state, keep)
@@ -266,7 +266,7 @@ def _swapped(A: NDArray, best: frozenset[int], keep: list[int], criterion: float
 
 
 def _in_turn(
-    A: NDArray, chosen: frozenset[int], pool: CandidateSensors
+    A: NDArray[Any], chosen: frozenset[int], pool: CandidateSensors
 ) -> tuple[NDArray[np.intp], tuple[tuple[str, float, float], ...]]:
     """The chosen sensors, the most useful first, and what each adds."""
     rows = np.array(sorted(chosen), dtype=np.intp)

@@ -44,7 +44,7 @@ def antiresonance(spectrum: Spectrum, labels: tuple[str, ...]) -> Flag | None:
     )
 
 
-def leaking(values: NDArray, residual: NDArray) -> Flag | None:
+def leaking(values: NDArray[Any], residual: NDArray[Any]) -> Flag | None:
     """W508: a transient that has not decayed at its end, or has begun before its first sample."""
     peak = np.abs(values).max(axis=0)
     few = max(len(values) // 100, 10)
@@ -63,7 +63,7 @@ def leaking(values: NDArray, residual: NDArray) -> Flag | None:
     )
 
 
-def _calm(residual: NDArray, few: int) -> NDArray[np.float64]:
+def _calm(residual: NDArray[Any], few: int) -> NDArray[np.float64]:
     """Noise of each channel where the residual is calm: what leaks stands in a part of it and is no noise."""
     few = min(few, len(residual))
     parts = residual[: len(residual) // few * few].reshape(-1, few, residual.shape[1])
@@ -86,7 +86,7 @@ def too_coarse(bandwidth: float, decay_rate: float | None) -> Flag | None:
     )
 
 
-def inseparable(spectrum: Spectrum, H: NDArray, strength: NDArray, labels: tuple[str, ...]) -> Flag | None:
+def inseparable(spectrum: Spectrum, H: NDArray[Any], strength: NDArray[Any], labels: tuple[str, ...]) -> Flag | None:
     """W516: strong harmonic loads at several points that the excited lines do not tell apart.
 
     Parameters
@@ -114,7 +114,7 @@ def inseparable(spectrum: Spectrum, H: NDArray, strength: NDArray, labels: tuple
     )
 
 
-def likeness(H: NDArray) -> NDArray[np.float64]:
+def likeness(H: NDArray[Any]) -> NDArray[np.float64]:
     """Condition of lines (lines, sensors, loads) whose columns have unit length: how alike the loads look."""
     if H.shape[1] < H.shape[2]:
         return np.full(len(H), np.inf)
@@ -124,7 +124,7 @@ def likeness(H: NDArray) -> NDArray[np.float64]:
         return s[:, 0] / s[:, -1]
 
 
-def harmonics(load: NDArray) -> NDArray[np.bool_]:
+def harmonics(load: NDArray[Any]) -> NDArray[np.bool_]:
     """Lines on which the loads (lines, loads) stand out of those around them; of a few lines all."""
     power = np.sum(np.abs(load) ** 2, axis=1)
     if len(power) < FEW:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -162,7 +163,7 @@ MOVING = 0.03  # share of the largest response that may be there at the end of a
 
 
 def memory(
-    decay_rate: float | None, duration: float, h: NDArray | None = None, frequencies: NDArray | None = None
+    decay_rate: float | None, duration: float, h: NDArray[Any] | None = None, frequencies: NDArray[Any] | None = None
 ) -> Flag | None:
     """W505: the record is shorter than the memory of the structure, as with light damping.
 
@@ -190,7 +191,7 @@ def memory(
     )
 
 
-def _periods(frequencies: NDArray | None, duration: float) -> str:
+def _periods(frequencies: NDArray[Any] | None, duration: float) -> str:
     """How many periods of the lowest mode a record holds, where they are few."""
     moving = np.asarray([] if frequencies is None else frequencies, float)
     moving = moving[moving > 0]
@@ -208,7 +209,7 @@ def _enough(decay_rate: float | None, duration: float) -> str:
     return f" ({-np.log(MEMORY) / decay_rate:.3g} s instead of {duration:.3g} s)"
 
 
-def drifting(share: NDArray, loads: Sequence[str], sensors: Sequence[str], penalty: str) -> Flag | None:
+def drifting(share: NDArray[Any], loads: Sequence[str], sensors: Sequence[str], penalty: str) -> Flag | None:
     """W517: no sensor sees a constant load, and the penalty leaves it free.
 
     Parameters
@@ -242,7 +243,7 @@ def in_motion(found: Start | None) -> Flag | None:
     )
 
 
-def unfinished(values: NDArray, residual: NDArray) -> Flag | None:
+def unfinished(values: NDArray[Any], residual: NDArray[Any]) -> Flag | None:
     """W505 for padded transforms: the record ends while the structure still moves, whatever moves it.
 
     Judged by the last fiftieth of each channel (samples, sensors) against its maximum and against its residual.
@@ -261,7 +262,7 @@ def unfinished(values: NDArray, residual: NDArray) -> Flag | None:
     )
 
 
-def aliased(frequencies: NDArray | None, dt: float) -> Flag | None:
+def aliased(frequencies: NDArray[Any] | None, dt: float) -> Flag | None:
     """W509: modes of the model above the Nyquist frequency of the record."""
     if frequencies is None:
         return None

@@ -70,7 +70,7 @@ def plot(
     *,
     truth: ArrayLike | None = None,
     ax: Axes | None = None,
-    path: str | os.PathLike | None = None,
+    path: str | os.PathLike[str] | None = None,
     show: bool = False,
 ) -> Figure:
     """Figure of an estimate; see `LoadEstimate.plot`."""

@@ -19,7 +19,6 @@ from .style import (
     GREEN,
     GREY,
     INK,
-    NARROW,
     ORANGE,
     PURPLE,
     SKY,
@@ -27,6 +26,7 @@ from .style import (
     mark,
     new_figure,
     save,
+    sized,
     text,
     tidy,
     unit,
@@ -45,8 +45,7 @@ _MARKS = "osD^v<>Ph"
 def path_figure(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
     """L-curve, residual and GCV over lambda, with what every rule said; below each other where it is narrow."""
     choice, sweep = _swept(estimate)
-    figure = figure or new_figure()
-    figure.set_size_inches(*((NARROW, 7.0) if narrow else (10, 4.0)))
+    figure = sized(figure, narrow, 7.0, (10, 4.0))
     left, right = figure.subplots(2, 1) if narrow else figure.subplots(1, 2)
     _draw_lcurve(left, choice, sweep)
     right.loglog(sweep.lam, sweep.residual_norm, color=BLUE, lw=1.3, label="residual norm")
@@ -75,7 +74,7 @@ def lcurve(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool
         If the estimate carries no sweep of lambda.
     """
     choice, sweep = _swept(estimate)
-    figure = _single(figure, narrow)
+    figure = sized(figure, narrow, 3.8, (6.4, 4.2))
     ax = figure.subplots()
     _draw_lcurve(ax, choice, sweep)
     if (last := _plateau(estimate)) is not None:
@@ -97,7 +96,7 @@ def gcv(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = 
     choice, sweep = _swept(estimate)
     if sweep.gcv is None:
         raise InputError("the estimate carries no GCV function", where="plot", hint="choose lambda on a path with edf")
-    figure = _single(figure, narrow)
+    figure = sized(figure, narrow, 3.8, (6.4, 4.2))
     ax = figure.subplots()
     ax.loglog(sweep.lam, sweep.gcv, color=PURPLE, lw=1.3, label="GCV function")
     ax.set(xlabel="relative lambda", ylabel="GCV function (whitened data, squared)")
@@ -134,7 +133,7 @@ def _draw_lcurve(ax: Axes, choice: Choice, sweep: Sweep) -> None:
 
 
 def _mark_rules(
-    ax: Axes, choice: Choice, x: NDArray, y: NDArray, lam: NDArray | None = None, *, legend: bool = True
+    ax: Axes, choice: Choice, x: NDArray[Any], y: NDArray[Any], lam: NDArray[Any] | None = None, *, legend: bool = True
 ) -> None:
     """Every rule on a curve: at its lambda, or where the curve over `lam` is at its lambda."""
     for k, (name, value) in enumerate(marked(choice)):
@@ -145,7 +144,7 @@ def _mark_rules(
         ax.legend(fontsize=8)
 
 
-def _on(value: float, lam: NDArray, y: NDArray) -> float:
+def _on(value: float, lam: NDArray[Any], y: NDArray[Any]) -> float:
     """Height of a curve over log lambda, interpolated in logs; lambda 0 is at its left end."""
     at = np.log(max(value, float(lam[0])))
     return float(np.exp(np.interp(at, np.log(lam), np.log(np.maximum(y, 1e-300)))))
@@ -171,12 +170,6 @@ def _swept(estimate: LoadEstimate) -> tuple[Choice, Sweep]:
     return choice, choice.sweep
 
 
-def _single(figure: Figure | None, narrow: bool) -> Figure:
-    figure = figure or new_figure()
-    figure.set_size_inches(*((NARROW, 3.8) if narrow else (6.4, 4.2)))
-    return figure
-
-
 def _tidy_logs(ax: Axes) -> None:
     tidy(ax)
     for axis in (ax.xaxis, ax.yaxis):
@@ -194,7 +187,7 @@ def draw(
     kind: str = "map",
     *,
     truth: ArrayLike | None = None,
-    path: str | os.PathLike | None = None,
+    path: str | os.PathLike[str] | None = None,
     show: bool = False,
 ) -> Figure:
     """Figure of a search; see `LocationResult.plot`.
@@ -257,7 +250,7 @@ def draw_residual(ax: Axes, result: LocationResult, *, load: int = 0) -> None:
     tidy(ax)
 
 
-def _line(ax: Axes, result: LocationResult, load: int, axis: int, truth: NDArray | None) -> None:
+def _line(ax: Axes, result: LocationResult, load: int, axis: int, truth: NDArray[Any] | None) -> None:
     assert result.places is not None
     x = result.places[:, axis]
     order = np.argsort(x)
@@ -281,7 +274,7 @@ def _line(ax: Axes, result: LocationResult, load: int, axis: int, truth: NDArray
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=5, fontsize=8, frameon=False)
 
 
-def _surface(ax: Axes, result: LocationResult, load: int, axes: list[int], truth: NDArray | None) -> None:
+def _surface(ax: Axes, result: LocationResult, load: int, axes: list[int], truth: NDArray[Any] | None) -> None:
     from matplotlib.colors import LogNorm
     from matplotlib.patches import Ellipse
 
@@ -322,7 +315,7 @@ def _surface(ax: Axes, result: LocationResult, load: int, axes: list[int], truth
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=4, fontsize=8, frameon=False)
 
 
-def _used(places: NDArray) -> list[int]:
+def _used(places: NDArray[Any]) -> list[int]:
     """Coordinates in which the candidates differ."""
     extent = np.ptp(places, axis=0)
     return [int(i) for i in np.flatnonzero(extent > 1e-6 * extent.max())]
@@ -374,7 +367,7 @@ class Swept(Protocol):
 
 
 def tracked_figure(
-    labels: Sequence[str], units: Sequence[str], times: NDArray, bins: NDArray, note: str = ""
+    labels: Sequence[str], units: Sequence[str], times: NDArray[Any], bins: NDArray[Any], note: str = ""
 ) -> Figure:
     """Loads with their bands over a whole stream.
 

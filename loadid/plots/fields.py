@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
     from ..results.estimate import LoadEstimate
 
+Array = NDArray[np.float64]
+
 
 QUANTITIES = ("auto", "force", "traction", "pressure")
 FEW = 60  # points of a line up to which each of them is marked
@@ -47,10 +49,10 @@ FEW = 60  # points of a line up to which each of them is marked
 class _Field:
     """What is drawn: values, std and truth (points, components), places (points, 1 or 2), names."""
 
-    values: NDArray[np.float64]
-    std: NDArray[np.float64] | None
-    truth: NDArray[np.float64] | None
-    x: NDArray[np.float64]
+    values: Array
+    std: Array | None
+    truth: Array | None
+    x: Array
     along: tuple[str, ...]
     components: list[str]
     word: str
@@ -121,13 +123,10 @@ def field(
 def _taken(e: LoadEstimate, quantity: str, truth: ArrayLike | None, frame: int | None) -> _Field:
     g = e.geometry
     if g is None or not has_field(e):
-        raise InputError(
-            "these loads have no places on a line or a surface",
-            where="field",
-            found="loads without a basis" if g is None else f"a basis of {g.get('kind')}",
-            expected="a basis of nodes, patches or hats",
-            hint="build the loads with structures.bases",
-        )
+        raise InputError("these loads have no places on a line or a surface", where="field",
+                         found="loads without a basis" if g is None else f"a basis of {g.get('kind')}",
+                         expected="a basis of nodes, patches or hats",
+                         hint="build the loads with structures.bases")  # fmt: skip
     row: tuple[int, ...] = ()
     note = ""
     if e.load.ndim == 2:
@@ -162,7 +161,7 @@ def _taken(e: LoadEstimate, quantity: str, truth: ArrayLike | None, frame: int |
     count = len(e.labels) // len(x)
     cells = g.get("cells")
 
-    def shape(a: NDArray | None) -> NDArray | None:
+    def shape(a: Array | None) -> Array | None:
         return None if a is None else np.asarray(a, float).reshape(len(x), count)
 
     return _Field(
@@ -172,7 +171,7 @@ def _taken(e: LoadEstimate, quantity: str, truth: ArrayLike | None, frame: int |
     )  # fmt: skip
 
 
-def _known(truth: ArrayLike, e: LoadEstimate, row: tuple[int, ...]) -> NDArray[np.float64]:
+def _known(truth: ArrayLike, e: LoadEstimate, row: tuple[int, ...]) -> Array:
     known = known_numbers(truth)
     known = known[row] if known.shape == e.load.shape else known
     if known.shape != e.load.shape[-1:]:
@@ -180,7 +179,7 @@ def _known(truth: ArrayLike, e: LoadEstimate, row: tuple[int, ...]) -> NDArray[n
     return known
 
 
-def _std(e: LoadEstimate, T: NDArray) -> NDArray[np.float64] | None:
+def _std(e: LoadEstimate, T: Array) -> Array | None:
     """Standard deviation of converted loads: their correlations count, so it takes the posterior."""
     if e.posterior is None:
         return None
@@ -254,7 +253,7 @@ def _draw_maps(figure: Figure, f: _Field, narrow: bool) -> None:
             ax.grid(False)
 
 
-def _map(ax: Axes, f: _Field, values: NDArray, style: dict[str, Any]) -> Any:
+def _map(ax: Axes, f: _Field, values: Array, style: dict[str, Any]) -> Any:
     """Colours over cells, over a grid, or points where neither is known."""
     if f.cells is not None and f.cells.ndim == 2 and f.cells.shape[1] in (3, 4) and f.cells.max() < len(f.x):
         corners = f.cells[:, :3]
@@ -293,18 +292,15 @@ def spacetime(
     g = estimate.geometry
     found = None if g is None or g.get("kind") == "polynomials" else places(g)
     if found is None or found[0].shape[1] != 1 or estimate.load.ndim != 2 or estimate.axis is None:
-        raise InputError(
-            "a map over place and time needs histories at places along a line",
-            where="spacetime",
-            found="loads without places" if found is None else f"loads of shape {estimate.load.shape}",
-            expected="a basis of nodes, patches or hats on a beam, over time",
-            hint="plot('field', frame=...) draws one instant over a surface",
-        )
+        raise InputError("a map over place and time needs histories at places along a line", where="spacetime",
+                         found="loads without places" if found is None else f"loads of shape {estimate.load.shape}",
+                         expected="a basis of nodes, patches or hats on a beam, over time",
+                         hint="plot('field', frame=...) draws one instant over a surface")  # fmt: skip
     known = known_load(estimate, truth)
     figure = figure or new_figure()
     x, count = found[0][:, 0], len(estimate.labels) // len(found[0])
     components = [text(str(c)) for c in ((g or {}).get("components") or [""] * count)]
-    kinds: list[tuple[str, NDArray]] = [("estimate", estimate.load)]
+    kinds: list[tuple[str, Array]] = [("estimate", estimate.load)]
     kinds += [] if known is None else [("truth", known)]
     kinds += [("std", estimate.std)]
     figure.set_size_inches(NARROW if narrow else 9.0, 0.7 + 2.1 * count * len(kinds))
@@ -330,7 +326,7 @@ def signed(top: float) -> dict[str, Any]:
     return {"cmap": "RdBu_r", "vmin": -top, "vmax": top}
 
 
-def draw_map(ax: Axes, t: ArrayLike, x: ArrayLike, values: NDArray, label: str, style: dict[str, Any]) -> None:
+def draw_map(ax: Axes, t: ArrayLike, x: ArrayLike, values: Array, label: str, style: dict[str, Any]) -> None:
     """Colours of `values` (samples, places) over time and place; of a long record means of neighbouring samples."""
     time, place = np.asarray(t, float), np.asarray(x, float)
     order = np.argsort(place)

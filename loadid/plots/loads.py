@@ -46,6 +46,8 @@ if TYPE_CHECKING:
     from ..results.estimate import LoadEstimate
     from ..results.functionals import Spectrum
 
+Array = NDArray[np.float64]
+
 
 DECADES = 3.0  # of amplitude below the largest that a panel shows
 SHADE = "#f3d9c9"
@@ -120,7 +122,7 @@ def lines_figure(estimate: LoadEstimate, *, figure: Figure | None = None) -> Fig
     return figure
 
 
-def draw_spectrum(ax: Axes, e: LoadEstimate, j: int = 0, *, truth: NDArray | None = None, level: float = 0.95) -> None:
+def draw_spectrum(ax: Axes, e: LoadEstimate, j: int = 0, *, truth: Array | None = None, level: float = 0.95) -> None:
     """Draw the amplitude of one load over frequency into `ax`."""
     s: Spectrum = e.spectrum
     f, trusted = s.frequencies, s.trust()[:, j]
@@ -171,7 +173,7 @@ def _need(estimate: LoadEstimate) -> None:
                          expected="an estimate of FrequencyInversion")  # fmt: skip
 
 
-def _beside(flagged: NDArray) -> NDArray[np.bool_]:
+def _beside(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Flagged lines and the next one: a filled step needs both of its ends."""
     return flagged | np.concatenate([[False], flagged[:-1]])
 
@@ -271,7 +273,7 @@ def draw_load(
     estimate: LoadEstimate,
     load: int = 0,
     *,
-    truth: NDArray | None = None,
+    truth: Array | None = None,
     level: float = 0.95,
     window: tuple[float, float] | None = None,
 ) -> None:
@@ -304,7 +306,7 @@ def draw_load(
     tidy(ax)
 
 
-def _draw_rows(figure: Figure, estimate: LoadEstimate, truth: NDArray | None, level: float, narrow: bool) -> None:
+def _draw_rows(figure: Figure, estimate: LoadEstimate, truth: Array | None, level: float, narrow: bool) -> None:
     shown = largest(estimate)
     if narrow:
         _draw_stack(figure, estimate, truth, level, shown)
@@ -333,7 +335,7 @@ def _draw_rows(figure: Figure, estimate: LoadEstimate, truth: NDArray | None, le
         figure.supylabel(f"{len(shown)} largest of {len(estimate.labels)} loads", fontsize=9)
 
 
-def _draw_stack(figure: Figure, estimate: LoadEstimate, truth: NDArray | None, level: float, shown: list[int]) -> None:
+def _draw_stack(figure: Figure, estimate: LoadEstimate, truth: Array | None, level: float, shown: list[int]) -> None:
     """Panels below each other: of every load the part around its peak, then its whole record."""
     panels = [
         (j, w) for j in shown for w in ([pulse_window(estimate, j)] if pulse_window(estimate, j) else []) + [None]
@@ -347,7 +349,7 @@ def _draw_stack(figure: Figure, estimate: LoadEstimate, truth: NDArray | None, l
     axes[0].legend(loc="best", fontsize=8, frameon=False)
 
 
-def _draw_static(ax: Axes, estimate: LoadEstimate, truth: NDArray | None, level: float) -> None:
+def _draw_static(ax: Axes, estimate: LoadEstimate, truth: Array | None, level: float) -> None:
     x = np.arange(len(estimate.labels))
     lower, upper = estimate.band(level)
     ax.axhline(0, color=GREY, lw=0.6)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from statistics import NormalDist
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 
+from ..sources.levels import time_weighted
+from ..sources.synthesis import row_of, unit_of
 from .style import (
     BLUE,
     DENSE,
@@ -56,7 +58,7 @@ def draw_contributions(
     *,
     sensor: int | str | None = None,
     fraction: int = 3,
-    path: str | os.PathLike | None = None,
+    path: str | os.PathLike[str] | None = None,
     show: bool = False,
 ) -> Figure:
     """Figure of contributions; see `Contributions.plot`."""
@@ -151,26 +153,22 @@ def _map(figure: Figure, c: Contributions, shown: list[int], fraction: int) -> N
     tidy(lower)
 
 
-def _levels(c: Contributions, i: int, fraction: int) -> tuple[NDArray, NDArray, NDArray, str, str]:
+def _levels(c: Contributions, i: int, fraction: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], str, str]:
     """Levels in dB of each load and of all at one sensor, over an axis with its name, and the unit they refer to."""
     if c.kind != "histories":
         alone, whole = _db(np.abs(c.values[:, i]), c.kind), _db(np.abs(c.total[:, i]), c.kind)
         return alone, whole, c.axis.values, titled(c.axis.name, c.axis.unit), c.units[i]
-    from ..sources.levels import time_weighted
-
     alone, whole = (20 * np.log10(np.maximum(time_weighted(x[:, i], c.axis.step), FLOOR)) for x in (c.values, c.total))
     return alone, whole, c.axis.values, titled("time", "s") + ", fast time weighting", c.units[i]
 
 
-def _measured_level(c: Contributions, measured: NDArray) -> NDArray:
+def _measured_level(c: Contributions, measured: NDArray[Any]) -> NDArray[Any]:
     if c.kind != "histories":
         return _db(np.abs(measured), c.kind)
-    from ..sources.levels import time_weighted
-
     return 20 * np.log10(np.maximum(time_weighted(measured, c.axis.step), FLOOR))
 
 
-def _shade(ax: Axes, edges: NDArray, mask: NDArray) -> None:
+def _shade(ax: Axes, edges: NDArray[Any], mask: NDArray[Any]) -> None:
     """Grey behind the lines of a mask."""
     ends = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]))).reshape(-1, 2)
     for k, (a, b) in enumerate(ends):
@@ -192,13 +190,13 @@ def draw_comparison(
     fraction: int = 3,
     window: str | float = "fast",
     level: float = 0.95,
-    path: str | os.PathLike | None = None,
+    path: str | os.PathLike[str] | None = None,
     show: bool = False,
 ) -> Figure:
     """Figure of a comparison; see `ResponseComparison.plot`."""
     if kind not in ("bands", "running"):
         raise InputError("no such picture", where="plot", found=repr(kind), expected="'bands' or 'running'")
-    shown = list(range(min(len(c.sensors), 4))) if sensor is None else [_sensor(c, sensor)]
+    shown = list(range(min(len(c.sensors), 4))) if sensor is None else [row_of(sensor, c.sensors)]
     figure = new_figure(show)
     if kind == "bands":
         _bands(figure, c, shown, fraction, level)
@@ -298,7 +296,7 @@ def mac_figure(
     *,
     rows: Sequence[str] | None = None,
     columns: Sequence[str] | None = None,
-    path: str | os.PathLike | None = None,
+    path: str | os.PathLike[str] | None = None,
     show: bool = False,
 ) -> Figure:
     """Picture of a MAC matrix with its numbers.
@@ -345,12 +343,12 @@ def mac_figure(
 
 
 # -- shared ------------------------------------------------------------------------------------------------------------
-def _db(values: NDArray, kind: str) -> NDArray:
+def _db(values: NDArray[Any], kind: str) -> NDArray[Any]:
     """Levels in dB of amplitudes, or of densities, which are powers."""
     return (10 if kind == "densities" else 20) * np.log10(np.maximum(values, FLOOR))
 
 
-def _edges(x: NDArray) -> NDArray:
+def _edges(x: NDArray[Any]) -> NDArray[Any]:
     if len(x) == 1:
         return np.array([x[0] - 0.5, x[0] + 0.5])
     middle = (x[1:] + x[:-1]) / 2
@@ -365,23 +363,11 @@ def _band_axis(ax: Axes, names: Sequence[str], title: str) -> None:
 
 
 def _value_unit(c: ResponseComparison, i: int) -> str:
-    from ..sources.synthesis import unit_of
-
     return unit_of(c.units[i], c.kind)
 
 
-def _sensor(c: ResponseComparison, sensor: int | str) -> int:
-    if isinstance(sensor, str) and sensor in c.sensors:
-        return c.sensors.index(sensor)
-    if isinstance(sensor, int | np.integer) and -len(c.sensors) <= sensor < len(c.sensors):
-        return int(sensor) % len(c.sensors)
-    raise InputError(
-        "no such sensor", where="plot", found=repr(sensor), expected=f"an index or one of {c.sensors[:12]}"
-    )
-
-
 def _finished(
-    figure: Figure, c: Contributions | ResponseComparison | None, path: str | os.PathLike | None, show: bool
+    figure: Figure, c: Contributions | ResponseComparison | None, path: str | os.PathLike[str] | None, show: bool
 ) -> Figure:
     estimate = getattr(c, "estimate", None)
     if estimate is not None:

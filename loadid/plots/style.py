@@ -68,7 +68,14 @@ def new_figure(show: bool = False) -> Figure:
     return Figure(layout="constrained")
 
 
-def known_load(estimate: LoadEstimate, truth: ArrayLike | None) -> NDArray | None:
+def sized(figure: Figure | None, narrow: bool, height: float, wide: tuple[float, float]) -> Figure:
+    """A figure as narrow as a phone and of some height, or of a size for a screen (inches)."""
+    figure = figure or new_figure()
+    figure.set_size_inches(*((NARROW, height) if narrow else wide))
+    return figure
+
+
+def known_load(estimate: LoadEstimate, truth: ArrayLike | None) -> NDArray[Any] | None:
     """A known load in the shape of the estimate."""
     if truth is None:
         return None
@@ -163,14 +170,14 @@ def legend_above(ax: Axes) -> None:
     ax.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, fontsize=8, frameon=False, borderaxespad=0.1)
 
 
-def save(figure: Figure, path: str | os.PathLike) -> None:
+def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure to a file whose suffix names the format; the old file stays where that fails."""
     from structures.files.storage import as_path, replace
 
     replace(as_path(path), rendered(figure, path))
 
 
-def rendered(figure: Figure, path: str | os.PathLike) -> bytes:
+def rendered(figure: Figure, path: str | os.PathLike[str]) -> bytes:
     """Content of the picture file of a figure."""
     from io import BytesIO
 
@@ -179,7 +186,7 @@ def rendered(figure: Figure, path: str | os.PathLike) -> bytes:
     return buffer.getvalue()
 
 
-def picture_format(path: str | os.PathLike) -> str:
+def picture_format(path: str | os.PathLike[str]) -> str:
     """Format of a picture that the suffix of a file names.
 
     Raises

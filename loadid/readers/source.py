@@ -168,12 +168,9 @@ def time_first(table: Table, source: Source, options: Options) -> Table:
         axis, said = 1 - x.shape.index(len(known)), "the other one fits the channel names"
     elif axis is None:
         if x.shape[0] == x.shape[1]:
-            source.refuse(
-                "the array is square: either axis may be time",
-                f"shape {x.shape}",
-                "axis=0 (rows are samples) or axis=1 (columns are samples)",
-                "state it: --axis 0 or --axis 1",
-            )
+            source.refuse("the array is square: either axis may be time", f"shape {x.shape}",
+                          "axis=0 (rows are samples) or axis=1 (columns are samples)",
+                          "state it: --axis 0 or --axis 1")  # fmt: skip
         axis, said = long, "the longer one"
     else:
         said = "as stated"
@@ -271,9 +268,5 @@ def recognise(source: Source) -> Format:
     if marked := [f for f in can if not f.generic]:
         return marked[0]
     expected = next(f.name for f in formats() if suffix in f.suffixes)
-    return source.refuse(
-        f"the content is not {expected}",
-        "plain text" if can else f"first bytes {source.head[:16]!r}",
-        f"{expected}, as the suffix {suffix} says",
-        "rename or export the file again",
-    )
+    return source.refuse(f"the content is not {expected}", "plain text" if can else f"first bytes {source.head[:16]!r}",
+                         f"{expected}, as the suffix {suffix} says", "rename or export the file again")  # fmt: skip

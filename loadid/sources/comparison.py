@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,8 +70,8 @@ class ResponseComparison:
     """
 
     axis: Axis
-    measured: NDArray
-    synthesised: NDArray
+    measured: NDArray[Any]
+    synthesised: NDArray[Any]
     kind: str
     sensors: tuple[str, ...]
     units: tuple[str, ...]
@@ -223,7 +223,7 @@ class ResponseComparison:
         sensor: int | str | None = None,
         fraction: int = 3,
         window: str | float = "fast",
-        path: str | os.PathLike | None = None,
+        path: str | os.PathLike[str] | None = None,
         show: bool = False,
     ) -> Figure:
         """Picture of the comparison.
@@ -343,8 +343,8 @@ def compare_estimate(estimate: LoadEstimate) -> ResponseComparison:
 
 def checked(
     axis: Axis,
-    measured: NDArray,
-    synthesised: NDArray,
+    measured: NDArray[Any],
+    synthesised: NDArray[Any],
     kind: str,
     sensors: Sequence[str],
     units: Sequence[str],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -37,7 +38,7 @@ class SynthesisedResponse:
     """
 
     axis: Axis
-    values: NDArray
+    values: NDArray[Any]
     sensors: tuple[Channel, ...]
     kind: str
     std: Real | None = None
@@ -177,7 +178,25 @@ def rows_of(model: Model, sensors: Any) -> list[int]:
     wanted = [sensors] if isinstance(sensors, str | int | np.integer) else list(sensors)
     if not wanted:
         raise InputError("no sensor is named", where="sensors", found="none", expected=f"some of {labels[:12]}")
-    return [_row(getattr(w, "label", w), labels) for w in wanted]
+    return [row_of(getattr(w, "label", w), labels) for w in wanted]
+
+
+def row_of(sensor: Any, labels: Sequence[str]) -> int:
+    """Row of a sensor, by label or index.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    if isinstance(sensor, str) and sensor in labels:
+        return list(labels).index(sensor)
+    if isinstance(sensor, int | np.integer) and not isinstance(sensor, bool) and -len(labels) <= sensor < len(labels):
+        return int(sensor) % len(labels)
+    raise InputError(
+        "no such sensor", where="sensors", found=repr(sensor), expected=f"an index or one of {list(labels[:12])}",
+        hint="sensors are named as in model.sensors",
+    )  # fmt: skip
 
 
 def order(model: Model, estimate: LoadEstimate) -> list[int]:
@@ -237,7 +256,7 @@ def unit_of(unit: str, kind: str) -> str:
     return f"({unit})^2/Hz" if any(x in unit for x in "/^* ") else f"{unit}^2/Hz"
 
 
-def reliable(values: NDArray, std: NDArray, share: float) -> NDArray[np.bool_]:
+def reliable(values: NDArray[Any], std: NDArray[Any], share: float) -> NDArray[np.bool_]:
     """Lines (lines, ...) on which the std of some numbers, a root sum over their last axis, is below a share of theirs.
 
     Raises
@@ -323,7 +342,7 @@ def _amplitude_variance(p: Paths) -> Real:
     return np.maximum(found, 0.0)
 
 
-def _density_variance(p: Paths, seen: NDArray) -> Real:
+def _density_variance(p: Paths, seen: NDArray[Any]) -> Real:
     found = np.einsum("lij,lj->li", np.abs(p.H) ** 4, p.std**2)
     if p.variance is not None:  # dS = 2 Re(dh S h^H), dh circular
         found = found + 2 * np.einsum("lij,lij->li", p.variance, np.abs(seen) ** 2)
@@ -338,14 +357,3 @@ def _matrices(given: Any, shape: tuple[int, ...], where: str) -> NDArray[np.comp
             expected=f"finite numbers of shape {shape}", hint="lines, loads, loads, in the order of the estimate",
         )  # fmt: skip
     return found
-
-
-def _row(sensor: Any, labels: list[str]) -> int:
-    if isinstance(sensor, str) and sensor in labels:
-        return labels.index(sensor)
-    if isinstance(sensor, int | np.integer) and not isinstance(sensor, bool) and -len(labels) <= sensor < len(labels):
-        return int(sensor) % len(labels)
-    raise InputError(
-        "no such sensor", where="sensors", found=repr(sensor), expected=f"an index or one of {labels[:12]}",
-        hint="sensors are named as in model.sensors",
-    )  # fmt: skip

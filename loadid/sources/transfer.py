@@ -110,7 +110,7 @@ class Transfer:
         *,
         sensor: int | str | None = None,
         fraction: int = 3,
-        path: str | os.PathLike | None = None,
+        path: str | os.PathLike[str] | None = None,
         show: bool = False,
     ) -> Figure:
         """Picture of measured against predicted responses with the band, as `ResponseComparison.plot`."""
@@ -216,7 +216,7 @@ def _over_time(
 
 def _over_frequency(
     measured: Any, model: Model, response: SynthesisedResponse
-) -> tuple[NDArray, NDArray[np.intp], Any]:
+) -> tuple[NDArray[Any], NDArray[np.intp], Any]:
     """Measured values (lines, sensors), the lines of the estimate that they belong to, and the stated noise."""
     density, f = response.kind == DENSITIES, np.asarray(response.axis.values, float)
     if isinstance(measured, Record):
@@ -290,7 +290,7 @@ def _columns(channels: Sequence[Any], model: Model, count: int) -> list[int]:
     return columns
 
 
-def _table(values: Any, shape: tuple[int, int], density: bool) -> NDArray:
+def _table(values: Any, shape: tuple[int, int], density: bool) -> NDArray[Any]:
     table = np.asarray(plain(values))
     if table.dtype.kind not in "iufc" or table.shape != shape or not np.all(np.isfinite(table)):
         raise InputError(
@@ -332,7 +332,7 @@ def _reliable(response: SynthesisedResponse, trust: float) -> NDArray[np.bool_]:
     return reliable(response.values / scale, response.std / scale, trust)
 
 
-def _shared(estimate: LoadEstimate, names: Sequence[str], values: NDArray) -> tuple[Flag, ...]:
+def _shared(estimate: LoadEstimate, names: Sequence[str], values: NDArray[Any]) -> tuple[Flag, ...]:
     """W704: a channel, or the very numbers, took part in the identification."""
     flag = guards.used_for_training("a validation channel", set(names) & set(estimate.sensors))
     if flag is None and estimate.response is not None and len(values) >= RECORD:
@@ -340,6 +340,6 @@ def _shared(estimate: LoadEstimate, names: Sequence[str], values: NDArray) -> tu
     return guards.collect([flag])
 
 
-def _digests(columns: NDArray) -> set[str]:
+def _digests(columns: NDArray[Any]) -> set[str]:
     wide = np.asarray(columns, complex)
     return set(digests(np.concatenate([wide.real, wide.imag])))

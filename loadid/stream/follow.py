@@ -26,15 +26,18 @@ from structures.errors import InputError
 from ..families.tracking import tracker as checkpoint
 from ..families.tracking.tracker import Tracker
 from .clock import Behind, Clock
-from .framing import ColumnLayout, Lines
+from .framing import Lines
+from .header import ColumnLayout
 from .output import Output, StateLock
 from .sources import ByteSource, open_source
+
+Array = NDArray[np.float64]
 
 EVERY = 5000  # samples from one checkpoint to the next
 SECONDS = 5.0  # and the longest time, where something has come
 LOOK = 0.1  # s that a source is waited for before the clock is looked at
 ROWS = 256  # rows placed in time at once: each may stand for a gap
-Watch = Callable[[NDArray, NDArray, NDArray], None]
+Watch = Callable[[Array, Array, Array], None]
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ def follow(
     source: str,
     out: str | BinaryIO,
     *,
-    state: str | os.PathLike | None = None,
+    state: str | os.PathLike[str] | None = None,
     stream: dict[str, Any] | None = None,
     every: int = EVERY,
     idle: float | None = None,
@@ -115,7 +118,7 @@ def follow(
 
 class _Run:
     def __init__(
-        self, tracker: Tracker, source: str, out: str | BinaryIO, state: str | os.PathLike | None,
+        self, tracker: Tracker, source: str, out: str | BinaryIO, state: str | os.PathLike[str] | None,
         stream: dict[str, Any] | None, units: Mapping[str, str] | None,
     ) -> None:  # fmt: skip
         self.tracker, self.state, self.name = tracker, state, source
@@ -223,7 +226,7 @@ class _Run:
             checkpoint.save(self.tracker, self.state, {"output": self.output.place()})
             self.claimed = True
 
-    def _taken(self, stamps: NDArray | None, values: NDArray, watch: Watch) -> int:
+    def _taken(self, stamps: Array | None, values: Array, watch: Watch) -> int:
         if len(values):
             self._claim()
         count = 0
@@ -235,7 +238,7 @@ class _Run:
                 count += self._placed(None if stamps is None else stamps[part], values[part], watch)
         return count
 
-    def _placed(self, stamps: NDArray | None, values: NDArray, watch: Watch) -> int:
+    def _placed(self, stamps: Array | None, values: Array, watch: Watch) -> int:
         times, Y = self.clock.place(stamps, values)
         load, std = self._tracked(Y, self.clock.behind)
         if len(Y):
@@ -245,7 +248,7 @@ class _Run:
                 watch(*answers)
         return len(Y)
 
-    def _tracked(self, Y: NDArray, behind: list[Behind]) -> tuple[NDArray, NDArray]:
+    def _tracked(self, Y: Array, behind: list[Behind]) -> tuple[Array, Array]:
         """Loads and stds of samples, each late row put in its place when it comes: answers that are out stay."""
         p, k = len(self.tracker.fitted.loads), 0
         load, std = np.empty((len(Y), p)), np.empty((len(Y), p))
@@ -257,7 +260,7 @@ class _Run:
             k = after
         return load, std
 
-    def _answered(self, times: NDArray, load: NDArray, std: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    def _answered(self, times: Array, load: Array, std: Array) -> tuple[Array, Array, Array]:
         """Answers with their own times: a tracker with a lag speaks of samples that lie back, at first of none."""
         lag = self.tracker.lag
         every = np.concatenate([self.waiting, times])

@@ -100,13 +100,7 @@ def require_source(where: str) -> None:
 
 
 def _standard_input() -> int:
-    """Its descriptor.
-
-    Raises
-    ------
-    InputError
-        It is closed.
-    """
+    """Its descriptor."""
     if sys.stdin is None:
         raise InputError("standard input is closed", where="-", expected="lines of numbers",
                          hint="send them through a pipe, or name a file")  # fmt: skip
@@ -310,13 +304,7 @@ def connected(where: str) -> Pumped:
 
 
 def _address(where: str) -> tuple[str, int]:
-    """Host and port.
-
-    Raises
-    ------
-    InputError
-        Neither.
-    """
+    """Host and port."""
     host, _, port = where.removeprefix("tcp://").rpartition(":")
     if not host or not (port.isascii() and port.isdecimal()) or not 0 < int(port) < 65536:
         raise InputError("no address of a socket", where=where, expected="tcp://HOST:PORT, with a port below 65536")

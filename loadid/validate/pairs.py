@@ -17,6 +17,8 @@ from ..results.estimate import LoadEstimate
 from .checks import DistributionCheck, ResultantCheck, compare, resultant_check
 from .references import Known, PressureMat, ReferenceWrench, at_places, factor, numbers, spread
 
+Array = NDArray[np.float64]
+
 BATCH = 4_000_000  # entries of the weights that are handed to a posterior at once
 
 
@@ -33,12 +35,12 @@ def columns_of(e: LoadEstimate, loads: str | Sequence[str | int] | None) -> NDAr
     return np.array([e.index(x) for x in loads], dtype=np.intp)
 
 
-def loads_of(e: LoadEstimate) -> tuple[NDArray, NDArray | None, None]:
+def loads_of(e: LoadEstimate) -> tuple[Array, Array | None, None]:
     """Loads and their std, (frames, loads); in their own unit."""
     return np.atleast_2d(e.load), np.atleast_2d(e.std) if np.any(e.std > 0) else None, None
 
 
-def field_of(e: LoadEstimate) -> tuple[NDArray, NDArray | None, str | None]:
+def field_of(e: LoadEstimate) -> tuple[Array, Array | None, str | None]:
     """Loads as a field, (frames, loads), their std and their unit where that is another: nodal forces become tractions.
 
     Raises
@@ -55,7 +57,7 @@ def field_of(e: LoadEstimate) -> tuple[NDArray, NDArray | None, str | None]:
     return found, None if std is None else np.broadcast_to(std, found.shape), "N/m" if line else "Pa"
 
 
-def areas_of(e: LoadEstimate, columns: NDArray, tractions: bool) -> NDArray[np.float64]:
+def areas_of(e: LoadEstimate, columns: Array, tractions: bool) -> Array:
     """Weights of the inner product: tributary areas where tractions of a basis are compared, else ones."""
     geometry = e.geometry or {}
     measures, kind = geometry.get("measures"), geometry.get("kind")
@@ -65,7 +67,7 @@ def areas_of(e: LoadEstimate, columns: NDArray, tractions: bool) -> NDArray[np.f
     return weights / weights.mean()
 
 
-def resultants_of(e: LoadEstimate, wrench: ReferenceWrench) -> tuple[NDArray[np.float64], list[str], list[str]]:
+def resultants_of(e: LoadEstimate, wrench: ReferenceWrench) -> tuple[Array, list[str], list[str]]:
     """Weights, labels and units of the resultants."""
     labels = [wrench.labels] if isinstance(wrench.labels, str) else [str(x) for x in wrench.labels]
     if wrench.C is not None:
@@ -95,7 +97,7 @@ def _resultant_unit(label: str, e: LoadEstimate) -> str:
     return "N" if label.startswith("F") or e.geometry is not None or set(e.units) == {"N"} else "arbitrary"
 
 
-def row_std(e: LoadEstimate, rows: NDArray) -> NDArray[np.float64] | None:
+def row_std(e: LoadEstimate, rows: Array) -> Array | None:
     """Std of weighted sums of the loads, (sums,) or (frames, sums); not less than the bias that the estimate states."""
     if e.posterior is None:
         return None
@@ -195,7 +197,7 @@ def against_wrench(e: LoadEstimate, wrench: ReferenceWrench) -> tuple[ResultantC
 
 
 # -- the reference -----------------------------------------------------------------------------------------------------
-def _table(e: LoadEstimate, known: Known, columns: NDArray) -> NDArray[np.float64]:
+def _table(e: LoadEstimate, known: Known, columns: Array) -> Array:
     """Known loads (frames, columns) given in the order of the estimate, or as a function of its axis."""
     values: Any = known.values
     if isinstance(values, Record):
@@ -216,7 +218,7 @@ def _table(e: LoadEstimate, known: Known, columns: NDArray) -> NDArray[np.float6
     )
 
 
-def _named(e: LoadEstimate, record: Record, columns: NDArray) -> NDArray[np.intp]:
+def _named(e: LoadEstimate, record: Record, columns: Array) -> NDArray[np.intp]:
     """The loads that a record names; the only load where it has but one channel."""
     named = [int(j) for j in columns if e.labels[j] in record.labels]
     if not named and not (len(columns) == 1 and len(record.labels) == 1):
@@ -228,7 +230,7 @@ def _named(e: LoadEstimate, record: Record, columns: NDArray) -> NDArray[np.intp
     return np.array(named, dtype=np.intp) if named else columns
 
 
-def _record(e: LoadEstimate, record: Record, columns: NDArray) -> NDArray[np.float64]:
+def _record(e: LoadEstimate, record: Record, columns: Array) -> Array:
     if e.axis is None or e.axis.name != "time" or abs(e.axis.step / record.dt - 1) > 1e-6 or len(record) < len(e.load):
         wanted = (
             "no record: no time axis" if e.axis is None or e.axis.name != "time" else f"steps of {e.axis.step:.9g} s"
@@ -248,7 +250,7 @@ def _record(e: LoadEstimate, record: Record, columns: NDArray) -> NDArray[np.flo
     return np.asarray(kept.values)[: len(e.load)]
 
 
-def _field(e: LoadEstimate, known: Known, columns: NDArray) -> NDArray[np.float64]:
+def _field(e: LoadEstimate, known: Known, columns: Array) -> Array:
     """A field on the places of the basis, as one row of the loads that are compared."""
     geometry = e.geometry or {}
     values = at_places(known, e.geometry)
@@ -266,7 +268,7 @@ def _field(e: LoadEstimate, known: Known, columns: NDArray) -> NDArray[np.float6
     )  # fmt: skip
 
 
-def _fitted(own: NDArray, shape: tuple[int, int], source: str, static: bool, wide: bool = False) -> NDArray[np.float64]:
+def _fitted(own: Array, shape: tuple[int, int], source: str, static: bool, wide: bool = False) -> Array:
     """Values as (frames, places); one frame serves all where `wide`, or where there is but one."""
     table = own[None] if own.ndim == 1 else own
     if table.ndim == 2 and (table.shape == shape or (wide and table.shape == (1, shape[1]))):
@@ -306,9 +308,9 @@ class _Entries:
 
 
 def _distribution(
-    pair: tuple[NDArray, NDArray],
-    stds: tuple[NDArray, NDArray | None] | None,
-    weights: NDArray,
+    pair: tuple[Array, Array],
+    stds: tuple[Array, Array | None] | None,
+    weights: Array,
     places: _Entries,
     unit: str,
     level: float,
@@ -342,7 +344,7 @@ def _distribution(
     )
 
 
-def _one_unit(e: LoadEstimate, columns: NDArray, what: str) -> str:
+def _one_unit(e: LoadEstimate, columns: Array, what: str) -> str:
     found = sorted({e.units[j] for j in columns})
     if len(found) != 1:
         raise InputError(
@@ -352,7 +354,7 @@ def _one_unit(e: LoadEstimate, columns: NDArray, what: str) -> str:
     return found[0]
 
 
-def _total(std: NDArray | None, error: NDArray | None) -> NDArray[np.float64] | None:
+def _total(std: Array | None, error: Array | None) -> Array | None:
     """Std of the difference of two independent numbers; None where it would be zero."""
     if std is None and error is None:
         return None
@@ -360,11 +362,11 @@ def _total(std: NDArray | None, error: NDArray | None) -> NDArray[np.float64] | 
     return total if np.all(total > 0) else None
 
 
-def _axis(e: LoadEstimate) -> NDArray | None:
+def _axis(e: LoadEstimate) -> Array | None:
     return None if e.axis is None else e.axis.values
 
 
-def _not_zero(known: NDArray, source: str) -> None:
+def _not_zero(known: Array, source: str) -> None:
     if not np.any(known):
         raise InputError(
             "the reference is zero: no relative error exists", where="validate", found=source,

@@ -488,6 +488,13 @@ def test_a_validation_survives_a_file(tmp_path):
     assert len(whole.checks) == len(whole.sensors) + len(whole.resultants) + len(whole.distributions) == 4
 
 
+def test_a_validation_of_an_earlier_release_is_read():
+    partial = validate(line(), ReferenceWrench(C @ TRUTH, std=0.1))
+    tree = partial.to_dict()
+    tree["checks"][0]["found"] = tree["checks"][0].pop("estimated")
+    assert Validation.from_dict(tree) == partial
+
+
 def test_the_estimate_keeps_it(tmp_path):
     e = line(posterior=None).validated(validate(line(), ReferenceWrench(C @ TRUTH, std=0.1)))
     assert "N701" in e.codes

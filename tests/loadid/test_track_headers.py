@@ -15,7 +15,8 @@ from loadid.families.tracking import tracker as checkpoint
 from loadid.families.tracking.tracker import Tracker
 from loadid.stream import follow
 from loadid.stream.clock import Clock
-from loadid.stream.framing import ColumnLayout, Lines
+from loadid.stream.framing import Lines
+from loadid.stream.header import ColumnLayout
 from structures.channels import Channel
 from structures.errors import InputError
 from tests.killed import fitted, text
