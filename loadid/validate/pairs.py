@@ -57,7 +57,7 @@ def field_of(e: LoadEstimate) -> tuple[Array, Array | None, str | None]:
     return found, None if std is None else np.broadcast_to(std, found.shape), "N/m" if line else "Pa"
 
 
-def areas_of(e: LoadEstimate, columns: Array, tractions: bool) -> Array:
+def areas_of(e: LoadEstimate, columns: NDArray[np.intp], tractions: bool) -> Array:
     """Weights of the inner product: tributary areas where tractions of a basis are compared, else ones."""
     geometry = e.geometry or {}
     measures, kind = geometry.get("measures"), geometry.get("kind")
@@ -197,7 +197,7 @@ def against_wrench(e: LoadEstimate, wrench: ReferenceWrench) -> tuple[ResultantC
 
 
 # -- the reference -----------------------------------------------------------------------------------------------------
-def _table(e: LoadEstimate, known: Known, columns: Array) -> Array:
+def _table(e: LoadEstimate, known: Known, columns: NDArray[np.intp]) -> Array:
     """Known loads (frames, columns) given in the order of the estimate, or as a function of its axis."""
     values: Any = known.values
     if isinstance(values, Record):
@@ -218,7 +218,7 @@ def _table(e: LoadEstimate, known: Known, columns: Array) -> Array:
     )
 
 
-def _named(e: LoadEstimate, record: Record, columns: Array) -> NDArray[np.intp]:
+def _named(e: LoadEstimate, record: Record, columns: NDArray[np.intp]) -> NDArray[np.intp]:
     """The loads that a record names; the only load where it has but one channel."""
     named = [int(j) for j in columns if e.labels[j] in record.labels]
     if not named and not (len(columns) == 1 and len(record.labels) == 1):
@@ -230,7 +230,7 @@ def _named(e: LoadEstimate, record: Record, columns: Array) -> NDArray[np.intp]:
     return np.array(named, dtype=np.intp) if named else columns
 
 
-def _record(e: LoadEstimate, record: Record, columns: Array) -> Array:
+def _record(e: LoadEstimate, record: Record, columns: NDArray[np.intp]) -> Array:
     if e.axis is None or e.axis.name != "time" or abs(e.axis.step / record.dt - 1) > 1e-6 or len(record) < len(e.load):
         wanted = (
             "no record: no time axis" if e.axis is None or e.axis.name != "time" else f"steps of {e.axis.step:.9g} s"
@@ -250,7 +250,7 @@ def _record(e: LoadEstimate, record: Record, columns: Array) -> Array:
     return np.asarray(kept.values)[: len(e.load)]
 
 
-def _field(e: LoadEstimate, known: Known, columns: Array) -> Array:
+def _field(e: LoadEstimate, known: Known, columns: NDArray[np.intp]) -> Array:
     """A field on the places of the basis, as one row of the loads that are compared."""
     geometry = e.geometry or {}
     values = at_places(known, e.geometry)
@@ -344,7 +344,7 @@ def _distribution(
     )
 
 
-def _one_unit(e: LoadEstimate, columns: Array, what: str) -> str:
+def _one_unit(e: LoadEstimate, columns: NDArray[np.intp], what: str) -> str:
     found = sorted({e.units[j] for j in columns})
     if len(found) != 1:
         raise InputError(
