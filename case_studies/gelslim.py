@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.validate import Validation, Wrench, validate
+from loadid.validate import ReferenceWrench, Validation, validate
 from tactile import DepthMap, ForceMap, GelSlim, Layer, Press, Sphere, metrics
 from tactile.sensors.observation import Markers
 
@@ -102,7 +102,7 @@ def trap(layers: Sequence[int] = (2, 4, 6)) -> list[Trap]:
         several = pad(n)
         f = patch(several)
         force = sensor.estimate(several.displacements(f))
-        known = Wrench(
+        known = ReferenceWrench(
             several.resultant(f)[:3], std=F_T[:3], labels=("Fx", "Fy", "Fz"), source="simulated force sensor"
         )
         checked = validate(force, known)
@@ -218,7 +218,10 @@ def push_and_slide(push: int = 10, slide: int = 14) -> Run:
 def _judge(name: str, maps: list[ForceMap], true: Array, tractions: list[Array], push: int) -> Slide:
     """Resultants of all frames, maps of the slide."""
     found = np.array([np.r_[m.resultant().value, m.torque().value] for m in maps])
-    held = [validate(m, Wrench(w, std=F_T, source="simulated force/torque")) for m, w in zip(maps, true, strict=True)]
+    held = [
+        validate(m, ReferenceWrench(w, std=F_T, source="simulated force/torque"))
+        for m, w in zip(maps, true, strict=True)
+    ]
     areas = maps[0].areas
     judged = [
         metrics.compare(m.forces() / areas[:, None], t, areas=areas)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from loadid import LoadEstimate, StaticInversion
 from loadid.inverse.constraints import NonNegative
-from loadid.validate import PressureMat, Validation, Wrench, validate
+from loadid.validate import PressureMat, ReferenceWrench, Validation, validate
 from structures import ForwardModel, Structure, bases
 from structures.elements import beams
 from structures.system import sensors
@@ -159,7 +159,9 @@ def table(seeds: int = 9) -> list[Row]:
         first = family.estimate(data[0])
         checked = validate(
             first,
-            Wrench([shear, np.sign(weights[1] @ first.load) * moment], C=weights, labels=("F", "M"), source="balance"),
+            ReferenceWrench(
+                [shear, np.sign(weights[1] @ first.load) * moment], C=weights, labels=("F", "M"), source="balance"
+            ),
             PressureMat(means(basis), strips(), source="12 strips of the span"),
         )
         middle = np.median(found, axis=0)

@@ -7,7 +7,7 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any, NoReturn
@@ -25,6 +25,16 @@ _OWN = ("demo", "info", "check", "calibrate", "identify", "track")
 
 
 class _Parser(argparse.ArgumentParser):
+    """Refuses wrong words by an error of ours; learns its arguments where it is the one that is asked."""
+
+    configure: Callable[[argparse.ArgumentParser], None] | None = None
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        configure, self.configure = self.configure, None
+        if configure is not None:
+            configure(self)
+        return super().parse_known_args(args, namespace)
+
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message} (see {self.prog} --help)")
 
@@ -96,7 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     for name, command in commands().items():
         sub = listed.add_parser(name, help=command.help, description=command.help, allow_abbrev=False)
         sub.add_argument("--json", action="store_true", help="print one JSON value; errors as JSON on standard error")
-        command.configure(sub)
+        sub.configure = command.configure
         sub.set_defaults(run=command.run)
     return parser
 

@@ -120,13 +120,8 @@ def require_finite(record: Record, *, hint: str = WITHOUT_GAPS) -> None:
     missing = np.isnan(record.values)
     if missing.any():
         where = [f"{label}: {_show(_runs(m))}" for label, m in zip(record.labels, missing.T, strict=True) if m.any()]
-        raise InputError(
-            "samples are missing (NaN)",
-            where=record.source or "record",
-            found="; ".join(where),
-            expected="numbers",
-            hint=hint,
-        )
+        raise InputError("samples are missing (NaN)", where=record.source or "record", found="; ".join(where),
+                         expected="numbers", hint=hint)  # fmt: skip
 
 
 def masked(record: Record) -> Record:
@@ -258,7 +253,7 @@ def _findings(record: Record, column: int) -> list[Flag]:
     return found
 
 
-def _rail_flag(flag: Callable[..., Flag], y: Vector, number: NDArray, side: str, runs: Runs, sure: str) -> Flag:
+def _rail_flag(flag: Callable[..., Flag], y: Vector, number: NDArray[Any], side: str, runs: Runs, sure: str) -> Flag:
     count = sum(b - a for a, b in runs)
     rail = float(y[runs[0][0]])
     text = f"{count} samples in {len(runs)} stretch(es) at the {side} rail {rail:.6g} ({sure}): {_show(runs, number)}"
@@ -416,7 +411,7 @@ def _runs(mask: NDArray[np.bool_]) -> Runs:
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _show(runs: Runs, number: NDArray | None = None) -> str:
+def _show(runs: Runs, number: NDArray[Any] | None = None) -> str:
     def at(i: int) -> int:
         return i if number is None else int(number[i])
 

@@ -18,6 +18,7 @@ from structures.channels import Channel
 from structures.errors import InputError, plain, reals
 from structures.flags import Flag
 
+from . import quality
 from .inverse.noise_source import NoiseSource, NoiseSourceLike
 
 
@@ -187,12 +188,8 @@ class Record:
             min(max(math.ceil(min(max(t / self.dt, -1.0), 2.0**53) - 1e-6), 0), len(self)) for t in (start, stop)
         )
         if first >= last:
-            raise InputError(
-                "the window holds no sample",
-                where="window",
-                found=f"{start:g} to {stop:g} s",
-                expected=f"a part of 0 to {self.duration:g} s",
-            )
+            raise InputError("the window holds no sample", where="window", found=f"{start:g} to {stop:g} s",
+                             expected=f"a part of 0 to {self.duration:g} s")  # fmt: skip
         return replace(self, values=self.values[first:last])
 
     def apply_units(self, units: Mapping[str | int, str]) -> Record:
@@ -213,9 +210,7 @@ class Record:
 
     def health(self) -> tuple[Flag, ...]:
         """Findings on the channels: clipped, saturated, flat, held and missing samples, offsets (W206)."""
-        from .quality import health
-
-        return health(self)
+        return quality.health(self)
 
 
 def find(key: str | int, names: Sequence[str], *, what: str, where: str) -> int:
@@ -262,15 +257,11 @@ def refuse_copies(name: str, names: Sequence[str], *, what: str, where: str) -> 
     label = re.compile(re.escape(name.strip()) + r" \(column (\d+)\)")
     alike = {i: match[1] for i, n in enumerate(names) if (match := label.fullmatch(n))}
     if alike:
-        raise InputError(
-            f"the {what} {name!r} could be several columns",
-            where=where,
-            found=f"the name over {'columns' if len(alike) > 1 else 'another column, and over column'} "
-            f"{' and '.join(alike.values())}",
-            expected="a name of its own for every column that is used",
-            hint="rename the columns in the file, or name the one that is meant: "
-            + " or ".join(f"{i} (index) or {names[i]!r}" for i in alike),
-        )
+        raise InputError(f"the {what} {name!r} could be several columns", where=where,
+                         found=f"the name over {'columns' if len(alike) > 1 else 'another column, and over column'} "
+                         f"{' and '.join(alike.values())}", expected="a name of its own for every column that is used",
+                         hint="rename the columns in the file, or name the one that is meant: "
+                         + " or ".join(f"{i} (index) or {names[i]!r}" for i in alike))  # fmt: skip
 
 
 def _table(values: ArrayLike) -> NDArray[np.float64]:
@@ -297,13 +288,9 @@ def _refuse_transposed(table: NDArray[np.float64]) -> None:
     """More columns than any instrument has channels, and fewer rows: an array that lies on its side."""
     rows, columns = table.shape
     if columns > max(rows, 64):
-        raise InputError(
-            "more channels than samples: the array is probably transposed",
-            where="record",
-            found=f"{rows} samples of {columns} channels",
-            expected="(samples, channels)",
-            hint="transpose it (values.T), or name the channels if it is right",
-        )
+        raise InputError("more channels than samples: the array is probably transposed", where="record",
+                         found=f"{rows} samples of {columns} channels", expected="(samples, channels)",
+                         hint="transpose it (values.T), or name the channels if it is right")  # fmt: skip
 
 
 def _step(dt: float) -> float:
@@ -323,12 +310,8 @@ def _channels(given: Sequence[Channel | str] | Channel | str | None, columns: in
     channels = tuple(c if isinstance(c, Channel) else Channel(label=str(c)) for c in listed)
     labels = [c.label for c in channels]
     if len(labels) != columns:
-        raise InputError(
-            "the labels do not fit the columns",
-            where="record",
-            found=f"{len(labels)} labels: {labels}",
-            expected=f"{columns}",
-        )
+        raise InputError("the labels do not fit the columns", where="record", found=f"{len(labels)} labels: {labels}",
+                         expected=f"{columns}")  # fmt: skip
     double = {n: [i + 1 for i, m in enumerate(labels) if m == n] for n in labels if labels.count(n) > 1}
     if double or not all(n.strip() for n in labels):
         what = "labels are doubled" if double else "a label is empty"
@@ -341,13 +324,10 @@ def _refuse_infinite(table: NDArray[np.float64], channels: tuple[Channel, ...]) 
     bad = np.isinf(table)
     if bad.any():
         row, column = (int(i) for i in np.argwhere(bad)[0])
-        raise InputError(
-            "infinite values",
-            where=f"channel {channels[column].label}",
-            found=f"{int(bad.sum())}, the first at sample {row}",
-            expected="finite numbers, or NaN for recorded gaps",
-            hint="repair the record, or mark these samples as NaN",
-        )
+        raise InputError("infinite values", where=f"channel {channels[column].label}",
+                         found=f"{int(bad.sum())}, the first at sample {row}",
+                         expected="finite numbers, or NaN for recorded gaps",
+                         hint="repair the record, or mark these samples as NaN")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -63,7 +65,7 @@ def mean_power(load: ArrayLike, velocity: ArrayLike, dt: float, window: float) -
     return np.asarray(fftconvolve(q * v, weights.reshape(shape), mode="same", axes=0) / share, float)
 
 
-def _fit(q: NDArray, v: NDArray) -> None:
+def _fit(q: NDArray[Any], v: NDArray[Any]) -> None:
     if q.shape != v.shape or q.size == 0 or not (np.all(np.isfinite(q)) and np.all(np.isfinite(v))):
         raise InputError("load and velocity do not fit each other", where="power", found=f"{q.shape} and {v.shape}",
                          expected="finite, of one shape: the same places and times")  # fmt: skip

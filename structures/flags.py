@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from .advice import Advice, Spelling, on_command_line
+from .codes import LEVELS, table
 from .errors import InputError
-
-LEVELS = {"E": "refused", "W": "warning", "N": "note"}
 
 
 def canonical(code: str) -> str:
@@ -59,17 +58,22 @@ class Flag:
         3 inversion, 4 parameter choice, 5 dynamics, 6 tactile, 7 validation).
     evidence : Evidence
         The number that triggered it and the threshold.
-    message, advice : str
-        What was found; what to do next (`structures.advice.Advice` where Python and the command line differ).
+    message : str
+        What was found.
+    advice : str, optional
+        What to do next (`structures.advice.Advice` where Python and the command line differ), where it is not what the
+        table of codes says (`structures.codes`).
     """
 
     code: str
     evidence: Evidence
     message: str
-    advice: str
+    advice: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "code", canonical(self.code))
+        if not self.advice:
+            object.__setattr__(self, "advice", table()[self.code.removeprefix("LID-")].advice)
 
     @property
     def level(self) -> str:

@@ -31,7 +31,7 @@ from loadid.inverse.kalman.priors import Matern32
 from loadid.inverse.noise_source import KINDS, WRITTEN
 from loadid.inverse.sweep import Refusal, RuleResult
 from loadid.results import archive
-from loadid.validate import Wrench, held_out, validate
+from loadid.validate import ReferenceWrench, held_out, validate
 from structures import Channel, FrfModel, ImpulseModel, MatrixModel
 from structures.advice import Advice, Option, Spelling, from_plain, on_command_line, to_plain
 from structures.errors import InputError
@@ -259,7 +259,7 @@ def checked() -> list[str]:
     H = 0.1 / np.pi / (0.01 + (x[:, None] - (np.arange(16) + 0.5) / 16) ** 2) / 16
     model = MatrixModel(H, sensors=[Channel(label=f"k{i}", quantity="displacement", unit="m") for i in range(4)])
     kept = held_out(e, model, H @ e.load)
-    codes = sorted(f.code for f in validate(e, Wrench([total], C=np.ones((1, 16)), labels=["F"])).flags)
+    codes = sorted(f.code for f in validate(e, ReferenceWrench([total], C=np.ones((1, 16)), labels=["F"])).flags)
     assert "LID-W704" in codes
     return [*codes, *(f.code for f in kept.flags), kept.measured.tolist()]
 

@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from ..codes import explained
+
 
 @dataclass(frozen=True)
 class Command:
@@ -38,6 +40,9 @@ def emit(args: Namespace, data: Any, text: str) -> None:
     if args.json or getattr(args, "json_full", False):
         from ..results.archive import plain
 
+        if isinstance(data, dict) and "flags" in data:
+            flags = [explained(flag) if isinstance(flag, dict) else flag for flag in data["flags"]]
+            data = {**data, "flags": flags}
         text = json.dumps(plain(data), allow_nan=False, ensure_ascii=False)
     print(text)
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from structures.errors import InputError
+from structures.files.storage import kind_of
+
+from ..inverse import penalties
+from . import names
 
 if TYPE_CHECKING:
     from structures.models.forward import ForwardModel
@@ -32,15 +36,20 @@ class UsageError(Exception):
     """Wrong words on the command line."""
 
 
+def number(text: str, what: str, fits: Callable[[float], bool]) -> float:
+    """A finite number that fits; else the text is refused as being none of `what`."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and fits(value)):
+        raise ArgumentTypeError(f"{text!r} is no {what}")
+    return value
+
+
 def frequency(text: str) -> float:
     """Sampling frequency in Hz, positive and finite."""
-    try:
-        rate = float(text)
-    except ValueError:
-        rate = math.nan
-    if not (math.isfinite(rate) and rate > 0 and math.isfinite(1 / rate)):
-        raise ArgumentTypeError(f"{text!r} is no sampling frequency in Hz, > 0")
-    return rate
+    return number(text, "sampling frequency in Hz, > 0", lambda rate: rate > 0 and math.isfinite(1 / rate))
 
 
 def unit(text: str) -> str:
@@ -53,8 +62,6 @@ def unit(text: str) -> str:
 
 def channels(text: str) -> list[str]:
     """``"a,b"`` as a list of channels, at least one."""
-    from . import names
-
     found = names(text)
     if not found:
         raise ArgumentTypeError("no channel is named")
@@ -67,44 +74,29 @@ def choice(text: str) -> str | float:
 
     if known(text):
         return text
-    try:
-        lam = float(text)
-    except ValueError:
-        lam = math.nan
-    if not (math.isfinite(lam) and lam >= 0):
-        raise ArgumentTypeError(f"{text!r} is no rule ({', '.join(RULES)}) and no relative lambda >= 0")
-    return lam
+    return number(text, f"rule ({', '.join(RULES)}) and no relative lambda >= 0", lambda lam: lam >= 0)
 
 
 def penalty(text: str) -> str:
     """Name of a penalty, or ``none`` for plain least squares."""
-    from ..inverse.penalties import ORDER, names
-
-    if text not in (*ORDER, NONE):
-        raise ArgumentTypeError(f"{text!r} is no penalty ({names()}, {NONE})")
+    if text not in (*penalties.ORDER, NONE):
+        raise ArgumentTypeError(f"{text!r} is no penalty ({penalties.names()}, {NONE})")
     return text
 
 
 def leak(text: str) -> float:
     """A leak of a difference, between 0 and 1."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < 1:
-        raise ArgumentTypeError(f"{text!r} is no leak: a number between 0 and 1")
-    return value
+    return number(text, "leak: a number between 0 and 1", lambda value: 0 < value < 1)
 
 
 def positive(text: str) -> float:
     """A finite number > 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise ArgumentTypeError(f"{text!r} is no number > 0")
-    return value
+    return number(text, "number > 0", lambda value: value > 0)
+
+
+def seconds(text: str) -> float:
+    """A time that can be waited for, 0 or more."""
+    return number(text, "number of seconds >= 0", lambda value: 0 <= value < 1e9)
 
 
 def band(text: str) -> tuple[float, float]:
@@ -137,12 +129,8 @@ def add_log_options(parser: ArgumentParser, *, several: bool = False) -> None:
     """Options that say how a log is read."""
     group = parser.add_argument_group("reading logs")
     group.add_argument("--fs", type=frequency, metavar="HZ", help="sampling frequency, where the file does not tell it")
-    group.add_argument(
-        "--columns",
-        type=channels,
-        metavar="CH,...",
-        help="channels to read, or the names of all where the file has none",
-    )
+    group.add_argument("--columns", type=channels, metavar="CH,...",
+                       help="channels to read, or the names of all where the file has none")  # fmt: skip
     group.add_argument("--axis", type=int, choices=(0, 1), help="axis of a bare array that is time")
     more = "; may repeat, default all" if several else ""
     group.add_argument("--record", action="append", metavar="NAME", help=f"record of a file that holds several{more}")
@@ -171,13 +159,9 @@ def units(options: list[str]) -> dict[str, str]:
         if not (sign and channel.strip() and unit.strip()):
             raise InputError("not CH=UNIT", where="--unit", found=repr(option), expected="for example --unit force=N")
         if channel.strip() in pairs:
-            raise InputError(
-                "a channel is given twice",
-                where="--unit",
-                found=f"{channel.strip()}={pairs[channel.strip()]} and {option}",
-                expected="one unit for each channel",
-                hint="leave one of them out",
-            )
+            raise InputError("a channel is given twice", where="--unit",
+                             found=f"{channel.strip()}={pairs[channel.strip()]} and {option}",
+                             expected="one unit for each channel", hint="leave one of them out")  # fmt: skip
         pairs[channel.strip()] = unit.strip()
     return pairs
 
@@ -225,7 +209,6 @@ def load_model(path: str | Path) -> MeasuredModel | FrfModel | ForwardModel | St
         If the file is missing, damaged, or no model.
     """
     from structures.files import modelfile
-    from structures.files.storage import kind_of
     from structures.files.uff import SUFFIXES
     from structures.models.measured import MeasuredModel
     from structures.models.tabulated import FILE, FrfModel

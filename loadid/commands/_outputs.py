@@ -84,21 +84,14 @@ def require_outputs(outputs: Mapping[str, str | Path | None], inputs: Sequence[s
     for k, option in enumerate(options):
         path = given[option]
         if any(same_file(path, other) for other in read):
-            raise InputError(
-                "the output is a file that the command reads",
-                where=f"{option} {path}",
-                expected="another file",
-                hint="choose another name; nothing was read or written",
-            )
+            raise InputError("the output is a file that the command reads", where=f"{option} {path}",
+                             expected="another file",
+                             hint="choose another name; nothing was read or written")  # fmt: skip
         twin = next((other for other in options[:k] if same_file(path, given[other])), None)
         if twin is not None:
-            raise InputError(
-                "two outputs are one file",
-                where=f"{option} {path}",
-                found=f"also {twin}",
-                expected="a file for each",
-                hint="choose another name for one of them; nothing was written",
-            )
+            raise InputError("two outputs are one file", where=f"{option} {path}", found=f"also {twin}",
+                             expected="a file for each",
+                             hint="choose another name for one of them; nothing was written")  # fmt: skip
 
 
 def same_file(a: Path, b: Path) -> bool:
@@ -133,9 +126,5 @@ def _require_place(option: str, path: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):  # permission bits do not tell everything: ask the file system
             pass
     except OSError as error:
-        raise InputError(
-            "the folder cannot be written",
-            where=where,
-            found=error.strerror or error,
-            hint="choose a folder that may be written",
-        ) from error
+        raise InputError("the folder cannot be written", where=where, found=error.strerror or error,
+                         hint="choose a folder that may be written") from error  # fmt: skip

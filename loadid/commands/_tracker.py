@@ -35,19 +35,11 @@ def add_fit_options(parser: ArgumentParser) -> None:
         help="noise std of each sensor, in its SI unit: numbers in the order of the model, or CH=STD",
     )
     group.add_argument("--lag", type=_lag, metavar="N", help="answer N samples late, with what came meanwhile; or auto")
-    group.add_argument(
-        "--replay",
-        type=_samples,
-        metavar="N",
-        help="rows up to N samples late are put in their place (as --lag)",
-    )
+    group.add_argument("--replay", type=_samples, metavar="N",
+                       help="rows up to N samples late are put in their place (as --lag)")  # fmt: skip
     group.add_argument("--scales", type=names, metavar="NAME,...", help="tune the model too: stiffness, mass, damping")
-    group.add_argument(
-        "--model-error",
-        type=_errors,
-        metavar="NAME=STD,...",
-        help="relative std of parameters, as stiffness=0.02: widens the band",
-    )
+    group.add_argument("--model-error", type=_errors, metavar="NAME=STD,...",
+                       help="relative std of parameters, as stiffness=0.02: widens the band")  # fmt: skip
     group.add_argument("--start", choices=("rest", "static"), help="the structure before the first sample")
     group.add_argument(
         "--gate", type=_gate, metavar="STDS", help="innovation beyond which a sample is doubted; or none"
@@ -183,13 +175,7 @@ def _made(args: Namespace, size: int | None = None) -> dict[str, Any]:
 
 
 def _digest(path: str, size: int | None = None) -> dict[str, Any]:
-    """Of a file, or of as much of it as there was before.
-
-    Raises
-    ------
-    InputError
-        A file that cannot be read.
-    """
+    """Of a file, or of as much of it as there was before."""
     hasher, total = hashlib.sha256(), 0
     try:
         left = Path(path).stat().st_size if size is None else size
@@ -204,13 +190,7 @@ def _digest(path: str, size: int | None = None) -> dict[str, Any]:
 
 
 def _is_tracker(path: str) -> bool:
-    """Whether the file holds a tracker; other kinds of model may become one.
-
-    Raises
-    ------
-    InputError
-        A file that is missing, damaged, or holds neither.
-    """
+    """Whether the file holds a tracker; other kinds of model may become one."""
     from structures.files import modelfile
     from structures.files.storage import kind_of, read
     from structures.files.uff import SUFFIXES
@@ -231,13 +211,7 @@ def _is_tracker(path: str) -> bool:
 
 
 def _tracker_file(path: str) -> str:
-    """The path, where it leads to a tracker.
-
-    Raises
-    ------
-    InputError
-        Another kind of file.
-    """
+    """The path, where it leads to a tracker."""
     if not _is_tracker(path):
         raise InputError("this file holds no tracker", where=path, found="a model of a structure", expected="a state",
                          hint="name the model with --model, and a new file with --state")  # fmt: skip
@@ -277,13 +251,7 @@ def _errors(text: str) -> dict[str, float]:
 
 
 def _noise(text: str, sensors: list[str]) -> list[float]:
-    """Std of every sensor.
-
-    Raises
-    ------
-    InputError
-        A number that is none, a sensor that is not there, or left out.
-    """
+    """Std of every sensor."""
     parts = names(text)
     pairs = [part.rpartition("=") for part in parts]
     named = [label for label, sign, _ in pairs if sign]

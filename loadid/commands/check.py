@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 from structures.errors import InputError, NotIdentifiable
 
 from ..codes import GUARDS
+from ..results.summary import number
 from . import Command, emit
 from ._arguments import UsageError, add_log_options, channels, load_model, read_records, settings
+from .identify import responses_of
 
 if TYPE_CHECKING:
     from structures.flags import Flag
@@ -132,7 +134,6 @@ def check_pair(findings: Findings, model: Model, record: Record, where: str, res
 
     from .. import guards as flags
     from ..quality import noise_std
-    from .identify import responses_of
 
     used = responses_of(record, model, responses)
     noisy = model.noise is not None or noise_std(used) is not None
@@ -196,8 +197,6 @@ def show(findings: Findings) -> str:
     """Findings as text."""
     lines = []
     if findings.layout:
-        from ..results.summary import number
-
         words = {"m": "sensors", "n": "loads", "rank": "rank", "nullity": "nullity", "kappa": "condition number"}
         lines.append(
             "layout: "

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from structures.channels import Channel
 from structures.errors import InputError
 
+from ..results.summary import against, comparison, summary
 from . import Command, emit
 from ._arguments import seed as _seed
-from ._outputs import require_outputs
-from .identify import identify, relative_error, show_error, write_all
+from ._outputs import Bar, require_outputs
+from .identify import identify, write_all
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,7 +39,7 @@ class Simulated:
     """A simulated record and the force behind it, shape (samples,)."""
 
     record: Record
-    force: NDArray
+    force: NDArray[Any]
 
 
 def model(elements: int = 30, modes: int = 14) -> ForwardModel:
@@ -111,8 +113,6 @@ def demo(
 
 
 def _channel(label: str) -> Any:
-    from structures.channels import Channel
-
     return Channel(label=label, quantity="acceleration", unit="m/s^2")
 
 
@@ -122,17 +122,13 @@ def _configure(parser: ArgumentParser) -> None:
 
 
 def _run(args: Namespace) -> int:
-    from ._outputs import Bar
-
     with Bar() as bar:
         estimate, simulated, written = demo(args.out, seed=args.seed, progress=bar)
-    from ..results.summary import summary
-
-    error = relative_error(estimate, simulated.force)
+    error = against(estimate, simulated.force)
     lines = [
         f"A simulated hit of {PEAK:g} N on a steel beam, three accelerometers, {NOISE:.1%} noise.",
         summary(estimate, command=True),
-        show_error(error),
+        comparison(error),
         f"flags: {', '.join(sorted(estimate.codes)) or 'none'}",
         f"written: {', '.join(written)}",
     ]

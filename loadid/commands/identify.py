@@ -9,11 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 from structures.advice import Advice
 from structures.errors import InputError
+from structures.files import storage
 
+from ..codes import known_codes
+from ..inverse.constraints import NonNegative
+from ..results.summary import against, comparison, summary
 from . import Command, emit, names
 from . import _arguments as arguments
 from ._arguments import add_log_options, load_model, one_record, resolved, settings
-from ._outputs import require_outputs
+from ._outputs import Bar, require_outputs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -87,30 +91,18 @@ def identify(
 
 
 def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
-    """The settings that were given, as the family takes them.
-
-    Raises
-    ------
-    InputError
-        One that it does not take.
-    """
+    """The settings that were given, as the family takes them."""
     from inspect import signature
 
     given = {key: value for key, value in options.items() if value is not None}
     taken = [name for name, p in signature(family).parameters.items() if p.kind is p.KEYWORD_ONLY]
     if given.get("nonnegative") and "nonnegative" not in taken and "constraints" in taken:
-        from ..inverse.constraints import NonNegative
-
         del given["nonnegative"]
         given["constraints"] = [*given.get("constraints", ()), NonNegative()]
     unknown = [name for name in given if name not in taken]
     if unknown:
-        raise InputError(
-            f"{family.__name__} has no such setting",
-            where="identify",
-            found=", ".join(unknown),
-            expected=f"some of {', '.join(taken)}",
-        )
+        raise InputError(f"{family.__name__} has no such setting", where="identify", found=", ".join(unknown),
+                         expected=f"some of {', '.join(taken)}")  # fmt: skip
     if given.get("penalty") == arguments.NONE:
         given["penalty"] = None
     return given
@@ -167,7 +159,7 @@ def responses_of(record: Record, model: Model, chosen: Sequence[str] | None) -> 
     return replace(some, channels=tuple(replace(c, label=s) for c, s in zip(some.channels, labels, strict=True)))
 
 
-def known_load(record: Record, model: Model, channel: str) -> NDArray:
+def known_load(record: Record, model: Model, channel: str) -> NDArray[Any]:
     """The measured load, shape (samples,), that an estimate of this model can be compared with.
 
     Raises
@@ -180,13 +172,9 @@ def known_load(record: Record, model: Model, channel: str) -> NDArray:
     column = record.index(channel)
     known, loads = record.channels[column], model.loads
     if len(loads) != 1:
-        raise InputError(
-            "one load is compared with one channel",
-            where="--truth",
-            found=f"{len(loads)} loads: {', '.join(c.label for c in loads)}",
-            expected="a model of one load",
-            hint="leave --truth out",
-        )
+        raise InputError("one load is compared with one channel", where="--truth",
+                         found=f"{len(loads)} loads: {', '.join(c.label for c in loads)}",
+                         expected="a model of one load", hint="leave --truth out")  # fmt: skip
     if "arbitrary" not in (known.unit, loads[0].unit) and known.unit != loads[0].unit:
         raise InputError(
             f"channel {known.label!r} is in another unit than the load",
@@ -205,20 +193,6 @@ def known_load(record: Record, model: Model, channel: str) -> NDArray:
             hint="leave --truth out, or name another channel",
         )
     return values
-
-
-def relative_error(estimate: LoadEstimate, truth: Any) -> dict[str, Any]:
-    """Comparison of the first load with a known one (samples,); see `loadid.results.summary.against`."""
-    from ..results.summary import against
-
-    return against(estimate, truth)
-
-
-def show_error(error: dict[str, Any]) -> str:
-    """Answer of `relative_error` as one line."""
-    from ..results.summary import comparison
-
-    return comparison(error)
 
 
 def _configure(parser: ArgumentParser) -> None:
@@ -290,9 +264,6 @@ def _configure(parser: ArgumentParser) -> None:
 
 
 def _run(args: Namespace) -> int:
-    from ..codes import known_codes
-    from ._outputs import Bar
-
     require_outputs({"-o": args.output, "--report": args.report, "--plot": args.plot}, [args.log, args.model])
     allow = None if args.allow is None else known_codes(args.allow, where="--allow")
     model = load_model(args.model)
@@ -308,11 +279,9 @@ def _run(args: Namespace) -> int:
     if truth is not None and (estimate.axis is None or estimate.axis.name != "time"):
         raise InputError("a history cannot be compared with spectra", where="--truth", found="--signal stationary",
                          expected="a load over time", hint="leave --truth out")  # fmt: skip
-    from ..results.summary import summary
-
-    error = None if truth is None else relative_error(estimate, truth)
+    error = None if truth is None else against(estimate, truth)
     written = write_all(estimate, args.output, report=args.report, plot=args.plot, truth=truth)
-    lines = [summary(estimate, command=True), *([show_error(error)] if error else []), f"written: {', '.join(written)}"]
+    lines = [summary(estimate, command=True), *([comparison(error)] if error else []), f"written: {', '.join(written)}"]
     answer = {**estimate.to_dict(arrays=args.json_full), "against_known": error, "written": written}
     emit(args, answer, "\n".join(lines))
     return 0
@@ -330,8 +299,6 @@ def write_all(
 
     Report and picture are made before the first file is written, so that a fault in them leaves nothing behind.
     """
-    from structures.files.storage import replace
-
     ready = []
     if report is not None:
         from ..results.report import page
@@ -343,7 +310,7 @@ def write_all(
         ready.append((Path(plot), rendered(load_figure(estimate, truth=truth), plot)))
     estimate.save(result)
     for path, data in ready:
-        replace(path, data)
+        storage.replace(path, data)
     return [str(path) for path in (result, report, plot) if path is not None]
 
 

@@ -7,8 +7,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from structures.files import storage
+
+from ..results.summary import quantity, summary
 from . import Command, emit, table
 from ._arguments import add_log_options, read_records, settings
+from .calibrate import describe as describe_hits
+from .calibrate import show as show_hits
 
 
 def universal(path: str | Path) -> dict[str, Any] | None:
@@ -66,8 +71,6 @@ def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = T
     InputError
         If the file is no such file, damaged, or not usable.
     """
-    from structures.files import storage
-
     kind = storage.kind_of(path)
     if kind is None and (held := universal(path)):
         return {"kind": "universal file", "file": str(path), "content": held}
@@ -75,7 +78,6 @@ def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = T
         return {"kind": "log", "file": str(path), **_log(path, records, reading)}
     if kind == "load estimate":
         from ..results.estimate import LoadEstimate
-        from ..results.summary import summary
 
         estimate = LoadEstimate.read(path)
         said = summary(estimate, command=True)
@@ -102,8 +104,6 @@ def _log(path: str | Path, records: list[str] | None, reading: dict[str, Any]) -
 def _model(path: str | Path) -> dict[str, Any]:
     """What a measured model was made from and what it covers."""
     from structures.models.measured import MeasuredModel
-
-    from .calibrate import describe as describe_hits
 
     model = MeasuredModel.load(path)
     return {
@@ -147,8 +147,6 @@ def _outline(tree: Any) -> Any:
 
 def show_record(record: dict[str, Any]) -> str:
     """A record as `loadid.quality.describe` gives it, as text."""
-    from ..results.summary import quantity
-
     name = f"record {record['name']!r}: " if record["name"] else ""
     head = f"{name}{record['samples']} samples, step {quantity(record['dt'], 's')} ({record['fs']:.6g} Hz), "
     lines = [head + f"{quantity(record['duration'], 's')} long"]
@@ -192,9 +190,6 @@ def _show_table(outline: dict[str, Any]) -> str:
 
 
 def _show_model(data: dict[str, Any]) -> str:
-    from ..results.summary import quantity
-    from .calibrate import show as show_hits
-
     def channels(key: str) -> str:
         return ", ".join(f"{c['label']} [{c['unit']}]" for c in data[key])
 

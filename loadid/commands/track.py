@@ -15,13 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import Command, emit
-from ._arguments import count
+from ._arguments import count, seconds, units
+from ._outputs import Bar, require_outputs
 from ._tracker import add_fit_options, require_fit_options, started
 
 if TYPE_CHECKING:
     from ..families.tracking.tracker import Tracker
-    from ..stream import Followed
+    from ..stream import StreamSummary
     from ..stream.output import StateLock
+
+Array = NDArray[np.float64]
 
 
 BINS = 1024
@@ -41,12 +44,12 @@ class History:
     def __init__(self, labels: list[str], units: list[str], width: float = 1.96) -> None:
         self.labels, self.units, self.width = labels, units, width
         self.size = 1  # samples of a bin
-        self._bins: list[NDArray[np.float64]] = []  # (4, loads): mean, lowest, highest of the band, std
+        self._bins: list[Array] = []  # (4, loads): mean, lowest, highest of the band, std
         self._times: list[float] = []
-        self._open: list[tuple[NDArray, NDArray, NDArray]] = []
+        self._open: list[tuple[Array, Array, Array]] = []
         self._count = 0
 
-    def add(self, times: NDArray, load: NDArray, std: NDArray) -> None:
+    def add(self, times: Array, load: Array, std: Array) -> None:
         """More samples: times (samples,), loads and stds (samples, loads)."""
         self._open.append((times, load, std))
         self._count += len(times)
@@ -67,12 +70,12 @@ class History:
         return len(self._bins)
 
     @property
-    def times(self) -> NDArray[np.float64]:
+    def times(self) -> Array:
         """Middle of every bin (bins,)."""
         return np.array(self._times)
 
     @property
-    def bins(self) -> NDArray[np.float64]:
+    def bins(self) -> Array:
         """Mean, lower and upper end of the band, mean std (bins, 4, loads)."""
         return np.array(self._bins).reshape(-1, 4, len(self.labels))
 
@@ -98,7 +101,12 @@ SHOWN = 3  # loads in a terminal
 
 
 def live(
-    labels: Sequence[str], units: Sequence[str], times: NDArray, load: NDArray, std: NDArray, note: str = ""
+    labels: Sequence[str],
+    units: Sequence[str],
+    times: Array,
+    load: Array,
+    std: Array,
+    note: str = "",
 ) -> str:
     """Loads and their 95 % bands as text, the newest sample at the right.
 
@@ -120,7 +128,7 @@ def live(
     return "\n".join([*lines, note] if note else lines)
 
 
-def _panel(name: str, times: NDArray, load: NDArray, half: NDArray) -> list[str]:
+def _panel(name: str, times: Array, load: Array, half: Array) -> list[str]:
     parts = np.array_split(np.arange(len(load)), min(WIDTH, len(load)))
     low = np.array([np.min(load[p] - half[p]) for p in parts])
     high = np.array([np.max(load[p] + half[p]) for p in parts])
@@ -156,10 +164,10 @@ class Screen:
     def __init__(self, labels: Sequence[str], units: Sequence[str], stream: TextIO) -> None:
         self.labels, self.units, self.stream = labels, units, stream
         self.shown = bool(getattr(stream, "isatty", lambda: False)())
-        self._recent: tuple[NDArray, ...] = ()
+        self._recent: tuple[Array, ...] = ()
         self._last, self._height = 0.0, 0
 
-    def add(self, times: NDArray, load: NDArray, std: NDArray) -> None:
+    def add(self, times: Array, load: Array, std: Array) -> None:
         """More samples; drawn where the last drawing is old enough."""
         if not self.shown:
             return
@@ -248,7 +256,7 @@ def _until_told() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def show(tracker: Tracker, done: Followed) -> str:
+def show(tracker: Tracker, done: StreamSummary) -> str:
     """What came of a stream, in words."""
     lines = [
         f"{done.samples} samples in {done.seconds:.3g} s: {done.ended}" + (", gone on from a state" * done.resumed),
@@ -292,27 +300,12 @@ def _configure(parser: ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--every", type=count, default=5000, metavar="N", help="samples between checkpoints (5000)")
     parser.add_argument(
-        "--idle", type=_seconds, metavar="S", help="end where a file has not grown for so long (default: never)"
+        "--idle", type=seconds, metavar="S", help="end where a file has not grown for so long (default: never)"
     )
     add_fit_options(parser)
 
 
-def _seconds(text: str) -> float:
-    from argparse import ArgumentTypeError
-
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value < 1e9:
-        raise ArgumentTypeError(f"{text!r} is no number of seconds >= 0")
-    return value
-
-
 def _run(args: Namespace) -> int:
-    from ._arguments import units
-    from ._outputs import require_outputs
-
     require_fit_options(args)
     source = None if args.source == "-" or args.source.startswith("tcp://") else args.source
     outputs = {"--out": None if args.out == "-" else args.out, "--state": args.state, "--plot": args.plot or None}
@@ -327,16 +320,15 @@ def _run(args: Namespace) -> int:
         return _tracked(args, state, stated)
 
 
-def _tracked(args: Namespace, state: StateLock | None, units: dict[str, str]) -> int:
+def _tracked(args: Namespace, state: StateLock | None, stated: dict[str, str]) -> int:
     from ..stream import follow
-    from ..stream.framing import TIME
-    from ._outputs import Bar
+    from ..stream.header import TIME
 
     with Bar() as bar:
         tracker, stream, fitted = started(args, bar)
     if args.fit is not None:  # its record may have other channels
         known = {c.label for c in tracker.fitted.sensors}
-        units = {name: unit for name, unit in units.items() if name in known or name.lower() in TIME}
+        stated = {name: unit for name, unit in stated.items() if name in known or name.lower() in TIME}
     if fitted and not args.json:
         sys.stderr.write(show_fit(args.fit, tracker))
     names = [c.label for c in tracker.fitted.loads], [c.unit for c in tracker.fitted.loads]
@@ -350,7 +342,7 @@ def _tracked(args: Namespace, state: StateLock | None, units: dict[str, str]) ->
     with _until_told() as stop:
         done = follow(
             tracker, args.source, out, state=state, stream=stream, every=args.every, idle=args.idle,
-            stop=stop, watch=None if args.plot is None else watch, units=units,
+            stop=stop, watch=None if args.plot is None else watch, units=stated,
         )  # fmt: skip
     if args.plot is not None:
         screen.draw()
@@ -360,7 +352,7 @@ def _tracked(args: Namespace, state: StateLock | None, units: dict[str, str]) ->
     return 0
 
 
-def _picture(path: str, tracker: Tracker, past: Any, done: Followed) -> None:
+def _picture(path: str, tracker: Tracker, past: Any, done: StreamSummary) -> None:
     from ..plots.choosing import tracked_figure
     from ..plots.style import save
 
@@ -370,7 +362,7 @@ def _picture(path: str, tracker: Tracker, past: Any, done: Followed) -> None:
     save(tracked_figure(past.labels, past.units, past.times, past.bins, note), path)
 
 
-def _told(args: Namespace, tracker: Tracker, done: Followed) -> None:
+def _told(args: Namespace, tracker: Tracker, done: StreamSummary) -> None:
     data = {"samples": done.samples, "seconds": done.seconds, "resumed": done.resumed, "ended": done.ended,
             "phase": done.phase, "counts": done.counts, "flags": [f.to_dict() for f in tracker.flags],
             "prior": tracker.fitted.words, "tuned": dict(tracker.fitted.numbers),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .comparison import Comparison, compare
+from .comparison import LayoutComparison, compare
 from .layout import Judged
 from .placement import Placement, place
 
-__all__ = ["Comparison", "Judged", "Placement", "compare", "place"]
+__all__ = ["Judged", "LayoutComparison", "Placement", "compare", "place"]

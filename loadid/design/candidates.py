@@ -29,7 +29,7 @@ def of_model(model: Model) -> tuple[Places, Places, Places]:
     return sensors, _of_loads(model, nodes), outline
 
 
-def _of_loads(model: Model, nodes: dict[int, NDArray]) -> Places:
+def _of_loads(model: Model, nodes: dict[int, NDArray[Any]]) -> Places:
     basis = model.basis
     if basis is not None and getattr(basis, "kind", "") != "polynomials":
         x = np.asarray(basis.coordinates, float)
@@ -40,7 +40,7 @@ def _of_loads(model: Model, nodes: dict[int, NDArray]) -> Places:
     return _stack([_place(c, nodes) for c in model.loads])
 
 
-def _place(channel: Any, nodes: dict[int, NDArray]) -> NDArray[np.float64] | None:
+def _place(channel: Any, nodes: dict[int, NDArray[Any]]) -> NDArray[np.float64] | None:
     """Its own place, the middle of its patch, or its node."""
     at, dof = getattr(channel, "at", None), getattr(channel, "dof", None)
     if at is not None:
@@ -52,7 +52,7 @@ def _place(channel: Any, nodes: dict[int, NDArray]) -> NDArray[np.float64] | Non
     return np.array(middle) if middle else None
 
 
-def _stack(found: list[NDArray | None]) -> Places:
+def _stack(found: list[NDArray[Any] | None]) -> Places:
     """One table, dimensions that only some have filled with zeros; None where a place is not known."""
     if not found or any(x is None for x in found):
         return None
@@ -64,7 +64,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class CandidateSensors:
     """Sensors that could be used, and the loads they shall tell apart.
 
     Parameters
@@ -126,22 +126,13 @@ class Candidates:
             ):
                 rows.append(int(item) % len(self.H))
             else:
-                raise InputError(
-                    "there is no such candidate",
-                    where=where,
-                    found=repr(item),
-                    expected=f"a label, or an index below {len(self.H)}: {list(self.labels[:8])} ...",
-                    hint="name sensors as the model does",
-                )
+                raise InputError("there is no such candidate", where=where, found=repr(item),
+                                 expected=f"a label, or an index below {len(self.H)}: {list(self.labels[:8])} ...",
+                                 hint="name sensors as the model does")  # fmt: skip
         if len(set(rows)) != len(rows):
             twice = sorted({self.labels[i] for i in rows if rows.count(i) > 1})
-            raise InputError(
-                "a sensor is named twice",
-                where=where,
-                found=twice,
-                expected="each sensor once",
-                hint="leave out the repeats",
-            )
+            raise InputError("a sensor is named twice", where=where, found=twice, expected="each sensor once",
+                             hint="leave out the repeats")  # fmt: skip
         return np.array(rows, dtype=np.intp)
 
 
@@ -153,8 +144,8 @@ def settle(
     at: ArrayLike | None = None,
     loads_at: ArrayLike | None = None,
     where: str = "design",
-) -> Candidates:
-    """Candidates from a model or an array (sensors, loads).
+) -> CandidateSensors:
+    """CandidateSensors from a model or an array (sensors, loads).
 
     Raises
     ------
@@ -183,7 +174,7 @@ def settle(
     pick = np.arange(H.shape[1]) if loads is None else _loads(loads, names, where)
     sensors_at = sensors_at if at is None else _places(at, len(H), "at")
     columns_at = columns_at if loads_at is None else _places(loads_at, len(names), "loads_at")
-    return Candidates(
+    return CandidateSensors(
         H[:, pick],
         level,
         labels,
@@ -214,13 +205,10 @@ def _matrix(given: Any, where: str) -> Array:
     except (TypeError, ValueError):
         H = np.empty(0)
     if H.ndim != 2 or 0 in H.shape or not np.all(np.isfinite(H)):
-        raise InputError(
-            "no model and no matrix",
-            where=where,
-            found=f"shape {H.shape}, {int(np.sum(~np.isfinite(H)))} entries that are not finite",
-            expected="a Model with static(), or finite numbers (sensors, loads)",
-            hint="one row per candidate sensor, one column per load",
-        )
+        raise InputError("no model and no matrix", where=where,
+                         found=f"shape {H.shape}, {int(np.sum(~np.isfinite(H)))} entries that are not finite",
+                         expected="a Model with static(), or finite numbers (sensors, loads)",
+                         hint="one row per candidate sensor, one column per load")  # fmt: skip
     return H
 
 
@@ -236,13 +224,10 @@ def _noise(noise: ArrayLike, m: int, where: str) -> Array:
         except np.linalg.LinAlgError:
             good = False
     if not good:
-        raise InputError(
-            "no noise level",
-            where=where,
-            found=f"shape {level.shape}, smallest {level.min(initial=np.inf):.3g}",
-            expected=f"finite: std > 0, one or ({m},), or a positive definite covariance ({m}, {m})",
-            hint="the std of each sensor in its own unit",
-        )
+        raise InputError("no noise level", where=where,
+                         found=f"shape {level.shape}, smallest {level.min(initial=np.inf):.3g}",
+                         expected=f"finite: std > 0, one or ({m},), or a positive definite covariance ({m}, {m})",
+                         hint="the std of each sensor in its own unit")  # fmt: skip
     return level
 
 
@@ -254,13 +239,9 @@ def _loads(loads: Sequence[str | int], names: tuple[str, ...], where: str) -> ND
         elif isinstance(item, int | np.integer) and -len(names) <= item < len(names):
             found.append(int(item) % len(names))
         else:
-            raise InputError(
-                "there is no such load",
-                where=where,
-                found=repr(item),
-                expected=f"a label or an index below {len(names)}: {list(names[:8])}",
-                hint="loads= picks columns of the model",
-            )
+            raise InputError("there is no such load", where=where, found=repr(item),
+                             expected=f"a label or an index below {len(names)}: {list(names[:8])}",
+                             hint="loads= picks columns of the model")  # fmt: skip
     return np.array(found, dtype=np.intp)
 
 
@@ -268,13 +249,8 @@ def _places(at: ArrayLike, count: int, name: str) -> Array:
     x = np.asarray(plain(at), float)
     x = x[:, None] if x.ndim == 1 else x
     if x.ndim != 2 or len(x) != count or not 1 <= x.shape[1] <= 3 or not np.all(np.isfinite(x)):
-        raise InputError(
-            "places do not fit",
-            where=name,
-            found=f"shape {x.shape}",
-            expected=f"({count},) to ({count}, 3), finite, in m",
-            hint="one place for each",
-        )
+        raise InputError("places do not fit", where=name, found=f"shape {x.shape}",
+                         expected=f"({count},) to ({count}, 3), finite, in m", hint="one place for each")  # fmt: skip
     return x
 
 
@@ -289,7 +265,7 @@ class Expected:
     words: str
 
 
-def expected(sets: Sequence[Candidates], amplitude: ArrayLike | None, snr: float | None, where: str) -> Expected:
+def expected(sets: Sequence[CandidateSensors], amplitude: ArrayLike | None, snr: float | None, where: str) -> Expected:
     """Amplitude of the loads: as stated, or such that the sensor that sees a load of each unit best reads it at `snr`.
 
     Raises

@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 from structures.flags import Flag
 from structures.model import Model
+from structures.models.forward import ForwardModel
 
 from ..guards.measurement import lost_channels
-from .candidates import Candidates, expected, settle
+from .candidates import CandidateSensors, expected, settle
 from .layout import Judged, judge, table
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class LayoutComparison:
     """Layouts judged for the same loads. Immutable.
 
     Parameters
@@ -88,7 +89,7 @@ def compare(
     snr: float | None = None,
     at: ArrayLike | None = None,
     loads_at: ArrayLike | None = None,
-) -> Comparison:
+) -> LayoutComparison:
     """Judge sensor layouts before anything is measured.
 
     Parameters
@@ -113,7 +114,7 @@ def compare(
 
     Returns
     -------
-    Comparison
+    LayoutComparison
 
     Raises
     ------
@@ -135,7 +136,7 @@ def compare(
             found="both", expected="one of them",
             hint="candidates= for labels or indices, structure= for sensors that are placed on it",
         )  # fmt: skip
-    sets: dict[str, tuple[Candidates, NDArray[np.intp]]] = {}
+    sets: dict[str, tuple[CandidateSensors, NDArray[np.intp]]] = {}
     if candidates is not None:
         pool = settle(candidates, noise=noise, loads=loads, at=at, loads_at=loads_at, where="design.compare")
         sets = {str(k): (pool, pool.index(v, f"layout {k}")) for k, v in sensor_sets.items()}
@@ -158,10 +159,10 @@ def compare(
     want = expected([replace(c, H=c.H[r], noise=_sub(c.noise, r)) for c, r in sets.values()], amplitude, snr,
                     "design.compare")  # fmt: skip
     layouts = tuple(of(name, pool, rows, want.amplitude) for name, (pool, rows) in sets.items())
-    return Comparison(layouts, want.words, lost(layouts), first.loads_at, first.outline)
+    return LayoutComparison(layouts, want.words, lost(layouts), first.loads_at, first.outline)
 
 
-def of(name: str, pool: Candidates, rows: NDArray[np.intp], amplitude: NDArray[np.float64]) -> Judged:
+def of(name: str, pool: CandidateSensors, rows: NDArray[np.intp], amplitude: NDArray[np.float64]) -> Judged:
     """Judge some rows of the candidates."""
     return judge(
         name,
@@ -210,10 +211,8 @@ def _placed(given: Any, structure: Any, loads: Any) -> Any:
     """The model of one layout of sensors on a structure; anything else as it is."""
     if structure is None or isinstance(given, Model):
         return given
-    from structures.models.forward import ForwardModel
-
     return ForwardModel(structure, given, loads)
 
 
-def _sub(noise: NDArray | None, rows: NDArray[np.intp]) -> NDArray | None:
+def _sub(noise: NDArray[Any] | None, rows: NDArray[np.intp]) -> NDArray[Any] | None:
     return noise if noise is None else noise[rows] if noise.ndim == 1 else noise[np.ix_(rows, rows)]

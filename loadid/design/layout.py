@@ -196,7 +196,7 @@ MANY = 4  # times the rows wanted, above which the backward start takes out many
 SWAPS = 20  # exchanges per chosen row, at most
 
 
-class State:
+class RowSet:
     """A set of rows and its posterior.
 
     Parameters
@@ -250,9 +250,9 @@ class State:
         self.T += np.outer(self.T @ b, g * b)
         self.logdet += float(np.log1p(sign * d))
 
-    def copy(self) -> State:
+    def copy(self) -> RowSet:
         """An independent copy."""
-        other = object.__new__(State)
+        other = object.__new__(RowSet)
         other.A, other.members = self.A, list(self.members)
         other.T, other.B, other.logdet, other.updates = self.T.copy(), self.B.copy(), self.logdet, self.updates
         return other
@@ -298,9 +298,9 @@ def pick(gains: Array, allowed: NDArray[np.bool_], rank: NDArray[np.intp]) -> in
     return int(equal[np.argmin(rank[equal])])
 
 
-def greedy(A: Array, n: int, keep: Rows, criterion: float, rank: NDArray, step: Callable[[], None]) -> State:
+def greedy(A: Array, n: int, keep: Rows, criterion: float, rank: NDArray[Any], step: Callable[[], None]) -> RowSet:
     """Add one row after the other, each the best now."""
-    state = State(A, keep)
+    state = RowSet(A, keep)
     while len(state.members) < n:
         allowed = np.ones(len(A), bool)
         allowed[state.members] = False
@@ -309,27 +309,27 @@ def greedy(A: Array, n: int, keep: Rows, criterion: float, rank: NDArray, step: 
     return state
 
 
-def backward(A: Array, n: int, keep: Rows, criterion: float, rank: NDArray, step: Callable[[], None]) -> State:
+def backward(A: Array, n: int, keep: Rows, criterion: float, rank: NDArray[Any], step: Callable[[], None]) -> RowSet:
     """Start from all rows and take out those of least leverage until n are left: a tenth at once while there are many,
     then one by one.
     """
     rows, fixed = np.arange(len(A)), np.isin(np.arange(len(A)), keep)
     while len(rows) > MANY * n:
-        state = State(A[rows], list(range(len(rows))))
+        state = RowSet(A[rows], list(range(len(rows))))
         many = min(len(rows) // 10 + 1, len(rows) - MANY * n)
         leverage = np.where(fixed[rows], np.inf, np.round(state.leverage, 9))
         rows = np.delete(rows, np.lexsort((rank[rows], leverage))[:many])
         step()
-    state = State(A[rows], list(range(len(rows))))
+    state = RowSet(A[rows], list(range(len(rows))))
     while len(state.members) > n:
         allowed = np.zeros(len(rows), bool)
         allowed[state.members] = True
         state.change(pick(-state.leverage, allowed & ~fixed[rows], rank[rows]), -1)
         step()
-    return State(A, rows[state.members].tolist())
+    return RowSet(A, rows[state.members].tolist())
 
 
-def exchange(state: State, keep: Rows, criterion: float, rank: NDArray, step: Callable[[], None]) -> State:
+def exchange(state: RowSet, keep: Rows, criterion: float, rank: NDArray[Any], step: Callable[[], None]) -> RowSet:
     """Swap a chosen row for another while that helps: the best of all swaps (log det), or the first row that gains."""
     asked: dict[int, int] = {}
     for _ in range(SWAPS * max(len(state.members), 1)):
@@ -348,7 +348,7 @@ def exchange(state: State, keep: Rows, criterion: float, rank: NDArray, step: Ca
     return state
 
 
-def swaps(state: State, keep: Rows) -> tuple[NDArray[np.intp], Array]:
+def swaps(state: RowSet, keep: Rows) -> tuple[NDArray[np.intp], Array]:
     """Members that may go, and the change of log det for each of them (rows) and each row that comes (columns)."""
     inside = np.array([i for i in state.members if i not in set(keep)], dtype=np.intp)
     d = state.leverage
@@ -363,7 +363,7 @@ def swaps(state: State, keep: Rows) -> tuple[NDArray[np.intp], Array]:
     return inside, change
 
 
-def _best_swap(state: State, keep: Rows, rank: NDArray) -> tuple[int, int] | None:
+def _best_swap(state: RowSet, keep: Rows, rank: NDArray[Any]) -> tuple[int, int] | None:
     inside, change = swaps(state, keep)
     if not change.size or change.max() <= TIE:
         return None
@@ -372,7 +372,7 @@ def _best_swap(state: State, keep: Rows, rank: NDArray) -> tuple[int, int] | Non
     return int(inside[i[first]]), int(j[first])
 
 
-def without(state: State, rows: Rows, criterion: float) -> Iterator[tuple[int, Array]]:
+def without(state: RowSet, rows: Rows, criterion: float) -> Iterator[tuple[int, Array]]:
     """For each member: what every row would bring to the set without it. Only the parts that change are computed:
     ``(I - b b^T)^-1 = I + b b^T / (1 - d)``.
     """
@@ -393,7 +393,7 @@ def without(state: State, rows: Rows, criterion: float) -> Iterator[tuple[int, A
 
 
 def _first_swap(
-    state: State, keep: Rows, criterion: float, rank: NDArray, asked: dict[int, int]
+    state: RowSet, keep: Rows, criterion: float, rank: NDArray[Any], asked: dict[int, int]
 ) -> tuple[int, int] | None:
     """The first member that another row beats: those not `asked` for longest first, then the least useful ones."""
     fixed, score, leverage = set(keep), state.score(criterion), np.round(state.leverage, 9)

@@ -15,6 +15,8 @@ from .layout import Judged
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+Array = NDArray[np.float64]
+
 
 BLUE, ORANGE, INK, GREY, PALE = "#0072B2", "#D55E00", "#222222", "#8a8a8a", "#dddddd"
 COLUMNS = 3
@@ -24,11 +26,11 @@ NAMED = 12  # sensors of a bar picture whose names fit
 
 def draw(
     layouts: Sequence[Judged],
-    loads_at: NDArray | None = None,
+    loads_at: Array | None = None,
     *,
-    outline: NDArray | None = None,
-    candidates: NDArray | None = None,
-    path: str | os.PathLike | None = None,
+    outline: Array | None = None,
+    candidates: Array | None = None,
+    path: str | os.PathLike[str] | None = None,
     show: bool = False,
 ) -> Figure:
     """One panel for each layout; loads by posterior over prior std, the worst one marked.
@@ -88,7 +90,7 @@ def _figure(show: bool) -> Figure:
     return pyplot.figure()
 
 
-def _directions(tables: Sequence[NDArray | None]) -> list[int]:
+def _directions(tables: Sequence[Array | None]) -> list[int]:
     """Directions to draw: the two of largest extent, or one where all places lie on a line along it."""
     known = [t for t in tables if t is not None]
     dim = min(t.shape[1] for t in known)
@@ -98,7 +100,7 @@ def _directions(tables: Sequence[NDArray | None]) -> list[int]:
     return sorted(kept) or [0]
 
 
-def _cut(x: NDArray | None, axes: list[int]) -> NDArray | None:
+def _cut(x: Array | None, axes: list[int]) -> Array | None:
     return None if x is None else x[:, axes]
 
 
@@ -123,7 +125,7 @@ def _share_axis(ax: Axes, one: Judged) -> None:
         ax.spines[side].set_visible(False)
 
 
-def _line(ax: Axes, one: Judged, x: NDArray, rest: Sequence[NDArray | None], direction: int) -> None:
+def _line(ax: Axes, one: Judged, x: Array, rest: Sequence[Array | None], direction: int) -> None:
     """Share of every load above its place; sensors below the line."""
     outline, candidates, sensors = (None if t is None else t[:, 0] for t in rest)
     ax.vlines(x, 0, one.share, color=BLUE, lw=1.2)
@@ -141,7 +143,7 @@ def _line(ax: Axes, one: Judged, x: NDArray, rest: Sequence[NDArray | None], dir
     ax.legend(fontsize=8, frameon=False, ncols=4, loc="upper center")
 
 
-def _map(ax: Axes, one: Judged, x: NDArray, rest: Sequence[NDArray | None], axes: list[int], figure: Any) -> None:
+def _map(ax: Axes, one: Judged, x: Array, rest: Sequence[Array | None], axes: list[int], figure: Any) -> None:
     """Loads on the surface, coloured by their share; sensors as triangles."""
     outline, candidates, sensors = rest
     if outline is not None:

@@ -13,9 +13,9 @@ from structures.errors import InputError
 from structures.model import Model
 
 from . import layout as search
-from .candidates import Candidates, expected, settle
+from .candidates import CandidateSensors, expected, settle
 from .comparison import checked, of
-from .layout import Judged, State, table
+from .layout import Judged, RowSet, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -194,7 +194,7 @@ Sets = list[frozenset[int]]
 
 
 def _search(
-    A: NDArray, n: int, keep: list[int], goal: float, every: bool, progress: Callable[[float, str], None] | None
+    A: NDArray[Any], n: int, keep: list[int], goal: float, every: bool, progress: Callable[[float, str], None] | None
 ) -> tuple[frozenset[int], Sets]:
     """The best set, and others that are as good."""
     rank = search.canonical(A)
@@ -214,11 +214,11 @@ def _search(
 
 
 def _from_starts(
-    A: NDArray,
+    A: NDArray[Any],
     n: int,
     keep: list[int],
     goal: float,
-    rank: NDArray,
+    rank: NDArray[Any],
     progress: Callable[[float, str], None] | None,
 ) -> dict[frozenset[int], float]:
     """Sets that exchange ends at, with their scores. Ties are settled both ways, so that mirror images are found."""
@@ -250,9 +250,9 @@ def _steps(progress: Callable[[float, str], None] | None, start: float, stop: fl
     return step
 
 
-def _swapped(A: NDArray, best: frozenset[int], keep: list[int], criterion: float) -> Sets:
+def _swapped(A: NDArray[Any], best: frozenset[int], keep: list[int], criterion: float) -> Sets:
     """Sets as good as the best one that differ from it in one sensor."""
-    state = State(A, sorted(best))
+    state = RowSet(A, sorted(best))
     inside, change = search.swaps(state, keep)
     if criterion == search.D:
         i, j = np.nonzero(np.abs(change) <= EQUAL)
@@ -266,12 +266,12 @@ def _swapped(A: NDArray, best: frozenset[int], keep: list[int], criterion: float
 
 
 def _in_turn(
-    A: NDArray, chosen: frozenset[int], pool: Candidates
+    A: NDArray[Any], chosen: frozenset[int], pool: CandidateSensors
 ) -> tuple[NDArray[np.intp], tuple[tuple[str, float, float], ...]]:
     """The chosen sensors, the most useful first, and what each adds."""
     rows = np.array(sorted(chosen), dtype=np.intp)
     rank = search.canonical(A)[rows]
-    state, gains = State(A[rows], []), []
+    state, gains = RowSet(A[rows], []), []
     for _ in rows:
         allowed = np.ones(len(rows), bool)
         allowed[state.members] = False

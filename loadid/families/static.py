@@ -68,7 +68,7 @@ class StaticInversion:
     allow : sequence of str
         Guard codes whose refusal is overridden; printed on everything made from the result.
     coverage : Coverage, optional
-        Outcome of `loadid.validate.checks` on a set-up like this one.
+        Outcome of `loadid.validate.coverage` on a set-up like this one.
     progress : callable, optional
         Called as ``progress(fraction, text)``.
 

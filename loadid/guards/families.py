@@ -41,11 +41,10 @@ def antiresonance(spectrum: LoadSpectrum, labels: tuple[str, ...]) -> Flag | Non
         f"{count} of {lines} lines do not tell some load to {spectrum.level:.0%} ({where}): antiresonances, or no load "
         f"there. They hold up to {held:.0%} of the power of a load and are shaded; what stands in `load` "
         "there is mostly prior",
-        "add sensors that move at these lines, lower the noise, or average longer; estimate.trust(level) is the mask",
     )
 
 
-def leaking(values: NDArray, residual: NDArray) -> Flag | None:
+def leaking(values: NDArray[Any], residual: NDArray[Any]) -> Flag | None:
     """W508: a transient that has not decayed at its end, or has begun before its first sample."""
     peak = np.abs(values).max(axis=0)
     few = max(len(values) // 100, 10)
@@ -64,7 +63,7 @@ def leaking(values: NDArray, residual: NDArray) -> Flag | None:
     )
 
 
-def _calm(residual: NDArray, few: int) -> NDArray[np.float64]:
+def _calm(residual: NDArray[Any], few: int) -> NDArray[np.float64]:
     """Noise of each channel where the residual is calm: what leaks stands in a part of it and is no noise."""
     few = min(few, len(residual))
     parts = residual[: len(residual) // few * few].reshape(-1, few, residual.shape[1])
@@ -87,7 +86,9 @@ def too_coarse(bandwidth: float, decay_rate: float | None) -> Flag | None:
     )
 
 
-def inseparable(spectrum: LoadSpectrum, H: NDArray, strength: NDArray, labels: tuple[str, ...]) -> Flag | None:
+def inseparable(
+    spectrum: LoadSpectrum, H: NDArray[Any], strength: NDArray[Any], labels: tuple[str, ...]
+) -> Flag | None:
     """W516: strong harmonic loads at several points that the excited lines do not tell apart.
 
     Parameters
@@ -112,11 +113,10 @@ def inseparable(spectrum: LoadSpectrum, H: NDArray, strength: NDArray, labels: t
         Evidence("condition of H on an excited line", float(min(condition[k], 1e16)), float(strength[k])),
         f"forces not separable on {where}: the condition of H exceeds signal over noise, so that "
         f"{', '.join(labels[:4])} can be exchanged",
-        "report the resultant of the group, or add sensors that see the loads differently",
     )
 
 
-def likeness(H: NDArray) -> NDArray[np.float64]:
+def likeness(H: NDArray[Any]) -> NDArray[np.float64]:
     """Condition of lines (lines, sensors, loads) whose columns have unit length: how alike the loads look."""
     if H.shape[1] < H.shape[2]:
         return np.full(len(H), np.inf)
@@ -126,7 +126,7 @@ def likeness(H: NDArray) -> NDArray[np.float64]:
         return s[:, 0] / s[:, -1]
 
 
-def harmonics(load: NDArray) -> NDArray[np.bool_]:
+def harmonics(load: NDArray[Any]) -> NDArray[np.bool_]:
     """Lines on which the loads (lines, loads) stand out of those around them; of a few lines all."""
     power = np.sum(np.abs(load) ** 2, axis=1)
     if len(power) < FEW:
@@ -264,7 +264,6 @@ def alike_allowed(groups: Sequence[Sequence[str]], difference: float) -> Flag:
         "E512",
         Evidence("relative difference of the impulse responses", f"at most {difference:.1g}", f"{difference:.1g}"),
         f"{_listed(groups)} give the same data",
-        "move or add a sensor off the symmetry axis; the load may act at any of them",
     )
 
 
@@ -315,7 +314,6 @@ def impulsive(kurtosis: float, prior: str) -> Flag | None:
         "W311",
         Evidence("kurtosis of the load", float(kurtosis), PEAKED),
         f"the load looks impulsive (kurtosis {kurtosis:.3g}); the prior used was {prior}: it smears and lowers peaks",
-        "compare SparseDeconvolution(dictionary='bspline'), or let the load only push; recommend() says which fits",
     )
 
 

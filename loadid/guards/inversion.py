@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 from structures.flags import Evidence, Flag
 
 from ..inverse.diagnosis.histories import Start
-from ..inverse.diagnosis.picard import Decay
 from ..inverse.diagnosis.resolution import Refinement
 
 PRESSURES = {"Pa", "kPa", "MPa", "GPa", "bar", "mbar", "psi", "N/m^2", "N/m²", "N/mm^2", "N/mm²"}
 FEW = 3.0  # effective degrees of freedom below which even a resultant is biased
 AMPLE = 2.0  # effective degrees of freedom over recoverable modes that a good lambda may use ...
 SPARE = 5.0  # ... and some more
-OTHERWISE = 1.2  # ratio of two gains that are told apart
 
 
 def resolution(nullity: int, prior: str, width: float, unit: str, bias: float | None = None) -> Flag:
@@ -37,7 +35,6 @@ def resolution(nullity: int, prior: str, width: float, unit: str, bias: float | 
         "N303",
         Evidence("resolution width", float(width), None),
         f"{null}nothing finer than {width:.3g} {unit} is resolved{peak}",
-        "claim no detail below this width",
     )
 
 
@@ -49,7 +46,6 @@ def nodal_as_pressure(kind: str, quantity: str) -> Flag | None:
         "W106",
         Evidence("shown as", quantity, "N"),
         "nodal forces scale with element size; not a pressure",
-        "convert them with to_traction() (estimate.traction(), quantity='traction')",
     )
 
 
@@ -62,7 +58,6 @@ def refined(found: Refinement) -> Flag | None:
         Evidence("modes above the noise", found.after, found.before),
         f"n rose from {found.coarse} to {found.fine}; modes above noise stayed {found.after} "
         f"(relative noise {found.eta:.2g})",
-        "keep the coarse basis, pressure patches or a smooth basis: a finer mesh of loads shows nothing new",
     )
 
 
@@ -90,35 +85,6 @@ def recoverable(plateau: int, rank: int, edf: float | None = None, requested: fl
         "W304",
         Evidence(name, float(value), float(plateau)),
         f"i* = {plateau} recoverable modes of {rank}; {tail}",
-        "claim no more; a coarser load basis, more sensors, less noise, or sensors nearer to the load",
-    )
-
-
-def resolution_law(decay: Decay, claimed: str, gain: float = 100.0, snr: float = 100.0) -> Flag | None:
-    """W305: a gain of resolution is promised by another law than that of the singular values.
-
-    Parameters
-    ----------
-    decay : Decay
-        Of the singular values.
-    claimed : str
-        ``gaussian`` (square root of the logarithm of the SNR), ``exponential`` or ``algebraic``.
-    gain, snr : float
-        How much the signal-to-noise ratio is to be raised, and from where.
-    """
-    if decay.law in ("unknown", claimed):
-        return None
-    true = decay.buys(gain, snr)
-    other = (np.log(snr * gain) / np.log(snr)) ** {"gaussian": 0.5, "exponential": 1.0}.get(claimed, 0.0)
-    promised = gain if claimed == "algebraic" else float(other)
-    if max(true / promised, promised / true) < OTHERWISE:
-        return None
-    power = f" k^-{decay.rate:.2g}" if decay.law == "algebraic" else ""
-    return Flag(
-        "W305",
-        Evidence(f"resolution that {gain:g} x SNR buys", true, promised),
-        f"singular values decay {decay.law}{power}, not {claimed}: {gain:g} x better SNR buys x {true:.2g}",
-        "decide between better sensors and another geometry with the law of this operator",
     )
 
 
@@ -162,7 +128,6 @@ def over_smoothed(
         Evidence("effective degrees of freedom", float(edf), FEW),
         f"lambda is so large that even the resultant is biased: {edf:.2g} effective degrees of freedom are left of "
         f"{plateau} recoverable modes",
-        "lower lambda; impose the resultant",
     )
 
 
@@ -198,7 +163,7 @@ MOVING = 0.03  # share of the largest response that may be there at the end of a
 
 
 def memory(
-    decay_rate: float | None, duration: float, h: NDArray | None = None, frequencies: NDArray | None = None
+    decay_rate: float | None, duration: float, h: NDArray[Any] | None = None, frequencies: NDArray[Any] | None = None
 ) -> Flag | None:
     """W505: the record is shorter than the memory of the structure, as with light damping.
 
@@ -226,7 +191,7 @@ def memory(
     )
 
 
-def _periods(frequencies: NDArray | None, duration: float) -> str:
+def _periods(frequencies: NDArray[Any] | None, duration: float) -> str:
     """How many periods of the lowest mode a record holds, where they are few."""
     moving = np.asarray([] if frequencies is None else frequencies, float)
     moving = moving[moving > 0]
@@ -244,7 +209,7 @@ def _enough(decay_rate: float | None, duration: float) -> str:
     return f" ({-np.log(MEMORY) / decay_rate:.3g} s instead of {duration:.3g} s)"
 
 
-def drifting(share: NDArray, loads: Sequence[str], sensors: Sequence[str], penalty: str) -> Flag | None:
+def drifting(share: NDArray[Any], loads: Sequence[str], sensors: Sequence[str], penalty: str) -> Flag | None:
     """W517: no sensor sees a constant load, and the penalty leaves it free.
 
     Parameters
@@ -263,11 +228,6 @@ def drifting(share: NDArray, loads: Sequence[str], sensors: Sequence[str], penal
         Evidence("static gain over dynamic gain", float(np.max(np.asarray(share)[blind])), UNSEEN),
         f"no sensor ({', '.join(sensors[:8])}{', ...' if len(sensors) > 8 else ''}) sees a constant part of {names}, "
         f"and the {penalty} leaves it free: the mean drifts, and its std grows with the length of the record",
-        Advice(
-            Option("penalty", "identity"),
-            " or a leaky difference holds the load near zero; a displacement or strain sensor that sees "
-            "0 Hz determines it",
-        ),
     )
 
 
@@ -280,12 +240,10 @@ def in_motion(found: Start | None) -> Flag | None:
         Evidence("misfit of the start that motion before it removes, per motion", found.gain / found.motions, UNREST),
         f"the record starts in motion: its first sample holds {found.first:.0%} of the largest response, and loads "
         "within the record do not explain it; a model at rest puts this into the load",
-        'initial="unknown" (state-space models), or a record that begins before the load; where the structure was at '
-        "rest, the index offset or the alignment of the channels is wrong",
     )
 
 
-def unfinished(values: NDArray, residual: NDArray) -> Flag | None:
+def unfinished(values: NDArray[Any], residual: NDArray[Any]) -> Flag | None:
     """W505 for padded transforms: the record ends while the structure still moves, whatever moves it.
 
     Judged by the last fiftieth of each channel (samples, sensors) against its maximum and against its residual.
@@ -304,7 +262,7 @@ def unfinished(values: NDArray, residual: NDArray) -> Flag | None:
     )
 
 
-def aliased(frequencies: NDArray | None, dt: float) -> Flag | None:
+def aliased(frequencies: NDArray[Any] | None, dt: float) -> Flag | None:
     """W509: modes of the model above the Nyquist frequency of the record."""
     if frequencies is None:
         return None
@@ -315,7 +273,6 @@ def aliased(frequencies: NDArray | None, dt: float) -> Flag | None:
         "W509",
         Evidence("highest natural frequency, Hz", float(np.max(frequencies)), nyquist),
         f"{count} modes lie above the Nyquist frequency {nyquist:.4g} Hz and are aliased in the sampled response",
-        "keep fewer modes (the static residual stands for the rest), or sample faster",
     )
 
 

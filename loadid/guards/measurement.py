@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-from structures.advice import Advice, Spelling
 from structures.certificate import WRONG, Certificate
 from structures.channels import Channel
 from structures.flags import Evidence, Flag
@@ -26,7 +25,6 @@ def null_space(m: int, n: int, rank: int, unseen: Sequence[str] = ()) -> Flag | 
         Evidence("rank", rank, n),
         f"m = {m} data, n = {n} unknowns, rank r = {rank}, nullity {n - rank}: what lies in ker(H) leaves no trace "
         f"in the data and is set by the prior, so that the answer is one of many{named}",
-        "add sensors, shrink the load basis, or state the prior",
     )
 
 
@@ -39,7 +37,6 @@ def lost_channels(before: tuple[float, int, int], after: tuple[float, int, int],
         Evidence("nullity", after[2], before[2]),
         f"kappa fell from {before[0]:.3g} to {after[0]:.3g} because modes were lost with {', '.join(lost)}; rank fell "
         f"from {before[1]} to {after[1]}, nullity rose from {before[2]} to {after[2]}",
-        "restore the channels, or accept the smaller identifiable space",
     )
 
 
@@ -52,7 +49,6 @@ def mixed_kinds(channels: Sequence[Channel], known: bool) -> Flag | None:
         "W204",
         Evidence("units", ", ".join(units), "one unit, or a noise std for each"),
         f"{len(units)} kinds of sensor without noise levels: rows are not comparable; each was scaled by its own rms",
-        Advice(Spelling("give noise= per channel, or record", "record"), " a quiet segment before the load"),
     )
 
 
@@ -91,7 +87,6 @@ def high_pass(channels: Sequence[Channel], duration: float, recorded: Sequence[C
         "W205",
         Evidence("lowest frequency of the record, Hz", lowest, corner),
         f"every channel is AC-coupled{others}: the static part of the load is unobservable below {corner:.3g} Hz",
-        "add a strain or displacement sensor that sees 0 Hz, or do not read the mean of the load",
     )
 
 
@@ -105,10 +100,6 @@ def gaps(lost: Sequence[float], labels: Sequence[str]) -> Flag | None:
         "W210",
         Evidence("missing share of a channel", max(x for x, _ in worst), LOST),
         f"more than half of the samples are missing: {said}; the rest was used as it is",
-        Advice(
-            Spelling("leave the channel out (sensors=[...])", "calibrate a model without this channel"),
-            " if its other samples are in doubt too, and look at the std of the load",
-        ),
     )
 
 
@@ -159,7 +150,6 @@ def interpolated(m: int, effective: float, rank: int, dropped: float = 0.0) -> F
         Evidence("effective number of data", effective, CORRELATED * m),
         f"nominal m = {m}, effective m = {effective:.1f}, rank of the noise covariance {rank}: the data were "
         f"interpolated or filtered{left}",
-        "invert on the raw markers; the covariance given here was whitened on its range",
     )
 
 
@@ -182,11 +172,6 @@ def not_verified(certificate: Certificate | None) -> Flag | None:
         "W114",
         Evidence("certificates", 0, 1),
         "forward model not verified: no residual and no parameter rule can find an error of the model",
-        Advice(
-            "hang a known mass or apply a measured hit, and ",
-            Spelling("", "in Python "),
-            "call model.verify(load, response)",
-        ),
     )
 
 
@@ -202,7 +187,6 @@ def resultant_only(levels: Collection[str], numbers: int, loads: int) -> Flag | 
         "N701",
         Evidence("independent numbers compared", numbers, loads),
         f"level: resultant. {NECESSARY}",
-        "compare the distribution: a known indenter or load, an FE truth, or a pressure mat",
     )
 
 
@@ -214,7 +198,6 @@ def inverse_crime(simulated_by: str, fingerprint: str) -> Flag | None:
         "W702",
         Evidence("model of the data", fingerprint[:12], "another mesh, other parameters"),
         f"same model {fingerprint[:12]} for data and inversion: the result is optimistic",
-        "simulate with another mesh, 2-4 % of stiffness error and a finer step",
     )
 
 
@@ -226,11 +209,6 @@ def no_coverage(coverage: Any) -> Flag | None:
             "W703",
             Evidence("coverage tests", 0, 1),
             "the std covers noise and prior as assumed; its coverage was not tested on this set-up",
-            Advice(
-                Spelling("run", "test it in Python:"),
-                " loadid.validate.checks(...) with loads like yours",
-                Spelling(" and pass coverage=", ""),
-            ),
         )
     if share >= level - COVERED:
         return None
@@ -251,5 +229,4 @@ def used_for_training(name: str, overlap: Iterable[str]) -> Flag | None:
         "W704",
         Evidence("shared", ", ".join(o[:16] for o in overlap), "none"),
         f"{name} is in both training and validation ({len(overlap)} shared): the agreement proves nothing",
-        "keep a record, or a channel, out of the model and of the inversion",
     )

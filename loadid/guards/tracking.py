@@ -160,7 +160,6 @@ def slow(time_constant: float, duration: float) -> Flag | None:
         "W520",
         Evidence("time constant of the filter, s", float(time_constant), SHARE * duration),
         f"the filter forgets its start with a time constant of {time_constant:.3g} s, in a record of {duration:.3g} s",
-        "record longer, state the start, or add a sensor that sees the load at 0 Hz",
     )
 
 
@@ -192,8 +191,6 @@ def kept_out(
         f"the gate kept {gated} of {taken} channel samples out and took {steps} events of the load up{aside}{named}: "
         "a sensor is broken or has an offset, or the model does not fit where the load moves in ways that its prior "
         "does not know",
-        "look at the sensors that are named, and at the model; fit again on a record with such loads; gate=None "
-        "believes every number",
     )
 
 
@@ -211,7 +208,6 @@ def beyond_the_fit(size: float) -> Flag | None:
         "W526",
         Evidence("largest event over the load of the fit", float(size), FAR),
         f"the gate took up an event that moves the load by {size:.3g} times the std that it had at the fit",
-        "check the sensors around that time; where the load is real, fit again on a record with such loads",
     )
 
 
@@ -225,8 +221,6 @@ def moved_off(errors: Array, sensors: Sequence[str]) -> Flag | None:
         "W527",
         Evidence("standard errors of the mean innovation in service", float(errors[wrong[0]]), SHIFTED),
         f"the innovations of channel {listed} lie so many standard errors off zero in service: an offset?",
-        "check these channels for an offset that they did not have at the fit, and the sensors beside the load (which "
-        "takes up their offset, so that it shows in the others); state bias= for a sensor that drifts, and fit again",
     )
 
 
@@ -239,7 +233,6 @@ def other_model(before: str, now: str) -> Flag | None:
         Evidence("model", now[:12], before[:12]),
         "the filter goes on with another model than the one it was fitted and certified with: priors and noises are "
         "those of the fit, the certificate is not of this model",
-        "fit again on a record of the structure as it is now",
     )
 
 
@@ -251,8 +244,6 @@ def undetermined(names: Sequence[str]) -> Flag | None:
         "W523",
         Evidence("numbers at a bound of the search", float(len(names)), 0.0),
         f"the record does not tell {', '.join(names)}: the search ended at its bound, a length at ten records",
-        "nothing to do for the track, which such numbers do not change; state the prior, or record longer, where the "
-        "numbers themselves matter",
     )
 
 
@@ -265,7 +256,6 @@ def spoilt(wrong: Sequence[int], sensors: Sequence[str]) -> Flag | None:
         "W524",
         Evidence("wrong samples in the record of the fit", float(sum(wrong)), 0.0),
         f"single samples that no load explains were left out of the tuning: {listed}",
-        "look at these channels: loose contacts, spikes of the logger; the gate keeps such samples out of the track",
     )
 
 
@@ -278,7 +268,6 @@ def believed(dummy: float | None) -> Flag | None:
         Evidence("std of the displacements that are believed, m", float(dummy), "measured"),
         f"the mean of the loads rests on the belief that displacements stay near zero within {dummy:.3g} m at every "
         "sample: a prior, not data; it draws static loads to zero and the band does not know by how much",
-        "add a displacement or strain sensor; else compare several stds, and read the track above the lowest modes",
     )
 
 
@@ -291,7 +280,6 @@ def untuned(nis: float, *, tuned: bool) -> Flag | None:
         "W502",
         Evidence("mean NIS per channel", float(nis), f"{CALM:g} to {RESTLESS:g}, tuned"),
         f"NIS per channel is {nis:.3g}{why}: the track and its band cannot be trusted",
-        "tune the prior by likelihood, or sweep its scale and report the plateau",
     )
 
 
@@ -322,7 +310,6 @@ def unbalanced(model: FilterModel, state_noise: Array | float, states: Sequence[
         Evidence("state noise over sensor noise", largest, HIDING),
         f"the same state noise for all states is worth {largest:.3g} times the noise of sensor "
         f"{int(np.argmax(worth[:, state]))} in {name}: NIS will look safe and hide a bias",
-        "give the state noise mode by mode, or declare the model error in physical units",
     )
 
 
@@ -351,8 +338,6 @@ def overconfident(nis: float, innovations: Array, sensors: Sequence[str]) -> Fla
         what = f"the filter is overconfident: NIS per channel is {nis:.3g}"
     return Flag(
         "W504", found, what,
-        "check the model and the sensors for a bias (that of a sensor beside the load shows in the others, as the load "
-        "takes it up); add a bias state, or declare the model's error",
     )  # fmt: skip
 
 

@@ -19,7 +19,6 @@ from .style import (
     GREEN,
     GREY,
     INK,
-    NARROW,
     ORANGE,
     PURPLE,
     SKY,
@@ -27,6 +26,7 @@ from .style import (
     mark,
     new_figure,
     save,
+    sized,
     text,
     tidy,
     unit,
@@ -47,8 +47,7 @@ _MARKS = "osD^v<>Ph"
 def path_figure(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
     """L-curve, residual and GCV over lambda, with what every rule said; below each other where it is narrow."""
     choice, sweep = _swept(estimate)
-    figure = figure or new_figure()
-    figure.set_size_inches(*((NARROW, 7.0) if narrow else (10, 4.0)))
+    figure = sized(figure, narrow, 7.0, (10, 4.0))
     left, right = figure.subplots(2, 1) if narrow else figure.subplots(1, 2)
     _draw_lcurve(left, choice, sweep)
     right.loglog(sweep.lam, sweep.residual_norm, color=BLUE, lw=1.3, label="residual norm")
@@ -77,7 +76,7 @@ def lcurve(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool
         If the estimate carries no sweep of lambda.
     """
     choice, sweep = _swept(estimate)
-    figure = _single(figure, narrow)
+    figure = sized(figure, narrow, 3.8, (6.4, 4.2))
     ax = figure.subplots()
     _draw_lcurve(ax, choice, sweep)
     if (last := _plateau(estimate)) is not None:
@@ -99,7 +98,7 @@ def gcv(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = 
     choice, sweep = _swept(estimate)
     if sweep.gcv is None:
         raise InputError("the estimate carries no GCV function", where="plot", hint="choose lambda on a path with edf")
-    figure = _single(figure, narrow)
+    figure = sized(figure, narrow, 3.8, (6.4, 4.2))
     ax = figure.subplots()
     ax.loglog(sweep.lam, sweep.gcv, color=PURPLE, lw=1.3, label="GCV function")
     ax.set(xlabel="relative lambda", ylabel="GCV function (whitened data, squared)")
@@ -169,12 +168,6 @@ def _swept(estimate: LoadEstimate) -> tuple[Choice, PathCurve]:
     if choice is None or choice.sweep is None:
         raise InputError("the estimate carries no sweep of lambda", where="plot", hint="choose lambda by a rule")
     return choice, choice.sweep
-
-
-def _single(figure: Figure | None, narrow: bool) -> Figure:
-    figure = figure or new_figure()
-    figure.set_size_inches(*((NARROW, 3.8) if narrow else (6.4, 4.2)))
-    return figure
 
 
 def _tidy_logs(ax: Axes) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,14 +17,13 @@ from .style import (
     GREEN,
     GREY,
     INK,
-    NARROW,
     ORANGE,
     PURPLE,
     SKY,
     few_labels,
     mark,
-    new_figure,
     places,
+    sized,
     text,
     tidy,
     unit,
@@ -50,7 +49,7 @@ def picard(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool
     InputError
         If the estimate carries no diagnosis.
     """
-    return _one_panel(_draw_picard, estimate, figure, (NARROW, 4.4) if narrow else (7.4, 4.6), narrow)
+    return _over_modes(estimate, (_draw_picard,), sized(figure, narrow, 4.4, (7.4, 4.6)), narrow)
 
 
 def filter_factors(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
@@ -61,32 +60,21 @@ def filter_factors(estimate: LoadEstimate, *, figure: Figure | None = None, narr
     InputError
         If the estimate carries no diagnosis.
     """
-    return _one_panel(_draw_filter, estimate, figure, (NARROW, 4.2) if narrow else (7.4, 4.2), narrow)
-
-
-def _one_panel(
-    draw: Callable[[Axes, Diagnosis, LoadEstimate], None], estimate: LoadEstimate, figure: Figure | None,
-    size: tuple[float, float], narrow: bool,
-) -> Figure:  # fmt: skip
-    d = _diagnosis(estimate)
-    figure = figure or new_figure()
-    figure.set_size_inches(*size)
-    ax = figure.subplots()
-    draw(ax, d, estimate)
-    _legend_below(figure, ax, narrow)
-    mark(figure, estimate)
-    return figure
+    return _over_modes(estimate, (_draw_filter,), sized(figure, narrow, 4.2, (7.4, 4.2)), narrow)
 
 
 def modes(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: bool = False) -> Figure:
     """Picard plot and filter factors together, for the report."""
-    d = _diagnosis(estimate)
-    figure = figure or new_figure()
-    figure.set_size_inches(*((NARROW, 8.8) if narrow else (11, 5.0)))
-    left, right = figure.subplots(2, 1) if narrow else figure.subplots(1, 2)
-    _draw_picard(left, d, estimate)
-    _draw_filter(right, d, estimate)
-    _legend_below(figure, left, narrow)  # the rules have the same marks in both
+    return _over_modes(estimate, (_draw_picard, _draw_filter), sized(figure, narrow, 8.8, (11, 5.0)), narrow)
+
+
+def _over_modes(estimate: LoadEstimate, panels: Sequence[Callable[..., None]], figure: Figure, narrow: bool) -> Figure:
+    """Panels over the number of the mode, with one legend: the rules have the same marks in all of them."""
+    d, count = _diagnosis(estimate), len(panels)
+    axes = figure.subplots(count, 1, squeeze=False) if narrow else figure.subplots(1, count, squeeze=False)
+    for ax, draw in zip(axes.ravel(), panels, strict=True):
+        draw(ax, d, estimate)
+    _legend_below(figure, axes.ravel()[0], narrow)
     mark(figure, estimate)
     return figure
 
@@ -100,10 +88,8 @@ def resolution(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: 
         If the estimate carries no diagnosis.
     """
     d = _diagnosis(estimate)
-    figure = figure or new_figure()
-    whole = d.matrix is not None
-    panels = 3 if whole else 2
-    figure.set_size_inches(*((NARROW, 3.1 * panels + 0.6) if narrow else (3.9 * panels, 3.9)))
+    panels = 2 if d.matrix is None else 3
+    figure = sized(figure, narrow, 3.1 * panels + 0.6, (3.9 * panels, 3.9))
     axes = list(np.atleast_1d(figure.subplots(panels, 1) if narrow else figure.subplots(1, panels)))
     if d.matrix is not None:
         _draw_matrix(figure, axes.pop(0), d)
@@ -122,8 +108,7 @@ def columns(estimate: LoadEstimate, *, figure: Figure | None = None, narrow: boo
         If the estimate carries no diagnosis.
     """
     d = _diagnosis(estimate)
-    figure = figure or new_figure()
-    figure.set_size_inches(*((NARROW, 7.0) if narrow else (10, 4.0)))
+    figure = sized(figure, narrow, 7.0, (10, 4.0))
     left, right = figure.subplots(2, 1) if narrow else figure.subplots(1, 2)
     names = _names(estimate, d.n)
     known = d.sigma is not None

@@ -49,10 +49,10 @@ FEW = 60  # points of a line up to which each of them is marked
 class _Field:
     """What is drawn: values, std and truth (points, components), places (points, 1 or 2), names."""
 
-    values: NDArray[np.float64]
-    std: NDArray[np.float64] | None
-    truth: NDArray[np.float64] | None
-    x: NDArray[np.float64]
+    values: Array
+    std: Array | None
+    truth: Array | None
+    x: Array
     along: tuple[str, ...]
     components: list[str]
     word: str
@@ -172,7 +172,7 @@ def _taken(e: LoadEstimate, quantity: str, truth: ArrayLike | None, frame: int |
     )  # fmt: skip
 
 
-def _known(truth: ArrayLike, e: LoadEstimate, row: tuple[int, ...]) -> NDArray[np.float64]:
+def _known(truth: ArrayLike, e: LoadEstimate, row: tuple[int, ...]) -> Array:
     known = known_numbers(truth)
     known = known[row] if known.shape == e.load.shape else known
     if known.shape != e.load.shape[-1:]:

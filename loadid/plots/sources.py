@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 
 from ..sources.levels import time_weighted
-from ..sources.synthesis import unit_of
+from ..sources.synthesis import row_of, unit_of
 from .style import (
     BLUE,
     DENSE,
@@ -40,7 +40,7 @@ from .style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from ..sources.comparison import Comparison
+    from ..sources.comparison import ResponseComparison
     from ..sources.contributions import Contributions, Shares
 
 Array = NDArray[Any]
@@ -185,7 +185,7 @@ def _listed(c: Contributions) -> list[int]:
 
 # -- measured against synthesised --------------------------------------------------------------------------------------
 def draw_comparison(
-    c: Comparison,
+    c: ResponseComparison,
     kind: str = "bands",
     *,
     sensor: int | str | None = None,
@@ -195,10 +195,10 @@ def draw_comparison(
     path: str | os.PathLike[str] | None = None,
     show: bool = False,
 ) -> Figure:
-    """Figure of a comparison; see `Comparison.plot`."""
+    """Figure of a comparison; see `ResponseComparison.plot`."""
     if kind not in ("bands", "running"):
         raise InputError("no such picture", where="plot", found=repr(kind), expected="'bands' or 'running'")
-    shown = list(range(min(len(c.sensors), 4))) if sensor is None else [_sensor(c, sensor)]
+    shown = list(range(min(len(c.sensors), 4))) if sensor is None else [row_of(sensor, c.sensors)]
     figure = new_figure(show)
     if kind == "bands":
         _bands(figure, c, shown, fraction, level)
@@ -209,7 +209,7 @@ def draw_comparison(
     return _finished(figure, c, path, show)
 
 
-def _bands(figure: Figure, c: Comparison, shown: list[int], fraction: int, level: float) -> None:
+def _bands(figure: Figure, c: ResponseComparison, shown: list[int], fraction: int, level: float) -> None:
     """Responses with their band, left; error in dB per band, right."""
     banded = c.bands(fraction)
     figure.set_size_inches(11, 1.1 + 2.4 * len(shown))
@@ -230,7 +230,7 @@ def _bands(figure: Figure, c: Comparison, shown: list[int], fraction: int, level
     _band_axis(grid[-1][1], banded.bands.names, banded.bands.title)
 
 
-def _response(ax: Axes, c: Comparison, i: int, level: float) -> None:
+def _response(ax: Axes, c: ResponseComparison, i: int, level: float) -> None:
     x, dense = c.axis.values, len(c.axis.values) > DENSE
     over = c.kind != "histories"
     measured, made = (np.abs(v[:, i]) if over else v[:, i] for v in (c.measured, c.synthesised))
@@ -260,7 +260,7 @@ def _response(ax: Axes, c: Comparison, i: int, level: float) -> None:
     tidy(ax)
 
 
-def _running(figure: Figure, c: Comparison, shown: list[int], window: str | float) -> None:
+def _running(figure: Figure, c: ResponseComparison, shown: list[int], window: str | float) -> None:
     """Levels over time, left; their difference in dB where the level is worth it, right."""
     run = c.running(window)
     figure.set_size_inches(11, 1.1 + 2.2 * len(shown))
@@ -364,22 +364,12 @@ def _band_axis(ax: Axes, names: Sequence[str], title: str) -> None:
     ax.set_xlabel(f"{title} band [Hz]")
 
 
-def _value_unit(c: Comparison, i: int) -> str:
+def _value_unit(c: ResponseComparison, i: int) -> str:
     return unit_of(c.units[i], c.kind)
 
 
-def _sensor(c: Comparison, sensor: int | str) -> int:
-    if isinstance(sensor, str) and sensor in c.sensors:
-        return c.sensors.index(sensor)
-    if isinstance(sensor, int | np.integer) and -len(c.sensors) <= sensor < len(c.sensors):
-        return int(sensor) % len(c.sensors)
-    raise InputError(
-        "no such sensor", where="plot", found=repr(sensor), expected=f"an index or one of {c.sensors[:12]}"
-    )
-
-
 def _finished(
-    figure: Figure, c: Contributions | Comparison | None, path: str | os.PathLike[str] | None, show: bool
+    figure: Figure, c: Contributions | ResponseComparison | None, path: str | os.PathLike[str] | None, show: bool
 ) -> Figure:
     estimate = getattr(c, "estimate", None)
     if estimate is not None:

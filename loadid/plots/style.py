@@ -70,7 +70,14 @@ def new_figure(show: bool = False) -> Figure:
     return Figure(layout="constrained")
 
 
-def known_load(estimate: LoadEstimate, truth: ArrayLike | None) -> Array | None:
+def sized(figure: Figure | None, narrow: bool, height: float, wide: tuple[float, float]) -> Figure:
+    """A figure as narrow as a phone and of some height, or of a size for a screen (inches)."""
+    figure = figure or new_figure()
+    figure.set_size_inches(*((NARROW, height) if narrow else wide))
+    return figure
+
+
+def known_load(estimate: LoadEstimate, truth: ArrayLike | None) -> NDArray[Any] | None:
     """A known load in the shape of the estimate."""
     if truth is None:
         return None

@@ -25,7 +25,7 @@ import pkgutil
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -33,11 +33,14 @@ from structures import units as _units
 from structures.advice import Advice, either
 from structures.errors import InputError
 
+from ..record import Record, find
+from .child import load_apart
+from .settle import check_unit_keys, outlined, settle
 from .source import (
     Format,
     NotStated,
     Options,
-    Outline,
+    RecordOutline,
     Source,
     Table,
     formats,
@@ -47,27 +50,22 @@ from .source import (
     truncated,
 )
 
-if TYPE_CHECKING:
-    from ..record import Record
-
 __all__ = [
-    "Format",
-    "NotStated",
-    "Options",
-    "Outline",
-    "Source",
-    "Table",
-    "formats",
-    "outline",
-    "read",
-    "read_all",
-    "register",
-    "scan",
-    "truncated",
-]
+    "Format", "NotStated", "Options", "RecordOutline", "Source", "Table", "formats", "outline", "read", "read_all",
+    "register", "scan", "truncated",
+]  # fmt: skip
 
 for _module in pkgutil.iter_modules(__path__):  # a format is found because its file lies here
     importlib.import_module(f".{_module.name}", __name__)
+
+
+class Stated(TypedDict, total=False):
+    """What may be stated of a file; see `read`."""
+
+    fs: float | None
+    columns: Sequence[str | int] | None
+    axis: int | None
+    units: Mapping[str | int, Any] | None
 
 
 def read(
@@ -110,16 +108,9 @@ def read(
     return guarded(source, lambda: _settle(_chosen(found, record, source), source, options, found))
 
 
-def read_all(
-    path: str | os.PathLike[str],
-    *,
-    fs: float | None = None,
-    columns: Sequence[str | int] | None = None,
-    axis: int | None = None,
-    units: Mapping[str | int, Any] | None = None,
-) -> tuple[Record, ...]:
+def read_all(path: str | os.PathLike[str], **stated: Unpack[Stated]) -> tuple[Record, ...]:
     """All records of a file; arguments and errors as for `read`."""
-    found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
+    found, source, options = _scan(path, **stated)
     return guarded(source, lambda: tuple(_settle(table, source, options, found) for table in found))
 
 
@@ -134,14 +125,7 @@ def scan(path: str | os.PathLike[str], *, axis: int | None = None) -> tuple[Tabl
     return tuple(_scan(path, axis=axis)[0])
 
 
-def outline(
-    path: str | os.PathLike[str],
-    *,
-    fs: float | None = None,
-    columns: Sequence[str | int] | None = None,
-    axis: int | None = None,
-    units: Mapping[str | int, Any] | None = None,
-) -> tuple[Outline, ...]:
+def outline(path: str | os.PathLike[str], **stated: Unpack[Stated]) -> tuple[RecordOutline, ...]:
     """What a file holds, under the names and indices that `read` takes, where units or the step are not stated.
 
     Raises
@@ -149,9 +133,7 @@ def outline(
     InputError
         Whatever else is wrong with the file.
     """
-    from .settle import outlined
-
-    found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
+    found, source, options = _scan(path, **stated)
     return guarded(source, lambda: tuple(outlined(table, source, options) for table in found))
 
 
@@ -176,8 +158,6 @@ def _scan(
     options = Options(fs=fs, columns=listed, axis=axis, units=_units.as_mapping(units))
     form = recognise(source)
     if form.native:
-        from .child import load_apart
-
         found = load_apart(form.name, source, options)
     else:
         found = guarded(source, lambda: form.load(source, options), form.name)
@@ -215,13 +195,8 @@ def _open(path: str | os.PathLike[str]) -> Source:
                 "there is no such file", where=str(place), hint=f"did you mean {near}?" if near else "check the path"
             )
         if not place.is_file():
-            raise InputError(
-                "this is no file",
-                where=str(place),
-                found="a folder or a device",
-                expected="a file",
-                hint="name a file in it",
-            )
+            raise InputError("this is no file", where=str(place), found="a folder or a device", expected="a file",
+                             hint="name a file in it")  # fmt: skip
         with place.open("rb") as file:
             source = Source(place, os.fstat(file.fileno()).st_size, file.read(4096))
     except (OSError, TypeError, ValueError) as error:
@@ -232,14 +207,9 @@ def _open(path: str | os.PathLike[str]) -> Source:
         _refuse_own(source)
     if place.suffix.lower() not in known_suffixes():
         likely = [f.name for f in formats() if not f.generic and f.sniff(source.head)]
-        source.refuse(
-            "unknown suffix",
-            place.suffix or "no suffix",
-            f"one of {', '.join(known_suffixes())}",
-            f"the content looks like {likely[0]}: rename the file"
-            if likely
-            else "export the record in one of these formats",
-        )
+        source.refuse("unknown suffix", place.suffix or "no suffix", f"one of {', '.join(known_suffixes())}",
+                      f"the content looks like {likely[0]}: rename the file" if likely
+                      else "export the record in one of these formats")  # fmt: skip
     if source.size == 0:
         source.refuse("the file is empty", "0 bytes", "a record")
     return source
@@ -263,8 +233,6 @@ def _neighbours(place: Path) -> str:
 
 
 def _chosen(found: list[Table], record: str | int | None, source: Source) -> Table:
-    from ..record import find
-
     names = [t.name or f"record_{i + 1}" for i, t in enumerate(found)]
     if record is not None:
         return found[find(record, names, what="record", where=str(source.path))]
@@ -272,18 +240,13 @@ def _chosen(found: list[Table], record: str | int | None, source: Source) -> Tab
         listed = [
             f"{i}: {n} {'x'.join(map(str, t.values.shape))}" for i, (n, t) in enumerate(zip(names, found, strict=True))
         ]
-        source.refuse(
-            "the file holds several records",
-            ", ".join(listed[:50]) + (", ..." if len(listed) > 50 else ""),
-            "one of them, by name or index",
-            Advice("choose: ", either("record=NAME or read_all", "--record NAME")),
-        )
+        source.refuse("the file holds several records", ", ".join(listed[:50]) + (", ..." if len(listed) > 50 else ""),
+                      "one of them, by name or index",
+                      Advice("choose: ", either("record=NAME or read_all", "--record NAME")))  # fmt: skip
     return found[0]
 
 
 def _settle(table: Table, source: Source, options: Options, found: list[Table]) -> Record:
-    from .settle import check_unit_keys, settle
-
     check_unit_keys(found, source, options)
     return settle(table, source, options)
 
@@ -298,10 +261,6 @@ def guarded(source: Source, action: Any, form: str = "a record") -> Any:
         raise
     except Exception as error:
         kind = type(error).__name__
-        raise InputError(
-            f"the file cannot be read as {form}",
-            where=str(source.path),
-            found=f"{kind}: {str(error)[:300]}",
-            expected="an undamaged file",
-            hint="transfer or export it again",
-        ) from error
+        raise InputError(f"the file cannot be read as {form}", where=str(source.path),
+                         found=f"{kind}: {str(error)[:300]}", expected="an undamaged file",
+                         hint="transfer or export it again") from error  # fmt: skip

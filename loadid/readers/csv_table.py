@@ -55,12 +55,8 @@ def load(source: Source, options: Options) -> list[Table]:
     body, flags = (body, ()) if ended else _unended(body, layout)
     for number, line in body:
         if len(_cells(line, layout)) != layout.width:
-            source.refuse(
-                "lines of different length",
-                f"line {number}: {len(_cells(line, layout))} cells",
-                f"{layout.width} cells",
-                "correct or delete that line",
-            )
+            source.refuse("lines of different length", f"line {number}: {len(_cells(line, layout))} cells",
+                          f"{layout.width} cells", "correct or delete that line")  # fmt: skip
     columns = np.arange(layout.width)
     clean = (
         [(n, line.rstrip().rstrip(layout.separator or " ")) for n, line in body] if _trailing(body, layout) else body
@@ -116,12 +112,9 @@ def _layout(lines: list[str], source: Source) -> _Layout:
     if comma and comma[2] == 2 and not any("." in line for line in sample) and any(f[1] == "," for f in fits):
         heading = [lines[i] for i in filled if lines[i] not in sample and not _numeric(lines[i], ",", ".")]
         if not heading:
-            source.refuse(
-                "a comma may be the decimal sign or the delimiter",
-                repr(sample[-1][:40]),
-                "a file that says which",
-                "add a line of column names, or use semicolons or tabs between columns",
-            )
+            source.refuse("a comma may be the decimal sign or the delimiter", repr(sample[-1][:40]),
+                          "a file that says which",
+                          "add a line of column names, or use semicolons or tabs between columns")  # fmt: skip
         chosen = comma if heading[-1].count(",") == 1 else (None, ",", 1)
     else:
         chosen = (many or fits)[0]

@@ -83,7 +83,9 @@ class Walk:
         for item, place in below:
             self.group(item, place, about, depth + 1)
 
-    def collect(self, arrays: dict[str, NDArray[Any]], own: dict[str, dict[str, Any]], path: str, about: dict) -> None:
+    def collect(
+        self, arrays: dict[str, NDArray[Any]], own: dict[str, dict[str, Any]], path: str, about: dict[str, Any]
+    ) -> None:
         """Tables of the datasets of one group."""
         flat = {k: x for k, x in arrays.items() if x.ndim < 2 or x.dtype.kind in "US"}
         for name, x in arrays.items():

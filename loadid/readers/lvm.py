@@ -80,24 +80,17 @@ def _header(lines: list[str], at: int, source: Source, separator: str = "\t") ->
     else:
         if not entries:
             return {}, len(lines)
-    return source.refuse(
-        "a header does not end",
-        f"from line {at + 1}",
-        END,
-        "the file is cut in its header: transfer or export it again",
-    )
+    return source.refuse("a header does not end", f"from line {at + 1}", END,
+                         "the file is cut in its header: transfer or export it again")  # fmt: skip
 
 
 def _require_file_header(header: dict[str, list[str]], end: int, source: Source) -> None:
     """Nothing, unless the header of the file holds what stands in that of a segment: its own end was passed."""
     taken = [key for key in OF_A_SEGMENT if any(re.split(r"[\t,]", entry)[0] == key for entry in header)]
     if taken:
-        source.refuse(
-            "the header of the file does not end before that of its first segment",
-            f"{', '.join(taken)} in lines 1 to {end}",
-            END,
-            "that line is damaged: transfer or export the file again",
-        )
+        source.refuse("the header of the file does not end before that of its first segment",
+                      f"{', '.join(taken)} in lines 1 to {end}", END,
+                      "that line is damaged: transfer or export the file again")  # fmt: skip
 
 
 def _decimal(header: dict[str, list[str]], separator: str, source: Source) -> str:

@@ -62,12 +62,8 @@ def tables_of(
     if channels:
         lengths = {k: len(x) for k, x in single.items()}
         if len(set(lengths.values())) > 1 and not tables:
-            source.refuse(
-                "arrays of different length",
-                str(lengths)[:300],
-                "channels of one record, equally long",
-                "save arrays of one length",
-            )
+            source.refuse("arrays of different length", str(lengths)[:300], "channels of one record, equally long",
+                          "save arrays of one length")  # fmt: skip
         if len({len(x) for x in channels.values()}) == 1 and len(channels) <= COLUMNS:
             tables.append(_joined(channels, clock, name or source.path.stem, dt, units, unit_of or {}))
     return tables
@@ -190,14 +186,9 @@ def array_of(data: bytes, source: Source, what: str) -> NDArray[Any]:
     declared, there = count * dtype.itemsize, len(data) - file.tell()
     if there != declared:
         short = there < declared
-        source.refuse(
-            f"truncated: {there // dtype.itemsize} of {count} numbers"
-            if short
-            else "more bytes than the header declares",
-            f"{what}: {there} bytes of data",
-            f"{declared} bytes: shape {shape} of {dtype}",
-            "transfer or export the file again",
-        )
+        source.refuse(f"truncated: {there // dtype.itemsize} of {count} numbers" if short
+                      else "more bytes than the header declares", f"{what}: {there} bytes of data",
+                      f"{declared} bytes: shape {shape} of {dtype}", "transfer or export the file again")  # fmt: skip
     flat = np.frombuffer(data, dtype=dtype, count=count, offset=file.tell())
     return flat.reshape(shape[::-1]).T if fortran else flat.reshape(shape)
 

@@ -6,6 +6,7 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,21 +82,14 @@ def _slow(
     for row, (number, line) in enumerate(body):
         cells = split(line, separator)
         if len(cells) < width:
-            source.refuse(
-                "a line is too short",
-                f"line {number}: {len(cells)} cells",
-                f"{width} cells",
-                "correct or delete that line",
-            )
+            source.refuse("a line is too short", f"line {number}: {len(cells)} cells", f"{width} cells",
+                          "correct or delete that line")  # fmt: skip
         for k, column in enumerate(columns):
             value = number_of(cells[column], decimal)
             if value is None:
-                source.refuse(
-                    "a cell is no number",
-                    f"line {number}, column {int(column) + 1}: {cells[column][:40]!r}",
-                    f"a number with the decimal sign '{decimal}'",
-                    "correct that cell, or leave it empty where nothing was recorded",
-                )
+                source.refuse("a cell is no number", f"line {number}, column {int(column) + 1}: {cells[column][:40]!r}",
+                              f"a number with the decimal sign '{decimal}'",
+                              "correct that cell, or leave it empty where nothing was recorded")  # fmt: skip
             table[row, k] = value
     return table
 
@@ -172,21 +166,13 @@ def timebase(t: NDArray[np.float64], source: Source) -> Base:
     n = len(t)
     if n < 2 or not np.all(np.isfinite(t)):
         bad = "one stamp" if n < 2 else f"{int((~np.isfinite(t)).sum())} stamps that are no numbers"
-        source.refuse(
-            "the time column gives no step",
-            bad,
-            "finite, rising stamps",
-            "repair the time column, or leave it out and state --fs HZ",
-        )
+        source.refuse("the time column gives no step", bad, "finite, rising stamps",
+                      "repair the time column, or leave it out and state --fs HZ")  # fmt: skip
     steps = np.diff(t)
     if not steps.min() > 0:
         i = int(np.argmin(steps))
-        source.refuse(
-            "time does not rise",
-            f"{t[i]:.9g} s, then {t[i + 1]:.9g} s after sample {i}",
-            "rising stamps",
-            "sort or repair the time column, or leave it out and state --fs HZ",
-        )
+        source.refuse("time does not rise", f"{t[i]:.9g} s, then {t[i + 1]:.9g} s after sample {i}", "rising stamps",
+                      "sort or repair the time column, or leave it out and state --fs HZ")  # fmt: skip
     rounding = _resolution(t)
     typical = float(np.median(steps))
     if rounding > 0.2 * typical:  # steps of 0.000, 0.001, 0.001: only the whole column tells the step
@@ -196,25 +182,17 @@ def timebase(t: NDArray[np.float64], source: Source) -> Base:
     wrong = np.abs(t - t[0] - place * dt - np.median(t - t[0] - place * dt)) > slack
     if wrong.any() or np.diff(place).min() < 1:
         i = int(np.argmax(np.abs(steps - typical)))
-        source.refuse(
-            "time is not uniform",
-            f"step {steps[i]:.6g} s after sample {i}, {typical:.6g} s elsewhere",
-            "a constant step",
-            "resample the record, or state --fs HZ without a time column",
-        )
+        source.refuse("time is not uniform", f"step {steps[i]:.6g} s after sample {i}, {typical:.6g} s elsewhere",
+                      "a constant step", "resample the record, or state --fs HZ without a time column")  # fmt: skip
     missing = int(place[-1]) + 1 - n
     if missing > MISSING * (n + missing):
-        source.refuse(
-            "too many samples are missing",
-            f"{missing} missing, {n} there",
-            f"at most {MISSING:.0%}",
-            "cut the record at the gap",
-        )
+        source.refuse("too many samples are missing", f"{missing} missing, {n} there", f"at most {MISSING:.0%}",
+                      "cut the record at the gap")  # fmt: skip
     first = int(np.argmax(np.diff(place) > 1)) if missing else 0
     return Base(_snap(dt, float(place[-1]), slack_of(t, dt, place), n), place, missing, first)
 
 
-def fill(values: NDArray, base: Base) -> NDArray[np.float64]:
+def fill(values: NDArray[Any], base: Base) -> NDArray[np.float64]:
     """Samples on the full grid, NaN where one is missing."""
     if not base.missing:
         return np.asarray(values, dtype=float)

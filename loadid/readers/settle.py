@@ -19,7 +19,7 @@ from structures.errors import InputError
 
 from ..record import Record, copy_of, find
 from .numbers import fill, timebase
-from .source import COLUMNS, RATE, NotStated, Options, Outline, Source, Table
+from .source import COLUMNS, RATE, NotStated, Options, RecordOutline, Source, Table
 
 TIME_NAMES = {"time", "t", "zeit", "temps", "tiempo", "tempo", "x_value", "seconds", "timestamp", "time stamp", "t_s"}
 APART = 0.01  # relative difference of a stated and a recorded step that is a contradiction
@@ -93,7 +93,7 @@ def check_unit_keys(tables: list[Table], source: Source, options: Options) -> No
             find(key, max((names for names, _ in known), key=len), what="channel", where=str(source.path))
 
 
-def outlined(table: Table, source: Source, options: Options) -> Outline:
+def outlined(table: Table, source: Source, options: Options) -> RecordOutline:
     """A table under the names and indices that its record has, before units and step are stated.
 
     Raises
@@ -105,7 +105,7 @@ def outlined(table: Table, source: Source, options: Options) -> Outline:
     names = table.columns or ()
     stated, notes = _stated(names, source, options)
     units = tuple(stated.get(i, table.units[i] if table.units else None) for i in range(len(names)))
-    return Outline(
+    return RecordOutline(
         table.name,
         len(table.values),
         names,
@@ -142,12 +142,9 @@ def _refuse_infinite(table: Table, source: Source) -> None:
         return
     row, column = (int(i) for i in np.argwhere(np.isinf(x))[0])
     name = (table.columns or ())[column]
-    source.refuse(
-        "infinite values",
-        f"{int(np.isinf(x).sum())}, the first in channel {name} at sample {row}",
-        "finite numbers, or NaN for recorded gaps",
-        "repair the record, or mark these samples as NaN",
-    )
+    source.refuse("infinite values", f"{int(np.isinf(x).sum())}, the first in channel {name} at sample {row}",
+                  "finite numbers, or NaN for recorded gaps",
+                  "repair the record, or mark these samples as NaN")  # fmt: skip
 
 
 def _channel_names(table: Table, source: Source, options: Options) -> tuple[tuple[str, ...], str | None]:
@@ -212,7 +209,7 @@ def _named(table: Table, source: Source, options: Options) -> Table:
     return replace(table, columns=tuple(names), time=named_time[0] if named_time else time)
 
 
-def _looks_like_time(x: NDArray) -> bool:
+def _looks_like_time(x: NDArray[Any]) -> bool:
     if x.dtype.kind not in "fiu" or len(x) < 3 or not np.all(np.isfinite(x)):
         return False
     steps = np.diff(x.astype(float))
@@ -268,13 +265,8 @@ def contradict(own: float, dt: float) -> bool:
 
 def _required(dt: float | None, source: Source) -> float:
     if dt is None:
-        source.refuse(
-            "the sampling frequency is not known",
-            "no time column and no step in the file",
-            "a time column, or the sampling frequency in Hz",
-            RATE,
-            NotStated,
-        )
+        source.refuse("the sampling frequency is not known", "no time column and no step in the file",
+                      "a time column, or the sampling frequency in Hz", RATE, NotStated)  # fmt: skip
     return dt
 
 
@@ -284,12 +276,7 @@ def _positive(fs: object, source: Source) -> float:
     except (TypeError, ValueError):
         rate = math.nan
     if isinstance(fs, bool) or not (math.isfinite(rate) and rate > 0 and math.isfinite(1 / rate)):
-        source.refuse(
-            "the sampling frequency is not positive",
-            f"fs = {fs!r}",
-            "Hz, > 0",
-            RATE,
-        )
+        source.refuse("the sampling frequency is not positive", f"fs = {fs!r}", "Hz, > 0", RATE)  # fmt: skip
     return rate
 
 
@@ -335,9 +322,6 @@ def _refuse_two_clocks(table: Table, names: tuple[str, ...], time: int | None, s
     same = [i for i, n in enumerate(names) if n.casefold() == names[time].casefold() and i != time]
     other = [i for i in same if not np.array_equal(own, table.values[:, i], equal_nan=own.dtype.kind == "f")]
     if names[time] and other:
-        source.refuse(
-            "several columns with different numbers are named as time",
-            f"{names[time]!r} over columns {', '.join(str(i + 1) for i in (time, *other))}",
-            "one time column",
-            "rename those that are no time of this record, or delete them",
-        )
+        source.refuse("several columns with different numbers are named as time",
+                      f"{names[time]!r} over columns {', '.join(str(i + 1) for i in (time, *other))}",
+                      "one time column", "rename those that are no time of this record, or delete them")  # fmt: skip

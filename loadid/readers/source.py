@@ -93,7 +93,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Outline:
+class RecordOutline:
     """What is known of a record before its units and its step are stated; channels without the time column.
 
     Parameters
@@ -168,12 +168,9 @@ def time_first(table: Table, source: Source, options: Options) -> Table:
         axis, said = 1 - x.shape.index(len(known)), "the other one fits the channel names"
     elif axis is None:
         if x.shape[0] == x.shape[1]:
-            source.refuse(
-                "the array is square: either axis may be time",
-                f"shape {x.shape}",
-                "axis=0 (rows are samples) or axis=1 (columns are samples)",
-                "state it: --axis 0 or --axis 1",
-            )
+            source.refuse("the array is square: either axis may be time", f"shape {x.shape}",
+                          "axis=0 (rows are samples) or axis=1 (columns are samples)",
+                          "state it: --axis 0 or --axis 1")  # fmt: skip
         axis, said = long, "the longer one"
     else:
         said = "as stated"
@@ -187,7 +184,6 @@ def truncated(delivered: int, declared: int, what: str = "samples") -> Flag:
         "W209",
         Evidence("delivered", float(delivered), float(declared)),
         f"truncated: {delivered} of {declared} {what}",
-        "use it only if what is left covers the memory of the system; transfer the file again if you can",
     )
 
 
@@ -265,15 +261,12 @@ def recognise(source: Source) -> Format:
         If the content is of no format that the suffix allows and of no other one either.
     """
     suffix = source.path.suffix.lower()
+    for form in formats():
+        if suffix in form.suffixes and form.sniff(source.head):
+            return form
     can = [f for f in formats() if f.sniff(source.head)]
-    of_suffix = [f for f in can if suffix in f.suffixes]
-    marked = [f for f in can if not f.generic]
-    if of_suffix or marked:
-        return (of_suffix or marked)[0]
+    if marked := [f for f in can if not f.generic]:
+        return marked[0]
     expected = next(f.name for f in formats() if suffix in f.suffixes)
-    return source.refuse(
-        f"the content is not {expected}",
-        "plain text" if can else f"first bytes {source.head[:16]!r}",
-        f"{expected}, as the suffix {suffix} says",
-        "rename or export the file again",
-    )
+    return source.refuse(f"the content is not {expected}", "plain text" if can else f"first bytes {source.head[:16]!r}",
+                         f"{expected}, as the suffix {suffix} says", "rename or export the file again")  # fmt: skip

@@ -27,12 +27,8 @@ def load(source: Source, options: Options) -> list[Table]:
     file = parse_uff(source.data(), str(source.path))
     functions = [f for f in file.functions if f.head.function == TIME]
     if not functions:
-        source.refuse(
-            "the file holds no time response",
-            file.holds(),
-            "functions of type 1 (data set 58 or 58b)",
-            "structures.files.read_frfs reads the FRFs of such a file as a model",
-        )
+        source.refuse("the file holds no time response", file.holds(), "functions of type 1 (data set 58 or 58b)",
+                      "structures.files.read_frfs reads the FRFs of such a file as a model")  # fmt: skip
     runs = _runs(functions)
     names = [""] if len(runs) == 1 else [f"run {k + 1}" for k in range(len(runs))]
     return [_table(run, name, file, source) for run, name in zip(runs, names, strict=True)]
@@ -86,12 +82,9 @@ def _real(function: Function, source: Source) -> Any:
     values = function.values
     if np.iscomplexobj(values):
         if np.any(values.imag):
-            source.refuse(
-                "a time response with complex values",
-                f"{function.response or 'unnamed'}, line {function.line}",
-                "real samples",
-                "a spectrum is no time response: its function type is wrong",
-            )
+            source.refuse("a time response with complex values",
+                          f"{function.response or 'unnamed'}, line {function.line}", "real samples",
+                          "a spectrum is no time response: its function type is wrong")  # fmt: skip
         values = values.real
     return values
 
@@ -101,12 +94,9 @@ def _seconds(function: Function, source: Source) -> float:
     text = function.axis.unit
     unit = _units.parse(text) if text and _units.known(text) else None
     if function.axis.type not in (0, 1, 17) or (text and (unit is None or unit.quantity != "time")):
-        source.refuse(
-            "the abscissa of a time response is no time",
-            f"data type {function.axis.type}, unit {text or 'not named'}",
-            "data type 17 and seconds",
-            "export it again with time as abscissa",
-        )
+        source.refuse("the abscissa of a time response is no time",
+                      f"data type {function.axis.type}, unit {text or 'not named'}", "data type 17 and seconds",
+                      "export it again with time as abscissa")  # fmt: skip
     return unit.factor if unit else 1.0
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .comparison import BandLevels, Comparison, compare, compare_estimate
+from .comparison import BandLevels, ResponseComparison, compare, compare_estimate
 from .contributions import Contributions, Shares, contributions
 from .correlation import csac, csf, faac, frac, lac, mac, trac
 from .levels import (
@@ -17,37 +17,12 @@ from .levels import (
     time_weighted,
 )
 from .split import Split, split
-from .synthesis import Response, synthesise
+from .synthesis import SynthesisedResponse, synthesise
 from .transfer import Transfer, validate_on
 
 __all__ = [
-    "BandLevels",
-    "BandPower",
-    "Bands",
-    "Comparison",
-    "Contributions",
-    "Response",
-    "RunningLevel",
-    "Shares",
-    "Split",
-    "Transfer",
-    "band_power",
-    "compare",
-    "compare_estimate",
-    "contributions",
-    "csac",
-    "csf",
-    "decibels",
-    "faac",
-    "frac",
-    "lac",
-    "mac",
-    "octave_bands",
-    "running_level",
-    "running_rms",
-    "split",
-    "synthesise",
-    "time_weighted",
-    "trac",
-    "validate_on",
-]
+    "BandLevels", "BandPower", "Bands", "Contributions", "ResponseComparison", "RunningLevel", "Shares", "Split",
+    "SynthesisedResponse", "Transfer", "band_power", "compare", "compare_estimate", "contributions", "csac", "csf",
+    "decibels", "faac", "frac", "lac", "mac", "octave_bands", "running_level", "running_rms", "split", "synthesise",
+    "time_weighted", "trac", "validate_on",
+]  # fmt: skip

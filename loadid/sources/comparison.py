@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,7 +50,7 @@ class BandLevels:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class ResponseComparison:
     """Measured and synthesised responses of the same sensors.
 
     Parameters
@@ -70,8 +70,8 @@ class Comparison:
     """
 
     axis: Axis
-    measured: NDArray
-    synthesised: NDArray
+    measured: NDArray[Any]
+    synthesised: NDArray[Any]
     kind: str
     sensors: tuple[str, ...]
     units: tuple[str, ...]
@@ -223,7 +223,7 @@ class Comparison:
         sensor: int | str | None = None,
         fraction: int = 3,
         window: str | float = "fast",
-        path: str | os.PathLike | None = None,
+        path: str | os.PathLike[str] | None = None,
         show: bool = False,
     ) -> Figure:
         """Picture of the comparison.
@@ -277,7 +277,7 @@ def compare(
     dt: float | None = None,
     sensors: Sequence[str] | None = None,
     units: Sequence[str] | None = None,
-) -> Comparison:
+) -> ResponseComparison:
     """Compare measured with synthesised responses.
 
     Parameters
@@ -318,7 +318,7 @@ def compare(
     return checked(axis, m, s, kind, names, of)
 
 
-def compare_estimate(estimate: LoadEstimate) -> Comparison:
+def compare_estimate(estimate: LoadEstimate) -> ResponseComparison:
     """Response that an estimate was made from, against the one that its load gives: its training sensors.
 
     Raises
@@ -343,15 +343,15 @@ def compare_estimate(estimate: LoadEstimate) -> Comparison:
 
 def checked(
     axis: Axis,
-    measured: NDArray,
-    synthesised: NDArray,
+    measured: NDArray[Any],
+    synthesised: NDArray[Any],
     kind: str,
     sensors: Sequence[str],
     units: Sequence[str],
     estimate: LoadEstimate | None = None,
     std: Real | None = None,
     points: NDArray[np.intp] | None = None,
-) -> Comparison:
+) -> ResponseComparison:
     """A comparison whose parts fit together.
 
     Raises
@@ -373,7 +373,7 @@ def checked(
             expected="measured responses that moved", hint="leave dead sensors out",
         )  # fmt: skip
     none = np.empty(0, np.intp)
-    return Comparison(
+    return ResponseComparison(
         axis, measured, synthesised, kind, tuple(sensors), tuple(units), std, none if points is None else points,
         estimate,
     )  # fmt: skip

@@ -90,8 +90,8 @@ class Contributions:
     """
 
     axis: Axis
-    values: NDArray
-    total: NDArray
+    values: NDArray[Any]
+    total: NDArray[Any]
     projected: Real
     std: Real | None
     total_std: Real | None
@@ -99,7 +99,7 @@ class Contributions:
     sensors: tuple[Channel, ...]
     loads: tuple[Channel, ...]
     points: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
-    measured: tuple[NDArray | None, ...] = ()
+    measured: tuple[NDArray[Any] | None, ...] = ()
     trusted: NDArray[np.bool_] | None = None
     estimate: LoadEstimate | None = field(default=None, repr=False)
 
@@ -157,15 +157,7 @@ class Contributions:
         InputError
             There is none.
         """
-        labels = [c.label for c in self.sensors]
-        if isinstance(sensor, str) and sensor in labels:
-            return labels.index(sensor)
-        if isinstance(sensor, int | np.integer) and -len(labels) <= sensor < len(labels):
-            return int(sensor) % len(labels)
-        raise InputError(
-            "no such sensor", where="contributions", found=repr(sensor), expected=f"an index or one of {labels[:12]}",
-            hint="contributions(model, estimate, sensors=[...]) chooses them",
-        )  # fmt: skip
+        return synthesis.row_of(sensor, [c.label for c in self.sensors])
 
     # -- words and pictures -------------------------------------------------------------------------------------------
     def table(self, fraction: int | None = None) -> str:
@@ -219,7 +211,7 @@ class Contributions:
         *,
         sensor: int | str | None = None,
         fraction: int = 3,
-        path: str | os.PathLike | None = None,
+        path: str | os.PathLike[str] | None = None,
         show: bool = False,
     ) -> Figure:
         """Picture of the contributions.
@@ -302,7 +294,7 @@ def contributions(
 
 
 # -- inside ------------------------------------------------------------------------------------------------------------
-def _amplitudes(p: Paths, whole: NDArray) -> tuple[NDArray, Real, Real]:
+def _amplitudes(p: Paths, whole: NDArray[Any]) -> tuple[NDArray[Any], Real, Real]:
     """Complex amplitude of each load alone, its part in the power of the whole, its std; (lines, sensors, loads)."""
     assert p.load is not None
     load = p.load[:, None]
@@ -312,7 +304,7 @@ def _amplitudes(p: Paths, whole: NDArray) -> tuple[NDArray, Real, Real]:
     return values, (values * whole[..., None].conj()).real, np.sqrt(variance)
 
 
-def _densities(p: Paths) -> tuple[NDArray, Real, Real]:
+def _densities(p: Paths) -> tuple[NDArray[Any], Real, Real]:
     """Density of each load alone, its part in that of the whole, its std; (lines, sensors, loads)."""
     assert p.cross is not None
     auto = np.einsum("ljj->lj", p.cross).real[:, None]
@@ -346,7 +338,7 @@ def _over_time(
     )
 
 
-def _measured(estimate: LoadEstimate, label: str) -> NDArray | None:
+def _measured(estimate: LoadEstimate, label: str) -> NDArray[Any] | None:
     """Measured response of a sensor, where the estimate carries it along its own axis."""
     rows = 0 if estimate.axis is None else len(estimate.axis.values)
     if estimate.response is None or len(estimate.response) != rows or label not in estimate.sensors:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -174,7 +176,7 @@ def lac(responses: ArrayLike, others: ArrayLike) -> Array:
 
 
 # -- helpers -----------------------------------------------------------------------------------------------------------
-def _numbers(values: ArrayLike, where: str) -> NDArray:
+def _numbers(values: ArrayLike, where: str) -> NDArray[Any]:
     array = as_array(values, where=where)
     if array.dtype.kind not in "biufc" or not array.size or not np.all(np.isfinite(array)):
         raise InputError(
@@ -184,14 +186,14 @@ def _numbers(values: ArrayLike, where: str) -> NDArray:
     return array.astype(complex if array.dtype.kind == "c" else float)
 
 
-def _columns(values: ArrayLike, where: str) -> NDArray:
+def _columns(values: ArrayLike, where: str) -> NDArray[Any]:
     array = _numbers(values, where)
     if array.ndim not in (1, 2):
         raise _misfit(where, array.shape, "", "(places, shapes)")
     return array.reshape(len(array), -1)
 
 
-def _pair(one: ArrayLike, other: ArrayLike, where: str) -> tuple[NDArray, NDArray]:
+def _pair(one: ArrayLike, other: ArrayLike, where: str) -> tuple[NDArray[Any], NDArray[Any]]:
     a, b = _numbers(one, where), _numbers(other, where)
     if a.shape != b.shape or a.ndim == 0:
         raise _misfit(where, a.shape, b.shape, "two arrays of one shape, lines or samples first")
@@ -205,7 +207,7 @@ def _weights(weights: ArrayLike, places: int) -> Array:
     return w
 
 
-def _scaled(a: NDArray, where: str) -> NDArray:
+def _scaled(a: NDArray[Any], where: str) -> NDArray[Any]:
     """Columns over the first axis with a largest modulus of 1: squares neither overflow nor vanish."""
     top = np.abs(a).max(axis=0)
     if np.any(top == 0):
@@ -216,16 +218,16 @@ def _scaled(a: NDArray, where: str) -> NDArray:
     return a / top
 
 
-def _unit(a: NDArray, where: str) -> NDArray:
+def _unit(a: NDArray[Any], where: str) -> NDArray[Any]:
     scaled = _scaled(a, where)
     return scaled / np.linalg.norm(scaled, axis=0)
 
 
-def _cosine2(a: NDArray, b: NDArray, where: str) -> Array:
+def _cosine2(a: NDArray[Any], b: NDArray[Any], where: str) -> Array:
     return np.minimum(np.abs(np.sum(_unit(a, where) * _unit(b, where).conj(), axis=0)) ** 2, 1.0)
 
 
-def _amplitude(a: NDArray, b: NDArray, where: str) -> Array:
+def _amplitude(a: NDArray[Any], b: NDArray[Any], where: str) -> Array:
     top = np.maximum(np.abs(a).max(axis=0), np.abs(b).max(axis=0))
     if np.any(top == 0):
         _scaled(np.where(top > 0, a, 0), where)

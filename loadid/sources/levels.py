@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -281,7 +282,7 @@ def decibels(synthesised: ArrayLike, measured: ArrayLike) -> Array:
     return np.asarray(10 * np.log10(np.maximum(s / top, FLOOR) / np.maximum(m / top, FLOOR)), float)
 
 
-def weighted(error: NDArray, level: NDArray) -> Array:
+def weighted(error: NDArray[Any], level: NDArray[Any]) -> Array:
     """Mean of errors (..., sensors) over the sensors, by the square of their level: ``sum w^2 e / sum w^2``."""
     top = level.max(axis=-1, keepdims=True)
     w = np.divide(level, top, out=np.ones_like(level), where=top > 0) ** 2

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.channels import Channel
-from structures.errors import InputError
+from structures.errors import InputError, digest
 from structures.model import Model
+from structures.models.mapped import StandingOn
+from structures.models.statespace import StateSpace
 
 from .synthesis import rows_of
 
@@ -38,7 +40,7 @@ class Split:
         one, two = self.training.sensors, self.validation.sensors
         return tuple(s.label for s in one), tuple(s.label for s in two)
 
-    def columns(self, values: ArrayLike) -> tuple[NDArray, NDArray]:
+    def columns(self, values: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
         """Columns (..., sensors) of the training and of the validation sensors.
 
         Raises
@@ -86,7 +88,7 @@ def subset(model: Model, rows: NDArray[np.intp]) -> Model:
     return model.with_sensors(rows) if model.gives("with_sensors") else SensorSubset(model, rows)
 
 
-class SensorSubset(Model):
+class SensorSubset(StandingOn):
     """Some sensors of another model, which answers for them.
 
     Parameters
@@ -120,20 +122,6 @@ class SensorSubset(Model):
         found = self.model.noise_spectrum(frequencies)
         return None if found is None else found[:, self.rows]
 
-    def has_lines(self, frequencies: ArrayLike) -> NDArray[np.bool_]:
-        """As the model."""
-        return self.model.has_lines(frequencies)
-
-    def gives(self, method: str) -> bool:
-        """As the model, where some of its sensors have the method."""
-        return super().gives(method) and self.model.gives(method)
-
-    def refuse(self, method: str, family: str | None = None) -> NoReturn:
-        """Refuse a method in the name of the model, where it is the model that has none."""
-        if not self.model.gives(method):
-            self.model.refuse(method, family)
-        super().refuse(method, family)
-
     def impulse_response(self, dt: float, samples: int, hold: str = "foh") -> NDArray[np.float64]:
         """As the model, some rows."""
         return self.model.impulse_response(dt, samples, hold)[:, self.rows]
@@ -144,8 +132,6 @@ class SensorSubset(Model):
 
     def state_space(self, dt: float, hold: str = "foh") -> Any:
         """As the model, with some rows of C and D."""
-        from structures.models.statespace import StateSpace
-
         s = self.model.state_space(dt, hold)
         D = s.D[..., self.rows, :]
         return StateSpace(s.A, s.B, s.C[self.rows], D, s.dt, s.hold, sensors=self.sensors, loads=self.loads)
@@ -155,38 +141,6 @@ class SensorSubset(Model):
         return SensorSubset(self.model.perturbed(parameter, factor), self.rows)
 
     @property
-    def default_hold(self) -> str:
-        """As the model."""
-        return self.model.default_hold
-
-    @property
-    def moving(self) -> bool:
-        """As the model."""
-        return self.model.moving
-
-    @property
-    def radius(self) -> float:
-        """As the model."""
-        return self.model.radius
-
-    @property
-    def training(self) -> frozenset[str]:
-        """As the model."""
-        return self.model.training
-
-    @property
-    def natural_frequencies(self) -> NDArray[np.float64] | None:
-        """As the model."""
-        return self.model.natural_frequencies
-
-    @property
-    def decay_rate(self) -> float | None:
-        """As the model."""
-        return self.model.decay_rate
-
-    @property
     def fingerprint(self) -> str:
         """Digest of the model's own and of the rows."""
-        from structures.errors import digest
-
         return digest("SensorSubset", self.model.fingerprint, self.rows)

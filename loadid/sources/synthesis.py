@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,7 +20,7 @@ SPECTRA, DENSITIES, HISTORIES = "spectra", "densities", "histories"
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
+class SynthesisedResponse:
     """Response of some sensors to an estimated load.
 
     Parameters
@@ -37,7 +38,7 @@ class Response:
     """
 
     axis: Axis
-    values: NDArray
+    values: NDArray[Any]
     sensors: tuple[Channel, ...]
     kind: str
     std: Real | None = None
@@ -83,7 +84,7 @@ def synthesise(
     sensors: Any = None,
     covariance: ArrayLike | None = None,
     points: int = 0,
-) -> Response:
+) -> SynthesisedResponse:
     """Response of the sensors of a model to an estimated load.
 
     Parameters
@@ -101,7 +102,7 @@ def synthesise(
 
     Returns
     -------
-    Response
+    SynthesisedResponse
         The std holds that of the loads and, over frequency, the variance of the FRFs of this model where it is known.
 
     Raises
@@ -123,16 +124,16 @@ def synthesise(
     return whole(estimate.axis, chosen, paths(model, estimate, rows, covariance))
 
 
-def whole(axis: Axis, sensors: tuple[Channel, ...], parts: Paths) -> Response:
+def whole(axis: Axis, sensors: tuple[Channel, ...], parts: Paths) -> SynthesisedResponse:
     """Response over frequency to all loads together."""
     every = np.arange(len(axis.values))
     if parts.load is not None:
         values = np.einsum("lij,lj->li", parts.H, parts.load)
-        return Response(axis, values, sensors, SPECTRA, np.sqrt(_amplitude_variance(parts)), every)
+        return SynthesisedResponse(axis, values, sensors, SPECTRA, np.sqrt(_amplitude_variance(parts)), every)
     assert parts.cross is not None
     seen = np.einsum("ljk,lik->lij", parts.cross, parts.H.conj())  # S h^H
     values = np.maximum(np.einsum("lij,lij->li", parts.H, seen).real, 0.0)
-    return Response(axis, values, sensors, DENSITIES, np.sqrt(_density_variance(parts, seen)), every)
+    return SynthesisedResponse(axis, values, sensors, DENSITIES, np.sqrt(_density_variance(parts, seen)), every)
 
 
 def kind_of(estimate: LoadEstimate) -> str:
@@ -177,7 +178,25 @@ def rows_of(model: Model, sensors: Any) -> list[int]:
     wanted = [sensors] if isinstance(sensors, str | int | np.integer) else list(sensors)
     if not wanted:
         raise InputError("no sensor is named", where="sensors", found="none", expected=f"some of {labels[:12]}")
-    return [_row(getattr(w, "label", w), labels) for w in wanted]
+    return [row_of(getattr(w, "label", w), labels) for w in wanted]
+
+
+def row_of(sensor: Any, labels: Sequence[str]) -> int:
+    """Row of a sensor, by label or index.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    if isinstance(sensor, str) and sensor in labels:
+        return list(labels).index(sensor)
+    if isinstance(sensor, int | np.integer) and not isinstance(sensor, bool) and -len(labels) <= sensor < len(labels):
+        return int(sensor) % len(labels)
+    raise InputError(
+        "no such sensor", where="sensors", found=repr(sensor), expected=f"an index or one of {list(labels[:12])}",
+        hint="sensors are named as in model.sensors",
+    )  # fmt: skip
 
 
 def order(model: Model, estimate: LoadEstimate) -> list[int]:
@@ -237,7 +256,7 @@ def unit_of(unit: str, kind: str) -> str:
     return f"({unit})^2/Hz" if any(x in unit for x in "/^* ") else f"{unit}^2/Hz"
 
 
-def reliable(values: NDArray, std: NDArray, share: float) -> NDArray[np.bool_]:
+def reliable(values: NDArray[Any], std: NDArray[Any], share: float) -> NDArray[np.bool_]:
     """Lines (lines, ...) on which the std of some numbers, a root sum over their last axis, is below a share of theirs.
 
     Raises
@@ -304,12 +323,12 @@ def spread(samples: int, count: int) -> NDArray[np.intp]:
 # -- inside ------------------------------------------------------------------------------------------------------------
 def _history(
     model: Model, estimate: LoadEstimate, rows: list[int], chosen: tuple[Channel, ...], points: int
-) -> Response:
+) -> SynthesisedResponse:
     columns = order(model, estimate)
     axis = estimate.over("time")
     values = model.predict(estimate.load[:, columns], axis.step)[:, rows]
     _, std, at = band_of_history(model, estimate, rows, points, each=False)
-    return Response(axis, values, chosen, HISTORIES, std, at)
+    return SynthesisedResponse(axis, values, chosen, HISTORIES, std, at)
 
 
 def _amplitude_variance(p: Paths) -> Real:
@@ -323,7 +342,7 @@ def _amplitude_variance(p: Paths) -> Real:
     return np.maximum(found, 0.0)
 
 
-def _density_variance(p: Paths, seen: NDArray) -> Real:
+def _density_variance(p: Paths, seen: NDArray[Any]) -> Real:
     found = np.einsum("lij,lj->li", np.abs(p.H) ** 4, p.std**2)
     if p.variance is not None:  # dS = 2 Re(dh S h^H), dh circular
         found = found + 2 * np.einsum("lij,lij->li", p.variance, np.abs(seen) ** 2)
@@ -338,14 +357,3 @@ def _matrices(given: Any, shape: tuple[int, ...], where: str) -> NDArray[np.comp
             expected=f"finite numbers of shape {shape}", hint="lines, loads, loads, in the order of the estimate",
         )  # fmt: skip
     return found
-
-
-def _row(sensor: Any, labels: list[str]) -> int:
-    if isinstance(sensor, str) and sensor in labels:
-        return labels.index(sensor)
-    if isinstance(sensor, int | np.integer) and not isinstance(sensor, bool) and -len(labels) <= sensor < len(labels):
-        return int(sensor) % len(labels)
-    raise InputError(
-        "no such sensor", where="sensors", found=repr(sensor), expected=f"an index or one of {labels[:12]}",
-        hint="sensors are named as in model.sensors",
-    )  # fmt: skip

@@ -24,8 +24,8 @@ from ..results.estimate import Axis, LoadEstimate
 from ..validate.checks import SensorCheck, Validation
 from ..validate.validation import RECORD, held_out
 from . import comparison
-from .comparison import Comparison
-from .synthesis import DENSITIES, HISTORIES, SPECTRA, Response, kind_of, reliable, synthesise
+from .comparison import ResponseComparison
+from .synthesis import DENSITIES, HISTORIES, SPECTRA, SynthesisedResponse, kind_of, reliable, synthesise
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,7 +42,7 @@ class Transfer:
 
     Parameters
     ----------
-    comparison : Comparison
+    comparison : ResponseComparison
         Measured and predicted responses; its std is that of their difference: loads, FRFs of the model, noise, and of
         measured densities what their number of averages leaves open.
     level : float
@@ -57,7 +57,7 @@ class Transfer:
         What it was validated on.
     """
 
-    comparison: Comparison
+    comparison: ResponseComparison
     level: float
     flags: tuple[Flag, ...]
     left_out: int
@@ -110,10 +110,10 @@ class Transfer:
         *,
         sensor: int | str | None = None,
         fraction: int = 3,
-        path: str | os.PathLike | None = None,
+        path: str | os.PathLike[str] | None = None,
         show: bool = False,
     ) -> Figure:
-        """Picture of measured against predicted responses with the band, as `Comparison.plot`."""
+        """Picture of measured against predicted responses with the band, as `ResponseComparison.plot`."""
         from ..plots.sources import draw_comparison
 
         return draw_comparison(
@@ -214,7 +214,9 @@ def _over_time(
     return Transfer(made, level, found.flags, 0, known, source)
 
 
-def _over_frequency(measured: Any, model: Model, response: Response) -> tuple[NDArray, NDArray[np.intp], Any]:
+def _over_frequency(
+    measured: Any, model: Model, response: SynthesisedResponse
+) -> tuple[NDArray[Any], NDArray[np.intp], Any]:
     """Measured values (lines, sensors), the lines of the estimate that they belong to, and the stated noise."""
     density, f = response.kind == DENSITIES, np.asarray(response.axis.values, float)
     if isinstance(measured, Record):
@@ -288,7 +290,7 @@ def _columns(channels: Sequence[Any], model: Model, count: int) -> list[int]:
     return columns
 
 
-def _table(values: Any, shape: tuple[int, int], density: bool) -> NDArray:
+def _table(values: Any, shape: tuple[int, int], density: bool) -> NDArray[Any]:
     table = np.asarray(plain(values))
     if table.dtype.kind not in "iufc" or table.shape != shape or not np.all(np.isfinite(table)):
         raise InputError(
@@ -322,7 +324,7 @@ def _noise(given: Any, model: Model, kind: str, lines: int) -> Real | None:
     return array if array.ndim == 2 else np.broadcast_to(array, (count,))
 
 
-def _reliable(response: Response, trust: float) -> NDArray[np.bool_]:
+def _reliable(response: SynthesisedResponse, trust: float) -> NDArray[np.bool_]:
     """Lines whose prediction is trusted; every sensor counts by its own rms."""
     assert response.std is not None
     size = np.sqrt(np.mean(np.abs(response.values) ** 2, axis=0))
@@ -330,7 +332,7 @@ def _reliable(response: Response, trust: float) -> NDArray[np.bool_]:
     return reliable(response.values / scale, response.std / scale, trust)
 
 
-def _shared(estimate: LoadEstimate, names: Sequence[str], values: NDArray) -> tuple[Flag, ...]:
+def _shared(estimate: LoadEstimate, names: Sequence[str], values: NDArray[Any]) -> tuple[Flag, ...]:
     """W704: a channel, or the very numbers, took part in the identification."""
     flag = guards.used_for_training("a validation channel", set(names) & set(estimate.sensors))
     if flag is None and estimate.response is not None and len(values) >= RECORD:
@@ -338,6 +340,6 @@ def _shared(estimate: LoadEstimate, names: Sequence[str], values: NDArray) -> tu
     return guards.collect([flag])
 
 
-def _digests(columns: NDArray) -> set[str]:
+def _digests(columns: NDArray[Any]) -> set[str]:
     wide = np.asarray(columns, complex)
     return set(digests(np.concatenate([wide.real, wide.imag])))

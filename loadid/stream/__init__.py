@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .follow import Followed, follow
+from .follow import StreamSummary, follow
 from .sources import open_source
 
-__all__ = ["Followed", "follow", "open_source"]
+__all__ = ["StreamSummary", "follow", "open_source"]

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
+Array = NDArray[np.float64]
+
 FOLLOW = 0.05  # share of its distance to a stamp that the grid moves
 JITTER = 0.1  # steps off the grid that are counted
 LONGEST = 2000  # samples that a gap is filled with: the filter has forgotten by then, and a jump is no longer a gap
@@ -29,7 +31,7 @@ class Behind(NamedTuple):
     """A row (sensors,) of an earlier time: `ago` samples before the last one, after `after` samples of its block."""
 
     after: int
-    row: NDArray[np.float64]
+    row: Array
     ago: int
 
 
@@ -61,10 +63,10 @@ class Clock:
         self.again = False  # the source was opened anew and may repeat itself
         self.begun = False  # a header came again: its clock may have been put back
         self.first: list[float] = []  # stamps of this run, until its step is known
-        self.held: list[tuple[float, NDArray[np.float64]]] = []  # late ones that may be a clock put back
+        self.held: list[tuple[float, Array]] = []  # late ones that may be a clock put back
         self.counts: Counter[str] = Counter()
 
-    def place(self, stamps: NDArray | None, values: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def place(self, stamps: Array | None, values: Array) -> tuple[Array, Array]:
         """Times (samples,) and values (samples, sensors) of rows, NaN where there are no data; `behind` has the late.
 
         Raises
@@ -81,7 +83,7 @@ class Clock:
         empty = len(values)
         self._times: list[float] = []
         self._rows: list[int] = []  # of the values; -1 without data, -2 and on those that were held
-        self._late: list[NDArray[np.float64]] = []
+        self._late: list[Array] = []
         self._seen = np.isfinite(values)
         for k, t in enumerate(stamps.tolist()):
             self._one(t, k, values)
@@ -116,7 +118,7 @@ class Clock:
         self.there.extend(np.array(mask, bool) for mask in tree.get("there", []))
         self.counts = Counter(tree["counts"])
 
-    def _look(self, stamps: NDArray) -> None:
+    def _look(self, stamps: Array) -> None:
         """At what step the stream comes, once in a run and after each header."""
         if len(self.first) > SEEN:
             return
@@ -140,7 +142,7 @@ class Clock:
         )  # fmt: skip
 
     # -- one row ----------------------------------------------------------------------------------------------------
-    def _one(self, t: float, k: int, values: NDArray) -> None:
+    def _one(self, t: float, k: int, values: Array) -> None:
         if self.grid is None:
             self.grid = t
             self._put(t, k, self._seen[k])
@@ -159,7 +161,7 @@ class Clock:
         self._moved(t, jumped)
         self._put(t, k, self._seen[k])
 
-    def _back(self, t: float, off: float, k: int, row: NDArray) -> None:
+    def _back(self, t: float, off: float, k: int, row: Array) -> None:
         """A sample of an earlier time: late, sent twice, or of a clock that was put back."""
         seen = self._seen[k]
         if self.again:

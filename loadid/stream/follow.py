@@ -26,19 +26,22 @@ from structures.errors import InputError
 from ..families.tracking import tracker as checkpoint
 from ..families.tracking.tracker import Tracker
 from .clock import Behind, Clock
-from .framing import Layout, Lines
+from .framing import Lines
+from .header import ColumnLayout
 from .output import Output, StateLock
-from .sources import Source, open_source
+from .sources import ByteSource, open_source
+
+Array = NDArray[np.float64]
 
 EVERY = 5000  # samples from one checkpoint to the next
 SECONDS = 5.0  # and the longest time, where something has come
 LOOK = 0.1  # s that a source is waited for before the clock is looked at
 ROWS = 256  # rows placed in time at once: each may stand for a gap
-Watch = Callable[[NDArray, NDArray, NDArray], None]
+Watch = Callable[[Array, Array, Array], None]
 
 
 @dataclass(frozen=True)
-class Followed:
+class StreamSummary:
     """What came of a stream.
 
     Parameters
@@ -67,14 +70,14 @@ def follow(
     source: str,
     out: str | BinaryIO,
     *,
-    state: str | os.PathLike | None = None,
+    state: str | os.PathLike[str] | None = None,
     stream: dict[str, Any] | None = None,
     every: int = EVERY,
     idle: float | None = None,
     stop: threading.Event | None = None,
     watch: Watch | None = None,
     units: Mapping[str, str] | None = None,
-) -> Followed:
+) -> StreamSummary:
     """Track a stream until it ends.
 
     Parameters
@@ -115,7 +118,7 @@ def follow(
 
 class _Run:
     def __init__(
-        self, tracker: Tracker, source: str, out: str | BinaryIO, state: str | os.PathLike | None,
+        self, tracker: Tracker, source: str, out: str | BinaryIO, state: str | os.PathLike[str] | None,
         stream: dict[str, Any] | None, units: Mapping[str, str] | None,
     ) -> None:  # fmt: skip
         self.tracker, self.state, self.name = tracker, state, source
@@ -124,7 +127,7 @@ class _Run:
         before = stream or {}
         self.resumed = "clock" in before  # else it says only which output it belongs to
         layout = before.get("layout")
-        self.lines = Lines(f.sensors, None if layout is None else Layout.from_tree(layout), units)
+        self.lines = Lines(f.sensors, None if layout is None else ColumnLayout.from_tree(layout), units)
         self.clock = Clock(f.dt, tracker.replay)
         self.waiting = np.array(before.get("waiting", []), float)  # times of samples that are answered later
         same = before.get("source") == _identity(source)
@@ -136,7 +139,7 @@ class _Run:
             self.lines.skipping = bool(before["skipping"]) and same
             self.lines.heading = list(heading) if same and heading else None
             self.clock.restore(before["clock"])
-        self.source: Source = open_source(source, before.get("place") if same else None, self.lines.another)
+        self.source: ByteSource = open_source(source, before.get("place") if same else None, self.lines.another)
         self.source.counts.update(before.get("waits") or {})
         self.clock.again = self.resumed and not (same and self.source.seekable)
         if self.clock.again:
@@ -154,7 +157,7 @@ class _Run:
         if state is not None:
             _swept(Path(state))  # now that no other run is known to write it
 
-    def go(self, every: int, idle: float | None, stop: threading.Event, watch: Watch) -> Followed:
+    def go(self, every: int, idle: float | None, stop: threading.Event, watch: Watch) -> StreamSummary:
         begun = told = last = time.monotonic()
         samples = fresh = 0
         ended, broken = "stopped", None
@@ -183,7 +186,7 @@ class _Run:
         if broken is not None:
             raise broken
         counts = self.counts | ({"unfinished": 1} if self.lines.rest.strip() else {})
-        return Followed(samples, time.monotonic() - begun, self.resumed, ended, counts, self.tracker.phase)
+        return StreamSummary(samples, time.monotonic() - begun, self.resumed, ended, counts, self.tracker.phase)
 
     def close(self) -> None:
         self.source.close()
@@ -223,7 +226,7 @@ class _Run:
             checkpoint.save(self.tracker, self.state, {"output": self.output.place()})
             self.claimed = True
 
-    def _taken(self, stamps: NDArray | None, values: NDArray, watch: Watch) -> int:
+    def _taken(self, stamps: Array | None, values: Array, watch: Watch) -> int:
         if len(values):
             self._claim()
         count = 0
@@ -235,7 +238,7 @@ class _Run:
                 count += self._placed(None if stamps is None else stamps[part], values[part], watch)
         return count
 
-    def _placed(self, stamps: NDArray | None, values: NDArray, watch: Watch) -> int:
+    def _placed(self, stamps: Array | None, values: Array, watch: Watch) -> int:
         times, Y = self.clock.place(stamps, values)
         load, std = self._tracked(Y, self.clock.behind)
         if len(Y):
@@ -245,7 +248,7 @@ class _Run:
                 watch(*answers)
         return len(Y)
 
-    def _tracked(self, Y: NDArray, behind: list[Behind]) -> tuple[NDArray, NDArray]:
+    def _tracked(self, Y: Array, behind: list[Behind]) -> tuple[Array, Array]:
         """Loads and stds of samples, each late row put in its place when it comes: answers that are out stay."""
         p, k = len(self.tracker.fitted.loads), 0
         load, std = np.empty((len(Y), p)), np.empty((len(Y), p))
@@ -257,7 +260,7 @@ class _Run:
             k = after
         return load, std
 
-    def _answered(self, times: NDArray, load: NDArray, std: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    def _answered(self, times: Array, load: Array, std: Array) -> tuple[Array, Array, Array]:
         """Answers with their own times: a tracker with a lag speaks of samples that lie back, at first of none."""
         lag = self.tracker.lag
         every = np.concatenate([self.waiting, times])

@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
+Array = NDArray[np.float64]
+
 
 class StateLock:
     """Holds the file of a state for one run, until it is closed; stands for its path meanwhile.
@@ -37,7 +39,7 @@ class StateLock:
         Another run holds it, or its folder cannot be written.
     """
 
-    def __init__(self, path: str | os.PathLike) -> None:
+    def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         self._beside = self.path.parent.resolve() / f".{self.path.name}.lock"
         self._file = self._held()
@@ -165,7 +167,7 @@ class Output:
             self._ahead.seek(self.at)
         self._file.seek(self.at)
 
-    def write(self, times: NDArray, load: NDArray, std: NDArray) -> None:
+    def write(self, times: Array, load: Array, std: Array) -> None:
         """One line a sample: time, loads, stds, with all their digits."""
         if len(times):
             self._begin()
@@ -292,13 +294,7 @@ def _holds(path: Path, place: dict[str, Any]) -> bool:
 
 
 def _require_same(where: str, place: dict[str, Any]) -> None:
-    """The output is the one of the state.
-
-    Raises
-    ------
-    InputError
-        It is another one, in which the answers of the state would not stand together.
-    """
+    """The output is the one of the state."""
     own = place["where"]
     if where == own:
         return
@@ -309,13 +305,7 @@ def _require_same(where: str, place: dict[str, Any]) -> None:
 
 
 def _opened(path: Path, mode: str) -> BinaryIO:
-    """A raw file that no other run writes.
-
-    Raises
-    ------
-    InputError
-        One that cannot be written, or is taken.
-    """
+    """A raw file that no other run writes."""
     try:
         file: BinaryIO = path.open(mode, buffering=0)  # type: ignore[assignment]
     except OSError as error:

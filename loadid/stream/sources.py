@@ -27,7 +27,7 @@ PATIENCE = 10.0  # s for a connection to be made
 log = logging.getLogger(__name__)
 
 
-class Source(Protocol):
+class ByteSource(Protocol):
     """Bytes as they come.
 
     Attributes
@@ -57,14 +57,14 @@ class Source(Protocol):
         """Let go of it."""
 
 
-def open_source(where: str, place: dict[str, Any] | None = None, fresh: Callable[[], None] | None = None) -> Source:
+def open_source(where: str, place: dict[str, Any] | None = None, fresh: Callable[[], None] | None = None) -> ByteSource:
     """A file or named pipe, ``-`` for standard input, or ``tcp://HOST:PORT``.
 
     Parameters
     ----------
     where : str
     place : dict, optional
-        Where a file stood (`Source.place`).
+        Where a file stood (`ByteSource.place`).
     fresh : callable, optional
         Called where another file begins under the same name.
 
@@ -100,13 +100,7 @@ def require_source(where: str) -> None:
 
 
 def _standard_input() -> int:
-    """Its descriptor.
-
-    Raises
-    ------
-    InputError
-        It is closed.
-    """
+    """Its descriptor."""
     if sys.stdin is None:
         raise InputError("standard input is closed", where="-", expected="lines of numbers",
                          hint="send them through a pipe, or name a file")  # fmt: skip
@@ -165,7 +159,7 @@ class GrowingFile:
                 log.warning("%s is another file than the one that was read before: it is read from its begin", path)
 
     def read(self, timeout: float) -> bytes | None:
-        """As `Source.read`; a file never ends."""
+        """As `ByteSource.read`; a file never ends."""
         end = time.monotonic() + timeout
         while True:
             data = self._file.read(PIECE)
@@ -236,7 +230,7 @@ class Pumped:
         self._thread.start()
 
     def read(self, timeout: float) -> bytes | None:
-        """As `Source.read`."""
+        """As `ByteSource.read`."""
         try:
             data = self._queue.get(timeout=timeout) if timeout > 0 else self._queue.get_nowait()
         except queue.Empty:
@@ -310,13 +304,7 @@ def connected(where: str) -> Pumped:
 
 
 def _address(where: str) -> tuple[str, int]:
-    """Host and port.
-
-    Raises
-    ------
-    InputError
-        Neither.
-    """
+    """Host and port."""
     host, _, port = where.removeprefix("tcp://").rpartition(":")
     if not host or not (port.isascii() and port.isdecimal()) or not 0 < int(port) < 65536:
         raise InputError("no address of a socket", where=where, expected="tcp://HOST:PORT, with a port below 65536")

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from .checks import Coverage, DistributionCheck, ResultantCheck, SensorCheck, Validation, coverage
-from .references import Known, PressureMat, Wrench
+from .checks import DistributionCheck, ResultantCheck, SensorCheck, Validation
+from .coverage import Coverage, coverage
+from .references import Known, PressureMat, ReferenceWrench
 from .validation import HeldOut, held_out, validate
 
 __all__ = [
-    "Coverage",
-    "DistributionCheck",
-    "HeldOut",
-    "Known",
-    "PressureMat",
-    "ResultantCheck",
-    "SensorCheck",
-    "Validation",
-    "Wrench",
-    "coverage",
-    "held_out",
-    "validate",
-]
+    "Coverage", "DistributionCheck", "HeldOut", "Known", "PressureMat", "ReferenceWrench", "ResultantCheck",
+    "SensorCheck", "Validation", "coverage", "held_out", "validate",
+]  # fmt: skip

@@ -15,7 +15,9 @@ from ..quality import require_finite
 from ..record import Record
 from ..results.estimate import LoadEstimate
 from .checks import DistributionCheck, ResultantCheck, compare, resultant_check
-from .references import Known, PressureMat, Wrench, at_places, factor, numbers, spread
+from .references import Known, PressureMat, ReferenceWrench, at_places, factor, numbers, spread
+
+Array = NDArray[np.float64]
 
 BATCH = 4_000_000  # entries of the weights that are handed to a posterior at once
 
@@ -33,12 +35,12 @@ def columns_of(e: LoadEstimate, loads: str | Sequence[str | int] | None) -> NDAr
     return np.array([e.index(x) for x in loads], dtype=np.intp)
 
 
-def loads_of(e: LoadEstimate) -> tuple[NDArray, NDArray | None, None]:
+def loads_of(e: LoadEstimate) -> tuple[Array, Array | None, None]:
     """Loads and their std, (frames, loads); in their own unit."""
     return np.atleast_2d(e.load), np.atleast_2d(e.std) if np.any(e.std > 0) else None, None
 
 
-def field_of(e: LoadEstimate) -> tuple[NDArray, NDArray | None, str | None]:
+def field_of(e: LoadEstimate) -> tuple[Array, Array | None, str | None]:
     """Loads as a field, (frames, loads), their std and their unit where that is another: nodal forces become tractions.
 
     Raises
@@ -55,7 +57,7 @@ def field_of(e: LoadEstimate) -> tuple[NDArray, NDArray | None, str | None]:
     return found, None if std is None else np.broadcast_to(std, found.shape), "N/m" if line else "Pa"
 
 
-def areas_of(e: LoadEstimate, columns: NDArray, tractions: bool) -> NDArray[np.float64]:
+def areas_of(e: LoadEstimate, columns: NDArray[np.intp], tractions: bool) -> Array:
     """Weights of the inner product: tributary areas where tractions of a basis are compared, else ones."""
     geometry = e.geometry or {}
     measures, kind = geometry.get("measures"), geometry.get("kind")
@@ -65,7 +67,7 @@ def areas_of(e: LoadEstimate, columns: NDArray, tractions: bool) -> NDArray[np.f
     return weights / weights.mean()
 
 
-def resultants_of(e: LoadEstimate, wrench: Wrench) -> tuple[NDArray[np.float64], list[str], list[str]]:
+def resultants_of(e: LoadEstimate, wrench: ReferenceWrench) -> tuple[Array, list[str], list[str]]:
     """Weights, labels and units of the resultants."""
     labels = [wrench.labels] if isinstance(wrench.labels, str) else [str(x) for x in wrench.labels]
     if wrench.C is not None:
@@ -73,7 +75,7 @@ def resultants_of(e: LoadEstimate, wrench: Wrench) -> tuple[NDArray[np.float64],
         labels = labels or [f"R{i + 1}" for i in range(len(C))]
         if C.shape != (len(labels), e.load.shape[-1]):
             raise InputError(
-                "the weights of the resultants do not fit", where="Wrench", found=f"shape {C.shape}",
+                "the weights of the resultants do not fit", where="ReferenceWrench", found=f"shape {C.shape}",
                 expected=f"({len(labels)}, {e.load.shape[-1]})", hint="one row per resultant, one column per load",
             )  # fmt: skip
         return C, labels, [_resultant_unit(x, e) for x in labels]
@@ -81,7 +83,7 @@ def resultants_of(e: LoadEstimate, wrench: Wrench) -> tuple[NDArray[np.float64],
     labels = labels or have
     if not have or e.geometry is None or e.geometry.get("resultant") is None or set(labels) - set(have):
         raise InputError(
-            "the estimate knows no such resultant", where="Wrench", found=labels or "loads without a basis",
+            "the estimate knows no such resultant", where="ReferenceWrench", found=labels or "loads without a basis",
             expected=f"some of {have}" if have else "a model whose loads are a Basis",
             hint="give C (resultants, loads): the weights of the loads in each resultant",
         )  # fmt: skip
@@ -95,7 +97,7 @@ def _resultant_unit(label: str, e: LoadEstimate) -> str:
     return "N" if label.startswith("F") or e.geometry is not None or set(e.units) == {"N"} else "arbitrary"
 
 
-def row_std(e: LoadEstimate, rows: NDArray) -> NDArray[np.float64] | None:
+def row_std(e: LoadEstimate, rows: Array) -> Array | None:
     """Std of weighted sums of the loads, (sums,) or (frames, sums); not less than the bias that the estimate states."""
     if e.posterior is None:
         return None
@@ -138,7 +140,7 @@ def against_known(e: LoadEstimate, known: Known, level: float) -> list[Distribut
         scale = factor(known.unit, unit or name, known.source)
         stds = None if std is None else (std[:, columns[pick]], None if error is None else error[:, pick] * scale)
         pair = found[:, columns[pick]], own[:, pick] * scale
-        places, weights = _Places(e, columns[pick].tolist()), areas_of(e, columns[pick], unit is not None)
+        places, weights = _Entries(e, columns[pick].tolist()), areas_of(e, columns[pick], unit is not None)
         checks.append(_distribution(pair, stds, weights, places, unit or name, level, known.source, "load"))
     return checks
 
@@ -167,12 +169,12 @@ def against_mat(e: LoadEstimate, mat: PressureMat, level: float) -> tuple[Distri
         check = resultant_check(labels, same, found, own * scale, _total(band, error), _axis(e), mat.source)
         return check, rank
     stds = None if band is None else (np.broadcast_to(band, found.shape), error)
-    places = _Places(e, None)
+    places = _Entries(e, None)
     pair = found, own * scale
     return _distribution(pair, stds, np.ones(len(P)), places, unit, level, mat.source, "average"), rank
 
 
-def against_wrench(e: LoadEstimate, wrench: Wrench) -> tuple[ResultantCheck, int]:
+def against_wrench(e: LoadEstimate, wrench: ReferenceWrench) -> tuple[ResultantCheck, int]:
     """Resultants, and how many independent numbers of the load they are."""
     C, labels, units = resultants_of(e, wrench)
     found = np.atleast_2d(e.load) @ C.T
@@ -181,7 +183,7 @@ def against_wrench(e: LoadEstimate, wrench: Wrench) -> tuple[ResultantCheck, int
     if wrench.units:
         if len(wrench.units) != len(C):
             raise InputError(
-                "units and resultants do not fit", where="Wrench", found=len(wrench.units), expected=len(C),
+                "units and resultants do not fit", where="ReferenceWrench", found=len(wrench.units), expected=len(C),
                 hint="one unit per resultant",
             )  # fmt: skip
         scale = np.array([factor(u, x, wrench.source) for u, x in zip(wrench.units, units, strict=True)])
@@ -195,7 +197,7 @@ def against_wrench(e: LoadEstimate, wrench: Wrench) -> tuple[ResultantCheck, int
 
 
 # -- the reference -----------------------------------------------------------------------------------------------------
-def _table(e: LoadEstimate, known: Known, columns: NDArray) -> NDArray[np.float64]:
+def _table(e: LoadEstimate, known: Known, columns: NDArray[np.intp]) -> Array:
     """Known loads (frames, columns) given in the order of the estimate, or as a function of its axis."""
     values: Any = known.values
     if isinstance(values, Record):
@@ -216,7 +218,7 @@ def _table(e: LoadEstimate, known: Known, columns: NDArray) -> NDArray[np.float6
     )
 
 
-def _named(e: LoadEstimate, record: Record, columns: NDArray) -> NDArray[np.intp]:
+def _named(e: LoadEstimate, record: Record, columns: NDArray[np.intp]) -> NDArray[np.intp]:
     """The loads that a record names; the only load where it has but one channel."""
     named = [int(j) for j in columns if e.labels[j] in record.labels]
     if not named and not (len(columns) == 1 and len(record.labels) == 1):
@@ -228,7 +230,7 @@ def _named(e: LoadEstimate, record: Record, columns: NDArray) -> NDArray[np.intp
     return np.array(named, dtype=np.intp) if named else columns
 
 
-def _record(e: LoadEstimate, record: Record, columns: NDArray) -> NDArray[np.float64]:
+def _record(e: LoadEstimate, record: Record, columns: NDArray[np.intp]) -> Array:
     if e.axis is None or e.axis.name != "time" or abs(e.axis.step / record.dt - 1) > 1e-6 or len(record) < len(e.load):
         wanted = (
             "no record: no time axis" if e.axis is None or e.axis.name != "time" else f"steps of {e.axis.step:.9g} s"
@@ -248,7 +250,7 @@ def _record(e: LoadEstimate, record: Record, columns: NDArray) -> NDArray[np.flo
     return np.asarray(kept.values)[: len(e.load)]
 
 
-def _field(e: LoadEstimate, known: Known, columns: NDArray) -> NDArray[np.float64]:
+def _field(e: LoadEstimate, known: Known, columns: NDArray[np.intp]) -> Array:
     """A field on the places of the basis, as one row of the loads that are compared."""
     geometry = e.geometry or {}
     values = at_places(known, e.geometry)
@@ -266,7 +268,7 @@ def _field(e: LoadEstimate, known: Known, columns: NDArray) -> NDArray[np.float6
     )  # fmt: skip
 
 
-def _fitted(own: NDArray, shape: tuple[int, int], source: str, static: bool, wide: bool = False) -> NDArray[np.float64]:
+def _fitted(own: Array, shape: tuple[int, int], source: str, static: bool, wide: bool = False) -> Array:
     """Values as (frames, places); one frame serves all where `wide`, or where there is but one."""
     table = own[None] if own.ndim == 1 else own
     if table.ndim == 2 and (table.shape == shape or (wide and table.shape == (1, shape[1]))):
@@ -279,7 +281,7 @@ def _fitted(own: NDArray, shape: tuple[int, int], source: str, static: bool, wid
 
 
 # -- the comparison ----------------------------------------------------------------------------------------------------
-class _Places:
+class _Entries:
     """Where an entry of the compared arrays is, in words and in metres or seconds."""
 
     def __init__(self, e: LoadEstimate, columns: Sequence[int] | None) -> None:
@@ -306,10 +308,10 @@ class _Places:
 
 
 def _distribution(
-    pair: tuple[NDArray, NDArray],
-    stds: tuple[NDArray, NDArray | None] | None,
-    weights: NDArray,
-    places: _Places,
+    pair: tuple[Array, Array],
+    stds: tuple[Array, Array | None] | None,
+    weights: Array,
+    places: _Entries,
     unit: str,
     level: float,
     source: str,
@@ -342,7 +344,7 @@ def _distribution(
     )
 
 
-def _one_unit(e: LoadEstimate, columns: NDArray, what: str) -> str:
+def _one_unit(e: LoadEstimate, columns: NDArray[np.intp], what: str) -> str:
     found = sorted({e.units[j] for j in columns})
     if len(found) != 1:
         raise InputError(
@@ -352,7 +354,7 @@ def _one_unit(e: LoadEstimate, columns: NDArray, what: str) -> str:
     return found[0]
 
 
-def _total(std: NDArray | None, error: NDArray | None) -> NDArray[np.float64] | None:
+def _total(std: Array | None, error: Array | None) -> Array | None:
     """Std of the difference of two independent numbers; None where it would be zero."""
     if std is None and error is None:
         return None
@@ -360,11 +362,11 @@ def _total(std: NDArray | None, error: NDArray | None) -> NDArray[np.float64] | 
     return total if np.all(total > 0) else None
 
 
-def _axis(e: LoadEstimate) -> NDArray | None:
+def _axis(e: LoadEstimate) -> Array | None:
     return None if e.axis is None else e.axis.values
 
 
-def _not_zero(known: NDArray, source: str) -> None:
+def _not_zero(known: Array, source: str) -> None:
     if not np.any(known):
         raise InputError(
             "the reference is zero: no relative error exists", where="validate", found=source,

@@ -12,7 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from structures import units
 from structures.errors import InputError, plain
 
-Values = ArrayLike | Callable[[NDArray], ArrayLike]
+Array = NDArray[np.float64]
+
+Values = ArrayLike | Callable[[Array], ArrayLike]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +78,7 @@ class PressureMat:
 
 
 @dataclass(frozen=True, eq=False)
-class Wrench:
+class ReferenceWrench:
     """Resultant force and moment, of a force/torque sensor for example.
 
     Parameters
@@ -101,7 +103,7 @@ class Wrench:
     source: str = "a force sensor"
 
 
-def numbers(values: Any, what: str, hint: str = "", where: str = "validate") -> NDArray[np.float64]:
+def numbers(values: Any, what: str, hint: str = "", where: str = "validate") -> Array:
     """A finite real array.
 
     Raises
@@ -114,26 +116,18 @@ def numbers(values: Any, what: str, hint: str = "", where: str = "validate") -> 
             raise TypeError("complex numbers")
         array = np.asarray(plain(values), float)
     except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{what}: no real numbers",
-            where=where,
-            found=str(error)[:80],
-            expected="an array of real numbers",
-            hint=hint or "give plain numbers in SI units",
-        ) from None
+        raise InputError(f"{what}: no real numbers", where=where, found=str(error)[:80],
+                         expected="an array of real numbers",
+                         hint=hint or "give plain numbers in SI units") from None  # fmt: skip
     bad = int(np.sum(~np.isfinite(array)))
     if bad or not array.size:
-        raise InputError(
-            f"{what}: NaN, infinity or nothing",
-            where=where,
-            found=f"{bad} entries that are not finite, of {array.size}",
-            expected="finite numbers",
-            hint=hint or "leave out what was not measured",
-        )
+        raise InputError(f"{what}: NaN, infinity or nothing", where=where,
+                         found=f"{bad} entries that are not finite, of {array.size}", expected="finite numbers",
+                         hint=hint or "leave out what was not measured")  # fmt: skip
     return array
 
 
-def spread(std: Any, shape: tuple[int, ...], what: str) -> NDArray[np.float64] | None:
+def spread(std: Any, shape: tuple[int, ...], what: str) -> Array | None:
     """A std in a given shape, or None.
 
     Raises
@@ -151,13 +145,10 @@ def spread(std: Any, shape: tuple[int, ...], what: str) -> NDArray[np.float64] |
     except ValueError:
         wide = np.zeros(shape)
     if np.any(wide <= 0):
-        raise InputError(
-            f"std of {what}: not positive, or of another shape",
-            where="validate",
-            found=f"shape {array.shape}, smallest {array.min():.3g}",
-            expected=f"positive numbers that fit {shape}",
-            hint="leave std out where it is not known",
-        )
+        raise InputError(f"std of {what}: not positive, or of another shape", where="validate",
+                         found=f"shape {array.shape}, smallest {array.min():.3g}",
+                         expected=f"positive numbers that fit {shape}",
+                         hint="leave std out where it is not known")  # fmt: skip
     return wide
 
 
@@ -184,7 +175,7 @@ def factor(unit: str | None, expected: str, what: str) -> float:
 
 
 # -- places ------------------------------------------------------------------------------------------------------------
-def places(geometry: Any) -> NDArray[np.float64]:
+def places(geometry: Any) -> Array:
     """Places (P, dim) of a load basis.
 
     Raises
@@ -205,7 +196,7 @@ def places(geometry: Any) -> NDArray[np.float64]:
     return x[:, None] if x.ndim == 1 else x
 
 
-def at_places(known: Known, geometry: Any) -> NDArray[np.float64]:
+def at_places(known: Known, geometry: Any) -> Array:
     """Values (P,) or (P, components) of a field on the places of a load basis.
 
     Raises
@@ -228,7 +219,7 @@ def at_places(known: Known, geometry: Any) -> NDArray[np.float64]:
     return _asked(known.values, x[:, 0] if x.shape[1] == 1 else x)
 
 
-def _boxes(geometry: Any, x: NDArray) -> NDArray[np.float64] | None:
+def _boxes(geometry: Any, x: Array) -> Array | None:
     """Corners (P, dim, 2) of patches that are spans or rectangles."""
     extents, measures = geometry.get("extents"), geometry.get("measures")
     if extents is not None and np.shape(extents) == (*x.shape, 2):
@@ -239,7 +230,7 @@ def _boxes(geometry: Any, x: NDArray) -> NDArray[np.float64] | None:
     return None
 
 
-def _averaged(function: Callable[[NDArray], ArrayLike], boxes: NDArray) -> NDArray[np.float64]:
+def _averaged(function: Callable[[Array], ArrayLike], boxes: Array) -> Array:
     """Means (P,) or (P, components) of a function over boxes, by a Gauss rule of six points a side."""
     nodes, weights = np.polynomial.legendre.leggauss(6)
     dim = boxes.shape[1]
@@ -252,7 +243,7 @@ def _averaged(function: Callable[[NDArray], ArrayLike], boxes: NDArray) -> NDArr
     return means[:, 0] if found.ndim == 1 else means
 
 
-def _asked(function: Callable[[NDArray], ArrayLike], x: NDArray) -> NDArray[np.float64]:
+def _asked(function: Callable[[Array], ArrayLike], x: Array) -> Array:
     try:
         answer = function(x)
     except Exception as error:  # whatever a user's function may raise
@@ -264,29 +255,20 @@ def _asked(function: Callable[[NDArray], ArrayLike], x: NDArray) -> NDArray[np.f
     if found.ndim == 0:
         found = np.full(len(x), float(found))
     if found.ndim > 2 or len(found) != len(x):
-        raise InputError(
-            "the reference function gives another number of values than places",
-            where="validate",
-            found=f"shape {found.shape}",
-            expected=f"({len(x)},) or ({len(x)}, components)",
-            hint="it gets all places at once",
-        )
+        raise InputError("the reference function gives another number of values than places", where="validate",
+                         found=f"shape {found.shape}", expected=f"({len(x)},) or ({len(x)}, components)",
+                         hint="it gets all places at once")  # fmt: skip
     return found
 
 
-def _from_points(
-    x: NDArray, points: NDArray, values: NDArray, reach: NDArray | None, outside: float | None
-) -> NDArray[np.float64]:
+def _from_points(x: Array, points: Array, values: Array, reach: Array | None, outside: float | None) -> Array:
     """Averages over the points nearest to each patch and within its `reach`, else interpolation."""
     points = points[:, None] if points.ndim == 1 else points
     if points.ndim != 2 or points.shape[1] != x.shape[1] or len(values) != len(points) or values.ndim > 2:
-        raise InputError(
-            "places and values of the reference do not fit",
-            where="validate",
-            found=f"{points.shape} places, {values.shape} values",
-            expected=f"places (Q, {x.shape[1]}), values (Q,) or (Q, components)",
-            hint="in the coordinates of the structure, m",
-        )
+        raise InputError("places and values of the reference do not fit", where="validate",
+                         found=f"{points.shape} places, {values.shape} values",
+                         expected=f"places (Q, {x.shape[1]}), values (Q,) or (Q, components)",
+                         hint="in the coordinates of the structure, m")  # fmt: skip
     table = values.reshape(len(values), -1)
     if reach is not None:
         from scipy.spatial import cKDTree
@@ -300,30 +282,24 @@ def _from_points(
     found = _interpolated(x, points, table)
     missing = np.isnan(found).any(axis=1)
     if missing.any() and outside is None:
-        raise InputError(
-            "the reference does not reach every load",
-            where="validate",
-            found=f"{missing.sum()} of {len(x)} places outside its points",
-            expected="a reference over the whole basis",
-            hint="Known(..., outside=0.0) where there is no load beyond it",
-        )
+        raise InputError("the reference does not reach every load", where="validate",
+                         found=f"{missing.sum()} of {len(x)} places outside its points",
+                         expected="a reference over the whole basis",
+                         hint="Known(..., outside=0.0) where there is no load beyond it")  # fmt: skip
     found[missing] = 0.0 if outside is None else outside
     return found.reshape(len(x), *values.shape[1:])
 
 
-def _interpolated(x: NDArray, points: NDArray, table: NDArray) -> NDArray[np.float64]:
+def _interpolated(x: Array, points: Array, table: Array) -> Array:
     """Linear interpolation; NaN outside. Points in space must lie in one plane."""
     origin = points.mean(axis=0)
     span, axes = np.linalg.svd(points - origin, full_matrices=False)[1:]
     flat = int(np.sum(span > 1e-6 * span[0])) if span[0] > 0 else 0
     if flat == 0 or flat > 2 or np.abs((x - origin) @ axes[flat:].T).max(initial=0.0) > 1e-3 * span[0]:
-        raise InputError(
-            "points on no common line or plane cannot be interpolated here",
-            where="validate",
-            found=f"{len(points)} points that span {flat} dimensions",
-            expected="points on the line or plane of the loads",
-            hint="give a function of the places, or values at the places themselves",
-        )
+        raise InputError("points on no common line or plane cannot be interpolated here", where="validate",
+                         found=f"{len(points)} points that span {flat} dimensions",
+                         expected="points on the line or plane of the loads",
+                         hint="give a function of the places, or values at the places themselves")  # fmt: skip
     u, v = (points - origin) @ axes[:flat].T, (x - origin) @ axes[:flat].T
     # hull of a reference on the same grid: what lies on its rim is inside
     if flat == 1:

@@ -23,7 +23,9 @@ from ..results.estimate import LoadEstimate
 from ..results.facts import STATIC
 from .checks import Check, SensorCheck, Validation
 from .pairs import against_known, against_mat, against_wrench
-from .references import Known, PressureMat, Wrench, numbers
+from .references import Known, PressureMat, ReferenceWrench, numbers
+
+Array = NDArray[np.float64]
 
 RECORD = 8  # frames from which equal columns are the same record, and no coincidence
 
@@ -45,8 +47,8 @@ class HeldOut:
         Per channel, rms of the difference over the noise std, where the model states that.
     """
 
-    predicted: NDArray[np.float64]
-    measured: NDArray[np.float64]
+    predicted: Array
+    measured: Array
     error: tuple[float, ...]
     labels: tuple[str, ...]
     flags: tuple[Flag, ...]
@@ -73,13 +75,9 @@ def held_out(estimate: LoadEstimate, model: Model, record: Record | ArrayLike) -
     """
     static = _is_static(estimate)
     if not static and (estimate.axis is None or estimate.axis.name != "time"):
-        raise InputError(
-            "only static loads and load histories can be validated on held-out channels",
-            where="held_out",
-            found="no time axis",
-            expected="an estimate over time, or a static one",
-            hint="transform the estimate to time first",
-        )
+        raise InputError("only static loads and load histories can be validated on held-out channels", where="held_out",
+                         found="no time axis", expected="an estimate over time, or a static one",
+                         hint="transform the estimate to time first")  # fmt: skip
     predicted, measured, whole = (_static if static else _in_time)(estimate, model, record)
     labels = tuple(s.label for s in model.sensors)
     error = _errors(predicted, measured, model)
@@ -94,32 +92,24 @@ def _is_static(estimate: LoadEstimate) -> bool:
     return axis is None or axis.name == "frame" or estimate.provenance.get("family") == STATIC
 
 
-def _in_time(estimate: LoadEstimate, model: Model, record: Any) -> tuple[NDArray, NDArray, NDArray]:
+def _in_time(estimate: LoadEstimate, model: Model, record: Any) -> tuple[Array, Array, Array]:
     """Predicted and measured histories of equal length, and the measured one in full."""
     if not isinstance(record, Record):
-        raise InputError(
-            "a load history is validated on a Record",
-            where="held_out",
-            found=f"an object of type {type(record).__name__}",
-            expected="a Record with its step and channels",
-            hint="Record(values, dt, labels)",
-        )
+        raise InputError("a load history is validated on a Record", where="held_out",
+                         found=f"an object of type {type(record).__name__}",
+                         expected="a Record with its step and channels", hint="Record(values, dt, labels)")  # fmt: skip
     assert estimate.axis is not None
     if abs(estimate.axis.step / record.dt - 1) > 1e-6:
-        raise InputError(
-            "the record and the estimate have different steps",
-            where="held_out",
-            found=f"dt = {record.dt:.9g} s",
-            expected=f"dt = {estimate.axis.step:.9g} s",
-            hint="resample one of the two",
-        )
+        raise InputError("the record and the estimate have different steps", where="held_out",
+                         found=f"dt = {record.dt:.9g} s", expected=f"dt = {estimate.axis.step:.9g} s",
+                         hint="resample one of the two")  # fmt: skip
     whole = _select(model, record)
     measured = whole[: len(estimate.load)]
     predicted = model.predict(_ordered(estimate, model), record.dt)[: len(measured)]
     return predicted, measured[: len(predicted)], whole
 
 
-def _static(estimate: LoadEstimate, model: Model, record: Any) -> tuple[NDArray, NDArray, NDArray]:
+def _static(estimate: LoadEstimate, model: Model, record: Any) -> tuple[Array, Array, Array]:
     """Predicted and measured static readings in the shape of the load, and the measured ones as a table."""
     predicted = _ordered(estimate, model) @ np.asarray(model.static(), float).T
     if isinstance(record, Record):
@@ -131,48 +121,41 @@ def _static(estimate: LoadEstimate, model: Model, record: Any) -> tuple[NDArray,
     if measured.ndim == 2 and estimate.load.ndim == 1 and len(measured) == 1:
         measured = measured[0]
     if measured.shape != predicted.shape:
-        raise InputError(
-            "the readings do not fit the estimate and the model",
-            where="held_out",
-            found=f"shape {measured.shape}",
-            expected=f"shape {predicted.shape} for the sensors {[s.label for s in model.sensors][:12]}",
-            hint="one number per sensor (and frame), in the order of model.sensors",
-        )
+        raise InputError("the readings do not fit the estimate and the model", where="held_out",
+                         found=f"shape {measured.shape}",
+                         expected=f"shape {predicted.shape} for the sensors {[s.label for s in model.sensors][:12]}",
+                         hint="one number per sensor (and frame), in the order of model.sensors")  # fmt: skip
     return predicted, measured, np.atleast_2d(measured)
 
 
-def _select(model: Model, record: Record) -> NDArray[np.float64]:
+def _select(model: Model, record: Record) -> Array:
     kept = record.select([s.label for s in model.sensors])
     require_finite(kept)
     _check_units(model, kept)
     return np.asarray(kept.values)
 
 
-def _readings(values: Any) -> NDArray[np.float64]:
+def _readings(values: Any) -> Array:
     hint = "leave lost sensors out of the model and of the readings"
     return numbers(values, "the readings", hint, where="held_out")
 
 
-def _errors(predicted: NDArray, measured: NDArray, model: Model) -> tuple[float, ...]:
+def _errors(predicted: Array, measured: Array, model: Model) -> tuple[float, ...]:
     if measured.ndim == 1:
         units = np.array([s.unit for s in model.sensors])
         size = np.array([np.sqrt(np.mean(measured[units == u] ** 2)) for u in units])
     else:
         size = np.linalg.norm(measured, axis=0)
     if np.any(size == 0):
-        raise InputError(
-            "a validation channel is zero",
-            where="held_out",
-            found=[s.label for s, x in zip(model.sensors, size, strict=True) if x == 0],
-            expected="measured responses",
-            hint="leave it out",
-        )
+        raise InputError("a validation channel is zero", where="held_out",
+                         found=[s.label for s, x in zip(model.sensors, size, strict=True) if x == 0],
+                         expected="measured responses", hint="leave it out")  # fmt: skip
     difference = measured - predicted
     found = np.abs(difference) if measured.ndim == 1 else np.linalg.norm(difference, axis=0)
     return tuple(float(e) for e in found / size)
 
 
-def _ratio(predicted: NDArray, measured: NDArray, model: Model) -> tuple[float, ...] | None:
+def _ratio(predicted: Array, measured: Array, model: Model) -> tuple[float, ...] | None:
     noise = model.noise
     if noise is None:
         return None
@@ -187,30 +170,22 @@ def _seen(estimate: LoadEstimate, model: Model) -> set[str]:
     return {*inverted, *model.training}
 
 
-def _ordered(estimate: LoadEstimate, model: Model) -> NDArray[np.float64]:
+def _ordered(estimate: LoadEstimate, model: Model) -> Array:
     """Loads of the estimate in the order of the model, where both name the same ones."""
     have, want = list(estimate.labels), [c.label for c in model.loads]
     if len(have) != len(want):
-        raise InputError(
-            "the model and the estimate have different loads",
-            where="held_out",
-            found=f"{len(want)} loads in the model",
-            expected=f"{len(have)} loads",
-            hint="build the validation model with the loads of the inversion",
-        )
+        raise InputError("the model and the estimate have different loads", where="held_out",
+                         found=f"{len(want)} loads in the model", expected=f"{len(have)} loads",
+                         hint="build the validation model with the loads of the inversion")  # fmt: skip
     return estimate.load[..., [have.index(w) for w in want]] if sorted(have) == sorted(want) else estimate.load
 
 
 def _check_units(model: Model, record: Record) -> None:
     for row, channel in zip(model.sensors, record.channels, strict=True):
         if "arbitrary" not in (row.unit, channel.unit) and row.unit != channel.unit:
-            raise InputError(
-                "the unit of a channel does not fit the sensor of the model",
-                where=f"channel {channel.label}",
-                found=channel.unit,
-                expected=row.unit,
-                hint="state the unit in which the channel was recorded",
-            )
+            raise InputError("the unit of a channel does not fit the sensor of the model",
+                             where=f"channel {channel.label}", found=channel.unit, expected=row.unit,
+                             hint="state the unit in which the channel was recorded")  # fmt: skip
 
 
 def validate(estimate: LoadEstimate, *references: Any, level: float = 0.95) -> Validation:
@@ -220,9 +195,9 @@ def validate(estimate: LoadEstimate, *references: Any, level: float = 0.95) -> V
     ----------
     estimate : LoadEstimate
     *references
-        One or more of: `Known`, `PressureMat` (distribution); `Wrench`, or a resultant constraint with ``C`` and
-        ``value`` (resultant); the answer of `held_out` (held-out sensors). An array, a function of the places, a pair
-        ``(coordinates, values)`` and a Record with channels named as the loads are taken as `Known`.
+        One or more of: `Known`, `PressureMat` (distribution); `ReferenceWrench`, or a resultant constraint with ``C``
+        and ``value`` (resultant); the answer of `held_out` (held-out sensors). An array, a function of the places, a
+        pair ``(coordinates, values)`` and a Record with channels named as the loads are taken as `Known`.
     level : float
         Probability of the band whose coverage is counted.
 
@@ -254,7 +229,7 @@ def validate(estimate: LoadEstimate, *references: Any, level: float = 0.95) -> V
         raise InputError(
             "nothing to validate against", where="validate", found="no reference",
             expected="a known load, a pressure mat, a wrench or held-out sensors",
-            hint="validate(estimate, Wrench(value, std=...)), for example",
+            hint="validate(estimate, ReferenceWrench(value, std=...)), for example",
         )  # fmt: skip
     if isinstance(level, bool) or not isinstance(level, int | float) or not 0 < level < 1:
         raise InputError(
@@ -267,7 +242,7 @@ def validate(estimate: LoadEstimate, *references: Any, level: float = 0.95) -> V
         if isinstance(reference, HeldOut):
             checks.append(SensorCheck(reference.labels, reference.error, reference.noise_ratio, "held-out sensors"))
             raised += reference.flags
-        elif isinstance(reference, Wrench):
+        elif isinstance(reference, ReferenceWrench):
             check, rank = against_wrench(estimate, reference)
             checks, known = [*checks, check], max(known, rank)
             raised.append(_imposed(estimate))
@@ -281,9 +256,9 @@ def validate(estimate: LoadEstimate, *references: Any, level: float = 0.95) -> V
     return Validation(tuple(checks), guards.collect(raised), datetime.now(UTC).isoformat(timespec="seconds"))
 
 
-def _settled(reference: Any) -> Known | PressureMat | Wrench | HeldOut:
+def _settled(reference: Any) -> Known | PressureMat | ReferenceWrench | HeldOut:
     """The reference as one of the four kinds."""
-    if isinstance(reference, Known | PressureMat | Wrench | HeldOut):
+    if isinstance(reference, Known | PressureMat | ReferenceWrench | HeldOut):
         return reference
     if isinstance(reference, Record):
         return Known(reference, source=reference.name or reference.source or "a record")  # type: ignore[arg-type]
@@ -294,12 +269,12 @@ def _settled(reference: Any) -> Known | PressureMat | Wrench | HeldOut:
     return Known(reference)
 
 
-def _wrench(constraint: Any) -> Wrench:
+def _wrench(constraint: Any) -> ReferenceWrench:
     import numpy as np
 
     covariance = getattr(constraint, "covariance", None)
     std = None if covariance is None else np.sqrt(np.diagonal(np.atleast_2d(np.asarray(covariance, float))))
-    return Wrench(constraint.value, std, tuple(getattr(constraint, "labels", ())), constraint.C)
+    return ReferenceWrench(constraint.value, std, tuple(getattr(constraint, "labels", ())), constraint.C)
 
 
 def _scalar(x: Any) -> bool:

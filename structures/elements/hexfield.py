@@ -328,7 +328,7 @@ def too_stiff(nu: float, excess: float, how: str, allowed: set[str], where: str)
     """
     message = f"plain Hex-8 is {excess:.0f} % too stiff at nu = {nu:g} ({how})"
     if nu <= REFUSE:
-        return (Flag("W108", Evidence("Poisson's ratio", nu, WARN), message, ADVICE),)
+        return (Flag("W108", Evidence("Poisson's ratio", nu, WARN), message),)
     if "LID-E109" not in allowed:
         raise InputError(
             message,
@@ -338,7 +338,7 @@ def too_stiff(nu: float, excess: float, how: str, allowed: set[str], where: str)
             hint=ADVICE + '; allow=("E109",) builds it all the same',
             code="LID-E109",
         )
-    return (Flag("E109", Evidence("Poisson's ratio", nu, REFUSE), message + ", allowed by the user", ADVICE),)
+    return (Flag("E109", Evidence("Poisson's ratio", nu, REFUSE), message + ", allowed by the user"),)
 
 
 def of_a_pad(nu: float) -> tuple[float, str]:

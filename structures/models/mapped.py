@@ -20,7 +20,57 @@ from ..model import Model
 from .statespace import StateSpace
 
 
-class MappedModel(Model):
+class StandingOn(Model):
+    """A model that stands on another one, `model`: with other sensors or loads, and else what that one is."""
+
+    model: Model
+
+    def has_lines(self, frequencies: ArrayLike) -> NDArray[np.bool_]:
+        """As the model."""
+        return self.model.has_lines(frequencies)
+
+    def gives(self, method: str) -> bool:
+        """As the model, where this kind has the method too."""
+        return super().gives(method) and self.model.gives(method)
+
+    def refuse(self, method: str, family: str | None = None) -> NoReturn:
+        """Refuse a method in the name of the model, where it is the model that has none."""
+        if not self.model.gives(method):
+            self.model.refuse(method, family)
+        super().refuse(method, family)
+
+    @property
+    def moving(self) -> bool:
+        """As the model."""
+        return self.model.moving
+
+    @property
+    def radius(self) -> float:
+        """That of the model."""
+        return self.model.radius
+
+    @property
+    def training(self) -> frozenset[str]:
+        """As the model."""
+        return self.model.training
+
+    @property
+    def default_hold(self) -> str:
+        """That of the model."""
+        return self.model.default_hold
+
+    @property
+    def natural_frequencies(self) -> NDArray[np.float64] | None:
+        """Those of the model."""
+        return self.model.natural_frequencies
+
+    @property
+    def decay_rate(self) -> float | None:
+        """That of the model."""
+        return self.model.decay_rate
+
+
+class MappedModel(StandingOn):
     """A model whose loads are ``g = T u``: its unknowns u are combinations of the loads.
 
     Fewer columns than loads make a low-order basis of them (mode shapes, say); a square T changes the variables, as a
@@ -73,10 +123,6 @@ class MappedModel(Model):
         """That of the model."""
         return self.model.noise_spectrum(frequencies)
 
-    def has_lines(self, frequencies: ArrayLike) -> NDArray[np.bool_]:
-        """As the model."""
-        return self.model.has_lines(frequencies)
-
     def impulse_response(self, dt: float, samples: int, hold: str | None = None) -> NDArray[np.float64]:
         """As that of the model, (samples, sensors, unknowns)."""
         return self.model.impulse_response(dt, samples, hold or self.default_hold) @ self.T
@@ -85,16 +131,6 @@ class MappedModel(Model):
         """As that of the model, driven by the unknowns."""
         s: Any = self.model.state_space(dt, hold or self.default_hold)
         return StateSpace(s.A, s.B @ self.T, s.C, s.D @ self.T, dt, s.hold, sensors=self.sensors, loads=self.loads)
-
-    def gives(self, method: str) -> bool:
-        """As the model, where combinations of its loads have the method."""
-        return super().gives(method) and self.model.gives(method)
-
-    def refuse(self, method: str, family: str | None = None) -> NoReturn:
-        """Refuse a method in the name of the model, where it is the model that has none."""
-        if not self.model.gives(method):
-            self.model.refuse(method, family)
-        super().refuse(method, family)
 
     @cached_property
     def reduced(self) -> Any:
@@ -105,39 +141,9 @@ class MappedModel(Model):
         return replace(own, B=own.B @ self.T, residual=None if own.residual is None else own.residual @ self.T)
 
     @property
-    def moving(self) -> bool:
-        """As the model."""
-        return self.model.moving
-
-    @property
-    def radius(self) -> float:
-        """That of the model."""
-        return self.model.radius
-
-    @property
-    def training(self) -> frozenset[str]:
-        """As the model."""
-        return self.model.training
-
-    @property
-    def default_hold(self) -> str:
-        """That of the model."""
-        return self.model.default_hold
-
-    @property
     def noise(self) -> NDArray[np.float64] | None:
         """That of the model."""
         return self.model.noise
-
-    @property
-    def natural_frequencies(self) -> NDArray[np.float64] | None:
-        """Those of the model."""
-        return self.model.natural_frequencies
-
-    @property
-    def decay_rate(self) -> float | None:
-        """That of the model."""
-        return self.model.decay_rate
 
     @property
     def fingerprint(self) -> str:

@@ -199,7 +199,6 @@ def _apart(
                 Evidence("share of lines with nearly equal forces", share, MANY),
                 f"on {share:.0%} of the lines a force follows from the others to 1 %: its FRF is uncertain "
                 f"{np.sqrt(np.median(inflation.max(axis=1))):.0f} times more than with independent forces",
-                "drive the shakers with independent signals, or take one record per force",
             )
         )
     return kept, inflation, flags

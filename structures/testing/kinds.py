@@ -195,7 +195,6 @@ def lines(
             Evidence("energy at negative times", float(share[turned].max()), TURNED),
             f"the FRF is not causal: {int(turned.sum())} of the {int(told.sum())} entries that tell ring before zero "
             f"({', '.join(_pairs(turned, sensors, loads)[:8])})",
-            "conjugate it, or correct the sign convention at import (e^{+i omega t})",
         )
         flags.insert(0, flag)
     if not np.any(told) and np.all(np.isnan(back)):
@@ -304,7 +303,6 @@ def _untold(frequencies: NDArray[Any]) -> Flag:
         "whether the FRF is causal was not told: no peak rings in its band"
         if stop - start >= BAND
         else "whether the FRF is causal was not told: too few evenly spaced lines",
-        "compare its phase with that of a model, or label drive points by their DOF (12+Z)",
     )
 
 

@@ -145,7 +145,7 @@ def known(
 ) -> Known:
     """Nodal forces of known presses, as `loadid.validate` takes them: level "distribution".
 
-    A resultant alone (``loadid.validate.Wrench``) stays partial there.
+    A resultant alone (``loadid.validate.ReferenceWrench``) stays partial there.
 
     Parameters
     ----------

@@ -15,9 +15,10 @@ from loadid.commands import demo as demonstration
 from loadid.commands._arguments import units
 from loadid.commands._outputs import Bar
 from loadid.commands.calibrate import calibrate
-from loadid.commands.identify import identify, relative_error
+from loadid.commands.identify import identify
 from loadid.record import Record
 from loadid.results.estimate import LoadEstimate
+from loadid.results.summary import against
 from structures.channels import Channel
 from structures.errors import InputError, NotIdentifiable
 from tests.data import measured
@@ -336,7 +337,7 @@ def test_calibrate_then_identify(run, logs, tmp_path):
     assert picture.read_bytes()[:4] == b"\x89PNG"
     estimate = LoadEstimate.read(result)
     assert estimate.choice.rule == "gcv"
-    assert relative_error(estimate, hit(3, peak=111.0)[:, 0])["error"] < 0.15
+    assert against(estimate, hit(3, peak=111.0)[:, 0])["error"] < 0.15
     assert err == ""  # no progress where standard error is no terminal
 
 

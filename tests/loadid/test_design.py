@@ -175,7 +175,7 @@ class TestSearch:
     def test_rank_one_updates_against_the_dense_formula(self, criterion):
         rng = np.random.default_rng(0)
         A = 30 * rng.standard_normal((12, 5)) * 10.0 ** rng.uniform(-2, 0, 5)
-        state = search.State(A, [0, 3])
+        state = search.RowSet(A, [0, 3])
 
         def score(rows):
             logdet, share = dense(A[rows])
@@ -207,7 +207,7 @@ class TestSearch:
     def test_many_updates_do_not_drift(self):
         rng = np.random.default_rng(1)
         A = 1e4 * rng.standard_normal((40, 6))
-        state = search.State(A, list(range(10)))
+        state = search.RowSet(A, list(range(10)))
         for _ in range(300):
             state.change(int(rng.choice(sorted(set(range(40)) - set(state.members)))), 1)
             state.change(int(rng.choice(state.members)), -1)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from loadid import InputError, Record
 from loadid.guards.measurement import resultant_only
 from loadid.results.estimate import Axis, LoadEstimate
-from loadid.validate import Known, PressureMat, Validation, Wrench, held_out, validate
+from loadid.validate import Known, PressureMat, ReferenceWrench, Validation, held_out, validate
 from structures import Channel, MatrixModel
 from structures.files import storage
 from tests.loadid.made import impact
@@ -316,7 +316,7 @@ class TestResultant:
         A = rng.standard_normal((P, P))
         e = line(posterior=Flat(A @ A.T))
         value, std = C @ TRUTH + [0.5, -0.2], np.array([0.3, 0.1])
-        found = validate(e, Wrench(value, std))
+        found = validate(e, ReferenceWrench(value, std))
         (check,) = found.checks
         expected = np.sqrt(np.diag(C @ A @ A.T @ C.T) + std**2)
         assert check.sd == pytest.approx(np.array([0.5, 0.2]) / expected)
@@ -327,13 +327,13 @@ class TestResultant:
     def test_a_stated_bias_is_a_floor_of_the_std(self):
         bias = np.full(P, 0.3)
         value = C @ TRUTH + 0.1
-        (check,) = validate(line(bias=bias), Wrench(value)).checks
+        (check,) = validate(line(bias=bias), ReferenceWrench(value)).checks
         assert check.sd == pytest.approx(0.1 / (C @ bias))
 
     def test_a_match_is_partial(self):
         """Another map with the same force and moment: the resultant is right to rounding, the map is not."""
         kernel = np.linalg.svd(C)[2][-1]
-        found = validate(line(TRUTH + 2 * kernel), Wrench(C @ TRUTH, std=0.01))
+        found = validate(line(TRUTH + 2 * kernel), ReferenceWrench(C @ TRUTH, std=0.01))
         assert found.agrees
         assert found.partial
         (flag,) = found.flags
@@ -342,7 +342,7 @@ class TestResultant:
         assert flag.evidence.threshold == P
         assert "Necessary, not sufficient: infinitely many maps share this resultant" in str(found)
         assert "partial" in str(found)
-        both = validate(line(TRUTH + 2 * kernel), Wrench(C @ TRUTH, std=0.01), TRUTH)
+        both = validate(line(TRUTH + 2 * kernel), ReferenceWrench(C @ TRUTH, std=0.01), TRUTH)
         assert both.level == "distribution"
         assert both.flags == ()
         assert not both.agrees
@@ -360,12 +360,12 @@ class TestResultant:
     def test_one_force_is_its_own_resultant(self):
         e = impact()
         value = e.load[:, :1] + 1
-        found = validate(e, Wrench(value, C=np.ones((1, 1)), labels=["F"]))
+        found = validate(e, ReferenceWrench(value, C=np.ones((1, 1)), labels=["F"]))
         assert found.level == "resultant"
         assert found.flags == ()
 
     def test_labels_pick_rows_and_units_convert(self):
-        (check,) = validate(line(), Wrench([(C @ TRUTH)[1] / 1e3], labels=["M"], units=["kN*m"])).checks
+        (check,) = validate(line(), ReferenceWrench([(C @ TRUTH)[1] / 1e3], labels=["M"], units=["kN*m"])).checks
         assert check.labels == ("M",)
         assert check.error[0] < 1e-12
 
@@ -373,7 +373,7 @@ class TestResultant:
         load = np.stack([TRUTH, 2 * TRUTH, 0 * TRUTH])
         e = line(load, posterior=Flat(0.01 * np.eye(P)))
         value = load @ C.T * 1.1
-        (check,) = validate(e, Wrench(value)).checks
+        (check,) = validate(e, ReferenceWrench(value)).checks
         assert check.at == 1
         assert check.error == pytest.approx([0.1 / 1.1] * 2)
         sd = np.sqrt(np.mean((0.1 * load @ C.T / np.sqrt(0.01 * np.sum(C**2, axis=1))) ** 2, axis=0))
@@ -384,7 +384,7 @@ class TestResultant:
         Cz = np.vstack([C[0], C[1] - (C[1] @ TRUTH) / (C[0] @ TRUTH) * C[0]])
         e = line()
         e = replace(e, geometry=dict(e.geometry) | {"resultant": Cz})
-        (check,) = validate(e, Wrench([C[0] @ TRUTH, 0.0], std=[0.01, 0.01])).checks
+        (check,) = validate(e, ReferenceWrench([C[0] @ TRUTH, 0.0], std=[0.01, 0.01])).checks
         assert check.error[1] is None
         assert check.agrees
         assert "M" in str(check)
@@ -401,19 +401,19 @@ class TestResultant:
 
     def test_refused(self):
         for wrench, words in (
-            (Wrench([1.0]), "does not fit"),
-            (Wrench([1.0], labels=["Fx"]), "no such resultant"),
-            (Wrench([1.0, np.nan]), "NaN"),
-            (Wrench([1.0, 1.0], std=[0.1, 0.0]), "not positive"),
-            (Wrench([0.0, 0.0]), "zero"),
-            (Wrench([1.0], C=np.ones((1, 3))), "do not fit"),
-            (Wrench([1.0, 1.0], units=["N"]), "do not fit"),
-            (Wrench([1.0, 1.0], units=["N", "kg"]), "another unit"),
+            (ReferenceWrench([1.0]), "does not fit"),
+            (ReferenceWrench([1.0], labels=["Fx"]), "no such resultant"),
+            (ReferenceWrench([1.0, np.nan]), "NaN"),
+            (ReferenceWrench([1.0, 1.0], std=[0.1, 0.0]), "not positive"),
+            (ReferenceWrench([0.0, 0.0]), "zero"),
+            (ReferenceWrench([1.0], C=np.ones((1, 3))), "do not fit"),
+            (ReferenceWrench([1.0, 1.0], units=["N"]), "do not fit"),
+            (ReferenceWrench([1.0, 1.0], units=["N", "kg"]), "another unit"),
         ):
             with pytest.raises(InputError, match=words):
                 validate(line(), wrench)
         with pytest.raises(InputError, match="give C"):
-            validate(replace(line(), geometry=None), Wrench([1.0, 1.0]))
+            validate(replace(line(), geometry=None), ReferenceWrench([1.0, 1.0]))
 
 
 # -- held-out sensors of static loads ----------------------------------------------------------------------------------
@@ -471,12 +471,14 @@ class TestStaticHeldOut:
 # -- what travels ------------------------------------------------------------------------------------------------------
 def everything():
     out = held_out(line(), MatrixModel(TestStaticHeldOut.H), TestStaticHeldOut.H @ TRUTH)
-    return validate(line(), out, Wrench(C @ TRUTH * 1.01), PressureMat(TestMat.P4, TestMat.P4 @ TRUTH), TRUTH * 1.3)
+    return validate(
+        line(), out, ReferenceWrench(C @ TRUTH * 1.01), PressureMat(TestMat.P4, TestMat.P4 @ TRUTH), TRUTH * 1.3
+    )
 
 
 def test_a_validation_survives_a_file(tmp_path):
     whole = everything()
-    partial = validate(line(), Wrench(C @ TRUTH, std=0.1))
+    partial = validate(line(), ReferenceWrench(C @ TRUTH, std=0.1))
     for found in (whole, partial, Validation()):
         storage.write(tmp_path / "v.h5", found.to_dict(), "validation")
         back = Validation.from_dict(storage.read(tmp_path / "v.h5", "validation"))
@@ -486,8 +488,15 @@ def test_a_validation_survives_a_file(tmp_path):
     assert len(whole.checks) == len(whole.sensors) + len(whole.resultants) + len(whole.distributions) == 4
 
 
+def test_a_validation_of_an_earlier_release_is_read():
+    partial = validate(line(), ReferenceWrench(C @ TRUTH, std=0.1))
+    tree = partial.to_dict()
+    tree["checks"][0]["found"] = tree["checks"][0].pop("estimated")
+    assert Validation.from_dict(tree) == partial
+
+
 def test_the_estimate_keeps_it(tmp_path):
-    e = line(posterior=None).validated(validate(line(), Wrench(C @ TRUTH, std=0.1)))
+    e = line(posterior=None).validated(validate(line(), ReferenceWrench(C @ TRUTH, std=0.1)))
     assert "N701" in e.codes
     assert e.validation.level == "resultant"
     e.save(tmp_path / "e.h5")

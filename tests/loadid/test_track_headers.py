@@ -15,7 +15,8 @@ from loadid.families.tracking import tracker as checkpoint
 from loadid.families.tracking.tracker import Tracker
 from loadid.stream import follow
 from loadid.stream.clock import Clock
-from loadid.stream.framing import Layout, Lines
+from loadid.stream.framing import Lines
+from loadid.stream.header import ColumnLayout
 from structures.channels import Channel
 from structures.errors import InputError
 from tests.killed import fitted, text
@@ -117,7 +118,7 @@ def test_units_that_nobody_states_are_refused_and_can_be_stated():
 
 
 def test_a_state_goes_on_with_the_units_that_it_began_with():
-    layout = Layout(3, 0, (1, 2), (1.0, 1.0))
+    layout = ColumnLayout(3, 0, (1, 2), (1.0, 1.0))
     Lines(SENSORS, layout, {"a": "m/s^2"})
     with pytest.raises(InputError, match="other units"):
         Lines(SENSORS, layout, {"a": "g"})

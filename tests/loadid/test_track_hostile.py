@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from loadid.stream.clock import SEEN, Clock
-from loadid.stream.framing import HOPELESS, Lines, printable
+from loadid.stream.framing import HOPELESS, Lines
+from loadid.stream.header import printable
 from loadid.stream.output import Output
 from loadid.stream.sources import open_source, require_source
 from structures.channels import Channel

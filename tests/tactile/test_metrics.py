@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loadid import StaticInversion
-from loadid.validate import Wrench, validate
+from loadid.validate import ReferenceWrench, validate
 from structures import Channel, MatrixModel
 from structures.errors import InputError
 from structures.flags import codes
@@ -253,7 +253,9 @@ def test_the_package_validates_maps_of_presses_and_calls_a_resultant_partial() -
     assert checked.level == "distribution"
     assert checked.agrees
     sums = np.tile(np.eye(3), 49)
-    partial = validate(found, Wrench([0.3, 0, -1.0], std=0.01, labels=("Fx", "Fy", "Fz"), C=sums, units=("N",) * 3))
+    partial = validate(
+        found, ReferenceWrench([0.3, 0, -1.0], std=0.01, labels=("Fx", "Fy", "Fz"), C=sums, units=("N",) * 3)
+    )
     assert partial.partial
     assert partial.agrees
     assert codes(partial.flags) == {"N701"}
