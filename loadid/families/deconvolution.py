@@ -19,9 +19,9 @@ from ..guards.inversion import windows_apart
 from ..inverse import rules
 from ..inverse.choice import Choice, choose, given, residual_level, unexplained
 from ..inverse.diagnosis import diagnose
+from ..inverse.gaussian.coarse import confirm
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.penalties import order
-from ..inverse.statespace.coarse import confirm
 from ..results.archive import provenance
 from ..results.estimate import Axis, LoadEstimate
 from . import histories

@@ -16,8 +16,8 @@ from structures.models.motion import Motion, motion
 
 from .. import guards
 from ..guards.inversion import undetermined_field
+from ..inverse.gaussian.posterior import MappedPosterior
 from ..inverse.penalties import names
-from ..inverse.statespace.posterior import MappedPosterior
 from ..results.estimate import LoadEstimate
 from . import smoothness as spatial
 from .data import Data, gather

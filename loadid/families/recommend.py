@@ -103,7 +103,7 @@ def of_sparse(score: float, problem: Problem, samples: int) -> float:
 
 
 def _criterion(tracker: Tracker, Y: NDArray) -> float:
-    from ..inverse.kalman.settled import filter_settling
+    from ..inverse.gaussian.settled import filter_settling
 
     settled = tracker.fitted.settled
     if settled is None:

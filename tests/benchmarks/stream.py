@@ -27,11 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid.families.tracking import tracker as checkpoint
-from loadid.families.tracking.fit import Fitted
+from loadid.families.tracking.fit import TrackerFit
 from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.kalman.augment import augment
-from loadid.inverse.kalman.priors import OU, Matern32, Sum
-from loadid.inverse.kalman.steady import steady
+from loadid.inverse.gaussian.augment import augment
+from loadid.inverse.gaussian.priors import OU, Matern32, Sum
+from loadid.inverse.gaussian.steady import steady
 from loadid.stream import follow
 from tests.killed import Nursery, fitted, leaves, tortured, troubled
 from tests.tracked import Setup, selector, tridiagonal
@@ -60,7 +60,7 @@ def tracker(modes: int = 18, sensors: int = 8) -> tuple[Tracker, NDArray[np.floa
     space = setup.space("foh")
     prior = Sum((Matern32(50.0, 0.5), OU(20.0, 0.05)))
     model = augment(space, setup.dt, [prior], noise=noise)
-    fit = Fitted(
+    fit = TrackerFit(
         model=model, settled=steady(model, setup.dt), bank=(), dt=setup.dt, sensors=tuple(space.sensors),
         loads=tuple(space.loads), words=prior.words, numbers={}, noise_source="given", certificate=None, flags=(),
         fingerprint="chain", settings={}, inputs={},

@@ -12,8 +12,8 @@ from loadid.families.tracking import likelihood as search
 from loadid.families.tracking import tuning
 from loadid.families.tracking.filters import NAMES, Posing
 from loadid.families.tracking.tuning import left, wrong_samples
-from loadid.inverse.kalman.priors import Matern32
-from loadid.inverse.kalman.steady import steady
+from loadid.inverse.gaussian.priors import Matern32
+from loadid.inverse.gaussian.steady import steady
 from tests.families.test_tracking import building
 from tests.tracked import Tracked, bm2
 
@@ -101,7 +101,7 @@ def test_wrong_samples_leave_the_numbers_as_they_are(kind):
 
 def test_the_others_stand_in_for_a_wrong_sample():
     """What replaces it does not depend on how wrong it was, and is what a filter says that never saw it."""
-    from loadid.inverse.kalman.settled import filter_settling, smooth_settling
+    from loadid.inverse.gaussian.settled import filter_settling, smooth_settling
 
     c = case(samples=600)
     settled = steady(posing(c).filter(c.setup.space(), [Matern32(100.0, 0.08)]))

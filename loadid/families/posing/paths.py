@@ -24,14 +24,14 @@ from ...inverse.convolution import Convolution, Stream, heard, toeplitz
 from ...inverse.convolved.path import ConvolvedPath
 from ...inverse.convolved.windows import WindowedPath, beginning_of
 from ...inverse.diagnosis import diagnose
+from ...inverse.gaussian.coarse import windows_of
+from ...inverse.gaussian.gains import feedback
+from ...inverse.gaussian.passes import forward
+from ...inverse.gaussian.path import StateSpacePath, layout
+from ...inverse.gaussian.record import Augmented, augment, measured, moving, observed_first
+from ...inverse.gaussian.sized import SizedPath
 from ...inverse.penalties import names
 from ...inverse.problem import LinearProblem, whiten
-from ...inverse.statespace.coarse import windows_of
-from ...inverse.statespace.passes import forward
-from ...inverse.statespace.path import StateSpacePath, layout
-from ...inverse.statespace.record import Augmented, augment, measured, moving, observed_first
-from ...inverse.statespace.riccati import feedback
-from ...inverse.statespace.sized import SizedPath
 from ...inverse.svd import SVDPath
 from ..data import Data
 from ..noise import Noise

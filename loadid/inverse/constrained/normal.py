@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..statespace.record import Record
+from ..gaussian.record import WhitenedRecord
 
 LOADS = 48  # loads of a block: small factors are cheap, and the steps from block to block few
 PADDING = -1  # kind of a sample behind the end of the record
@@ -99,7 +99,7 @@ class Blocks:
         return x
 
 
-def cut(record: Record) -> Blocks:
+def cut(record: WhitenedRecord) -> Blocks:
     """Blocks of a record."""
     p, m, n = record.p, record.m, record.n
     b = int(np.clip(LOADS // p, 4, max(4, record.samples)))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 
-from loadid.inverse.kalman.model import FilterModel
+from loadid.inverse.gaussian.model import FilterModel
 
 
 def conditioned(model: FilterModel, Y: NDArray, given: int, at: int) -> tuple[NDArray, NDArray]:

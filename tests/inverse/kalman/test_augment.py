@@ -12,13 +12,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy import linalg
 
-from loadid.inverse.kalman.augment import Ambient, augment
-from loadid.inverse.kalman.model import FilterModel
-from loadid.inverse.kalman.priors import OU, Matern32, Matern52, Periodic, RandomWalk, Sum, White
-from loadid.inverse.kalman.smoothing import smooth
-from loadid.inverse.kalman.squareroot import filter
-from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.record import of_model, record
+from loadid.inverse.gaussian.augment import Ambient, augment
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.path import StateSpacePath
+from loadid.inverse.gaussian.priors import OU, Matern32, Matern52, Periodic, RandomWalk, Sum, White
+from loadid.inverse.gaussian.record import of_model, record
+from loadid.inverse.gaussian.smoothing import smooth
+from loadid.inverse.gaussian.squareroot import filter
 from structures import Channel, ForwardModel, MeasuredModel, Structure
 from structures.elements import beams, chains
 from structures.errors import InputError, NotIdentifiable

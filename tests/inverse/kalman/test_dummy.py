@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman.augment import Ambient, augment
-from loadid.inverse.kalman.model import FilterModel, words
-from loadid.inverse.kalman.priors import Matern32, RandomWalk
-from loadid.inverse.kalman.smoothing import smooth
-from loadid.inverse.kalman.squareroot import filter as filtered
-from loadid.inverse.kalman.steady import steady
+from loadid.inverse.gaussian.augment import Ambient, augment
+from loadid.inverse.gaussian.model import FilterModel, words
+from loadid.inverse.gaussian.priors import Matern32, RandomWalk
+from loadid.inverse.gaussian.smoothing import smooth
+from loadid.inverse.gaussian.squareroot import filter as filtered
+from loadid.inverse.gaussian.steady import steady
 from structures import ForwardModel, InputError, NotIdentifiable
 from structures.elements import chains
 from structures.models.mapped import mapped

@@ -7,13 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman import squareroot
-from loadid.inverse.kalman.model import FilterModel, lower
-from loadid.inverse.kalman.periodic import periodic
-from loadid.inverse.kalman.settled import Loop
-from loadid.inverse.kalman.smoothing import LagLine, delayed, fixed_lag, phased, resumed, rts
-from loadid.inverse.kalman.squareroot import SquareRoot, State
-from loadid.inverse.kalman.steady import Steady, steady
+from loadid.inverse.gaussian import squareroot
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.periodic import periodic
+from loadid.inverse.gaussian.roots import lower
+from loadid.inverse.gaussian.settled import Loop
+from loadid.inverse.gaussian.smoothing import LagLine, delayed, fixed_lag, phased, resumed, rts
+from loadid.inverse.gaussian.squareroot import FilterState, SquareRoot
+from loadid.inverse.gaussian.steady import SteadyFilter, steady
 from structures.errors import InputError
 
 from .gaussian import building, conditioned, drawn, small
@@ -24,7 +25,7 @@ def away() -> FilterModel:
     return building(acc=(2, 5), disp=(7,)).matern(100.0, 0.08, 0.01, np.array([0.3, 0.3, 1e-3]))
 
 
-def settled(model: FilterModel, last: Steady | None = None) -> FilterModel:
+def settled(model: FilterModel, last: SteadyFilter | None = None) -> FilterModel:
     """The model that starts with the covariance on which its filter settles."""
     last = steady(model) if last is None else last
     return dataclasses.replace(model, L0=lower(last.part.F @ last.L, last.part.LQ))
@@ -97,7 +98,7 @@ def test_line_and_covariances_say_the_same_and_resume_each_other() -> None:
     assert np.allclose(slow.std, fixed.std, rtol=1e-9)
     fast = resumed(fixed, load[199 - lag : 200], e[199 - lag : 200])
     assert np.max(np.abs(fast.load - slow.load)) < 1e-8 * np.std(P)
-    state = State(state.x, steady(model).L)
+    state = FilterState(state.x, steady(model).L)
     Y[205:208, 2] = np.nan  # the gap that it is for
     for k in range(200, 230):
         before = state

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import ss2zpk
 
 from loadid.guards.tracking import cures
-from loadid.inverse.kalman.observe import UNSEEN, Observability, delay, invariant_zeros, observability
+from loadid.inverse.gaussian.observe import UNSEEN, Observability, delay, invariant_zeros, observability
 from structures import ForwardModel, InputError, StateSpace
 from structures.elements import chains
 from structures.system import loads, sensors

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import linalg
 
-from loadid.inverse.kalman import model as quadrature
-from loadid.inverse.kalman.priors import OU, Matern32, Matern52, Periodic, Prior, RandomWalk, Sum, White
+from loadid.inverse.gaussian import roots as quadrature
+from loadid.inverse.gaussian.priors import OU, Matern32, Matern52, Periodic, Prior, RandomWalk, Sum, White
 from structures.errors import InputError
 
 SD, LENGTH, PERIOD = 3.0, 0.08, 0.5

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman import squareroot
-from loadid.inverse.kalman.model import FilterModel
-from loadid.inverse.kalman.settled import filter_settling, smooth_settling
-from loadid.inverse.kalman.smoothing import bryson_frazier, rts, smooth
-from loadid.inverse.kalman.steady import steady
-from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.record import augment, record
+from loadid.inverse.gaussian import squareroot
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.path import StateSpacePath
+from loadid.inverse.gaussian.record import augment, record
+from loadid.inverse.gaussian.settled import filter_settling, smooth_settling
+from loadid.inverse.gaussian.smoothing import bryson_frazier, rts, smooth
+from loadid.inverse.gaussian.steady import steady
 from structures.errors import InputError
 
 from .gaussian import building, conditioned, drawn, small

@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman import squareroot
-from loadid.inverse.kalman.model import FilterModel, joined, lower, square
-from loadid.inverse.kalman.squareroot import SquareRoot
+from loadid.inverse.gaussian import squareroot
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.roots import joined, lower, square
+from loadid.inverse.gaussian.squareroot import SquareRoot
 from structures.errors import InputError
 
 from .gaussian import building, conditioned, drawn, gillijns_de_moor, joseph, long_double, small

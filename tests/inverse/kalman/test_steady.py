@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from loadid.inverse.kalman import squareroot
-from loadid.inverse.kalman.model import FilterModel
-from loadid.inverse.kalman.periodic import PeriodicLoop, periodic
-from loadid.inverse.kalman.settled import Loop
-from loadid.inverse.kalman.squareroot import SquareRoot
-from loadid.inverse.kalman.steady import Steady, steady
+from loadid.inverse.gaussian import squareroot
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.periodic import PeriodicLoop, periodic
+from loadid.inverse.gaussian.settled import Loop
+from loadid.inverse.gaussian.squareroot import SquareRoot
+from loadid.inverse.gaussian.steady import SteadyFilter, steady
 from structures.errors import InputError, NotIdentifiable
 
 from .gaussian import building, drawn, small
@@ -44,7 +44,7 @@ def predicted(model: FilterModel) -> np.ndarray:
     return solve_discrete_are(model.F.T, model.H.T, model.LQ @ model.LQ.T, model.LR @ model.LR.T, s=S)
 
 
-def run(found: Steady, Y: np.ndarray, **options: object) -> tuple[Loop, np.ndarray, np.ndarray, int]:
+def run(found: SteadyFilter, Y: np.ndarray, **options: object) -> tuple[Loop, np.ndarray, np.ndarray, int]:
     model = found.model
     loop = Loop(found.rows(), model.p, model.m, model.x0, **options)
     load, e = np.empty((len(Y), model.p)), np.empty(Y.shape)

@@ -7,15 +7,15 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from loadid.inverse.compiled import Compiled
+from loadid.inverse.gaussian.compiled import Compiled
 
 from .cases import beam, case, holes
 
-MODULES = ("compiled", "statespace.passes", "statespace.posterior", "statespace.riccati")
+MODULES = ("compiled", "gains", "passes", "posterior")
 
 
 def loops() -> set[Compiled]:
-    modules = [import_module(f"loadid.inverse.{name}") for name in MODULES]
+    modules = [import_module(f"loadid.inverse.gaussian.{name}") for name in MODULES]
     return {loop for module in modules for loop in vars(module).values() if isinstance(loop, Compiled)}
 
 

@@ -14,11 +14,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.errors import InputError
 
-from ..compiled import (
+from ..posterior import DensePosterior, Posterior, SpectralPosterior
+from .compiled import (
     NEAR,
     NEVER,
     SETTLED,
@@ -31,14 +31,14 @@ from ..compiled import (
     multiply_by_transposed,
     solve_upper,
 )
-from ..posterior import DensePosterior, Posterior, SpectralPosterior
+from .gains import Gains, feedback, gains
 from .passes import Solved, forward, solve
-from .record import Record
-from .riccati import Gains, feedback, gains
+from .record import WhitenedRecord
+from .roots import Array
 
 
 @dataclass(frozen=True)
-class Spread:
+class LoadVariances:
     """What is not known of the load, at unit noise.
 
     Parameters
@@ -51,12 +51,12 @@ class Spread:
         lam^2 tr L (H^T H + lam^2 L^T L)^-1 L^T: unknowns minus effective degrees of freedom.
     """
 
-    variance: NDArray[np.float64] | None
+    variance: Array | None
     trace: float
     penalty: float
 
 
-def spread(record: Record, gains: Gains, every_sample: bool = True) -> Spread:
+def spread(record: WhitenedRecord, gains: Gains, every_sample: bool = True) -> LoadVariances:
     """Variances of every sample, or their sum alone."""
     X = np.zeros((record.n, record.n))
     if len(record.free):
@@ -75,13 +75,13 @@ def spread(record: Record, gains: Gains, every_sample: bool = True) -> Spread:
         every_sample,
         record.stride,
     )
-    return Spread(variance if every_sample else None, float(trace), float(gains.lam**2 * penalty))
+    return LoadVariances(variance if every_sample else None, float(trace), float(gains.lam**2 * penalty))
 
 
 @Compiled
 def _recursion(
-    F: NDArray, G: NDArray, E: NDArray, kind: NDArray, K: NDArray, R: NDArray, which: NDArray, X: NDArray,
-    variance: NDArray, every: bool, stride: int,
+    F: Array, G: Array, E: Array, kind: Array, K: Array, R: Array, which: Array, X: Array,
+    variance: Array, every: bool, stride: int,
 ) -> tuple[float, float]:  # fmt: skip
     """Fill `variance` where wanted; sums of the variances of the loads and of the inputs."""
     n, p, samples = F.shape[1], G.shape[2], len(kind)
@@ -165,7 +165,7 @@ class StateSpacePosterior:
 
     Parameters
     ----------
-    record : Record
+    record : WhitenedRecord
         Its data are not used.
     lam : float
         Absolute lambda.
@@ -177,38 +177,38 @@ class StateSpacePosterior:
 
     kind = "statespace"
 
-    def __init__(self, record: Record, lam: float, sigma: float, held: Gains | None = None) -> None:
+    def __init__(self, record: WhitenedRecord, lam: float, sigma: float, held: Gains | None = None) -> None:
         self.record, self.lam, self.sigma = record, float(lam), float(sigma)
         self._held = held
         self.shape = (record.samples, record.p)
 
     @cached_property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Standard deviation, shape (samples, loads)."""
         return self.sigma * np.sqrt(self._variances(self.held))
 
     @cached_property
-    def noise_std(self) -> NDArray[np.float64]:
+    def noise_std(self) -> Array:
         """Standard deviation from the noise alone: the derivative of lam^2 times the variance in lam^2."""
         step = np.exp(SLOPE * np.array([-2, -1, 1, 2]))
         parts = [x**2 * self._variances(gains(self.record, self.lam * x)) for x in step]
         slope = (parts[0] - 8 * parts[1] + 8 * parts[2] - parts[3]) / (24 * SLOPE)
-        return self.sigma * np.sqrt(np.maximum(slope, 0.0))
+        return np.asarray(self.sigma * np.sqrt(np.maximum(slope, 0.0)))
 
-    def variance(self, w: NDArray) -> NDArray[np.float64]:
+    def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
         return self._each(w, lambda one: np.asarray(self.sigma**2 * self._solve(one).value))
 
-    def noise_variance(self, w: NDArray) -> NDArray[np.float64]:
+    def noise_variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)`` from the noise alone."""
 
-        def own(one: NDArray) -> NDArray:
+        def own(one: Array) -> Array:
             solved = self._solve(one)
             return np.asarray(self.sigma**2 * max(solved.value - self.lam**2 * float(np.sum(solved.inputs**2)), 0.0))
 
         return self._each(w, own)
 
-    def bias_weights(self, w: NDArray) -> NDArray[np.float64]:
+    def bias_weights(self, w: Array) -> Array:
         """``(R - I)^T w`` in the shape of `w`: what regularisation takes from the weights, -lam^2 L^T L P w."""
         return self._each(w, lambda one: -(self.lam**2) * self._penalty_adjoint(self._solve(one).inputs))
 
@@ -221,13 +221,15 @@ class StateSpacePosterior:
         }  # fmt: skip
 
     @classmethod
-    def from_arrays(cls, tree: dict) -> StateSpacePosterior:
+    def from_arrays(cls, tree: dict[str, Any]) -> StateSpacePosterior:
         """From what `to_arrays` gave."""
         matrices = {name: np.asarray(tree[name], float) for name in "FGCDE"}
         kind = np.asarray(tree["samples"]).astype(np.int32)
         y = np.zeros((len(kind), matrices["C"].shape[1]))
         free = np.asarray(tree["free"]).astype(int).reshape(-1)
-        return cls(Record(**matrices, kind=kind, y=y, free=free, data=int(tree["data"])), tree["lam"], tree["sigma"])
+        return cls(
+            WhitenedRecord(**matrices, kind=kind, y=y, free=free, data=int(tree["data"])), tree["lam"], tree["sigma"]
+        )
 
     # -- inside -------------------------------------------------------------------------------------------------------
     @property
@@ -237,22 +239,22 @@ class StateSpacePosterior:
             self._held = gains(self.record, self.lam)
         return self._held
 
-    def _variances(self, held: Gains) -> NDArray[np.float64]:
+    def _variances(self, held: Gains) -> Array:
         found = spread(self.record, held).variance
         assert found is not None
         return found
 
-    def _solve(self, w: NDArray) -> Solved:
+    def _solve(self, w: Array) -> Solved:
         return solve(self.record, self.held, np.zeros((self.record.samples, self.record.m)), w)
 
-    def _each(self, w: NDArray, ask: Callable[[NDArray], NDArray]) -> NDArray[np.float64]:
+    def _each(self, w: Array, ask: Callable[[Array], Array]) -> Array:
         w = np.asarray(w, float)
         if w.shape[-2:] != self.shape or w.ndim > 3:
             raise InputError("the weights do not fit the load", where="w", found=f"shape {w.shape}",
                              expected=f"shape {self.shape}, or a stack of such")  # fmt: skip
         return ask(w) if w.ndim == 2 else np.array([ask(one) for one in w])
 
-    def _penalty_adjoint(self, w: NDArray) -> NDArray[np.float64]:
+    def _penalty_adjoint(self, w: Array) -> Array:
         """L^T w: the difference that the penalty takes, backwards in time."""
         pulse = np.zeros((min(3, len(w)), self.record.p))
         pulse[0] = 1.0
@@ -262,9 +264,6 @@ class StateSpacePosterior:
         for j in range(1, len(steps)):
             out[:-j] += steps[j] * w[j:]
         return out
-
-
-Array = NDArray[np.float64]
 
 
 class MappedPosterior:
@@ -279,7 +278,7 @@ class MappedPosterior:
 
     kind = "mapped"
 
-    def __init__(self, base: Posterior, T: NDArray) -> None:
+    def __init__(self, base: Posterior, T: Array) -> None:
         self.base, self.T = base, np.asarray(T, float)
         self._std: Array | None = None
 
@@ -290,7 +289,7 @@ class MappedPosterior:
             self._std = _std(self.base, self.T)
         return self._std
 
-    def variance(self, w: NDArray) -> Array:
+    def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
         return self.base.variance(np.asarray(w, float) @ self.T)
 
@@ -298,13 +297,13 @@ class MappedPosterior:
     def noise_std(self) -> None:
         """Not known at every sample: see `noise_variance`."""
 
-    def noise_variance(self, w: NDArray) -> Array | None:
+    def noise_variance(self, w: Array) -> Array | None:
         """Variance of ``sum(w * load)`` from the noise alone; None where the unknowns do not tell."""
         base: Any = self.base
         found: Array | None = getattr(base, "noise_variance", lambda _: None)(np.asarray(w, float) @ self.T)
         return found
 
-    def bias_weights(self, w: NDArray) -> Array | None:
+    def bias_weights(self, w: Array) -> Array | None:
         """``(R - I)^T w`` for the resolution R of the loads; None where fewer unknowns than loads define none."""
         base: Any = self.base
         loads, unknowns = self.T.shape
@@ -318,7 +317,7 @@ class MappedPosterior:
         return {"kind": self.kind, "base": self.base.to_arrays(), "T": self.T}
 
     @classmethod
-    def from_arrays(cls, tree: dict) -> MappedPosterior:
+    def from_arrays(cls, tree: dict[str, Any]) -> MappedPosterior:
         """From what `to_arrays` gave."""
         from ..posterior import from_arrays
 
@@ -400,4 +399,4 @@ def _asked(base: Any, T: Array) -> Array:
     level = np.sqrt(np.maximum(own, np.finfo(float).tiny))
     correlation = covariance / level[:, None] / level
     scaled = std[:, None, :] * T
-    return np.sqrt(np.maximum(np.einsum("kli,ij,klj->kl", scaled, correlation, scaled, optimize=True), 0.0))
+    return np.asarray(np.sqrt(np.maximum(np.einsum("kli,ij,klj->kl", scaled, correlation, scaled, optimize=True), 0.0)))

@@ -22,8 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import NEAR, NEVER, SETTLED, SHARE, STALLED, Compiled, arrival, decay, multiply
-from .record import Record
+from .compiled import NEAR, NEVER, SETTLED, SHARE, STALLED, Compiled, arrival, decay, multiply
+from .record import WhitenedRecord
+from .roots import Array
 
 SPARE = 4  # rows by which a root may grow
 
@@ -35,8 +36,8 @@ def spare(m: int) -> int:
 
 @Compiled
 def step(
-    at: NDArray, entries: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, lam: float,
-    root: NDArray, height: int, stack: NDArray, K: NDArray, R: NDArray,
+    at: Array, entries: Array, F: Array, G: Array, C: Array, D: Array, lam: float,
+    root: Array, height: int, stack: Array, K: Array, R: Array,
 ) -> int:  # fmt: skip
     """Overwrite the root by that of the sample before, fill its gains; rows of the new root.
 
@@ -89,7 +90,7 @@ def step(
 
 
 @Compiled
-def _eliminate(A: NDArray, rows: int, steps: int) -> None:
+def _eliminate(A: Array, rows: int, steps: int) -> None:
     """Householder reflections of the first `rows` rows of a matrix whose transpose is A, for its first columns."""
     for j in range(steps):
         norm2 = 0.0
@@ -149,15 +150,15 @@ class Gains:
     """
 
     lam: float
-    K: NDArray[np.float64]
-    R: NDArray[np.float64]
+    K: Array
+    R: Array
     which: NDArray[np.int32]
-    root: NDArray[np.float64]
+    root: Array
     logdet: float
-    start: NDArray[np.float64]
+    start: Array
 
 
-def gains(record: Record, lam: float) -> Gains:
+def gains(record: WhitenedRecord, lam: float) -> Gains:
     """Gains of a record at one absolute lambda."""
     rows = 4096
     while True:
@@ -183,7 +184,7 @@ def gains(record: Record, lam: float) -> Gains:
     return Gains(float(lam), K[:used], R[:used], which, root, logdet, start)
 
 
-def feedback(record: Record, K: NDArray | None = None) -> Gains:
+def feedback(record: WhitenedRecord, K: Array | None = None) -> Gains:
     """One feedback for all samples (default none), with M = I: for passes that solve nothing."""
     p = record.p
     K = np.zeros((p, record.n)) if K is None else K
@@ -192,9 +193,9 @@ def feedback(record: Record, K: NDArray | None = None) -> Gains:
 
 @Compiled
 def _recursion(
-    at: NDArray, entries: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, kind: NDArray, lam: float,
-    K: NDArray, R: NDArray, which: NDArray, stride: int, spare: int,
-) -> tuple[int, NDArray, float]:  # fmt: skip
+    at: Array, entries: Array, F: Array, G: Array, C: Array, D: Array, kind: Array, lam: float,
+    K: Array, R: Array, which: Array, stride: int, spare: int,
+) -> tuple[int, Array, float]:  # fmt: skip
     """Fill K, R and which from the end; rows used (one more than there are if they do not suffice), root, sum ln M."""
     n, p, m = F.shape[1], G.shape[2], C.shape[1]
     stack, root, height = np.zeros((p + n, m + p + n + spare)), np.zeros((n, n + spare + 1)), n

@@ -22,13 +22,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError
 
-from .model import Present, backward, forward, lower
-from .squareroot import Filtered, Innovation, Kept, SquareRoot, State
-from .steady import Steady
+from .model import Present
+from .roots import Array, lower, solve_lower, solve_lower_transposed
+from .squareroot import Filtered, FilterState, Innovation, Kept, SquareRoot
+from .steady import SteadyFilter
 
 Progress = Callable[[float, str], None] | None
 SINGULAR = 1e-11  # of a state's predicted std: the part that is new to those before it
@@ -38,9 +39,9 @@ SINGULAR = 1e-11  # of a state's predicted std: the part that is new to those be
 class Smoothed:
     """Loads with all data: load, std (samples, p), states x (samples, n)."""
 
-    load: NDArray[np.float64]
-    std: NDArray[np.float64]
-    x: NDArray[np.float64]
+    load: Array
+    std: Array
+    x: Array
 
 
 def smooth(filtered: Filtered, *, progress: Progress = None) -> Smoothed:
@@ -86,7 +87,7 @@ def rts(filtered: Filtered, *, progress: Progress = None) -> Smoothed:
             A, B, D = made[:n, :n], made[n:, :n], made[n:, n:]
             if np.any(np.abs(np.diag(A)) <= SINGULAR * np.linalg.norm(A, axis=1)):
                 raise np.linalg.LinAlgError("the predicted covariance is singular")
-            G = backward(A, B.T).T
+            G = solve_lower_transposed(A, B.T).T
             x = kept.x[k] + G @ (x - part.moved(kept.x[k], filtered.Y[k]))
             L = lower(D, G @ L)
         out.x[k] = x
@@ -116,7 +117,7 @@ def bryson_frazier(filtered: Filtered, *, progress: Progress = None) -> Smoothed
     return out
 
 
-def left_over(L: NDArray, root: NDArray) -> NDArray[np.float64]:
+def left_over(L: Array, root: Array) -> Array:
     """Root of ``P - P Lambda P`` with ``P = L L^T``, ``Lambda = root root^T``."""
     U, s, _ = np.linalg.svd(L.T @ root, full_matrices=True)
     left = np.ones(len(U))
@@ -124,9 +125,9 @@ def left_over(L: NDArray, root: NDArray) -> NDArray[np.float64]:
     return L @ (U * left)
 
 
-def back(told: NDArray, root: NDArray, said: Innovation, H: NDArray, F: NDArray) -> tuple[NDArray, NDArray]:
+def back(told: Array, root: Array, said: Innovation, H: Array, F: Array) -> tuple[Array, Array]:
     """What a sample and all later ones tell the one before it: H of its channels, F that led to it."""
-    white_H, white = forward(said.root, H), forward(said.root, said.e[said.present])
+    white_H, white = solve_lower(said.root, H), solve_lower(said.root, said.e[said.present])
     told = F.T @ (told - white_H.T @ (said.gain.T @ told) - white_H.T @ white)
     return told, lower(F.T @ white_H.T, F.T @ (root - white_H.T @ (said.gain.T @ root)))
 
@@ -149,7 +150,7 @@ def _empty(filtered: Filtered) -> Smoothed:
     return Smoothed(np.empty((N, p)), np.empty((N, p)), np.empty((N, filtered.model.n)))
 
 
-def _read(Cp: NDArray, x: NDArray, L: NDArray) -> tuple[NDArray, NDArray]:
+def _read(Cp: Array, x: Array, L: Array) -> tuple[Array, Array]:
     return Cp @ x, np.linalg.norm(Cp @ L, axis=1)
 
 
@@ -172,9 +173,9 @@ class FixedLag:
         Covariance of the load that many samples ago with the state now, both as estimated now.
     """
 
-    taps: NDArray[np.float64]
-    std: NDArray[np.float64]
-    cross: NDArray[np.float64]
+    taps: Array
+    std: Array
+    cross: Array
 
     @property
     def lag(self) -> int:
@@ -185,7 +186,7 @@ class FixedLag:
         """The smallest lag at which every std is within a share of that at the longest."""
         return int(np.argmax(np.all(self.std <= (1 + share) * self.std[-1], axis=1)))
 
-    def apply(self, load: ArrayLike, e: ArrayLike) -> tuple[NDArray, NDArray]:
+    def apply(self, load: ArrayLike, e: ArrayLike) -> tuple[Array, Array]:
         """Loads and stds (samples, p) of a steady stretch with all that is known at its end, at most `lag` later.
 
         Parameters
@@ -202,7 +203,7 @@ class FixedLag:
         return load, self.std[np.minimum(np.arange(N)[::-1], self.lag)]
 
 
-def fixed_lag(steady: Steady, lag: int) -> FixedLag:
+def fixed_lag(steady: SteadyFilter, lag: int) -> FixedLag:
     """Fixed-lag smoother of a steady filter.
 
     Raises
@@ -213,7 +214,7 @@ def fixed_lag(steady: Steady, lag: int) -> FixedLag:
     return phased([steady], 0, lag)
 
 
-def phased(phases: Sequence[Steady], start: int, lag: int) -> FixedLag:
+def phased(phases: Sequence[SteadyFilter], start: int, lag: int) -> FixedLag:
     """As `fixed_lag`, of the samples of one phase of a periodic filter."""
     if lag != int(lag) or lag < 0:
         raise InputError("a lag counts samples", where="lag", found=lag, expected="0, 1, 2, ...")
@@ -224,8 +225,8 @@ def phased(phases: Sequence[Steady], start: int, lag: int) -> FixedLag:
     for j in range(1, lag + 1):
         later = phases[(start + j) % len(phases)]
         W = W @ now.part.F.T
-        said = W @ forward(later.Se_root, later.part.H).T
-        taps[j - 1][:, later.part.mask] = backward(later.Se_root, said.T).T
+        said = W @ solve_lower(later.Se_root, later.part.H).T
+        taps[j - 1][:, later.part.mask] = solve_lower_transposed(later.Se_root, said.T).T
         variance = np.maximum(variance - np.sum(said**2, axis=1), 0.0)
         W, now = W - (W @ later.part.H.T) @ later.K.T, later
         std.append(np.sqrt(variance))
@@ -251,7 +252,7 @@ class LagLine:
         self.lag, self.std, self.count = lag, fixed.std[-1].copy(), 0
         self.std.setflags(write=False)  # one array for all samples
 
-    def push(self, load: NDArray, e: NDArray) -> NDArray[np.float64] | None:
+    def push(self, load: Array, e: Array) -> Array | None:
         """The load (p,) `lag` samples ago; None until so many have come. Load and innovation are those of now."""
         lag, m = self.lag, self._m
         i = self.count % lag
@@ -266,7 +267,7 @@ class LagLine:
         self.count += 1
         return late
 
-    def block(self, load: NDArray, e: NDArray) -> NDArray[np.float64]:
+    def block(self, load: Array, e: Array) -> Array:
         """As `push` for samples (samples, p), (samples, m): the loads that have become due (due, p)."""
         old, told = self.last()
         loads, es = np.concatenate([old, load]), np.concatenate([told, e])
@@ -281,12 +282,12 @@ class LagLine:
         self.count += len(load)
         return late
 
-    def last(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def last(self) -> tuple[Array, Array]:
         """The last loads and innovations, at most `lag`, oldest first: what a checkpoint and `resumed` need."""
         order = np.arange(max(self.count - self.lag, 0), self.count) % self.lag
         return self._load[order], self._e.reshape(2 * self.lag, self._m)[order]
 
-    def _put(self, at: int, load: NDArray, e: NDArray) -> None:
+    def _put(self, at: int, load: Array, e: Array) -> None:
         i = at % self.lag
         self._load[i] = load
         self._e.reshape(2, self.lag, self._m)[:, i] = e
@@ -306,18 +307,18 @@ class Delayed:
         Samples that are kept at most.
     """
 
-    load: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    cross: NDArray[np.float64]
+    load: Array
+    variance: Array
+    cross: Array
     lag: int
 
     @property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Of each load (lag + 1, p)."""
         return np.sqrt(self.variance)
 
     def advance(
-        self, core: SquareRoot, before: State, state: State, said: Innovation, lag: int | None = None
+        self, core: SquareRoot, before: FilterState, state: FilterState, said: Innovation, lag: int | None = None
     ) -> Delayed:
         """One sample later: states of the filter before and after it, and what it said."""
         then = core.whole if core.model.S is None or before.y is None else core.seen(np.isfinite(before.y))
@@ -328,16 +329,16 @@ class Delayed:
         )  # fmt: skip
 
     def moved(
-        self, F: NDArray, H: NDArray, Se_root: NDArray, gain: NDArray, e: NDArray,
-        load: NDArray, variance: NDArray, cross: NDArray, lag: int,
+        self, F: Array, H: Array, Se_root: Array, gain: Array, e: Array,
+        load: Array, variance: Array, cross: Array, lag: int,
     ) -> Delayed:  # fmt: skip
         """One sample later, for the transition F into it, its channels (H, e, root of Se, ``P- H^T Se^-T/2``).
 
         Load (p,), variance (p,) and covariance with the state (p, n) are those of that sample.
         """
         ahead = self.cross @ F.T
-        news = ahead @ forward(Se_root, H).T
-        later = self.load + news @ forward(Se_root, e)
+        news = ahead @ solve_lower(Se_root, H).T
+        later = self.load + news @ solve_lower(Se_root, e)
         less = np.maximum(self.variance - np.sum(news**2, axis=2), 0.0)
         left, old = ahead - news @ gain.T, slice(0, lag)
         return Delayed(
@@ -346,7 +347,7 @@ class Delayed:
         )  # fmt: skip
 
 
-def delayed(core: SquareRoot, state: State, lag: int) -> Delayed:
+def delayed(core: SquareRoot, state: FilterState, lag: int) -> Delayed:
     """Start of the covariance form: nothing but the state of now."""
     root = core.model.Cp @ state.L
     load = (core.model.Cp @ state.x)[None]

@@ -24,12 +24,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 
-from ..compiled import Compiled
-from ..statespace import passes as blocks
-from .model import backward, forward, lower
+from . import passes as blocks
+from .compiled import Compiled
+from .roots import Array, lower, solve_lower, solve_lower_transposed
 from .smoothing import back, left_over
-from .squareroot import Filtered, Innovation, SquareRoot, State, checked
-from .steady import Steady
+from .squareroot import Filtered, FilterState, Innovation, SquareRoot, checked
+from .steady import SteadyFilter
 
 LARGE = 40_000  # entries of M from which BLAS is faster than the loop, call and all
 COLD = 10**8  # products from which the compiler is worth its load
@@ -42,7 +42,7 @@ class Loop:
     Parameters
     ----------
     rows : array, shape (p + m + n, n + m)
-        Loads, innovations and next prediction from ``[x-; y]`` (`Steady.rows`).
+        Loads, innovations and next prediction from ``[x-; y]`` (`SteadyFilter.rows`).
     p, m : int
         Loads and channels.
     x : array, shape (n,)
@@ -72,7 +72,7 @@ class Loop:
         "p",
     )
 
-    def __init__(self, rows: NDArray, p: int, m: int, x: ArrayLike, limit: NDArray | None = None) -> None:
+    def __init__(self, rows: Array, p: int, m: int, x: ArrayLike, limit: Array | None = None) -> None:
         from scipy.linalg.blas import dgemv
 
         n = rows.shape[1] - m
@@ -94,7 +94,7 @@ class Loop:
             self.compile()  # it is there
 
     @property
-    def x(self) -> NDArray[np.float64]:
+    def x(self) -> Array:
         """Prediction of the next sample (n,)."""
         return self._x.copy()
 
@@ -112,11 +112,11 @@ class Loop:
         self._fast[0](state, n, m, p)
 
     @property
-    def ahead(self) -> NDArray[np.float64]:
+    def ahead(self) -> Array:
         """The same, not copied: the next step overwrites it."""
         return self._x
 
-    def step(self, y: ArrayLike) -> NDArray[np.float64] | None:
+    def step(self, y: ArrayLike) -> Array | None:
         """Loads (p,) of the sample y (m,), or None where it was not taken; its innovation is then in `e`.
 
         Raises
@@ -133,7 +133,7 @@ class Loop:
             return self._load.copy() if self._fast[0](self._all, self.n, self.m, self.p) else None  # type: ignore[index]
         return self._load.copy() if self._numpy_step() else None
 
-    def block(self, Y: ArrayLike, load: NDArray, e: NDArray) -> int:
+    def block(self, Y: ArrayLike, load: Array, e: Array) -> int:
         """Fill loads (samples, p) and innovations (samples, m) of Y (samples, m) up to the first that is not taken.
 
         Parameters
@@ -192,7 +192,7 @@ class _Plain:
     adds one row after the other.
     """
 
-    def __init__(self, a: NDArray, n: int, m: int, p: int) -> None:
+    def __init__(self, a: Array, n: int, m: int, p: int) -> None:
         columns, rows = n + m, p + m + n
         ends = np.cumsum([m, columns, rows])
         self._limits, v, self._out, flat = np.split(a, ends)
@@ -226,7 +226,7 @@ def _width(y: ArrayLike, m: int) -> InputError:
 
 
 @Compiled
-def _step(a: NDArray, n: int, m: int, p: int) -> bool:
+def _step(a: Array, n: int, m: int, p: int) -> bool:
     """Overwrite out = M^T v; the prediction in v too where every innovation is within its limit.
 
     `a` holds the limits (m), v (n + m), out (p + m + n) and M (n + m, p + m + n) one after the other.
@@ -256,7 +256,7 @@ def _step(a: NDArray, n: int, m: int, p: int) -> bool:
 
 
 @Compiled
-def _block(a: NDArray, n: int, m: int, p: int, Y: NDArray, load: NDArray, e: NDArray) -> int:
+def _block(a: Array, n: int, m: int, p: int, Y: Array, load: Array, e: Array) -> int:
     """Samples taken before the first that is not."""
     y, out = a[m + n : m + n + m], a[m + n + m : m + n + m + p + m]
     for k in range(Y.shape[0]):
@@ -269,7 +269,7 @@ def _block(a: NDArray, n: int, m: int, p: int, Y: NDArray, load: NDArray, e: NDA
             return k
         for i in range(p):
             load[k, i] = out[i]
-    return Y.shape[0]
+    return int(Y.shape[0])
 
 
 NEAR = 1e-10  # of the variances: where gains count as steady
@@ -285,9 +285,9 @@ class Section:
     """Samples from `first` on: walked (state and innovation of each), or settled (innovations, shape (samples, m))."""
 
     first: int
-    states: list[State]
+    states: list[FilterState]
     said: list[Innovation]
-    e: NDArray[np.float64] | None = None
+    e: Array | None = None
 
     @property
     def count(self) -> int:
@@ -301,19 +301,19 @@ class Sectioned:
 
     filtered: Filtered
     sections: tuple[Section, ...]
-    steady: Steady
+    steady: SteadyFilter
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothedRecord:
     """Loads with all data: load, std (samples, p); what they leave of the data (samples, m), NaN where missing."""
 
-    load: NDArray[np.float64]
-    std: NDArray[np.float64]
-    residual: NDArray[np.float64]
+    load: Array
+    std: Array
+    residual: Array
 
 
-def filter_settling(steady: Steady, Y: ArrayLike, *, progress: Progress = None) -> Sectioned:
+def filter_settling(steady: SteadyFilter, Y: ArrayLike, *, progress: Progress = None) -> Sectioned:
     """Filter a record Y (samples, m), NaN where a channel is missing; as `squareroot.filter`, mostly faster.
 
     Raises
@@ -337,7 +337,7 @@ def filter_settling(steady: Steady, Y: ArrayLike, *, progress: Progress = None) 
             x = steady.part.moved(state.x, state.y)
             section, x = _settled(steady, out, k, stop, x, progress)
             sections.append(section)
-            k, state, predicted = stop, State(x, ahead), True
+            k, state, predicted = stop, FilterState(x, ahead), True
             walked = Section(k, [], [])
             continue
         state, said = core.update(state, Y[k]) if predicted else core.advance(state, Y[k])
@@ -378,15 +378,15 @@ def smooth_settling(record: Sectioned, *, progress: Progress = None) -> Smoothed
     return SmoothedRecord(load, std, rest)
 
 
-def _complete_until(Y: NDArray) -> NDArray[np.int_]:
+def _complete_until(Y: Array) -> NDArray[np.int_]:
     """For each sample, the first sample from it on that lacks a channel (samples,)."""
     lacking = np.append(np.flatnonzero(~np.isfinite(Y).all(axis=1)), len(Y))
     return lacking[np.searchsorted(lacking, np.arange(len(Y)))]
 
 
 def _settled(
-    steady: Steady, out: Filtered, first: int, stop: int, x: NDArray, progress: Progress
-) -> tuple[Section, NDArray]:
+    steady: SteadyFilter, out: Filtered, first: int, stop: int, x: Array, progress: Progress
+) -> tuple[Section, Array]:
     """Fill the samples of a stretch; its section, and the prediction of the sample after it."""
     model, part = steady.model, slice(first, stop)
     loop = Loop(steady.rows(), model.p, model.m, x)
@@ -401,25 +401,27 @@ def _settled(
     return Section(first, [], [], e), loop.x
 
 
-def back_mean(steady: Steady, e: NDArray, told: NDArray, change: NDArray, rest: NDArray) -> NDArray[np.float64]:
+def back_mean(steady: SteadyFilter, e: Array, told: Array, change: Array, rest: Array) -> Array:
     """Fill the change of the loads of a stretch and its residuals; what it and later samples tell the one before.
 
     With lambda from the later samples, ``y - H x_s = R (Se^-1 e + K^T lambda)``, as ``H P = R K^T``.
     """
     part = steady.part
     R, over = part.LR @ part.LR.T, steady.model.Cp @ steady.L @ steady.L.T
-    news, direct = (backward(steady.Se_root, forward(steady.Se_root, X)).T for X in (part.H @ part.F, R))
+    news, direct = (
+        solve_lower_transposed(steady.Se_root, solve_lower(steady.Se_root, X)).T for X in (part.H @ part.F, R)
+    )
     system = blocks.Filter(
         steady.A.T, -news, np.vstack([over, R @ steady.K.T]), np.vstack([np.zeros((len(over), len(R))), direct])
     )
     return blocks.run_blocks(system, told, [e], [change, rest], backwards=True)
 
 
-def _back_std(steady: Steady, count: int, root: NDArray) -> tuple[NDArray, NDArray]:
+def _back_std(steady: SteadyFilter, count: int, root: Array) -> tuple[Array, Array]:
     """Stds of the smoothed loads of a stretch, and the root of what it and all later samples tell."""
     own = steady.model.Cp @ steady.L
     over, variance = own @ steady.L.T, np.sum(own**2, axis=1)
-    news = (forward(steady.Se_root, steady.part.H) @ steady.part.F).T
+    news = (solve_lower(steady.Se_root, steady.part.H) @ steady.part.F).T
     std, size = np.empty((count, len(own))), np.sum(root**2, axis=1)
     for k in range(count - 1, -1, -1):
         std[k] = np.sqrt(np.maximum(variance - np.sum((over @ root) ** 2, axis=1), 0.0))

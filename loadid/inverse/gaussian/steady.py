@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, NotIdentifiable, reals
 
-from .model import FilterModel, Present, Riccati, backward, fixed_point, forward
+from .model import FilterModel, Present
+from .roots import Array, Riccati, fixed_point, solve_lower, solve_lower_transposed
 from .squareroot import LOG2PI, SquareRoot
 
 POLISH = 6  # samples of QR after the doubling: the gains are theirs
@@ -22,7 +23,7 @@ ADVICE = (
 
 
 @dataclass(frozen=True, eq=False)
-class Steady:
+class SteadyFilter:
     """Gain of a filter that has settled: ``x_k = A x_{k-1} + K y_k (+ A_T y_{k-1})`` with ``A = (I - K H) F``.
 
     Parameters
@@ -48,39 +49,39 @@ class Steady:
 
     model: FilterModel
     part: Present
-    K: NDArray[np.float64]
-    A: NDArray[np.float64]
-    L: NDArray[np.float64]
-    Se_root: NDArray[np.float64]
-    std: NDArray[np.float64]
+    K: Array
+    A: Array
+    L: Array
+    Se_root: Array
+    std: Array
     radius: float
     time_constant: float
     iterations: int
     residual: float
 
     @property
-    def gain(self) -> NDArray[np.float64]:
+    def gain(self) -> Array:
         """``[(I - K H) F, K]``, shape (n, n + m): a sample without correlated noise is one product."""
-        return np.hstack([self.A, self.K])
+        return np.asarray(np.hstack([self.A, self.K]))
 
     @property
-    def innovation_std(self) -> NDArray[np.float64]:
+    def innovation_std(self) -> Array:
         """Std of the innovation of each channel (m,)."""
-        return np.linalg.norm(self.Se_root, axis=1)
+        return np.asarray(np.linalg.norm(self.Se_root, axis=1))
 
-    def judged(self, e: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def judged(self, e: Array) -> tuple[Array, Array]:
         """Normalised square and log density of each innovation (samples, m)."""
-        nis = np.sum(forward(self.Se_root, e.T) ** 2, axis=0)
+        nis = np.sum(solve_lower(self.Se_root, e.T) ** 2, axis=0)
         spread = 2 * float(np.sum(np.log(np.abs(np.diag(self.Se_root)))))
         return nis, -0.5 * (nis + e.shape[1] * LOG2PI + spread)
 
-    def distance(self, L: NDArray) -> float:
+    def distance(self, L: Array) -> float:
         """Largest relative deviation of the variances of a filtered covariance L L^T from the steady ones."""
         settled = np.sum(self.L**2, axis=1)
         at = settled > 0
         return float(np.max(np.abs(np.sum(L[at] ** 2, axis=1) / settled[at] - 1), initial=0.0))
 
-    def rows(self) -> NDArray[np.float64]:
+    def rows(self) -> Array:
         """Loads, innovations and next prediction from ``[x-; y]``, shape (p + m + n, n + m): see `loops.Loop`."""
         n, m, F, H, Cp = self.model.n, len(self.part.H), self.part.F, self.part.H, self.model.Cp
         update = np.hstack([np.eye(n) - self.K @ H, self.K])
@@ -90,7 +91,7 @@ class Steady:
         return np.vstack([Cp @ update, np.hstack([-H, np.eye(m)]), ahead])
 
 
-def steady(model: FilterModel, dt: float = 1.0) -> Steady:
+def steady(model: FilterModel, dt: float = 1.0) -> SteadyFilter:
     """Steady gain of a model with all its channels.
 
     Doubling of the Riccati map in root form, then a few samples of the square-root filter, from which the gains come.
@@ -125,17 +126,17 @@ def steady(model: FilterModel, dt: float = 1.0) -> Steady:
 
 
 def finished(
-    model: FilterModel, part: Present, Se: NDArray, gain: NDArray, L: NDArray, dt: float, count: int, residual: float
-) -> Steady:
+    model: FilterModel, part: Present, Se: Array, gain: Array, L: Array, dt: float, count: int, residual: float
+) -> SteadyFilter:
     """Steady filter from the roots of its covariances; refused where the error of the loop does not die."""
-    K = backward(Se, gain.T).T  # Se_root^-T on the right of P H^T Se^-T/2
+    K = solve_lower_transposed(Se, gain.T).T  # Se_root^-T on the right of P H^T Se^-T/2
     A = part.F - K @ (part.H @ part.F)
     radius = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
     if not radius < 1 - RADIUS:
         raise refused(f"the error of the steady filter does not die: its largest eigenvalue is {radius:.9f}")
     constant = float(-dt / np.log(radius)) if radius > 0 else 0.0
     std = np.linalg.norm(model.Cp @ L, axis=1)
-    return Steady(model, part, K, A, L, Se, std, radius, constant, count, residual)
+    return SteadyFilter(model, part, K, A, L, Se, std, radius, constant, count, residual)
 
 
 def sample_map(part: Present) -> Riccati:
@@ -149,7 +150,7 @@ def sample_map(part: Present) -> Riccati:
     if not np.all(np.diag(part.LR)):
         raise InputError("a steady gain needs noise on every channel", where="FilterModel.LR",
                          found="a singular root", expected="a positive definite covariance of the noise")  # fmt: skip
-    return Riccati(part.F, part.LQ, forward(part.LR, part.H).T)
+    return Riccati(part.F, part.LQ, solve_lower(part.LR, part.H).T)
 
 
 def refused(what: str) -> NotIdentifiable:
@@ -157,7 +158,7 @@ def refused(what: str) -> NotIdentifiable:
     return NotIdentifiable(what, advice=ADVICE, code="LID-E501")
 
 
-def distance(now: NDArray, before: NDArray) -> float:
+def distance(now: Array, before: Array) -> float:
     """Largest change of a covariance in units of its variances."""
     std = np.linalg.norm(now, axis=1)
     std[std == 0] = 1.0
@@ -165,7 +166,7 @@ def distance(now: NDArray, before: NDArray) -> float:
     return float(np.max(np.abs(a @ a.T - b @ b.T), initial=0.0))
 
 
-def combined_std(settled: Steady, weights: ArrayLike) -> NDArray[np.float64]:
+def combined_std(settled: SteadyFilter, weights: ArrayLike) -> Array:
     """Std of weighted sums of the loads at the settled gain.
 
     The loads of one sample are correlated: neighbouring places share what a sensor says of both, and the errors of such
@@ -173,7 +174,7 @@ def combined_std(settled: Steady, weights: ArrayLike) -> NDArray[np.float64]:
 
     Parameters
     ----------
-    settled : Steady
+    settled : SteadyFilter
         Of a fitted tracker (``tracker.fitted.settled``).
     weights : array (sums, loads), or (loads,)
         ``[1, 1, ...]`` for the total; the lever arms for a moment.

@@ -17,7 +17,8 @@ from types import FunctionType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from .roots import Array
 
 log = logging.getLogger(__name__)
 
@@ -84,7 +85,7 @@ def _warn_of_no_cache() -> None:
 
 
 @Compiled
-def multiply(A: NDArray, B: NDArray, out: NDArray) -> None:
+def multiply(A: Array, B: Array, out: Array) -> None:
     """Put A B into `out`."""
     for i in range(A.shape[0]):
         for j in range(B.shape[1]):
@@ -97,7 +98,7 @@ def multiply(A: NDArray, B: NDArray, out: NDArray) -> None:
 
 
 @Compiled
-def multiply_by_transposed(A: NDArray, B: NDArray, out: NDArray) -> None:
+def multiply_by_transposed(A: Array, B: Array, out: Array) -> None:
     """Put A B^T into `out`."""
     for i in range(A.shape[0]):
         for j in range(B.shape[0]):
@@ -108,7 +109,7 @@ def multiply_by_transposed(A: NDArray, B: NDArray, out: NDArray) -> None:
 
 
 @Compiled
-def solve_upper(R: NDArray, B: NDArray, out: NDArray) -> None:
+def solve_upper(R: Array, B: Array, out: Array) -> None:
     """Put R^-1 B into `out`, R upper triangular."""
     p = R.shape[0]
     for i in range(p - 1, -1, -1):
@@ -129,7 +130,7 @@ NEVER = 1 << 62
 
 
 @Compiled
-def decay(M: NDArray, a: NDArray, b: NDArray) -> float:
+def decay(M: Array, a: Array, b: Array) -> float:
     """Decay per sample, -ln of the spectral radius of M; two matrices to work in.
 
     From norms of M^k and M^2k, whose ratio is rho^k however far M is from normal.
@@ -149,7 +150,7 @@ def decay(M: NDArray, a: NDArray, b: NDArray) -> float:
     size = np.abs(a).max()
     if size == 0.0:
         return np.inf
-    return -(log + np.log(size) - before) / (1 << (SQUARINGS - 1))
+    return float(-(log + np.log(size) - before) / (1 << (SQUARINGS - 1)))
 
 
 @Compiled

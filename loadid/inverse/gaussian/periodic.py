@@ -10,42 +10,43 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError
 
-from .model import FilterModel, backward, fixed_point, joined_maps
+from .model import FilterModel
+from .roots import Array, fixed_point, joined_maps, solve_lower_transposed
 from .settled import Loop
 from .squareroot import SquareRoot
-from .steady import RADIUS, RESIDUAL, Steady, distance, refused, sample_map
+from .steady import RADIUS, RESIDUAL, SteadyFilter, distance, refused, sample_map
 
 
 @dataclass(frozen=True, eq=False)
-class Periodic:
+class PeriodicFilter:
     """Steady filters of the phases of a period.
 
     Parameters
     ----------
-    phases : tuple of Steady
-        Gains (n, channels of the phase), roots and stds; `Steady.A` leads from the phase before.
+    phases : tuple of SteadyFilter
+        Gains (n, channels of the phase), roots and stds; `SteadyFilter.A` leads from the phase before.
     radius, time_constant : float
         Of the closed loop, per sample, and in units of `dt`.
     residual : float
         Largest relative change of a covariance from one period to the next.
     """
 
-    phases: tuple[Steady, ...]
+    phases: tuple[SteadyFilter, ...]
     radius: float
     time_constant: float
     residual: float
 
     @property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Of the loads in each phase (phases, p)."""
         return np.array([phase.std for phase in self.phases])
 
 
-def periodic(model: FilterModel, masks: ArrayLike, dt: float = 1.0) -> Periodic:
+def periodic(model: FilterModel, masks: ArrayLike, dt: float = 1.0) -> PeriodicFilter:
     """Steady filters of channels that come and go with a period.
 
     Parameters
@@ -75,7 +76,7 @@ def periodic(model: FilterModel, masks: ArrayLike, dt: float = 1.0) -> Periodic:
     steps, residual = _walked(core, masks, core.update_root(parts[0], L))
     if residual > RESIDUAL:
         raise refused(f"the gains do not repeat: relative change {residual:.1g} from one period to the next")
-    gains = [backward(Se, gain.T).T for Se, gain, _ in steps]
+    gains = [solve_lower_transposed(Se, gain.T).T for Se, gain, _ in steps]
     ahead = [parts[t - 1].F for t in range(T)]
     loops = [F - K @ (part.H @ F) for F, K, part in zip(ahead, gains, parts, strict=True)]
     radius = _radius(loops)
@@ -83,10 +84,12 @@ def periodic(model: FilterModel, masks: ArrayLike, dt: float = 1.0) -> Periodic:
         raise refused(f"the error of the periodic filter does not die: {radius:.9f} a sample")
     constant = float(-dt / np.log(radius)) if radius > 0 else 0.0
     phases = tuple(
-        Steady(model, part, K, A, root, Se, np.linalg.norm(model.Cp @ root, axis=1), radius, constant, count, residual)
+        SteadyFilter(
+            model, part, K, A, root, Se, np.linalg.norm(model.Cp @ root, axis=1), radius, constant, count, residual
+        )
         for part, K, A, (Se, _, root) in zip(parts, gains, loops, steps, strict=True)
     )
-    return Periodic(phases, radius, constant, residual)
+    return PeriodicFilter(phases, radius, constant, residual)
 
 
 class PeriodicLoop:
@@ -94,7 +97,7 @@ class PeriodicLoop:
 
     Parameters
     ----------
-    filters : Periodic
+    filters : PeriodicFilter
     x : array, shape (n,)
         Prediction of the first sample.
     phase : int
@@ -103,7 +106,7 @@ class PeriodicLoop:
         Innovations, in units of their std, beyond which a sample is not taken.
     """
 
-    def __init__(self, filters: Periodic, x: ArrayLike, phase: int = 0, sigmas: ArrayLike = np.inf) -> None:
+    def __init__(self, filters: PeriodicFilter, x: ArrayLike, phase: int = 0, sigmas: ArrayLike = np.inf) -> None:
         self.phase, self.std = phase, filters.std
         self.masks = np.array([f.part.mask for f in filters.phases])
         self._x = np.array(x, float)
@@ -113,11 +116,11 @@ class PeriodicLoop:
             self._spread[t, self.masks[t]] = f.innovation_std
 
     @property
-    def x(self) -> NDArray[np.float64]:
+    def x(self) -> Array:
         """Prediction of the next sample (n,)."""
         return self._x.copy()
 
-    def step(self, y: NDArray) -> NDArray[np.float64] | None:
+    def step(self, y: Array) -> Array | None:
         """Loads (p,) of the sample y (m,), or None where it was not taken: another mask than its phase has too.
 
         The std is that of the phase before the step, ``std[phase]``.
@@ -125,7 +128,7 @@ class PeriodicLoop:
         load, e = np.empty((1, self.std.shape[1])), np.empty((1, len(y)))
         return load[0] if self.block(np.asarray(y, float)[None], load, e) else None
 
-    def block(self, Y: NDArray, load: NDArray, e: NDArray) -> int:
+    def block(self, Y: Array, load: Array, e: Array) -> int:
         """Fill loads (samples, p) and normalised innovations (samples, m) up to the first sample that is not taken.
 
         Returns
@@ -153,7 +156,7 @@ class PeriodicLoop:
         return taken
 
 
-def _padded(f: Steady, sigmas: ArrayLike) -> Loop:
+def _padded(f: SteadyFilter, sigmas: ArrayLike) -> Loop:
     """Loop of a phase with all channels, those that it has not with zeros."""
     mask, n, p = f.part.mask, f.model.n, f.model.p
     m = len(mask)
@@ -165,10 +168,10 @@ def _padded(f: Steady, sigmas: ArrayLike) -> Loop:
     return Loop(rows, p, m, np.zeros(n), limit)
 
 
-Step = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+Step = tuple[Array, Array, Array]
 
 
-def _walked(core: SquareRoot, masks: NDArray, L: NDArray) -> tuple[list[Step], float]:
+def _walked(core: SquareRoot, masks: Array, L: Array) -> tuple[list[Step], float]:
     """Roots and gains of every phase from the root of the first; the largest change in the period after."""
     T, steps = len(masks), []
     for t in range(1, 2 * T + 1):
@@ -179,8 +182,8 @@ def _walked(core: SquareRoot, masks: NDArray, L: NDArray) -> tuple[list[Step], f
     return [steps[2 * T - 1], *steps[T : 2 * T - 1]], residual
 
 
-def _radius(loops: list[NDArray]) -> float:
+def _radius(loops: list[Array]) -> float:
     """Radius of the closed loop over a period, a sample's share."""
     whole = reduce(lambda before, A: A @ before, loops)
     largest = float(np.max(np.abs(np.linalg.eigvals(whole)), initial=0.0))
-    return largest ** (1 / len(loops))
+    return float(largest ** (1 / len(loops)))

@@ -1,0 +1,1 @@
+"""Linear-Gaussian systems: exact Tikhonov over whole records in O(N), filters and smoothers of loads with priors."""
