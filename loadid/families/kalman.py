@@ -16,10 +16,10 @@ from structures.models.statespace import StateSpace
 
 from .. import guards
 from ..guards import tracking as told
+from ..inverse.gaussian.lag import fixed_lag
 from ..inverse.gaussian.model import words as near_rest_in_words
 from ..inverse.gaussian.observe import Observability, observability
 from ..inverse.gaussian.priors import OU, Matern32, Matern52
-from ..inverse.gaussian.smoothing import fixed_lag
 from ..inverse.gaussian.steady import SteadyFilter, steady
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..record import Record

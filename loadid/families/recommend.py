@@ -103,14 +103,14 @@ def of_sparse(score: float, problem: Problem, samples: int) -> float:
 
 
 def _criterion(tracker: Tracker, Y: NDArray) -> float:
-    from ..inverse.gaussian.settled import filter_settling
+    from ..inverse.gaussian.records import filter_record
 
     settled = tracker.fitted.settled
     if settled is None:
         raise InputError("a filter that never settles has no evidence", where="recommend", found="a drift",
                          expected="a settled gain")  # fmt: skip
     tuned = len([name for name in tracker.fitted.numbers if name != "log-likelihood"])
-    density = float(np.sum(filter_settling(settled, Y).filtered.loglik))
+    density = float(np.sum(filter_record(settled.model, Y, settled).loglik))
     return -2 * density + tuned * float(np.log(np.isfinite(Y).sum()))
 
 

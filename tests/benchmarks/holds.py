@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid.inverse.gaussian.augment import augment
+from loadid.inverse.gaussian.loop import Loop
 from loadid.inverse.gaussian.priors import Matern32
-from loadid.inverse.gaussian.settled import Loop
 from loadid.inverse.gaussian.steady import steady
 from structures import ForwardModel
 from structures.elements import chains

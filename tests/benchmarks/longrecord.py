@@ -26,7 +26,7 @@ from loadid.inverse.gaussian.coarse import confirm, windows_of
 from loadid.inverse.gaussian.gains import gains
 from loadid.inverse.gaussian.passes import Solved, solve
 from loadid.inverse.gaussian.path import StateSpacePath
-from loadid.inverse.gaussian.posterior import spread
+from loadid.inverse.gaussian.posterior import variances
 from loadid.inverse.gaussian.record import Augmented, augment, record
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
@@ -114,7 +114,7 @@ def with_spread(c: Case) -> tuple[Solved, NDArray]:
     """Solution and std of every sample at one lambda."""
     own = record(c.augmented, c.y / c.sigma)
     held = gains(own, c.lam)
-    return solve(own, held), np.sqrt(spread(own, held).variance)  # type: ignore[arg-type]
+    return solve(own, held), np.sqrt(variances(own, held).variance)  # type: ignore[arg-type]
 
 
 def job(c: Case, rules: Iterable[str] = ("discrepancy", "robust_gcv")) -> dict[str, object]:

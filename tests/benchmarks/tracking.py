@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from loadid import LoadTracker, NotIdentifiable
 from loadid.families.tracking.tracker import Tracker
 from loadid.inverse.gaussian.augment import Ambient, augment
+from loadid.inverse.gaussian.loop import Loop
 from loadid.inverse.gaussian.model import FilterModel
 from loadid.inverse.gaussian.priors import OU, RandomWalk, White
-from loadid.inverse.gaussian.settled import Loop
-from loadid.inverse.gaussian.squareroot import filter as recursive
+from loadid.inverse.gaussian.records import filter_record as recursive
 from loadid.inverse.gaussian.steady import steady
 from structures import ForwardModel, StateSpace
 from structures.elements import beams, chains

@@ -13,8 +13,8 @@ from loadid.families.tracking.fit import TrackerFit
 from loadid.families.tracking.likelihood import Listener, Patchy
 from loadid.families.tracking.tracker import Tracker
 from loadid.inverse.gaussian import priors
+from loadid.inverse.gaussian.records import filter_record as recursive
 from loadid.inverse.gaussian.squareroot import SquareRoot
-from loadid.inverse.gaussian.squareroot import filter as recursive
 from tests.tracked import Tracked, bm2
 
 DISP = 3

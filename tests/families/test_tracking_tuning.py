@@ -11,8 +11,9 @@ from case_studies import method_map
 from loadid.families.tracking import likelihood as search
 from loadid.families.tracking import tuning
 from loadid.families.tracking.filters import NAMES, Posing
-from loadid.families.tracking.tuning import left, wrong_samples
+from loadid.families.tracking.tuning import wrong_samples
 from loadid.inverse.gaussian.priors import Matern32
+from loadid.inverse.gaussian.records import filter_record, smooth_record, smooth_settled
 from loadid.inverse.gaussian.steady import steady
 from tests.families.test_tracking import building
 from tests.tracked import Tracked, bm2
@@ -101,7 +102,6 @@ def test_wrong_samples_leave_the_numbers_as_they_are(kind):
 
 def test_the_others_stand_in_for_a_wrong_sample():
     """What replaces it does not depend on how wrong it was, and is what a filter says that never saw it."""
-    from loadid.inverse.gaussian.settled import filter_settling, smooth_settling
 
     c = case(samples=600)
     settled = steady(posing(c).filter(c.setup.space(), [Matern32(100.0, 0.08)]))
@@ -116,10 +116,10 @@ def test_the_others_stand_in_for_a_wrong_sample():
     assert made[0] == pytest.approx(made[1], abs=1e-3 * c.noise[3])
     hole = c.y.copy()
     hole[at] = np.nan
-    load = smooth_settling(filter_settling(settled, hole)).load
+    load = smooth_record(filter_record(settled.model, hole, settled)).load
     filled = np.where(found.mask, made[0], c.y)
-    assert smooth_settling(filter_settling(settled, filled)).load == pytest.approx(load, abs=1e-3)
-    assert np.abs(left(settled, filled)[0][at]) < 1e-4 * c.noise[3]
+    assert smooth_record(filter_record(settled.model, filled, settled)).load == pytest.approx(load, abs=1e-3)
+    assert np.abs(smooth_settled(settled, filled)[1][at]) < 1e-4 * c.noise[3]
 
 
 @pytest.mark.parametrize("seed", [0, 2])

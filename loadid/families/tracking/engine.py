@@ -1,6 +1,6 @@
 """The filter online: a settled gain while all is well, the square-root recursion elsewhere; loads that come late.
 
-While the gain is settled a load is a short filter over later innovations (`loadid.inverse.gaussian.smoothing.LagLine`);
+While the gain is settled a load is a short filter over later innovations (`loadid.inverse.gaussian.lag.LagLine`);
 around everything else, and for as many samples after it as the answers are late, the covariance of the last loads with
 the state goes on sample by sample (`Delayed`). Where two filters are in doubt, each has its own line.
 """
@@ -14,11 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, reals
 
+from ...inverse.gaussian.lag import Delayed, FixedLag, LagLine, delayed, resumed
+from ...inverse.gaussian.loop import Loop, PeriodicLoop
 from ...inverse.gaussian.model import FilterModel
-from ...inverse.gaussian.periodic import PeriodicLoop
 from ...inverse.gaussian.roots import Array
-from ...inverse.gaussian.settled import Loop
-from ...inverse.gaussian.smoothing import Delayed, FixedLag, LagLine, delayed, resumed
 from ...inverse.gaussian.squareroot import FilterState, Innovation, SquareRoot
 from ...inverse.gaussian.steady import SteadyFilter
 from .gate import recent

@@ -1,7 +1,7 @@
 """Likelihood of records whose channels come and go, at several rates, and its maximum by scoring.
 
 A channel that is sampled every tenth time is missing in nine of ten samples. Where the sets of channels of the last
-samples repeat with a period, the gains do too (`loadid.inverse.gaussian.periodic`): they are solved for once, and from
+samples repeat with a period, the gains do too (`loadid.inverse.gaussian.steady`): they are solved for once, and from
 there on a sample is one product again.
 
 The innovations e of a steady filter are white with covariance S. Their information of the numbers is
@@ -11,7 +11,7 @@ everywhere; what it shares with the numbers is taken out of their information.
 
 Source: N. K. Gupta, R. K. Mehra, IEEE Trans. Automat. Control 19 (1974) 774-783 (scoring for innovations).
 
-Sets of channels that repeat have gains that repeat (`loadid.inverse.gaussian.periodic`), and an evaluation costs one
+Sets of channels that repeat have gains that repeat (`loadid.inverse.gaussian.steady`), and an evaluation costs one
 product a sample; any others take the square-root filter, a factorisation a sample.
 """
 
@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError, NotIdentifiable
 
+from ...inverse.gaussian.loop import PeriodicLoop
 from ...inverse.gaussian.model import FilterModel
-from ...inverse.gaussian.periodic import PeriodicLoop, periodic
 from ...inverse.gaussian.roots import Array, solve_lower
 from ...inverse.gaussian.squareroot import FilterState, SquareRoot
-from ...inverse.gaussian.steady import SteadyFilter
+from ...inverse.gaussian.steady import SteadyFilter, periodic
 
 LONGEST = 128  # samples of a period
 REPEATED = 2  # periods that show one
@@ -258,8 +258,6 @@ def _step(slope: Array, known: Array, free: NDArray[np.bool_], damping: float) -
 
 def _expanded(at: Callable[[Array], LikelihoodPoint | None], best: LikelihoodPoint, high: Array) -> tuple[Array, Array]:
     """Slope of the cost and information of the numbers at a point; zero where a number cannot be moved."""
-    from ...inverse.gaussian.roots import solve_lower
-
     count, samples = len(best.x), len(best.e)
     slope, nudges, news, roots = np.zeros(count), np.zeros(count), [], []
     for i in range(count):

@@ -17,8 +17,8 @@ from structures.errors import InputError, plain, reals
 from structures.flags import Flag
 
 from ...guards.tracking import beyond_the_fit, kept_out, moved_off
+from ...inverse.gaussian.lag import fixed_lag
 from ...inverse.gaussian.roots import Array
-from ...inverse.gaussian.smoothing import fixed_lag
 from ...inverse.gaussian.steady import SteadyFilter
 from .engine import Engine, Late
 from .fit import TrackerFit

@@ -19,7 +19,8 @@ import numpy as np
 from structures.errors import InputError, NotIdentifiable, positive
 from structures.model import Model
 
-from ...inverse.gaussian.roots import Array
+from ...inverse.gaussian.records import run_settled
+from ...inverse.gaussian.roots import Array, solve_lower, solve_lower_transposed
 from ...inverse.gaussian.steady import SteadyFilter, steady
 from ...inverse.rules import curvature
 from ..data import gather
@@ -170,14 +171,8 @@ def q_sweep(
 
 def _judged(filtered: SteadyFilter, Y: Array) -> tuple[float, float, Array, float, float]:
     """Innovations and residuals over noise, steps of each load, NIS per channel, log-likelihood."""
-    from ...inverse.gaussian.roots import solve_lower, solve_lower_transposed
-    from ...inverse.gaussian.settled import Loop
-
     model, use = filtered.model, settled_samples(len(Y))
-    load, e = np.empty((len(Y), model.p)), np.empty(Y.shape)
-    loop = Loop(filtered.rows(), model.p, model.m, model.x0)
-    loop.compile()
-    loop.block(Y, load, e)
+    load, e = run_settled(filtered, Y)
     e, noise = e[use], np.linalg.norm(model.LR, axis=1)
     white = solve_lower(filtered.Se_root, e.T)
     left = model.LR @ (model.LR.T @ solve_lower_transposed(filtered.Se_root, white))  # R Se^-1 e

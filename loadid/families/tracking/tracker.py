@@ -16,7 +16,7 @@ from structures.errors import InputError
 from structures.files import storage
 from structures.flags import Flag
 
-from ...inverse.gaussian.roots import Array
+from ...inverse.gaussian.records import filter_record, smooth_record
 from ...results.estimate import LoadEstimate
 from . import fit as recipe
 from . import samples as blocks
@@ -117,33 +117,18 @@ class Tracker(Running):
         InputError
             As `track`; a record too long to keep its states.
         """
-        from ...inverse.gaussian.settled import filter_settling, smooth_settling
-
         Y, inputs = blocks.values(self.fitted, record, dt)
         Y = inside(Y, self.fitted.limits)
         told = progress or (lambda share, text: None)
-        settled, path = self.fitted.settled, "square-root filter and smoother"
-        if settled is None:
-            load, std, rest = self._kept(Y, told)
-        else:  # no states are kept where the gain is settled
-            found = smooth_settling(filter_settling(settled, Y, progress=lambda f, t: told(0.5 * f, t)),
-                                    progress=lambda f, t: told(0.5 + 0.5 * f, t))  # fmt: skip
-            load, std, rest = found.load, found.std, found.residual
-        return blocks.estimate(self.fitted, self.counts, load, std, Y, rest, inputs, 0, path, self.flags)
-
-    def _kept(self, Y: Array, told: Callable[[float, str], None]) -> tuple[Array, Array, Array]:
-        """Smoothed loads, std and residual by a filter that keeps the states of all samples."""
-        from ...inverse.gaussian.smoothing import smooth
-        from ...inverse.gaussian.squareroot import filter as filtered
-
-        model = self.fitted.model
-        if (size := 8 * len(Y) * model.n**2) > STATES:
+        model, settled, path = self.fitted.model, self.fitted.settled, "square-root filter and smoother"
+        if settled is None and (size := 8 * len(Y) * model.n**2) > STATES:
             raise InputError("the record is too long to keep its states", where="smooth",
                              found=f"{size / 2**30:.1f} GiB", expected=f"at most {STATES / 2**30:.0f} GiB",
                              hint="smooth it in parts")  # fmt: skip
-        kept = filtered(model, Y, keep=True, progress=lambda f, t: told(0.5 * f, t))
-        found = smooth(kept, progress=lambda f, t: told(0.5 + 0.5 * f, t))
-        return found.load, found.std, Y - found.x @ model.H.T
+        filtered = filter_record(model, Y, settled, progress=lambda f, t: told(0.5 * f, t))
+        found = smooth_record(filtered, progress=lambda f, t: told(0.5 + 0.5 * f, t))
+        return blocks.estimate(self.fitted, self.counts, found.load, found.std, Y, found.residual, inputs, 0, path,
+                               self.flags)  # fmt: skip
 
     # -- another model ----------------------------------------------------------------------------------------------
 

@@ -27,7 +27,8 @@ from structures.flags import Flag
 
 from ...guards.tracking import spoilt, undetermined
 from ...inverse.gaussian.model import FilterModel
-from ...inverse.gaussian.roots import Array
+from ...inverse.gaussian.records import run_settled, smooth_settled
+from ...inverse.gaussian.roots import Array, solve_lower
 from ...inverse.gaussian.steady import SteadyFilter, steady
 from ..data import Data
 from .filters import Named, Posing, rescaled
@@ -72,7 +73,7 @@ def wrong_samples(settled: SteadyFilter, Y: Array) -> Outliers:
     none = np.zeros(Y.shape, bool)
     mask, kept, values, share = none, none, Y, None
     for _ in range(TURNS):
-        new = _apart(settled, left(settled, values)[0]) & ~mask & ~kept
+        new = _apart(settled, smooth_settled(settled, values)[1]) & ~mask & ~kept
         if not new.any():
             return Outliers(mask, values)
         mask = mask | new
@@ -81,7 +82,7 @@ def wrong_samples(settled: SteadyFilter, Y: Array) -> Outliers:
         if share is None:
             share = own_share(settled, len(Y))
         values = _replaced(settled, Y, mask, values, share)
-        moved = mask & _event(left(settled, values)[1])[:, None]
+        moved = mask & _event(smooth_settled(settled, values)[0])[:, None]
         if moved.any():
             mask, kept = mask & ~moved, kept | moved
             values = _replaced(settled, Y, mask, values, share)
@@ -92,7 +93,7 @@ def _replaced(settled: SteadyFilter, Y: Array, mask: NDArray[np.bool_], values: 
     """The record with what all others say where the mask holds: numbers that the smoother leaves nothing of."""
     values = np.where(mask, values, Y)
     for _ in range(ROUNDS):
-        values = np.where(mask, values - left(settled, values)[0] / share, Y)
+        values = np.where(mask, values - smooth_settled(settled, values)[1] / share, Y)
     return values
 
 
@@ -111,22 +112,8 @@ def own_share(settled: SteadyFilter, samples: int) -> Array:
     for i in range(m):
         one = np.zeros((samples, m))
         one[at, i] = 1.0
-        found[i] = left(settled, one)[0][at, i]
+        found[i] = smooth_settled(settled, one)[1][at, i]
     return np.maximum(found, SMALLEST)
-
-
-def left(settled: SteadyFilter, Y: Array) -> tuple[Array, Array]:
-    """What a smoother at the settled gain leaves of a complete record (samples, m), and its loads (samples, p)."""
-    from ...inverse.gaussian.settled import Loop, back_mean
-
-    model = settled.model
-    load, change = np.empty((len(Y), model.p)), np.empty((len(Y), model.p))
-    e, rest = np.empty(Y.shape), np.empty(Y.shape)
-    loop = Loop(settled.rows(), model.p, model.m, model.x0)
-    loop.compile()
-    loop.block(Y, load, e)
-    back_mean(settled, e, np.zeros(model.n), change, rest)
-    return rest, load - change
 
 
 def _apart(settled: SteadyFilter, rest: Array) -> NDArray[np.bool_]:
@@ -265,7 +252,7 @@ class Likelihood:
             found = steady(self.build(x))
         except (NotIdentifiable, InputError, np.linalg.LinAlgError):
             return None
-        e = innovations(found, self.Y)[self.use]
+        e = run_settled(found, self.Y)[1][self.use]
         value, scale = density(found.Se_root, e, self.free_scale)
         if not np.isfinite(value):
             return None
@@ -280,8 +267,6 @@ def settled_samples(count: int) -> NDArray[np.bool_]:
 
 def density(root: Array, e: Array, free_scale: bool) -> tuple[float, float]:
     """Log-likelihood of innovations (samples, m) of a covariance given by its root, and the scale of the noises."""
-    from ...inverse.gaussian.roots import solve_lower
-
     white = solve_lower(root, e.T)
     squares, number = float(np.sum(white**2)), white.size
     scale = squares / number if free_scale else 1.0
@@ -291,19 +276,7 @@ def density(root: Array, e: Array, free_scale: bool) -> tuple[float, float]:
 
 def likelihood(filtered: SteadyFilter, Y: Array, free_scale: bool) -> tuple[float, float]:
     """Log-likelihood of the samples of a complete record beyond the settling, and the common scale of the noises."""
-    return density(filtered.Se_root, innovations(filtered, Y)[settled_samples(len(Y))], free_scale)
-
-
-def innovations(filtered: SteadyFilter, Y: Array) -> Array:
-    """What each sample of a complete record (samples, sensors) says beyond the steady prediction."""
-    from ...inverse.gaussian.settled import Loop
-
-    model = filtered.model
-    load, e = np.empty((len(Y), model.p)), np.empty(Y.shape)
-    loop = Loop(filtered.rows(), model.p, model.m, model.x0)
-    loop.compile()  # a search asks many times
-    loop.block(Y, load, e)
-    return e
+    return density(filtered.Se_root, run_settled(filtered, Y)[1][settled_samples(len(Y))], free_scale)
 
 
 LONGEST = 60_000  # samples that a fit is tuned on

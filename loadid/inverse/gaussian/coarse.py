@@ -23,7 +23,7 @@ from ..sweep import LARGEST, RuleResult, Sweep
 from .gains import Gains, gains
 from .passes import Solved, solve
 from .path import Scalars, StateSpacePath, unforced
-from .posterior import spread
+from .posterior import variances
 from .record import WhitenedRecord
 from .roots import Array
 
@@ -138,7 +138,7 @@ class WindowsPath(StateSpacePath):
     def scalars(self, lam: float) -> Scalars:
         """Sums over the windows at one relative lambda."""
         held, each = self._each(lam)
-        known, count = spread(self.record, held, every_sample=False), self.count
+        known, count = variances(self.record, held, every_sample=False), self.count
         penalty, total = count * known.penalty, self.unknowns + self.null
         return Scalars(
             residual2=self._sum(np.sum((y - one.response) ** 2) for y, one in zip(self.windows, each, strict=True)),

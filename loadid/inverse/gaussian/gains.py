@@ -1,5 +1,7 @@
 """Gains of the linear-quadratic problem of a record: backward Riccati recursion in square-root form.
 
+It carries information, not covariance: a free start and lambda -> 0 have the one and not the other (see the package).
+
 Columns lie contiguous (arrays are transposed), only the columns of the inputs are eliminated at every step, and the
 root of the cost is allowed some rows more than columns until all of it is made triangular. Its product with F takes the
 entries that are not zero: few in modal form.
@@ -10,9 +12,9 @@ One QR factorisation of a small matrix for each sample, without differences of l
     [ lam I     0       ]  =  Q  [ 0       Gamma_k ]
     [ Gamma G   Gamma F ]        [ 0       0       ]
 
-Where the matrices do not change the gains settle (`settling`), and the recursion ends. Kailath, Sayed & Hassibi,
-Linear Estimation, Prentice Hall 2000, ch. 12, for the array form; Anderson & Moore, Optimal Control, 1990, for the
-problem.
+Where the matrices do not change the gains settle (`compiled.settled`), and the recursion ends. Kailath, Sayed &
+Hassibi, Linear Estimation, Prentice Hall 2000, ch. 12, for the array form; Anderson & Moore, Optimal Control, 1990, for
+the problem.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import NEAR, NEVER, SETTLED, SHARE, STALLED, Compiled, arrival, decay, multiply
+from .compiled import BEGUN, Compiled, multiply, settled
 from .record import WhitenedRecord
 from .roots import Array
 
@@ -200,12 +202,12 @@ def _recursion(
     n, p, m = F.shape[1], G.shape[2], C.shape[1]
     stack, root, height = np.zeros((p + n, m + p + n + spare)), np.zeros((n, n + spare + 1)), n
     closed, right, work, weight = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-    row, logdet, last, steady, since, until = -1, 0.0, 0.0, False, 0, -1
-    peak, before, opened = 0.0, np.inf, 0
+    row, logdet, last, steady, since, kept = -1, 0.0, 0.0, False, 0, BEGUN.copy()
     for k in range(len(kind) - 1, -1, -1):
         j = kind[k]
         if k + 1 < len(kind) and j != kind[k + 1]:
-            steady, since, until, peak, before, opened = False, 0, -1, 0.0, np.inf, 0
+            steady, since = False, 0
+            kept[:] = BEGUN
         if steady:
             which[k] = row
             logdet += last
@@ -231,15 +233,7 @@ def _recursion(
             for h in range(p):
                 change = max(change, weight[i] * abs(K[row, h, i] - K[row - stride, h, i]))
                 size = max(size, weight[i] * abs(K[row, h, i]))
-        if until < 0 and change <= NEAR * size:
-            multiply(G[j], K[row], closed)
-            closed[:] = F[j] - closed
-            until = arrival(since, change, size, decay(closed, right, work), len(kind))
-        if until == NEVER:
-            peak = max(peak, change)
-            if since - opened > max(opened // 2, 16 * stride):
-                steady = peak <= STALLED * size and peak >= SHARE * before
-                peak, before, opened = 0.0, peak, since
-        else:
-            steady = change <= SETTLED * size or 0 <= until <= since
+        multiply(G[j], K[row], closed)
+        closed[:] = F[j] - closed
+        steady = settled(kept, since, stride, change, size, closed, right, work, len(kind))
     return row + 1, root[:, :height].T, logdet

@@ -16,7 +16,7 @@ from ..interpolation import SplineTable, Values, powers_of_rest
 from ..path import PathPoint, RegularizationPath, Solution
 from .gains import Gains, feedback, gains
 from .passes import Solved, backward, forward, gradient, refined, solve
-from .posterior import StateSpacePosterior, spread
+from .posterior import StateSpacePosterior, variances
 from .record import WhitenedRecord
 from .roots import Array
 
@@ -323,7 +323,7 @@ class StateSpacePath(RegularizationPath):
     def scalars(self, lam: float) -> Scalars:
         """Everything at one relative lambda."""
         held, solved = self._solved(lam)
-        known = spread(self.record, held, every_sample=False)
+        known = variances(self.record, held, every_sample=False)
         rest = self.record.y - solved.response
         count = self.unknowns + self.null
         change2 = bend = 0.0

@@ -18,19 +18,7 @@ import numpy as np
 from structures.errors import InputError
 
 from ..posterior import DensePosterior, Posterior, SpectralPosterior
-from .compiled import (
-    NEAR,
-    NEVER,
-    SETTLED,
-    SHARE,
-    STALLED,
-    Compiled,
-    arrival,
-    decay,
-    multiply,
-    multiply_by_transposed,
-    solve_upper,
-)
+from .compiled import BEGUN, Compiled, multiply, multiply_by_transposed, settled, solve_upper
 from .gains import Gains, feedback, gains
 from .passes import Solved, forward, solve
 from .record import WhitenedRecord
@@ -56,16 +44,20 @@ class LoadVariances:
     penalty: float
 
 
-def spread(record: WhitenedRecord, gains: Gains, every_sample: bool = True) -> LoadVariances:
-    """Variances of every sample, or their sum alone."""
+def variances(
+    record: WhitenedRecord, gains: Gains, every_sample: bool = True, combined: Array | None = None
+) -> LoadVariances:
+    """Variances of every sample, or their sum alone; of the loads, or of combinations (any, p) of those of a sample."""
+    read = np.eye(record.p) if combined is None else np.ascontiguousarray(combined, float)
     X = np.zeros((record.n, record.n))
     if len(record.free):
         X[np.ix_(record.free, record.free)] = gains.start @ gains.start.T
-    variance = np.empty((record.samples if every_sample else 1, record.p))
+    variance = np.empty((record.samples if every_sample else 1, len(read)))
     trace, penalty = _recursion(
         record.F,
         record.G,
         record.E,
+        read,
         record.kind,
         gains.K,
         gains.R,
@@ -80,22 +72,26 @@ def spread(record: WhitenedRecord, gains: Gains, every_sample: bool = True) -> L
 
 @Compiled
 def _recursion(
-    F: Array, G: Array, E: Array, kind: Array, K: Array, R: Array, which: Array, X: Array,
+    F: Array, G: Array, E: Array, read: Array, kind: Array, K: Array, R: Array, which: Array, X: Array,
     variance: Array, every: bool, stride: int,
 ) -> tuple[float, float]:  # fmt: skip
-    """Fill `variance` where wanted; sums of the variances of the loads and of the inputs."""
-    n, p, samples = F.shape[1], G.shape[2], len(kind)
+    """Fill `variance` of the combinations where wanted; sums of their variances and of those of the inputs."""
+    n, p, q, samples = F.shape[1], G.shape[2], len(read), len(kind)
     half, eye = np.zeros((p, p)), np.eye(p)
     push, change, closed = np.zeros((n, p)), np.zeros((n, n)), np.zeros((n, n))
-    rows, product, square = np.zeros((p, n)), np.zeros((p, n)), np.zeros((p, p))
-    moved, fed, old, inner = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((p, p))
-    own, weight, work = np.zeros(p), np.zeros(n), np.zeros((n, n))
+    rows, product, square, news, alone = (
+        np.zeros((q, n)), np.zeros((q, n)), np.zeros((q, q)), np.zeros((q, p)), np.zeros((q, q))
+    )  # fmt: skip
+    inner, fast, known = np.zeros((p, p)), np.zeros((p, n)), np.zeros((p, p))
+    moved, fed, old = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    own, weight, work = np.zeros(q), np.zeros(n), np.zeros((n, n))
     trace, penalty, load, part, k, row, j = 0.0, 0.0, 0.0, 0.0, 0, -1, -1
-    since, until, peak, before, opened = 0, -1, 0.0, np.inf, 0
-    inputs_differ = bool(np.any(E != 0.0))
+    since, kept = 0, BEGUN.copy()
+    inputs_differ = q != p or bool(np.any(E != 0.0)) or bool(np.any(read != eye))
     while k < samples:
         if which[k] != row or kind[k] != j:
-            row, j, since, until, peak, before, opened = which[k], kind[k], 0, -1, 0.0, np.inf, 0
+            row, j, since = which[k], kind[k], 0
+            kept[:] = BEGUN
             solve_upper(R[row], eye, half)
             multiply_by_transposed(half, half, inner)  # M^-1
             multiply(G[j], half, push)
@@ -103,20 +99,22 @@ def _recursion(
             multiply(G[j], K[row], change)
             closed[:] = F[j]
             closed -= change
-            rows[:] = E
-            rows -= K[row]
+            multiply(read, E - K[row], rows)
+            multiply(read, half, news)
+            multiply_by_transposed(news, news, alone)
         multiply(rows, X, product)
         multiply_by_transposed(product, rows, square)
         load = 0.0
-        for i in range(p):
-            own[i] = square[i, i] + inner[i, i]
+        for i in range(q):
+            own[i] = square[i, i] + alone[i, i]
             load += own[i]
+        part = load
         if inputs_differ:
-            multiply(K[row], X, product)
-            multiply_by_transposed(product, K[row], square)
-        part = 0.0
-        for i in range(p):
-            part += square[i, i] + inner[i, i]
+            multiply(K[row], X, fast)
+            multiply_by_transposed(fast, K[row], known)
+            part = 0.0
+            for i in range(p):
+                part += known[i, i] + inner[i, i]
         if every:
             variance[k] = own
         trace += load
@@ -126,22 +124,12 @@ def _recursion(
             if since > 0:
                 for i in range(n):  # of each state, what it does to a load or an input
                     weight[i] = max(np.abs(K[row, :, i]).max(), np.abs(rows[:, i]).max())
-                gap, size = 0.0, np.abs(inner).max()
+                gap, size = 0.0, np.abs(alone).max()
                 for i in range(n):
                     for h in range(n):
                         gap = max(gap, weight[i] * weight[h] * abs(X[i, h] - old[i, h]))
                         size = max(size, weight[i] * weight[h] * abs(X[i, h]))
-                if until < 0 and gap <= NEAR * size:
-                    until = arrival(since, gap, size, decay(closed, moved, work), samples)
-                steady = False
-                if until == NEVER:
-                    peak = max(peak, gap)
-                    if since - opened > max(opened // 2, 16 * stride):
-                        steady = peak <= STALLED * size and peak >= SHARE * before
-                        peak, before, opened = 0.0, peak, since
-                else:
-                    steady = gap <= SETTLED * size or 0 <= until <= since
-                if steady:
+                if settled(kept, since, stride, gap, size, closed, moved, work, samples):
                     while k < samples and which[k] == row and kind[k] == j:
                         if every:
                             variance[k] = own
@@ -239,9 +227,13 @@ class StateSpacePosterior:
             self._held = gains(self.record, self.lam)
         return self._held
 
-    def _variances(self, held: Gains) -> Array:
-        found = spread(self.record, held).variance
-        assert found is not None
+    def combined_std(self, T: Array) -> Array:
+        """Standard deviation of the combinations ``T g_k`` of every sample, shape (samples, rows of T)."""
+        return np.asarray(self.sigma * np.sqrt(self._variances(self.held, T)))
+
+    def _variances(self, held: Gains, combined: Array | None = None) -> Array:
+        found = variances(self.record, held, combined=combined).variance
+        assert found is not None  # asked for every sample
         return found
 
     def _solve(self, w: Array) -> Solved:
@@ -333,49 +325,9 @@ def _std(base: Any, T: Array) -> Array:
     if isinstance(base, SpectralPosterior):
         lines = np.einsum("iu,kuv,jv->kij", T, base.lines, T, optimize=True)
         return SpectralPosterior(lines, base.samples, base.padded).std
-    if base.kind.startswith("statespace"):
-        return _over_states(base, T)
+    if isinstance(base, StateSpacePosterior):
+        return base.combined_std(T)
     return _asked(base, T)
-
-
-def _over_states(base: Any, T: Array) -> Array:
-    """Over a state space: the recursion of its own posterior in other coordinates of the load, where T is square."""
-    record, held = base.record, base.held
-    if T.shape[0] != T.shape[1]:
-        return _every_sample(base, T)
-    # with inputs T w the feedback is T K and the precision T^-T M T^-1, of which the recursion takes the root
-    loads = replace(record, E=np.ascontiguousarray(T @ record.E), G=_right(record.G, T))
-    upper = np.linalg.qr(_right(held.R, T), mode="r")
-    turned = replace(held, K=np.ascontiguousarray(T @ held.K), R=np.ascontiguousarray(upper))
-    variance = spread(loads, turned).variance
-    assert variance is not None  # asked for every sample
-    return np.asarray(base.sigma * np.sqrt(variance), float)
-
-
-def _right(stack: Array, T: Array) -> Array:
-    """``A T^-1`` of a stack of matrices A."""
-    return np.ascontiguousarray(np.swapaxes(np.linalg.solve(T.T, np.swapaxes(stack, -1, -2)), -1, -2))
-
-
-def _every_sample(base: Any, T: Array) -> Array:
-    """``T [(E - K) X (E - K)^T + M^-1] T^T`` at every sample, by the recursion of the state's covariance X."""
-    from scipy.linalg import solve_triangular
-
-    record, held = base.record, base.held
-    X, variance = np.zeros((record.n, record.n)), np.empty((record.samples, len(T)))
-    if len(record.free):
-        X[np.ix_(record.free, record.free)] = held.start @ held.start.T
-    row = kind = -1
-    for k in range(record.samples):
-        if held.which[k] != row or record.kind[k] != kind:
-            row, kind = int(held.which[k]), int(record.kind[k])
-            own = solve_triangular(held.R[row], T.T, trans=1).T  # T R^-1
-            push = solve_triangular(held.R[row], record.G[kind].T, trans=1).T
-            closed, fed = record.F[kind] - record.G[kind] @ held.K[row], push @ push.T
-            rows = T @ (record.E - held.K[row])
-        variance[k] = np.einsum("in,in->i", rows @ X, rows) + np.sum(own**2, axis=1)
-        X = closed @ X @ closed.T + fed
-    return np.asarray(base.sigma * np.sqrt(variance), float)
 
 
 def _asked(base: Any, T: Array) -> Array:

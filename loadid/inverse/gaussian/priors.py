@@ -391,7 +391,7 @@ class Periodic:
     def continuous(self) -> Continuous:
         """Oscillators, damped where there is a decay."""
         rate = 0.0 if self.decay is None else 1 / self.decay
-        turns = self._turns(2j * np.pi * self.orders / self.period - rate)
+        turns = self._turns((2j * np.pi * self.orders / self.period - rate).astype(complex))
         kicks = math.sqrt(2 * rate) * np.eye(len(turns), len(turns) if self.decay else 0)
         return Continuous(turns, kicks, self._read, np.eye(len(turns)))
 

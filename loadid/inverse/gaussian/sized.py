@@ -17,7 +17,7 @@ from structures.errors import InputError
 from .gains import Gains, gains
 from .passes import Solved, solve
 from .path import LONG, LOWEST, Scalars, StateSpacePath, beginning, transfer
-from .posterior import SLOPE, StateSpacePosterior, spread
+from .posterior import SLOPE, StateSpacePosterior, variances
 from .record import WhitenedRecord
 from .roots import Array
 
@@ -62,7 +62,7 @@ class SizedPath(StateSpacePath):
     def scalars(self, lam: float) -> Scalars:
         """Everything at one relative lambda; see `StateSpacePath.scalars`."""
         held, solved = self._solved(lam)
-        known = spread(self._system(lam), held)
+        known = variances(self._system(lam), held)
         assert known.variance is not None
         rest = self.record.y - self._heard(solved)
         count = self.unknowns + len(self.record.free)

@@ -11,9 +11,7 @@ Grewal & Andrews, Kalman Filtering, 4th ed., 2015, ch. 7.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -192,106 +190,6 @@ class SquareRoot:
         e[part.mask] = rest
         kept = y if self.model.S is not None else None
         return FilterState(x + gain @ white, L, kept), Innovation(e, root, gain, part.mask, nis, loglik)
-
-
-@dataclass(frozen=True, eq=False)
-class Filtered:
-    """A record after the filter.
-
-    Parameters
-    ----------
-    model : FilterModel
-    Y : array, shape (samples, m)
-    load, std : array, shape (samples, p)
-    nis, loglik : array, shape (samples,)
-    normalised : array, shape (samples, m)
-        Innovation of each channel over its own std; NaN where missing.
-    last : FilterState
-        After the last sample.
-    kept : Kept, optional
-        States and roots of every sample, for the smoothers.
-    """
-
-    model: FilterModel
-    Y: Array
-    load: Array
-    std: Array
-    nis: Array
-    loglik: Array
-    normalised: Array
-    last: FilterState
-    kept: Kept | None = None
-
-    @cached_property
-    def count(self) -> NDArray[np.int_]:
-        """Channels present in each sample (samples,)."""
-        return np.asarray(np.sum(np.isfinite(self.Y), axis=1))
-
-
-@dataclass(frozen=True, eq=False)
-class Kept:
-    """States of every sample: x (samples, n), L (samples, n, n); innovations with their roots and gains, as a list."""
-
-    x: Array
-    L: Array
-    innovations: list[Innovation]
-
-
-def filter(
-    model: FilterModel, Y: ArrayLike, *, keep: bool = False, progress: Callable[[float, str], None] | None = None
-) -> Filtered:
-    """Filter a record Y (samples, m), NaN where a channel is missing; the first sample updates `model.x0`, `L0`.
-
-    Parameters
-    ----------
-    model : FilterModel
-    Y : array, shape (samples, m)
-    keep : bool
-        Keep the states and roots of all samples, for the smoothers: 8 n^2 bytes a sample.
-    progress : callable, optional
-        Called with the share of the samples that are done.
-
-    Raises
-    ------
-    InputError
-        A record of the wrong shape, or infinite numbers.
-    """
-    Y = checked(model, Y)
-    core, N = SquareRoot(model), len(Y)
-    load, std, normalised = np.empty((N, model.p)), np.empty((N, model.p)), np.empty(Y.shape)
-    nis, loglik = np.empty(N), np.empty(N)
-    kept = Kept(np.empty((N, model.n)), np.zeros((N, model.n, model.n)), []) if keep else None
-    state = core.start()
-    for k in range(N):
-        state, said = core.advance(state, Y[k]) if k else core.update(state, Y[k])
-        load[k], std[k] = model.Cp @ state.x, np.linalg.norm(model.Cp @ state.L, axis=1)
-        nis[k], loglik[k], normalised[k] = said.nis, said.loglik, said.normalised
-        if kept is not None:
-            kept.x[k], kept.L[k, :, : state.L.shape[1]] = state.x, state.L
-            kept.innovations.append(said)
-        if progress is not None and k % 256 == 0:
-            progress(k / N, "filtering")
-    return Filtered(model, Y, load, std, nis, loglik, normalised, state, kept)
-
-
-def checked(model: FilterModel, Y: ArrayLike) -> Array:
-    """A record as float64 (samples, m).
-
-    Raises
-    ------
-    InputError
-        Another shape, or infinite numbers.
-    """
-    Y = np.asarray(plain(Y), float)
-    if Y.ndim != 2 or Y.shape[1] != model.m or not len(Y):
-        raise InputError("the record does not fit the model", where="record", found=f"shape {Y.shape}",
-                         expected=f"(samples, {model.m}), at least one sample")  # fmt: skip
-    infinite = np.argwhere(np.isinf(Y))
-    if len(infinite):
-        sample, channel = infinite[0]
-        raise InputError("an infinite number in a record", where=f"channel {channel}, sample {sample}",
-                         expected="finite numbers, NaN where a channel is missing")  # fmt: skip
-    return Y
 
 
 def _there(y: Array | None, m: int) -> NDArray[np.bool_]:

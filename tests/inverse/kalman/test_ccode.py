@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from loadid.inverse.gaussian.exports import c_source, write_c
-from loadid.inverse.gaussian.settled import Loop
+from loadid.inverse.gaussian.loop import Loop
 from loadid.inverse.gaussian.steady import SteadyFilter, steady
 from structures import InputError
 from tests.tracked import Tracked, ar1, bm2, bm3, filter_model, matern32

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian import settled as loops
+from loadid.inverse.gaussian import loop as loops
 from loadid.inverse.gaussian.compiled import Compiled
-from loadid.inverse.gaussian.settled import Loop
+from loadid.inverse.gaussian.loop import Loop
 
 ROOT = Path(__file__).resolve().parents[3]
 

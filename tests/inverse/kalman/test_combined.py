@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from loadid.inverse.gaussian.augment import augment
+from loadid.inverse.gaussian.loop import Loop
 from loadid.inverse.gaussian.priors import OU
-from loadid.inverse.gaussian.settled import Loop
 from loadid.inverse.gaussian.steady import combined_std, steady
 from structures.errors import InputError
 from tests.tracked import Setup, reference, selector, tridiagonal

@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from loadid.inverse.gaussian import squareroot
+from loadid.inverse.gaussian import records
+from loadid.inverse.gaussian.loop import Loop, PeriodicLoop
 from loadid.inverse.gaussian.model import FilterModel
-from loadid.inverse.gaussian.periodic import PeriodicLoop, periodic
-from loadid.inverse.gaussian.settled import Loop
 from loadid.inverse.gaussian.squareroot import SquareRoot
-from loadid.inverse.gaussian.steady import SteadyFilter, steady
+from loadid.inverse.gaussian.steady import SteadyFilter, periodic, steady
 from structures.errors import InputError, NotIdentifiable
 
 from .gaussian import building, drawn, small
@@ -121,7 +120,7 @@ def test_gain_in_any_unit() -> None:
 @pytest.mark.parametrize("model", [with_displacement(), small(0), small(1, correlated=True)])
 def test_loop_is_the_settled_filter(model: FilterModel) -> None:
     Y, P = drawn(model, 1500)
-    found, full = steady(model, 0.01), squareroot.filter(model, Y)
+    found, full = steady(model, 0.01), records.filter_record(model, Y)
     loop, load, e, taken = run(found, Y)
     assert taken == len(Y)
     late = slice(1000, None)
@@ -185,7 +184,7 @@ def test_periodic_gains_are_those_of_the_filter(correlated: bool) -> None:
     T = len(masks)
     Y, P = drawn(model, 300 * T)
     Y[~np.tile(masks, (300, 1))] = np.nan
-    found, full = periodic(model, masks, 0.01), squareroot.filter(model, Y)
+    found, full = periodic(model, masks, 0.01), records.filter_record(model, Y)
     assert np.allclose(full.std[-T:], found.std, rtol=1e-8)
     loop = PeriodicLoop(found, model.x0)
     load = np.array([loop.step(y) for y in Y])

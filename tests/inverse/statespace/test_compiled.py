@@ -7,7 +7,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian.compiled import Compiled
+from loadid.inverse.gaussian.compiled import Compiled, settled
 
 from .cases import beam, case, holes
 
@@ -25,7 +25,7 @@ def compared(monkeypatch: pytest.MonkeyPatch) -> Counter[Compiled]:
     done, call = Counter[Compiled](), Compiled.__call__
 
     def both(loop: Compiled, *args: object) -> object:
-        if done[loop]:
+        if done[loop] and loop is not settled:  # which calls others late
             return call(loop, *args)
         done[loop] += 1
         own = deepcopy(args)
