@@ -150,7 +150,7 @@ def killed(kills: int) -> dict[str, float]:
         straight._engine.loop.compile()
         done = follow(straight, str(folder / "whole.csv"), str(folder / "straight.csv"), idle=0)
         a, b = ((folder / name).read_bytes() for name in ("out.csv", "straight.csv"))
-        own, other = (checkpoint.running(x) for x in (checkpoint.load(folder / "state.h5"), straight))
+        own, other = (x.to_tree() for x in (checkpoint.load(folder / "state.h5"), straight))
         same = list(leaves(own)) == list(leaves(other))
     different = abs(len(a) - len(b)) + sum(x != y for x, y in zip(a, b, strict=False)) + (not same)
     print(f"killed {kills} times, {resumed} of them with a checkpoint, {cut} with output behind it; "

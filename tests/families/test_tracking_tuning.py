@@ -49,7 +49,7 @@ def test_the_search_ends_where_that_of_nelder_and_mead_ends(name, free):
     assert -found.loglik <= other.fun + 1e-3
     assert found.parameters == pytest.approx(other.x, abs=3e-3)
     assert found.evaluations < 60
-    assert found.bounded == found.wrong == ()
+    assert found.bounded == found.outliers == ()
     if free:
         assert found.scale == pytest.approx(1.0, abs=0.15)
 
@@ -92,8 +92,8 @@ def test_wrong_samples_leave_the_numbers_as_they_are(kind):
     build, begin = posing(c).build, starts(c)
     clean = tuning.tune(build, begin, c.y, free_scale=False)
     found = tuning.tune(build, begin, bad, free_scale=False)
-    assert found.wrong == tuple(np.bincount(channels, minlength=4))
-    assert clean.wrong == ()
+    assert found.outliers == tuple(np.bincount(channels, minlength=4))
+    assert clean.outliers == ()
     assert found.parameters == pytest.approx(clean.parameters, abs=0.05)
     first = tuning.Likelihood(build, bad, False, lambda share: None)
     spoilt = search.climb(first, first(clean.parameters), clean.parameters - 5, clean.parameters + 5)
@@ -128,7 +128,7 @@ def test_a_step_of_the_load_is_no_wrong_sample(seed):
     c = bm2("step", seed, samples=1200, fine=20)
     given = Posing(building(), c.dt, np.arange(4), c.noise, (NAMES["matern32"],), hold="joint")
     found = tuning.tune(given.build, starts(c), c.y, free_scale=False)
-    assert found.wrong == ()
+    assert found.outliers == ()
 
 
 def test_an_impact_is_no_wrong_sample():
@@ -136,4 +136,4 @@ def test_an_impact_is_no_wrong_sample():
     c = method_map.case("impact")
     given = Posing(method_map.model(), method_map.DT, np.arange(3), c.noise, (NAMES["matern32"],), hold="joint")
     found = tuning.tune(given.build, NAMES["matern32"].starts(10.0, method_map.DT, 400), c.record, free_scale=False)
-    assert found.wrong == ()
+    assert found.outliers == ()

@@ -30,7 +30,7 @@ class Move(NamedTuple):
 
     before: FilterState | None
     state: FilterState
-    said: Innovation
+    innovation: Innovation
 
 
 class Late:
@@ -88,7 +88,7 @@ class Late:
                 continue
             form = self.forms[min(i, len(self.forms) - 1)]
             before = move.before if move.before is not None else FilterState(move.state.x, move.state.L)
-            forms.append(form.advance(core, before, move.state, move.said, self.lag))
+            forms.append(form.advance(core, before, move.state, move.innovation, self.lag))
         self.forms = forms
         return self._due(forms[speaker])
 
@@ -260,7 +260,7 @@ class Engine(Judge):
             if late is not None:
                 self._follow(late, origin, load[k], std[k])
             if e is not None:
-                e[k] = np.nan if self.said is None else self.said.normalised
+                e[k] = np.nan if self.innovation is None else self.innovation.normalised
             if taken_as is not None:
                 taken_as[k] = self.taken
             k += 1
@@ -286,8 +286,8 @@ class Engine(Judge):
             late.cut(0 if self.believing else 1)
         if self.pair is None:
             assert self.state is not None
-            assert isinstance(self.said, Innovation)
-            load[:], std[:] = late.moved(self.core, [Move(before[0], self.state, self.said)], 0)
+            assert isinstance(self.innovation, Innovation)
+            load[:], std[:] = late.moved(self.core, [Move(before[0], self.state, self.innovation)], 0)
             return
         first, second = before[0], before[1] if before[1] is not None else before[0]
         moves = [Move(first, *self.pair[0]), Move(second, *self.pair[1])]
@@ -306,7 +306,7 @@ class Engine(Judge):
             std[:taken] = self.rhythm.std[phases]
             self.counts["samples"] += taken
             self.counts["missing"] += int(np.sum(self.rhythm.absent[phases]))
-            self.taken, self.said = Y[taken - 1].copy(), Heard(e[taken - 1].copy())
+            self.taken, self.innovation = Y[taken - 1].copy(), Heard(e[taken - 1].copy())
         return taken
 
     def _slow(self, y: Array) -> tuple[Array, Array]:

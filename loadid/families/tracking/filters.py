@@ -158,22 +158,15 @@ class Posing:
 
     def build(self, x: Array, scale: float = 1.0) -> FilterModel:
         """Filter of logarithms of the numbers; `scale` multiplies process and measurement noise."""
-        priors, at = [], 0
-        for prior in self.given:
-            if isinstance(prior, Named):
-                values = np.exp(np.clip(x[at : at + len(prior.parameters)], -80, 80))
-                at += len(prior.parameters)
-                priors.append(prior.make(*values))
-            else:
-                priors.append(prior)
-        return self.filter(self.scaled(x), priors, scale, self.factor(x))
+        return self.filter(self.scaled(x), self.priors(x), scale, self.factor(x))
 
     def priors(self, x: Array, scale: float = 1.0) -> tuple[Any, ...]:
         """The priors of these numbers."""
         found, at = [], 0
         for prior in self.given:
             if isinstance(prior, Named):
-                found.append(prior.make(*np.exp(x[at : at + len(prior.parameters)])).scaled(np.sqrt(scale)))
+                values = np.exp(np.clip(x[at : at + len(prior.parameters)], -80, 80))
+                found.append(prior.make(*values).scaled(np.sqrt(scale)))
                 at += len(prior.parameters)
             else:
                 found.append(prior)

@@ -51,7 +51,7 @@ class Recipe:
     state_noise : float
     bias, start : float, array or str
     scale : float
-        Variance that multiplies all noises (`posed.rescaled`).
+        Variance that multiplies all noises (`filters.rescaled`).
     errors : mapping of str to float
         Relative std of parameters of the model.
     dummy : float, optional

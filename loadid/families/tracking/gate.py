@@ -159,7 +159,7 @@ class Plain:
     ----------
     state : FilterState
         After the last sample.
-    said : Innovation or None
+    innovation : Innovation or None
         Of the last sample; None from a file.
     behind : float
         By how much the filter with the gate has predicted worse since it last was the better one: squares of
@@ -175,7 +175,7 @@ class Plain:
     """
 
     state: FilterState
-    said: Innovation | None = None
+    innovation: Innovation | None = None
     behind: float = 0.0
     calm: int = 0
     whole: bool = True
@@ -215,21 +215,16 @@ class Plain:
 
     def to_tree(self) -> dict[str, Any]:
         """All but what the last sample said, as plain arrays and numbers."""
-        s = self.state
-        return {
-            "x": s.x, "L": s.L, "y": s.y, "behind": self.behind, "calm": self.calm, "whole": self.whole,
-            "event": self.event, "age": self.age,
-        }  # fmt: skip
+        own = {"behind": self.behind, "calm": self.calm, "whole": self.whole, "event": self.event, "age": self.age}
+        return {**self.state.to_tree(), **own}
 
 
 def plain_of(tree: dict[str, Any] | None) -> Plain | None:
     """Inverse of `Plain.to_tree`."""
     if tree is None:
         return None
-    y = None if tree["y"] is None else np.asarray(tree["y"], float)
-    state = FilterState(np.asarray(tree["x"], float), np.asarray(tree["L"], float), y)
     event = None if tree["event"] is None else bool(tree["event"])
     return Plain(
-        state, behind=float(tree["behind"]), calm=int(tree["calm"]), whole=bool(tree["whole"]), event=event,
-        age=int(tree["age"]),
+        FilterState.from_tree(tree), behind=float(tree["behind"]), calm=int(tree["calm"]), whole=bool(tree["whole"]),
+        event=event, age=int(tree["age"]),
     )  # fmt: skip

@@ -55,7 +55,7 @@ class Judge:
         self.width = np.ones(model.m) if width is None else np.asarray(width, float)
         self.counts: Counter[str] = Counter()
         self.state: FilterState | None = None  # filtered; None before the first sample
-        self.said: Innovation | Heard | None = None
+        self.innovation: Innovation | Heard | None = None
         self.taken = np.zeros(model.m)  # the last sample off the settled gain: NaN where a channel was kept out
         self.wrong = np.zeros(model.m, int)  # samples beyond the gate, of a channel that is kept out
         self.good = np.zeros(model.m, int)  # samples within it since
@@ -145,12 +145,12 @@ class Judge:
         self.plain = plain
         failed = against or plain.behind > min(max(len(y) - 1, 1), WORSE) * self.gate**2
         if failed or (plain.whole and plain.calm >= CALM):
-            self.state, self.said, self.taken = plain.state, plain.said, y
+            self.state, self.innovation, self.taken = plain.state, plain.innovation, y
             self.rival = self.pair = self.plain = None
             self.wrong[:], self.good[:] = 0, 0
             self.fell = True
             if failed and out.sum() > 1 and np.all(out | ~np.isfinite(y)):  # no sensor is right: the state is wrong
-                self.state, self.said = self.core.update(self._found(ahead), y)
+                self.state, self.innovation = self.core.update(self._found(ahead), y)
             if failed:
                 self.failed, self.loud = self.failed + 1, self.counts["samples"]
             return
@@ -214,10 +214,10 @@ class Judge:
         first, second = (believed, doubted) if believing else (doubted, believed)
         self.pair = believed, doubted
         self.believing, self.taken = believing, y if believing else without
-        (self.state, self.said), self.rival = first, second[0]
+        (self.state, self.innovation), self.rival = first, second[0]
 
     def _take(self, before: FilterState, y: Array) -> None:
-        self.state, self.said = self.core.update(before, y)
+        self.state, self.innovation = self.core.update(before, y)
         self.taken, self.pair = y, None
 
     def _event(self, e: Array, before: FilterState, wrong: NDArray[np.bool_]) -> tuple[float, FilterState, bool, float]:
@@ -373,17 +373,12 @@ def wider(before: FilterState, ways: Array) -> FilterState:
 
 def arrays(state: FilterState | None) -> dict[str, Any] | None:
     """A state as plain arrays."""
-    return None if state is None else {"x": state.x, "L": state.L, "y": state.y}
+    return None if state is None else state.to_tree()
 
 
 def state_of(tree: dict[str, Any] | None) -> FilterState | None:
     """Inverse of `arrays`."""
-    if tree is None:
-        return None
-    y = tree["y"]
-    return FilterState(
-        np.asarray(tree["x"], float), np.asarray(tree["L"], float), None if y is None else np.asarray(y, float)
-    )
+    return None if tree is None else FilterState.from_tree(tree)
 
 
 def _share(odds: float) -> float:

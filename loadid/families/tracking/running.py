@@ -17,6 +17,7 @@ from structures.errors import InputError, plain, reals
 from structures.flags import Flag
 
 from ...guards.tracking import beyond_the_fit, kept_out, moved_off
+from ...inverse.gaussian.exports import Peer
 from ...inverse.gaussian.lag import fixed_lag
 from ...inverse.gaussian.roots import Array
 from ...inverse.gaussian.steady import SteadyFilter
@@ -201,8 +202,6 @@ class Running:
         f = self.fitted
         if self.engine == "own":
             return Engine(f.model, f.settled, self.gate, self._width())
-        from ...inverse.gaussian.exports import Peer  # opens filterpy, which takes longer than a start
-
         return Peer(f.model)
 
     def compile(self) -> None:

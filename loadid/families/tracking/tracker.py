@@ -16,6 +16,7 @@ from structures.errors import InputError
 from structures.files import storage
 from structures.flags import Flag
 
+from ...inverse.gaussian.exports import FilterpyEngine, to_filterpy, write_c
 from ...inverse.gaussian.records import filter_record, smooth_record
 from ...results.estimate import LoadEstimate
 from . import fit as recipe
@@ -170,8 +171,6 @@ class Tracker(Running):
 
         See `loadid.inverse.gaussian.exports.to_filterpy` for missing channels and correlated noises.
         """
-        from ...inverse.gaussian.exports import to_filterpy
-
         return to_filterpy(self.fitted.model)
 
     def to_c(self, path: str | os.PathLike[str], name: str = "tracker") -> Path:
@@ -188,8 +187,6 @@ class Tracker(Running):
         InputError
             A tracker without a settled gain, no C identifier, a folder that is not there.
         """
-        from ...inverse.gaussian.exports import write_c
-
         f = self.fitted
         if f.settled is None:
             raise InputError("a filter that never settles has no constant gain", where="to_c", found="allow_drift",
@@ -207,8 +204,6 @@ class Tracker(Running):
         InputError
             As `track`.
         """
-        from ...inverse.gaussian.exports import FilterpyEngine
-
         Y, inputs = blocks.values(self.fitted, record, dt)
         Y = inside(Y, self.fitted.limits)
         found = FilterpyEngine(self.fitted.model).track(Y, progress)
@@ -342,11 +337,6 @@ def fit_of(path: str | os.PathLike[str]) -> str:
         As `storage.read`.
     """
     return str(storage.read(path, KIND)["fit"])
-
-
-def running(tracker: Tracker) -> dict[str, Any]:
-    """What changes from sample to sample, as plain arrays and numbers."""
-    return tracker.to_tree()
 
 
 def _packed(fitted: TrackerFit) -> tuple[dict[str, Any], str]:

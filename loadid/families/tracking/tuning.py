@@ -11,7 +11,7 @@ factor on process and measurement noise leaves the gain alone: its optimum is th
 noise level is not known. The search stays within `REACH` of where it starts, and the starts follow from step and length
 of the record: a correlation length of ten records is not told from an endless one, nor one of a hundredth of a step
 from none. Single wrong samples, which no load explains, are left out in a second pass. A record with gaps everywhere
-has its likelihood in `patchy`.
+has its likelihood in `likelihood.Patchy`.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class Tuned:
     evaluations : int
     bounded : tuple of int
         Numbers that ended at a bound of the search: the record does not tell them.
-    wrong : tuple of int
+    outliers : tuple of int
         Samples of each channel that no load explains, and that were left out.
     """
 
@@ -163,7 +163,7 @@ class Tuned:
     scale: float
     evaluations: int
     bounded: tuple[int, ...] = ()
-    wrong: tuple[int, ...] = ()
+    outliers: tuple[int, ...] = ()
 
 
 def tune(
@@ -343,7 +343,7 @@ def numbers_of(
     labels = [c.label for c in data.channels]
     said = (
         undetermined([posing.names[i] for i in found.bounded]),
-        spoilt(found.wrong, labels) if found.wrong else None,
+        spoilt(found.outliers, labels) if found.outliers else None,
     )
     return Numbers(found.parameters, found.scale, words, tuple(flag for flag in said if flag is not None))
 

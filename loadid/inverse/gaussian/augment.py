@@ -306,7 +306,7 @@ def augment(
         thousand noise stds wide where nothing is said.
     dummy : float, optional
         Std in m within which every load is believed to leave the structure near its rest, at each sample and where it
-        acts: a prior, not data (see `dummy.near_rest`). It needs a model with modes.
+        acts: a prior, not data (see `model.near_rest`). It needs a model with modes.
 
     Returns
     -------

@@ -366,7 +366,7 @@ class Peer:
     model : FilterModel
     """
 
-    loop = said = None
+    loop = innovation = None
     rival = None
 
     def __init__(self, model: FilterModel) -> None:

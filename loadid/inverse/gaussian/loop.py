@@ -45,25 +45,9 @@ class Loop:
     """
 
     __slots__ = (
-        "_M",
-        "_all",
-        "_cold",
-        "_done",
-        "_fast",
-        "_gemv",
-        "_limits",
-        "_load",
-        "_next",
-        "_out",
-        "_single",
-        "_v",
-        "_x",
-        "_y",
-        "e",
-        "m",
-        "n",
-        "p",
-    )
+        "_M", "_all", "_cold", "_done", "_fast", "_gemv", "_limits", "_load", "_next", "_out", "_single", "_v", "_x",
+        "_y", "e", "m", "n", "p",
+    )  # fmt: skip
 
     def __init__(self, rows: Array, p: int, m: int, x: ArrayLike, limit: Array | None = None) -> None:
         from scipy.linalg.blas import dgemv

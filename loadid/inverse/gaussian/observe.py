@@ -203,7 +203,7 @@ class Observability:
 
     Parameters
     ----------
-    seen : tuple of EigenvalueTest
+    eigenvalues : tuple of EigenvalueTest
         Popov-Belevitch-Hautus test of each eigenvalue, the least seen first.
     gain : array, shape (m, p), or None
         Static gain in noise sds per load sd, rounding set to zero; None where the structure moves freely.
@@ -219,7 +219,7 @@ class Observability:
     loads : tuple of str
     """
 
-    seen: tuple[EigenvalueTest, ...]
+    eigenvalues: tuple[EigenvalueTest, ...]
     gain: Array | None
     static: Array | None
     at_once: Array
@@ -231,7 +231,7 @@ class Observability:
     @property
     def unseen(self) -> tuple[EigenvalueTest, ...]:
         """What no sensor sees and what never dies out: with any of it there is no steady gain."""
-        return tuple(s for s in self.seen if s.lost and s.lasting)
+        return tuple(s for s in self.eigenvalues if s.lost and s.lasting)
 
     @property
     def detectable(self) -> bool:
@@ -272,7 +272,7 @@ class Observability:
 
     def rows(self) -> tuple[tuple[str, str, str, bool], ...]:
         """The table: check, number, threshold, passed."""
-        p, least = len(self.loads), (self.unseen or self.seen)[0]
+        p, least = len(self.loads), (self.unseen or self.eigenvalues)[0]
         out = [
             ("sensors", f"{self.sensors}", f"at least {p}", self.sensors >= p),
             ("least seen (PBH)", f"{least.sigma:.1e}, {least.name}", f"{UNSEEN:.0e}", self.detectable),
@@ -327,7 +327,7 @@ def observability(
     size = float(max(np.linalg.norm(B) * 1e-12, np.sqrt(np.mean(np.abs(states) ** 2)))) or 1.0
     names = tuple(loads) if loads is not None else tuple(channel.label for channel in space.loads)
     return Observability(
-        seen=_seen(model, sigma, size, names, space.dt),
+        eigenvalues=_tested(model, sigma, size, names, space.dt),
         gain=gain,
         static=static,
         at_once=_padded(D, len(sigma)),
@@ -390,7 +390,7 @@ def _few(s: Array) -> str:
 
 
 # -- the test of each eigenvalue ---------------------------------------------------------------------------------------
-def _seen(
+def _tested(
     model: FilterModel, sigma: Array, size: float, names: tuple[str, ...], dt: float
 ) -> tuple[EigenvalueTest, ...]:
     """Popov-Belevitch-Hautus test on the scaled pair."""

@@ -6,13 +6,13 @@ A block of b samples is one row: its outputs are a Toeplitz matrix times its inp
 the state at its start. These states advance by A^b, all those of a stretch together in log2 steps (Hillis & Steele,
 Commun. ACM 29 (1986) 1170). All is a matrix product, and no temporary is longer than a stretch.
 
-With the gains of `riccati` and L g = w,
+With the `gains` and L g = w,
 
     backward  s = G^T v + D^T y + a,   u = M^-1 s,   v <- F^T v + C^T y + E^T a - K^T s,
     forward   w = u - K xi,   g = E xi + w,   r = C xi + D w,   xi <- F xi + G w,
 
 where a is a linear term on the load (0 for a plain solve). Where the gains have settled both are filters that do not
-change with time, and run as products of blocks of samples (`blocks`); the rest goes sample by sample (`loops`).
+change with time, and run as products of blocks of samples (`run_blocks`); the rest goes sample by sample.
 """
 
 from __future__ import annotations

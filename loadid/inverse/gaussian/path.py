@@ -47,8 +47,6 @@ def largest(record: WhitenedRecord) -> float:
 
 
 def _largest(record: WhitenedRecord) -> float:
-    from scipy.sparse.linalg import LinearOperator, eigsh
-
     still, start = feedback(record), np.zeros(record.n)
     count = record.samples * record.p
     Q = np.linalg.qr(unforced(record))[0] if len(record.free) else np.zeros((record.samples * record.m, 0))
@@ -57,6 +55,13 @@ def _largest(record: WhitenedRecord) -> float:
         y = forward(record, still, np.ascontiguousarray(w.reshape(-1, record.p)), start)[2].reshape(-1)
         rest = (y - Q @ (Q.T @ y)).reshape(-1, record.m)
         return backward(record, still, rest, None)[0].reshape(-1)
+
+    return root_of_largest(normal, count)
+
+
+def root_of_largest(normal: Callable[[Array], Array], count: int) -> float:
+    """Root of the largest eigenvalue of a symmetric operator on `count` numbers, none of its eigenvalues below 0."""
+    from scipy.sparse.linalg import LinearOperator, eigsh
 
     if count <= 2:
         matrix = np.array([normal(e) for e in np.eye(count)])
@@ -144,8 +149,8 @@ class Scalars:
 class StateSpacePath(RegularizationPath):
     """Exact Tikhonov of a finite record over a state space, ``min |H g - y|^2 + lam^2 |L g|^2``, in O(N).
 
-    A lambda costs one Riccati recursion over the memory of the record (`riccati`), one covariance recursion for the
-    traces, and two passes over the data. The rules see a spline through a fifth of a decade of such nodes (`nodes`);
+    A lambda costs one Riccati recursion over the memory of the record (`gains`), one covariance recursion for the
+    traces, and two passes over the data. The rules see a spline through a fifth of a decade of such nodes;
     `exact`, `solution`, `residual` and `resolve` are exact at any lambda.
 
     Parameters

@@ -17,7 +17,7 @@ import numpy as np
 
 from structures.errors import InputError
 
-from ..posterior import DensePosterior, Posterior, SpectralPosterior
+from ..posterior import DensePosterior, Posterior, SpectralPosterior, from_arrays
 from .compiled import BEGUN, Compiled, multiply, multiply_by_transposed, settled, solve_upper
 from .gains import Gains, feedback, gains
 from .passes import Solved, forward, solve
@@ -54,19 +54,9 @@ def variances(
         X[np.ix_(record.free, record.free)] = gains.start @ gains.start.T
     variance = np.empty((record.samples if every_sample else 1, len(read)))
     trace, penalty = _recursion(
-        record.F,
-        record.G,
-        record.E,
-        read,
-        record.kind,
-        gains.K,
-        gains.R,
-        gains.which,
-        X,
-        variance,
-        every_sample,
+        record.F, record.G, record.E, read, record.kind, gains.K, gains.R, gains.which, X, variance, every_sample,
         record.stride,
-    )
+    )  # fmt: skip
     return LoadVariances(variance if every_sample else None, float(trace), float(gains.lam**2 * penalty))
 
 
@@ -311,8 +301,6 @@ class MappedPosterior:
     @classmethod
     def from_arrays(cls, tree: dict[str, Any]) -> MappedPosterior:
         """From what `to_arrays` gave."""
-        from ..posterior import from_arrays
-
         return cls(from_arrays(tree["base"]), np.asarray(tree["T"], float))
 
 

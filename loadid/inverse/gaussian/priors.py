@@ -241,7 +241,7 @@ class Companion:
         return Continuous(self.rate * self._unit, b, self._H, self._root)
 
     def discrete(self, dt: float) -> Discrete:
-        """From sample to sample: closed transition, noise by quadrature (see `quadrature.step`)."""
+        """From sample to sample: closed transition, noise by quadrature (see `roots.step`)."""
         a = self.rate * _step(dt)
         b = np.zeros((len(self._unit), 1))
         b[-1] = math.sqrt(self._density)

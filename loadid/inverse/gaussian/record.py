@@ -185,10 +185,6 @@ class WhitenedRecord:
         at = np.array(np.nonzero(np.any(self.F != 0, axis=0)))
         return at, np.ascontiguousarray(self.F[:, at[0], at[1]])
 
-    def with_data(self, y: Array) -> WhitenedRecord:
-        """The same record with other whitened data."""
-        return WhitenedRecord(self.F, self.G, self.C, self.D, self.E, self.kind, y, self.free, self.data)
-
 
 def record(system: Augmented, y: Array, missing: NDArray[np.bool_] | None = None) -> WhitenedRecord:
     """Record of a system that does not change, of whitened data (samples, m); `missing` data are left out.

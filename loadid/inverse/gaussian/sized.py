@@ -16,7 +16,7 @@ from structures.errors import InputError
 
 from .gains import Gains, gains
 from .passes import Solved, solve
-from .path import LONG, LOWEST, Scalars, StateSpacePath, beginning, transfer
+from .path import LONG, LOWEST, Scalars, StateSpacePath, beginning, root_of_largest, transfer
 from .posterior import SLOPE, StateSpacePosterior, variances
 from .record import WhitenedRecord
 from .roots import Array
@@ -119,25 +119,15 @@ def _silent(record: WhitenedRecord, size: Array, lam: float = 1.0) -> WhitenedRe
 def _largest(record: WhitenedRecord, size: Array) -> float:
     """Largest singular value of H over both penalties: the root of that of ``H P^-1 H^T`` for their precision P.
 
-    Beyond `scale.LONG` samples that of the beginning: under a penalty on its size a load is forgotten.
+    Beyond `path.LONG` samples that of the beginning: under a penalty on its size a load is forgotten.
     """
-    from scipy.sparse.linalg import LinearOperator, eigsh
-
     record = beginning(record, LONG) if record.samples > LONG else record
     held, shape = gains(_silent(record, size), 1.0), record.y.shape
 
     def normal(y: Array) -> Array:
         return solve(record, held, y.reshape(shape)).response.reshape(-1)
 
-    first = np.random.default_rng(0).standard_normal(record.y.size)
-    reach = normal(first)
-    level = float(np.linalg.norm(reach))
-    if record.y.size <= 2 or not np.isfinite(level) or level == 0.0:
-        matrix = np.array([normal(e) for e in np.eye(record.y.size)]) if record.y.size <= 2 else np.array([[level]])
-        return float(np.sqrt(np.abs(matrix).max()))
-    operator = LinearOperator((record.y.size,) * 2, matvec=lambda y: normal(y) / level, dtype=float)
-    top = eigsh(operator, k=1, v0=reach / level, tol=1e-9, return_eigenvectors=False)
-    return float(np.sqrt(level * max(float(top[0]), 0.0)))
+    return root_of_largest(normal, record.y.size)
 
 
 class SizedPosterior(StateSpacePosterior):

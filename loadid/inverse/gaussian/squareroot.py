@@ -11,7 +11,9 @@ Grewal & Andrews, Kalman Filtering, 4th ed., 2015, ch. 7.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +34,16 @@ class FilterState:
     x: Array
     L: Array
     y: Array | None = None
+
+    def to_tree(self) -> dict[str, Array | None]:
+        """Plain arrays, for files."""
+        return {"x": self.x, "L": self.L, "y": self.y}
+
+    @classmethod
+    def from_tree(cls, tree: Mapping[str, Any]) -> FilterState:
+        """Inverse of `to_tree`; what else the tree holds does not matter."""
+        y = None if tree["y"] is None else np.asarray(tree["y"], float)
+        return cls(np.asarray(tree["x"], float), np.asarray(tree["L"], float), y)
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,11 +66,6 @@ class SteadyFilter:
     residual: float
 
     @property
-    def gain(self) -> Array:
-        """``[(I - K H) F, K]``, shape (n, n + m): a sample without correlated noise is one product."""
-        return np.asarray(np.hstack([self.A, self.K]))
-
-    @property
     def innovation_std(self) -> Array:
         """Std of the innovation of each channel (m,)."""
         return np.asarray(np.linalg.norm(self.Se_root, axis=1))
@@ -88,7 +83,7 @@ class SteadyFilter:
         return float(np.max(np.abs(np.sum(L[at] ** 2, axis=1) / settled[at] - 1), initial=0.0))
 
     def rows(self) -> Array:
-        """Loads, innovations and next prediction from ``[x-; y]``, shape (p + m + n, n + m): see `loops.Loop`."""
+        """Loads, innovations and next prediction from ``[x-; y]``, shape (p + m + n, n + m): see `loop.Loop`."""
         n, m, F, H, Cp = self.model.n, len(self.part.H), self.part.F, self.part.H, self.model.Cp
         update = np.hstack([np.eye(n) - self.K @ H, self.K])
         ahead = F @ update

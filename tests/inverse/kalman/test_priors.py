@@ -200,3 +200,9 @@ def test_a_damped_period_has_noise_and_another_does_not() -> None:
 def test_bad_settings_are_refused(bad: Callable[[], object]) -> None:
     with pytest.raises(InputError):
         bad()
+
+
+def test_priors_come_from_where_release_0_1_has_them() -> None:
+    from importlib import import_module
+
+    assert import_module("loadid.inverse.kalman.priors").Matern32 is Matern32
