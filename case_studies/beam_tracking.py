@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import LoadEstimate, LoadTracker, NotIdentifiable
-from loadid.inverse.kalman.priors import RandomWalk
+from loadid.inverse.gaussian.priors import RandomWalk
 from structures import ForwardModel
 from structures.elements import beams
 from structures.system import damping, loads, sensors

@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import LoadEstimate, LoadTracker
-from loadid.inverse.kalman.priors import Matern32
-from loadid.inverse.kalman.steady import combined_std
+from loadid.inverse.gaussian.priors import Matern32
+from loadid.inverse.gaussian.steady import combined_std
 from structures import ForwardModel
 from structures.elements import beams
 from structures.system import damping, loads, sensors

@@ -16,7 +16,7 @@ import numpy as np
 
 from loadid.families.kalman import LoadTracker
 from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.kalman.priors import Matern32
+from loadid.inverse.gaussian.priors import Matern32
 
 from .tracked import bm2
 

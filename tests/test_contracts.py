@@ -181,7 +181,7 @@ def test_three_kalman_steps_from_the_state_space():
 def test_a_smoothed_track_equals_tikhonov():
     """Online family, whole: a random walk's smoothed loads are batch least squares with L = first difference."""
     from loadid.inverse.convolution import toeplitz
-    from loadid.inverse.kalman.priors import RandomWalk
+    from loadid.inverse.gaussian.priors import RandomWalk
 
     model, N, sd, rate = beam([0.4, 1.3], kind=sensors.Displacement), 60, 1e-6, 300.0
     y = model.predict(np.sin(np.arange(N)[:, None] / 5), DT, "zoh")

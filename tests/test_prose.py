@@ -27,7 +27,7 @@ from loadid import (
 from loadid.commands.calibrate import calibrate
 from loadid.families.tracking.fit import pack, unpack
 from loadid.inverse.constraints import Resultant
-from loadid.inverse.kalman.priors import Matern32
+from loadid.inverse.gaussian.priors import Matern32
 from loadid.inverse.noise_source import KINDS, WRITTEN
 from loadid.inverse.sweep import Refusal, RuleResult
 from loadid.results import archive

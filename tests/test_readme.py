@@ -119,7 +119,7 @@ def test_the_frequency_example(tmp_path, monkeypatch, capsys):
 
 def test_the_tracking_example(tmp_path, monkeypatch, capsys):
     """A gusty load on a mast, simulated finer, is followed within its band from a saved commissioning record on."""
-    from loadid.inverse.kalman.priors import Matern32
+    from loadid.inverse.gaussian.priors import Matern32
     from structures import ForwardModel
     from structures.elements import beams
     from structures.system import damping, loads, sensors

@@ -19,9 +19,9 @@ from ..guards import families as told
 from ..inverse.choice import Choice, ChoiceLike, checked, choose, given, named
 from ..inverse.constrained.nonnegative import NonNegativeSolution
 from ..inverse.diagnosis import diagnose
+from ..inverse.gaussian.coarse import confirm
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.penalties import order
-from ..inverse.statespace.coarse import confirm
 from ..results.estimate import LoadEstimate
 from . import histories
 from .answer import SolvedLoad, answer, beyond_noise, of_path, over_time, undetermined

@@ -17,8 +17,8 @@ from structures.models.motion import Motion, motion
 from .. import guards
 from ..guards.inversion import undetermined_field
 from ..inverse.choice import ChoiceLike
+from ..inverse.gaussian.posterior import MappedPosterior
 from ..inverse.penalties import names
-from ..inverse.statespace.posterior import MappedPosterior
 from ..results.estimate import LoadEstimate
 from ..results.facts import Facts
 from . import smoothness as spatial

@@ -16,20 +16,19 @@ from structures.models.statespace import StateSpace
 
 from .. import guards
 from ..guards import tracking as told
-from ..inverse.kalman.model import forward
-from ..inverse.kalman.model import words as near_rest_in_words
-from ..inverse.kalman.observe import Observability, observability
-from ..inverse.kalman.priors import OU, Matern32, Matern52
-from ..inverse.kalman.smoothing import fixed_lag
-from ..inverse.kalman.steady import Steady, steady
+from ..inverse.gaussian.lag import fixed_lag
+from ..inverse.gaussian.model import words as near_rest_in_words
+from ..inverse.gaussian.observe import Observability, observability
+from ..inverse.gaussian.priors import OU, Matern32, Matern52
+from ..inverse.gaussian.steady import SteadyFilter, steady
 from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..record import Record
 from . import noise as noises
 from .data import Data, gather, health
-from .tracking.certificate import Certificate, banded, certify
+from .tracking.certificate import TrackCertificate, banded, certify
 from .tracking.engine import Engine
 from .tracking.filters import Named, Posing, leaky, named, restricted
-from .tracking.fit import Fitted, Recipe, storable
+from .tracking.fit import Recipe, TrackerFit, storable
 from .tracking.judging import GATE
 from .tracking.running import ENGINES
 from .tracking.samples import ranges, within
@@ -59,7 +58,7 @@ class LoadTracker:
         With a state space.
     prior : str, prior, or one of them per load
         ``"matern32"`` (default), ``"matern52"``, ``"ou"``, ``"random_walk"``, ``"white"``: their numbers are found by
-        likelihood. A prior of `loadid.inverse.kalman.priors` is taken as it is.
+        likelihood. A prior of `loadid.inverse.gaussian.priors` is taken as it is.
     noise : float or array (sensors,), optional
         Noise std of the sensors. Where nobody states it, it is found with the prior.
     noise_source : NoiseSource, str or (str, str), optional
@@ -75,7 +74,7 @@ class LoadTracker:
         Std that a sample adds to each state of the structure.
     ambient : Ambient, optional
         Other loads, unknown and white, that disturb structure and sensors alike: the noises are then correlated
-        (`loadid.inverse.kalman.augment.Ambient`).
+        (`loadid.inverse.gaussian.augment.Ambient`).
     bias : float or array (sensors of the model,)
         Std that a second adds to the offset of a sensor; 0: it does not drift.
     start : float, array or ``"static"``
@@ -232,7 +231,7 @@ class LoadTracker:
         bank = tuple((w, m, self._settled(m, data.dt)) for w, m in posing.bank(x, self.errors, scale))
         self._progress(0.9, "testing the innovations")
         certificate, e = self._certified(model, settled, data)
-        fitted = Fitted(
+        fitted = TrackerFit(
             model=model,
             settled=settled,
             bank=bank,
@@ -287,7 +286,7 @@ class LoadTracker:
             scale, dict(self.errors), self.around["dummy"],
         )  # fmt: skip
 
-    def _lag(self, settled: Steady | None) -> int:
+    def _lag(self, settled: SteadyFilter | None) -> int:
         if self.lag != "auto":
             return int(self.lag)
         if settled is None:
@@ -317,7 +316,7 @@ class LoadTracker:
         told.refused(told.drifting(found), self.allow_drift or "LID-E501" in self.allow)
         return found
 
-    def _settled(self, model: Any, dt: float) -> Steady | None:
+    def _settled(self, model: Any, dt: float) -> SteadyFilter | None:
         try:
             return steady(model, dt)
         except NotIdentifiable:
@@ -325,7 +324,7 @@ class LoadTracker:
                 return None
             raise
 
-    def _certified(self, model: Any, settled: Steady | None, data: Data) -> tuple[Certificate, Array]:
+    def _certified(self, model: Any, settled: SteadyFilter | None, data: Data) -> tuple[TrackCertificate, Array]:
         Y = np.where(data.missing, np.nan, data.values)[:LONGEST]
         engine = Engine(model, settled, None)
         load, std, e = np.empty((len(Y), model.p)), np.empty((len(Y), model.p)), np.full(Y.shape, np.nan)
@@ -338,8 +337,8 @@ class LoadTracker:
         return banded(found, settled, [c.label for c in self.model.loads], data.dt), e[first:]
 
     def _flags(
-        self, data: Data, seen: Observability, model: Any, settled: Steady | None, certificate: Certificate, e: Array,
-        more: tuple[Flag, ...],
+        self, data: Data, seen: Observability, model: Any, settled: SteadyFilter | None, certificate: TrackCertificate,
+        e: Array, more: tuple[Flag, ...],
     ) -> tuple[Flag, ...]:  # fmt: skip
         tuned = any(isinstance(g, Named) for g in self.given)
         return guards.collect(
@@ -368,13 +367,15 @@ class LoadTracker:
         }  # fmt: skip
 
 
-def _nis(settled: Steady | None, e: Array) -> NDArray[np.float64]:
+def _nis(settled: SteadyFilter | None, e: Array) -> NDArray[np.float64]:
     """Normalised squares of the samples; of complete ones by the covariance of the innovation."""
     own = np.nansum(e**2, axis=1)
     if settled is None:
-        return np.asarray(own)
+        return own
+    from ..inverse.gaussian.roots import solve_lower
+
     whole = np.isfinite(e).all(axis=1)
-    white = forward(settled.Se_root, (e[whole] * settled.innovation_std).T)
+    white = solve_lower(settled.Se_root, (e[whole] * settled.innovation_std).T)
     own[whole] = np.sum(white**2, axis=0)
     return np.asarray(own)
 
@@ -400,7 +401,7 @@ def _left_out(model: Any, data: Data, first: int) -> list[float | None]:
     return found
 
 
-def _states(filtered: Steady, Y: Array) -> NDArray[np.float64]:
+def _states(filtered: SteadyFilter, Y: Array) -> NDArray[np.float64]:
     """Filtered states (samples, n) of a complete record."""
     x, out = filtered.model.x0, np.empty((len(Y), filtered.model.n))
     F, H, T = filtered.part.F, filtered.part.H, filtered.part.T

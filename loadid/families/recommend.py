@@ -23,7 +23,7 @@ from structures.model import Model
 
 from ..guards import families as told
 from ..inverse import rules
-from ..inverse.kalman.settled import filter_settling
+from ..inverse.gaussian.records import filter_record
 from ..inverse.noise_source import NoiseSourceLike
 from ..inverse.sparse import dictionaries
 from ..record import Record
@@ -112,7 +112,7 @@ def _criterion(tracker: Tracker, Y: Array) -> float:
         raise InputError("a filter that never settles has no evidence", where="recommend", found="a drift",
                          expected="a settled gain")  # fmt: skip
     tuned = len([name for name in tracker.fitted.numbers if name != "log-likelihood"])
-    density = float(np.sum(filter_settling(settled, Y).filtered.loglik))
+    density = float(np.sum(filter_record(settled.model, Y, settled).loglik))
     return -2 * density + tuned * float(np.log(np.isfinite(Y).sum()))
 
 

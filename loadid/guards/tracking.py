@@ -13,8 +13,8 @@ from structures.flags import Evidence, Flag
 from structures.model import Model
 from structures.models.assembly import columns
 
-from ..inverse.kalman.model import FilterModel
-from ..inverse.kalman.observe import UNSEEN, Observability
+from ..inverse.gaussian.model import FilterModel
+from ..inverse.gaussian.observe import UNSEEN, Observability
 
 MOST_CANDIDATES = 200_000  # degrees of freedom beyond which the best of an even selection is named
 

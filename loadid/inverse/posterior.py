@@ -193,9 +193,9 @@ class SpectralPosterior:
 
 ELSEWHERE = {  # kind -> module and class that reads it
     "convolved": (".convolved.posterior", "ConvolvedPosterior"),
-    "mapped": (".statespace.posterior", "MappedPosterior"),
-    "statespace": (".statespace.posterior", "StateSpacePosterior"),
-    "statespace, sized": (".statespace.sized", "SizedPosterior"),
+    "mapped": (".gaussian.posterior", "MappedPosterior"),
+    "statespace": (".gaussian.posterior", "StateSpacePosterior"),
+    "statespace, sized": (".gaussian.sized", "SizedPosterior"),
     "support": (".sparse.support", "SupportPosterior"),
 }
 

@@ -138,8 +138,8 @@ def long_errors(samples: int) -> dict[str, dict[str, NDArray[np.float64]]]:
 
     Displacement of the half-sine benchmark in advance form (the data of the next sample beside the load of this one).
     """
-    from loadid.inverse.statespace.path import StateSpacePath
-    from loadid.inverse.statespace.record import augment, record
+    from loadid.inverse.gaussian.path import StateSpacePath
+    from loadid.inverse.gaussian.record import augment, record
     from tests import halfsine
 
     s = halfsine.system("zoh")

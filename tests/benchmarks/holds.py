@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.inverse.kalman.augment import augment
-from loadid.inverse.kalman.priors import Matern32
-from loadid.inverse.kalman.settled import Loop
-from loadid.inverse.kalman.steady import steady
+from loadid.inverse.gaussian.augment import augment
+from loadid.inverse.gaussian.loop import Loop
+from loadid.inverse.gaussian.priors import Matern32
+from loadid.inverse.gaussian.steady import steady
 from structures import ForwardModel
 from structures.elements import chains
 from structures.system import loads, sensors

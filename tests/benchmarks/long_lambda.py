@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from loadid import Deconvolution
 from loadid.families.data import gather
 from loadid.families.posing import pose
-from loadid.inverse.statespace.path import StateSpacePath
+from loadid.inverse.gaussian.path import StateSpacePath
 from structures import ForwardModel
 from structures.elements import beams
 from structures.model import Model

@@ -22,13 +22,13 @@ from scipy.sparse.linalg import LinearOperator
 from loadid import Deconvolution
 from loadid.inverse.choice import choose
 from loadid.inverse.convolution import toeplitz
+from loadid.inverse.gaussian.coarse import confirm, windows_of
+from loadid.inverse.gaussian.gains import gains
+from loadid.inverse.gaussian.passes import Solved, solve
+from loadid.inverse.gaussian.path import StateSpacePath
+from loadid.inverse.gaussian.posterior import variances
+from loadid.inverse.gaussian.record import Augmented, augment, record
 from loadid.inverse.problem import LinearProblem
-from loadid.inverse.statespace.coarse import confirm, windows_of
-from loadid.inverse.statespace.passes import Solved, solve
-from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.posterior import spread
-from loadid.inverse.statespace.record import Augmented, augment, record
-from loadid.inverse.statespace.riccati import gains
 from loadid.inverse.svd import SVDPath
 from structures.models.statespace import StateSpace
 
@@ -114,7 +114,7 @@ def with_spread(c: Case) -> tuple[Solved, NDArray]:
     """Solution and std of every sample at one lambda."""
     own = record(c.augmented, c.y / c.sigma)
     held = gains(own, c.lam)
-    return solve(own, held), np.sqrt(spread(own, held).variance)  # type: ignore[arg-type]
+    return solve(own, held), np.sqrt(variances(own, held).variance)  # type: ignore[arg-type]
 
 
 def job(c: Case, rules: Iterable[str] = ("discrepancy", "robust_gcv")) -> dict[str, object]:

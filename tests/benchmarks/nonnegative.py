@@ -25,15 +25,15 @@ from loadid.inverse.constrained.condensed import BlockNormal
 from loadid.inverse.constrained.exchange import gap
 from loadid.inverse.constrained.nonnegative import NonNegativeRecord, discrepancy
 from loadid.inverse.convolution import Convolution
-from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.record import Record, augment, record
+from loadid.inverse.gaussian.path import StateSpacePath
+from loadid.inverse.gaussian.record import WhitenedRecord, augment, record
 from tests import halfsine
 
 SEEDS = 3
 RELATIVE = 1e-2  # lambda of the timings, over the largest singular value of 2000 samples
 
 
-def made(y: NDArray, sigma: float = 1.0, penalty: str = "identity") -> Record:
+def made(y: NDArray, sigma: float = 1.0, penalty: str = "identity") -> WhitenedRecord:
     """Record of the benchmark, whitened."""
     s = halfsine.system()
     return record(augment(s.A, s.B, s.C / sigma, s.D / sigma, penalty), y[:, None] / sigma)

@@ -27,11 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid.families.tracking import tracker as checkpoint
-from loadid.families.tracking.fit import Fitted
+from loadid.families.tracking.fit import TrackerFit
 from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.kalman.augment import augment
-from loadid.inverse.kalman.priors import OU, Matern32, Sum
-from loadid.inverse.kalman.steady import steady
+from loadid.inverse.gaussian.augment import augment
+from loadid.inverse.gaussian.priors import OU, Matern32, Sum
+from loadid.inverse.gaussian.steady import steady
 from loadid.stream import follow
 from tests.killed import Nursery, fitted, leaves, tortured, troubled
 from tests.tracked import Setup, selector, tridiagonal
@@ -60,7 +60,7 @@ def tracker(modes: int = 18, sensors: int = 8) -> tuple[Tracker, NDArray[np.floa
     space = setup.space("foh")
     prior = Sum((Matern32(50.0, 0.5), OU(20.0, 0.05)))
     model = augment(space, setup.dt, [prior], noise=noise)
-    fit = Fitted(
+    fit = TrackerFit(
         model=model, settled=steady(model, setup.dt), bank=(), dt=setup.dt, sensors=tuple(space.sensors),
         loads=tuple(space.loads), words=prior.words, numbers={}, noise_source="given", certificate=None, flags=(),
         fingerprint="chain", settings={}, inputs={},
@@ -150,7 +150,7 @@ def killed(kills: int) -> dict[str, float]:
         straight._engine.loop.compile()
         done = follow(straight, str(folder / "whole.csv"), str(folder / "straight.csv"), idle=0)
         a, b = ((folder / name).read_bytes() for name in ("out.csv", "straight.csv"))
-        own, other = (checkpoint.running(x) for x in (checkpoint.load(folder / "state.h5"), straight))
+        own, other = (x.to_tree() for x in (checkpoint.load(folder / "state.h5"), straight))
         same = list(leaves(own)) == list(leaves(other))
     different = abs(len(a) - len(b)) + sum(x != y for x, y in zip(a, b, strict=False)) + (not same)
     print(f"killed {kills} times, {resumed} of them with a checkpoint, {cut} with output behind it; "

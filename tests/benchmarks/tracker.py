@@ -17,12 +17,11 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from scipy.linalg import solve_discrete_are
 
-from loadid.inverse.kalman.model import FilterModel
-from loadid.inverse.kalman.periodic import PeriodicLoop, periodic
-from loadid.inverse.kalman.settled import Loop
-from loadid.inverse.kalman.smoothing import LagLine, fixed_lag
-from loadid.inverse.kalman.squareroot import SquareRoot
-from loadid.inverse.kalman.steady import Steady, steady
+from loadid.inverse.gaussian.lag import LagLine, fixed_lag
+from loadid.inverse.gaussian.loop import Loop, PeriodicLoop
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.squareroot import SquareRoot
+from loadid.inverse.gaussian.steady import SteadyFilter, periodic, steady
 
 SIZES, SENSORS, LAG, DT = (20, 60, 200), 10, 20, 0.01
 EVERY = 10  # samples between two of the slow channel
@@ -104,7 +103,7 @@ def several(system: FilterModel, Y: np.ndarray) -> Callable[[], object]:
 
 
 def stepping(
-    gain: Steady, limit: np.ndarray, rows: list[np.ndarray], line: LagLine | None = None
+    gain: SteadyFilter, limit: np.ndarray, rows: list[np.ndarray], line: LagLine | None = None
 ) -> Callable[[], object]:
     """A loop over samples as a tracker runs it."""
     loop, std = Loop(gain.rows(), 1, SENSORS, gain.model.x0, limit), gain.std

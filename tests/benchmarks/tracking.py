@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from loadid import LoadTracker, NotIdentifiable
 from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.kalman.augment import Ambient, augment
-from loadid.inverse.kalman.model import FilterModel
-from loadid.inverse.kalman.priors import OU, RandomWalk, White
-from loadid.inverse.kalman.settled import Loop
-from loadid.inverse.kalman.squareroot import filter as recursive
-from loadid.inverse.kalman.steady import steady
+from loadid.inverse.gaussian.augment import Ambient, augment
+from loadid.inverse.gaussian.loop import Loop
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.priors import OU, RandomWalk, White
+from loadid.inverse.gaussian.records import filter_record as recursive
+from loadid.inverse.gaussian.steady import steady
 from structures import ForwardModel, StateSpace
 from structures.elements import beams, chains
 from structures.system import damping, loads, sensors

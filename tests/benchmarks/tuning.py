@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from loadid.families.tracking.filters import NAMES, Posing
 from loadid.families.tracking.tuning import STARTS, likelihood, tune
-from loadid.inverse.kalman.augment import augment
-from loadid.inverse.kalman.priors import RandomWalk
-from loadid.inverse.kalman.steady import steady
+from loadid.inverse.gaussian.augment import augment
+from loadid.inverse.gaussian.priors import RandomWalk
+from loadid.inverse.gaussian.steady import steady
 from structures import ForwardModel
 from tests import tracked
 from tests.benchmarks.tracking import building, run

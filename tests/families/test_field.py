@@ -11,8 +11,8 @@ from loadid.families.field import told_apart
 from loadid.families.harmonic import complex_load
 from loadid.inverse import penalties
 from loadid.inverse.convolution import toeplitz
+from loadid.inverse.gaussian.posterior import MappedPosterior
 from loadid.inverse.posterior import from_arrays
-from loadid.inverse.statespace.posterior import MappedPosterior
 from loadid.results.estimate import Axis
 from loadid.zones import harmonic_power, mean_power
 from structures import ForwardModel, ImpulseModel, bases

@@ -10,7 +10,7 @@ import pytest
 
 from loadid import Record
 from loadid.families.kalman import LoadTracker
-from loadid.inverse.kalman import priors
+from loadid.inverse.gaussian import priors
 from structures import Channel, ForwardModel, InputError, NotIdentifiable, StateSpace
 from structures.elements import chains
 from structures.models.mapped import mapped

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from loadid.families.tracking.certificate import banded, certify, in_words, spectra, told_bands
-from loadid.inverse.kalman.augment import Ambient, augment
-from loadid.inverse.kalman.model import FilterModel
-from loadid.inverse.kalman.priors import Matern32, RandomWalk
-from loadid.inverse.kalman.steady import Steady, steady
+from loadid.inverse.gaussian.augment import Ambient, augment
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.priors import Matern32, RandomWalk
+from loadid.inverse.gaussian.steady import SteadyFilter, steady
 from tests.families.test_tracking import building
 
 DT = 0.01
 
 
 @cache
-def settled(noise: float = 1.0, walk: bool = False, hold: str = "joint", ambient: bool = False) -> Steady:
+def settled(noise: float = 1.0, walk: bool = False, hold: str = "joint", ambient: bool = False) -> SteadyFilter:
     model = building(at=(10, 5), disp=(10, 5))
     around = Ambient(model, 3.0) if ambient else None
     prior = RandomWalk(1000.0) if walk else Matern32(100.0, 0.08)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from loadid.families.kalman import LoadTracker
-from loadid.families.tracking.fit import Fitted
+from loadid.families.tracking.fit import TrackerFit
 from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.kalman import priors
+from loadid.inverse.gaussian import priors
 from structures import ForwardModel, InputError
 from structures.elements import chains
 from structures.system import damping, loads, sensors
@@ -42,7 +42,7 @@ def made(**settings: object) -> Tracker:
 
 
 @cache
-def fit() -> Fitted:
+def fit() -> TrackerFit:
     return made().fitted
 
 

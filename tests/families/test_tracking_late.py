@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from loadid import InputError, LoadTracker
-from loadid.inverse.kalman.smoothing import smooth
-from loadid.inverse.kalman.squareroot import filter as filtered
+from loadid.inverse.gaussian.records import filter_record as filtered
+from loadid.inverse.gaussian.records import smooth_record as smooth
 from tests import tracked
 
 
@@ -17,7 +17,7 @@ def case() -> tracked.Tracked:
 
 
 def tracker(case: tracked.Tracked, **settings: object):
-    from loadid.inverse.kalman.priors import Matern32
+    from loadid.inverse.gaussian.priors import Matern32
 
     known = {"prior": Matern32(100.0, 0.08), "noise": case.noise, "noise_source": "data sheet"}
     return LoadTracker(case.setup.space(), **{**known, **settings}).fit(case.y, case.dt)
@@ -28,7 +28,7 @@ def test_a_late_answer_is_the_smoothed_one(case: tracked.Tracked) -> None:
     late = tracker(case, lag=lag).track(case.y)
     known = tracker(case, lag=lag).fitted.model
     for k in (400, 1200):
-        whole = smooth(filtered(known, case.y[: k + lag + 1], keep=True))
+        whole = smooth(filtered(known, case.y[: k + lag + 1]))
         assert late.load[k] == pytest.approx(whole.load[k], abs=1e-3 * whole.std[k].item())
         assert late.std[k] == pytest.approx(whole.std[k], rel=1e-3)
     assert len(late.load) == len(case.y) - lag
@@ -63,7 +63,7 @@ def test_late_answers_are_the_smoothed_ones_around_everything(case: tracked.Trac
     assert found.counts["gated"] == 1
     model = found.fitted.model
     for k in (0, 3, 95, 99, 101, 104, 296, 310, 337, 341, 345, 415, 420, 424, 500, 650):
-        whole = smooth(filtered(model, gone[: k + lag + 1], keep=True))
+        whole = smooth(filtered(model, gone[: k + lag + 1]))
         assert late.load[k] == pytest.approx(whole.load[k], abs=2e-3 * whole.std[k].item())
         assert late.std[k] == pytest.approx(whole.std[k], rel=2e-3)
 
@@ -80,19 +80,19 @@ def test_a_wrong_sample_beside_the_load_is_decided_before_a_late_answer() -> Non
     assert found.counts["gated"] == 1
     assert found.counts["steps"] == 0
     for k in (594, 596, 599, 600, 601, 605):
-        whole = smooth(filtered(found.fitted.model, gone[: k + lag + 1], keep=True))
+        whole = smooth(filtered(found.fitted.model, gone[: k + lag + 1]))
         if k + lag > 600:
             assert late.load[k] == pytest.approx(whole.load[k], abs=2e-3 * whole.std[k].item())
             assert late.std[k] == pytest.approx(whole.std[k], rel=2e-3)
 
 
 def test_a_drift_that_is_accepted_has_late_answers_too() -> None:
-    from loadid.inverse.kalman.priors import RandomWalk
+    from loadid.inverse.gaussian.priors import RandomWalk
 
     seen, lag = tracked.bm2("mix", 0, disp=(), samples=300), 8
     found = tracker(seen, prior=RandomWalk(100.0), allow_drift=True, lag=lag, gate=None)
     late = found.track(seen.y)
-    whole = smooth(filtered(found.fitted.model, seen.y[: 200 + lag + 1], keep=True))
+    whole = smooth(filtered(found.fitted.model, seen.y[: 200 + lag + 1]))
     assert late.load[200] == pytest.approx(whole.load[200], abs=1e-6 * whole.std[200].item())
     assert late.std[200] == pytest.approx(whole.std[200], rel=1e-6)
 
@@ -146,8 +146,8 @@ def test_the_settled_filter_as_a_c_file(case: tracked.Tracked, tmp_path) -> None
 
 def test_ambient_loads_that_disturb_both_noises_leave_an_honest_band() -> None:
     """A beam of 8 modes whose error exceeds its load: the predicted std is the empirical one."""
-    from loadid.inverse.kalman.augment import Ambient
-    from loadid.inverse.kalman.priors import OU
+    from loadid.inverse.gaussian.augment import Ambient
+    from loadid.inverse.gaussian.priors import OU
     from structures import StateSpace
 
     case = tracked.bm3(0, 30_000)
@@ -188,7 +188,7 @@ def test_a_smoothed_record_keeps_no_states_and_is_the_smoother_that_does(case: t
     y = case.y.copy()
     y[700:720, 1] = np.nan
     found = tracker(case)
-    answer, whole = found.smooth(y), smooth(filtered(found.fitted.model, y, keep=True))
+    answer, whole = found.smooth(y), smooth(filtered(found.fitted.model, y))
     assert np.allclose(answer.load, whole.load, atol=1e-6 * np.abs(whole.load).max())
     assert np.allclose(answer.std, whole.std, rtol=1e-6)
     assert found.counts["samples"] == 0

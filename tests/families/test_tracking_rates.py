@@ -9,12 +9,12 @@ import pytest
 
 from loadid.families.kalman import LoadTracker
 from loadid.families.tracking.filters import rescaled
-from loadid.families.tracking.fit import Fitted
+from loadid.families.tracking.fit import TrackerFit
 from loadid.families.tracking.likelihood import Listener, Patchy
 from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.kalman import priors
-from loadid.inverse.kalman.squareroot import SquareRoot
-from loadid.inverse.kalman.squareroot import filter as recursive
+from loadid.inverse.gaussian import priors
+from loadid.inverse.gaussian.records import filter_record as recursive
+from loadid.inverse.gaussian.squareroot import SquareRoot
 from tests.tracked import Tracked, bm2
 
 DISP = 3
@@ -26,7 +26,7 @@ def case() -> Tracked:
 
 
 @cache
-def fit() -> Fitted:
+def fit() -> TrackerFit:
     c = case()
     return LoadTracker(c.setup.space(), prior=priors.Matern32(100.0, 0.08), noise=c.noise).fit(c.y, c.dt).fitted
 

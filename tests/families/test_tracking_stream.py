@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from loadid.families.kalman import LoadTracker
-from loadid.families.tracking.fit import Fitted
+from loadid.families.tracking.fit import TrackerFit
 from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.kalman import priors
+from loadid.inverse.gaussian import priors
 from structures import ForwardModel, InputError
 from structures.elements import chains
 from structures.system import damping, loads, sensors
@@ -28,7 +28,7 @@ def case(kind: str = "matern") -> Tracked:
 
 
 @cache
-def fit(kind: str = "matern") -> Fitted:
+def fit(kind: str = "matern") -> TrackerFit:
     """The right prior with its numbers, on a quiet stretch."""
     prior = {"matern": MATERN, "mix": priors.RandomWalk(90.0), "step": priors.RandomWalk(15.0)}[kind]
     c = case(kind)

@@ -9,7 +9,7 @@ import pytest
 
 from loadid import LoadTracker
 from loadid.families.tracking.sweep import QSweep, _corner, q_sweep
-from loadid.inverse.kalman.priors import Matern32, RandomWalk
+from loadid.inverse.gaussian.priors import Matern32, RandomWalk
 from loadid.plots.choosing import sweep_figure
 from structures import InputError
 from tests.families.test_tracking import building, case

@@ -11,9 +11,10 @@ from case_studies import method_map
 from loadid.families.tracking import likelihood as search
 from loadid.families.tracking import tuning
 from loadid.families.tracking.filters import NAMES, Posing
-from loadid.families.tracking.tuning import left, wrong_samples
-from loadid.inverse.kalman.priors import Matern32
-from loadid.inverse.kalman.steady import steady
+from loadid.families.tracking.tuning import wrong_samples
+from loadid.inverse.gaussian.priors import Matern32
+from loadid.inverse.gaussian.records import filter_record, smooth_record, smooth_settled
+from loadid.inverse.gaussian.steady import steady
 from tests.families.test_tracking import building
 from tests.tracked import Tracked, bm2
 
@@ -48,7 +49,7 @@ def test_the_search_ends_where_that_of_nelder_and_mead_ends(name, free):
     assert -found.loglik <= other.fun + 1e-3
     assert found.parameters == pytest.approx(other.x, abs=3e-3)
     assert found.evaluations < 60
-    assert found.bounded == found.wrong == ()
+    assert found.bounded == found.outliers == ()
     if free:
         assert found.scale == pytest.approx(1.0, abs=0.15)
 
@@ -91,8 +92,8 @@ def test_wrong_samples_leave_the_numbers_as_they_are(kind):
     build, begin = posing(c).build, starts(c)
     clean = tuning.tune(build, begin, c.y, free_scale=False)
     found = tuning.tune(build, begin, bad, free_scale=False)
-    assert found.wrong == tuple(np.bincount(channels, minlength=4))
-    assert clean.wrong == ()
+    assert found.outliers == tuple(np.bincount(channels, minlength=4))
+    assert clean.outliers == ()
     assert found.parameters == pytest.approx(clean.parameters, abs=0.05)
     first = tuning.Likelihood(build, bad, False, lambda share: None)
     spoilt = search.climb(first, first(clean.parameters), clean.parameters - 5, clean.parameters + 5)
@@ -101,7 +102,6 @@ def test_wrong_samples_leave_the_numbers_as_they_are(kind):
 
 def test_the_others_stand_in_for_a_wrong_sample():
     """What replaces it does not depend on how wrong it was, and is what a filter says that never saw it."""
-    from loadid.inverse.kalman.settled import filter_settling, smooth_settling
 
     c = case(samples=600)
     settled = steady(posing(c).filter(c.setup.space(), [Matern32(100.0, 0.08)]))
@@ -116,10 +116,10 @@ def test_the_others_stand_in_for_a_wrong_sample():
     assert made[0] == pytest.approx(made[1], abs=1e-3 * c.noise[3])
     hole = c.y.copy()
     hole[at] = np.nan
-    load = smooth_settling(filter_settling(settled, hole)).load
+    load = smooth_record(filter_record(settled.model, hole, settled)).load
     filled = np.where(found.mask, made[0], c.y)
-    assert smooth_settling(filter_settling(settled, filled)).load == pytest.approx(load, abs=1e-3)
-    assert np.abs(left(settled, filled)[0][at]) < 1e-4 * c.noise[3]
+    assert smooth_record(filter_record(settled.model, filled, settled)).load == pytest.approx(load, abs=1e-3)
+    assert np.abs(smooth_settled(settled, filled)[1][at]) < 1e-4 * c.noise[3]
 
 
 @pytest.mark.parametrize("seed", [0, 2])
@@ -128,7 +128,7 @@ def test_a_step_of_the_load_is_no_wrong_sample(seed):
     c = bm2("step", seed, samples=1200, fine=20)
     given = Posing(building(), c.dt, np.arange(4), c.noise, (NAMES["matern32"],), hold="joint")
     found = tuning.tune(given.build, starts(c), c.y, free_scale=False)
-    assert found.wrong == ()
+    assert found.outliers == ()
 
 
 def test_an_impact_is_no_wrong_sample():
@@ -136,4 +136,4 @@ def test_an_impact_is_no_wrong_sample():
     c = method_map.case("impact")
     given = Posing(method_map.model(), method_map.DT, np.arange(3), c.noise, (NAMES["matern32"],), hold="joint")
     found = tuning.tune(given.build, NAMES["matern32"].starts(10.0, method_map.DT, 400), c.record, free_scale=False)
-    assert found.wrong == ()
+    assert found.outliers == ()

@@ -34,7 +34,7 @@ from loadid import (
     recommend,
 )
 from loadid.inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
-from loadid.inverse.kalman.priors import OU, Matern32, Matern52, Periodic, RandomWalk, White
+from loadid.inverse.gaussian.priors import OU, Matern32, Matern52, Periodic, RandomWalk, White
 from structures import Channel, ForwardModel, FrfModel, ImpulseModel, MatrixModel, MeasuredModel, bases
 from structures.elements import beams, chains
 from structures.system import damping, loads, sensors

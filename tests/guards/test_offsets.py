@@ -14,7 +14,7 @@ from structures.errors import NotIdentifiable
 from structures.flags import Flag
 from structures.system import damping, loads, sensors
 
-from ..inverse.statespace.dense import operator
+from ..inverse.gaussian.dense import operator
 from .cases import Case, refused
 
 DT, SAMPLES = 2e-4, 1500

@@ -22,7 +22,7 @@ from loadid.guards.tracking import (
     undetermined,
     untuned,
 )
-from loadid.inverse.kalman.observe import observability
+from loadid.inverse.gaussian.observe import observability
 from structures import ForwardModel
 from structures.elements import chains
 from structures.flags import Flag

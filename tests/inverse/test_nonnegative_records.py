@@ -14,9 +14,9 @@ from loadid.inverse.constrained.exchange import gap
 from loadid.inverse.constrained.nonnegative import NonNegativeRecord, discrepancy, minimise
 from loadid.inverse.constrained.path import ConstrainedPath
 from loadid.inverse.constraints import NonNegative
+from loadid.inverse.gaussian.record import WhitenedRecord, augment, record
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.rules import discrepancy_level
-from loadid.inverse.statespace.record import Record, augment, record
 from loadid.inverse.svd import SVDPath
 from structures.errors import InputError, NotIdentifiable
 from tests import halfsine
@@ -29,7 +29,7 @@ ORDER = dict(zip(PENALTIES, range(3), strict=True))
 class Case:
     """A record with its dense matrices: unknowns are free states of the model, then loads (samples, loads)."""
 
-    record: Record
+    record: WhitenedRecord
     H: NDArray  # (data, unknowns)
     L: NDArray
     y: NDArray
@@ -344,7 +344,7 @@ def test_loads_that_move() -> None:
         for k in range(j + 1, n):
             H[k, :, j], x = C[k] @ x, F[k] @ x
     kinds = np.arange(n, dtype=np.int32)
-    moving = Record(F, G, C, D, np.zeros((1, 4)), kinds, y, np.arange(0), y.size)
+    moving = WhitenedRecord(F, G, C, D, np.zeros((1, 4)), kinds, y, np.arange(0), y.size)
     found = NonNegativeRecord(moving).solve(0.5)
     expected = nnls(np.vstack([H.reshape(-1, n), 0.5 * np.eye(n)]), np.r_[y.reshape(-1), np.zeros(n)])[0]
     np.testing.assert_allclose(found.load[:, 0], expected, atol=1e-12)

@@ -10,8 +10,8 @@ from loadid.inverse.convolution import toeplitz
 from loadid.inverse.convolved import windows as windowed
 from loadid.inverse.convolved.path import ConvolvedPath
 from loadid.inverse.convolved.windows import WindowedPath, beginning_of
+from loadid.inverse.gaussian.coarse import confirm
 from loadid.inverse.problem import LinearProblem
-from loadid.inverse.statespace.coarse import confirm
 from loadid.inverse.svd import SVDPath
 from structures.errors import InputError
 

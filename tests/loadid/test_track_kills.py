@@ -31,7 +31,7 @@ def test_killed_and_undisturbed_runs_write_the_same_bytes(nursery, tmp_path):
     assert {"filled", "duplicated", "late", "replayed", "wide", "unreadable", "missing"} <= set(done.counts)
     assert (tmp_path / "out.csv").read_bytes() == (tmp_path / "straight.csv").read_bytes()
     killed, stream = checkpoint.read(tmp_path / "state.h5")
-    assert list(leaves(checkpoint.running(killed))) == list(leaves(checkpoint.running(straight)))
+    assert list(leaves(killed.to_tree())) == list(leaves(straight.to_tree()))
     counted = {**stream["lines"], **stream["clock"]["counts"]}
     assert {k: v for k, v in counted.items() if v} == {k: v for k, v in done.counts.items() if k in counted}
     assert not list(tmp_path.glob(".state.h5.*"))  # what the killed runs left is swept

@@ -22,14 +22,14 @@ from ...inverse.constrained.nonnegative import NonNegativeRecord
 from ...inverse.convolution import Convolution, heard
 from ...inverse.convolved.path import ConvolvedPath
 from ...inverse.convolved.windows import WindowedPath, beginning_of
+from ...inverse.gaussian.coarse import windows_of
+from ...inverse.gaussian.gains import feedback
+from ...inverse.gaussian.passes import forward
+from ...inverse.gaussian.path import StateSpacePath, layout
+from ...inverse.gaussian.record import Augmented, augment, measured, moving, observed_first
+from ...inverse.gaussian.sized import SizedPath
 from ...inverse.penalties import names
 from ...inverse.problem import whiten
-from ...inverse.statespace.coarse import windows_of
-from ...inverse.statespace.passes import forward
-from ...inverse.statespace.path import StateSpacePath, layout
-from ...inverse.statespace.record import Augmented, augment, measured, moving, observed_first
-from ...inverse.statespace.riccati import feedback
-from ...inverse.statespace.sized import SizedPath
 from ..data import Data
 from ..noise import Noise
 from .posed import WHOLE, Posed, Settings, measured_response

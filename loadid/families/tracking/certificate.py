@@ -13,19 +13,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inverse.kalman.steady import Steady
+from ...inverse.gaussian.roots import Array
+from ...inverse.gaussian.steady import SteadyFilter
 
 LINES = 160  # frequencies at which the two are compared
 LOWEST = 1e-4  # of the Nyquist frequency; what is told there is told below
 Bands = tuple[tuple[float, float], ...]
 
 
-def spectra(settled: Steady, turns: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def spectra(settled: SteadyFilter, turns: Array) -> tuple[Array, Array]:
     """Variance of a sample by frequency: of the error of every load, and of the load by its prior.
 
     Parameters
     ----------
-    settled : Steady
+    settled : SteadyFilter
     turns : array, shape (lines,)
         Frequency in radians a sample, 0 to pi.
 
@@ -42,7 +43,7 @@ def spectra(settled: Steady, turns: NDArray) -> tuple[NDArray[np.float64], NDArr
     return error, _power(model.F[own, own], model.Cp[:, own], model.LQ[own], shift)
 
 
-def told_bands(settled: Steady, dt: float) -> tuple[Bands, ...]:
+def told_bands(settled: SteadyFilter, dt: float) -> tuple[Bands, ...]:
     """Bands in Hz, load by load, in which the error of the track is smaller than what its prior knew.
 
     The lowest line stands for all below it, the highest ends at the Nyquist frequency.
@@ -64,14 +65,14 @@ def in_words(bands: Bands, nyquist: float) -> str:
     return f"the data tell more than the prior from {listed}; elsewhere the track is its prior"
 
 
-def _power(A: NDArray, C: NDArray, B: NDArray, shift: NDArray) -> NDArray[np.float64]:
+def _power(A: Array, C: Array, B: Array, shift: Array) -> Array:
     """Squares of the gains of ``x_k = A x_{k-1} + B e_k``, read by C, summed over e: (lines, rows of C)."""
     adjoint = np.eye(len(A)) - A.T * shift  # C (I - A s)^-1, transposed
     read = np.linalg.solve(adjoint, np.broadcast_to(C.T.astype(complex), (len(shift), *C.T.shape)))
     return np.asarray(np.sum(np.abs(np.swapaxes(read, 1, 2) @ B) ** 2, axis=2))
 
 
-def _intervals(hertz: NDArray, inside: NDArray[np.bool_]) -> Bands:
+def _intervals(hertz: Array, inside: NDArray[np.bool_]) -> Bands:
     edges = np.flatnonzero(np.diff(np.r_[False, inside, False])).reshape(-1, 2)
     return tuple((float(hertz[a]), float(hertz[b - 1])) for a, b in edges)
 
@@ -84,7 +85,7 @@ INSIDE = 0.90  # least share inside the 95 % band of a sensor that the others pr
 
 
 @dataclass(frozen=True)
-class Certificate:
+class TrackCertificate:
     """Tests of the innovations of a record.
 
     Parameters
@@ -104,7 +105,7 @@ class Certificate:
     sensors : tuple of str
     time_constant : float
         In which the filter forgets an error, s.
-    spread : tuple of float
+    robust_std : tuple of float
         Std of the normalised innovation of each channel as its median tells it, single wrong samples apart.
     bands : tuple of (tuple of (float, float))
         For each load, the frequencies (Hz) at which the track knows more than its prior did.
@@ -124,7 +125,7 @@ class Certificate:
     left_out: tuple[float | None, ...]
     sensors: tuple[str, ...]
     time_constant: float
-    spread: tuple[float, ...] = ()
+    robust_std: tuple[float, ...] = ()
     bands: tuple[Bands, ...] = ()
     loads: tuple[str, ...] = ()
     nyquist: float = float("inf")
@@ -164,7 +165,9 @@ class Certificate:
         return "\n".join(lines)
 
 
-def banded(certificate: Certificate, settled: Steady | None, loads: Sequence[str], dt: float) -> Certificate:
+def banded(
+    certificate: TrackCertificate, settled: SteadyFilter | None, loads: Sequence[str], dt: float
+) -> TrackCertificate:
     """A certificate with the bands in which the track of every load knows more than its prior did.
 
     A filter that never settles has no such bands, and the certificate stays as it is.
@@ -175,12 +178,12 @@ def banded(certificate: Certificate, settled: Steady | None, loads: Sequence[str
 
 
 def certify(
-    normalised: NDArray,
-    nis: NDArray,
+    normalised: Array,
+    nis: Array,
     left_out: Sequence[float | None],
     sensors: Sequence[str],
     time_constant: float,
-) -> Certificate:
+) -> TrackCertificate:
     """Certificate of normalised innovations (samples, channels), NaN where missing, and their NIS (samples,)."""
     from scipy.stats import norm
 
@@ -190,7 +193,7 @@ def certify(
     mean = float(np.sum(nis)) / max(count, 1)
     half = WIDE * np.sqrt(2 / max(count, 1))
     bound = float(norm.ppf(1 - LEVEL / 2 / (LAGS * m)) / np.sqrt(max(samples, 1)))
-    return Certificate(
+    return TrackCertificate(
         samples=samples,
         nis=mean,
         nis_bounds=(float(1 - half), float(1 + half)),
@@ -201,11 +204,13 @@ def certify(
         left_out=tuple(left_out),
         sensors=tuple(sensors),
         time_constant=float(time_constant),
-        spread=tuple(float(np.nanmedian(np.abs(x))) / QUARTILE if np.isfinite(x).any() else 1.0 for x in normalised.T),
+        robust_std=tuple(
+            float(np.nanmedian(np.abs(x))) / QUARTILE if np.isfinite(x).any() else 1.0 for x in normalised.T
+        ),
     )
 
 
-def _correlation(x: NDArray) -> float:
+def _correlation(x: Array) -> float:
     """Largest autocorrelation over the lags, of the samples that are there."""
     x = np.where(np.isfinite(x), x - np.nanmean(x) if np.isfinite(x).any() else 0.0, 0.0)
     power = float(x @ x)

@@ -1,6 +1,6 @@
 """The filter online: a settled gain while all is well, the square-root recursion elsewhere; loads that come late.
 
-While the gain is settled a load is a short filter over later innovations (`loadid.inverse.kalman.smoothing.LagLine`);
+While the gain is settled a load is a short filter over later innovations (`loadid.inverse.gaussian.lag.LagLine`);
 around everything else, and for as many samples after it as the answers are late, the covariance of the last loads with
 the state goes on sample by sample (`Delayed`). Where two filters are in doubt, each has its own line.
 """
@@ -14,25 +14,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, reals
 
-from ...inverse.kalman.model import FilterModel
-from ...inverse.kalman.periodic import PeriodicLoop
-from ...inverse.kalman.settled import Loop
-from ...inverse.kalman.smoothing import Delayed, FixedLag, LagLine, delayed, resumed
-from ...inverse.kalman.squareroot import Innovation, SquareRoot, State
-from ...inverse.kalman.steady import Steady
+from ...inverse.gaussian.lag import Delayed, FixedLag, LagLine, delayed, resumed
+from ...inverse.gaussian.loop import Loop, PeriodicLoop
+from ...inverse.gaussian.model import FilterModel
+from ...inverse.gaussian.roots import Array
+from ...inverse.gaussian.squareroot import FilterState, Innovation, SquareRoot
+from ...inverse.gaussian.steady import SteadyFilter
 from .gate import recent
 from .judging import GATE, PATIENCE, Heard, Judge, arrays, state_of, wider
-from .likelihood import Listener, Rhythm
-
-Array = NDArray[np.float64]
+from .likelihood import ChannelPeriod, Listener
 
 
 class Move(NamedTuple):
     """A sample of one filter: the state before its prediction (None: with all channels), after it, what it said."""
 
-    before: State | None
-    state: State
-    said: Innovation
+    before: FilterState | None
+    state: FilterState
+    innovation: Innovation
 
 
 class Late:
@@ -53,7 +51,7 @@ class Late:
         self.forms: list[Delayed] = []  # of the filter that speaks (or, in doubt, believes), and of its rival
         self.recent: list[tuple[Array, Array]] = []  # loads and innovations since the gain is settled
 
-    def calm(self, settled: Steady, load: Array, e: Array) -> tuple[Array, Array]:
+    def calm(self, settled: SteadyFilter, load: Array, e: Array) -> tuple[Array, Array]:
         """Loads and std (samples, p) of `lag` samples ago, for loads and innovations (samples, m) at a settled gain."""
         late, std, k = np.empty(load.shape), np.empty(load.shape), 0
         while k < len(load) and self.line is None:
@@ -67,7 +65,7 @@ class Late:
             late[k:], std[k:] = self.line.block(load[k:], e[k:]), self.line.std
         return late, std
 
-    def phase(self, before: Steady, now: Steady, load: Array, e: Array) -> tuple[Array, Array]:
+    def phase(self, before: SteadyFilter, now: SteadyFilter, load: Array, e: Array) -> tuple[Array, Array]:
         """The same of one sample at the gain of a phase after that of the phase before; e of its channels."""
         self._open()
         root = now.model.Cp @ now.L
@@ -89,8 +87,8 @@ class Late:
                 forms.append(delayed(core, move.state, self.lag))
                 continue
             form = self.forms[min(i, len(self.forms) - 1)]
-            before = move.before if move.before is not None else State(move.state.x, move.state.L)
-            forms.append(form.advance(core, before, move.state, move.said, self.lag))
+            before = move.before if move.before is not None else FilterState(move.state.x, move.state.L)
+            forms.append(form.advance(core, before, move.state, move.innovation, self.lag))
         self.forms = forms
         return self._due(forms[speaker])
 
@@ -152,7 +150,7 @@ class Engine(Judge):
     Parameters
     ----------
     model : FilterModel
-    settled : Steady or None
+    settled : SteadyFilter or None
         None where none exists: every sample is one QR factorisation then, and the std may grow.
     gate : float or None
         Std of an innovation from which a channel is kept out, or an event taken up. None: every finite number is
@@ -169,14 +167,14 @@ class Engine(Judge):
     """
 
     def __init__(
-        self, model: FilterModel, settled: Steady | None, gate: float | None = GATE, width: NDArray | None = None
+        self, model: FilterModel, settled: SteadyFilter | None, gate: float | None = GATE, width: Array | None = None
     ) -> None:
         super().__init__(model, gate, width)
         self.settled = settled
         self.phase = "warm-up"
-        self.ready: State | None = None  # prediction of the next sample, where it is handed over
+        self.ready: FilterState | None = None  # prediction of the next sample, where it is handed over
         self.listener = Listener(self.core)
-        self.rhythm: Rhythm | None = None
+        self.rhythm: ChannelPeriod | None = None
         self.beat: PeriodicLoop | None = None
         self.loop: Loop | None = None
         if settled is not None:
@@ -186,11 +184,11 @@ class Engine(Judge):
             self._variance = np.sum(settled.L**2, axis=1)
             self._std = settled.std.copy()
             self._std.setflags(write=False)  # one array for all samples
-            self._ahead = self.core.predict(State(model.x0, settled.L, np.zeros(model.m))).L
+            self._ahead = self.core.predict(FilterState(model.x0, settled.L, np.zeros(model.m))).L
 
     # -- samples ----------------------------------------------------------------------------------------------------
 
-    def step(self, y: ArrayLike) -> tuple[NDArray, NDArray]:
+    def step(self, y: ArrayLike) -> tuple[Array, Array]:
         """Loads and their std (p,) of one sample (m,), NaN where a channel is missing.
 
         Raises
@@ -219,7 +217,7 @@ class Engine(Judge):
         return self._slow(y)
 
     def block(
-        self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray | None = None, taken_as: NDArray | None = None,
+        self, Y: Array, load: Array, std: Array, e: Array | None = None, taken_as: Array | None = None,
         late: Late | None = None,
     ) -> None:  # fmt: skip
         """Fill loads and std (samples, p) of a block (samples, m).
@@ -262,32 +260,34 @@ class Engine(Judge):
             if late is not None:
                 self._follow(late, origin, load[k], std[k])
             if e is not None:
-                e[k] = np.nan if self.said is None else self.said.normalised
+                e[k] = np.nan if self.innovation is None else self.innovation.normalised
             if taken_as is not None:
                 taken_as[k] = self.taken
             k += 1
 
-    def _sample(self, y: ArrayLike) -> NDArray[np.float64]:
+    def _sample(self, y: ArrayLike) -> Array:
         return self.core.sample(reals(y, where="sample", what="a sample that is no row of real numbers"))
 
-    def _origin(self) -> tuple[State | None, State | None]:
+    def _origin(self) -> tuple[FilterState | None, FilterState | None]:
         """States of the sample before, of the filter that believes (or speaks alone) and of the one that does not."""
         if self.phase == "periodic":
             assert self.rhythm is not None
             assert self.beat is not None
             last = self.rhythm.masks[self.beat.phase - 1]
-            return State(self.beat.x, self.rhythm.ahead[0], np.where(last, 0.0, np.nan)), None
+            return FilterState(self.beat.x, self.rhythm.ahead[0], np.where(last, 0.0, np.nan)), None
         state = None if self.phase == "steady" else self.state
         return (state, self.rival) if self.believing or self.rival is None else (self.rival, state)
 
-    def _follow(self, late: Late, before: tuple[State | None, State | None], load: NDArray, std: NDArray) -> None:
+    def _follow(
+        self, late: Late, before: tuple[FilterState | None, FilterState | None], load: Array, std: Array
+    ) -> None:
         """Loads and std of a sample off the settled gain, as they are some samples late."""
         if self.fell:
             late.cut(0 if self.believing else 1)
         if self.pair is None:
             assert self.state is not None
-            assert isinstance(self.said, Innovation)
-            load[:], std[:] = late.moved(self.core, [Move(before[0], self.state, self.said)], 0)
+            assert isinstance(self.innovation, Innovation)
+            load[:], std[:] = late.moved(self.core, [Move(before[0], self.state, self.innovation)], 0)
             return
         first, second = before[0], before[1] if before[1] is not None else before[0]
         moves = [Move(first, *self.pair[0]), Move(second, *self.pair[1])]
@@ -295,7 +295,7 @@ class Engine(Judge):
         if self.rival is None:
             late.decided(0 if self.believing else 1)
 
-    def _turned(self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray) -> int:
+    def _turned(self, Y: Array, load: Array, std: Array, e: Array) -> int:
         """Fill samples at the gains of a rhythm up to the first that does not fit; how many."""
         assert self.beat is not None
         assert self.rhythm is not None
@@ -306,10 +306,10 @@ class Engine(Judge):
             std[:taken] = self.rhythm.std[phases]
             self.counts["samples"] += taken
             self.counts["missing"] += int(np.sum(self.rhythm.absent[phases]))
-            self.taken, self.said = Y[taken - 1].copy(), Heard(e[taken - 1].copy())
+            self.taken, self.innovation = Y[taken - 1].copy(), Heard(e[taken - 1].copy())
         return taken
 
-    def _slow(self, y: NDArray) -> tuple[NDArray, NDArray]:
+    def _slow(self, y: Array) -> tuple[Array, Array]:
         self.counts["samples"] += 1
         self.counts["missing"] += int(np.sum(~np.isfinite(y)))
         there = np.isfinite(y)
@@ -318,18 +318,18 @@ class Engine(Judge):
         self._settle(self.taken, there)
         return answer
 
-    def _predicted(self) -> State:
+    def _predicted(self) -> FilterState:
         """Mean and covariance of the sample that comes, before it."""
         if self.phase == "steady":
             assert self.loop is not None
             self.phase = "transient"
-            return State(self.loop.x, self._ahead)
+            return FilterState(self.loop.x, self._ahead)
         if self.phase == "periodic":
             assert self.beat is not None
             assert self.rhythm is not None
             self.phase = "transient"
             self.listener.clear()
-            return State(self.beat.x, self.rhythm.ahead[self.beat.phase])
+            return FilterState(self.beat.x, self.rhythm.ahead[self.beat.phase])
         if self.ready is not None:
             before, self.ready = self.ready, None
             return before
@@ -337,7 +337,7 @@ class Engine(Judge):
             return self.core.start()
         return self.core.predict(self.state)
 
-    def _settle(self, y: NDArray, there: NDArray[np.bool_]) -> None:
+    def _settle(self, y: Array, there: NDArray[np.bool_]) -> None:
         """Back to a settled gain where the covariance has arrived at its: that of all channels, or of a rhythm."""
         assert self.state is not None
         self.listener.hear(there)
@@ -361,7 +361,7 @@ class Engine(Judge):
             self.young = False
             self._agreed()
 
-    def _beat(self, rhythm: Rhythm, x: NDArray, phase: int) -> None:
+    def _beat(self, rhythm: ChannelPeriod, x: Array, phase: int) -> None:
         """To the gains of a rhythm, from the prediction of a sample of this phase."""
         sigmas = np.inf if self.gate is None else self.gate * self.width
         self.rhythm, self.beat = rhythm, PeriodicLoop(rhythm.filters, x, phase, sigmas)
@@ -369,7 +369,7 @@ class Engine(Judge):
 
     # -- to another filter --------------------------------------------------------------------------------------------
 
-    def succeed(self, old: Engine, T: NDArray | None) -> None:
+    def succeed(self, old: Engine, T: Array | None) -> None:
         """Go on where the engine of another model stands: states T times its own, or, without T, anywhere in reach."""
         self.counts, self.wrong, self.good = old.counts.copy(), old.wrong.copy(), old.good.copy()
         self.beyond, self.largest = old.beyond.copy(), old.largest
@@ -379,10 +379,10 @@ class Engine(Judge):
         whole = np.eye(self.model.n)
         if T is not None:
             whole[: len(T), : len(T)] = T
-        self.ready = State(whole @ before.x, whole @ before.L)
+        self.ready = FilterState(whole @ before.x, whole @ before.L)
         if T is None:
             self.ready = wider(self.ready, self._reach())
-        self.state, self.phase = State(self.ready.x, self.ready.L, np.full(self.model.m, np.nan)), "transient"
+        self.state, self.phase = FilterState(self.ready.x, self.ready.L, np.full(self.model.m, np.nan)), "transient"
 
     # -- the state for files ----------------------------------------------------------------------------------------
 

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from structures.errors import InputError
 from structures.model import Model
 
-from ...inverse.kalman import priors
-from ...inverse.kalman.augment import augment
-from ...inverse.kalman.model import FilterModel, lower
+from ...inverse.gaussian import priors
+from ...inverse.gaussian.augment import augment
+from ...inverse.gaussian.model import FilterModel
+from ...inverse.gaussian.roots import Array, lower
 
 LONGEST = 0.1  # of the record: a correlation length beyond is not seen in it
 SHORTEST = 2.0  # samples
@@ -39,7 +40,7 @@ class Named:
     parameters: tuple[str, ...]
     make: Callable[..., Any]
 
-    def starts(self, size: float, dt: float, samples: int) -> list[NDArray[np.float64]]:
+    def starts(self, size: float, dt: float, samples: int) -> list[Array]:
         """Logarithms of the parameters from which the search begins, for a load of about this size (std, if white).
 
         A slow load moves the sensors less than a white one of its std: what a Matern-3/2 process has at high
@@ -81,7 +82,7 @@ def named(given: Any) -> Named | Any:
     if isinstance(given, str):
         if given not in NAMES:
             raise InputError("unknown prior of a load", where="prior", found=repr(given), expected=", ".join(NAMES),
-                             hint="or a prior of loadid.inverse.kalman.priors")  # fmt: skip
+                             hint="or a prior of loadid.inverse.gaussian.priors")  # fmt: skip
         return NAMES[given]
     if not isinstance(given, priors.Prior):
         raise InputError("no prior of a load", where="prior", found=type(given).__name__,
@@ -133,7 +134,7 @@ class Posing:
     model: Model
     dt: float
     rows: NDArray[np.int_]
-    noise: NDArray[np.float64]
+    noise: Array
     given: tuple[Any, ...]
     hold: str | None = None
     scales: tuple[str, ...] = ()
@@ -155,24 +156,17 @@ class Posing:
         noise = ("noise scale",) if self.free_noise else ()
         return (*(f"{name} of load {j + 1}" for j, g in own for name in g.parameters), *self.scales, *noise)
 
-    def build(self, x: NDArray, scale: float = 1.0) -> FilterModel:
+    def build(self, x: Array, scale: float = 1.0) -> FilterModel:
         """Filter of logarithms of the numbers; `scale` multiplies process and measurement noise."""
-        priors, at = [], 0
-        for prior in self.given:
-            if isinstance(prior, Named):
-                values = np.exp(np.clip(x[at : at + len(prior.parameters)], -80, 80))
-                at += len(prior.parameters)
-                priors.append(prior.make(*values))
-            else:
-                priors.append(prior)
-        return self.filter(self.scaled(x), priors, scale, self.factor(x))
+        return self.filter(self.scaled(x), self.priors(x), scale, self.factor(x))
 
-    def priors(self, x: NDArray, scale: float = 1.0) -> tuple[Any, ...]:
+    def priors(self, x: Array, scale: float = 1.0) -> tuple[Any, ...]:
         """The priors of these numbers."""
         found, at = [], 0
         for prior in self.given:
             if isinstance(prior, Named):
-                found.append(prior.make(*np.exp(x[at : at + len(prior.parameters)])).scaled(np.sqrt(scale)))
+                values = np.exp(np.clip(x[at : at + len(prior.parameters)], -80, 80))
+                found.append(prior.make(*values).scaled(np.sqrt(scale)))
                 at += len(prior.parameters)
             else:
                 found.append(prior)
@@ -187,11 +181,11 @@ class Posing:
         )
         return rescaled(restricted(made, self.rows), scale)
 
-    def factor(self, x: NDArray) -> float:
+    def factor(self, x: Array) -> float:
         """On the noise of the sensors."""
         return float(np.exp(np.clip(x[-1], -80, 80))) if self.free_noise and len(x) else 1.0
 
-    def scaled(self, x: NDArray) -> Model:
+    def scaled(self, x: Array) -> Model:
         """The model with its tuned parameters."""
         if not self.scales:
             return self.model
@@ -204,7 +198,7 @@ class Posing:
             self.models[key] = perturbed(self.model, dict(zip(self.scales, factors, strict=True)))
         return self.models[key]
 
-    def bank(self, x: NDArray, errors: Mapping[str, float], scale: float = 1.0) -> list[tuple[float, FilterModel]]:
+    def bank(self, x: Array, errors: Mapping[str, float], scale: float = 1.0) -> list[tuple[float, FilterModel]]:
         """Filters of models that are wrong by what is declared, with their weights in the variance between models.
 
         Gauss-Hermite with three points for each parameter: one at the nominal value, two at 1 +- sqrt(3) std.
@@ -227,7 +221,7 @@ def perturbed(model: Model, factors: Mapping[str, float]) -> Model:
     return model
 
 
-def restricted(model: FilterModel, rows: NDArray) -> FilterModel:
+def restricted(model: FilterModel, rows: NDArray[np.int_]) -> FilterModel:
     """The filter of some of its sensors."""
     if len(rows) == model.m and np.array_equal(rows, np.arange(model.m)):
         return model

@@ -22,12 +22,13 @@ from structures.model import Model, as_model
 
 from ... import guards
 from ...guards.tracking import other_model
-from ...inverse.kalman import priors
-from ...inverse.kalman.augment import augment
-from ...inverse.kalman.model import FilterModel, Present
-from ...inverse.kalman.steady import Steady, steady
+from ...inverse.gaussian import priors
+from ...inverse.gaussian.augment import augment
+from ...inverse.gaussian.model import FilterModel, Present
+from ...inverse.gaussian.roots import Array
+from ...inverse.gaussian.steady import SteadyFilter, steady
 from ...inverse.noise_source import NOT_KNOWN, NoiseSource
-from .certificate import Certificate
+from .certificate import TrackCertificate
 from .filters import SPREAD, WEIGHT, rescaled, restricted
 
 PRIORS = (
@@ -50,7 +51,7 @@ class Recipe:
     state_noise : float
     bias, start : float, array or str
     scale : float
-        Variance that multiplies all noises (`posed.rescaled`).
+        Variance that multiplies all noises (`filters.rescaled`).
     errors : mapping of str to float
         Relative std of parameters of the model.
     dummy : float, optional
@@ -58,7 +59,7 @@ class Recipe:
     """
 
     priors: tuple[Any, ...]
-    noise: NDArray[np.float64]
+    noise: Array
     rows: NDArray[np.int_]
     hold: str | None
     state_noise: float
@@ -89,7 +90,7 @@ def storable(parts: Sequence[Any]) -> bool:
     return all(isinstance(p, PRIORS) and (not isinstance(p, priors.Sum) or storable(p.parts)) for p in parts)
 
 
-def renewed(f: Fitted, model: Any) -> Fitted:
+def renewed(f: TrackerFit, model: Any) -> TrackerFit:
     """A fit with the filters of another model; its certificate is stale.
 
     Raises
@@ -136,7 +137,7 @@ def same_channels(f: Any, model: Any) -> None:
                                  label for label, _ in mine), hint="fit a tracker to it")  # fmt: skip
 
 
-def carried(before: Model | None, after: Model, nx: int) -> NDArray[np.float64] | None:
+def carried(before: Model | None, after: Model, nx: int) -> Array | None:
     """States (nx, nx) of a model from those of another of the same structure, through its degrees of freedom.
 
     None where the two do not share any: then nothing is known of the states but their number.
@@ -163,14 +164,14 @@ def carried(before: Model | None, after: Model, nx: int) -> NDArray[np.float64] 
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class TrackerFit:
     """What a fit has settled; everything that a tracker needs to run.
 
     Parameters
     ----------
     model : FilterModel
-    settled : Steady or None
-    bank : tuple of (weight, FilterModel, Steady or None)
+    settled : SteadyFilter or None
+    bank : tuple of (weight, FilterModel, SteadyFilter or None)
         Models that are wrong by what was declared.
     dt : float
     sensors, loads : tuple of Channel
@@ -180,7 +181,7 @@ class Fitted:
         What was tuned.
     noise_source : NoiseSource
         Or its text, as files of release 0.1 have it.
-    certificate : Certificate or None
+    certificate : TrackCertificate or None
     flags : tuple of Flag
     fingerprint : str
         Of the model of the structure.
@@ -196,20 +197,20 @@ class Fitted:
     """
 
     model: FilterModel
-    settled: Steady | None
-    bank: tuple[tuple[float, FilterModel, Steady | None], ...]
+    settled: SteadyFilter | None
+    bank: tuple[tuple[float, FilterModel, SteadyFilter | None], ...]
     dt: float
     sensors: tuple[Channel, ...]
     loads: tuple[Channel, ...]
     words: str
     numbers: Mapping[str, float]
     noise_source: NoiseSource
-    certificate: Certificate | None
+    certificate: TrackCertificate | None
     flags: tuple[Flag, ...]
     fingerprint: str
     settings: Mapping[str, Any]
     inputs: Mapping[str, str]
-    limits: NDArray[np.float64] | None = None
+    limits: Array | None = None
     recipe: Recipe | None = None
     stale: bool = False
 
@@ -218,21 +219,11 @@ class Fitted:
 
 
 TYPES: dict[str, type] = {
-    kind.__name__: kind
-    for kind in (
-        Certificate,
-        Channel,
-        Evidence,
-        Fitted,
-        Flag,
-        FilterModel,
-        NoiseSource,
-        Present,
-        Recipe,
-        Steady,
-        *PRIORS,
-    )
-}
+    **{kind.__name__: kind for kind in (Channel, Evidence, Flag, FilterModel, NoiseSource, Present, Recipe, *PRIORS)},
+    "Certificate": TrackCertificate, "Fitted": TrackerFit, "Steady": SteadyFilter,
+}  # fmt: skip
+NAMES = {kind: name for name, kind in TYPES.items()}  # in files, as release 0.1 has them
+FIELDS = {"Certificate": {"robust_std": "spread"}}  # the same of their fields
 
 
 def pack(value: Any) -> dict[str, Any]:
@@ -268,7 +259,7 @@ class _Packer:
     """What is met twice is written once: the matrices of a filter stand in its settled gain too."""
 
     def __init__(self) -> None:
-        self.parts: list[NDArray[np.float64]] = []
+        self.parts: list[Array] = []
         self.seen: dict[int, int] = {}
         self.kept: list[Any] = []  # alive, so that no two of them share an id
 
@@ -290,13 +281,15 @@ class _Packer:
         if isinstance(value, np.ndarray):
             return self._array(value)
         kind = Channel if isinstance(value, Channel) else type(value)  # of a sensor only what a channel says is needed
-        if not is_dataclass(value) or kind.__name__ not in TYPES:
+        name = NAMES.get(kind)
+        if not is_dataclass(value) or name is None:
             raise InputError("a value that the file of a tracker does not hold", where="checkpoint",
                              found=kind.__name__, expected="numbers, text, arrays, " + ", ".join(TYPES))  # fmt: skip
-        own = {f.name: self.pack(getattr(value, f.name)) for f in fields(kind) if f.init}
-        return {"is": kind.__name__, "of": own}
+        other = FIELDS.get(name, {})
+        own = {other.get(f.name, f.name): self.pack(getattr(value, f.name)) for f in fields(kind) if f.init}
+        return {"is": name, "of": own}
 
-    def _array(self, value: NDArray) -> dict[str, Any]:
+    def _array(self, value: Array) -> dict[str, Any]:
         if value.dtype != np.float64:
             return {"is": "small", "type": value.dtype.str, "of": value.tolist()}
         turned = value.flags.f_contiguous and not value.flags.c_contiguous
@@ -305,7 +298,7 @@ class _Packer:
 
 
 class _Unpacker:
-    def __init__(self, numbers: NDArray[np.float64]) -> None:
+    def __init__(self, numbers: Array) -> None:
         self.numbers, self.at = numbers, 0
         self.seen: list[Any] = []
 
@@ -338,4 +331,5 @@ class _Unpacker:
         if kind not in TYPES:
             raise InputError("not a value of a tracker", where="checkpoint", found=repr(kind),
                              expected=", ".join(TYPES))  # fmt: skip
-        return TYPES[kind](**{k: self.unpack(v) for k, v in inner.items()})
+        own = {theirs: ours for ours, theirs in FIELDS.get(kind, {}).items()}
+        return TYPES[kind](**{own.get(k, k): self.unpack(v) for k, v in inner.items()})

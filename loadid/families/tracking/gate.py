@@ -29,9 +29,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...inverse.kalman.model import FilterModel, forward, lower
-from ...inverse.kalman.squareroot import Innovation, State
-from ...inverse.kalman.steady import Steady
+from ...inverse.gaussian.model import FilterModel
+from ...inverse.gaussian.roots import Array, lower, solve_lower
+from ...inverse.gaussian.squareroot import FilterState, Innovation
+from ...inverse.gaussian.steady import SteadyFilter
 
 RARE = float(np.log(1000.0))  # a channel that is wrong, and an event: one sample of a thousand
 ROUGH = 0.1  # of an event, that the model may get wrong
@@ -41,7 +42,7 @@ HORIZON = 12  # doublings: samples after which a structure has forgotten its sta
 LOG2PI = float(np.log(2 * np.pi))
 
 
-def weighed(e: NDArray, root: NDArray, ways: NDArray, wrong: NDArray) -> tuple[float, float]:
+def weighed(e: Array, root: Array, ways: Array, wrong: NDArray[np.bool_]) -> tuple[float, float]:
     """Logarithm of the odds that channels are wrong against an event, and the size c of that event.
 
     Parameters
@@ -60,13 +61,13 @@ def weighed(e: NDArray, root: NDArray, ways: NDArray, wrong: NDArray) -> tuple[f
     return missed(e, wrong) + _normal(e, root, seen & ~wrong) - own, size
 
 
-def missed(e: NDArray, wrong: NDArray) -> float:
+def missed(e: Array, wrong: NDArray[np.bool_]) -> float:
     """Log density of channels that are wrong, each with the variance that makes it most likely."""
     there = np.abs(e[wrong & np.isfinite(e)])
     return float(-np.sum(np.log(np.maximum(there, np.finfo(float).tiny)) + 0.5 * (LOG2PI + 1) + RARE))
 
 
-def onset(model: FilterModel) -> NDArray[np.float64]:
+def onset(model: FilterModel) -> Array:
     """What an event of size 1 does to the states (n, any): as what a sample adds, with a load that sets in at any time.
 
     A load that is not held may step at any time between two samples: the structure has felt all of it or nothing, which
@@ -79,7 +80,7 @@ def onset(model: FilterModel) -> NDArray[np.float64]:
     return np.hstack([LQ, np.vstack([kick, np.zeros((len(LQ) - nx, kick.shape[1]))])])
 
 
-def recent(settled: Steady, most: int) -> NDArray[np.float64]:
+def recent(settled: SteadyFilter, most: int) -> Array:
     """What events of size 1 do to a prediction (n, any), this sample's first, then those of samples before it.
 
     As many as it takes until an event shows most in the innovations, at most so many before.
@@ -89,7 +90,7 @@ def recent(settled: Steady, most: int) -> NDArray[np.float64]:
     ways = [onset(model)]
     for _ in range(most):
         ways.append(closed @ ways[-1])
-    shown = [float(np.linalg.norm(forward(settled.Se_root, model.H @ way))) for way in ways]
+    shown = [float(np.linalg.norm(solve_lower(settled.Se_root, model.H @ way))) for way in ways]
     return np.hstack(ways[: 1 + int(np.argmax(shown))])
 
 
@@ -104,7 +105,7 @@ def usual(model: FilterModel) -> float:
     return float(np.max(np.linalg.norm(Cp @ L, axis=1)[there] / size[there], initial=1.0))
 
 
-def reach(model: FilterModel) -> NDArray[np.float64]:
+def reach(model: FilterModel) -> Array:
     """Root of the covariance of the states of a structure that has been under its loads for long."""
     F, L = model.F, model.LQ
     for _ in range(HORIZON):
@@ -112,10 +113,10 @@ def reach(model: FilterModel) -> NDArray[np.float64]:
     return L
 
 
-def _event(e: NDArray, root: NDArray, ways: NDArray) -> tuple[float, float]:
+def _event(e: Array, root: Array, ways: Array) -> tuple[float, float]:
     """Log density of innovations under an event of the most likely size, and that size."""
     S = lower(root)
-    white, toward = forward(S, e), forward(S, ways)
+    white, toward = solve_lower(S, e), solve_lower(S, ways)
     U, s, _ = np.linalg.svd(toward)
     s2 = np.zeros(len(e))
     s2[: len(s)] = s**2
@@ -132,16 +133,16 @@ def _event(e: NDArray, root: NDArray, ways: NDArray) -> tuple[float, float]:
     return float(found.flat[best]), float(np.sqrt(c2[best % len(c2)]))
 
 
-def _normal(e: NDArray, root: NDArray, of: NDArray) -> float:
+def _normal(e: Array, root: Array, of: NDArray[np.bool_]) -> float:
     """Log density of some of the innovations."""
     if not of.any():
         return 0.0
     S = lower(root[of])
-    white = forward(S, e[of])
+    white = solve_lower(S, e[of])
     return -0.5 * float(white @ white + len(white) * LOG2PI) - _half_det(S)
 
 
-def _half_det(S: NDArray) -> float:
+def _half_det(S: Array) -> float:
     return float(np.sum(np.log(np.abs(np.diag(S)))))
 
 
@@ -156,9 +157,9 @@ class Plain:
 
     Parameters
     ----------
-    state : State
+    state : FilterState
         After the last sample.
-    said : Innovation or None
+    innovation : Innovation or None
         Of the last sample; None from a file.
     behind : float
         By how much the filter with the gate has predicted worse since it last was the better one: squares of
@@ -173,8 +174,8 @@ class Plain:
         Samples since.
     """
 
-    state: State
-    said: Innovation | None = None
+    state: FilterState
+    innovation: Innovation | None = None
     behind: float = 0.0
     calm: int = 0
     whole: bool = True
@@ -182,14 +183,14 @@ class Plain:
     age: int = 0
 
     def after(
-        self, state: State, said: Innovation, sizes: tuple[NDArray, NDArray], gate: float, *, out: NDArray[np.bool_],
+        self, state: FilterState, said: Innovation, sizes: tuple[Array, Array], gate: float, *, out: NDArray[np.bool_],
         few: bool, decided: bool | None,
     ) -> Plain:  # fmt: skip
         """One sample later.
 
         Parameters
         ----------
-        state : State
+        state : FilterState
         said : Innovation
         sizes : (array (m,), array (m,))
             Of the innovations of this filter and of that with the gate, both over the std that this one expects; NaN
@@ -214,21 +215,16 @@ class Plain:
 
     def to_tree(self) -> dict[str, Any]:
         """All but what the last sample said, as plain arrays and numbers."""
-        s = self.state
-        return {
-            "x": s.x, "L": s.L, "y": s.y, "behind": self.behind, "calm": self.calm, "whole": self.whole,
-            "event": self.event, "age": self.age,
-        }  # fmt: skip
+        own = {"behind": self.behind, "calm": self.calm, "whole": self.whole, "event": self.event, "age": self.age}
+        return {**self.state.to_tree(), **own}
 
 
 def plain_of(tree: dict[str, Any] | None) -> Plain | None:
     """Inverse of `Plain.to_tree`."""
     if tree is None:
         return None
-    y = None if tree["y"] is None else np.asarray(tree["y"], float)
-    state = State(np.asarray(tree["x"], float), np.asarray(tree["L"], float), y)
     event = None if tree["event"] is None else bool(tree["event"])
     return Plain(
-        state, behind=float(tree["behind"]), calm=int(tree["calm"]), whole=bool(tree["whole"]), event=event,
-        age=int(tree["age"]),
+        FilterState.from_tree(tree), behind=float(tree["behind"]), calm=int(tree["calm"]), whole=bool(tree["whole"]),
+        event=event, age=int(tree["age"]),
     )  # fmt: skip

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...guards.tracking import FAR
-from ...inverse.kalman.model import FilterModel
-from ...inverse.kalman.squareroot import Innovation, SquareRoot, State
+from ...inverse.gaussian.model import FilterModel
+from ...inverse.gaussian.roots import Array
+from ...inverse.gaussian.squareroot import FilterState, Innovation, SquareRoot
 from .gate import CALM, DOUBLINGS, OVER, RARE, Plain, missed, onset, plain_of, reach, usual, weighed
 
 GATE = 6.0  # std of an innovation beyond which a sample is looked at
@@ -28,13 +29,13 @@ TOLD = 3.0  # stds that a load after an event must have; before, the filter with
 WORSE = 2  # channels beyond the gate for one sample (of two channels one): so much worse may the gate predict
 OPEN = 2.0  # of them at most, that the first sample may say: later ones decide
 
-Updated = tuple[State, Innovation]
+Updated = tuple[FilterState, Innovation]
 
 
 class Heard(NamedTuple):
     """Normalised innovations (m,) of a sample at a settled gain."""
 
-    normalised: NDArray[np.float64]
+    normalised: Array
 
 
 class Judge:
@@ -49,23 +50,25 @@ class Judge:
         Factor on the std of each channel's innovation, one by default.
     """
 
-    def __init__(self, model: FilterModel, gate: float | None = GATE, width: NDArray | None = None) -> None:
+    def __init__(self, model: FilterModel, gate: float | None = GATE, width: Array | None = None) -> None:
         self.model, self.gate, self.core = model, gate, SquareRoot(model)
         self.width = np.ones(model.m) if width is None else np.asarray(width, float)
         self.counts: Counter[str] = Counter()
-        self.state: State | None = None  # filtered; None before the first sample
-        self.said: Innovation | Heard | None = None
+        self.state: FilterState | None = None  # filtered; None before the first sample
+        self.innovation: Innovation | Heard | None = None
         self.taken = np.zeros(model.m)  # the last sample off the settled gain: NaN where a channel was kept out
         self.wrong = np.zeros(model.m, int)  # samples beyond the gate, of a channel that is kept out
         self.good = np.zeros(model.m, int)  # samples within it since
-        self.rival: State | None = None  # the other of two: with the event, or without the channels that may be wrong
+        self.rival: FilterState | None = (
+            None  # the other of two: with the event, or without the channels that may be wrong
+        )
         self.pair: tuple[Updated, Updated] | None = None  # both, of the last sample: with the event, and without
         self.believing = True  # the event, until now: the rival does not
         self.suspects = np.zeros(model.m, bool)  # channels that are wrong if there is no event
         self.doubt, self.lean, self.age = 0.0, 0.0, 0  # odds against the event, what is too early in them, samples
         self.events, self.out = 0, 0  # taken up by the one, channel samples kept out by the other
         self.young = True  # never settled
-        self._moves: NDArray[np.float64] | None = None
+        self._moves: Array | None = None
         self.plain: Plain | None = None  # the filter without a gate, since the gate opened
         self.fell = False  # with the last sample, to that filter
         self.failed, self.loud = 0, 0  # times that the gate was set aside; last sample beyond it since
@@ -74,7 +77,7 @@ class Judge:
         self._usual: float | None = None
         self._ways = onset(model)  # of an event in this sample, then in the samples before
 
-    def judge(self, y: NDArray, before: State) -> None:
+    def judge(self, y: Array, before: FilterState) -> None:
         """Take a sample up, from the prediction of the filter that speaks."""
         self.fell = False
         if self._aside(y, before):
@@ -95,12 +98,12 @@ class Judge:
             decided = False
         self._overseen(y, before, decided)
 
-    def answer(self) -> tuple[NDArray, NDArray]:
+    def answer(self) -> tuple[Array, Array]:
         """Loads and their std (p,) after it; in doubt the std of both filters together."""
         assert self.state is not None
         Cp = self.model.Cp
-        load: NDArray = Cp @ self.state.x
-        std: NDArray = np.linalg.norm(Cp @ self.state.L, axis=1)
+        load: Array = Cp @ self.state.x
+        std: Array = np.linalg.norm(Cp @ self.state.L, axis=1)
         if self.plain is not None and (self.believing if self.rival is not None else self.plain.event):
             off = Cp @ self.plain.state.x - load
             untold = np.maximum(np.abs(off), np.abs(load)) < TOLD * std  # by the event, so far
@@ -113,7 +116,7 @@ class Judge:
         return load, np.sqrt(std**2 + other * (1 - other) * (load - Cp @ self.rival.x) ** 2)
 
     # -- the filter without a gate ------------------------------------------------------------------------------------
-    def _aside(self, y: NDArray, before: State) -> bool:
+    def _aside(self, y: Array, before: FilterState) -> bool:
         """Whether a sample is believed although it is beyond the gate: that has failed, and nothing was calm since."""
         if not self.failed or self.gate is None or self.plain is not None:
             return False
@@ -128,7 +131,7 @@ class Judge:
         self.counts["believed"] += int(beyond.sum())
         return True
 
-    def _overseen(self, y: NDArray, before: State, decided: bool | None) -> None:
+    def _overseen(self, y: Array, before: FilterState, decided: bool | None) -> None:
         """A sample to the filter without a gate, which goes on in place of the other where that is no better."""
         assert self.gate is not None
         plain = self.plain
@@ -142,12 +145,12 @@ class Judge:
         self.plain = plain
         failed = against or plain.behind > min(max(len(y) - 1, 1), WORSE) * self.gate**2
         if failed or (plain.whole and plain.calm >= CALM):
-            self.state, self.said, self.taken = plain.state, plain.said, y
+            self.state, self.innovation, self.taken = plain.state, plain.innovation, y
             self.rival = self.pair = self.plain = None
             self.wrong[:], self.good[:] = 0, 0
             self.fell = True
             if failed and out.sum() > 1 and np.all(out | ~np.isfinite(y)):  # no sensor is right: the state is wrong
-                self.state, self.said = self.core.update(self._found(ahead), y)
+                self.state, self.innovation = self.core.update(self._found(ahead), y)
             if failed:
                 self.failed, self.loud = self.failed + 1, self.counts["samples"]
             return
@@ -160,14 +163,14 @@ class Judge:
         if self.plain is not None:
             self.plain, self.failed = None, max(self.failed - 1, 0)
 
-    def _sizes(self, y: NDArray, before: State, ahead: State) -> NDArray[np.float64]:
+    def _sizes(self, y: Array, before: FilterState, ahead: FilterState) -> Array:
         """Of the innovations (m,) after the prediction `before`, over the std that `ahead` expects."""
         H = self.model.H
         spread = self.width * np.sqrt(np.sum((H @ ahead.L) ** 2, axis=1) + np.sum(self.model.LR**2, axis=1))
-        return np.abs(y - H @ before.x) / spread
+        return np.asarray(np.abs(y - H @ before.x) / spread)
 
     # -- inside -----------------------------------------------------------------------------------------------------
-    def _beyond(self, y: NDArray, before: State) -> tuple[NDArray, NDArray[np.bool_]]:
+    def _beyond(self, y: Array, before: FilterState) -> tuple[Array, NDArray[np.bool_]]:
         """Innovations, and which of them are beyond the gate."""
         assert self.gate is not None
         H = self.model.H
@@ -175,7 +178,7 @@ class Judge:
         spread = self.width * np.sqrt(np.sum((H @ before.L) ** 2, axis=1) + np.sum(self.model.LR**2, axis=1))
         return e, np.isfinite(e) & (np.abs(e) > self.gate * spread)
 
-    def _judged(self, y: NDArray, before: State) -> None:
+    def _judged(self, y: Array, before: FilterState) -> None:
         """A sample while nothing is in doubt: channels beyond the gate are wrong, or an event begins."""
         if self.gate is None or self.state is None:
             self._take(before, y)
@@ -204,20 +207,20 @@ class Judge:
         self._speak(believed, doubted, y, without, believing=odds <= DECISIVE)
 
     def _speak(
-        self, believed: Updated, doubted: Updated, y: NDArray, without: NDArray, *,
+        self, believed: Updated, doubted: Updated, y: Array, without: Array, *,
         believing: bool,
     ) -> None:  # fmt: skip
         """The likelier filter speaks; the other goes on as its rival."""
         first, second = (believed, doubted) if believing else (doubted, believed)
         self.pair = believed, doubted
         self.believing, self.taken = believing, y if believing else without
-        (self.state, self.said), self.rival = first, second[0]
+        (self.state, self.innovation), self.rival = first, second[0]
 
-    def _take(self, before: State, y: NDArray) -> None:
-        self.state, self.said = self.core.update(before, y)
+    def _take(self, before: FilterState, y: Array) -> None:
+        self.state, self.innovation = self.core.update(before, y)
         self.taken, self.pair = y, None
 
-    def _event(self, e: NDArray, before: State, wrong: NDArray) -> tuple[float, State, bool, float]:
+    def _event(self, e: Array, before: FilterState, wrong: NDArray[np.bool_]) -> tuple[float, FilterState, bool, float]:
         """Odds of wrong channels against an event, and the prediction that expects it.
 
         Then whether the state was lost, and the size of the event over that which makes the load as large as its prior.
@@ -244,7 +247,7 @@ class Judge:
             odds = max(odds, 2 * DECISIVE)
         return odds, wider(before, size * ways), False, size / self._usual
 
-    def _held(self, y: NDArray, beyond: NDArray) -> tuple[NDArray[np.bool_], bool]:
+    def _held(self, y: Array, beyond: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], bool]:
         """Which channels are kept out of this sample, and whether it is the state that is wrong and not they."""
         there = np.isfinite(y)
         self.wrong[beyond] += 1
@@ -258,12 +261,12 @@ class Judge:
         self.counts["gated"] += int(held.sum())
         return held, False
 
-    def _found(self, before: State) -> State:
+    def _found(self, before: FilterState) -> FilterState:
         """A prediction as wide as the structure moves: where the state is, the sample says."""
         self.counts["lost"] += 1
         return wider(before, self._reach())
 
-    def _compared(self, y: NDArray, before: State, ahead: State) -> None:
+    def _compared(self, y: Array, before: FilterState, ahead: FilterState) -> None:
         """A sample to the filter that speaks and to its rival (`ahead`: its prediction), and what it decides."""
         held, _ = self._held(y, self._beyond(y, before)[1] & (self.wrong > 0))
         y = np.where(held, np.nan, y)
@@ -286,7 +289,7 @@ class Judge:
         self._speak(believed, doubted, taken, left, believing=self.believing)
         self._decide(believed, doubted, taken, left, wrong)
 
-    def _believed(self, y: NDArray, before: State) -> tuple[Updated, NDArray, float, bool]:
+    def _believed(self, y: Array, before: FilterState) -> tuple[Updated, Array, float, bool]:
         """A sample to the filter that believes: its state, what it took, the log density, whether the event goes on."""
         e, beyond = self._beyond(y, before)
         density, again = 0.0, False
@@ -301,8 +304,8 @@ class Judge:
         return found, y, density + found[1].loglik, again
 
     def _decide(
-        self, believed: Updated, doubted: Updated, y: NDArray, left: NDArray,
-        wrong: NDArray,
+        self, believed: Updated, doubted: Updated, y: Array, left: Array,
+        wrong: NDArray[np.bool_],
     ) -> None:  # fmt: skip
         """End the doubt where later samples have spoken, or for good."""
         odds = self.doubt - self.lean
@@ -318,7 +321,7 @@ class Judge:
         self.counts["gated"] += self.out
         self.wrong[wrong] = self.age + 1
 
-    def _reach(self) -> NDArray[np.float64]:
+    def _reach(self) -> Array:
         if self._moves is None:
             self._moves = reach(self.model)
         return self._moves
@@ -363,24 +366,19 @@ class Judge:
         self.counts = Counter({str(k): int(v) for k, v in tree["counts"].items()})
 
 
-def wider(before: State, ways: NDArray) -> State:
+def wider(before: FilterState, ways: Array) -> FilterState:
     """A prediction with more directions of its root."""
-    return State(before.x, np.hstack([before.L, ways]), before.y)
+    return FilterState(before.x, np.hstack([before.L, ways]), before.y)
 
 
-def arrays(state: State | None) -> dict[str, Any] | None:
+def arrays(state: FilterState | None) -> dict[str, Any] | None:
     """A state as plain arrays."""
-    return None if state is None else {"x": state.x, "L": state.L, "y": state.y}
+    return None if state is None else state.to_tree()
 
 
-def state_of(tree: dict[str, Any] | None) -> State | None:
+def state_of(tree: dict[str, Any] | None) -> FilterState | None:
     """Inverse of `arrays`."""
-    if tree is None:
-        return None
-    y = tree["y"]
-    return State(
-        np.asarray(tree["x"], float), np.asarray(tree["L"], float), None if y is None else np.asarray(y, float)
-    )
+    return None if tree is None else FilterState.from_tree(tree)
 
 
 def _share(odds: float) -> float:

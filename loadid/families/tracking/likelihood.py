@@ -1,7 +1,7 @@
 """Likelihood of records whose channels come and go, at several rates, and its maximum by scoring.
 
 A channel that is sampled every tenth time is missing in nine of ten samples. Where the sets of channels of the last
-samples repeat with a period, the gains do too (`loadid.inverse.kalman.periodic`): they are solved for once, and from
+samples repeat with a period, the gains do too (`loadid.inverse.gaussian.steady`): they are solved for once, and from
 there on a sample is one product again.
 
 The innovations e of a steady filter are white with covariance S. Their information of the numbers is
@@ -11,7 +11,7 @@ everywhere; what it shares with the numbers is taken out of their information.
 
 Source: N. K. Gupta, R. K. Mehra, IEEE Trans. Automat. Control 19 (1974) 774-783 (scoring for innovations).
 
-Sets of channels that repeat have gains that repeat (`loadid.inverse.kalman.periodic`), and an evaluation costs one
+Sets of channels that repeat have gains that repeat (`loadid.inverse.gaussian.steady`), and an evaluation costs one
 product a sample; any others take the square-root filter, a factorisation a sample.
 """
 
@@ -26,10 +26,11 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError, NotIdentifiable
 
-from ...inverse.kalman.model import FilterModel, forward
-from ...inverse.kalman.periodic import PeriodicLoop, periodic
-from ...inverse.kalman.squareroot import SquareRoot, State
-from ...inverse.kalman.steady import Steady
+from ...inverse.gaussian.loop import PeriodicLoop
+from ...inverse.gaussian.model import FilterModel
+from ...inverse.gaussian.roots import Array, solve_lower
+from ...inverse.gaussian.squareroot import FilterState, SquareRoot
+from ...inverse.gaussian.steady import SteadyFilter, periodic
 
 LONGEST = 128  # samples of a period
 REPEATED = 2  # periods that show one
@@ -41,7 +42,7 @@ SHOWN = np.maximum(REPEATED * np.arange(1, LONGEST + 1), LEAST)  # samples that 
 SHOWN[0] = FOR_GOOD
 
 
-class Rhythm:
+class ChannelPeriod:
     """The filters of a period.
 
     Parameters
@@ -62,7 +63,7 @@ class Rhythm:
         self.std.setflags(write=False)
         zero, last = np.zeros(core.model.n), np.roll(masks, 1, axis=0)
         self.ahead = [  # root of the prediction of each phase
-            core.predict(State(zero, self.filters.phases[t - 1].L, np.where(last[t], 0.0, np.nan))).L
+            core.predict(FilterState(zero, self.filters.phases[t - 1].L, np.where(last[t], 0.0, np.nan))).L
             for t in range(len(masks))
         ]
 
@@ -71,7 +72,7 @@ class Rhythm:
         """Samples."""
         return len(self.masks)
 
-    def pair(self, phase: int) -> tuple[Steady, Steady]:
+    def pair(self, phase: int) -> tuple[SteadyFilter, SteadyFilter]:
         """Filters of the phase before, and of this one; phases count on."""
         phases, T = self.filters.phases, self.period
         return phases[(phase - 1) % T], phases[phase % T]
@@ -87,13 +88,13 @@ class Listener:
 
     def __init__(self, core: SquareRoot) -> None:
         self.core = core
-        self._known: dict[bytes, Rhythm | None] = {}
+        self._known: dict[bytes, ChannelPeriod | None] = {}
         self.clear()
 
     def clear(self) -> None:
         """Forget what has come."""
         self.heard = 0
-        self._last: tuple[tuple[int, int], Rhythm | None, int] | None = None
+        self._last: tuple[tuple[int, int], ChannelPeriod | None, int] | None = None
         self._names: dict[bytes, int] = {}  # of masks, in the ring
         self._ring = np.full(2 * LONGEST, -1)  # the last ones, the newest first, twice: they lie side by side
         self.runs = np.zeros(LONGEST, int)  # samples in a row that were as those 1, 2, ... samples before
@@ -123,7 +124,7 @@ class Listener:
         masks = [np.frombuffer(name, bool) for name in self._names]
         return np.array([masks[i] for i in self._ring[at : at + count][::-1]]).reshape(count, self.core.model.m)
 
-    def found(self) -> tuple[Rhythm, int] | None:
+    def found(self) -> tuple[ChannelPeriod, int] | None:
         """The rhythm of what came last, and the phase of the last sample; None where there is none that settles."""
         shown = self.runs >= SHOWN
         if not shown.any():
@@ -140,14 +141,14 @@ class Listener:
         self._last = (self.heard, period), rhythm, phase
         return None if rhythm is None else (rhythm, phase)
 
-    def solved(self, masks: NDArray[np.bool_]) -> Rhythm | None:
+    def solved(self, masks: NDArray[np.bool_]) -> ChannelPeriod | None:
         """Filters of a period, solved for once; None where none settles."""
         key = masks.tobytes()
         if key not in self._known:
             if len(self._known) >= KEPT:
                 self._known.clear()
             try:
-                self._known[key] = Rhythm(self.core, masks) if masks.any() else None
+                self._known[key] = ChannelPeriod(self.core, masks) if masks.any() else None
             except (NotIdentifiable, InputError):
                 self._known[key] = None
         return self._known[key]
@@ -174,11 +175,9 @@ NEAR = 0.2  # of the logarithms, within which two ways end at one top
 DAMPING, EASE, STIFFEN = 1e-3, 0.2, 5.0
 GIVE_UP = 1e8  # of the damping
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class LikelihoodPoint:
     """What numbers are worth.
 
     Parameters
@@ -206,17 +205,21 @@ class Point:
 
 
 def climb(
-    at: Callable[[Array], Point | None], start: Point, low: Array, high: Array, top: Point | None = None
-) -> Point:
+    at: Callable[[Array], LikelihoodPoint | None],
+    start: LikelihoodPoint,
+    low: Array,
+    high: Array,
+    top: LikelihoodPoint | None = None,
+) -> LikelihoodPoint:
     """The best point that steps from a start reach between two bounds.
 
     Parameters
     ----------
     at : callable
         Point of logarithms; None where no filter exists.
-    start : Point
+    start : LikelihoodPoint
     low, high : array
-    top : Point, optional
+    top : LikelihoodPoint, optional
         Where another start has ended: a way that comes near it is not gone to its end.
     """
     best, damping = start, DAMPING
@@ -253,10 +256,8 @@ def _step(slope: Array, known: Array, free: NDArray[np.bool_], damping: float) -
     return move / max(1.0, float(np.abs(move).max()) / FARTHEST)
 
 
-def _expanded(at: Callable[[Array], Point | None], best: Point, high: Array) -> tuple[Array, Array]:
+def _expanded(at: Callable[[Array], LikelihoodPoint | None], best: LikelihoodPoint, high: Array) -> tuple[Array, Array]:
     """Slope of the cost and information of the numbers at a point; zero where a number cannot be moved."""
-    from ...inverse.kalman.model import forward
-
     count, samples = len(best.x), len(best.e)
     slope, nudges, news, roots = np.zeros(count), np.zeros(count), [], []
     for i in range(count):
@@ -272,9 +273,9 @@ def _expanded(at: Callable[[Array], Point | None], best: Point, high: Array) -> 
             roots.append(np.zeros(best.root.shape))
             continue
         slope[i], nudges[i] = (moved.cost - best.cost) / h, h
-        news.append(forward(best.root, ((moved.e - best.e) / h).T).ravel() / np.sqrt(best.scale))
+        news.append(solve_lower(best.root, ((moved.e - best.e) / h).T).ravel() / np.sqrt(best.scale))
         change = (moved.root @ moved.root.T - best.root @ best.root.T) / h
-        roots.append(forward(best.root, forward(best.root, change).T))
+        roots.append(solve_lower(best.root, solve_lower(best.root, change).T))
     J, V = np.array(news), np.array(roots).reshape(count, -1)
     known = J @ J.T + samples / 2 * (V @ V.T)
     if best.free:  # the scale changes the covariance by itself, the innovations not at all
@@ -283,7 +284,7 @@ def _expanded(at: Callable[[Array], Point | None], best: Point, high: Array) -> 
     return slope - nudges / 2 * np.diag(known), known  # a one-sided difference sees half a curvature too much
 
 
-White = tuple[NDArray[np.float64], NDArray[np.float64]]
+White = tuple[Array, Array]
 
 
 class Patchy:
@@ -304,7 +305,7 @@ class Patchy:
     """
 
     def __init__(
-        self, build: Callable[[NDArray], FilterModel], Y: NDArray, use: NDArray[np.bool_], free_scale: bool,
+        self, build: Callable[[Array], FilterModel], Y: Array, use: NDArray[np.bool_], free_scale: bool,
         progress: Callable[[float], None],
     ) -> None:  # fmt: skip
         self.build, self.Y, self.use, self.free_scale, self.progress, self.count = (
@@ -317,7 +318,7 @@ class Patchy:
         )
         self.masks = repeating(np.isfinite(Y))
 
-    def __call__(self, x: NDArray) -> Point | None:
+    def __call__(self, x: Array) -> LikelihoodPoint | None:
         """Where a filter exists."""
         self.count += 1
         self.progress(min(self.count / 100, 1.0))
@@ -331,7 +332,7 @@ class Patchy:
         value = -0.5 * (squares / scale + number * float(np.log(2 * np.pi * scale))) - float(np.sum(spread[self.use]))
         if not np.isfinite(value):
             return None
-        return Point(np.array(x, float), -value, scale, white, np.eye(self.Y.shape[1]), self.free_scale)
+        return LikelihoodPoint(np.array(x, float), -value, scale, white, np.eye(self.Y.shape[1]), self.free_scale)
 
 
 def repeating(there: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
@@ -342,7 +343,7 @@ def repeating(there: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     return None
 
 
-def whitened(model: FilterModel, Y: NDArray, masks: NDArray[np.bool_] | None) -> White:
+def whitened(model: FilterModel, Y: Array, masks: NDArray[np.bool_] | None) -> White:
     """Innovations (samples, m) over the root of their covariance, 0 where missing; log of its determinant, halved.
 
     Raises
@@ -355,7 +356,7 @@ def whitened(model: FilterModel, Y: NDArray, masks: NDArray[np.bool_] | None) ->
         core, state = SquareRoot(model), None
         for k, y in enumerate(Y):
             state, said = core.update(core.start(), y) if state is None else core.advance(state, y)
-            white[k, said.present] = forward(said.root, said.e[said.present])
+            white[k, said.present] = solve_lower(said.root, said.e[said.present])
             spread[k] = np.sum(np.log(np.abs(np.diag(said.root))))
         return white, spread
     found = periodic(model, masks)
@@ -363,6 +364,6 @@ def whitened(model: FilterModel, Y: NDArray, masks: NDArray[np.bool_] | None) ->
     PeriodicLoop(found, model.x0).block(Y, load, e)
     for t, phase in enumerate(found.phases):
         part, mask = slice(t, None, len(masks)), masks[t]
-        white[part, mask] = forward(phase.Se_root, (e[part, mask] * phase.innovation_std).T).T
+        white[part, mask] = solve_lower(phase.Se_root, (e[part, mask] * phase.innovation_std).T).T
         spread[part] = np.sum(np.log(np.abs(np.diag(phase.Se_root))))
     return white, spread

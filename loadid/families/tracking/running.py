@@ -11,16 +11,18 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, plain, reals
 from structures.flags import Flag
 
 from ...guards.tracking import beyond_the_fit, kept_out, moved_off
-from ...inverse.kalman.smoothing import fixed_lag
-from ...inverse.kalman.steady import Steady
+from ...inverse.gaussian.exports import Peer
+from ...inverse.gaussian.lag import fixed_lag
+from ...inverse.gaussian.roots import Array
+from ...inverse.gaussian.steady import SteadyFilter
 from .engine import Engine, Late
-from .fit import Fitted
+from .fit import TrackerFit
 from .samples import Replay, inside
 
 PIECES = 40  # at most, then half as many, twice as long
@@ -30,7 +32,7 @@ ROUNDING = 1e-9  # of a number, below which it is none
 SHOWN = 1e-3  # stds of an innovation that a load as large as its prior must add to the mean, to be taken for a mean
 
 
-def constant(settled: Steady) -> NDArray[np.float64]:
+def constant(settled: SteadyFilter) -> Array:
     """Mean normalised innovations (m, p) of loads that stay, as large as their prior says.
 
     A prior that returns to zero predicts less of them.
@@ -59,7 +61,7 @@ class Means:
         self.length, self.filled = SHORTEST, 0  # samples of a piece, and of the one that is not full
         self.sums, self.counts = np.zeros((1, m)), np.zeros((1, m))  # (pieces, m), the last is not full
 
-    def add(self, e: NDArray) -> None:
+    def add(self, e: Array) -> None:
         """Take up normalised innovations (samples, m); NaN where there is none."""
         k = 0
         while k < len(e):
@@ -80,7 +82,7 @@ class Means:
         self.filled, none = 0, np.zeros((1, self.sums.shape[1]))
         self.sums, self.counts = np.vstack([self.sums, none]), np.vstack([self.counts, none])
 
-    def errors(self, loads: NDArray | None = None) -> NDArray[np.float64]:
+    def errors(self, loads: Array | None = None) -> Array:
         """Standard errors by which the mean of each channel lies off zero (m,); 0 where there are too few pieces.
 
         `loads` (m, any): means that are no offset but a load (`constant`); what is left beside them is judged.
@@ -122,7 +124,7 @@ class Running:
 
     Parameters
     ----------
-    fitted : Fitted
+    fitted : TrackerFit
     gate : float or None
     lag : int
     replay : int, optional
@@ -131,7 +133,7 @@ class Running:
     """
 
     def __init__(
-        self, fitted: Fitted, gate: float | None = None, lag: int = 0, *, replay: int | None = None,
+        self, fitted: TrackerFit, gate: float | None = None, lag: int = 0, *, replay: int | None = None,
         engine: str = "own",
     ) -> None:  # fmt: skip
         self.fitted, self.gate, self.lag = fitted, gate, lag
@@ -152,7 +154,7 @@ class Running:
     @property
     def phase(self) -> str:
         """``"warm-up"``, ``"steady"``, ``"periodic"`` (channels of several rates) or ``"transient"``."""
-        return self._engine.phase
+        return str(self._engine.phase)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -200,8 +202,6 @@ class Running:
         f = self.fitted
         if self.engine == "own":
             return Engine(f.model, f.settled, self.gate, self._width())
-        from ...inverse.kalman.exports import Peer  # opens filterpy, which takes longer than a start
-
         return Peer(f.model)
 
     def compile(self) -> None:
@@ -210,7 +210,7 @@ class Running:
             if engine.loop is not None:
                 engine.loop.compile()
 
-    def step(self, sample: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def step(self, sample: ArrayLike) -> tuple[Array, Array]:
         """Loads and their std (loads,) after one sample (sensors,); NaN marks a channel that is missing.
 
         With a lag they are those of so many samples ago: before the first one, what the prior says.
@@ -230,7 +230,7 @@ class Running:
         self._ring.push(np.asarray(plain(sample), float)[None])
         return answer
 
-    def _one(self, sample: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _one(self, sample: ArrayLike) -> tuple[Array, Array]:
         if self._late is not None:
             return self._lagged(sample, self._late)
         steady = self._engine.phase == "steady"
@@ -244,7 +244,7 @@ class Running:
             between += weight * (engine.step(taken)[0] - load) ** 2
         return load, np.sqrt(std**2 + between)
 
-    def _lagged(self, sample: ArrayLike, late: Late) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _lagged(self, sample: ArrayLike, late: Late) -> tuple[Array, Array]:
         engine = self._engine
         if engine.phase == "steady" and late.line is not None:
             try:
@@ -261,7 +261,7 @@ class Running:
         engine.block(row[None], load, std, late=late)
         return load[0], std[0]
 
-    def run(self, Y: NDArray, progress: Callable[[float, str], None] | None = None) -> tuple[NDArray, NDArray, NDArray]:
+    def run(self, Y: Array, progress: Callable[[float, str], None] | None = None) -> tuple[Array, Array, Array]:
         """Loads and std (samples, loads), normalised innovations (samples, sensors) of bare numbers."""
         load, std, e = np.empty((len(Y), self._p)), np.empty((len(Y), self._p)), np.full(Y.shape, np.nan)
         if self.fitted.limits is not None:
@@ -280,9 +280,7 @@ class Running:
         self._means.add(e)
         return load, std, e
 
-    def _run(
-        self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray, progress: Callable[[float, str], None] | None
-    ) -> None:
+    def _run(self, Y: Array, load: Array, std: Array, e: Array, progress: Callable[[float, str], None] | None) -> None:
         """Fill loads, std and innovations of a block."""
         told = progress or (lambda share, text: None)
         size = 65_536
@@ -300,7 +298,7 @@ class Running:
                 std[part] = np.sqrt(std[part] ** 2 + between)
             told(min((k + size) / len(Y), 1.0), "tracking")
 
-    def insert(self, sample: ArrayLike, ago: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    def insert(self, sample: ArrayLike, ago: int) -> tuple[Array, Array] | None:
         """Put a sample that comes late in its place, and run the filter again from there.
 
         What has already come of that time stays; the channels that were missing then are filled in.
@@ -337,7 +335,7 @@ class Running:
         self._tally["replayed"] += 1
         return load[place:], std[place:]
 
-    def _again(self, Y: NDArray) -> tuple[NDArray, NDArray]:
+    def _again(self, Y: Array) -> tuple[Array, Array]:
         """The kept samples once more, from the older anchor on."""
         assert self._ring is not None
         load, std, e = np.empty((len(Y), self._p)), np.empty((len(Y), self._p)), np.full(Y.shape, np.nan)
@@ -390,13 +388,13 @@ class Running:
         if self._late is not None:
             self._late.restore(tree["late"])
 
-    def _width(self) -> NDArray[np.float64] | None:
+    def _width(self) -> Array | None:
         """Of the gate: a model that is not exact is no reason to throw its sensors away."""
-        spread = () if self.fitted.certificate is None else self.fitted.certificate.spread
-        return np.maximum(1.0, spread) if spread else None
+        stds = () if self.fitted.certificate is None else self.fitted.certificate.robust_std
+        return np.asarray(np.maximum(1.0, stds)) if stds else None
 
-    def _spread(self) -> NDArray[np.float64]:
+    def _spread(self) -> Array:
         settled = self.fitted.settled
         if settled is not None:
             return settled.innovation_std
-        return np.linalg.norm(self.fitted.model.LR, axis=1)
+        return np.asarray(np.linalg.norm(self.fitted.model.LR, axis=1))

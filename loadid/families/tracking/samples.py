@@ -11,20 +11,19 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.errors import InputError, number, real, shown
 from structures.flags import Flag
 
 from ... import guards
+from ...inverse.gaussian.roots import Array
 from ...record import Record
 from ...results.estimate import Axis, LoadEstimate
 from ...results.facts import Facts, provenance
 from ..answer import SolvedLoad, labelled
 from ..data import Data, numbers
-from .fit import Fitted
+from .fit import TrackerFit
 
-Array = NDArray[np.float64]
 EXPECTED = "a positive number, or (low, high) with low < high"
 
 
@@ -118,7 +117,7 @@ class Replay:
         self.window = window
         self.count = 0  # samples taken
         self.anchors: list[tuple[int, dict[str, Any]]] = []  # samples taken before it, and the state then
-        self.samples: list[NDArray[np.float64]] = []  # since the older anchor
+        self.samples: list[Array] = []  # since the older anchor
 
     def cuts(self, more: int) -> list[int]:
         """Where a block of `more` samples is cut: at the anchors that single samples would leave behind, and there."""
@@ -139,7 +138,7 @@ class Replay:
 
     _first = 0
 
-    def push(self, rows: NDArray) -> None:
+    def push(self, rows: Array) -> None:
         """Samples (samples, sensors) that the tracker has taken."""
         self.samples.extend(np.array(rows, float))
         self.count += len(rows)
@@ -163,7 +162,7 @@ class Replay:
         self.anchors = [(int(k), anchor) for k, anchor in tree["anchors"]]
 
 
-def values(f: Fitted, block: Any, dt: float | None) -> tuple[NDArray[np.float64], dict[str, str]]:
+def values(f: TrackerFit, block: Any, dt: float | None) -> tuple[Array, dict[str, str]]:
     """Samples (samples, sensors) of a block in the order of the sensors, and the digest of its record.
 
     Raises
@@ -202,7 +201,7 @@ def values(f: Fitted, block: Any, dt: float | None) -> tuple[NDArray[np.float64]
 
 
 def estimate(
-    f: Fitted, counts: Mapping[str, int], load: NDArray, std: NDArray, Y: NDArray | None, rest: NDArray | None,
+    f: TrackerFit, counts: Mapping[str, int], load: Array, std: Array, Y: Array | None, rest: Array | None,
     inputs: dict[str, str], first: int, path: str, flags: Iterable[Flag],
 ) -> LoadEstimate:  # fmt: skip
     """Estimate of a block from sample `first` on; Y, rest (samples, sensors): data and what is left of them."""

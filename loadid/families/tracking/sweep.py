@@ -15,12 +15,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.errors import InputError, NotIdentifiable, positive
 from structures.model import Model
 
-from ...inverse.kalman.steady import Steady, steady
+from ...inverse.gaussian.records import run_settled
+from ...inverse.gaussian.roots import Array, solve_lower, solve_lower_transposed
+from ...inverse.gaussian.steady import SteadyFilter, steady
 from ...inverse.rules import curvature
 from ..data import gather
 from .tuning import complete, density, settled_samples
@@ -60,12 +61,12 @@ class QSweep:
         Of the loads, at a factor of one.
     """
 
-    factors: NDArray[np.float64]
-    innovation: NDArray[np.float64]
-    residual: NDArray[np.float64]
-    roughness: NDArray[np.float64]
-    nis: NDArray[np.float64]
-    loglik: NDArray[np.float64]
+    factors: Array
+    innovation: Array
+    residual: Array
+    roughness: Array
+    nis: Array
+    loglik: Array
     corner: int | None
     plateau: int
     likely: int
@@ -168,25 +169,19 @@ def q_sweep(
     )
 
 
-def _judged(filtered: Steady, Y: NDArray) -> tuple[float, float, NDArray, float, float]:
+def _judged(filtered: SteadyFilter, Y: Array) -> tuple[float, float, Array, float, float]:
     """Innovations and residuals over noise, steps of each load, NIS per channel, log-likelihood."""
-    from ...inverse.kalman.model import backward, forward
-    from ...inverse.kalman.settled import Loop
-
     model, use = filtered.model, settled_samples(len(Y))
-    load, e = np.empty((len(Y), model.p)), np.empty(Y.shape)
-    loop = Loop(filtered.rows(), model.p, model.m, model.x0)
-    loop.compile()
-    loop.block(Y, load, e)
+    load, e = run_settled(filtered, Y)
     e, noise = e[use], np.linalg.norm(model.LR, axis=1)
-    white = forward(filtered.Se_root, e.T)
-    left = model.LR @ (model.LR.T @ backward(filtered.Se_root, white))  # R Se^-1 e
+    white = solve_lower(filtered.Se_root, e.T)
+    left = model.LR @ (model.LR.T @ solve_lower_transposed(filtered.Se_root, white))  # R Se^-1 e
     steps = np.sqrt(np.mean(np.diff(load[use], axis=0) ** 2, axis=0))
     news, rest = (float(np.sqrt(np.mean(part**2))) for part in (e / noise, left.T / noise))
     return news, rest, steps, float(np.mean(white**2)), density(filtered.Se_root, e, False)[0]
 
 
-def _corner(factors: NDArray, residual: NDArray, roughness: NDArray) -> int | None:
+def _corner(factors: Array, residual: Array, roughness: Array) -> int | None:
     """The largest positive curvature away from the ends; None where the curve comes to stand at its upper end."""
     t = np.log(factors)
     speed = np.hypot(np.gradient(np.log(residual), t), np.gradient(np.log(roughness), t))

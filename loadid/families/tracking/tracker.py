@@ -12,24 +12,24 @@ from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from numpy.typing import NDArray
-
 from structures.errors import InputError
 from structures.files import storage
 from structures.flags import Flag
 
+from ...inverse.gaussian.exports import FilterpyEngine, to_filterpy, write_c
+from ...inverse.gaussian.records import filter_record, smooth_record
 from ...results.estimate import LoadEstimate
 from . import fit as recipe
 from . import samples as blocks
-from .certificate import Certificate
-from .fit import Fitted, pack, unpack
+from .certificate import TrackCertificate
+from .fit import TrackerFit, pack, unpack
 from .running import ENGINES, Running
 from .samples import Replay, inside
 
 __all__ = [
     "ENGINES",
-    "Fitted",
     "Tracker",
+    "TrackerFit",
 ]
 
 
@@ -42,7 +42,7 @@ class Tracker(Running):
 
     Parameters
     ----------
-    fitted : Fitted
+    fitted : TrackerFit
     gate : float or None
         Std of an innovation beyond which a single channel is kept out, or a step of the load is taken up.
     lag : int
@@ -65,7 +65,7 @@ class Tracker(Running):
         )
 
     @property
-    def certificate(self) -> Certificate | None:
+    def certificate(self) -> TrackCertificate | None:
         """Tests of the record that it was fitted to."""
         return self.fitted.certificate
 
@@ -118,33 +118,18 @@ class Tracker(Running):
         InputError
             As `track`; a record too long to keep its states.
         """
-        from ...inverse.kalman.settled import filter_settling, smooth_settling
-
         Y, inputs = blocks.values(self.fitted, record, dt)
         Y = inside(Y, self.fitted.limits)
         told = progress or (lambda share, text: None)
-        settled, path = self.fitted.settled, "square-root filter and smoother"
-        if settled is None:
-            load, std, rest = self._kept(Y, told)
-        else:  # no states are kept where the gain is settled
-            found = smooth_settling(filter_settling(settled, Y, progress=lambda f, t: told(0.5 * f, t)),
-                                    progress=lambda f, t: told(0.5 + 0.5 * f, t))  # fmt: skip
-            load, std, rest = found.load, found.std, found.residual
-        return blocks.estimate(self.fitted, self.counts, load, std, Y, rest, inputs, 0, path, self.flags)
-
-    def _kept(self, Y: NDArray, told: Callable[[float, str], None]) -> tuple[NDArray, NDArray, NDArray]:
-        """Smoothed loads, std and residual by a filter that keeps the states of all samples."""
-        from ...inverse.kalman.smoothing import smooth
-        from ...inverse.kalman.squareroot import filter as filtered
-
-        model = self.fitted.model
-        if (size := 8 * len(Y) * model.n**2) > STATES:
+        model, settled, path = self.fitted.model, self.fitted.settled, "square-root filter and smoother"
+        if settled is None and (size := 8 * len(Y) * model.n**2) > STATES:
             raise InputError("the record is too long to keep its states", where="smooth",
                              found=f"{size / 2**30:.1f} GiB", expected=f"at most {STATES / 2**30:.0f} GiB",
                              hint="smooth it in parts")  # fmt: skip
-        kept = filtered(model, Y, keep=True, progress=lambda f, t: told(0.5 * f, t))
-        found = smooth(kept, progress=lambda f, t: told(0.5 + 0.5 * f, t))
-        return found.load, found.std, Y - found.x @ model.H.T
+        filtered = filter_record(model, Y, settled, progress=lambda f, t: told(0.5 * f, t))
+        found = smooth_record(filtered, progress=lambda f, t: told(0.5 + 0.5 * f, t))
+        return blocks.estimate(self.fitted, self.counts, found.load, found.std, Y, found.residual, inputs, 0, path,
+                               self.flags)  # fmt: skip
 
     # -- another model ----------------------------------------------------------------------------------------------
 
@@ -154,7 +139,7 @@ class Tracker(Running):
         Gains are solved anew under the priors and noises of the fit. Where both models have modes of the same degrees
         of freedom the state is carried over through these, with its covariance; else it may be anywhere in reach, and
         the next samples find it. Late samples from before cannot be put in their place any more. The certificate stays
-        as the one of the model before (`Fitted.stale`, flag W522).
+        as the one of the model before (`TrackerFit.stale`, flag W522).
 
         Raises
         ------
@@ -184,13 +169,11 @@ class Tracker(Running):
     def to_filterpy(self) -> Any:
         """The configured filter as ``filterpy.kalman.KalmanFilter``, before its first update.
 
-        See `loadid.inverse.kalman.exports.to_filterpy` for missing channels and correlated noises.
+        See `loadid.inverse.gaussian.exports.to_filterpy` for missing channels and correlated noises.
         """
-        from ...inverse.kalman.exports import to_filterpy
-
         return to_filterpy(self.fitted.model)
 
-    def to_c(self, path: str | os.PathLike, name: str = "tracker") -> Path:
+    def to_c(self, path: str | os.PathLike[str], name: str = "tracker") -> Path:
         """Write the settled filter as one C99 file without dependencies, for a microcontroller.
 
         Parameters
@@ -204,8 +187,6 @@ class Tracker(Running):
         InputError
             A tracker without a settled gain, no C identifier, a folder that is not there.
         """
-        from ...inverse.kalman.exports import write_c
-
         f = self.fitted
         if f.settled is None:
             raise InputError("a filter that never settles has no constant gain", where="to_c", found="allow_drift",
@@ -223,8 +204,6 @@ class Tracker(Running):
         InputError
             As `track`.
         """
-        from ...inverse.kalman.exports import FilterpyEngine
-
         Y, inputs = blocks.values(self.fitted, record, dt)
         Y = inside(Y, self.fitted.limits)
         found = FilterpyEngine(self.fitted.model).track(Y, progress)
@@ -233,7 +212,7 @@ class Tracker(Running):
 
     # -- files ------------------------------------------------------------------------------------------------------
 
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write fit and state to a file, whole or not at all.
 
         Raises
@@ -244,7 +223,7 @@ class Tracker(Running):
         save(self, path)
 
     @classmethod
-    def load(cls, path: str | os.PathLike, model: Any = None) -> Tracker:
+    def load(cls, path: str | os.PathLike[str], model: Any = None) -> Tracker:
         """Tracker of a file, which goes on from the sample after which it was saved, bit for bit.
 
         Parameters
@@ -263,10 +242,10 @@ class Tracker(Running):
 
 KIND = "tracker"
 FORMAT = 2
-_PACKED: WeakKeyDictionary[Fitted, tuple[dict[str, Any], str]] = WeakKeyDictionary()
+_PACKED: WeakKeyDictionary[TrackerFit, tuple[dict[str, Any], str]] = WeakKeyDictionary()
 
 
-def save(tracker: Tracker, path: str | os.PathLike, stream: dict[str, Any] | None = None) -> None:
+def save(tracker: Tracker, path: str | os.PathLike[str], stream: dict[str, Any] | None = None) -> None:
     """Write a tracker with its present state.
 
     Parameters
@@ -298,7 +277,7 @@ def save(tracker: Tracker, path: str | os.PathLike, stream: dict[str, Any] | Non
     storage.write(path, tree, KIND)
 
 
-def load(path: str | os.PathLike, model: Any = None) -> Tracker:
+def load(path: str | os.PathLike[str], model: Any = None) -> Tracker:
     """Tracker of a file, at the sample at which it was saved, and ready: its first sample waits for no compiler.
 
     Parameters
@@ -317,7 +296,7 @@ def load(path: str | os.PathLike, model: Any = None) -> Tracker:
     return tracker
 
 
-def read(path: str | os.PathLike, model: Any = None) -> tuple[Tracker, dict[str, Any] | None]:
+def read(path: str | os.PathLike[str], model: Any = None) -> tuple[Tracker, dict[str, Any] | None]:
     """Tracker of a file, and where its stream stood; None where it was saved without one. No compiler is loaded.
 
     Raises
@@ -349,7 +328,7 @@ def read(path: str | os.PathLike, model: Any = None) -> tuple[Tracker, dict[str,
                          hint="read it with the release that wrote it") from error  # fmt: skip
 
 
-def fit_of(path: str | os.PathLike) -> str:
+def fit_of(path: str | os.PathLike[str]) -> str:
     """Digest of what the fit settled: two files with the same one go on alike from the same state.
 
     Raises
@@ -360,12 +339,7 @@ def fit_of(path: str | os.PathLike) -> str:
     return str(storage.read(path, KIND)["fit"])
 
 
-def running(tracker: Tracker) -> dict[str, Any]:
-    """What changes from sample to sample, as plain arrays and numbers."""
-    return tracker.to_tree()
-
-
-def _packed(fitted: Fitted) -> tuple[dict[str, Any], str]:
+def _packed(fitted: TrackerFit) -> tuple[dict[str, Any], str]:
     """A fit, which never changes, as it is written again and again, and its digest."""
     if fitted not in _PACKED:
         tree = pack(fitted)

@@ -11,7 +11,7 @@ factor on process and measurement noise leaves the gain alone: its optimum is th
 noise level is not known. The search stays within `REACH` of where it starts, and the starts follow from step and length
 of the record: a correlation length of ten records is not told from an endless one, nor one of a hundredth of a step
 from none. Single wrong samples, which no load explains, are left out in a second pass. A record with gaps everywhere
-has its likelihood in `patchy`.
+has its likelihood in `likelihood.Patchy`.
 """
 
 from __future__ import annotations
@@ -26,11 +26,13 @@ from structures.errors import InputError, NotIdentifiable
 from structures.flags import Flag
 
 from ...guards.tracking import spoilt, undetermined
-from ...inverse.kalman.model import FilterModel
-from ...inverse.kalman.steady import Steady, steady
+from ...inverse.gaussian.model import FilterModel
+from ...inverse.gaussian.records import run_settled, smooth_settled
+from ...inverse.gaussian.roots import Array, solve_lower
+from ...inverse.gaussian.steady import SteadyFilter, steady
 from ..data import Data
 from .filters import Named, Posing, rescaled
-from .likelihood import Patchy, Point, climb
+from .likelihood import LikelihoodPoint, Patchy, climb
 
 BEYOND = 8.0  # stds of what is left of a channel, and of its noise
 AHEAD = 3.0  # times what is left of the other channels around: no load moves one sensor only
@@ -44,7 +46,7 @@ QUARTILE = 0.6745  # of a normal number's size, which has the median one
 
 
 @dataclass(frozen=True, eq=False)
-class Wrong:
+class Outliers:
     """Wrong samples, and the record as the others have it.
 
     Parameters
@@ -55,7 +57,7 @@ class Wrong:
     """
 
     mask: NDArray[np.bool_]
-    values: NDArray[np.float64]
+    values: Array
 
     @property
     def count(self) -> int:
@@ -63,7 +65,7 @@ class Wrong:
         return int(self.mask.sum())
 
 
-def wrong_samples(settled: Steady, Y: NDArray) -> Wrong:
+def wrong_samples(settled: SteadyFilter, Y: Array) -> Outliers:
     """Numbers of a complete record Y (samples, m) that no load explains, by a smoother at the numbers of a filter.
 
     Where the load itself moves as it seldom does (an impact, a step) a prior may fit it badly, and that is left alone.
@@ -71,64 +73,50 @@ def wrong_samples(settled: Steady, Y: NDArray) -> Wrong:
     none = np.zeros(Y.shape, bool)
     mask, kept, values, share = none, none, Y, None
     for _ in range(TURNS):
-        new = _apart(settled, left(settled, values)[0]) & ~mask & ~kept
+        new = _apart(settled, smooth_settled(settled, values)[1]) & ~mask & ~kept
         if not new.any():
-            return Wrong(mask, values)
+            return Outliers(mask, values)
         mask = mask | new
         if mask.any(axis=1).mean() > MOST:
             break
         if share is None:
             share = own_share(settled, len(Y))
         values = _replaced(settled, Y, mask, values, share)
-        moved = mask & _event(left(settled, values)[1])[:, None]
+        moved = mask & _event(smooth_settled(settled, values)[0])[:, None]
         if moved.any():
             mask, kept = mask & ~moved, kept | moved
             values = _replaced(settled, Y, mask, values, share)
-    return Wrong(none, Y)
+    return Outliers(none, Y)
 
 
-def _replaced(settled: Steady, Y: NDArray, mask: NDArray, values: NDArray, share: NDArray) -> NDArray[np.float64]:
+def _replaced(settled: SteadyFilter, Y: Array, mask: NDArray[np.bool_], values: Array, share: Array) -> Array:
     """The record with what all others say where the mask holds: numbers that the smoother leaves nothing of."""
     values = np.where(mask, values, Y)
     for _ in range(ROUNDS):
-        values = np.where(mask, values - left(settled, values)[0] / share, Y)
+        values = np.where(mask, values - smooth_settled(settled, values)[1] / share, Y)
     return values
 
 
-def _event(load: NDArray) -> NDArray[np.bool_]:
+def _event(load: Array) -> NDArray[np.bool_]:
     """Where a load (samples, p) moves within a few samples as it seldom does (samples,)."""
     moved = np.zeros(load.shape)
     moved[AROUND:-AROUND] = np.abs(load[2 * AROUND :] - load[: -2 * AROUND])
     usual = np.median(moved, axis=0) / QUARTILE
-    return np.any(moved > BEYOND * usual, axis=1)
+    return np.asarray(np.any(moved > BEYOND * usual, axis=1))
 
 
-def own_share(settled: Steady, samples: int) -> NDArray[np.float64]:
+def own_share(settled: SteadyFilter, samples: int) -> Array:
     """What is left of a one amid a record of zeros, for each channel (m,)."""
     m, at = len(settled.Se_root), samples // 2
     found = np.empty(m)
     for i in range(m):
         one = np.zeros((samples, m))
         one[at, i] = 1.0
-        found[i] = left(settled, one)[0][at, i]
+        found[i] = smooth_settled(settled, one)[1][at, i]
     return np.maximum(found, SMALLEST)
 
 
-def left(settled: Steady, Y: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What a smoother at the settled gain leaves of a complete record (samples, m), and its loads (samples, p)."""
-    from ...inverse.kalman.settled import Loop, back_mean
-
-    model = settled.model
-    load, change = np.empty((len(Y), model.p)), np.empty((len(Y), model.p))
-    e, rest = np.empty(Y.shape), np.empty(Y.shape)
-    loop = Loop(settled.rows(), model.p, model.m, model.x0)
-    loop.compile()
-    loop.block(Y, load, e)
-    back_mean(settled, e, np.zeros(model.n), change, rest)
-    return rest, load - change
-
-
-def _apart(settled: Steady, rest: NDArray) -> NDArray[np.bool_]:
+def _apart(settled: SteadyFilter, rest: Array) -> NDArray[np.bool_]:
     """Where one channel is far out, alone and more so than the samples around (samples, m)."""
     from scipy.ndimage import maximum_filter1d
 
@@ -139,7 +127,7 @@ def _apart(settled: Steady, rest: NDArray) -> NDArray[np.bool_]:
     ranked = np.sort(around, axis=1)
     others = np.where(around == ranked[:, -1:], ranked[:, -2:-1] if size.shape[1] > 1 else 0.0, ranked[:, -1:])
     highest = maximum_filter1d(size.max(axis=1), 2 * APART + 1)[:, None]
-    return (size > BEYOND) & (size >= highest) & (size > AHEAD * others)
+    return np.asarray((size > BEYOND) & (size >= highest) & (size > AHEAD * others))
 
 
 SKIPPED = 0.05  # of a record, in which the filter settles
@@ -148,7 +136,7 @@ REACH = 100.0  # of the search beyond its starts, as a factor
 PASSES = 3  # in which wrong samples are looked for
 EDGE = 1e-6  # of a logarithm, within which a number counts as at its bound
 
-Build = Callable[[NDArray], FilterModel]
+Build = Callable[[Array], FilterModel]
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,22 +154,22 @@ class Tuned:
     evaluations : int
     bounded : tuple of int
         Numbers that ended at a bound of the search: the record does not tell them.
-    wrong : tuple of int
+    outliers : tuple of int
         Samples of each channel that no load explains, and that were left out.
     """
 
-    parameters: NDArray[np.float64]
+    parameters: Array
     loglik: float
     scale: float
     evaluations: int
     bounded: tuple[int, ...] = ()
-    wrong: tuple[int, ...] = ()
+    outliers: tuple[int, ...] = ()
 
 
 def tune(
     build: Build,
-    starts: list[NDArray],
-    Y: NDArray,
+    starts: list[Array],
+    Y: Array,
     *,
     free_scale: bool,
     progress: Callable[[float], None] = lambda share: None,
@@ -248,7 +236,7 @@ class Likelihood:
     def __init__(
         self,
         build: Build,
-        Y: NDArray,
+        Y: Array,
         free_scale: bool,
         progress: Callable[[float], None],
         apart: NDArray[np.bool_] | None = None,
@@ -256,7 +244,7 @@ class Likelihood:
         self.build, self.Y, self.free_scale, self.progress, self.count = build, Y, free_scale, progress, 0
         self.use = settled_samples(len(Y)) if apart is None else settled_samples(len(Y)) & ~apart
 
-    def __call__(self, x: NDArray) -> Point | None:
+    def __call__(self, x: Array) -> LikelihoodPoint | None:
         """Where a filter exists."""
         self.count += 1
         self.progress(min(self.count / 100, 1.0))
@@ -264,12 +252,12 @@ class Likelihood:
             found = steady(self.build(x))
         except (NotIdentifiable, InputError, np.linalg.LinAlgError):
             return None
-        e = innovations(found, self.Y)[self.use]
+        e = run_settled(found, self.Y)[1][self.use]
         value, scale = density(found.Se_root, e, self.free_scale)
         if not np.isfinite(value):
             return None
         root = found.Se_root * np.where(np.diag(found.Se_root) < 0, -1.0, 1.0)
-        return Point(np.array(x, float), -value, scale, e, root, self.free_scale)
+        return LikelihoodPoint(np.array(x, float), -value, scale, e, root, self.free_scale)
 
 
 def settled_samples(count: int) -> NDArray[np.bool_]:
@@ -277,32 +265,18 @@ def settled_samples(count: int) -> NDArray[np.bool_]:
     return np.arange(count) >= min(max(int(SKIPPED * count), 10), count - 1)
 
 
-def density(root: NDArray, e: NDArray, free_scale: bool) -> tuple[float, float]:
+def density(root: Array, e: Array, free_scale: bool) -> tuple[float, float]:
     """Log-likelihood of innovations (samples, m) of a covariance given by its root, and the scale of the noises."""
-    from ...inverse.kalman.model import forward
-
-    white = forward(root, e.T)
+    white = solve_lower(root, e.T)
     squares, number = float(np.sum(white**2)), white.size
     scale = squares / number if free_scale else 1.0
     spread = float(np.sum(np.log(np.abs(np.diag(root))))) + 0.5 * len(root) * float(np.log(scale))
     return -0.5 * (squares / scale + number * float(np.log(2 * np.pi))) - len(e) * spread, scale
 
 
-def likelihood(filtered: Steady, Y: NDArray, free_scale: bool) -> tuple[float, float]:
+def likelihood(filtered: SteadyFilter, Y: Array, free_scale: bool) -> tuple[float, float]:
     """Log-likelihood of the samples of a complete record beyond the settling, and the common scale of the noises."""
-    return density(filtered.Se_root, innovations(filtered, Y)[settled_samples(len(Y))], free_scale)
-
-
-def innovations(filtered: Steady, Y: NDArray) -> NDArray[np.float64]:
-    """What each sample of a complete record (samples, sensors) says beyond the steady prediction."""
-    from ...inverse.kalman.settled import Loop
-
-    model = filtered.model
-    load, e = np.empty((len(Y), model.p)), np.empty(Y.shape)
-    loop = Loop(filtered.rows(), model.p, model.m, model.x0)
-    loop.compile()  # a search asks many times
-    loop.block(Y, load, e)
-    return e
+    return density(filtered.Se_root, run_settled(filtered, Y)[1][settled_samples(len(Y))], free_scale)
 
 
 LONGEST = 60_000  # samples that a fit is tuned on
@@ -327,7 +301,7 @@ class Numbers:
         Numbers that the record does not tell (W523), wrong samples (W524).
     """
 
-    x: NDArray[np.float64]
+    x: Array
     scale: float
     words: Mapping[str, float]
     flags: tuple[Flag, ...]
@@ -369,12 +343,12 @@ def numbers_of(
     labels = [c.label for c in data.channels]
     said = (
         undetermined([posing.names[i] for i in found.bounded]),
-        spoilt(found.wrong, labels) if found.wrong else None,
+        spoilt(found.outliers, labels) if found.outliers else None,
     )
     return Numbers(found.parameters, found.scale, words, tuple(flag for flag in said if flag is not None))
 
 
-def stretch(data: Data) -> NDArray[np.float64]:
+def stretch(data: Data) -> Array:
     """What a fit is tuned on: a complete stretch where there is a long one, else the record with its gaps (NaN).
 
     Raises
@@ -392,7 +366,7 @@ def stretch(data: Data) -> NDArray[np.float64]:
     return np.ascontiguousarray(Y) if len(Y) >= SHORTEST else complete(data)
 
 
-def complete(data: Data) -> NDArray[np.float64]:
+def complete(data: Data) -> Array:
     """The longest stretch of a record without gaps, at most `LONGEST` samples.
 
     Raises

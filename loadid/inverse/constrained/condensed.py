@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..statespace.record import Record
+from ..gaussian.record import WhitenedRecord
 from .normal import SLACK
 
 Array = NDArray[np.float64]
@@ -102,7 +102,7 @@ class CondensedRecord:
         return x
 
 
-def cut(record: Record) -> CondensedRecord:
+def cut(record: WhitenedRecord) -> CondensedRecord:
     """Blocks of a record."""
     p, m, n = record.p, record.m, record.n
     b = int(np.clip(LOADS // p, 4, max(4, record.samples)))

@@ -26,8 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, NotIdentifiable
 
 from ..convolution import PenalizedConvolution
+from ..gaussian.record import WhitenedRecord
 from ..rules import discrepancy_level
-from ..statespace.record import Record
 from .condensed import BlockNormal, CondensedRecord, FaceCovariance, cut, face_covariance
 from .exchange import Exchanged, exchange, gap, interior, projected
 from .normal import ConvolvedNormal, NormalFactor, RecordNormal
@@ -88,8 +88,8 @@ class NonNegativeRecord:
 
     Parameters
     ----------
-    record : Record
-        Whitened data over a state space with its penalty (`loadid.inverse.statespace.record`): several sensors and
+    record : WhitenedRecord
+        Whitened data over a state space with its penalty (`loadid.inverse.gaussian.record`): several sensors and
         loads, missing data and an unknown start are in it. `NonNegativeRecord.convolved` takes impulse responses.
     signed : array of bool or of int, optional
         Loads that only push, as a mask (loads,) or their numbers; default all. The others take either sign.
@@ -106,7 +106,7 @@ class NonNegativeRecord:
     signed : array of bool, shape (loads,)
     """
 
-    def __init__(self, record: Record, signed: ArrayLike | None = None) -> None:
+    def __init__(self, record: WhitenedRecord, signed: ArrayLike | None = None) -> None:
         self.blocks: CondensedRecord | None = cut(record)
         self._set(partial(BlockNormal, self.blocks), (record.samples, record.p), len(record.free), record.data, signed)
 

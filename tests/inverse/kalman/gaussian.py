@@ -8,7 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 
-from loadid.inverse.kalman.model import FilterModel
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.records import Filtered
+from loadid.inverse.gaussian.roots import lower, solve_lower_transposed
+from loadid.inverse.gaussian.squareroot import SquareRoot
 
 
 def conditioned(model: FilterModel, Y: NDArray, given: int, at: int) -> tuple[NDArray, NDArray]:
@@ -179,3 +182,35 @@ def long_double(model: FilterModel, steps: int) -> NDArray[np.float64]:
         P = F @ P @ F.T + Q
         P = (P + P.T) / 2
     return np.array(out)
+
+
+SINGULAR = 1e-11  # of a state's predicted std: the part that is new to those before it
+
+
+def rts(filtered: Filtered) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States (samples, n), loads and their std (samples, p) with all data, by another way than that of the library.
+
+    Rauch, Tung & Striebel, AIAA J. 3 (1965) 1445, in root form, which asks for a regular predicted covariance:
+
+        [ F L   LQ ]        [ A   0 ]
+        [ L     0  ]   =    [ B   D ]  Q,    G = B A^-1,    L_s L_s^T = D D^T + G L_s+ L_s+^T G^T.
+    """
+    model, (kept,) = filtered.model, (stretch.states for stretch in filtered.stretches)
+    core, there, n = SquareRoot(model), np.isfinite(filtered.Y), model.n
+    states, load, std = np.empty((len(kept), n)), np.empty(filtered.load.shape), np.empty(filtered.load.shape)
+    x, L = kept[-1].x, kept[-1].L
+    for k in range(len(kept) - 1, -1, -1):
+        if k < len(kept) - 1:
+            part, own = core.seen(there[k]), kept[k].L
+            q, r = part.LQ.shape[1], own.shape[1]
+            wide = np.zeros((2 * n, max(r + q, 2 * n)))
+            wide[:n, :r], wide[:n, r : r + q], wide[n:, :r] = part.F @ own, part.LQ, own
+            made = lower(wide)
+            A, B, D = made[:n, :n], made[n:, :n], made[n:, n:]
+            if np.any(np.abs(np.diag(A)) <= SINGULAR * np.linalg.norm(A, axis=1)):
+                raise np.linalg.LinAlgError("the predicted covariance is singular")
+            G = solve_lower_transposed(A, B.T).T
+            x = kept[k].x + G @ (x - part.moved(kept[k].x, filtered.Y[k]))
+            L = lower(D, G @ L)
+        states[k], load[k], std[k] = x, model.Cp @ x, np.linalg.norm(model.Cp @ L, axis=1)
+    return states, load, std

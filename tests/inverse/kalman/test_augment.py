@@ -12,13 +12,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy import linalg
 
-from loadid.inverse.kalman.augment import Ambient, augment
-from loadid.inverse.kalman.model import FilterModel
-from loadid.inverse.kalman.priors import OU, Matern32, Matern52, Periodic, RandomWalk, Sum, White
-from loadid.inverse.kalman.smoothing import smooth
-from loadid.inverse.kalman.squareroot import filter
-from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.record import of_model, record
+from loadid.inverse.gaussian.augment import Ambient, augment
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.path import StateSpacePath
+from loadid.inverse.gaussian.priors import OU, Matern32, Matern52, Periodic, RandomWalk, Sum, White
+from loadid.inverse.gaussian.record import of_model, record
+from loadid.inverse.gaussian.records import filter_record as filter
+from loadid.inverse.gaussian.records import smooth_record as smooth
 from structures import Channel, ForwardModel, MeasuredModel, Structure
 from structures.elements import beams, chains
 from structures.errors import InputError, NotIdentifiable
@@ -407,7 +407,7 @@ def test_the_smoother_of_a_walk_is_tikhonov_of_first_differences(penalty: str, h
     want, step = path.solution(lam, 1.0), 1 / (lam * float(path.scale))
     prior = White(step) if penalty == "identity" else RandomWalk(step / math.sqrt(dt), start=1e6 * step)
     model = augment(source, dt, prior, noise=sigma, hold=hold)
-    got = smooth(filter(model, np.where(missing, np.nan, y), keep=True))
+    got = smooth(filter(model, np.where(missing, np.nan, y)))
     assert want.posterior is not None
     np.testing.assert_allclose(got.load, want.load, rtol=0, atol=1e-9 * np.abs(want.load).max())
     np.testing.assert_allclose(got.std[1:], want.posterior.std[1:], rtol=1e-8)

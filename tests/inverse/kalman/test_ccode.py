@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman.exports import c_source, write_c
-from loadid.inverse.kalman.settled import Loop
-from loadid.inverse.kalman.steady import Steady, steady
+from loadid.inverse.gaussian.exports import c_source, write_c
+from loadid.inverse.gaussian.loop import Loop
+from loadid.inverse.gaussian.steady import SteadyFilter, steady
 from structures import InputError
 from tests.tracked import Tracked, ar1, bm2, bm3, filter_model, matern32
 
@@ -20,7 +20,7 @@ CC = next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wno-unused-parameter", "-Werror", "-pedantic")
 needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler (cc, gcc or clang) on this machine")
 
-Case = tuple[Tracked, Steady]
+Case = tuple[Tracked, SteadyFilter]
 
 
 def building() -> Case:
@@ -37,7 +37,7 @@ def beam() -> Case:
 class Compiled:
     """The C file as a shared library."""
 
-    def __init__(self, folder: Path, settled: Steady, name: str = "tracker") -> None:
+    def __init__(self, folder: Path, settled: SteadyFilter, name: str = "tracker") -> None:
         source = write_c(folder / f"{name}.c", settled, name=name)
         library = folder / f"{name}.so"
         made = subprocess.run(

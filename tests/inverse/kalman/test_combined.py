@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman.augment import augment
-from loadid.inverse.kalman.priors import OU
-from loadid.inverse.kalman.settled import Loop
-from loadid.inverse.kalman.steady import combined_std, steady
+from loadid.inverse.gaussian.augment import augment
+from loadid.inverse.gaussian.loop import Loop
+from loadid.inverse.gaussian.priors import OU
+from loadid.inverse.gaussian.steady import combined_std, steady
 from structures.errors import InputError
 from tests.tracked import Setup, reference, selector, tridiagonal
 

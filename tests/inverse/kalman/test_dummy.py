@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman.augment import Ambient, augment
-from loadid.inverse.kalman.model import FilterModel, words
-from loadid.inverse.kalman.priors import Matern32, RandomWalk
-from loadid.inverse.kalman.smoothing import smooth
-from loadid.inverse.kalman.squareroot import filter as filtered
-from loadid.inverse.kalman.steady import steady
+from loadid.inverse.gaussian.augment import Ambient, augment
+from loadid.inverse.gaussian.model import FilterModel, words
+from loadid.inverse.gaussian.priors import Matern32, RandomWalk
+from loadid.inverse.gaussian.records import filter_record as filtered
+from loadid.inverse.gaussian.records import smooth_record as smooth
+from loadid.inverse.gaussian.steady import steady
 from structures import ForwardModel, InputError, NotIdentifiable
 from structures.elements import chains
 from structures.models.mapped import mapped
@@ -36,8 +36,8 @@ def test_the_smoother_is_that_of_zeros_before_during_and_after(hold, prior):
     fed = augment(building(disp=True), DT, prior, noise=np.array([1.0, 1.0, STD]), hold=hold)
     long = np.full((N + after, 3), np.nan)
     long[:N, :2], long[:, 2] = y, 0.0
-    ours = smooth(filtered(believed, y, keep=True))
-    other = smooth(filtered(fed, long, keep=True))
+    ours = smooth(filtered(believed, y))
+    other = smooth(filtered(fed, long))
     size = np.abs(other.load[:N]).max()
     assert ours.load == pytest.approx(other.load[:N], abs=1e-6 * size)
     assert ours.std == pytest.approx(other.std[:N], rel=1e-6)

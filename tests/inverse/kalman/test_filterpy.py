@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman.exports import FilterpyEngine, from_filterpy, to_filterpy
-from loadid.inverse.kalman.model import FilterModel
-from loadid.inverse.kalman.squareroot import SquareRoot
+from loadid.inverse.gaussian.exports import FilterpyEngine, from_filterpy, to_filterpy
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.squareroot import SquareRoot
 from structures import InputError
 from tests.tracked import ar1, bm2, bm3, filter_model, matern32, reference, walk
 

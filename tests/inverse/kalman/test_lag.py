@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman import squareroot
-from loadid.inverse.kalman.model import FilterModel, lower
-from loadid.inverse.kalman.periodic import periodic
-from loadid.inverse.kalman.settled import Loop
-from loadid.inverse.kalman.smoothing import LagLine, delayed, fixed_lag, phased, resumed, rts
-from loadid.inverse.kalman.squareroot import SquareRoot, State
-from loadid.inverse.kalman.steady import Steady, steady
+from loadid.inverse.gaussian import records
+from loadid.inverse.gaussian.lag import LagLine, delayed, fixed_lag, phased, resumed
+from loadid.inverse.gaussian.loop import Loop
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.roots import lower
+from loadid.inverse.gaussian.squareroot import FilterState, SquareRoot
+from loadid.inverse.gaussian.steady import SteadyFilter, periodic, steady
 from structures.errors import InputError
 
 from .gaussian import building, conditioned, drawn, small
@@ -24,7 +24,7 @@ def away() -> FilterModel:
     return building(acc=(2, 5), disp=(7,)).matern(100.0, 0.08, 0.01, np.array([0.3, 0.3, 1e-3]))
 
 
-def settled(model: FilterModel, last: Steady | None = None) -> FilterModel:
+def settled(model: FilterModel, last: SteadyFilter | None = None) -> FilterModel:
     """The model that starts with the covariance on which its filter settles."""
     last = steady(model) if last is None else last
     return dataclasses.replace(model, L0=lower(last.part.F @ last.L, last.part.LQ))
@@ -43,7 +43,7 @@ def test_late_loads_are_those_of_the_smoother(model: FilterModel) -> None:
     load, e = looped(model, Y)
     late, std = fixed_lag(steady(model), 20).apply(load, e)
     for end in (200, 380):  # the last samples of a record that ends there
-        whole = rts(squareroot.filter(model, Y[: end + 1], keep=True))
+        whole = records.smooth_record(records.filter_record(model, Y[: end + 1]))
         line = fixed_lag(steady(model), 20).apply(load[: end + 1], e[: end + 1])
         assert np.max(np.abs(whole.load - line[0])[-20:]) < 1e-9 * np.std(P)
         assert np.allclose(whole.std[-21:], line[1][-21:], rtol=1e-9)
@@ -97,7 +97,7 @@ def test_line_and_covariances_say_the_same_and_resume_each_other() -> None:
     assert np.allclose(slow.std, fixed.std, rtol=1e-9)
     fast = resumed(fixed, load[199 - lag : 200], e[199 - lag : 200])
     assert np.max(np.abs(fast.load - slow.load)) < 1e-8 * np.std(P)
-    state = State(state.x, steady(model).L)
+    state = FilterState(state.x, steady(model).L)
     Y[205:208, 2] = np.nan  # the gap that it is for
     for k in range(200, 230):
         before = state
@@ -105,7 +105,7 @@ def test_line_and_covariances_say_the_same_and_resume_each_other() -> None:
         slow, fast = (d.advance(core, before, state, said) for d in (slow, fast))
         assert np.allclose(slow.load, fast.load, rtol=0, atol=1e-8 * np.std(P))
         assert np.allclose(slow.std, fast.std, rtol=1e-7)
-    whole = rts(squareroot.filter(model, Y[:230], keep=True))
+    whole = records.smooth_record(records.filter_record(model, Y[:230]))
     assert np.allclose(whole.load[-lag - 1 :][::-1], fast.load, rtol=0, atol=1e-7 * np.std(P))
     assert np.allclose(whole.std[-lag - 1 :][::-1], fast.std, rtol=1e-7)
 
@@ -149,11 +149,11 @@ def test_lags_of_a_periodic_filter() -> None:
     Y[~np.tile(masks, (40, 1))] = np.nan
     for phase in range(3):
         start = 90 + phase  # a sample of that phase, the record cut `lag` later
-        whole = rts(squareroot.filter(model, Y[: start + lag + 1], keep=True))
+        whole = records.smooth_record(records.filter_record(model, Y[: start + lag + 1]))
         fixed = phased(found, phase, lag)
         assert np.allclose(whole.std[start], fixed.std[-1], rtol=1e-9)
-        load = squareroot.filter(model, Y[: start + lag + 1], keep=True)
-        e = np.array([np.nan_to_num(said.e) for said in load.kept.innovations])
+        load = records.filter_record(model, Y[: start + lag + 1])
+        e = np.array([np.nan_to_num(said.e) for said in load.stretches[0].innovations])
         assert np.allclose(load.load[start] + sum(fixed.taps[j - 1] @ e[start + j] for j in range(1, lag + 1)),
                            whole.load[start], rtol=0, atol=1e-9 * np.std(whole.load))  # fmt: skip
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import ss2zpk
 
 from loadid.guards.tracking import cures
-from loadid.inverse.kalman.observe import UNSEEN, Observability, delay, invariant_zeros, observability
+from loadid.inverse.gaussian.observe import UNSEEN, Observability, delay, invariant_zeros, observability
 from structures import ForwardModel, InputError, StateSpace
 from structures.elements import chains
 from structures.system import loads, sensors
@@ -70,7 +70,7 @@ def test_the_table_of_layouts(layout, rank: int, lost: int, static: list[float],
     assert sum(s.lost for s in found.drifting) == sum(s.lost for s in found.unseen) == lost
     assert found.detectable == (lost == 0)
     np.testing.assert_allclose(found.static, static, rtol=3e-3, atol=1e-6)
-    least = found.seen[0]
+    least = found.eigenvalues[0]
     assert least.sigma < 1e-13 if lost else least.sigma > 100 * UNSEEN
     assert found.sensors < len(found.loads) or found.static_rank == sum(x > 0 for x in static)
     assert found.lacking().shape[1] == len(static) - found.static_rank
@@ -107,15 +107,15 @@ def test_d2_before_any_data() -> None:
         for c in (d2(disp=False, samples=200), d2(disp=True, samples=200))
     )
     assert [s.name for s in blind.drifting] == ["load p0"]
-    assert blind.seen[0].load > 0.9
+    assert blind.eigenvalues[0].load > 0.9
     assert sighted.detectable
-    assert sighted.seen[0].sigma > 1e5 * UNSEEN
+    assert sighted.eigenvalues[0].sigma > 1e5 * UNSEEN
 
 
 def test_names_and_rows() -> None:
     found = seen()
-    assert found.seen[0].name == "load p0"
-    assert {s.name for s in found.seen} >= {"mode 1 (1.19 Hz)", "mode 10 (15.7 Hz)"}
+    assert found.eigenvalues[0].name == "load p0"
+    assert {s.name for s in found.eigenvalues} >= {"mode 1 (1.19 Hz)", "mode 10 (15.7 Hz)"}
     table = {check: (number, ok) for check, number, _, ok in found.rows()}
     assert table["static rank"] == ("0 of 1; 0 noise sds per load sd", False)
     assert table["zeros on or outside the circle"] == ("1", False)
@@ -147,7 +147,7 @@ def test_a_bias_takes_the_place_of_the_load() -> None:
         )  # fmt: skip
         found = observability(model, made.setup.space(), [100.0])
         assert sum(s.lost for s in found.unseen) == lost
-        assert found.seen[0].name == "load p0 and bias of sensor 3" or not lost
+        assert found.eigenvalues[0].name == "load p0 and bias of sensor 3" or not lost
 
 
 def test_a_free_structure_shows_its_load_by_moving() -> None:
@@ -191,7 +191,7 @@ def test_units_do_not_matter(layout) -> None:
     assert [s.lost for s in got.unseen] == [s.lost for s in want.unseen]
     assert got.delay == want.delay
     assert len(got.outside) == len(want.outside)
-    for a, b in zip(got.seen, want.seen, strict=True):
+    for a, b in zip(got.eigenvalues, want.eigenvalues, strict=True):
         assert a.lost or a.sigma == pytest.approx(b.sigma, rel=0.5)  # states are balanced to powers of two
 
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import linalg
 
-from loadid.inverse.kalman import model as quadrature
-from loadid.inverse.kalman.priors import OU, Matern32, Matern52, Periodic, Prior, RandomWalk, Sum, White
+from loadid.inverse.gaussian import roots as quadrature
+from loadid.inverse.gaussian.priors import OU, Matern32, Matern52, Periodic, Prior, RandomWalk, Sum, White
 from structures.errors import InputError
 
 SD, LENGTH, PERIOD = 3.0, 0.08, 0.5
@@ -200,3 +200,9 @@ def test_a_damped_period_has_noise_and_another_does_not() -> None:
 def test_bad_settings_are_refused(bad: Callable[[], object]) -> None:
     with pytest.raises(InputError):
         bad()
+
+
+def test_priors_come_from_where_release_0_1_has_them() -> None:
+    from importlib import import_module
+
+    assert import_module("loadid.inverse.kalman.priors").Matern32 is Matern32

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman.model import FilterModel
+from loadid.inverse.gaussian.model import FilterModel
 from structures import ForwardModel
 from structures.elements import chains
 from structures.system import damping, loads, sensors

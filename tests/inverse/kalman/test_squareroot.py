@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from loadid.inverse.kalman import squareroot
-from loadid.inverse.kalman.model import FilterModel, joined, lower, square
-from loadid.inverse.kalman.squareroot import SquareRoot
+from loadid.inverse.gaussian import records
+from loadid.inverse.gaussian.model import FilterModel
+from loadid.inverse.gaussian.roots import joined, lower, square
+from loadid.inverse.gaussian.squareroot import SquareRoot
 from structures.errors import InputError
 
 from .gaussian import building, conditioned, drawn, gillijns_de_moor, joseph, long_double, small
@@ -29,11 +30,12 @@ def test_filter_is_the_conditional_gaussian(correlated: bool) -> None:
     for seed in range(3):
         model = small(seed, correlated=correlated)
         Y = gappy(drawn(model, 8, seed)[0])
-        found = squareroot.filter(model, Y, keep=True)
+        found = records.filter_record(model, Y)
         for k in range(8):
             mean, P = conditioned(model, Y, k + 1, k)
-            assert np.allclose(found.kept.x[k], mean, rtol=0, atol=1e-9)
-            assert np.allclose(found.kept.L[k] @ found.kept.L[k].T, P, rtol=0, atol=1e-9)
+            assert np.allclose(found.stretches[0].states[k].x, mean, rtol=0, atol=1e-9)
+            L = found.stretches[0].states[k].L
+            assert np.allclose(L @ L.T, P, rtol=0, atol=1e-9)
             assert np.allclose(found.std[k] ** 2, np.diag(model.Cp @ P @ model.Cp.T), atol=1e-9)
         assert found.count.tolist() == np.isfinite(Y).sum(axis=1).tolist()
 
@@ -45,7 +47,7 @@ def test_likelihood_is_that_of_the_joint_density(correlated: bool) -> None:
 
     model = small(3, correlated=correlated)
     Y = gappy(drawn(model, 6)[0])
-    found = squareroot.filter(model, Y)
+    found = records.filter_record(model, Y)
     # the same number of sensors' rows, read off the joint Gaussian of states made observable: a wide prior of the data
     N, n, m = 6, model.n, model.m
     S = np.zeros((n, m)) if model.S is None else model.S
@@ -86,7 +88,7 @@ def test_equals_filterpy_with_masks_as_reduced_matrices() -> None:
     rng = np.random.default_rng(1)
     Y[rng.random(Y.shape) < 0.1] = np.nan
     Y[300:320, 3], Y[500:510] = np.nan, np.nan
-    found = squareroot.filter(model, Y)
+    found = records.filter_record(model, Y)
     other = KalmanFilter(model.n, model.m)
     other.F, other.Q, other.P = model.F.copy(), model.LQ @ model.LQ.T, model.L0 @ model.L0.T
     other.x, R = model.x0.copy(), model.LR @ model.LR.T
@@ -117,7 +119,7 @@ def test_a_white_load_without_bound_is_gillijns_and_de_moor(correlated: bool) ->
     load, variance = gillijns_de_moor(model, Y, R, Q, 1e-12 * np.eye(20), S)
     gaps = []
     for sd in (1e3, 1e4, 1e5):
-        found = squareroot.filter(model.white(sd, R, Q, S), Y)
+        found = records.filter_record(model.white(sd, R, Q, S), Y)
         gaps.append(np.max(np.abs(found.load - load)) / np.sqrt(np.mean(load**2)))
     assert gaps[2] < 1e-5
     assert 50 < gaps[0] / gaps[1] < 200  # as one over the variance
@@ -158,14 +160,14 @@ def test_joseph_form_fails_where_the_root_does_not() -> None:
 def test_answers_in_any_unit() -> None:
     model = building().walk(400.0, R_SD)
     Y, _ = drawn(model, 200)
-    own = squareroot.filter(model, Y)
+    own = records.filter_record(model, Y)
     for c in (1e-6, 1e6):
         scaled = dataclasses.replace(model, LQ=c * model.LQ, LR=c * model.LR, L0=c * model.L0)
-        other = squareroot.filter(scaled, c * Y)
+        other = records.filter_record(scaled, c * Y)
         assert np.allclose(other.load, c * own.load, rtol=1e-9, atol=1e-9 * c)
         assert np.allclose(other.std, c * own.std, rtol=1e-9)
     D = np.r_[np.full(model.nx, 1.0), 1e-6]  # the load in other units than the structure
-    other = squareroot.filter(
+    other = records.filter_record(
         dataclasses.replace(model, F=model.F * D[:, None] / D, LQ=D[:, None] * model.LQ, H=model.H / D,
                             Cp=model.Cp / D, L0=D[:, None] * model.L0), Y)  # fmt: skip
     assert np.allclose(other.load, own.load, rtol=0, atol=1e-9 * np.max(np.abs(own.load)))
@@ -176,8 +178,8 @@ def test_single_precision_is_raised() -> None:
     model = building().walk(400.0, R_SD)
     Y, _ = drawn(model, 50)
     Y = Y.astype(np.float32)
-    assert squareroot.filter(model, Y).load.dtype == np.float64
-    assert np.array_equal(squareroot.filter(model, Y).load, squareroot.filter(model, Y.astype(float)).load)
+    assert records.filter_record(model, Y).load.dtype == np.float64
+    assert np.array_equal(records.filter_record(model, Y).load, records.filter_record(model, Y.astype(float)).load)
     raised = FilterModel(**{**vars(model), "F": model.F.astype(np.float32)})
     assert raised.F.dtype == np.float64
 
@@ -202,14 +204,14 @@ def test_what_is_wrong_is_named() -> None:
     with pytest.raises(InputError, match="channel 1: an infinite number"):
         core.update(core.start(), [0.0, np.inf, 0.0])
     with pytest.raises(InputError, match="does not fit the model"):
-        squareroot.filter(model, np.zeros((5, 2)))
+        records.filter_record(model, np.zeros((5, 2)))
     with pytest.raises(InputError, match="channel 2, sample 3: an infinite number"):
-        squareroot.filter(model, np.where(np.arange(15).reshape(5, 3) == 11, np.inf, 0.0))
+        records.filter_record(model, np.where(np.arange(15).reshape(5, 3) == 11, np.inf, 0.0))
     with pytest.raises(InputError, match="no pair of noises"):
         SquareRoot(dataclasses.replace(small(correlated=True), LQ=1e-3 * model.LQ))
     with pytest.raises(InputError, match="without noise"):
         SquareRoot(dataclasses.replace(small(correlated=True), LR=np.diag([1.0, 0.0, 1.0])))
     said: list[float] = []
-    squareroot.filter(model, np.zeros((600, 3)), progress=lambda share, text: said.append(share))
+    records.filter_record(model, np.zeros((600, 3)), progress=lambda share, text: said.append(share))
     assert said == sorted(said)
     assert len(said) == 3

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.record import Record, augment, record
+from loadid.inverse.gaussian.path import StateSpacePath
+from loadid.inverse.gaussian.record import WhitenedRecord, augment, record
 from structures import ForwardModel
 from structures.elements import beams
 from structures.models.discretise import blocks
@@ -84,7 +84,7 @@ class Case:
         """State-space path."""
         return StateSpacePath(self.record(penalty, self.y if y is None else y, **options))
 
-    def record(self, penalty: str, y: NDArray, **options: Any) -> Record:
+    def record(self, penalty: str, y: NDArray, **options: Any) -> WhitenedRecord:
         """Whitened record."""
         s, w = self.system, 1 / self.noise
         system = augment(s.A, s.B, w[:, None] * s.C, w[:, None] * s.D, penalty, **options)

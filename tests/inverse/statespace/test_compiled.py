@@ -7,15 +7,15 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from loadid.inverse.compiled import Compiled
+from loadid.inverse.gaussian.compiled import Compiled, settled
 
 from .cases import beam, case, holes
 
-MODULES = ("compiled", "statespace.passes", "statespace.posterior", "statespace.riccati")
+MODULES = ("compiled", "gains", "passes", "posterior")
 
 
 def loops() -> set[Compiled]:
-    modules = [import_module(f"loadid.inverse.{name}") for name in MODULES]
+    modules = [import_module(f"loadid.inverse.gaussian.{name}") for name in MODULES]
     return {loop for module in modules for loop in vars(module).values() if isinstance(loop, Compiled)}
 
 
@@ -25,7 +25,7 @@ def compared(monkeypatch: pytest.MonkeyPatch) -> Counter[Compiled]:
     done, call = Counter[Compiled](), Compiled.__call__
 
     def both(loop: Compiled, *args: object) -> object:
-        if done[loop]:
+        if done[loop] and loop is not settled:  # which calls others late
             return call(loop, *args)
         done[loop] += 1
         own = deepcopy(args)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from loadid.inverse.choice import DEFAULT_RULES, Choice, choose
+from loadid.inverse.gaussian.coarse import confirm, windows_of
+from loadid.inverse.gaussian.path import StateSpacePath
 from loadid.inverse.rules import run
-from loadid.inverse.statespace.coarse import confirm, windows_of
-from loadid.inverse.statespace.path import StateSpacePath
 from loadid.inverse.sweep import RuleResult, Sweep
 
 from .cases import Case, beam

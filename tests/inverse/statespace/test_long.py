@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.record import Record
+from loadid.inverse.gaussian.path import StateSpacePath
+from loadid.inverse.gaussian.record import WhitenedRecord
 
 from .cases import Case, case, modal, off
 
@@ -33,13 +33,13 @@ def hard(name: str, samples: int = SAMPLES) -> Case:
 
 def unsettled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every sample of a recursion is computed."""
-    monkeypatch.setattr(Record, "settles", False)
+    monkeypatch.setattr(WhitenedRecord, "settles", False)
 
 
 @pytest.mark.parametrize(("name", "penalty", "lam"), MATCHES)
 def test_settled_gains_are_the_gains(name: str, penalty: str, lam: float, monkeypatch: pytest.MonkeyPatch) -> None:
     given = hard(name)
-    record: Record = given.record(penalty, given.y)
+    record: WhitenedRecord = given.record(penalty, given.y)
     scale = float(StateSpacePath(given.record(penalty, given.y[:1000])).scale)
     path = StateSpacePath(record, scale=scale)
     solution, edf = path.solution(lam, 1.0), float(path.scalars(lam).edf)

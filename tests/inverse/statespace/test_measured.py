@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from loadid.inverse.gaussian.path import StateSpacePath
+from loadid.inverse.gaussian.record import augment, measured, moving
 from loadid.inverse.problem import Cholesky
-from loadid.inverse.statespace.path import StateSpacePath
-from loadid.inverse.statespace.record import augment, measured, moving
 from structures import ForwardModel, InputError
 from structures.elements import beams
 from structures.system import loads

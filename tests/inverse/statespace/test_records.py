@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from loadid.inverse.statespace.coarse import COUNT, LENGTH, windows_of
-from loadid.inverse.statespace.passes import solve
-from loadid.inverse.statespace.riccati import gains
+from loadid.inverse.gaussian.coarse import COUNT, LENGTH, windows_of
+from loadid.inverse.gaussian.gains import gains
+from loadid.inverse.gaussian.passes import solve
 from structures.models.statespace import StateSpace
 
 from .cases import PENALTIES, Case, beam, case, off

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from loadid.inverse.gaussian.sized import SizedPath
 from loadid.inverse.posterior import from_arrays
-from loadid.inverse.statespace.sized import SizedPath
 from structures import InputError
 
 from .cases import PENALTIES, beam, case, holes, off

@@ -20,11 +20,12 @@ from ..choice import ORDERS, Choice, ChoiceLike, decide, is_rule
 from ..noise_source import NoiseSource
 from ..path import RegularizationPath, Solution
 from ..sweep import LARGEST, RuleResult, Sweep
+from .gains import Gains, gains
 from .passes import Solved, solve
 from .path import Scalars, StateSpacePath, unforced
-from .posterior import spread
-from .record import Record
-from .riccati import Gains, gains
+from .posterior import variances
+from .record import WhitenedRecord
+from .roots import Array
 
 REACH = 0.5  # decades to either side of what the windows' rules chose
 WIDER = 1.0  # decades by which the search goes on beyond a wall
@@ -88,7 +89,7 @@ class _Search:
         cls, path: RegularizationPath, sigma: float | None, first: float, last: float, low: float, high: float
     ) -> _Search:
         first, last = max(first, low), min(last, high)
-        lam: NDArray[np.float64] = np.geomspace(first, last, max(int(POINTS * np.log10(last / first)), 3) + 1)
+        lam: Array = np.geomspace(first, last, max(int(POINTS * np.log10(last / first)), 3) + 1)
         return cls(Sweep(path, lam, path.at(lam), sigma, whole=(first, last) == (low, high)), low, high)
 
     def beyond(self, found: RuleResult) -> _Search | None:
@@ -114,7 +115,7 @@ class WindowsPath(StateSpacePath):
 
     Parameters
     ----------
-    record : Record
+    record : WhitenedRecord
         Of one window.
     windows : array, shape (windows, samples, m)
         Their data.
@@ -124,7 +125,7 @@ class WindowsPath(StateSpacePath):
         Of the whole record.
     """
 
-    def __init__(self, record: Record, windows: NDArray, weights: NDArray, scale: float) -> None:
+    def __init__(self, record: WhitenedRecord, windows: Array, weights: NDArray[np.int_], scale: float) -> None:
         self.windows, self.weights = windows, weights
         self._solutions: dict[float, tuple[Gains, list[Solved]]] = {}
         super().__init__(record, quick=True, scale=scale)
@@ -140,7 +141,7 @@ class WindowsPath(StateSpacePath):
     def scalars(self, lam: float) -> Scalars:
         """Sums over the windows at one relative lambda."""
         held, each = self._each(lam)
-        known, count = spread(self.record, held, every_sample=False), self.count
+        known, count = variances(self.record, held, every_sample=False), self.count
         penalty, total = count * known.penalty, self.unknowns + self.null
         return Scalars(
             residual2=self._sum(np.sum((y - one.response) ** 2) for y, one in zip(self.windows, each, strict=True)),
@@ -153,7 +154,7 @@ class WindowsPath(StateSpacePath):
             bend=0.0,
         )
 
-    def residual(self, lam: float) -> NDArray[np.float64]:
+    def residual(self, lam: float) -> Array:
         """Whitened residuals of the windows side by side, (samples, windows * m)."""
         return np.hstack([y - one.response for y, one in zip(self.windows, self._each(lam)[1], strict=True)])
 
@@ -211,7 +212,7 @@ def windows_of(path: StateSpacePath) -> WindowsPath | None:
         return None
 
 
-def _forced_energy(window: Record, y: NDArray, starts: NDArray) -> NDArray[np.float64]:
+def _forced_energy(window: WhitenedRecord, y: Array, starts: Array) -> Array:
     """Energy of each window of the data (samples, m) that no state at its start explains."""
     Q = np.linalg.qr(unforced(window))[0]
     energy = np.empty(len(starts))

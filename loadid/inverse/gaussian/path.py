@@ -14,23 +14,24 @@ from structures.errors import InputError, NotIdentifiable
 
 from ..interpolation import SplineTable, Values, powers_of_rest
 from ..path import PathPoint, RegularizationPath, Solution
+from .gains import Gains, feedback, gains
 from .passes import Solved, backward, forward, gradient, refined, solve
-from .posterior import StateSpacePosterior, spread
-from .record import Record
-from .riccati import Gains, feedback, gains
+from .posterior import StateSpacePosterior, variances
+from .record import WhitenedRecord
+from .roots import Array
 
 LONG = 1 << 14  # samples beyond which the largest value is extrapolated
 LINES = 512
 
 
-def unforced(record: Record) -> NDArray[np.float64]:
+def unforced(record: WhitenedRecord) -> Array:
     """Responses (samples * m, free) to each free state alone."""
     still, none = feedback(record), np.zeros((record.samples, record.p))
     columns = [forward(record, still, none, start)[2].reshape(-1) for start in np.eye(record.n)[record.free]]
     return np.array(columns).T.reshape(-1, len(record.free))
 
 
-def largest(record: Record) -> float:
+def largest(record: WhitenedRecord) -> float:
     """Largest generalised singular value of (H, L): of ``L g`` to the data, free states fitted.
 
     That of a record beyond `LONG` samples is extrapolated by its growth over the last doubling: flat where the response
@@ -45,17 +46,22 @@ def largest(record: Record) -> float:
     return float(whole * (record.samples / LONG) ** max(np.log2(whole / half), 0.0))
 
 
-def _largest(record: Record) -> float:
-    from scipy.sparse.linalg import LinearOperator, eigsh
-
+def _largest(record: WhitenedRecord) -> float:
     still, start = feedback(record), np.zeros(record.n)
     count = record.samples * record.p
     Q = np.linalg.qr(unforced(record))[0] if len(record.free) else np.zeros((record.samples * record.m, 0))
 
-    def normal(w: NDArray) -> NDArray:
+    def normal(w: Array) -> Array:
         y = forward(record, still, np.ascontiguousarray(w.reshape(-1, record.p)), start)[2].reshape(-1)
-        y = (y - Q @ (Q.T @ y)).reshape(-1, record.m)
-        return backward(record, still, y, None)[0].reshape(-1)
+        rest = (y - Q @ (Q.T @ y)).reshape(-1, record.m)
+        return backward(record, still, rest, None)[0].reshape(-1)
+
+    return root_of_largest(normal, count)
+
+
+def root_of_largest(normal: Callable[[Array], Array], count: int) -> float:
+    """Root of the largest eigenvalue of a symmetric operator on `count` numbers, none of its eigenvalues below 0."""
+    from scipy.sparse.linalg import LinearOperator, eigsh
 
     if count <= 2:
         matrix = np.array([normal(e) for e in np.eye(count)])
@@ -71,12 +77,12 @@ def _largest(record: Record) -> float:
     return float(np.sqrt(size * max(float(top[0]), 0.0)))
 
 
-def smallest(record: Record) -> float:
+def smallest(record: WhitenedRecord) -> float:
     """Smallest singular value of the steady system from ``L g`` to the data, over all frequencies."""
     return float(lines(record).min())
 
 
-def layout(record: Record) -> tuple[float, int, int]:
+def layout(record: WhitenedRecord) -> tuple[float, int, int]:
     """Condition number of the part that the data see, rank and nullity, by the lines of the steady system."""
     values, unknowns = lines(record), record.samples * record.p
     seen = values > record.samples * record.p * np.finfo(float).eps * values.max()
@@ -84,12 +90,12 @@ def layout(record: Record) -> tuple[float, int, int]:
     return float(values.max() / values[seen].min()), rank, max(unknowns - rank, 0)
 
 
-def lines(record: Record) -> NDArray[np.float64]:
+def lines(record: WhitenedRecord) -> Array:
     """Singular values of the steady system from ``L g`` to the data, (lines, min(m, p)), up to Nyquist."""
     return np.asarray(np.linalg.svd(transfer(record)[0], compute_uv=False), float)
 
 
-def transfer(record: Record) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+def transfer(record: WhitenedRecord) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Steady transfer of ``L g`` to the data (lines, m, p) and to the loads (lines, p, p), up to Nyquist."""
     z = np.exp(1j * np.pi * np.arange(1, LINES + 1) / LINES)
     kind = fullest(record)
@@ -98,12 +104,12 @@ def transfer(record: Record) -> tuple[NDArray[np.complex128], NDArray[np.complex
     return np.asarray(C @ states + D, complex), np.asarray(record.E @ states + np.eye(record.p), complex)
 
 
-def beginning(record: Record, samples: int) -> Record:
+def beginning(record: WhitenedRecord, samples: int) -> WhitenedRecord:
     """So many samples with the most complete of the sets of sensors."""
     return replace(record, kind=np.full(samples, fullest(record), np.int32), y=record.y[:samples])
 
 
-def fullest(record: Record) -> int:
+def fullest(record: WhitenedRecord) -> int:
     """Kind of sample with the most sensors."""
     return int(np.argmax(np.abs(record.C).sum(axis=(1, 2)) + np.abs(record.D).sum(axis=(1, 2))))
 
@@ -135,7 +141,7 @@ class Scalars:
     change2: float
     bend: float
 
-    def array(self) -> NDArray[np.float64]:
+    def array(self) -> Array:
         """In the order of `FIELDS`."""
         return np.array([getattr(self, name) for name in FIELDS])
 
@@ -143,13 +149,13 @@ class Scalars:
 class StateSpacePath(RegularizationPath):
     """Exact Tikhonov of a finite record over a state space, ``min |H g - y|^2 + lam^2 |L g|^2``, in O(N).
 
-    A lambda costs one Riccati recursion over the memory of the record (`riccati`), one covariance recursion for the
-    traces, and two passes over the data. The rules see a spline through a fifth of a decade of such nodes (`nodes`);
+    A lambda costs one Riccati recursion over the memory of the record (`gains`), one covariance recursion for the
+    traces, and two passes over the data. The rules see a spline through a fifth of a decade of such nodes;
     `exact`, `solution`, `residual` and `resolve` are exact at any lambda.
 
     Parameters
     ----------
-    record : Record
+    record : WhitenedRecord
     quick : bool
         Leave out what needs a second solve (sensitivity for quasi-optimality, bend of the L-curve), and space the nodes
         more widely: for rules that only confirm what shorter windows chose.
@@ -157,7 +163,7 @@ class StateSpacePath(RegularizationPath):
         Of the problem that this is part of.
     """
 
-    def __init__(self, record: Record, *, quick: bool = False, scale: float | None = None) -> None:
+    def __init__(self, record: WhitenedRecord, *, quick: bool = False, scale: float | None = None) -> None:
         self.record, self.quick = record, quick
         self.m, self.null = record.data, len(record.free)
         if self.m == 0:
@@ -226,12 +232,12 @@ class StateSpacePath(RegularizationPath):
         one: Any = {k: None if v is None else v[0] for k, v in vars(point).items()}
         return PathPoint(**one)
 
-    def _alone(self, lam: NDArray) -> PathPoint:
+    def _alone(self, lam: Array) -> PathPoint:
         """Exact scalars at one lambda, without those that need its neighbours."""
         at = float(lam.reshape(-1)[0])
         own = self._own[at] = self._own.get(at) or self.scalars(at)
 
-        def shaped(x: float) -> NDArray:
+        def shaped(x: float) -> Array:
             return np.full(lam.shape, x)
 
         objective = own.residual2 + (float(lam.reshape(-1)[0]) * float(self.scale)) ** 2 * own.penalty2
@@ -251,7 +257,7 @@ class StateSpacePath(RegularizationPath):
         return replace(PathPoint(**values), residual2=np.asarray(own.residual2), penalty2=np.asarray(own.penalty2),
                        edf=np.asarray(own.edf), left=np.asarray(own.left), log_ratio=np.asarray(own.ratio))  # fmt: skip
 
-    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> NDArray[np.float64]:
+    def predicted_error(self, lam: ArrayLike, pilot: float, sigma: float) -> Array:
         """Squared load error at each `lam` (k,) that would be made if the load were the estimate at `pilot`."""
         lam = np.atleast_1d(np.asarray(lam, float))
         self._check(lam)
@@ -259,14 +265,14 @@ class StateSpacePath(RegularizationPath):
             self._errors[pilot] = self._new_table(lambda at: np.array([self._bias2(at, pilot)]))
         # noise: tr of P H^T H P, with P = (H^T H + lam^2 L^T L)^-1 and dP/dt = -lam^2 P L^T L P
         trace, slope, *_ = self._table.at(lam).slopes(FIELDS.index("trace"))
-        return self._errors[pilot].at(lam).value(0) + sigma**2 * np.maximum(trace + slope, 0.0)
+        return np.asarray(self._errors[pilot].at(lam).value(0) + sigma**2 * np.maximum(trace + slope, 0.0))
 
-    def residual(self, lam: float) -> NDArray[np.float64]:
+    def residual(self, lam: float) -> Array:
         """Whitened residual (samples, sensors), 0 where data are missing."""
         self._check(np.array([lam]))
         return self.record.y - self._heard(self._solved(lam)[1])
 
-    def residuals(self, lams: NDArray) -> list[NDArray[np.float64]]:
+    def residuals(self, lams: Array) -> list[Array]:
         """Residuals for the tests of whiteness: exact for one lambda, of the nearest node for many."""
         if len(lams) == 1 or self.record.samples > KEPT:
             return [self.residual(float(lam)) for lam in lams]
@@ -284,15 +290,15 @@ class StateSpacePath(RegularizationPath):
             return Solution(solved.load, None)
         return Solution(solved.load, self._posterior(held, sigma))
 
-    def resolve(self, load: NDArray, lam: float) -> NDArray[np.float64]:
+    def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
         return self._again(lam, self._solved(lam)[0], self.response(load)).load
 
-    def start(self, lam: float) -> NDArray[np.float64]:
+    def start(self, lam: float) -> Array:
         """State of the augmented system at the first sample."""
         return self._solved(lam)[1].start
 
-    def response(self, load: NDArray) -> NDArray[np.float64]:
+    def response(self, load: Array) -> Array:
         """Whitened response (samples, sensors) to a load (samples, loads) on a system at rest."""
         # with the feedback E the input is g - E xi: the load is what is put in
         held = feedback(self.record, self.record.E)
@@ -304,15 +310,15 @@ class StateSpacePath(RegularizationPath):
         return gradient(self._system(lam), held.lam, solved)
 
     # -- inside -------------------------------------------------------------------------------------------------------
-    def _system(self, lam: float) -> Record:
+    def _system(self, lam: float) -> WhitenedRecord:
         """What is solved at a relative lambda."""
         return self.record
 
-    def _heard(self, solved: Solved) -> NDArray[np.float64]:
+    def _heard(self, solved: Solved) -> Array:
         """Whitened response (samples, sensors) of a solve."""
         return solved.response
 
-    def _again(self, lam: float, held: Gains, y: NDArray) -> Solved:
+    def _again(self, lam: float, held: Gains, y: Array) -> Solved:
         """Solve for other data (samples, sensors)."""
         return solve(self.record, held, y)
 
@@ -322,7 +328,7 @@ class StateSpacePath(RegularizationPath):
     def scalars(self, lam: float) -> Scalars:
         """Everything at one relative lambda."""
         held, solved = self._solved(lam)
-        known = spread(self.record, held, every_sample=False)
+        known = variances(self.record, held, every_sample=False)
         rest = self.record.y - solved.response
         count = self.unknowns + self.null
         change2 = bend = 0.0
@@ -347,10 +353,10 @@ class StateSpacePath(RegularizationPath):
         first = self._pilot[1]
         return float(np.sum((self._again(at, self._gains(at), self._heard(first)).load - first.load) ** 2))
 
-    def _new_table(self, compute: Callable[[float], NDArray]) -> SplineTable:
+    def _new_table(self, compute: Callable[[float], Array]) -> SplineTable:
         return SplineTable(compute, step=WIDE, around=1, degree=5) if self.quick else SplineTable(compute)
 
-    def _point(self, lam: NDArray, values: Values) -> PathPoint:
+    def _point(self, lam: Array, values: Values) -> PathPoint:
         found = dict(zip(FIELDS, np.exp(values.log), strict=True))
         rest2, rest4 = powers_of_rest(values.slopes(FIELDS.index("left")))
         edf, slope, *_ = values.slopes(FIELDS.index("edf"))
@@ -383,7 +389,7 @@ class StateSpacePath(RegularizationPath):
         return self._kept[lam]
 
     @staticmethod
-    def _check(lam: NDArray) -> None:
+    def _check(lam: Array) -> None:
         if not np.all(np.isfinite(lam)) or np.any(lam < 0.9 * LOWEST):
             raise InputError(
                 "lambda is too small for the state-space path", where="lambda", found=float(np.min(lam)),

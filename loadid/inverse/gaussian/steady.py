@@ -1,18 +1,25 @@
-"""The gain that a filter settles on, with every check that it is one to be believed; sums of loads with their std."""
+"""Gains that a filter settles on, of all channels or of a period of them, and whether they are to be believed.
+
+Channels of several rates come and go with a period: a mask that repeats has gains that repeat, one for each phase. The
+Riccati maps of the phases are joined to that of a period and doubled until it settles (`roots.fixed_point`), and the
+roots are walked through some periods by QR: the gains are theirs. One phase with all its channels is the usual case.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable, reals
 
-from .model import FilterModel, Present, Riccati, backward, fixed_point, forward
+from .model import FilterModel, Present
+from .roots import Array, Riccati, fixed_point, joined_maps, solve_lower, solve_lower_transposed
 from .squareroot import LOG2PI, SquareRoot
 
-POLISH = 6  # samples of QR after the doubling: the gains are theirs
+POLISH = 6  # samples of QR after the doubling, and two periods, at least: the gains are theirs
 RESIDUAL = 1e-6  # of the Riccati equation, relative to the variances
 RADIUS = 1e-6  # by which the closed loop must stay inside the unit circle
 ADVICE = (
@@ -22,7 +29,7 @@ ADVICE = (
 
 
 @dataclass(frozen=True, eq=False)
-class Steady:
+class SteadyFilter:
     """Gain of a filter that has settled: ``x_k = A x_{k-1} + K y_k (+ A_T y_{k-1})`` with ``A = (I - K H) F``.
 
     Parameters
@@ -48,40 +55,35 @@ class Steady:
 
     model: FilterModel
     part: Present
-    K: NDArray[np.float64]
-    A: NDArray[np.float64]
-    L: NDArray[np.float64]
-    Se_root: NDArray[np.float64]
-    std: NDArray[np.float64]
+    K: Array
+    A: Array
+    L: Array
+    Se_root: Array
+    std: Array
     radius: float
     time_constant: float
     iterations: int
     residual: float
 
     @property
-    def gain(self) -> NDArray[np.float64]:
-        """``[(I - K H) F, K]``, shape (n, n + m): a sample without correlated noise is one product."""
-        return np.hstack([self.A, self.K])
-
-    @property
-    def innovation_std(self) -> NDArray[np.float64]:
+    def innovation_std(self) -> Array:
         """Std of the innovation of each channel (m,)."""
-        return np.linalg.norm(self.Se_root, axis=1)
+        return np.asarray(np.linalg.norm(self.Se_root, axis=1))
 
-    def judged(self, e: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def judged(self, e: Array) -> tuple[Array, Array]:
         """Normalised square and log density of each innovation (samples, m)."""
-        nis = np.sum(forward(self.Se_root, e.T) ** 2, axis=0)
+        nis = np.sum(solve_lower(self.Se_root, e.T) ** 2, axis=0)
         spread = 2 * float(np.sum(np.log(np.abs(np.diag(self.Se_root)))))
         return nis, -0.5 * (nis + e.shape[1] * LOG2PI + spread)
 
-    def distance(self, L: NDArray) -> float:
+    def distance(self, L: Array) -> float:
         """Largest relative deviation of the variances of a filtered covariance L L^T from the steady ones."""
         settled = np.sum(self.L**2, axis=1)
         at = settled > 0
         return float(np.max(np.abs(np.sum(L[at] ** 2, axis=1) / settled[at] - 1), initial=0.0))
 
-    def rows(self) -> NDArray[np.float64]:
-        """Loads, innovations and next prediction from ``[x-; y]``, shape (p + m + n, n + m): see `loops.Loop`."""
+    def rows(self) -> Array:
+        """Loads, innovations and next prediction from ``[x-; y]``, shape (p + m + n, n + m): see `loop.Loop`."""
         n, m, F, H, Cp = self.model.n, len(self.part.H), self.part.F, self.part.H, self.model.Cp
         update = np.hstack([np.eye(n) - self.K @ H, self.K])
         ahead = F @ update
@@ -90,14 +92,44 @@ class Steady:
         return np.vstack([Cp @ update, np.hstack([-H, np.eye(m)]), ahead])
 
 
-def steady(model: FilterModel, dt: float = 1.0) -> Steady:
-    """Steady gain of a model with all its channels.
+def steady(model: FilterModel, dt: float = 1.0) -> SteadyFilter:
+    """Steady gain of a model with all its channels; parameters and refusals as those of `periodic`."""
+    return periodic(model, np.ones((1, model.m), bool), dt).phases[0]
 
-    Doubling of the Riccati map in root form, then a few samples of the square-root filter, from which the gains come.
+
+@dataclass(frozen=True, eq=False)
+class PeriodicFilter:
+    """Steady filters of the phases of a period.
+
+    Parameters
+    ----------
+    phases : tuple of SteadyFilter
+        Gains (n, channels of the phase), roots and stds; `SteadyFilter.A` leads from the phase before.
+    radius, time_constant : float
+        Of the closed loop, per sample, and in units of `dt`.
+    residual : float
+        Largest relative change of a covariance from one period to the next.
+    """
+
+    phases: tuple[SteadyFilter, ...]
+    radius: float
+    time_constant: float
+    residual: float
+
+    @property
+    def std(self) -> Array:
+        """Of the loads in each phase (phases, p)."""
+        return np.array([phase.std for phase in self.phases])
+
+
+def periodic(model: FilterModel, masks: ArrayLike, dt: float = 1.0) -> PeriodicFilter:
+    """Steady filters of channels that come and go with a period.
 
     Parameters
     ----------
     model : FilterModel
+    masks : array of bool, shape (phases, m)
+        Channels present in each phase.
     dt : float
         Step in s, for the time constant.
 
@@ -106,36 +138,49 @@ def steady(model: FilterModel, dt: float = 1.0) -> Steady:
     NotIdentifiable
         The covariance grows on, misses its equation, or the error of the loop does not die (E501).
     InputError
-        A channel without noise.
+        Masks that do not fit, a channel without noise.
     """
-    core = SquareRoot(model)
-    part = core.whole
-    L, count, settled = fixed_point(sample_map(part))
+    masks = np.asarray(masks)
+    if masks.dtype != bool or masks.ndim != 2 or masks.shape[1] != model.m or not len(masks):
+        raise InputError("masks that do not fit the channels", where="masks", found=f"{masks.dtype} {masks.shape}",
+                         expected=f"bool, (phases, {model.m})")  # fmt: skip
+    core, T = SquareRoot(model), len(masks)
+    parts = [core.seen(mask) for mask in masks]
+    L, count, settled = fixed_point(reduce(joined_maps, map(sample_map, parts)))
     if not settled:
-        raise refused(f"the variance of the filter grows on: it has not settled after 2^{count} samples")
-    every = np.ones(model.m, bool)
-    stack = core.stack(None if model.S is None else every, every)
-    before = core.update_root(part, L)
-    for _ in range(POLISH):
-        Se, gain, now = core.covariance(stack, before)
-        residual, before = distance(now, before), now
+        raise refused(f"the variance of the filter grows on: it has not settled after 2^{count} periods")
+    steps, residual = _walked(core, masks, core.update_root(parts[0], L))
     if residual > RESIDUAL:
         raise refused(f"the Riccati equation of the steady filter is not solved: relative residual {residual:.1g}")
-    return finished(model, part, Se, gain, before, dt, count, residual)
-
-
-def finished(
-    model: FilterModel, part: Present, Se: NDArray, gain: NDArray, L: NDArray, dt: float, count: int, residual: float
-) -> Steady:
-    """Steady filter from the roots of its covariances; refused where the error of the loop does not die."""
-    K = backward(Se, gain.T).T  # Se_root^-T on the right of P H^T Se^-T/2
-    A = part.F - K @ (part.H @ part.F)
-    radius = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
+    gains = [solve_lower_transposed(Se, gain.T).T for Se, gain, _ in steps]  # Se^-T/2 on the right of P H^T Se^-T/2
+    ahead = [parts[t - 1].F for t in range(T)]
+    loops = [F - K @ (part.H @ F) for F, K, part in zip(ahead, gains, parts, strict=True)]
+    whole = reduce(lambda before, A: A @ before, loops)
+    radius = float(np.max(np.abs(np.linalg.eigvals(whole)), initial=0.0)) ** (1 / T)  # a sample's share
     if not radius < 1 - RADIUS:
         raise refused(f"the error of the steady filter does not die: its largest eigenvalue is {radius:.9f}")
     constant = float(-dt / np.log(radius)) if radius > 0 else 0.0
-    std = np.linalg.norm(model.Cp @ L, axis=1)
-    return Steady(model, part, K, A, L, Se, std, radius, constant, count, residual)
+    phases = tuple(
+        SteadyFilter(
+            model, part, K, A, root, Se, np.linalg.norm(model.Cp @ root, axis=1), radius, constant, count, residual
+        )
+        for part, K, A, (Se, _, root) in zip(parts, gains, loops, steps, strict=True)
+    )
+    return PeriodicFilter(phases, radius, constant, residual)
+
+
+Step = tuple[Array, Array, Array]
+
+
+def _walked(core: SquareRoot, masks: NDArray[np.bool_], L: Array) -> tuple[list[Step], float]:
+    """Roots and gains of every phase, some periods after the root of the first; the change over the last period."""
+    T, steps = len(masks), list[Step]()
+    for t in range(1, max(2, -(-POLISH // T)) * T + 1):
+        stack = core.stack(None if core.model.S is None else masks[(t - 1) % T], masks[t % T])
+        steps.append(core.covariance(stack, L))
+        L = steps[-1][2]
+    residual = max(distance(now[2], before[2]) for now, before in zip(steps[-T:], steps[-2 * T : -T], strict=True))
+    return [steps[-1], *steps[-T:-1]], residual
 
 
 def sample_map(part: Present) -> Riccati:
@@ -149,7 +194,7 @@ def sample_map(part: Present) -> Riccati:
     if not np.all(np.diag(part.LR)):
         raise InputError("a steady gain needs noise on every channel", where="FilterModel.LR",
                          found="a singular root", expected="a positive definite covariance of the noise")  # fmt: skip
-    return Riccati(part.F, part.LQ, forward(part.LR, part.H).T)
+    return Riccati(part.F, part.LQ, solve_lower(part.LR, part.H).T)
 
 
 def refused(what: str) -> NotIdentifiable:
@@ -157,7 +202,7 @@ def refused(what: str) -> NotIdentifiable:
     return NotIdentifiable(what, advice=ADVICE, code="LID-E501")
 
 
-def distance(now: NDArray, before: NDArray) -> float:
+def distance(now: Array, before: Array) -> float:
     """Largest change of a covariance in units of its variances."""
     std = np.linalg.norm(now, axis=1)
     std[std == 0] = 1.0
@@ -165,7 +210,7 @@ def distance(now: NDArray, before: NDArray) -> float:
     return float(np.max(np.abs(a @ a.T - b @ b.T), initial=0.0))
 
 
-def combined_std(settled: Steady, weights: ArrayLike) -> NDArray[np.float64]:
+def combined_std(settled: SteadyFilter, weights: ArrayLike) -> Array:
     """Std of weighted sums of the loads at the settled gain.
 
     The loads of one sample are correlated: neighbouring places share what a sensor says of both, and the errors of such
@@ -173,7 +218,7 @@ def combined_std(settled: Steady, weights: ArrayLike) -> NDArray[np.float64]:
 
     Parameters
     ----------
-    settled : Steady
+    settled : SteadyFilter
         Of a fitted tracker (``tracker.fitted.settled``).
     weights : array (sums, loads), or (loads,)
         ``[1, 1, ...]`` for the total; the lever arms for a moment.

@@ -1,161 +1,26 @@
-"""Smoothing: every sample with all data, by two ways that agree; and with a fixed lag, for loads some samples late.
-
-`rts` (Rauch, Tung & Striebel, AIAA J. 3 (1965) 1445) in root form works where the predicted covariance is regular:
-
-    [ F L   LQ ]        [ A   0 ]
-    [ L     0  ]   =    [ B   D ]  Q,    G = B A^-1,    L_s L_s^T = D D^T + G L_s+ L_s+^T G^T.
-
-`bryson_frazier` (Bierman, Automatica 9 (1973) 503) inverts no covariance of the state: it carries what the later
-innovations say back as a root. It serves models with states that are known exactly, such as a structure at rest.
+"""Loads some samples late: a fixed lag at the settled gain, and for any gains and gaps.
 
 With all samples up to k, and W_0 = Cp P F^T, W_j = W_{j-1} (I - K H)^T F^T,
 
     p_{k-L|k} = Cp x_{k-L} + sum_{j=1..L} W_{j-1} H^T Se^-1 e_{k-L+j},
 
-and the variance falls by the variance of each term. Anderson & Moore, Optimal Filtering, 1979, ch. 7, for fixed lags;
-no covariance of the state is inverted.
+and the variance falls by the variance of each term. Anderson & Moore, Optimal Filtering, 1979, ch. 7; no covariance of
+the state is inverted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError
 
-from .model import Present, backward, forward, lower
-from .squareroot import Filtered, Innovation, Kept, SquareRoot, State
-from .steady import Steady
-
-Progress = Callable[[float, str], None] | None
-SINGULAR = 1e-11  # of a state's predicted std: the part that is new to those before it
-
-
-@dataclass(frozen=True, eq=False)
-class Smoothed:
-    """Loads with all data: load, std (samples, p), states x (samples, n)."""
-
-    load: NDArray[np.float64]
-    std: NDArray[np.float64]
-    x: NDArray[np.float64]
-
-
-def smooth(filtered: Filtered, *, progress: Progress = None) -> Smoothed:
-    """`rts`, or `bryson_frazier` where a predicted covariance is singular.
-
-    Parameters
-    ----------
-    filtered : Filtered
-        With ``keep=True``.
-    progress : callable, optional
-
-    Raises
-    ------
-    InputError
-        States that were not kept.
-    """
-    try:
-        return rts(filtered, progress=progress)
-    except np.linalg.LinAlgError:
-        return bryson_frazier(filtered, progress=progress)
-
-
-def rts(filtered: Filtered, *, progress: Progress = None) -> Smoothed:
-    """Rauch-Tung-Striebel smoother in root form.
-
-    Raises
-    ------
-    InputError
-        States that were not kept.
-    numpy.linalg.LinAlgError
-        A singular predicted covariance.
-    """
-    kept, parts, Cp = _kept(filtered), _parts(filtered), filtered.model.Cp
-    out = _empty(filtered)
-    x, L = kept.x[-1], kept.L[-1]
-    for k in range(len(kept.x) - 1, -1, -1):
-        if k < len(kept.x) - 1:
-            part, n = parts(k), len(x)
-            q = part.LQ.shape[1]
-            wide = np.zeros((2 * n, max(n + q, 2 * n)))
-            wide[:n, :n], wide[:n, n : n + q], wide[n:, :n] = part.F @ kept.L[k], part.LQ, kept.L[k]
-            made = lower(wide)
-            A, B, D = made[:n, :n], made[n:, :n], made[n:, n:]
-            if np.any(np.abs(np.diag(A)) <= SINGULAR * np.linalg.norm(A, axis=1)):
-                raise np.linalg.LinAlgError("the predicted covariance is singular")
-            G = backward(A, B.T).T
-            x = kept.x[k] + G @ (x - part.moved(kept.x[k], filtered.Y[k]))
-            L = lower(D, G @ L)
-        out.x[k] = x
-        out.load[k], out.std[k] = _read(Cp, x, L)
-        _tell(progress, 1 - k / len(kept.x))
-    return out
-
-
-def bryson_frazier(filtered: Filtered, *, progress: Progress = None) -> Smoothed:
-    """Modified Bryson-Frazier smoother, its information kept as a root.
-
-    Raises
-    ------
-    InputError
-        States that were not kept.
-    """
-    kept, parts, model = _kept(filtered), _parts(filtered), filtered.model
-    out = _empty(filtered)
-    told, root = np.zeros(model.n), np.zeros((model.n, 0))  # lambda; Lambda = root root^T
-    for k in range(len(kept.x) - 1, -1, -1):
-        L = kept.L[k]
-        out.x[k] = kept.x[k] - L @ (L.T @ told)
-        out.load[k], out.std[k] = _read(model.Cp, out.x[k], left_over(L, root))
-        if k:
-            told, root = back(told, root, kept.innovations[k], parts(k).H, parts(k - 1).F)
-        _tell(progress, 1 - k / len(kept.x))
-    return out
-
-
-def left_over(L: NDArray, root: NDArray) -> NDArray[np.float64]:
-    """Root of ``P - P Lambda P`` with ``P = L L^T``, ``Lambda = root root^T``."""
-    U, s, _ = np.linalg.svd(L.T @ root, full_matrices=True)
-    left = np.ones(len(U))
-    left[: len(s)] = np.sqrt(np.maximum((1 - s) * (1 + s), 0.0))
-    return L @ (U * left)
-
-
-def back(told: NDArray, root: NDArray, said: Innovation, H: NDArray, F: NDArray) -> tuple[NDArray, NDArray]:
-    """What a sample and all later ones tell the one before it: H of its channels, F that led to it."""
-    white_H, white = forward(said.root, H), forward(said.root, said.e[said.present])
-    told = F.T @ (told - white_H.T @ (said.gain.T @ told) - white_H.T @ white)
-    return told, lower(F.T @ white_H.T, F.T @ (root - white_H.T @ (said.gain.T @ root)))
-
-
-def _kept(filtered: Filtered) -> Kept:
-    if filtered.kept is None:
-        raise InputError("the states were not kept", where="smoother", found="a record filtered without them",
-                         expected="filter(model, Y, keep=True)")  # fmt: skip
-    return filtered.kept
-
-
-def _parts(filtered: Filtered) -> Callable[[int], Present]:
-    """Matrices of each sample."""
-    core, there = SquareRoot(filtered.model), np.isfinite(filtered.Y)
-    return lambda k: core.seen(there[k])
-
-
-def _empty(filtered: Filtered) -> Smoothed:
-    N, p = filtered.load.shape
-    return Smoothed(np.empty((N, p)), np.empty((N, p)), np.empty((N, filtered.model.n)))
-
-
-def _read(Cp: NDArray, x: NDArray, L: NDArray) -> tuple[NDArray, NDArray]:
-    return Cp @ x, np.linalg.norm(Cp @ L, axis=1)
-
-
-def _tell(progress: Progress, share: float) -> None:
-    if progress is not None:
-        progress(min(share, 1.0), "smoothing")
+from .roots import Array, solve_lower, solve_lower_transposed
+from .squareroot import FilterState, Innovation, SquareRoot
+from .steady import SteadyFilter
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,9 +37,9 @@ class FixedLag:
         Covariance of the load that many samples ago with the state now, both as estimated now.
     """
 
-    taps: NDArray[np.float64]
-    std: NDArray[np.float64]
-    cross: NDArray[np.float64]
+    taps: Array
+    std: Array
+    cross: Array
 
     @property
     def lag(self) -> int:
@@ -185,7 +50,7 @@ class FixedLag:
         """The smallest lag at which every std is within a share of that at the longest."""
         return int(np.argmax(np.all(self.std <= (1 + share) * self.std[-1], axis=1)))
 
-    def apply(self, load: ArrayLike, e: ArrayLike) -> tuple[NDArray, NDArray]:
+    def apply(self, load: ArrayLike, e: ArrayLike) -> tuple[Array, Array]:
         """Loads and stds (samples, p) of a steady stretch with all that is known at its end, at most `lag` later.
 
         Parameters
@@ -202,7 +67,7 @@ class FixedLag:
         return load, self.std[np.minimum(np.arange(N)[::-1], self.lag)]
 
 
-def fixed_lag(steady: Steady, lag: int) -> FixedLag:
+def fixed_lag(steady: SteadyFilter, lag: int) -> FixedLag:
     """Fixed-lag smoother of a steady filter.
 
     Raises
@@ -213,7 +78,7 @@ def fixed_lag(steady: Steady, lag: int) -> FixedLag:
     return phased([steady], 0, lag)
 
 
-def phased(phases: Sequence[Steady], start: int, lag: int) -> FixedLag:
+def phased(phases: Sequence[SteadyFilter], start: int, lag: int) -> FixedLag:
     """As `fixed_lag`, of the samples of one phase of a periodic filter."""
     if lag != int(lag) or lag < 0:
         raise InputError("a lag counts samples", where="lag", found=lag, expected="0, 1, 2, ...")
@@ -224,8 +89,8 @@ def phased(phases: Sequence[Steady], start: int, lag: int) -> FixedLag:
     for j in range(1, lag + 1):
         later = phases[(start + j) % len(phases)]
         W = W @ now.part.F.T
-        said = W @ forward(later.Se_root, later.part.H).T
-        taps[j - 1][:, later.part.mask] = backward(later.Se_root, said.T).T
+        said = W @ solve_lower(later.Se_root, later.part.H).T
+        taps[j - 1][:, later.part.mask] = solve_lower_transposed(later.Se_root, said.T).T
         variance = np.maximum(variance - np.sum(said**2, axis=1), 0.0)
         W, now = W - (W @ later.part.H.T) @ later.K.T, later
         std.append(np.sqrt(variance))
@@ -251,7 +116,7 @@ class LagLine:
         self.lag, self.std, self.count = lag, fixed.std[-1].copy(), 0
         self.std.setflags(write=False)  # one array for all samples
 
-    def push(self, load: NDArray, e: NDArray) -> NDArray[np.float64] | None:
+    def push(self, load: Array, e: Array) -> Array | None:
         """The load (p,) `lag` samples ago; None until so many have come. Load and innovation are those of now."""
         lag, m = self.lag, self._m
         i = self.count % lag
@@ -266,7 +131,7 @@ class LagLine:
         self.count += 1
         return late
 
-    def block(self, load: NDArray, e: NDArray) -> NDArray[np.float64]:
+    def block(self, load: Array, e: Array) -> Array:
         """As `push` for samples (samples, p), (samples, m): the loads that have become due (due, p)."""
         old, told = self.last()
         loads, es = np.concatenate([old, load]), np.concatenate([told, e])
@@ -281,12 +146,12 @@ class LagLine:
         self.count += len(load)
         return late
 
-    def last(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def last(self) -> tuple[Array, Array]:
         """The last loads and innovations, at most `lag`, oldest first: what a checkpoint and `resumed` need."""
         order = np.arange(max(self.count - self.lag, 0), self.count) % self.lag
         return self._load[order], self._e.reshape(2 * self.lag, self._m)[order]
 
-    def _put(self, at: int, load: NDArray, e: NDArray) -> None:
+    def _put(self, at: int, load: Array, e: Array) -> None:
         i = at % self.lag
         self._load[i] = load
         self._e.reshape(2, self.lag, self._m)[:, i] = e
@@ -306,18 +171,18 @@ class Delayed:
         Samples that are kept at most.
     """
 
-    load: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    cross: NDArray[np.float64]
+    load: Array
+    variance: Array
+    cross: Array
     lag: int
 
     @property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Of each load (lag + 1, p)."""
         return np.sqrt(self.variance)
 
     def advance(
-        self, core: SquareRoot, before: State, state: State, said: Innovation, lag: int | None = None
+        self, core: SquareRoot, before: FilterState, state: FilterState, said: Innovation, lag: int | None = None
     ) -> Delayed:
         """One sample later: states of the filter before and after it, and what it said."""
         then = core.whole if core.model.S is None or before.y is None else core.seen(np.isfinite(before.y))
@@ -328,16 +193,16 @@ class Delayed:
         )  # fmt: skip
 
     def moved(
-        self, F: NDArray, H: NDArray, Se_root: NDArray, gain: NDArray, e: NDArray,
-        load: NDArray, variance: NDArray, cross: NDArray, lag: int,
+        self, F: Array, H: Array, Se_root: Array, gain: Array, e: Array,
+        load: Array, variance: Array, cross: Array, lag: int,
     ) -> Delayed:  # fmt: skip
         """One sample later, for the transition F into it, its channels (H, e, root of Se, ``P- H^T Se^-T/2``).
 
         Load (p,), variance (p,) and covariance with the state (p, n) are those of that sample.
         """
         ahead = self.cross @ F.T
-        news = ahead @ forward(Se_root, H).T
-        later = self.load + news @ forward(Se_root, e)
+        news = ahead @ solve_lower(Se_root, H).T
+        later = self.load + news @ solve_lower(Se_root, e)
         less = np.maximum(self.variance - np.sum(news**2, axis=2), 0.0)
         left, old = ahead - news @ gain.T, slice(0, lag)
         return Delayed(
@@ -346,7 +211,7 @@ class Delayed:
         )  # fmt: skip
 
 
-def delayed(core: SquareRoot, state: State, lag: int) -> Delayed:
+def delayed(core: SquareRoot, state: FilterState, lag: int) -> Delayed:
     """Start of the covariance form: nothing but the state of now."""
     root = core.model.Cp @ state.L
     load = (core.model.Cp @ state.x)[None]

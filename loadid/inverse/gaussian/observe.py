@@ -12,8 +12,8 @@ from structures.errors import InputError
 from structures.models.statespace import StateSpace
 
 from .model import FilterModel
+from .roots import Array
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 ZERO = 1e-9  # singular value of the scaled system matrix below which a candidate is a zero
@@ -138,7 +138,7 @@ def _smallest(A: Array, B: Array, C: Array, D: Array, z: complex) -> float:
     return smallest(P)[0]
 
 
-def smallest(M: NDArray) -> tuple[float, NDArray]:
+def smallest(M: Array) -> tuple[float, Array]:
     """Smallest singular value of a tall matrix and its right vector: one QR, then inverse iteration."""
     from scipy.linalg import qr, solve_triangular
 
@@ -169,7 +169,7 @@ LINES = 48  # frequencies from which sizes are taken
 
 
 @dataclass(frozen=True)
-class Seen:
+class EigenvalueTest:
     """One eigenvalue of the system, and whether the sensors see what belongs to it.
 
     Parameters
@@ -203,7 +203,7 @@ class Observability:
 
     Parameters
     ----------
-    seen : tuple of Seen
+    eigenvalues : tuple of EigenvalueTest
         Popov-Belevitch-Hautus test of each eigenvalue, the least seen first.
     gain : array, shape (m, p), or None
         Static gain in noise sds per load sd, rounding set to zero; None where the structure moves freely.
@@ -219,7 +219,7 @@ class Observability:
     loads : tuple of str
     """
 
-    seen: tuple[Seen, ...]
+    eigenvalues: tuple[EigenvalueTest, ...]
     gain: Array | None
     static: Array | None
     at_once: Array
@@ -229,9 +229,9 @@ class Observability:
     loads: tuple[str, ...]
 
     @property
-    def unseen(self) -> tuple[Seen, ...]:
+    def unseen(self) -> tuple[EigenvalueTest, ...]:
         """What no sensor sees and what never dies out: with any of it there is no steady gain."""
-        return tuple(s for s in self.seen if s.lost and s.lasting)
+        return tuple(s for s in self.eigenvalues if s.lost and s.lasting)
 
     @property
     def detectable(self) -> bool:
@@ -239,7 +239,7 @@ class Observability:
         return not self.unseen
 
     @property
-    def drifting(self) -> tuple[Seen, ...]:
+    def drifting(self) -> tuple[EigenvalueTest, ...]:
         """The unseen that is, in part, a load."""
         return tuple(s for s in self.unseen if s.load > ALIKE)
 
@@ -272,7 +272,7 @@ class Observability:
 
     def rows(self) -> tuple[tuple[str, str, str, bool], ...]:
         """The table: check, number, threshold, passed."""
-        p, least = len(self.loads), (self.unseen or self.seen)[0]
+        p, least = len(self.loads), (self.unseen or self.eigenvalues)[0]
         out = [
             ("sensors", f"{self.sensors}", f"at least {p}", self.sensors >= p),
             ("least seen (PBH)", f"{least.sigma:.1e}, {least.name}", f"{UNSEEN:.0e}", self.detectable),
@@ -327,7 +327,7 @@ def observability(
     size = float(max(np.linalg.norm(B) * 1e-12, np.sqrt(np.mean(np.abs(states) ** 2)))) or 1.0
     names = tuple(loads) if loads is not None else tuple(channel.label for channel in space.loads)
     return Observability(
-        seen=_seen(model, sigma, size, names, space.dt),
+        eigenvalues=_tested(model, sigma, size, names, space.dt),
         gain=gain,
         static=static,
         at_once=_padded(D, len(sigma)),
@@ -354,7 +354,7 @@ def _checked(model: FilterModel, space: StateSpace, scale: Array | Sequence[floa
 
 
 # -- sizes -------------------------------------------------------------------------------------------------------------
-def _responses(A: Array, B: Array, C: Array, D: Array) -> tuple[NDArray, NDArray]:
+def _responses(A: Array, B: Array, C: Array, D: Array) -> tuple[Array, Array]:
     """States (lines, n, p) and sensors (lines, m, p) under harmonic loads, from slow ones to Nyquist."""
     from scipy.linalg import schur, solve_triangular
 
@@ -365,7 +365,7 @@ def _responses(A: Array, B: Array, C: Array, D: Array) -> tuple[NDArray, NDArray
     return states, C @ states + D
 
 
-def _static(A: Array, B: Array, C: Array, D: Array, gains: NDArray) -> Array | None:
+def _static(A: Array, B: Array, C: Array, D: Array, gains: Array) -> Array | None:
     """Static gain (m, p) with rounding set to zero; None where a free motion never settles."""
     rest = np.eye(len(A)) - A
     if len(A) and np.linalg.cond(rest) > 1e13:
@@ -390,7 +390,9 @@ def _few(s: Array) -> str:
 
 
 # -- the test of each eigenvalue ---------------------------------------------------------------------------------------
-def _seen(model: FilterModel, sigma: Array, size: float, names: tuple[str, ...], dt: float) -> tuple[Seen, ...]:
+def _tested(
+    model: FilterModel, sigma: Array, size: float, names: tuple[str, ...], dt: float
+) -> tuple[EigenvalueTest, ...]:
     """Popov-Belevitch-Hautus test on the scaled pair."""
     F, H, Cp = _scaled_pair(model, sigma, size)
     out = []
@@ -398,7 +400,7 @@ def _seen(model: FilterModel, sigma: Array, size: float, names: tuple[str, ...],
         pencil = np.vstack([F - lam * np.eye(len(F)), H])
         sigma_least, v = smallest(pencil)
         lost = int(np.sum(np.linalg.svd(pencil, compute_uv=False) < UNSEEN)) if sigma_least < 10 * UNSEEN else 0
-        out.append(Seen(name, lam, sigma_least, lost, float(np.linalg.norm(Cp @ v))))
+        out.append(EigenvalueTest(name, lam, sigma_least, lost, float(np.linalg.norm(Cp @ v))))
     return tuple(sorted(out, key=lambda seen: seen.sigma))
 
 
@@ -453,7 +455,7 @@ def _eigenvalues(
     return [(lam, " and ".join(known)) for lam, known in found if lam.imag >= 0]
 
 
-def _owner(load: NDArray, sensor: NDArray, names: tuple[str, ...]) -> str:
+def _owner(load: Array, sensor: Array, names: tuple[str, ...]) -> str:
     """Whose prior an eigenvector belongs to: a load's, or the bias of a sensor."""
     if np.abs(load).max(initial=0.0) > 0:
         return f"load {names[int(np.argmax(np.abs(load)))]}"

@@ -20,8 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, plain, reals
 
 from .model import FilterModel, Present, present
+from .roots import Array
 from .squareroot import SquareRoot
-from .steady import Steady
+from .steady import SteadyFilter
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 
@@ -71,7 +72,7 @@ int {name}_step(const double *y, double *load, double *innovation) {{
 
 
 def c_source(
-    settled: Steady,
+    settled: SteadyFilter,
     *,
     name: str = "tracker",
     dt: float | None = None,
@@ -82,7 +83,7 @@ def c_source(
 
     Parameters
     ----------
-    settled : Steady
+    settled : SteadyFilter
     name : str
         Prefix of all names.
     dt : float, optional
@@ -112,7 +113,7 @@ def c_source(
     return f"{head}{code}\nstatic double {name}_work[{max(work, 1)}];\n{interface}"
 
 
-def write_c(path: str | Path, settled: Steady, **settings: object) -> Path:
+def write_c(path: str | Path, settled: SteadyFilter, **settings: object) -> Path:
     """Write `c_source` to a file; settings as there.
 
     Raises
@@ -130,7 +131,7 @@ def write_c(path: str | Path, settled: Steady, **settings: object) -> Path:
     return path
 
 
-def _generated(settled: Steady, name: str) -> str:
+def _generated(settled: SteadyFilter, name: str) -> str:
     """CasADi's code of both products: a sample taken, and one left out."""
     import casadi
 
@@ -147,7 +148,7 @@ def _generated(settled: Steady, name: str) -> str:
     return str(generator.dump())
 
 
-def _comment(name: str, settled: Steady, dt: float | None, sensors: Sequence[str], loads: Sequence[str]) -> str:
+def _comment(name: str, settled: SteadyFilter, dt: float | None, sensors: Sequence[str], loads: Sequence[str]) -> str:
     """Head of the file: what it is, and what goes in and out in which order."""
 
     def plain(text: str) -> str:
@@ -169,7 +170,6 @@ def _numbers(values: np.ndarray) -> str:
     return ", ".join(repr(float(v)) for v in values)
 
 
-Array = NDArray[np.float64]
 SLACK = 1e-9  # of the largest variance: negative eigenvalues beyond it are no rounding
 
 
@@ -347,7 +347,7 @@ def _root(C: Array, name: str) -> Array:
     w, V = np.linalg.eigh((C + C.T) / 2)
     if not np.all(np.isfinite(w)) or w[0] < -SLACK * max(w[-1], 0):
         raise InputError("no covariance", where=name, found=f"an eigenvalue of {w[0]:.3g}", expected="none below 0")
-    return V * np.sqrt(np.maximum(w, 0))
+    return np.asarray(V * np.sqrt(np.maximum(w, 0)))
 
 
 def _cholesky(R: Array) -> Array:
@@ -366,7 +366,7 @@ class Peer:
     model : FilterModel
     """
 
-    loop = said = None
+    loop = innovation = None
     rival = None
 
     def __init__(self, model: FilterModel) -> None:
@@ -375,7 +375,7 @@ class Peer:
         self.counts: Counter[str] = Counter()
         self.taken = np.zeros(model.m)
 
-    def step(self, y: ArrayLike) -> tuple[NDArray, NDArray]:
+    def step(self, y: ArrayLike) -> tuple[Array, Array]:
         """Loads and their std (p,) of one sample (m,), NaN where a channel is missing.
 
         Raises
@@ -390,9 +390,7 @@ class Peer:
         self.counts["missing"] += int(np.sum(~np.isfinite(sample)))
         return found
 
-    def block(
-        self, Y: NDArray, load: NDArray, std: NDArray, e: NDArray | None = None, taken_as: NDArray | None = None
-    ) -> None:
+    def block(self, Y: Array, load: Array, std: Array, e: Array | None = None, taken_as: Array | None = None) -> None:
         """Fill loads and std (samples, p) of a block (samples, m); normalised innovations where `e` is given."""
         for k, y in enumerate(Y):
             load[k], std[k] = self.step(y)

@@ -38,14 +38,14 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError, positive, shown
 
-from .model import step
+from .roots import Array, step
 
 WIDE = 1e4  # seconds^(1/2) of a walk before the first sample: three years; wider costs digits of what follows
 MISSING = 1e-6  # share of the variance that may lie beyond the harmonics that are kept
 HARMONICS = 64  # most that a periodic prior takes of itself
 
 
-def _fixed(*rows: Sequence[float]) -> NDArray[np.float64]:
+def _fixed(*rows: Sequence[float]) -> Array:
     """Read-only array."""
     array = np.array(rows)
     array.setflags(write=False)
@@ -64,10 +64,10 @@ class Discrete:
     L0 : array, shape (s, r)
     """
 
-    F: NDArray[np.float64]
-    LQ: NDArray[np.float64]
-    H: NDArray[np.float64]
-    L0: NDArray[np.float64]
+    F: Array
+    LQ: Array
+    H: Array
+    L0: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +84,10 @@ class Continuous:
     L0 : array, shape (s, r)
     """
 
-    F: NDArray[np.float64]
-    b: NDArray[np.float64]
-    H: NDArray[np.float64]
-    L0: NDArray[np.float64]
+    F: Array
+    b: Array
+    H: Array
+    L0: Array
 
 
 @runtime_checkable
@@ -215,8 +215,8 @@ class Companion:
 
     _pole: ClassVar[float]  # times the length
     _density: ClassVar[float]  # of the noise, at a pole and a std of one
-    _unit: ClassVar[NDArray[np.float64]]  # companion matrix at a pole of one
-    _root: ClassVar[NDArray[np.float64]]  # of the stationary covariance, derivatives in multiples of the pole
+    _unit: ClassVar[Array]  # companion matrix at a pole of one
+    _root: ClassVar[Array]  # of the stationary covariance, derivatives in multiples of the pole
 
     def __post_init__(self) -> None:
         _settle(self, "sd", "length")
@@ -231,7 +231,7 @@ class Companion:
         return self._pole / self.length
 
     @property
-    def _H(self) -> NDArray[np.float64]:
+    def _H(self) -> Array:
         return self.sd * np.eye(1, len(self._unit))
 
     def continuous(self) -> Continuous:
@@ -241,13 +241,13 @@ class Companion:
         return Continuous(self.rate * self._unit, b, self._H, self._root)
 
     def discrete(self, dt: float) -> Discrete:
-        """From sample to sample: closed transition, noise by quadrature (see `quadrature.step`)."""
+        """From sample to sample: closed transition, noise by quadrature (see `roots.step`)."""
         a = self.rate * _step(dt)
         b = np.zeros((len(self._unit), 1))
         b[-1] = math.sqrt(self._density)
         return Discrete(self._transition(a), step(self._unit, b, a)[1], self._H, self._root)
 
-    def _transition(self, a: float) -> NDArray[np.float64]:
+    def _transition(self, a: float) -> Array:
         raise NotImplementedError
 
 
@@ -262,7 +262,7 @@ class OU(Companion):
         """In words."""
         return f"an Ornstein-Uhlenbeck process (rough), std {self.sd:.3g}, length {self.length:.3g} s"
 
-    def _transition(self, a: float) -> NDArray[np.float64]:
+    def _transition(self, a: float) -> Array:
         return np.full((1, 1), math.exp(-a))
 
 
@@ -277,7 +277,7 @@ class Matern32(Companion):
         """In words."""
         return f"a Matern-3/2 process (smooth once), std {self.sd:.3g}, length {self.length:.3g} s"
 
-    def _transition(self, a: float) -> NDArray[np.float64]:
+    def _transition(self, a: float) -> Array:
         return math.exp(-a) * np.array([[1 + a, a], [-a, 1 - a]])
 
 
@@ -294,7 +294,7 @@ class Matern52(Companion):
         """In words."""
         return f"a Matern-5/2 process (smooth twice), std {self.sd:.3g}, length {self.length:.3g} s"
 
-    def _transition(self, a: float) -> NDArray[np.float64]:
+    def _transition(self, a: float) -> Array:
         rows = [
             [1 + a + a**2 / 2, a * (1 + a), a**2 / 2],
             [-(a**2) / 2, 1 + a - a**2, a * (1 - a / 2)],
@@ -364,11 +364,11 @@ class Periodic:
         return np.arange(0 if self.constant else 1, last + 1)
 
     @property
-    def amplitudes(self) -> NDArray[np.float64]:
+    def amplitudes(self) -> Array:
         """Std of every part of `orders`."""
         return self.sd * np.sqrt(self._shares(int(self.orders[-1])))[self.orders]
 
-    def _shares(self, last: int) -> NDArray[np.float64]:
+    def _shares(self, last: int) -> Array:
         """Shares of the variance of the orders 0 .. `last`: ``exp(-1/l^2) I_j(1/l^2)``, twice from the first on."""
         from scipy.special import ive
 
@@ -384,24 +384,24 @@ class Periodic:
                              found=f"order {self.orders[-1]} of {1 / self.period:.4g} Hz",
                              expected=f"below {0.5 / dt:.4g} Hz", hint="name fewer harmonics=")  # fmt: skip
         decay = math.inf if self.decay is None else self.decay
-        turns = self._turns(np.exp(2j * np.pi * self.orders * dt / self.period - dt / decay))
+        turns = self._turns(np.exp(2j * np.pi * self.orders * dt / self.period - dt / decay).astype(complex))
         kicks = math.sqrt(-math.expm1(-2 * dt / decay)) * np.eye(len(turns), len(turns) if self.decay else 0)
         return Discrete(turns, kicks, self._read, np.eye(len(turns)))
 
     def continuous(self) -> Continuous:
         """Oscillators, damped where there is a decay."""
         rate = 0.0 if self.decay is None else 1 / self.decay
-        turns = self._turns(2j * np.pi * self.orders / self.period - rate)
+        turns = self._turns((2j * np.pi * self.orders / self.period - rate).astype(complex))
         kicks = math.sqrt(2 * rate) * np.eye(len(turns), len(turns) if self.decay else 0)
         return Continuous(turns, kicks, self._read, np.eye(len(turns)))
 
-    def _turns(self, values: NDArray) -> NDArray[np.float64]:
+    def _turns(self, values: NDArray[np.complex128]) -> Array:
         """Complex numbers as plane rotations, the constant as a number."""
         parts = [np.array([[v.real, -v.imag], [v.imag, v.real]]) for v in values]
         return diagonal([part[:1, :1] if order == 0 else part for order, part in zip(self.orders, parts, strict=True)])
 
     @property
-    def _read(self) -> NDArray[np.float64]:
+    def _read(self) -> Array:
         rows = zip(self.orders, self.amplitudes, strict=True)
         return np.array([[x for order, q in rows for x in ([q] if order == 0 else [q, 0.0])]])
 
@@ -470,7 +470,7 @@ def _separable(parts: Sequence[Prior]) -> list[Prior]:
     return [*rest, walk]
 
 
-def diagonal(blocks: Sequence[NDArray]) -> NDArray[np.float64]:
+def diagonal(blocks: Sequence[Array]) -> Array:
     """Blocks on the diagonal, of any shape."""
     rows, columns = (sum(block.shape[i] for block in blocks) for i in (0, 1))
     out = np.zeros((rows, columns))

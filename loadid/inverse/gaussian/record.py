@@ -31,9 +31,10 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 from structures.models.statespace import StateSpace
 
-from ..compiled import STRIDE
 from ..penalties import order
 from ..problem import LEAVES, Cholesky, Noise, Whitener, whitener
+from .compiled import STRIDE
+from .roots import Array
 
 
 @dataclass(frozen=True)
@@ -49,11 +50,11 @@ class Augmented:
         States that start free: load states (unless the load starts at zero), and all of x where it is not known.
     """
 
-    F: NDArray[np.float64]
-    G: NDArray[np.float64]
-    C: NDArray[np.float64]
-    D: NDArray[np.float64]
-    E: NDArray[np.float64]
+    F: Array
+    G: Array
+    C: Array
+    D: Array
+    E: Array
     nx: int
     free: NDArray[np.int_]
 
@@ -65,7 +66,7 @@ class Augmented:
     @property
     def p(self) -> int:
         """Loads."""
-        return self.G.shape[1]
+        return int(self.G.shape[1])
 
     @property
     def m(self) -> int:
@@ -74,7 +75,7 @@ class Augmented:
 
 
 def augment(
-    A: NDArray, B: NDArray, C: NDArray, D: NDArray, penalty: str = "identity", *, leak: float | None = None,
+    A: Array, B: Array, C: Array, D: Array, penalty: str = "identity", *, leak: float | None = None,
     from_zero: bool = False, unknown_start: bool | int = False,
 ) -> Augmented:  # fmt: skip
     """State space of a penalty over a model; C and D whitened.
@@ -108,13 +109,13 @@ def augment(
     return Augmented(F, G, Caug, np.array(D, float), E, nx, free)
 
 
-def of_model(system: StateSpace, rows: NDArray, W: NDArray, penalty: str, **options: object) -> Augmented:
+def of_model(system: StateSpace, rows: Array, W: Array, penalty: str, **options: object) -> Augmented:
     """As `augment`, from some sensors of a model whitened by the matrix `W` (kept, rows)."""
     return augment(system.A, system.B, W @ system.C[rows], W @ system.D[rows], penalty, **options)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
-class Record:
+class WhitenedRecord:
     """Whitened data over an augmented system whose matrices may change from sample to sample.
 
     Parameters
@@ -132,13 +133,13 @@ class Record:
         Number of data.
     """
 
-    F: NDArray[np.float64]
-    G: NDArray[np.float64]
-    C: NDArray[np.float64]
-    D: NDArray[np.float64]
-    E: NDArray[np.float64]
+    F: Array
+    G: Array
+    C: Array
+    D: Array
+    E: Array
     kind: NDArray[np.int32]
-    y: NDArray[np.float64]
+    y: Array
     free: NDArray[np.int_]
     data: int
 
@@ -150,17 +151,17 @@ class Record:
     @property
     def n(self) -> int:
         """States."""
-        return self.F.shape[1]
+        return int(self.F.shape[1])
 
     @property
     def p(self) -> int:
         """Loads."""
-        return self.G.shape[2]
+        return int(self.G.shape[2])
 
     @property
     def m(self) -> int:
         """Sensors."""
-        return self.C.shape[1]
+        return int(self.C.shape[1])
 
     @property
     def unknowns(self) -> int:
@@ -179,17 +180,13 @@ class Record:
         return STRIDE if self.settles else self.samples + 1
 
     @cached_property
-    def entries(self) -> tuple[NDArray[np.int_], NDArray[np.float64]]:
+    def entries(self) -> tuple[NDArray[np.int_], Array]:
         """Places (2, entries) at which any F is not zero, and its values there (kinds, entries): few in modal form."""
         at = np.array(np.nonzero(np.any(self.F != 0, axis=0)))
         return at, np.ascontiguousarray(self.F[:, at[0], at[1]])
 
-    def with_data(self, y: NDArray) -> Record:
-        """The same record with other whitened data."""
-        return Record(self.F, self.G, self.C, self.D, self.E, self.kind, y, self.free, self.data)
 
-
-def record(system: Augmented, y: NDArray, missing: NDArray | None = None) -> Record:
+def record(system: Augmented, y: Array, missing: NDArray[np.bool_] | None = None) -> WhitenedRecord:
     """Record of a system that does not change, of whitened data (samples, m); `missing` data are left out.
 
     Raises
@@ -211,14 +208,14 @@ def record(system: Augmented, y: NDArray, missing: NDArray | None = None) -> Rec
         raise InputError("NaN or inf in the data", where="state-space path", expected="finite numbers",
                          hint="declare what is missing")  # fmt: skip
     count = len(shown)
-    return Record(
+    return WhitenedRecord(
         np.repeat(system.F[None], count, 0), np.repeat(system.G[None], count, 0),
         np.ascontiguousarray(system.C * shown[:, :, None]), np.ascontiguousarray(system.D * shown[:, :, None]),
         np.ascontiguousarray(system.E), kind, y, system.free, int(np.sum(shown.sum(axis=1)[kind])),
     )  # fmt: skip
 
 
-def measured(systems: Augmented | Sequence[Augmented], y: ArrayLike, noise: Noise | None = None) -> Record:
+def measured(systems: Augmented | Sequence[Augmented], y: ArrayLike, noise: Noise | None = None) -> WhitenedRecord:
     """Record of raw data over systems that are not whitened.
 
     Parameters
@@ -263,11 +260,11 @@ def measured(systems: Augmented | Sequence[Augmented], y: ArrayLike, noise: Nois
         C[j, : len(root)], D[j, : len(root)] = root @ one.C, root @ one.D
     total = int(np.array([len(root) for root in roots])[pattern].sum())
     F, G = np.array([one.F for one in parts]), np.array([one.G for one in parts])
-    return Record(F, G, C, D, np.ascontiguousarray(first.E), kind.astype(np.int32), data, first.free, total)
+    return WhitenedRecord(F, G, C, D, np.ascontiguousarray(first.E), kind.astype(np.int32), data, first.free, total)
 
 
 def moving(
-    A: NDArray, B: NDArray, C: NDArray, D: NDArray, samples: int, penalty: str = "identity", *,
+    A: Array, B: Array, C: Array, D: Array, samples: int, penalty: str = "identity", *,
     leak: float | None = None, from_zero: bool = False, unknown_start: bool | int = False,
 ) -> list[Augmented]:  # fmt: skip
     """One augmented system for each sample; B and D may be led by time, other parameters as in `augment`."""
@@ -276,7 +273,7 @@ def moving(
     return [augment(A, b, C, d, penalty, **options) for b, d in zip(Bs, Ds, strict=True)]  # type: ignore[arg-type]
 
 
-def _root(noise: Noise, there: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _root(noise: Noise, there: NDArray[np.bool_]) -> Array:
     """Whitening matrix (kept, sensors) of the channels that are there, zero in the columns of those that are not."""
     root = np.zeros((0, len(there)))
     if there.any():
@@ -286,7 +283,7 @@ def _root(noise: Noise, there: NDArray[np.bool_]) -> NDArray[np.float64]:
     return root
 
 
-def _white(noise: Noise, there: NDArray[np.bool_], root: NDArray, y: NDArray) -> NDArray[np.float64]:
+def _white(noise: Noise, there: NDArray[np.bool_], root: Array, y: Array) -> Array:
     """Whitened data (samples, kept) of one pattern."""
     if there.any():
         share = _part(noise, there).outside(y[:, there], axis=1)
@@ -313,7 +310,7 @@ HORIZON = 4096  # samples over which a state may show itself
 UNSEEN = 1e-10  # of the largest singular value of the free responses
 
 
-def observed_first(A: NDArray, B: NDArray, C: NDArray, samples: int) -> tuple[NDArray, NDArray, NDArray, int]:
+def observed_first(A: Array, B: Array, C: Array, samples: int) -> tuple[Array, Array, Array, int]:
     """The same system in coordinates whose first ones are what the sensors see of the state at the first sample.
 
     Parameters

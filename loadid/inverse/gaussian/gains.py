@@ -1,5 +1,7 @@
 """Gains of the linear-quadratic problem of a record: backward Riccati recursion in square-root form.
 
+It carries information, not covariance: a free start and lambda -> 0 have the one and not the other (see the package).
+
 Columns lie contiguous (arrays are transposed), only the columns of the inputs are eliminated at every step, and the
 root of the cost is allowed some rows more than columns until all of it is made triangular. Its product with F takes the
 entries that are not zero: few in modal form.
@@ -10,9 +12,9 @@ One QR factorisation of a small matrix for each sample, without differences of l
     [ lam I     0       ]  =  Q  [ 0       Gamma_k ]
     [ Gamma G   Gamma F ]        [ 0       0       ]
 
-Where the matrices do not change the gains settle (`settling`), and the recursion ends. Kailath, Sayed & Hassibi,
-Linear Estimation, Prentice Hall 2000, ch. 12, for the array form; Anderson & Moore, Optimal Control, 1990, for the
-problem.
+Where the matrices do not change the gains settle (`compiled.settled`), and the recursion ends. Kailath, Sayed &
+Hassibi, Linear Estimation, Prentice Hall 2000, ch. 12, for the array form; Anderson & Moore, Optimal Control, 1990, for
+the problem.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import NEAR, NEVER, SETTLED, SHARE, STALLED, Compiled, arrival, decay, multiply
-from .record import Record
+from .compiled import BEGUN, Compiled, multiply, settled
+from .record import WhitenedRecord
+from .roots import Array
 
 SPARE = 4  # rows by which a root may grow
 
@@ -35,8 +38,8 @@ def spare(m: int) -> int:
 
 @Compiled
 def step(
-    at: NDArray, entries: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, lam: float,
-    root: NDArray, height: int, stack: NDArray, K: NDArray, R: NDArray,
+    at: Array, entries: Array, F: Array, G: Array, C: Array, D: Array, lam: float,
+    root: Array, height: int, stack: Array, K: Array, R: Array,
 ) -> int:  # fmt: skip
     """Overwrite the root by that of the sample before, fill its gains; rows of the new root.
 
@@ -89,7 +92,7 @@ def step(
 
 
 @Compiled
-def _eliminate(A: NDArray, rows: int, steps: int) -> None:
+def _eliminate(A: Array, rows: int, steps: int) -> None:
     """Householder reflections of the first `rows` rows of a matrix whose transpose is A, for its first columns."""
     for j in range(steps):
         norm2 = 0.0
@@ -149,15 +152,15 @@ class Gains:
     """
 
     lam: float
-    K: NDArray[np.float64]
-    R: NDArray[np.float64]
+    K: Array
+    R: Array
     which: NDArray[np.int32]
-    root: NDArray[np.float64]
+    root: Array
     logdet: float
-    start: NDArray[np.float64]
+    start: Array
 
 
-def gains(record: Record, lam: float) -> Gains:
+def gains(record: WhitenedRecord, lam: float) -> Gains:
     """Gains of a record at one absolute lambda."""
     rows = 4096
     while True:
@@ -183,7 +186,7 @@ def gains(record: Record, lam: float) -> Gains:
     return Gains(float(lam), K[:used], R[:used], which, root, logdet, start)
 
 
-def feedback(record: Record, K: NDArray | None = None) -> Gains:
+def feedback(record: WhitenedRecord, K: Array | None = None) -> Gains:
     """One feedback for all samples (default none), with M = I: for passes that solve nothing."""
     p = record.p
     K = np.zeros((p, record.n)) if K is None else K
@@ -192,19 +195,19 @@ def feedback(record: Record, K: NDArray | None = None) -> Gains:
 
 @Compiled
 def _recursion(
-    at: NDArray, entries: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, kind: NDArray, lam: float,
-    K: NDArray, R: NDArray, which: NDArray, stride: int, spare: int,
-) -> tuple[int, NDArray, float]:  # fmt: skip
+    at: Array, entries: Array, F: Array, G: Array, C: Array, D: Array, kind: Array, lam: float,
+    K: Array, R: Array, which: Array, stride: int, spare: int,
+) -> tuple[int, Array, float]:  # fmt: skip
     """Fill K, R and which from the end; rows used (one more than there are if they do not suffice), root, sum ln M."""
     n, p, m = F.shape[1], G.shape[2], C.shape[1]
     stack, root, height = np.zeros((p + n, m + p + n + spare)), np.zeros((n, n + spare + 1)), n
     closed, right, work, weight = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-    row, logdet, last, steady, since, until = -1, 0.0, 0.0, False, 0, -1
-    peak, before, opened = 0.0, np.inf, 0
+    row, logdet, last, steady, since, kept = -1, 0.0, 0.0, False, 0, BEGUN.copy()
     for k in range(len(kind) - 1, -1, -1):
         j = kind[k]
         if k + 1 < len(kind) and j != kind[k + 1]:
-            steady, since, until, peak, before, opened = False, 0, -1, 0.0, np.inf, 0
+            steady, since = False, 0
+            kept[:] = BEGUN
         if steady:
             which[k] = row
             logdet += last
@@ -230,15 +233,7 @@ def _recursion(
             for h in range(p):
                 change = max(change, weight[i] * abs(K[row, h, i] - K[row - stride, h, i]))
                 size = max(size, weight[i] * abs(K[row, h, i]))
-        if until < 0 and change <= NEAR * size:
-            multiply(G[j], K[row], closed)
-            closed[:] = F[j] - closed
-            until = arrival(since, change, size, decay(closed, right, work), len(kind))
-        if until == NEVER:
-            peak = max(peak, change)
-            if since - opened > max(opened // 2, 16 * stride):
-                steady = peak <= STALLED * size and peak >= SHARE * before
-                peak, before, opened = 0.0, peak, since
-        else:
-            steady = change <= SETTLED * size or 0 <= until <= since
+        multiply(G[j], K[row], closed)
+        closed[:] = F[j] - closed
+        steady = settled(kept, since, stride, change, size, closed, right, work, len(kind))
     return row + 1, root[:, :height].T, logdet

@@ -6,13 +6,13 @@ A block of b samples is one row: its outputs are a Toeplitz matrix times its inp
 the state at its start. These states advance by A^b, all those of a stretch together in log2 steps (Hillis & Steele,
 Commun. ACM 29 (1986) 1170). All is a matrix product, and no temporary is longer than a stretch.
 
-With the gains of `riccati` and L g = w,
+With the `gains` and L g = w,
 
     backward  s = G^T v + D^T y + a,   u = M^-1 s,   v <- F^T v + C^T y + E^T a - K^T s,
     forward   w = u - K xi,   g = E xi + w,   r = C xi + D w,   xi <- F xi + G w,
 
 where a is a linear term on the load (0 for a plain solve). Where the gains have settled both are filters that do not
-change with time, and run as products of blocks of samples (`blocks`); the rest goes sample by sample (`loops`).
+change with time, and run as products of blocks of samples (`run_blocks`); the rest goes sample by sample.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..compiled import Compiled
-from .record import Record
-from .riccati import Gains, feedback
+from .compiled import Compiled
+from .gains import Gains, feedback
+from .record import WhitenedRecord
+from .roots import Array
 
 STRETCH = 256  # blocks that advance together
 SMALLEST, LARGEST = 8, 64  # samples of a block
@@ -35,15 +35,15 @@ SMALLEST, LARGEST = 8, 64  # samples of a block
 class Filter:
     """Matrices of ``x <- A x + B u, out = C x + D u``: (n, n), (n, inputs), (outputs, n), (outputs, inputs)."""
 
-    A: NDArray[np.float64]
-    B: NDArray[np.float64]
-    C: NDArray[np.float64]
-    D: NDArray[np.float64]
+    A: Array
+    B: Array
+    C: Array
+    D: Array
 
 
 def run_blocks(
-    system: Filter, x: NDArray, inputs: Sequence[NDArray], outputs: Sequence[NDArray], backwards: bool = False
-) -> NDArray[np.float64]:
+    system: Filter, x: Array, inputs: Sequence[Array], outputs: Sequence[Array], backwards: bool = False
+) -> Array:
     """Fill the outputs from the state `x` at the first sample, and return the state after the last.
 
     Parameters
@@ -73,8 +73,8 @@ def _width(system: Filter) -> int:
 
 
 def _blocks(
-    system: Filter, x: NDArray, inputs: Sequence[NDArray], outputs: Sequence[NDArray], width: int, backwards: bool
-) -> NDArray[np.float64]:
+    system: Filter, x: Array, inputs: Sequence[Array], outputs: Sequence[Array], width: int, backwards: bool
+) -> Array:
     """Whole blocks, a stretch of them at a time."""
     n, (outs, ins) = len(x), system.D.shape
     made, pushed, jump = _matrices(system, width, backwards)
@@ -98,7 +98,7 @@ def _blocks(
     return x
 
 
-def _matrices(system: Filter, width: int, backwards: bool) -> tuple[NDArray, NDArray, NDArray]:
+def _matrices(system: Filter, width: int, backwards: bool) -> tuple[Array, Array, Array]:
     """From inputs and state of a block to its outputs; from its inputs to the next state; A to the power of a block.
 
     Samples stand in the order of the record.
@@ -119,7 +119,7 @@ def _matrices(system: Filter, width: int, backwards: bool) -> tuple[NDArray, NDA
     return np.vstack([direct, observe]), reach, powers[width]
 
 
-def _jumps(A: NDArray, most: int) -> list[NDArray[np.float64]]:
+def _jumps(A: Array, most: int) -> list[Array]:
     """Transposes of A, A^2, A^4, ... for states up to `most` steps apart."""
     out = [A]
     while 1 << len(out) < most:
@@ -127,7 +127,7 @@ def _jumps(A: NDArray, most: int) -> list[NDArray[np.float64]]:
     return [np.ascontiguousarray(P.T) for P in out]
 
 
-def _advance(jumps: list[NDArray], x: NDArray, pushed: NDArray) -> tuple[NDArray, NDArray]:
+def _advance(jumps: list[Array], x: Array, pushed: Array) -> tuple[Array, Array]:
     """States (rows, n) before each push, and the one after the last: ``x <- A x + pushed[i]``."""
     pushed[0] += x @ jumps[0]
     for k, jump in enumerate(jumps):
@@ -137,9 +137,7 @@ def _advance(jumps: list[NDArray], x: NDArray, pushed: NDArray) -> tuple[NDArray
     return np.vstack([x, pushed[:-1]]), pushed[-1]
 
 
-def _rest(
-    system: Filter, x: NDArray, inputs: Sequence[NDArray], outputs: Sequence[NDArray], backwards: bool
-) -> NDArray[np.float64]:
+def _rest(system: Filter, x: Array, inputs: Sequence[Array], outputs: Sequence[Array], backwards: bool) -> Array:
     """Sample by sample."""
     edges = np.cumsum([o.shape[1] for o in outputs])[:-1]
     places = range(len(inputs[0]))
@@ -152,8 +150,8 @@ def _rest(
 
 
 def backward_by_samples(
-    record: Record, gains: Gains, part: slice, y: NDArray, a: NDArray | None, u: NDArray, v: NDArray
-) -> tuple[NDArray[np.float64], float]:
+    record: WhitenedRecord, gains: Gains, part: slice, y: Array, a: Array | None, u: Array, v: Array
+) -> tuple[Array, float]:
     """Fill u of some samples; v before them, and the sum of s^T u."""
     kind, which = record.kind[part], gains.which[part]
     v, linear = np.array(v), a is not None
@@ -163,8 +161,8 @@ def backward_by_samples(
 
 
 def forward_by_samples(
-    record: Record, gains: Gains, part: slice, u: NDArray, x: NDArray, w: NDArray, g: NDArray, r: NDArray
-) -> NDArray[np.float64]:
+    record: WhitenedRecord, gains: Gains, part: slice, u: Array, x: Array, w: Array, g: Array, r: Array
+) -> Array:
     """Fill inputs, load and response of some samples; the state after them."""
     kind, which = record.kind[part], gains.which[part]
     x = np.array(x)
@@ -174,8 +172,8 @@ def forward_by_samples(
 
 @Compiled
 def _backward(
-    at: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, E: NDArray, kind: NDArray, K: NDArray, R: NDArray,
-    which: NDArray, y: NDArray, a: NDArray, linear: bool, u: NDArray, v: NDArray,
+    at: Array, F: Array, G: Array, C: Array, D: Array, E: Array, kind: Array, K: Array, R: Array,
+    which: Array, y: Array, a: Array, linear: bool, u: Array, v: Array,
 ) -> float:  # fmt: skip
     """Fill u and v; F holds its entries at the places `at` (rows, columns) only. The sum of s^T u."""
     n, p, m, entries = G.shape[1], G.shape[2], C.shape[1], at.shape[1]
@@ -219,8 +217,8 @@ def _backward(
 
 @Compiled
 def _forward(
-    at: NDArray, F: NDArray, G: NDArray, C: NDArray, D: NDArray, E: NDArray, kind: NDArray, K: NDArray,
-    which: NDArray, u: NDArray, x: NDArray, w: NDArray, g: NDArray, r: NDArray,
+    at: Array, F: Array, G: Array, C: Array, D: Array, E: Array, kind: Array, K: Array,
+    which: Array, u: Array, x: Array, w: Array, g: Array, r: Array,
 ) -> None:  # fmt: skip
     """Fill inputs, load and response from the state x at the first sample."""
     n, p, m, entries = G.shape[1], G.shape[2], C.shape[1], at.shape[1]
@@ -273,14 +271,14 @@ class Solved:
         ``q^T (H^T H + lam^2 L^T L)^-1 q`` for the right-hand side q = H^T y + a.
     """
 
-    inputs: NDArray[np.float64]
-    load: NDArray[np.float64]
-    response: NDArray[np.float64]
-    start: NDArray[np.float64]
+    inputs: Array
+    load: Array
+    response: Array
+    start: Array
     value: float
 
 
-def solve(record: Record, gains: Gains, y: NDArray | None = None, a: NDArray | None = None) -> Solved:
+def solve(record: WhitenedRecord, gains: Gains, y: Array | None = None, a: Array | None = None) -> Solved:
     """Minimise ``|y - H g|^2 + lam^2 |L g|^2 - 2 a^T g`` over the load and the free states.
 
     Parameters
@@ -299,7 +297,7 @@ def solve(record: Record, gains: Gains, y: NDArray | None = None, a: NDArray | N
     return Solved(w, g, response, start, value)
 
 
-def refined(record: Record, gains: Gains, first: Solved) -> Solved:
+def refined(record: WhitenedRecord, gains: Gains, first: Solved) -> Solved:
     """A solve corrected by the solve of what it leaves, ``min |y - r - H d|^2 + lam^2 |w + L d|^2``.
 
     The two passes work with products of the operator, as normal equations do; the correction gives back the digits that
@@ -314,7 +312,7 @@ def refined(record: Record, gains: Gains, first: Solved) -> Solved:
     return Solved(first.inputs + w, first.load + g, first.response + response, first.start + start, first.value)
 
 
-def backward(record: Record, gains: Gains, y: NDArray, a: NDArray | None) -> tuple[NDArray, NDArray, float]:
+def backward(record: WhitenedRecord, gains: Gains, y: Array, a: Array | None) -> tuple[Array, Array, float]:
     """Drive u (samples, p), v at the first sample, and the sum of s^T u."""
     y, a = np.ascontiguousarray(y, float), None if a is None else np.ascontiguousarray(a, float)
     u, v, value = np.empty((record.samples, record.p)), np.zeros(record.n), 0.0
@@ -330,7 +328,7 @@ def backward(record: Record, gains: Gains, y: NDArray, a: NDArray | None) -> tup
     return u, v, value
 
 
-def forward(record: Record, gains: Gains, u: NDArray, start: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+def forward(record: WhitenedRecord, gains: Gains, u: Array, start: Array) -> tuple[Array, Array, Array]:
     """Inputs, load and response, (samples, p), (samples, p), (samples, m)."""
     w, r, x = np.empty_like(u), np.empty((record.samples, record.m)), np.array(start, float)
     assert x.shape == (record.n,), f"a start of shape {x.shape} for {record.n} states"
@@ -342,7 +340,7 @@ def forward(record: Record, gains: Gains, u: NDArray, start: NDArray) -> tuple[N
     return w, g, r
 
 
-def runs(record: Record, gains: Gains) -> list[tuple[int, int, bool]]:
+def runs(record: WhitenedRecord, gains: Gains) -> list[tuple[int, int, bool]]:
     """First sample, length, and whether all of it has the same matrices and gains: long runs, and what lies between."""
     if record.samples < STEADY:
         return [(0, record.samples, False)]
@@ -362,8 +360,8 @@ def runs(record: Record, gains: Gains) -> list[tuple[int, int, bool]]:
 
 
 def _backward_steady(
-    record: Record, gains: Gains, first: int, y: NDArray, a: NDArray | None, s: NDArray, v: NDArray
-) -> NDArray[np.float64]:
+    record: WhitenedRecord, gains: Gains, first: int, y: Array, a: Array | None, s: Array, v: Array
+) -> Array:
     """Fill s of a run, and return v before it."""
     j, K = record.kind[first], gains.K[gains.which[first]]
     F, G, C, D, E = record.F[j], record.G[j], record.C[j], record.D[j], record.E
@@ -373,7 +371,7 @@ def _backward_steady(
     return run_blocks(Filter((F - G @ K).T, into, G.T, feed), v, inputs, [s], backwards=True)
 
 
-def _to_inputs(R: NDArray, s: NDArray) -> float:
+def _to_inputs(R: Array, s: Array) -> float:
     """Overwrite s (samples, p) by u = M^-1 s; the sum of s^T u."""
     from scipy.linalg import solve_triangular
 
@@ -387,8 +385,8 @@ def _to_inputs(R: NDArray, s: NDArray) -> float:
 
 
 def _forward_steady(
-    record: Record, gains: Gains, part: slice, u: NDArray, x: NDArray, w: NDArray, g: NDArray, r: NDArray
-) -> NDArray[np.float64]:
+    record: WhitenedRecord, gains: Gains, part: slice, u: Array, x: Array, w: Array, g: Array, r: Array
+) -> Array:
     """Fill inputs, load and response of a run, and return the state after it."""
     j, K, p = record.kind[part.start], gains.K[gains.which[part.start]], record.p
     F, G, C, D, E = record.F[j], record.G[j], record.C[j], record.D[j], record.E
@@ -398,7 +396,7 @@ def _forward_steady(
     return run_blocks(Filter(F - G @ K, G, np.vstack(seen), np.vstack(fed)), x, [u], outputs)
 
 
-def gradient(record: Record, lam: float, solved: Solved) -> float:
+def gradient(record: WhitenedRecord, lam: float, solved: Solved) -> float:
     """Norm of ``H^T (H g - y) + lam^2 L^T L g`` over that of ``H^T y``, by inputs and free states."""
     still, free = feedback(record), record.free
     rest, start, _ = backward(record, still, solved.response - record.y, None)

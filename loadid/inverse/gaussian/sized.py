@@ -8,17 +8,18 @@ their ratio, so that there is one lambda, and no load is free of the penalty.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.errors import InputError
 
+from .gains import Gains, gains
 from .passes import Solved, solve
-from .path import LONG, LOWEST, Scalars, StateSpacePath, beginning, transfer
-from .posterior import SLOPE, StateSpacePosterior, spread
-from .record import Record
-from .riccati import Gains, gains
+from .path import LONG, LOWEST, Scalars, StateSpacePath, beginning, root_of_largest, transfer
+from .posterior import SLOPE, StateSpacePosterior, variances
+from .record import WhitenedRecord
+from .roots import Array
 
 
 class SizedPath(StateSpacePath):
@@ -26,7 +27,7 @@ class SizedPath(StateSpacePath):
 
     Parameters
     ----------
-    record : Record
+    record : WhitenedRecord
     size : array, shape (p,)
         Diagonal of S, positive: weight of the size of each load beside its differences.
     quick, scale
@@ -38,7 +39,7 @@ class SizedPath(StateSpacePath):
         Sizes that are not positive or do not fit.
     """
 
-    def __init__(self, record: Record, size: NDArray, *, quick: bool = False, scale: float | None = None) -> None:
+    def __init__(self, record: WhitenedRecord, size: Array, *, quick: bool = False, scale: float | None = None) -> None:
         size = np.asarray(size, float)
         if size.shape != (record.p,) or not np.all(np.isfinite(size)) or np.any(size <= 0):
             raise InputError("the sizes do not fit the loads", where="size", found=f"shape {size.shape}, or not > 0",
@@ -61,7 +62,7 @@ class SizedPath(StateSpacePath):
     def scalars(self, lam: float) -> Scalars:
         """Everything at one relative lambda; see `StateSpacePath.scalars`."""
         held, solved = self._solved(lam)
-        known = spread(self._system(lam), held)
+        known = variances(self._system(lam), held)
         assert known.variance is not None
         rest = self.record.y - self._heard(solved)
         count = self.unknowns + len(self.record.free)
@@ -81,13 +82,13 @@ class SizedPath(StateSpacePath):
         """Log det of the penalty, of inputs and free states together."""
         return gains(_silent(self.record, self.size), 1.0).logdet
 
-    def _system(self, lam: float) -> Record:
+    def _system(self, lam: float) -> WhitenedRecord:
         return with_size(self.record, self.size, float(lam) * float(self.scale), self._data)
 
-    def _heard(self, solved: Solved) -> NDArray[np.float64]:
+    def _heard(self, solved: Solved) -> Array:
         return solved.response[:, : self.record.m]
 
-    def _again(self, lam: float, held: Gains, y: NDArray) -> Solved:
+    def _again(self, lam: float, held: Gains, y: Array) -> Solved:
         padded = self._data if y is self.record.y else np.hstack([y, np.zeros((len(y), self.record.p))])
         return solve(self._system(lam), held, padded)
 
@@ -99,7 +100,7 @@ class SizedPath(StateSpacePath):
         return float(np.sum(a.inputs * b.inputs) + np.sum((a.load * b.load) @ self.size**2))
 
 
-def with_size(record: Record, size: NDArray, lam: float, data: NDArray | None = None) -> Record:
+def with_size(record: WhitenedRecord, size: Array, lam: float, data: Array | None = None) -> WhitenedRecord:
     """The record with rows ``lam size g`` below those of the sensors; `data` are all data, default zero."""
     kinds, weight = len(record.C), lam * np.diag(size)
     rows = np.repeat((weight @ record.E)[None], kinds, 0), np.repeat(weight[None], kinds, 0)
@@ -110,33 +111,23 @@ def with_size(record: Record, size: NDArray, lam: float, data: NDArray | None = 
     )  # fmt: skip
 
 
-def _silent(record: Record, size: NDArray, lam: float = 1.0) -> Record:
+def _silent(record: WhitenedRecord, size: Array, lam: float = 1.0) -> WhitenedRecord:
     """The penalty alone: no sensors."""
     return with_size(replace(record, C=0.0 * record.C, D=0.0 * record.D), size, lam)
 
 
-def _largest(record: Record, size: NDArray) -> float:
+def _largest(record: WhitenedRecord, size: Array) -> float:
     """Largest singular value of H over both penalties: the root of that of ``H P^-1 H^T`` for their precision P.
 
-    Beyond `scale.LONG` samples that of the beginning: under a penalty on its size a load is forgotten.
+    Beyond `path.LONG` samples that of the beginning: under a penalty on its size a load is forgotten.
     """
-    from scipy.sparse.linalg import LinearOperator, eigsh
-
     record = beginning(record, LONG) if record.samples > LONG else record
     held, shape = gains(_silent(record, size), 1.0), record.y.shape
 
-    def normal(y: NDArray) -> NDArray:
+    def normal(y: Array) -> Array:
         return solve(record, held, y.reshape(shape)).response.reshape(-1)
 
-    first = np.random.default_rng(0).standard_normal(record.y.size)
-    reach = normal(first)
-    level = float(np.linalg.norm(reach))
-    if record.y.size <= 2 or not np.isfinite(level) or level == 0.0:
-        matrix = np.array([normal(e) for e in np.eye(record.y.size)]) if record.y.size <= 2 else np.array([[level]])
-        return float(np.sqrt(np.abs(matrix).max()))
-    operator = LinearOperator((record.y.size,) * 2, matvec=lambda y: normal(y) / level, dtype=float)
-    top = eigsh(operator, k=1, v0=reach / level, tol=1e-9, return_eigenvectors=False)
-    return float(np.sqrt(level * max(float(top[0]), 0.0)))
+    return root_of_largest(normal, record.y.size)
 
 
 class SizedPosterior(StateSpacePosterior):
@@ -151,33 +142,35 @@ class SizedPosterior(StateSpacePosterior):
 
     kind = "statespace, sized"
 
-    def __init__(self, record: Record, lam: float, sigma: float, held: Gains | None = None, *, size: NDArray) -> None:
+    def __init__(
+        self, record: WhitenedRecord, lam: float, sigma: float, held: Gains | None = None, *, size: Array
+    ) -> None:
         self.bare, self.size = record, np.asarray(size, float)
         super().__init__(with_size(record, self.size, lam), lam, sigma, held)
 
     @property
-    def noise_std(self) -> NDArray[np.float64]:
+    def noise_std(self) -> Array:
         """Standard deviation from the noise alone: the derivative of lam^2 times the variance in lam^2."""
         steps = self.lam * np.exp(SLOPE * np.array([-2, -1, 1, 2]))
         parts = [x**2 * SizedPosterior(self.bare, x, 1.0, size=self.size).std ** 2 for x in steps]
         slope = (parts[0] - 8 * parts[1] + 8 * parts[2] - parts[3]) / (24 * SLOPE) / self.lam**2
-        return self.sigma * np.sqrt(np.maximum(slope, 0.0))
+        return np.asarray(self.sigma * np.sqrt(np.maximum(slope, 0.0)))
 
-    def noise_variance(self, w: NDArray) -> NDArray[np.float64]:
+    def noise_variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)`` from the noise alone."""
 
-        def own(one: NDArray) -> NDArray:
+        def own(one: Array) -> Array:
             heard = self._solve(one).response[:, : self.bare.m]
             return np.asarray(self.sigma**2 * float(np.sum(heard**2)))
 
         return self._each(w, own)
 
-    def bias_weights(self, w: NDArray) -> NDArray[np.float64]:
+    def bias_weights(self, w: Array) -> Array:
         """``(R - I)^T w`` in the shape of `w`: what regularisation takes from the weights."""
 
-        def own(one: NDArray) -> NDArray:
+        def own(one: Array) -> Array:
             found = self._solve(one)
-            return -(self.lam**2) * (self._penalty_adjoint(found.inputs) + found.load * self.size**2)
+            return np.asarray(-(self.lam**2) * (self._penalty_adjoint(found.inputs) + found.load * self.size**2))
 
         return self._each(w, own)
 
@@ -187,7 +180,7 @@ class SizedPosterior(StateSpacePosterior):
         return {**bare, "kind": self.kind, "size": self.size}
 
     @classmethod
-    def from_arrays(cls, tree: dict) -> SizedPosterior:
+    def from_arrays(cls, tree: dict[str, Any]) -> SizedPosterior:
         """From what `to_arrays` gave."""
         plain = StateSpacePosterior.from_arrays(tree)
         return cls(plain.record, plain.lam, plain.sigma, size=np.asarray(tree["size"], float))

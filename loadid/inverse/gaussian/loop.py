@@ -1,4 +1,4 @@
-"""Filters that settle: one product a sample, and whole records with roots where gains change.
+"""Filters that have settled, on one gain or on those of a period: one product a sample.
 
     [load; e; x-]  <-  M [x-; y]
 
@@ -7,29 +7,22 @@ caller decides. Sample by sample and block are the same recursion.
 
 Short blocks run in numpy first, with the same sums in the same order, bit for bit: a process that
 starts anew answers before the compiler is loaded, and a stream goes on as if it had never been interrupted.
-
-The numbers are those of `squareroot.filter` and `smoothing.bryson_frazier` to the distance from the steady covariance
-at which the gains are taken for steady (`NEAR`), and steady stretches need no memory for states.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from operator import le
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError
 
-from ..compiled import Compiled
-from ..statespace import passes as blocks
-from .model import backward, forward, lower
-from .smoothing import back, left_over
-from .squareroot import Filtered, Innovation, SquareRoot, State, checked
-from .steady import Steady
+from .compiled import Compiled
+from .roots import Array
+from .steady import PeriodicFilter, SteadyFilter
 
 LARGE = 40_000  # entries of M from which BLAS is faster than the loop, call and all
 COLD = 10**8  # products from which the compiler is worth its load
@@ -42,7 +35,7 @@ class Loop:
     Parameters
     ----------
     rows : array, shape (p + m + n, n + m)
-        Loads, innovations and next prediction from ``[x-; y]`` (`Steady.rows`).
+        Loads, innovations and next prediction from ``[x-; y]`` (`SteadyFilter.rows`).
     p, m : int
         Loads and channels.
     x : array, shape (n,)
@@ -52,27 +45,11 @@ class Loop:
     """
 
     __slots__ = (
-        "_M",
-        "_all",
-        "_cold",
-        "_done",
-        "_fast",
-        "_gemv",
-        "_limits",
-        "_load",
-        "_next",
-        "_out",
-        "_single",
-        "_v",
-        "_x",
-        "_y",
-        "e",
-        "m",
-        "n",
-        "p",
-    )
+        "_M", "_all", "_cold", "_done", "_fast", "_gemv", "_limits", "_load", "_next", "_out", "_single", "_v", "_x",
+        "_y", "e", "m", "n", "p",
+    )  # fmt: skip
 
-    def __init__(self, rows: NDArray, p: int, m: int, x: ArrayLike, limit: NDArray | None = None) -> None:
+    def __init__(self, rows: Array, p: int, m: int, x: ArrayLike, limit: Array | None = None) -> None:
         from scipy.linalg.blas import dgemv
 
         n = rows.shape[1] - m
@@ -94,7 +71,7 @@ class Loop:
             self.compile()  # it is there
 
     @property
-    def x(self) -> NDArray[np.float64]:
+    def x(self) -> Array:
         """Prediction of the next sample (n,)."""
         return self._x.copy()
 
@@ -112,11 +89,11 @@ class Loop:
         self._fast[0](state, n, m, p)
 
     @property
-    def ahead(self) -> NDArray[np.float64]:
+    def ahead(self) -> Array:
         """The same, not copied: the next step overwrites it."""
         return self._x
 
-    def step(self, y: ArrayLike) -> NDArray[np.float64] | None:
+    def step(self, y: ArrayLike) -> Array | None:
         """Loads (p,) of the sample y (m,), or None where it was not taken; its innovation is then in `e`.
 
         Raises
@@ -133,7 +110,7 @@ class Loop:
             return self._load.copy() if self._fast[0](self._all, self.n, self.m, self.p) else None  # type: ignore[index]
         return self._load.copy() if self._numpy_step() else None
 
-    def block(self, Y: ArrayLike, load: NDArray, e: NDArray) -> int:
+    def block(self, Y: ArrayLike, load: Array, e: Array) -> int:
         """Fill loads (samples, p) and innovations (samples, m) of Y (samples, m) up to the first that is not taken.
 
         Parameters
@@ -192,7 +169,7 @@ class _Plain:
     adds one row after the other.
     """
 
-    def __init__(self, a: NDArray, n: int, m: int, p: int) -> None:
+    def __init__(self, a: Array, n: int, m: int, p: int) -> None:
         columns, rows = n + m, p + m + n
         ends = np.cumsum([m, columns, rows])
         self._limits, v, self._out, flat = np.split(a, ends)
@@ -226,7 +203,7 @@ def _width(y: ArrayLike, m: int) -> InputError:
 
 
 @Compiled
-def _step(a: NDArray, n: int, m: int, p: int) -> bool:
+def _step(a: Array, n: int, m: int, p: int) -> bool:
     """Overwrite out = M^T v; the prediction in v too where every innovation is within its limit.
 
     `a` holds the limits (m), v (n + m), out (p + m + n) and M (n + m, p + m + n) one after the other.
@@ -256,7 +233,7 @@ def _step(a: NDArray, n: int, m: int, p: int) -> bool:
 
 
 @Compiled
-def _block(a: NDArray, n: int, m: int, p: int, Y: NDArray, load: NDArray, e: NDArray) -> int:
+def _block(a: Array, n: int, m: int, p: int, Y: Array, load: Array, e: Array) -> int:
     """Samples taken before the first that is not."""
     y, out = a[m + n : m + n + m], a[m + n + m : m + n + m + p + m]
     for k in range(Y.shape[0]):
@@ -269,163 +246,80 @@ def _block(a: NDArray, n: int, m: int, p: int, Y: NDArray, load: NDArray, e: NDA
             return k
         for i in range(p):
             load[k, i] = out[i]
-    return Y.shape[0]
+    return int(Y.shape[0])
 
 
-NEAR = 1e-10  # of the variances: where gains count as steady
-UNMOVED = 1e-13  # of what later samples tell: where going on changes nothing
-SHORT = 64  # samples of a stretch that is worth its overhead
-PART = 65536  # samples between two reports
+class PeriodicLoop:
+    """The recursion of a periodic filter, one loop for each phase; a channel that a phase has not weighs nothing.
 
-Progress = Callable[[float, str], None] | None
+    Parameters
+    ----------
+    filters : PeriodicFilter
+    x : array, shape (n,)
+        Prediction of the first sample.
+    phase : int
+        Of the first sample.
+    sigmas : float or array (m,)
+        Innovations, in units of their std, beyond which a sample is not taken.
+    """
 
-
-@dataclass(frozen=True, eq=False)
-class Section:
-    """Samples from `first` on: walked (state and innovation of each), or settled (innovations, shape (samples, m))."""
-
-    first: int
-    states: list[State]
-    said: list[Innovation]
-    e: NDArray[np.float64] | None = None
+    def __init__(self, filters: PeriodicFilter, x: ArrayLike, phase: int = 0, sigmas: ArrayLike = np.inf) -> None:
+        self.phase, self.std = phase, filters.std
+        self.masks = np.array([f.part.mask for f in filters.phases])
+        self._x = np.array(x, float)
+        self._loops = [_padded(f, sigmas) for f in filters.phases]
+        self._spread = np.full(self.masks.shape, np.nan)
+        for t, f in enumerate(filters.phases):
+            self._spread[t, self.masks[t]] = f.innovation_std
 
     @property
-    def count(self) -> int:
-        """Samples."""
-        return len(self.states) if self.e is None else len(self.e)
+    def x(self) -> Array:
+        """Prediction of the next sample (n,)."""
+        return self._x.copy()
+
+    def step(self, y: Array) -> Array | None:
+        """Loads (p,) of the sample y (m,), or None where it was not taken: another mask than its phase has too.
+
+        The std is that of the phase before the step, ``std[phase]``.
+        """
+        load, e = np.empty((1, self.std.shape[1])), np.empty((1, len(y)))
+        return load[0] if self.block(np.asarray(y, float)[None], load, e) else None
+
+    def block(self, Y: Array, load: Array, e: Array) -> int:
+        """Fill loads (samples, p) and normalised innovations (samples, m) up to the first sample that is not taken.
+
+        Returns
+        -------
+        taken : int
+            Samples before it.
+        """
+        there = ~np.isnan(Y)
+        phases = (self.phase + np.arange(len(Y))) % len(self._loops)
+        fits = np.all(there == self.masks[phases], axis=1)
+        stop = len(Y) if fits.all() else int(np.argmin(fits))
+        taken, x, loops = 0, self._x, self._loops
+        for t, y in zip(phases[:stop].tolist(), np.where(there, Y, 0.0), strict=False):
+            loop = loops[t]
+            loop.x = x
+            found = loop.step(y)
+            if found is None:
+                break
+            x = loop.ahead
+            load[taken], e[taken] = found, loop.e
+            taken += 1
+        e[:taken] /= self._spread[phases[:taken]]
+        self._x = np.array(x)
+        self.phase = (self.phase + taken) % len(loops)
+        return taken
 
 
-@dataclass(frozen=True, eq=False)
-class Sectioned:
-    """A filtered record, and its sections for the smoother."""
-
-    filtered: Filtered
-    sections: tuple[Section, ...]
-    steady: Steady
-
-
-@dataclass(frozen=True, eq=False)
-class SmoothedRecord:
-    """Loads with all data: load, std (samples, p); what they leave of the data (samples, m), NaN where missing."""
-
-    load: NDArray[np.float64]
-    std: NDArray[np.float64]
-    residual: NDArray[np.float64]
-
-
-def filter_settling(steady: Steady, Y: ArrayLike, *, progress: Progress = None) -> Sectioned:
-    """Filter a record Y (samples, m), NaN where a channel is missing; as `squareroot.filter`, mostly faster.
-
-    Raises
-    ------
-    InputError
-        A record of the wrong shape, or infinite numbers.
-    """
-    model = steady.model
-    Y = checked(model, Y)
-    core, N = SquareRoot(model), len(Y)
-    out = Filtered(model, Y, np.empty((N, model.p)), np.empty((N, model.p)), np.empty(N), np.empty(N),
-                   np.empty(Y.shape), core.start())  # fmt: skip
-    ahead = lower(steady.part.F @ steady.L, steady.part.LQ)
-    stops = _complete_until(Y)
-    sections, walked, state, k, predicted = [], Section(0, [], []), core.start(), 0, True
-    while k < N:
-        if not predicted and k and min(stops[k - 1], N - 1) - k >= SHORT and steady.distance(state.L) <= NEAR:
-            stop = min(int(stops[k]), N - 1)  # the last sample is walked: its state is asked for
-            if walked.count:
-                sections.append(walked)
-            x = steady.part.moved(state.x, state.y)
-            section, x = _settled(steady, out, k, stop, x, progress)
-            sections.append(section)
-            k, state, predicted = stop, State(x, ahead), True
-            walked = Section(k, [], [])
-            continue
-        state, said = core.update(state, Y[k]) if predicted else core.advance(state, Y[k])
-        predicted = False
-        walked.states.append(state)
-        walked.said.append(said)
-        out.load[k], out.std[k] = model.Cp @ state.x, np.linalg.norm(model.Cp @ state.L, axis=1)
-        out.nis[k], out.loglik[k], out.normalised[k] = said.nis, said.loglik, said.normalised
-        k += 1
-        if progress is not None and k % 256 == 0:
-            progress(k / N, "filtering")
-    whole = Filtered(model, Y, out.load, out.std, out.nis, out.loglik, out.normalised, state)
-    return Sectioned(whole, (*sections, walked), steady)
-
-
-def smooth_settling(record: Sectioned, *, progress: Progress = None) -> SmoothedRecord:
-    """Every load with all data, from a record of `filter_settling`; the states are not computed."""
-    filtered, steady, model = record.filtered, record.steady, record.filtered.model
-    core, there = SquareRoot(model), np.isfinite(filtered.Y)
-    load, std, rest = (np.empty(like.shape) for like in (filtered.load, filtered.load, filtered.Y))
-    told, root = np.zeros(model.n), np.zeros((model.n, 0))
-    for section in reversed(record.sections):
-        part = slice(section.first, section.first + section.count)
-        if section.e is not None:
-            told = back_mean(steady, section.e, told, load[part], rest[part])
-            np.subtract(filtered.load[part], load[part], out=load[part])
-            std[part], root = _back_std(steady, section.count, root)
-        else:
-            for i in range(section.count - 1, -1, -1):
-                k, state = section.first + i, section.states[i]
-                x = state.x - state.L @ (state.L.T @ told)
-                load[k], rest[k] = model.Cp @ x, filtered.Y[k] - model.H @ x
-                std[k] = np.linalg.norm(model.Cp @ left_over(state.L, root), axis=1)
-                if k:
-                    told, root = back(told, root, section.said[i], core.seen(there[k]).H, core.seen(there[k - 1]).F)
-        if progress is not None:
-            progress(1 - section.first / len(load), "smoothing")
-    return SmoothedRecord(load, std, rest)
-
-
-def _complete_until(Y: NDArray) -> NDArray[np.int_]:
-    """For each sample, the first sample from it on that lacks a channel (samples,)."""
-    lacking = np.append(np.flatnonzero(~np.isfinite(Y).all(axis=1)), len(Y))
-    return lacking[np.searchsorted(lacking, np.arange(len(Y)))]
-
-
-def _settled(
-    steady: Steady, out: Filtered, first: int, stop: int, x: NDArray, progress: Progress
-) -> tuple[Section, NDArray]:
-    """Fill the samples of a stretch; its section, and the prediction of the sample after it."""
-    model, part = steady.model, slice(first, stop)
-    loop = Loop(steady.rows(), model.p, model.m, x)
-    e = np.empty((stop - first, model.m))
-    for low in range(first, stop, PART):
-        high = min(low + PART, stop)
-        loop.block(out.Y[low:high], out.load[low:high], e[low - first : high - first])
-        if progress is not None:
-            progress(high / len(out.Y), "filtering")
-    out.nis[part], out.loglik[part] = steady.judged(e)
-    out.normalised[part], out.std[part] = e / steady.innovation_std, steady.std
-    return Section(first, [], [], e), loop.x
-
-
-def back_mean(steady: Steady, e: NDArray, told: NDArray, change: NDArray, rest: NDArray) -> NDArray[np.float64]:
-    """Fill the change of the loads of a stretch and its residuals; what it and later samples tell the one before.
-
-    With lambda from the later samples, ``y - H x_s = R (Se^-1 e + K^T lambda)``, as ``H P = R K^T``.
-    """
-    part = steady.part
-    R, over = part.LR @ part.LR.T, steady.model.Cp @ steady.L @ steady.L.T
-    news, direct = (backward(steady.Se_root, forward(steady.Se_root, X)).T for X in (part.H @ part.F, R))
-    system = blocks.Filter(
-        steady.A.T, -news, np.vstack([over, R @ steady.K.T]), np.vstack([np.zeros((len(over), len(R))), direct])
-    )
-    return blocks.run_blocks(system, told, [e], [change, rest], backwards=True)
-
-
-def _back_std(steady: Steady, count: int, root: NDArray) -> tuple[NDArray, NDArray]:
-    """Stds of the smoothed loads of a stretch, and the root of what it and all later samples tell."""
-    own = steady.model.Cp @ steady.L
-    over, variance = own @ steady.L.T, np.sum(own**2, axis=1)
-    news = (forward(steady.Se_root, steady.part.H) @ steady.part.F).T
-    std, size = np.empty((count, len(own))), np.sum(root**2, axis=1)
-    for k in range(count - 1, -1, -1):
-        std[k] = np.sqrt(np.maximum(variance - np.sum((over @ root) ** 2, axis=1), 0.0))
-        root = lower(news, steady.A.T @ root)
-        before, size = size, np.sum(root**2, axis=1)
-        if np.all(np.abs(size - before) <= UNMOVED * size):
-            std[:k] = np.sqrt(np.maximum(variance - np.sum((over @ root) ** 2, axis=1), 0.0))
-            break
-    return std, root
+def _padded(f: SteadyFilter, sigmas: ArrayLike) -> Loop:
+    """Loop of a phase with all channels, those that it has not with zeros."""
+    mask, n, p = f.part.mask, f.model.n, f.model.p
+    m = len(mask)
+    rows, limit = np.zeros((p + m + n, n + m)), np.full(m, np.inf)
+    into = np.r_[np.arange(n), n + np.flatnonzero(mask)]
+    out = np.r_[np.arange(p), p + np.flatnonzero(mask), p + m + np.arange(n)]
+    rows[np.ix_(out, into)] = f.rows()
+    limit[mask] = np.broadcast_to(np.asarray(sigmas, float), (m,))[mask] * f.innovation_std
+    return Loop(rows, p, m, np.zeros(n), limit)

@@ -14,31 +14,19 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures.errors import InputError
 
-from ..compiled import (
-    NEAR,
-    NEVER,
-    SETTLED,
-    SHARE,
-    STALLED,
-    Compiled,
-    arrival,
-    decay,
-    multiply,
-    multiply_by_transposed,
-    solve_upper,
-)
-from ..posterior import DensePosterior, Posterior, SpectralPosterior
+from ..posterior import DensePosterior, Posterior, SpectralPosterior, from_arrays
+from .compiled import BEGUN, Compiled, multiply, multiply_by_transposed, settled, solve_upper
+from .gains import Gains, feedback, gains
 from .passes import Solved, forward, solve
-from .record import Record
-from .riccati import Gains, feedback, gains
+from .record import WhitenedRecord
+from .roots import Array
 
 
 @dataclass(frozen=True)
-class Spread:
+class LoadVariances:
     """What is not known of the load, at unit noise.
 
     Parameters
@@ -51,51 +39,49 @@ class Spread:
         lam^2 tr L (H^T H + lam^2 L^T L)^-1 L^T: unknowns minus effective degrees of freedom.
     """
 
-    variance: NDArray[np.float64] | None
+    variance: Array | None
     trace: float
     penalty: float
 
 
-def spread(record: Record, gains: Gains, every_sample: bool = True) -> Spread:
-    """Variances of every sample, or their sum alone."""
+def variances(
+    record: WhitenedRecord, gains: Gains, every_sample: bool = True, combined: Array | None = None
+) -> LoadVariances:
+    """Variances of every sample, or their sum alone; of the loads, or of combinations (any, p) of those of a sample."""
+    read = np.eye(record.p) if combined is None else np.ascontiguousarray(combined, float)
     X = np.zeros((record.n, record.n))
     if len(record.free):
         X[np.ix_(record.free, record.free)] = gains.start @ gains.start.T
-    variance = np.empty((record.samples if every_sample else 1, record.p))
+    variance = np.empty((record.samples if every_sample else 1, len(read)))
     trace, penalty = _recursion(
-        record.F,
-        record.G,
-        record.E,
-        record.kind,
-        gains.K,
-        gains.R,
-        gains.which,
-        X,
-        variance,
-        every_sample,
+        record.F, record.G, record.E, read, record.kind, gains.K, gains.R, gains.which, X, variance, every_sample,
         record.stride,
-    )
-    return Spread(variance if every_sample else None, float(trace), float(gains.lam**2 * penalty))
+    )  # fmt: skip
+    return LoadVariances(variance if every_sample else None, float(trace), float(gains.lam**2 * penalty))
 
 
 @Compiled
 def _recursion(
-    F: NDArray, G: NDArray, E: NDArray, kind: NDArray, K: NDArray, R: NDArray, which: NDArray, X: NDArray,
-    variance: NDArray, every: bool, stride: int,
+    F: Array, G: Array, E: Array, read: Array, kind: Array, K: Array, R: Array, which: Array, X: Array,
+    variance: Array, every: bool, stride: int,
 ) -> tuple[float, float]:  # fmt: skip
-    """Fill `variance` where wanted; sums of the variances of the loads and of the inputs."""
-    n, p, samples = F.shape[1], G.shape[2], len(kind)
+    """Fill `variance` of the combinations where wanted; sums of their variances and of those of the inputs."""
+    n, p, q, samples = F.shape[1], G.shape[2], len(read), len(kind)
     half, eye = np.zeros((p, p)), np.eye(p)
     push, change, closed = np.zeros((n, p)), np.zeros((n, n)), np.zeros((n, n))
-    rows, product, square = np.zeros((p, n)), np.zeros((p, n)), np.zeros((p, p))
-    moved, fed, old, inner = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((p, p))
-    own, weight, work = np.zeros(p), np.zeros(n), np.zeros((n, n))
+    rows, product, square, news, alone = (
+        np.zeros((q, n)), np.zeros((q, n)), np.zeros((q, q)), np.zeros((q, p)), np.zeros((q, q))
+    )  # fmt: skip
+    inner, fast, known = np.zeros((p, p)), np.zeros((p, n)), np.zeros((p, p))
+    moved, fed, old = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    own, weight, work = np.zeros(q), np.zeros(n), np.zeros((n, n))
     trace, penalty, load, part, k, row, j = 0.0, 0.0, 0.0, 0.0, 0, -1, -1
-    since, until, peak, before, opened = 0, -1, 0.0, np.inf, 0
-    inputs_differ = bool(np.any(E != 0.0))
+    since, kept = 0, BEGUN.copy()
+    inputs_differ = q != p or bool(np.any(E != 0.0)) or bool(np.any(read != eye))
     while k < samples:
         if which[k] != row or kind[k] != j:
-            row, j, since, until, peak, before, opened = which[k], kind[k], 0, -1, 0.0, np.inf, 0
+            row, j, since = which[k], kind[k], 0
+            kept[:] = BEGUN
             solve_upper(R[row], eye, half)
             multiply_by_transposed(half, half, inner)  # M^-1
             multiply(G[j], half, push)
@@ -103,20 +89,22 @@ def _recursion(
             multiply(G[j], K[row], change)
             closed[:] = F[j]
             closed -= change
-            rows[:] = E
-            rows -= K[row]
+            multiply(read, E - K[row], rows)
+            multiply(read, half, news)
+            multiply_by_transposed(news, news, alone)
         multiply(rows, X, product)
         multiply_by_transposed(product, rows, square)
         load = 0.0
-        for i in range(p):
-            own[i] = square[i, i] + inner[i, i]
+        for i in range(q):
+            own[i] = square[i, i] + alone[i, i]
             load += own[i]
+        part = load
         if inputs_differ:
-            multiply(K[row], X, product)
-            multiply_by_transposed(product, K[row], square)
-        part = 0.0
-        for i in range(p):
-            part += square[i, i] + inner[i, i]
+            multiply(K[row], X, fast)
+            multiply_by_transposed(fast, K[row], known)
+            part = 0.0
+            for i in range(p):
+                part += known[i, i] + inner[i, i]
         if every:
             variance[k] = own
         trace += load
@@ -126,22 +114,12 @@ def _recursion(
             if since > 0:
                 for i in range(n):  # of each state, what it does to a load or an input
                     weight[i] = max(np.abs(K[row, :, i]).max(), np.abs(rows[:, i]).max())
-                gap, size = 0.0, np.abs(inner).max()
+                gap, size = 0.0, np.abs(alone).max()
                 for i in range(n):
                     for h in range(n):
                         gap = max(gap, weight[i] * weight[h] * abs(X[i, h] - old[i, h]))
                         size = max(size, weight[i] * weight[h] * abs(X[i, h]))
-                if until < 0 and gap <= NEAR * size:
-                    until = arrival(since, gap, size, decay(closed, moved, work), samples)
-                steady = False
-                if until == NEVER:
-                    peak = max(peak, gap)
-                    if since - opened > max(opened // 2, 16 * stride):
-                        steady = peak <= STALLED * size and peak >= SHARE * before
-                        peak, before, opened = 0.0, peak, since
-                else:
-                    steady = gap <= SETTLED * size or 0 <= until <= since
-                if steady:
+                if settled(kept, since, stride, gap, size, closed, moved, work, samples):
                     while k < samples and which[k] == row and kind[k] == j:
                         if every:
                             variance[k] = own
@@ -165,7 +143,7 @@ class StateSpacePosterior:
 
     Parameters
     ----------
-    record : Record
+    record : WhitenedRecord
         Its data are not used.
     lam : float
         Absolute lambda.
@@ -177,38 +155,38 @@ class StateSpacePosterior:
 
     kind = "statespace"
 
-    def __init__(self, record: Record, lam: float, sigma: float, held: Gains | None = None) -> None:
+    def __init__(self, record: WhitenedRecord, lam: float, sigma: float, held: Gains | None = None) -> None:
         self.record, self.lam, self.sigma = record, float(lam), float(sigma)
         self._held = held
         self.shape = (record.samples, record.p)
 
     @cached_property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Standard deviation, shape (samples, loads)."""
         return self.sigma * np.sqrt(self._variances(self.held))
 
     @cached_property
-    def noise_std(self) -> NDArray[np.float64]:
+    def noise_std(self) -> Array:
         """Standard deviation from the noise alone: the derivative of lam^2 times the variance in lam^2."""
         step = np.exp(SLOPE * np.array([-2, -1, 1, 2]))
         parts = [x**2 * self._variances(gains(self.record, self.lam * x)) for x in step]
         slope = (parts[0] - 8 * parts[1] + 8 * parts[2] - parts[3]) / (24 * SLOPE)
-        return self.sigma * np.sqrt(np.maximum(slope, 0.0))
+        return np.asarray(self.sigma * np.sqrt(np.maximum(slope, 0.0)))
 
-    def variance(self, w: NDArray) -> NDArray[np.float64]:
+    def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
         return self._each(w, lambda one: np.asarray(self.sigma**2 * self._solve(one).value))
 
-    def noise_variance(self, w: NDArray) -> NDArray[np.float64]:
+    def noise_variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)`` from the noise alone."""
 
-        def own(one: NDArray) -> NDArray:
+        def own(one: Array) -> Array:
             solved = self._solve(one)
             return np.asarray(self.sigma**2 * max(solved.value - self.lam**2 * float(np.sum(solved.inputs**2)), 0.0))
 
         return self._each(w, own)
 
-    def bias_weights(self, w: NDArray) -> NDArray[np.float64]:
+    def bias_weights(self, w: Array) -> Array:
         """``(R - I)^T w`` in the shape of `w`: what regularisation takes from the weights, -lam^2 L^T L P w."""
         return self._each(w, lambda one: -(self.lam**2) * self._penalty_adjoint(self._solve(one).inputs))
 
@@ -221,13 +199,15 @@ class StateSpacePosterior:
         }  # fmt: skip
 
     @classmethod
-    def from_arrays(cls, tree: dict) -> StateSpacePosterior:
+    def from_arrays(cls, tree: dict[str, Any]) -> StateSpacePosterior:
         """From what `to_arrays` gave."""
         matrices = {name: np.asarray(tree[name], float) for name in "FGCDE"}
         kind = np.asarray(tree["samples"]).astype(np.int32)
         y = np.zeros((len(kind), matrices["C"].shape[1]))
         free = np.asarray(tree["free"]).astype(int).reshape(-1)
-        return cls(Record(**matrices, kind=kind, y=y, free=free, data=int(tree["data"])), tree["lam"], tree["sigma"])
+        return cls(
+            WhitenedRecord(**matrices, kind=kind, y=y, free=free, data=int(tree["data"])), tree["lam"], tree["sigma"]
+        )
 
     # -- inside -------------------------------------------------------------------------------------------------------
     @property
@@ -237,22 +217,26 @@ class StateSpacePosterior:
             self._held = gains(self.record, self.lam)
         return self._held
 
-    def _variances(self, held: Gains) -> NDArray[np.float64]:
-        found = spread(self.record, held).variance
-        assert found is not None
+    def combined_std(self, T: Array) -> Array:
+        """Standard deviation of the combinations ``T g_k`` of every sample, shape (samples, rows of T)."""
+        return np.asarray(self.sigma * np.sqrt(self._variances(self.held, T)))
+
+    def _variances(self, held: Gains, combined: Array | None = None) -> Array:
+        found = variances(self.record, held, combined=combined).variance
+        assert found is not None  # asked for every sample
         return found
 
-    def _solve(self, w: NDArray) -> Solved:
+    def _solve(self, w: Array) -> Solved:
         return solve(self.record, self.held, np.zeros((self.record.samples, self.record.m)), w)
 
-    def _each(self, w: NDArray, ask: Callable[[NDArray], NDArray]) -> NDArray[np.float64]:
+    def _each(self, w: Array, ask: Callable[[Array], Array]) -> Array:
         w = np.asarray(w, float)
         if w.shape[-2:] != self.shape or w.ndim > 3:
             raise InputError("the weights do not fit the load", where="w", found=f"shape {w.shape}",
                              expected=f"shape {self.shape}, or a stack of such")  # fmt: skip
         return ask(w) if w.ndim == 2 else np.array([ask(one) for one in w])
 
-    def _penalty_adjoint(self, w: NDArray) -> NDArray[np.float64]:
+    def _penalty_adjoint(self, w: Array) -> Array:
         """L^T w: the difference that the penalty takes, backwards in time."""
         pulse = np.zeros((min(3, len(w)), self.record.p))
         pulse[0] = 1.0
@@ -262,9 +246,6 @@ class StateSpacePosterior:
         for j in range(1, len(steps)):
             out[:-j] += steps[j] * w[j:]
         return out
-
-
-Array = NDArray[np.float64]
 
 
 class MappedPosterior:
@@ -279,7 +260,7 @@ class MappedPosterior:
 
     kind = "mapped"
 
-    def __init__(self, base: Posterior, T: NDArray) -> None:
+    def __init__(self, base: Posterior, T: Array) -> None:
         self.base, self.T = base, np.asarray(T, float)
         self._std: Array | None = None
 
@@ -290,7 +271,7 @@ class MappedPosterior:
             self._std = _std(self.base, self.T)
         return self._std
 
-    def variance(self, w: NDArray) -> Array:
+    def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
         return self.base.variance(np.asarray(w, float) @ self.T)
 
@@ -298,13 +279,13 @@ class MappedPosterior:
     def noise_std(self) -> None:
         """Not known at every sample: see `noise_variance`."""
 
-    def noise_variance(self, w: NDArray) -> Array | None:
+    def noise_variance(self, w: Array) -> Array | None:
         """Variance of ``sum(w * load)`` from the noise alone; None where the unknowns do not tell."""
         base: Any = self.base
         found: Array | None = getattr(base, "noise_variance", lambda _: None)(np.asarray(w, float) @ self.T)
         return found
 
-    def bias_weights(self, w: NDArray) -> Array | None:
+    def bias_weights(self, w: Array) -> Array | None:
         """``(R - I)^T w`` for the resolution R of the loads; None where fewer unknowns than loads define none."""
         base: Any = self.base
         loads, unknowns = self.T.shape
@@ -318,10 +299,8 @@ class MappedPosterior:
         return {"kind": self.kind, "base": self.base.to_arrays(), "T": self.T}
 
     @classmethod
-    def from_arrays(cls, tree: dict) -> MappedPosterior:
+    def from_arrays(cls, tree: dict[str, Any]) -> MappedPosterior:
         """From what `to_arrays` gave."""
-        from ..posterior import from_arrays
-
         return cls(from_arrays(tree["base"]), np.asarray(tree["T"], float))
 
 
@@ -334,49 +313,9 @@ def _std(base: Any, T: Array) -> Array:
     if isinstance(base, SpectralPosterior):
         lines = np.einsum("iu,kuv,jv->kij", T, base.lines, T, optimize=True)
         return SpectralPosterior(lines, base.samples, base.padded).std
-    if base.kind.startswith("statespace"):
-        return _over_states(base, T)
+    if isinstance(base, StateSpacePosterior):
+        return base.combined_std(T)
     return _asked(base, T)
-
-
-def _over_states(base: Any, T: Array) -> Array:
-    """Over a state space: the recursion of its own posterior in other coordinates of the load, where T is square."""
-    record, held = base.record, base.held
-    if T.shape[0] != T.shape[1]:
-        return _every_sample(base, T)
-    # with inputs T w the feedback is T K and the precision T^-T M T^-1, of which the recursion takes the root
-    loads = replace(record, E=np.ascontiguousarray(T @ record.E), G=_right(record.G, T))
-    upper = np.linalg.qr(_right(held.R, T), mode="r")
-    turned = replace(held, K=np.ascontiguousarray(T @ held.K), R=np.ascontiguousarray(upper))
-    variance = spread(loads, turned).variance
-    assert variance is not None  # asked for every sample
-    return np.asarray(base.sigma * np.sqrt(variance), float)
-
-
-def _right(stack: Array, T: Array) -> Array:
-    """``A T^-1`` of a stack of matrices A."""
-    return np.ascontiguousarray(np.swapaxes(np.linalg.solve(T.T, np.swapaxes(stack, -1, -2)), -1, -2))
-
-
-def _every_sample(base: Any, T: Array) -> Array:
-    """``T [(E - K) X (E - K)^T + M^-1] T^T`` at every sample, by the recursion of the state's covariance X."""
-    from scipy.linalg import solve_triangular
-
-    record, held = base.record, base.held
-    X, variance = np.zeros((record.n, record.n)), np.empty((record.samples, len(T)))
-    if len(record.free):
-        X[np.ix_(record.free, record.free)] = held.start @ held.start.T
-    row = kind = -1
-    for k in range(record.samples):
-        if held.which[k] != row or record.kind[k] != kind:
-            row, kind = int(held.which[k]), int(record.kind[k])
-            own = solve_triangular(held.R[row], T.T, trans=1).T  # T R^-1
-            push = solve_triangular(held.R[row], record.G[kind].T, trans=1).T
-            closed, fed = record.F[kind] - record.G[kind] @ held.K[row], push @ push.T
-            rows = T @ (record.E - held.K[row])
-        variance[k] = np.einsum("in,in->i", rows @ X, rows) + np.sum(own**2, axis=1)
-        X = closed @ X @ closed.T + fed
-    return np.asarray(base.sigma * np.sqrt(variance), float)
 
 
 def _asked(base: Any, T: Array) -> Array:
@@ -400,4 +339,4 @@ def _asked(base: Any, T: Array) -> Array:
     level = np.sqrt(np.maximum(own, np.finfo(float).tiny))
     correlation = covariance / level[:, None] / level
     scaled = std[:, None, :] * T
-    return np.sqrt(np.maximum(np.einsum("kli,ij,klj->kl", scaled, correlation, scaled, optimize=True), 0.0))
+    return np.asarray(np.sqrt(np.maximum(np.einsum("kli,ij,klj->kl", scaled, correlation, scaled, optimize=True), 0.0)))

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from .arrays import Array
+from .roots import Array
 
 log = logging.getLogger(__name__)
 
@@ -127,6 +127,7 @@ SQUARINGS = 15
 MARGINAL = 0.01  # decay over the whole record below which a loop counts as one that forgets nothing
 STALLED, SHARE = 1e-12, 0.5  # change of such a loop that no longer falls by this share over half of its history
 NEVER = 1 << 62
+BEGUN = np.array([-1.0, 0.0, np.inf, 0.0])  # what `settled` keeps, before its first look
 
 
 @Compiled
@@ -163,3 +164,23 @@ def arrival(since: int, change: float, size: float, decay: float, samples: int) 
         return since
     wait = np.log(left / rounding) / (2.0 * decay) if rounding > 0.0 else np.inf
     return since + int(min(wait, float(samples))) + 1
+
+
+@Compiled
+def settled(
+    kept: Array, since: int, stride: int, change: float, size: float, closed: Array, a: Array, b: Array, samples: int
+) -> bool:
+    """Whether a recursion with this closed loop has settled, by its change over a stride; two matrices to work in.
+
+    `kept` holds the sample of arrival, the largest change, that of the time before, and since when it is looked for.
+    """
+    if kept[0] < 0.0 and change <= NEAR * size:
+        kept[0] = arrival(since, change, size, decay(closed, a, b), samples)
+    if kept[0] != NEVER:
+        return bool(change <= SETTLED * size or 0.0 <= kept[0] <= since)
+    kept[1] = max(kept[1], change)
+    if since - kept[3] <= max(kept[3] // 2, 16 * stride):
+        return False
+    stalled = kept[1] <= STALLED * size and kept[1] >= SHARE * kept[2]
+    kept[2], kept[1], kept[3] = kept[1], 0.0, since
+    return bool(stalled)

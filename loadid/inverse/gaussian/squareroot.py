@@ -11,28 +11,39 @@ Grewal & Andrews, Kalman Filtering, 4th ed., 2015, ch. 7.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, plain
 
-from .model import FilterModel, Present, forward, joined, lower, present, square
+from .model import FilterModel, Present, present
+from .roots import Array, joined, lower, solve_lower, square
 
 MASKS = 512  # sets of channels whose arrays are kept
 LOG2PI = float(np.log(2 * np.pi))
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class FilterState:
     """Mean x (n,) and root L (n, r) of its covariance; `y` the sample (m,), kept where noises are correlated."""
 
-    x: NDArray[np.float64]
-    L: NDArray[np.float64]
-    y: NDArray[np.float64] | None = None
+    x: Array
+    L: Array
+    y: Array | None = None
+
+    def to_tree(self) -> dict[str, Array | None]:
+        """Plain arrays, for files."""
+        return {"x": self.x, "L": self.L, "y": self.y}
+
+    @classmethod
+    def from_tree(cls, tree: Mapping[str, Any]) -> FilterState:
+        """Inverse of `to_tree`; what else the tree holds does not matter."""
+        y = None if tree["y"] is None else np.asarray(tree["y"], float)
+        return cls(np.asarray(tree["x"], float), np.asarray(tree["L"], float), y)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,22 +65,22 @@ class Innovation:
         Logarithm of the predictive density of the sample.
     """
 
-    e: NDArray[np.float64]
-    root: NDArray[np.float64]
-    gain: NDArray[np.float64]
+    e: Array
+    root: Array
+    gain: Array
     present: NDArray[np.bool_]
     nis: float
     loglik: float
 
     @property
-    def std(self) -> NDArray[np.float64]:
+    def std(self) -> Array:
         """Predicted std of e (m,), NaN where missing."""
         out = np.full(len(self.present), np.nan)
         out[self.present] = np.linalg.norm(self.root, axis=1)
         return out
 
     @property
-    def normalised(self) -> NDArray[np.float64]:
+    def normalised(self) -> Array:
         """Innovation in units of its own std, channel by channel (m,)."""
         return self.e / self.std
 
@@ -80,8 +91,8 @@ class Stack:
 
     before: Present
     now: Present
-    ahead: NDArray[np.float64]  # [H F; F], times L
-    noise: NDArray[np.float64]  # triangular root of [H LQ, LR; LQ, 0]
+    ahead: Array  # [H F; F], times L
+    noise: Array  # triangular root of [H LQ, LR; LQ, 0]
 
 
 class SquareRoot:
@@ -103,16 +114,16 @@ class SquareRoot:
         self._stacks: dict[bytes, Stack] = {}
         self.whole = self.seen(np.ones(model.m, bool))
 
-    def start(self) -> State:
+    def start(self) -> FilterState:
         """Mean and covariance before the first sample: update without predicting."""
-        return State(self.model.x0, self.model.L0)
+        return FilterState(self.model.x0, self.model.L0)
 
-    def predict(self, state: State) -> State:
+    def predict(self, state: FilterState) -> FilterState:
         """One sample later."""
         part = self.whole if self.model.S is None else self.seen(_there(state.y, self.model.m))
-        return State(part.moved(state.x, state.y), lower(part.F @ state.L, part.LQ))
+        return FilterState(part.moved(state.x, state.y), lower(part.F @ state.L, part.LQ))
 
-    def update(self, state: State, y: ArrayLike) -> tuple[State, Innovation]:
+    def update(self, state: FilterState, y: ArrayLike) -> tuple[FilterState, Innovation]:
         """With the sample y (m,) of the same time; channels that are NaN are left out, exactly.
 
         Raises
@@ -124,7 +135,7 @@ class SquareRoot:
         part = self.seen(np.isfinite(y))
         return self._updated(_update_array(part, state.L), part, state.x, y)
 
-    def advance(self, state: State, y: ArrayLike) -> tuple[State, Innovation]:
+    def advance(self, state: FilterState, y: ArrayLike) -> tuple[FilterState, Innovation]:
         """Prediction and update in one factorisation."""
         y = self.sample(y)
         stack = self.stack(None if self.model.S is None else _there(state.y, self.model.m), np.isfinite(y))
@@ -152,15 +163,15 @@ class SquareRoot:
             found = self._stacks[key] = _stack(self.whole if before is None else self.seen(before), self.seen(now))
         return found
 
-    def covariance(self, stack: Stack, L: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    def covariance(self, stack: Stack, L: Array) -> tuple[Array, Array, Array]:
         """Root of Se, gain ``P- H^T Se^-T/2`` and root of the filtered covariance, from that of the sample before."""
         return _parted(joined(stack.noise, stack.ahead @ L), len(stack.now.H))
 
-    def update_root(self, part: Present, L: NDArray) -> NDArray[np.float64]:
+    def update_root(self, part: Present, L: Array) -> Array:
         """Root of the filtered covariance from that of the predicted one."""
         return _parted(_update_array(part, L), len(part.H))[2]
 
-    def sample(self, y: ArrayLike) -> NDArray[np.float64]:
+    def sample(self, y: ArrayLike) -> Array:
         """A sample as float64 (m,).
 
         Raises
@@ -177,127 +188,27 @@ class SquareRoot:
                              expected="finite numbers, NaN where a channel is missing")  # fmt: skip
         return y
 
-    def _updated(self, made: NDArray, part: Present, x: NDArray, y: NDArray) -> tuple[State, Innovation]:
+    def _updated(self, made: Array, part: Present, x: Array, y: Array) -> tuple[FilterState, Innovation]:
         m = len(part.H)
         root, gain, L = _parted(made, m)
         rest = y[part.mask] - part.H @ x
         if m and not np.all(np.diag(root)):
             raise InputError("a channel without noise repeats what is known exactly", where="FilterModel.LR",
                              found="a singular covariance of the innovation", expected="noise on it")  # fmt: skip
-        white = forward(root, rest)
+        white = solve_lower(root, rest)
         nis = float(white @ white)
         loglik = -0.5 * (nis + m * LOG2PI) - float(np.sum(np.log(np.abs(np.diag(root)))))
         e = np.full(len(y), np.nan)
         e[part.mask] = rest
         kept = y if self.model.S is not None else None
-        return State(x + gain @ white, L, kept), Innovation(e, root, gain, part.mask, nis, loglik)
+        return FilterState(x + gain @ white, L, kept), Innovation(e, root, gain, part.mask, nis, loglik)
 
 
-@dataclass(frozen=True, eq=False)
-class Filtered:
-    """A record after the filter.
-
-    Parameters
-    ----------
-    model : FilterModel
-    Y : array, shape (samples, m)
-    load, std : array, shape (samples, p)
-    nis, loglik : array, shape (samples,)
-    normalised : array, shape (samples, m)
-        Innovation of each channel over its own std; NaN where missing.
-    last : State
-        After the last sample.
-    kept : Kept, optional
-        States and roots of every sample, for the smoothers.
-    """
-
-    model: FilterModel
-    Y: NDArray[np.float64]
-    load: NDArray[np.float64]
-    std: NDArray[np.float64]
-    nis: NDArray[np.float64]
-    loglik: NDArray[np.float64]
-    normalised: NDArray[np.float64]
-    last: State
-    kept: Kept | None = None
-
-    @cached_property
-    def count(self) -> NDArray[np.int_]:
-        """Channels present in each sample (samples,)."""
-        return np.sum(np.isfinite(self.Y), axis=1)
-
-
-@dataclass(frozen=True, eq=False)
-class Kept:
-    """States of every sample: x (samples, n), L (samples, n, n); innovations with their roots and gains, as a list."""
-
-    x: NDArray[np.float64]
-    L: NDArray[np.float64]
-    innovations: list[Innovation]
-
-
-def filter(
-    model: FilterModel, Y: ArrayLike, *, keep: bool = False, progress: Callable[[float, str], None] | None = None
-) -> Filtered:
-    """Filter a record Y (samples, m), NaN where a channel is missing; the first sample updates `model.x0`, `L0`.
-
-    Parameters
-    ----------
-    model : FilterModel
-    Y : array, shape (samples, m)
-    keep : bool
-        Keep the states and roots of all samples, for the smoothers: 8 n^2 bytes a sample.
-    progress : callable, optional
-        Called with the share of the samples that are done.
-
-    Raises
-    ------
-    InputError
-        A record of the wrong shape, or infinite numbers.
-    """
-    Y = checked(model, Y)
-    core, N = SquareRoot(model), len(Y)
-    load, std, normalised = np.empty((N, model.p)), np.empty((N, model.p)), np.empty(Y.shape)
-    nis, loglik = np.empty(N), np.empty(N)
-    kept = Kept(np.empty((N, model.n)), np.zeros((N, model.n, model.n)), []) if keep else None
-    state = core.start()
-    for k in range(N):
-        state, said = core.advance(state, Y[k]) if k else core.update(state, Y[k])
-        load[k], std[k] = model.Cp @ state.x, np.linalg.norm(model.Cp @ state.L, axis=1)
-        nis[k], loglik[k], normalised[k] = said.nis, said.loglik, said.normalised
-        if kept is not None:
-            kept.x[k], kept.L[k, :, : state.L.shape[1]] = state.x, state.L
-            kept.innovations.append(said)
-        if progress is not None and k % 256 == 0:
-            progress(k / N, "filtering")
-    return Filtered(model, Y, load, std, nis, loglik, normalised, state, kept)
-
-
-def checked(model: FilterModel, Y: ArrayLike) -> NDArray[np.float64]:
-    """A record as float64 (samples, m).
-
-    Raises
-    ------
-    InputError
-        Another shape, or infinite numbers.
-    """
-    Y = np.asarray(plain(Y), float)
-    if Y.ndim != 2 or Y.shape[1] != model.m or not len(Y):
-        raise InputError("the record does not fit the model", where="record", found=f"shape {Y.shape}",
-                         expected=f"(samples, {model.m}), at least one sample")  # fmt: skip
-    infinite = np.argwhere(np.isinf(Y))
-    if len(infinite):
-        sample, channel = infinite[0]
-        raise InputError("an infinite number in a record", where=f"channel {channel}, sample {sample}",
-                         expected="finite numbers, NaN where a channel is missing")  # fmt: skip
-    return Y
-
-
-def _there(y: NDArray | None, m: int) -> NDArray[np.bool_]:
+def _there(y: Array | None, m: int) -> NDArray[np.bool_]:
     return np.zeros(m, bool) if y is None else np.isfinite(y)
 
 
-def _update_array(part: Present, L: NDArray) -> NDArray[np.float64]:
+def _update_array(part: Present, L: Array) -> Array:
     """The array of an update, made triangular."""
     m = len(part.H)
     wide = np.zeros((m + len(L), m + L.shape[1]))
@@ -312,6 +223,6 @@ def _stack(before: Present, now: Present) -> Stack:
     return Stack(before, now, np.vstack([now.H @ before.F, before.F]), square(lower(noise)))
 
 
-def _parted(made: NDArray, m: int) -> tuple[NDArray, NDArray, NDArray]:
+def _parted(made: Array, m: int) -> tuple[Array, Array, Array]:
     """Root of Se (m, m), gain (n, m), root (n, at most n) out of a triangular array."""
     return made[:m, :m], np.ascontiguousarray(made[m:, :m]), np.ascontiguousarray(made[m:, m:])

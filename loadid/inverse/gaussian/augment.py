@@ -21,20 +21,21 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from structures.errors import InputError, NotIdentifiable, positive, reals, shown
 from structures.model import Model, as_model
 from structures.models.discretise import continuous
 
-from .model import FilterModel, lower, near_rest, step
+from .model import FilterModel, near_rest
 from .priors import Companion, Prior, White, diagonal
+from .roots import Array, lower, step
 
 OPEN = 1e3  # noise stds of a sensor's offset before the first sample, where none is stated
 SAME = 1e-9  # asymmetry of a matrix, against its size, that is rounding
 
 
-def noise_root(noise: ArrayLike, m: int) -> NDArray[np.float64]:
+def noise_root(noise: ArrayLike, m: int) -> Array:
     """Lower triangular root of the noise of the sensors."""
     LR = covariance_root(noise, m, "noise")
     if np.any(np.diag(LR) <= 0):
@@ -43,7 +44,7 @@ def noise_root(noise: ArrayLike, m: int) -> NDArray[np.float64]:
     return LR
 
 
-def covariance_root(given: ArrayLike, count: int, name: str) -> NDArray[np.float64]:
+def covariance_root(given: ArrayLike, count: int, name: str) -> Array:
     """Lower triangular root of a covariance given as stds or as a matrix."""
     array = reals(given, where=name)
     if array.ndim < 2:
@@ -58,13 +59,13 @@ def covariance_root(given: ArrayLike, count: int, name: str) -> NDArray[np.float
         raise InputError("no covariance", where=name, found=f"shape {array.shape}",
                          expected=f"({count},) stds, or ({count}, {count}), symmetric and finite")  # fmt: skip
     try:  # in units of the stds: channels differ by many decades
-        return unit[:, None] * np.linalg.cholesky(array / unit[:, None] / unit)
+        return np.asarray(unit[:, None] * np.linalg.cholesky(array / unit[:, None] / unit))
     except np.linalg.LinAlgError:
         raise InputError("a covariance that is not positive definite", where=name, found=shown(given),
                          expected="positive definite", hint="is one a copy of another?") from None  # fmt: skip
 
 
-def spread_root(given: ArrayLike, count: int, name: str) -> NDArray[np.float64]:
+def spread_root(given: ArrayLike, count: int, name: str) -> Array:
     """Root (count, any) from a std, stds, or a root; columns of zeros are left out."""
     array = reals(given, where=name)
     if array.ndim == 2 and len(array) == count and np.all(np.isfinite(array)):
@@ -73,7 +74,7 @@ def spread_root(given: ArrayLike, count: int, name: str) -> NDArray[np.float64]:
     return np.diag(stds)[:, stds > 0]
 
 
-def levels(given: ArrayLike, count: int, name: str) -> NDArray[np.float64]:
+def levels(given: ArrayLike, count: int, name: str) -> Array:
     """Stds (count,), none negative."""
     array = reals(given, where=name)
     if array.shape not in ((), (count,)) or not np.all(np.isfinite(array)) or np.any(array < 0):
@@ -86,12 +87,12 @@ def levels(given: ArrayLike, count: int, name: str) -> NDArray[np.float64]:
 class Offsets:
     """Offsets of sensors in multiples of their noise: noise of a step, start, rows."""
 
-    LQ: NDArray[np.float64]
-    L0: NDArray[np.float64]
-    rows: NDArray[np.float64]
+    LQ: Array
+    L0: Array
+    rows: Array
 
 
-def offsets(bias: ArrayLike, start: ArrayLike | None, noise: NDArray, dt: float) -> Offsets:
+def offsets(bias: ArrayLike, start: ArrayLike | None, noise: Array, dt: float) -> Offsets:
     """Of the sensors that drift (std that a second adds, `bias`) or start anywhere (std, `start`), all (sensors,)."""
     m = len(noise)
     rate = levels(bias, m, "bias")
@@ -105,7 +106,7 @@ def offsets(bias: ArrayLike, start: ArrayLike | None, noise: NDArray, dt: float)
 HOLDS = ("foh", "zoh", "joint")
 SINGULAR = 1e13  # condition above which a structure has no static state
 
-Parts = tuple[NDArray, NDArray, NDArray, NDArray]
+Parts = tuple[Array, Array, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,13 +116,13 @@ class Matrices:
     Under the first-order hold of a model with modes those in continuous time (A, B) stand in `rates` beside.
     """
 
-    A: NDArray[np.float64]
-    B: NDArray[np.float64]
-    C: NDArray[np.float64]
-    D: NDArray[np.float64]
+    A: Array
+    B: Array
+    C: Array
+    D: Array
     dt: float
     hold: str
-    rates: tuple[NDArray, NDArray] | None = None
+    rates: tuple[Array, Array] | None = None
 
     @classmethod
     def of(cls, model: Any, dt: float, hold: str | None) -> Matrices:
@@ -140,7 +141,7 @@ class Matrices:
                              hint="put a basis of fixed loads along its way")  # fmt: skip
         return cls(known.A, known.B, known.C, known.D, known.dt, hold, _rates(model) if hold == "foh" else None)
 
-    def static(self) -> NDArray[np.float64]:
+    def static(self) -> Array:
         """States in equilibrium with constant loads of one (nx, loads)."""
         rest = -self.A if self.hold == "joint" else np.eye(len(self.A)) - self.A
         if len(rest) and np.linalg.cond(rest) > SINGULAR:
@@ -162,7 +163,7 @@ class Matrices:
         LQ = diagonal([rest, LQz])
         return F, LQ, H, L0
 
-    def displaced(self, model: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def displaced(self, model: Model) -> tuple[Array, Array]:
         """Displacements where and as the loads act, of the states (loads, nx) and of the loads (loads, loads).
 
         Those of the modes: what the modes left out add under a static load is not among them.
@@ -179,13 +180,13 @@ class Matrices:
             return C, np.zeros((len(C), len(C)))
         return C, C @ np.hstack([self._pushed(rates[0], b[:, None])[1] for b in rates[1].T])
 
-    def _pushed(self, A: NDArray, b: NDArray) -> tuple[NDArray, NDArray]:
+    def _pushed(self, A: Array, b: Array) -> tuple[Array, Array]:
         """What a load does to the states at the end of a step (nx, 1): with its value before it, and after it."""
         n, line = len(A), np.diag([1.0], 1)  # of the load: a value and a slope
         held, ramp = _exponential(self.dt * np.block([[A, b, 0 * b], [np.zeros((2, n)), line]]))[:n, n:].T[:, :, None]
         return held - ramp / self.dt, ramp / self.dt
 
-    def _beside(self, prior: Prior, load: int) -> NDArray[np.float64]:
+    def _beside(self, prior: Prior, load: int) -> Array:
         """Root of what a load does to the states within a step beside its straight line (nx, any), in the long run.
 
         From one step to the next it is correlated a little, and with the noise of the load: taken as white it makes
@@ -221,20 +222,20 @@ def _continuous(model: Model) -> Parts:
     return continuous(model.reduced)
 
 
-def _rates(model: Model) -> tuple[NDArray, NDArray] | None:
+def _rates(model: Model) -> tuple[Array, Array] | None:
     """A and B in continuous time of a model that has modes and constant matrices; None of any other."""
     if model.reduced is None or model.reduced.moving or model.reduced.loss != 0:
         return None
     return continuous(model.reduced)[:2]
 
 
-def _exponential(A: NDArray) -> NDArray[np.float64]:
+def _exponential(A: Array) -> Array:
     from scipy.linalg import expm
 
     return np.asarray(expm(A))
 
 
-def held_over(A: NDArray, B: NDArray, dt: float) -> NDArray[np.float64]:
+def held_over(A: Array, B: Array, dt: float) -> Array:
     """State that a load of one, held over a step, leaves behind."""
     n, p = B.shape
     return _exponential(dt * np.block([[A, B], [np.zeros((p, n + p))]]))[:n, n:]
@@ -305,7 +306,7 @@ def augment(
         thousand noise stds wide where nothing is said.
     dummy : float, optional
         Std in m within which every load is believed to leave the structure near its rest, at each sample and where it
-        acts: a prior, not data (see `dummy.near_rest`). It needs a model with modes.
+        acts: a prior, not data (see `model.near_rest`). It needs a model with modes.
 
     Returns
     -------
@@ -326,7 +327,7 @@ def augment(
     if ambient is not None:
         pushes, heard = _disturbances(structure, ambient)
         LQx, LR, S = np.hstack([LQx, pushes]), lower(LR, heard), pushes @ heard.T
-    kinds = _finite(_priors(priors, p), np.linalg.solve(LR, structure.D))
+    kinds = _finite(_priors(priors, p), np.asarray(np.linalg.solve(LR, structure.D)))
     F, LQ, Hz, Lz = (structure.jointly if structure.hold == "joint" else structure.held)(kinds)
     drift = offsets(bias, bias_start, np.linalg.norm(LR, axis=1), dt)
     states, carried = _start(start, structure, Hz @ Lz)
@@ -349,7 +350,7 @@ def augment(
     return near_rest(made, np.hstack([own, direct @ Hz, np.zeros((p, c))]), dummy)
 
 
-def _start(start: Any, structure: Matrices, loads: NDArray) -> tuple[NDArray, NDArray]:
+def _start(start: Any, structure: Matrices, loads: Array) -> tuple[Array, Array]:
     """Roots of the first states: their own (nx, any), and what a root of the first loads (loads, any) makes of them."""
     nx = len(structure.A)
     if not isinstance(start, str):
@@ -359,7 +360,7 @@ def _start(start: Any, structure: Matrices, loads: NDArray) -> tuple[NDArray, ND
     return np.zeros((nx, 0)), structure.static() @ loads
 
 
-def _disturbances(own: Matrices, ambient: Ambient) -> tuple[NDArray, NDArray]:
+def _disturbances(own: Matrices, ambient: Ambient) -> tuple[Array, Array]:
     """What ambient loads of one do to the states (nx, loads), and to the sensors (sensors, loads)."""
     if not isinstance(ambient, Ambient):
         raise InputError("no ambient loads", where="ambient", found=shown(ambient), expected="Ambient(model, sd)")
@@ -386,7 +387,7 @@ def _priors(priors: Any, loads: int) -> list[Prior]:
     return kinds
 
 
-def _finite(priors: Sequence[Prior], heard: NDArray) -> list[Prior]:
+def _finite(priors: Sequence[Prior], heard: Array) -> list[Prior]:
     """White loads of infinite std as ones far beyond what a sample resolves; `heard` is the whitened feedthrough."""
     free = [i for i, prior in enumerate(priors) if isinstance(prior, White) and prior.sd == math.inf]
     if not free:

@@ -1,1 +1,0 @@
-"""Filters of structures with unknown loads: priors of loads, square-root recursions, steady gains, smoothing."""
