@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import Deconvolution, FrequencyInversion, LoadEstimate, LoadTracker, SparseDeconvolution, recommend
+from loadid import Deconvolution, FrequencyInversion, Lambda, LoadEstimate, LoadTracker, SparseDeconvolution, recommend
 from loadid.families.recommend import Recommendation
 from loadid.inverse.constraints import NonNegative
 from structures import ForwardModel
@@ -105,7 +105,7 @@ def family(kind: Any, **settings: Any) -> Callable[..., LoadEstimate]:
 METHODS: dict[str, Callable[..., LoadEstimate]] = {
     "FRF inversion": family(FrequencyInversion, signal="transient"),
     "Tikhonov": family(Deconvolution),
-    "truncated SVD": family(Deconvolution, method="tsvd"),
+    "truncated SVD": family(Deconvolution, choice=Lambda(method="tsvd")),
     "non-negative": family(Deconvolution, constraints=[NonNegative()]),
     "l1, spikes": family(SparseDeconvolution),
     "l1, pulses": family(SparseDeconvolution, dictionary="bspline"),

@@ -94,10 +94,11 @@ def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
     InputError
         One that it does not take.
     """
-    from inspect import signature
+    from ..settings import ARGUMENTS, folded
 
+    written = ARGUMENTS[family.__name__]
     given = {key: value for key, value in options.items() if value is not None}
-    taken = [name for name, p in signature(family).parameters.items() if p.kind is p.KEYWORD_ONLY]
+    taken = [name for name in (*written.defaults, *written.former) if name != "model"]
     if given.get("nonnegative") and "nonnegative" not in taken and "constraints" in taken:
         from ..inverse.constraints import NonNegative
 
@@ -113,7 +114,7 @@ def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
         )
     if given.get("penalty") == arguments.NONE:
         given["penalty"] = None
-    return given
+    return folded(family, given)
 
 
 def _with_contradiction(error: InputError, record: Record) -> InputError:

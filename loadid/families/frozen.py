@@ -19,8 +19,9 @@ from .. import guards
 from ..inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from ..inverse.posterior import FramesPosterior
 from ..results.estimate import LoadEstimate
+from ..settings import Absolute
 from .data import LARGEST, Readings, readings
-from .posing.steady import Absolute, Steady
+from .posing.steady import Steady
 
 if TYPE_CHECKING:
     from .static import StaticInversion
@@ -155,7 +156,7 @@ def calibrate(family: StaticInversion, records: Sequence[Any]) -> Calibration:
     alone = [family.choose(family.pose(g)).lam for g in given]
     posed = family.pose(_together(given))
     joint = family.choose(posed)
-    told = posed.noise.known and family.noise is None and family.model.noise is None
+    told = posed.noise.known and not family.noise.stated and family.model.noise is None
     positive = np.array([x for x in alone if x > 0] or [1.0])
     names = [g.name if g.data is not None else f"record {i + 1}" for i, g in enumerate(given)]
     return Calibration(
@@ -367,7 +368,7 @@ def _fixed(family: StaticInversion, posed: Steady) -> float:
         return family.calibration.lam
     if isinstance(family.choice, Absolute):
         return family.choice.relative(posed.base)
-    return float(family.choice)  # type: ignore[arg-type]
+    return float(family.choice)
 
 
 def each_frame(family: StaticInversion, given: Readings) -> LoadEstimate:

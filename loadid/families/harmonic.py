@@ -16,15 +16,16 @@ from .. import guards
 from ..inverse import rules
 from ..inverse.choice import choose, residual_level
 from ..inverse.diagnosis import diagnose
-from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource, NoiseSourceLike
+from ..inverse.noise_source import NOT_KNOWN, STATED
 from ..inverse.problem import LinearProblem
 from ..inverse.svd import SVDPath
 from ..results.archive import provenance
 from ..results.estimate import Axis, LoadEstimate
+from ..settings import ChoiceLike, Guards, Lambda, Noise, takes
 from . import smoothness as spatial
 from .data import rows_of
 from .field import told_apart
-from .noise import Noise, graded, noise_level, unexplained_by
+from .noise import NoiseLevel, graded, noise_level, unexplained_by
 from .smoothness import geometry
 
 Complex = NDArray[np.complex128]
@@ -48,13 +49,11 @@ class HarmonicInversion:
         Spatial prior; see `spatial.root`. None: ``|W G| = |G|``.
     length : float, optional
         Length of the spatial prior (m).
-    choice : str, float or None
+    choice : str, callable, float, None or Lambda
         Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
-    noise : float or array (sensors,), optional
+    noise : float, array (sensors,) or Noise, optional
         Standard deviation of the complex amplitudes, ``sqrt(mean |error|^2)``.
-    noise_source : NoiseSource, str or (str, str), optional
-        Where that level comes from.
-    sensors, allow, coverage, progress
+    sensors, allow, progress
         As in `Deconvolution`.
 
     Raises
@@ -65,6 +64,7 @@ class HarmonicInversion:
 
     name = "harmonic inversion"
 
+    @takes(choice=(Lambda, ""), noise=(Noise, "source"), allow=(Guards, "coverage"))
     def __init__(
         self,
         model: Model,
@@ -72,19 +72,18 @@ class HarmonicInversion:
         *,
         space: str | ArrayLike | None = None,
         length: float | None = None,
-        choice: str | float | None = None,
-        noise: ArrayLike | None = None,
-        noise_source: NoiseSourceLike = None,
+        choice: ChoiceLike = None,
+        noise: ArrayLike | Noise | None = None,
         sensors: Sequence[str | int] | None = None,
-        allow: Sequence[str] = (),
-        coverage: Any = None,
+        allow: Sequence[str] | Guards = (),
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
         self.model = as_model(model, "HarmonicInversion", "frf")
         self.frequency = positive("frequency", frequency, where="HarmonicInversion", unit="Hz")
-        self.space, self.length, self.choice = space, length, choice
-        self.noise, self.noise_source, self.sensors = noise, NoiseSource.of(noise_source), sensors
-        self.allow, self.coverage = guards.allowed(allow), coverage
+        self.space, self.length, self.choice = space, length, Lambda.of(choice).choice
+        self.noise, self.sensors = Noise.of(noise), sensors
+        told_of = Guards.of(allow)
+        self.allow, self.coverage = told_of.codes, told_of.coverage
         self._progress = progress or (lambda fraction, text: None)
         self.basis = model.basis
         self.rows = rows_of(sensors, model)
@@ -204,25 +203,22 @@ class HarmonicInversion:
         return _Posed(SVDPath(problem, labels=[f"{part} {c.label}" for part in ("Re", "Im") for c in self.model.loads]),
                       noise)  # fmt: skip
 
-    def _noise(self, Y: Complex) -> Noise:
+    def _noise(self, Y: Complex) -> NoiseLevel:
         """Std of the real and of the imaginary part of each amplitude; else a scale per unit."""
         count = len(self.rows)
-        if self.noise is not None:
-            try:
-                level = np.broadcast_to(np.asarray(plain(self.noise), float), (count,))
-            except (TypeError, ValueError):
-                level = np.full(count, np.nan)
-            if not np.all(np.isfinite(level)) or np.any(level <= 0):
-                raise InputError("the noise does not fit the sensors", where="noise", found=str(self.noise)[:80],
+        if self.noise.stated:
+            level = np.asarray(self.noise.std, float)
+            if level.shape not in ((), (count,)) or np.any(level <= 0):
+                raise InputError("the noise does not fit the sensors", where="noise", found=str(self.noise.std)[:80],
                                  expected=f"a positive number, or ({count},)")  # fmt: skip
-            return Noise(level / np.sqrt(2), True, self.noise_source or STATED)
+            return NoiseLevel(np.broadcast_to(level, (count,)) / np.sqrt(2), True, self.noise.origin or STATED)
         units = [self.model.sensors[i].unit for i in self.rows]
         size = {u: np.sqrt(np.mean([abs(y) ** 2 for y, v in zip(Y, units, strict=True) if v == u])) for u in units}
         if not all(size.values()):
             raise InputError("all amplitudes of a kind are zero", where="estimate",
                              found=[u for u, s in size.items() if s == 0], expected="a response",
                              hint="state the noise of the amplitudes (noise=)")  # fmt: skip
-        return Noise(np.array([size[u] for u in units]), False, NOT_KNOWN)
+        return NoiseLevel(np.array([size[u] for u in units]), False, NOT_KNOWN)
 
     @property
     def _free(self) -> bool:
@@ -289,7 +285,7 @@ class _Posed:
     """A line as a real problem, and its noise."""
 
     path: SVDPath
-    noise: Noise
+    noise: NoiseLevel
 
     def discrepancy(self, factor: float) -> float | None:
         """Lambda of the discrepancy rule at a multiple of the noise level."""

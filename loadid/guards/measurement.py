@@ -229,7 +229,7 @@ def no_coverage(coverage: Any) -> Flag | None:
             Advice(
                 Spelling("run", "test it in Python:"),
                 " loadid.validate.checks(...) with loads like yours",
-                Spelling(" and pass coverage=", ""),
+                Spelling(" and pass allow=Guards(coverage=...)", ""),
             ),
         )
     if share >= level - COVERED:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice, Option
 from structures.errors import InputError
 
 from . import rules
@@ -77,7 +78,8 @@ def choose(name: str, sweep: LineSweep) -> NDArray[np.float64]:
         raise InputError(f"the rule {name} cannot run here", where="choice", found=str(why),
                          expected="another rule or a relative lambda") from None  # fmt: skip
     known = ", ".join((*FUNCTIONS, *CROSSINGS))
-    hint = "over='band' asks it of all lines together" if name in rules.RULES else ""
+    ask = Advice(Option("over", "band", within="choice=Lambda"), " asks it of all lines together")
+    hint = ask if name in rules.RULES else ""
     raise InputError("no rule for single lines", where="choice", found=repr(name), expected=f"one of {known}",
                      hint=hint)  # fmt: skip
 

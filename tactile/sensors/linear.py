@@ -15,6 +15,7 @@ from loadid.guards import collect
 from loadid.inverse.noise_source import NoiseSourceLike
 from loadid.results.archive import provenance
 from loadid.results.estimate import LoadEstimate
+from loadid.settings import Noise
 from structures.errors import InputError, positive
 from structures.flags import Flag, codes
 
@@ -149,7 +150,7 @@ class LinearSensor:
         self.resultant = resultant
         self.model = PadModel(H, sensors, [self.loads[i] for i in self.kept], basis, flags)
         self.family = StaticInversion(
-            self.model, penalty=penalty, choice=choice, noise_source=noise_source, allow=list(allow)
+            self.model, penalty=penalty, choice=choice, noise=Noise(source=noise_source), allow=list(allow)
         )
         self._about = about or {}
         self._offset = np.zeros(len(sensors))

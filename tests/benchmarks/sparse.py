@@ -15,7 +15,7 @@ from importlib.util import find_spec
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import Deconvolution, SparseDeconvolution
+from loadid import Deconvolution, SparseDeconvolution, Sparsity
 from loadid.inverse.sparse import dictionaries, lasso
 from loadid.inverse.sparse import lasso as workingset
 from loadid.inverse.sparse.atoms import ShiftedAtoms
@@ -134,7 +134,9 @@ def accuracy(seeds: int) -> float:
                 knots.append(splines.facts["knots"])
                 others = {
                     "spikes": SparseDeconvolution(model, **said),
-                    "pushing": SparseDeconvolution(model, dictionary="bspline", nonnegative=True, **said),
+                    "pushing": SparseDeconvolution(
+                        model, dictionary="bspline", sparsity=Sparsity(nonnegative=True), **said
+                    ),
                     "tikhonov": Deconvolution(model, **said),
                 }
                 loads = {name: family.estimate(y, 1 / halfsine.RATE).load for name, family in others.items()}

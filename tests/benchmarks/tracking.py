@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import LoadTracker, NotIdentifiable
+from loadid import LoadTracker, Noise, NotIdentifiable
 from loadid.families.tracking.tracker import Tracker
 from loadid.inverse.kalman.augment import Ambient, augment
 from loadid.inverse.kalman.model import FilterModel
@@ -61,7 +61,7 @@ def building(disp: tuple[int, ...] = (10,)) -> ForwardModel:
 
 def followed(case: Tracked, model: ForwardModel, **settings: Any) -> tuple[Score, Tracker]:
     """Fit to the record and track it from its first sample."""
-    tracker = LoadTracker(model, noise=case.noise, noise_source=KNOWN, **settings).fit(case.y, case.dt)
+    tracker = LoadTracker(model, noise=Noise(case.noise, source=KNOWN), **settings).fit(case.y, case.dt)
     load, std, _ = tracker.run(case.y)
     return score(load, std, case.load), tracker
 
@@ -95,7 +95,7 @@ def held(say: Verdict, seeds: int) -> None:
         write(f"{kind:9s}{tracked.judged(track, case)}\n")
     case = tracked.bm2("matern", disp=())
     try:
-        LoadTracker(building(()), prior="random_walk", noise=case.noise, noise_source=KNOWN).fit(case.y, case.dt)
+        LoadTracker(building(()), prior="random_walk", noise=Noise(case.noise, source=KNOWN)).fit(case.y, case.dt)
         said = "no refusal" + say("BM2 acc only", False)
     except NotIdentifiable as error:
         said = f"refused ({error.code})"
@@ -305,7 +305,7 @@ def drift(say: Verdict, seeds: int) -> None:
         model = beam(disp)
         refusal = "none"
         try:
-            LoadTracker(model, prior=walk, noise=case.noise, noise_source=KNOWN, hold="zoh").fit(case.y, case.dt)
+            LoadTracker(model, prior=walk, noise=Noise(case.noise, source=KNOWN), hold="zoh").fit(case.y, case.dt)
         except NotIdentifiable as error:
             refusal = error.code
         found, tracker = followed(case, model, prior=walk, hold="zoh", allow_drift=not disp, gate=None)

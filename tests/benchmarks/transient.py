@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from loadid import Deconvolution, FrequencyInversion, LoadEstimate
+from loadid import Deconvolution, FrequencyInversion, Lambda, LoadEstimate
 from structures import ImpulseModel, StateSpace
 from tests import frfplate
 from tests.frfplate import RATE, SAMPLES, TAPS, Transient
@@ -91,7 +91,7 @@ def package(case: Transient, full: bool) -> list[Row]:
         return lambda: FrequencyInversion(model, signal="transient", **settings).estimate(case.y, DT)
 
     def timed(**settings: object) -> Callable[[], LoadEstimate]:
-        return lambda: Deconvolution(model, path="fft", **settings).estimate(case.y, DT)
+        return lambda: Deconvolution(model, choice=Lambda(path="fft"), **settings).estimate(case.y, DT)
 
     runs = {
         LINES: lines(),
@@ -104,7 +104,9 @@ def package(case: Transient, full: bool) -> list[Row]:
     }
     if full:
         system = states()
-        runs[f"{TIME}, over states"] = lambda: Deconvolution(system, path="statespace").estimate(case.y, DT)
+        runs[f"{TIME}, over states"] = lambda: Deconvolution(system, choice=Lambda(path="statespace")).estimate(
+            case.y, DT
+        )
     return [estimated(name, case, run) for name, run in runs.items()]
 
 

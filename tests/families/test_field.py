@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loadid import FieldDeconvolution, HarmonicInversion, InputError, NotIdentifiable
+from loadid import FieldDeconvolution, HarmonicInversion, InputError, Lambda, Noise, NotIdentifiable
 from loadid.families import smoothness as spatial
 from loadid.families.field import told_apart
 from loadid.families.harmonic import complex_load
@@ -63,7 +63,7 @@ def whole(space, length=LENGTH):
 @pytest.mark.parametrize(("space", "time"), [("gradient", "identity"), ("laplacian", "first_difference")])
 def test_the_load_is_that_of_the_dense_problem(space, time, path):
     family = FieldDeconvolution(
-        MODEL, space=space, length=LENGTH, time=time, choice=0.02, noise=NOISE, noise_source="known", path=path
+        MODEL, space=space, length=LENGTH, time=time, choice=Lambda(0.02, path=path), noise=Noise(NOISE, source="known")
     )
     found = family.estimate(RECORD, DT)
     load, std = dense(whole(space), time, found.choice.lam * found.choice.scale)
@@ -88,9 +88,9 @@ def test_missing_samples():
 def test_the_variance_of_any_sum_and_its_bias_weights():
     """Against the dense covariance and resolution."""
     lam = 0.05
-    found = FieldDeconvolution(MODEL, space="gradient", length=LENGTH, choice=lam, noise=NOISE, path="dense").estimate(
-        RECORD, DT
-    )
+    found = FieldDeconvolution(
+        MODEL, space="gradient", length=LENGTH, choice=Lambda(lam, path="dense"), noise=NOISE
+    ).estimate(RECORD, DT)
     T, x, w = whole("gradient"), lam * found.choice.scale, RNG.standard_normal((N, 6))
     A = toeplitz(MODEL.impulse_response(DT, N)).reshape(-1, N * 6) / np.tile(NOISE, N)[:, None]
     precision = A.T @ A + x**2 * np.kron(np.eye(N), np.linalg.solve(T @ T.T, np.eye(6)))
@@ -139,9 +139,9 @@ def test_shapes_stand_for_a_basis():
     shapes = np.stack([np.sin(np.pi * x / 2), np.sin(2 * np.pi * x / 2)], axis=1)
     g = TRUTH[:, :2] @ shapes.T
     y = MODEL.predict(g, DT)
-    found = FieldDeconvolution(MODEL, shapes=shapes, choice=1e-4, noise=NOISE, path="dense").estimate(y, DT)
+    found = FieldDeconvolution(MODEL, shapes=shapes, choice=Lambda(1e-4, path="dense"), noise=NOISE).estimate(y, DT)
     assert np.linalg.norm(found.load - g) < 0.02 * np.linalg.norm(g)
-    again = FieldDeconvolution(MODEL, shapes=shapes, noise=NOISE, choice=0.3, path="statespace")
+    again = FieldDeconvolution(MODEL, shapes=shapes, noise=NOISE, choice=Lambda(0.3, path="statespace"))
     estimate = again.estimate(RECORD, DT)
     load, std = dense(shapes, "identity", estimate.choice.lam * estimate.choice.scale)
     assert estimate.load == pytest.approx(load, abs=1e-8 * np.abs(load).max())
@@ -167,7 +167,7 @@ def test_a_result_is_kept_whole(tmp_path):
 
 def test_the_motion_of_an_estimate_is_in_equilibrium_and_is_the_response():
     whole = ForwardModel(BEAM, GAUGES, HATS)
-    family = FieldDeconvolution(whole, noise=NOISE, path="dense")
+    family = FieldDeconvolution(whole, noise=NOISE, choice=Lambda(path="dense"))
     found = family.estimate(RECORD, DT)
     motion = family.motion(found)
     assert motion.imbalance() < 1e-10

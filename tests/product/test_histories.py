@@ -15,7 +15,7 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 
-from loadid import Deconvolution, NotIdentifiable
+from loadid import Deconvolution, Lambda, NotIdentifiable
 from loadid.inverse import penalties, rules
 from loadid.inverse.convolved import windows
 from structures import ImpulseModel, InputError
@@ -46,7 +46,7 @@ def check(kind, path, penalty, choice, options, count=2):
     if choice is False or (penalty == "none" and choice not in (None, 0)):
         expected = {"choice"}
     family, refused, undetermined = (
-        partial(Deconvolution, histories.model(kind, count), path=path, choice=choice),
+        partial(Deconvolution, histories.model(kind, count), choice=Lambda(choice, path=path)),
         None,
         False,
     )
@@ -184,8 +184,9 @@ def test_several_windows(monkeypatch, penalty, gap):
     if gap:
         y[70:74] = np.nan
     lam = 10.0 ** -(2 + histories.ORDERS[penalty])  # of a scale that grows with the order
-    said = {"penalty": histories.PENALTIES[penalty], "choice": lam, "noise": noise}
-    estimate = Deconvolution(ImpulseModel(h, DT, kind="held"), path="windows", **said).estimate(y, dt=DT)
+    said = {"penalty": histories.PENALTIES[penalty], "noise": noise}
+    said["choice"] = Lambda(lam, path="windows")
+    estimate = Deconvolution(ImpulseModel(h, DT, kind="held"), **said).estimate(y, dt=DT)
     H, data = reference.whitened(reference.convolution(h), y, noise)
     problem = reference.Problem(H, data, reference.differences(histories.ORDERS[penalty], len(y)))
     expected = problem.solution(estimate.choice.lam * estimate.choice.scale)

@@ -9,14 +9,14 @@ from structures.models.statespace import StateSpace
 from .. import noise as noises
 from ..data import Data
 from .paths import DENSE, MOST, TAPS, at_rest_in_place, convolved, convolved_measured, dense, state_space_of, states
-from .posed import PATHS, UNUSABLE, Posed, Settings, diagonal, lines, measured_lines, shift
+from .posed import UNUSABLE, Posed, PosingSettings, diagonal, lines, measured_lines, shift
 
-__all__ = ["PATHS", "UNUSABLE", "Posed", "Settings", "diagonal", "pose"]
+__all__ = ["UNUSABLE", "Posed", "PosingSettings", "diagonal", "pose"]
 
 SMALL = 1000  # unknowns up to which a factorisation, which tells more, is about as quick
 
 
-def pose(model: Model, data: Data, settings: Settings) -> Posed:
+def pose(model: Model, data: Data, settings: PosingSettings) -> Posed:
     """Problem of a record, on the path that was asked for or that fits.
 
     ``auto``: dense up to some thousand unknowns, where penalties are matrices, and without regularisation; beyond, and
@@ -31,11 +31,11 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
         No usable diagonal (LID-E506), different steps, or what the path does not take.
     """
     if model.sampled:
-        if settings.path in ("dense", "statespace"):
-            raise InputError("a measured model has no such path", where="path", found=repr(settings.path),
+        if settings.lam.path in ("dense", "statespace"):
+            raise InputError("a measured model has no such path", where="path", found=repr(settings.lam.path),
                              expected="'auto', 'fft', 'toeplitz' or 'windows'")  # fmt: skip
         beyond_lines = settings.signed is not False or (data.missing.any() and not settings.truncated)
-        if settings.path in ("toeplitz", "windows") or (settings.path == "auto" and beyond_lines):
+        if settings.lam.path in ("toeplitz", "windows") or (settings.lam.path == "auto" and beyond_lines):
             return convolved_measured(model, data, settings)
         settings.refuse_special("line by line")
         return measured_lines(model, data, settings)
@@ -45,7 +45,7 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
     still = system is not None and system.moving
     h = impulse_of(at_rest_in_place(system) if still and system else model, data.dt, taps, hold)
     late = 0 if still else shift(h[:, data.rows], model, settings.allow)
-    noise = noises.resolve(settings.noise, settings.noise_source, model, data)
+    noise = noises.resolve(settings.noise, model, data)
     if kind == "statespace":
         assert system is not None
         return states(system, h[late:], late, noise, data, settings)
@@ -57,28 +57,28 @@ def pose(model: Model, data: Data, settings: Settings) -> Posed:
     return lines(h, values, noise, data, settings)
 
 
-def _kind(model: Model, data: Data, settings: Settings) -> tuple[str, StateSpace | None]:
+def _kind(model: Model, data: Data, settings: PosingSettings) -> tuple[str, StateSpace | None]:
     """Name of the path, and the state space if it is that one."""
-    if model.moving and settings.path in ("auto", "statespace"):
+    if model.moving and settings.lam.path in ("auto", "statespace"):
         if settings.truncated:
             raise InputError("loads that move have no singular values to truncate", where="method", found="'tsvd'",
                              expected="method='tikhonov'")  # fmt: skip
         return "statespace", state_space_of(model, data.dt, settings.hold)
     unknowns = len(data.values) * len(model.loads)
     gaps, floating = bool(data.missing.any()), any(data.offsets)
-    if settings.path != "auto":
-        system = state_space_of(model, data.dt, settings.hold) if settings.path == "statespace" else None
-        if settings.path == "statespace" and system is None:
+    if settings.lam.path != "auto":
+        system = state_space_of(model, data.dt, settings.hold) if settings.lam.path == "statespace" else None
+        if settings.lam.path == "statespace" and system is None:
             raise InputError("the model has no state space", where="path", found="'statespace'",
                              expected="'dense' or 'toeplitz', or another model")  # fmt: skip
-        return settings.path, system
+        return settings.lam.path, system
     if settings.truncated:
         return ("dense" if unknowns <= DENSE else "fft"), None
     if not settings.named or settings.free or (unknowns <= SMALL and not (gaps or floating or settings.special)):
         return "dense", None
     system = state_space_of(model, data.dt, settings.hold)
-    if system is not None and (len(system.A) <= MOST or settings.special or settings.size is not None):
+    if system is not None and (len(system.A) <= MOST or settings.special or settings.penalty.size is not None):
         return "statespace", system
-    if settings.special or (settings.size is not None and (gaps or unknowns > DENSE)):
+    if settings.special or (settings.penalty.size is not None and (gaps or unknowns > DENSE)):
         settings.refuse_special("convolution")
     return ("dense" if unknowns <= DENSE and not gaps else "toeplitz"), None

@@ -30,75 +30,42 @@ from ...inverse.spectral import (
     window,
 )
 from ...inverse.sweep import RuleResult
+from ...settings import Lambda
 
 ROUNDS = 3  # of FRF errors, whose share of the noise depends on the loads
 LEAST = 0.01  # share of the shown noise that stays noise of the response
 SMALLEST = 1e-100  # relative lambda whose square is still a number
 POOL = 20  # lines to either side that a noise level of a rule rests on
-OVER = ("neighbours", "line", "band")
-METHODS = ("tikhonov", "tsvd")
 
 
-@dataclass(frozen=True)
-class Rule:
-    """How lines are regularised.
-
-    Parameters
-    ----------
-    method : ``"tikhonov"`` or ``"tsvd"``
-    choice : str, float or None
-        Rule, relative lambda or threshold; None is the evidence of the neighbouring lines (Tikhonov).
-    over : ``"neighbours"``, ``"line"`` or ``"band"``
-        Who decides: each line with its neighbours, alone, or all together.
-    neighbours : int
-        Lines to either side.
-    count : int, optional
-        Singular values kept on each line (truncated SVD).
-    size : array (loads,), optional
-        Expected relative size of the loads, which the penalty measures them by.
-    """
-
-    method: str = "tikhonov"
-    choice: str | float | None = None
-    over: str = "neighbours"
-    neighbours: int = 40
-    count: int | None = None
-    size: ArrayLike | None = None
+@dataclass(frozen=True, repr=False, eq=False)
+class Rule(Lambda):
+    """How lines are regularised: None is the evidence of the neighbouring lines (Tikhonov)."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+
         def need(good: bool, what: str, where: str, found: object, expected: str) -> None:
             if not good:
                 raise InputError(what, where=where, found=repr(found)[:80], expected=expected)
 
-        need(self.method in METHODS, "unknown method", "method", self.method, " or ".join(METHODS))
-        need(self.over in OVER, "who decides lambda?", "over", self.over, ", ".join(OVER))
-        whole = isinstance(self.neighbours, int | np.integer) and not isinstance(self.neighbours, bool)
-        need(whole and self.neighbours >= 0, "no number of lines", "neighbours", self.neighbours, "an integer >= 0")
-        whole = isinstance(self.count, int | np.integer) and not isinstance(self.count, bool)
-        need(self.count is None or (whole and self.count >= 1), "no number of singular values", "count", self.count,
-             "an integer >= 1")  # fmt: skip
         need(self.count is None or (self.method == "tsvd" and self.choice is None), "count is for truncation alone",
-             "count", self.count, "method='tsvd' without choice=")  # fmt: skip
-        if self.choice is not None and not isinstance(self.choice, str):
-            value = real(self.choice)
-            need(value is not None and np.isfinite(value) and value >= 0, "no relative lambda", "choice", self.choice,
-                 "a number >= 0, the name of a rule, or None")  # fmt: skip
+             "count", self.count, "method='tsvd' without a choice")  # fmt: skip
         need(self.size is None or not self.pooled, "the evidence of the lines finds the sizes itself", "size",
              self.size, "no size, or a rule (choice=)")  # fmt: skip
         if isinstance(self.choice, str):
             known = (*ruled.FUNCTIONS, *ruled.CROSSINGS)
             what = "no rule for frequency lines" if self.choice in rules.RULES else "unknown rule"
             need(self.choice in known, what, "choice", self.choice, ", ".join(known))
+        elif self.choice is not None:
+            value = real(self.choice)
+            need(value is not None and value >= 0, "no relative lambda", "choice", self.choice,
+                 "a number >= 0, the name of a rule, or None")  # fmt: skip
 
     @property
     def pooled(self) -> bool:
         """Whether the variances of loads and noise around each line are the regularisation."""
         return self.method == "tikhonov" and self.choice is None
-
-    @property
-    def free(self) -> bool:
-        """Least squares, without regularisation."""
-        return self.count is None and not isinstance(self.choice, str | None) and self.choice == 0
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.advice import Advice
 from structures.errors import InputError, plain
 from structures.model import Model
 from structures.models.statespace import StateSpace
@@ -34,13 +35,13 @@ from ...inverse.statespace.riccati import feedback
 from ...inverse.statespace.sized import SizedPath
 from ...inverse.svd import SVDPath
 from ..data import Data
-from ..noise import Noise
-from .posed import WHOLE, Posed, Settings, by_prediction, measured_response
+from ..noise import NoiseLevel
+from .posed import AUTO, BY_MATRIX, WHOLE, Posed, PosingSettings, by_prediction, measured_response
 
 DENSE = 2000  # unknowns of a matrix that fits a desk
 
 
-def dense(h: NDArray, values: NDArray, noise: Noise, data: Data, settings: Settings) -> Posed:
+def dense(h: NDArray, values: NDArray, noise: NoiseLevel, data: Data, settings: PosingSettings) -> Posed:
     """Problem of impulse responses (samples, sensors, loads) of all sensors of the model.
 
     Raises
@@ -57,16 +58,16 @@ def dense(h: NDArray, values: NDArray, noise: Noise, data: Data, settings: Setti
             where="penalty" if not settings.named else "path",
             found=f"{n} unknowns",
             expected=f"at most {2 * DENSE}",
-            hint="use a named penalty with lambda > 0 and path='auto', or a window",
+            hint=Advice("use a named penalty with lambda > 0 and ", AUTO, ", or a window"),
         )
     if data.missing.any():
         raise InputError(
             "the dense path takes no missing samples", where="record", found=data.gaps, expected="complete channels",
-            hint="use a named penalty, method='tikhonov', lambda > 0 and path='auto'",
+            hint=Advice("use a named penalty, Tikhonov, lambda > 0 and ", AUTO),
         )  # fmt: skip
     used = h[:, data.rows]
     T = toeplitz(used)
-    L = None if settings.penalty is None else penalties.matrix(settings.penalty, samples, loads)
+    L = None if settings.penalty.L is None else penalties.matrix(settings.penalty.L, samples, loads)
     if (sizes := settings.sizes(loads)) is not None:
         L = np.vstack([np.eye(n) if L is None else L, np.kron(np.eye(samples), np.diag(sizes))])
     path = SVDPath(LinearProblem.whitened(T, values, noise.level, L, (samples, loads)), truncated=settings.truncated)
@@ -80,7 +81,7 @@ def dense(h: NDArray, values: NDArray, noise: Noise, data: Data, settings: Setti
 
     kappa, _, _ = diagnose.layout(path.singular_values, n)
     layout = kappa, path.rank, max(n - path.rank, 0)
-    penalty = settings.penalty
+    penalty = settings.penalty.L
 
     def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
         if not isinstance(penalty, str):
@@ -113,7 +114,7 @@ def at_rest_in_place(system: StateSpace) -> StateSpace:
     return StateSpace(system.A, B, system.C, D, system.dt, system.hold, sensors=system.sensors, loads=system.loads)
 
 
-def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, settings: Settings) -> Posed:
+def states(system: StateSpace, h: NDArray, late: int, noise: NoiseLevel, data: Data, settings: PosingSettings) -> Posed:
     """Problem of a state space whose first `late` Markov parameters are zero.
 
     Parameters
@@ -126,9 +127,9 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     InputError
         An initial state that does not fit, loads that move over another number of samples, or a penalty without a name.
     """
-    if not isinstance(settings.penalty, str):
+    if not isinstance(settings.penalty.L, str):
         raise InputError("the state-space path takes a named penalty", where="penalty", found="a matrix or None",
-                         expected=f"one of {names()}; a matrix goes by path='dense'")  # fmt: skip
+                         expected=Advice(f"one of {names()}; a matrix goes by ", BY_MATRIX))  # fmt: skip
     C, D = _advanced(system, late)
     rows, values, missing = data.rows, data.values[late:], data.missing[late:]
     start = _start(system, settings)
@@ -152,13 +153,14 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
         return forward(plain, feedback(plain), np.ascontiguousarray(load, float), first)[2]
 
     known = respond(np.zeros((len(values), D.shape[-1])), start) if isinstance(start, np.ndarray) else 0.0
-    extra = {"leak": settings.leak, "from_zero": settings.from_zero, "unknown_start": seen}
-    systems = _systems(A, B, C[rows], D[..., rows, :], len(values), settings.penalty, **extra)
+    extra = {"leak": settings.penalty.leak, "from_zero": settings.penalty.from_zero, "unknown_start": seen}
+    systems = _systems(A, B, C[rows], D[..., rows, :], len(values), settings.penalty.L, **extra)
     own = measured(systems, np.where(missing, np.nan, values - known), noise.level)
     long = len(values) > WHOLE_STATES
     if sizes is not None and unknown:
         raise InputError("with a weight of the size the start of the structure is known", where="initial",
-                         found="'unknown'", expected="'rest' or a state", hint="leave out size=")  # fmt: skip
+                         found="'unknown'", expected="'rest' or a state",
+                         hint="leave out the size of the penalty")  # fmt: skip
     path = StateSpacePath(own, quick=long) if sizes is None else SizedPath(own, sizes, quick=long)
     judged = (windows_of(path) or path) if long and sizes is None else path
 
@@ -173,7 +175,7 @@ def states(system: StateSpace, h: NDArray, late: int, noise: Noise, data: Data, 
     full = None
     if len(rows) < len(C):
         size = np.sqrt(np.mean(h**2, axis=(0, 2)))
-        everything = _systems(A, B, C, D, len(values), settings.penalty, **extra)
+        everything = _systems(A, B, C, D, len(values), settings.penalty.L, **extra)
         full = layout(measured(everything, np.zeros((len(values), len(C))), np.where(size > 0, size, 1.0)))
 
     def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
@@ -216,7 +218,7 @@ def _advanced(system: StateSpace, late: int) -> tuple[NDArray, NDArray]:
     return before @ system.A, before @ system.B
 
 
-def _start(system: StateSpace, settings: Settings) -> str | NDArray[np.float64]:
+def _start(system: StateSpace, settings: PosingSettings) -> str | NDArray[np.float64]:
     if isinstance(settings.initial, str):
         return settings.initial
     x0 = np.asarray(plain(settings.initial), float)
@@ -241,10 +243,10 @@ class Coloured:
     raw: NDArray[np.float64]
     h: NDArray[np.float64]
     y: NDArray[np.float64]
-    noise: Noise
+    noise: NoiseLevel
 
 
-def coloured(model: Model, data: Data, settings: Settings) -> Coloured:
+def coloured(model: Model, data: Data, settings: PosingSettings) -> Coloured:
     """Whiten a record and its measured model in time.
 
     Raises
@@ -264,7 +266,7 @@ def coloured(model: Model, data: Data, settings: Settings) -> Coloured:
         h, y = _whitened(raw[:, data.rows], data.values, power)
     level = np.sqrt(np.mean(power, axis=0))
     source = replace(noise.source, text=f"{noise.source}, with the errors of the FRFs, white in time", white=True)
-    return Coloured(raw, h, y, Noise(level, noise.known, source))
+    return Coloured(raw, h, y, NoiseLevel(level, noise.known, source))
 
 
 def _whitened(h: NDArray, y: NDArray, power: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -281,7 +283,9 @@ FEW = 4096  # samples of a record whose lines tell as much as those of a longer 
 LAYOUT = 1e-12  # share of the largest line below which a line says nothing
 
 
-def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data: Data, settings: Settings) -> Posed:
+def convolved(
+    h: NDArray, values: NDArray, missing: NDArray, noise: NoiseLevel, data: Data, settings: PosingSettings
+) -> Posed:
     """Problem of impulse responses (taps, sensors, loads) of all sensors of the model.
 
     Raises
@@ -289,9 +293,9 @@ def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data:
     InputError
         A penalty without a name, a start that is not at rest, or a covariance beside missing samples.
     """
-    if not isinstance(settings.penalty, str):
+    if not isinstance(settings.penalty.L, str):
         raise InputError("the Toeplitz path takes a named penalty", where="penalty", found="a matrix or None",
-                         expected=f"one of {names()}; a matrix goes by path='dense'")  # fmt: skip
+                         expected=Advice(f"one of {names()}; a matrix goes by ", BY_MATRIX))  # fmt: skip
     if missing.any() and noise.level.ndim == 2:
         raise InputError("missing samples take a noise std per sensor, not a covariance", where="noise",
                          found=f"covariance {noise.level.shape}", expected=f"({len(data.rows)},)")  # fmt: skip
@@ -300,15 +304,15 @@ def convolved(h: NDArray, values: NDArray, missing: NDArray, noise: Noise, data:
 
 
 def _posed(
-    h: NDArray, h_white: NDArray, y_white: NDArray, values: NDArray, missing: NDArray, noise: Noise, data: Data,
-    settings: Settings,
+    h: NDArray, h_white: NDArray, y_white: NDArray, values: NDArray, missing: NDArray, noise: NoiseLevel, data: Data,
+    settings: PosingSettings,
 ) -> Posed:  # fmt: skip
     """Problem of whitened impulse responses of the used sensors and whitened data."""
     settings.refuse_special("Toeplitz")
-    used, samples, penalty = h[:, data.rows], len(values), settings.penalty
+    used, samples, penalty = h[:, data.rows], len(values), settings.penalty.L
     assert isinstance(penalty, str)
     weight = (~missing).astype(float) if missing.any() else None
-    pieces = settings.path == "windows" or (settings.path == "auto" and samples > WHOLE and weight is None)
+    pieces = settings.lam.path == "windows" or (settings.lam.path == "auto" and samples > WHOLE and weight is None)
     h_white = heard(h_white)
     path = (WindowedPath if pieces else ConvolvedPath)(h_white, y_white, penalty, weight)
     judged = (beginning_of(path) or path) if pieces else path
@@ -333,7 +337,7 @@ def _posed(
     return Posed(path, noise, compare, values, name, used, visible, full, n, judged, pushing)
 
 
-def convolved_measured(model: Model, data: Data, settings: Settings) -> Posed:
+def convolved_measured(model: Model, data: Data, settings: PosingSettings) -> Posed:
     """The same for a measured model, its noise made white in time; with gaps, at its mean level.
 
     Raises
@@ -341,13 +345,13 @@ def convolved_measured(model: Model, data: Data, settings: Settings) -> Posed:
     InputError
         As `convolved`, and a record of another step.
     """
-    if not isinstance(settings.penalty, str):
+    if not isinstance(settings.penalty.L, str):
         raise InputError("the Toeplitz path takes a named penalty", where="penalty", found="a matrix or None",
-                         expected=f"one of {names()}; a matrix goes by path='dense'")  # fmt: skip
+                         expected=Advice(f"one of {names()}; a matrix goes by ", BY_MATRIX))  # fmt: skip
     if data.missing.any():
         h, line_noise = measured_response(model, data, settings)
         level = np.sqrt(np.mean(line_noise.power, axis=0) / len(data.values))
-        noise = Noise(level, line_noise.known, line_noise.source)
+        noise = NoiseLevel(level, line_noise.known, line_noise.source)
         return convolved(h, data.values, data.missing, noise, data, settings)
     white = coloured(model, data, settings)
     return _posed(white.raw, white.h, white.y, data.values, data.missing, white.noise, data, settings)

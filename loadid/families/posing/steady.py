@@ -21,10 +21,11 @@ from ...inverse.choice import Choice, choose, residual_level
 from ...inverse.constrained.path import ConstrainedPath
 from ...inverse.constrained.solver import soft
 from ...inverse.diagnosis import diagnose
-from ...inverse.noise_source import NOT_KNOWN, NoiseSource
-from ...inverse.path import RegularizationPath, Solution
+from ...inverse.noise_source import NOT_KNOWN
+from ...inverse.path import Solution
 from ...inverse.problem import LinearProblem, whiten
 from ...inverse.svd import SVDPath
+from ...settings import Absolute, Noise
 from .. import noise as noises
 from .. import smoothness
 from ..data import Readings
@@ -32,25 +33,6 @@ from ..noise import noise_level
 
 if TYPE_CHECKING:
     from ..static import StaticInversion
-
-
-@dataclass(frozen=True)
-class Absolute:
-    """A lambda in the units of the problem, kept only where it must be (flag W307).
-
-    Parameters
-    ----------
-    lam : float
-        Absolute lambda of the whitened problem.
-    """
-
-    lam: float
-
-    def relative(self, path: RegularizationPath) -> float:
-        """The relative lambda that it is on this path."""
-        if isinstance(self.lam, bool) or not (np.isfinite(self.lam) and self.lam >= 0):
-            raise InputError("no lambda", where="choice", found=self.lam, expected="a finite number >= 0")
-        return float(self.lam / path.scale)
 
 
 @dataclass(frozen=True)
@@ -65,7 +47,7 @@ class Steady:
         Path of the problem without its constraints.
     path : RegularizationPath
         With them.
-    noise : Noise
+    noise : NoiseLevel
     full : (kappa, rank, nullity) or None
         Conditioning with all sensors of the model, where only some are used.
     channels : tuple of Channel
@@ -75,7 +57,7 @@ class Steady:
     H: NDArray[np.float64]
     base: SVDPath
     path: Any
-    noise: noises.Noise
+    noise: noises.NoiseLevel
     full: tuple[float, int, int] | None
     channels: tuple[Channel, ...]
 
@@ -181,9 +163,7 @@ def pose(
     L: NDArray[np.float64] | None,
     truncated: bool,
     constraints: Sequence[Any],
-    noise: Any,
-    source: NoiseSource | None,
-    interpolation: ArrayLike | None,
+    noise: Noise,
 ) -> Steady:
     """Whiten, factorise, constrain.
 
@@ -196,7 +176,7 @@ def pose(
     """
     rows = H[given.rows]
     _refuse_silent(rows, given.channels)
-    level = noises.steady(noise, source, interpolation, model, given)
+    level = noises.steady(noise, model, given)
     y = given.values[0] if given.axis is None else given.values
     labels = [c.label for c in model.loads]
     base = SVDPath(LinearProblem.whitened(rows, y, level.level, L), truncated=truncated, labels=labels)
@@ -211,7 +191,7 @@ def pose(
 
 def _shown(base: SVDPath) -> float:
     """Noise level that the data show without constraints: what soft resultants weigh against if nobody stated it."""
-    return noise_level(base, choose(base), noises.Noise(None, False, NOT_KNOWN)) or 1.0
+    return noise_level(base, choose(base), noises.NoiseLevel(None, False, NOT_KNOWN)) or 1.0
 
 
 def _refuse_silent(H: NDArray[np.float64], channels: Sequence[Channel]) -> None:
@@ -333,7 +313,7 @@ def settings(family: StaticInversion, posed: Steady) -> dict[str, Any]:
         "constraint_kinds": [type(c).__name__ for c in family.constraints],
         "path": posed.solved_by,
         "noise_source": posed.noise.source.text,
-        "interpolated": family.interpolation is not None,
+        "interpolated": family.noise.interpolation is not None,
         "sensors": None if family.sensors is None else [str(s) for s in family.sensors],
     }
 

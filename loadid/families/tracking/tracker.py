@@ -23,11 +23,10 @@ from . import fit as recipe
 from . import samples as blocks
 from .certificate import Certificate
 from .fit import Fitted, pack, unpack
-from .running import ENGINES, Running
+from .running import Running
 from .samples import Replay, inside
 
 __all__ = [
-    "ENGINES",
     "Fitted",
     "Tracker",
 ]
