@@ -114,6 +114,9 @@ class Setting:
     def __hash__(self) -> int:
         return hash(repr(self))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _made, (type(self), {n: dict(v) if isinstance(v, Mapping) else v for n, v in self.said()})
+
     def _put(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
 
@@ -124,6 +127,10 @@ class Setting:
             array = reals(value, what=what, where=name)
             array.flags.writeable = False
             self._put(name, array if array.ndim else float(array))
+
+
+def _made(kind: type[Setting], values: dict[str, Any]) -> Setting:
+    return kind(**values)
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -92,7 +92,7 @@ def errors(y, noise, q, places, steps=STEPS, **settings) -> tuple[float, float]:
     """Error at the chosen lambda, and the smallest at lambdas so many decades from it."""
     basis = bases.hats(plate(), (3, 3))
     under = model(basis)
-    asked = {"noise": noise, "noise_source": "known", **settings}
+    asked = {"noise": Noise(noise, source="known"), **settings}
     found = FieldDeconvolution(under, **asked).estimate(y, DT)
     at = [float(found.choice.lam * 10**s) for s in steps if s]
     others = [FieldDeconvolution(under, choice=lam, **asked).estimate(y, DT).load for lam in at]

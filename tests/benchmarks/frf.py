@@ -31,6 +31,7 @@ from loadid import FrequencyInversion, Spectra
 from loadid.families.posing.fitting import Rule, fit
 from loadid.inverse import ruled
 from loadid.inverse.spectral import compress, factor
+from loadid.settings import Lambda
 from structures import FrfModel
 from tests import frfplate
 from tests.frfplate import KINDS, Lines
@@ -39,9 +40,9 @@ DEFAULT, CORE = "loadid, whole estimate", "loadid, loads and std"
 OURS: dict[str, dict[str, Any]] = {
     DEFAULT: {},
     "loadid, GCV of neighbours": {"choice": "gcv"},
-    "loadid, GCV per line": {"choice": "gcv", "over": "line"},
-    "loadid, L-curve per line": {"choice": "l_curve", "over": "line"},
-    "loadid, TSVD by GCV": {"method": "tsvd"},
+    "loadid, GCV per line": {"choice": Lambda("gcv", over="line")},
+    "loadid, L-curve per line": {"choice": Lambda("l_curve", over="line")},
+    "loadid, TSVD by GCV": {"choice": Lambda(method="tsvd")},
 }
 PEER_DEFAULT, PEER_VALIDATION = "forcefinder, L-curve (default)", "forcefinder, LOO cross-validation"
 LIMITS = {"accelerance": (0.145, 0.40), "mobility": (0.200, 0.26), "receptance": (0.75, 1.0)}  # med, glob

@@ -19,6 +19,7 @@ from loadid import Deconvolution, SparseDeconvolution, Sparsity
 from loadid.inverse.sparse import dictionaries, lasso
 from loadid.inverse.sparse import lasso as workingset
 from loadid.inverse.sparse.atoms import ShiftedAtoms
+from loadid.settings import Noise
 from structures import ImpulseModel
 from tests import halfsine
 
@@ -127,7 +128,7 @@ def accuracy(seeds: int) -> float:
             knots, spent = [], []
             for seed in range(seeds):
                 y, g = halfsine.record(width, noise, seed)
-                said = {"noise": halfsine.level(halfsine.respond(g), noise), "noise_source": "unloaded record"}
+                said = {"noise": Noise(halfsine.level(halfsine.respond(g), noise), source="unloaded record")}
                 start = time.process_time()
                 splines = SparseDeconvolution(model, dictionary="bspline", **said).estimate(y, 1 / halfsine.RATE)
                 spent.append(time.process_time() - start)

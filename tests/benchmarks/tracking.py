@@ -25,6 +25,7 @@ from loadid.inverse.kalman.priors import OU, RandomWalk, White
 from loadid.inverse.kalman.settled import Loop
 from loadid.inverse.kalman.squareroot import filter as recursive
 from loadid.inverse.kalman.steady import steady
+from loadid.settings import ModelErrors
 from structures import ForwardModel, StateSpace
 from structures.elements import beams, chains
 from structures.system import damping, loads, sensors
@@ -123,7 +124,7 @@ def wrong(say: Verdict, seeds: int) -> None:
         ways: dict[str, dict[str, Any]] = {
             "nothing done": {},
             "error declared": {"model_error": {"stiffness": share}},
-            "stiffness tuned": {"scales": ("stiffness",)},
+            "stiffness tuned": {"model_error": ModelErrors(scales=("stiffness",))},
         }
         for name, settings in ways.items():
             found, whiteness = [], []

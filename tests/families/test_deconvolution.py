@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, Lambda, Noise, Record
+from loadid.settings import folded
 from structures import Channel, ForwardModel, ImpulseModel, InputError, MeasuredModel, NotIdentifiable, StateSpace
 from structures.elements import beams
 from structures.system import damping, loads, sensors
@@ -195,7 +196,7 @@ class TestRefusals:
     )
     def test_settings(self, settings, words):
         with pytest.raises(InputError, match=words):
-            Deconvolution(make_model(), **settings)
+            Deconvolution(make_model(), **folded(Deconvolution, settings))
 
     @pytest.mark.parametrize(
         ("choice", "words"),

@@ -14,6 +14,7 @@ from loadid.inverse.convolution import toeplitz
 from loadid.inverse.posterior import from_arrays
 from loadid.inverse.statespace.posterior import MappedPosterior
 from loadid.results.estimate import Axis
+from loadid.settings import folded
 from loadid.zones import harmonic_power, mean_power
 from structures import ForwardModel, ImpulseModel, bases
 from structures.elements import beams
@@ -216,7 +217,7 @@ def test_ranks():
 )
 def test_bad_settings_are_refused_at_once(changed, says):
     with pytest.raises(InputError, match=says):
-        FieldDeconvolution(MODEL, **changed)
+        FieldDeconvolution(MODEL, **folded(FieldDeconvolution, changed))
 
 
 def test_a_map_wants_a_line_and_time():
@@ -358,7 +359,7 @@ class TestAddedPenalties:
 
     def family(self, **settings):
         asked = {"space": "gradient", "length": LENGTH, "ratio": self.RATIO, "choice": 0.02, "noise": NOISE}
-        return FieldDeconvolution(MODEL, **{**asked, **settings})
+        return FieldDeconvolution(MODEL, **folded(FieldDeconvolution, {**asked, **settings}))
 
     @pytest.mark.parametrize("path", ["dense", "statespace"])
     @pytest.mark.parametrize("time", ["identity", "first_difference", "second_difference"])

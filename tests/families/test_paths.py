@@ -7,6 +7,7 @@ import pytest
 
 from loadid import Deconvolution, Guards, Lambda, Penalty
 from loadid.inverse.constraints import Bounds, NonNegative
+from loadid.settings import folded
 from structures import ForwardModel, ImpulseModel, InputError, StateSpace
 from structures.elements import beams
 from structures.system import damping, loads, sensors
@@ -79,7 +80,8 @@ def test_a_response_that_begins_a_sample_late(penalty):
     _, y, noise = case(own, samples=160)
     settings = {"hold": "zoh", "noise": noise, "choice": 0.01, "penalty": penalty}
     dense, states = (
-        Deconvolution(own, choice=Lambda(path=p), **settings).estimate(y, dt=DT) for p in ("dense", "statespace")
+        Deconvolution(own, **folded(Deconvolution, {"path": p, **settings})).estimate(y, dt=DT)
+        for p in ("dense", "statespace")
     )
     assert states.load.shape == (159, 1)
     assert states.load == pytest.approx(dense.load, abs=1e-8 * np.abs(dense.load).max())

@@ -8,6 +8,7 @@ import pytest
 from loadid import Absolute, InputError, Noise, NotIdentifiable, Record, StaticInversion, load
 from loadid.families.frozen import Frozen
 from loadid.inverse.constraints import NonNegative, Resultant, Support
+from loadid.settings import folded
 from structures import Channel, ForwardModel, MatrixModel, bases
 from structures.elements import beams
 from structures.flags import codes
@@ -329,7 +330,7 @@ def test_bad_settings():
     for settings in ({"penalty": "rough"}, {"penalty": np.ones((2, 5))}, {"method": "magic"}, {"choice": "wish"},
                      {"choice": -1.0}, {"penalty": None, "choice": 0.1}, {"sensors": ["g0", "g0"]}):  # fmt: skip
         with pytest.raises(InputError):
-            StaticInversion(wing(), **settings).estimate(np.ones(6) * 1e-5)
+            StaticInversion(wing(), **folded(StaticInversion, settings)).estimate(np.ones(6) * 1e-5)
 
 
 def test_flags_have_words():
