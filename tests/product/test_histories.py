@@ -9,7 +9,6 @@ own way.
 
 from __future__ import annotations
 
-from functools import partial
 from itertools import combinations, product
 
 import numpy as np
@@ -18,6 +17,7 @@ import pytest
 from loadid import Deconvolution, Lambda, NotIdentifiable
 from loadid.inverse import penalties, rules
 from loadid.inverse.convolved import windows
+from loadid.settings import folded
 from structures import ImpulseModel, InputError
 
 from . import histories, reference
@@ -45,13 +45,10 @@ def check(kind, path, penalty, choice, options, count=2):
     expected = histories.objections(kind, path, penalty, free, options)
     if choice is False or (penalty == "none" and choice not in (None, 0)):
         expected = {"choice"}
-    family, refused, undetermined = (
-        partial(Deconvolution, histories.model(kind, count), choice=Lambda(choice, path=path)),
-        None,
-        False,
-    )
+    refused, undetermined = None, False
     try:
-        estimate = family(**said).estimate(y, dt=DT)
+        said = folded(Deconvolution, {**said, "choice": choice, "path": path})
+        estimate = Deconvolution(histories.model(kind, count), **said).estimate(y, dt=DT)
     except InputError as error:
         refused = error
     except NotIdentifiable:
