@@ -284,6 +284,7 @@ def test_the_declared_class_of_load():
     _, y, noise = case(own)
 
     def found(**extra):
+        extra = folded(Deconvolution, extra)
         return {"W311", "W510"} & Deconvolution(own, noise=noise, **extra).estimate(y, dt=DT).codes
 
     assert found() == set()
