@@ -49,6 +49,7 @@ MEMORY = 1.5e9  # bytes of all factors together, up to which they are kept
 RIVALS = 3  # other basins that are refined too, for each load
 BESIDE = 2  # neighbours of the best from which the place is refined too: between candidates lie local minima
 HOPELESS = 2.0  # times the least objective above which a rival is given up after some steps
+LAM = 1e-3  # relative lambda of the search, where nobody says another
 LEVEL = 0.95  # of the chi-square set of candidates
 
 
@@ -109,7 +110,7 @@ class LocationSearch:
         model: Model,
         family: Callable[..., Any] = Deconvolution,
         *,
-        choice: float | Lambda = 1e-3,
+        choice: float | Lambda = LAM,
         search: Search = Search(),  # noqa: B008 -- immutable
         hold: str | None = None,
         noise: ArrayLike | Noise | None = None,
@@ -416,6 +417,7 @@ def _check_candidates(model: Model) -> None:
 
 def _one_lambda(given: Any) -> float:
     choice = given.choice if isinstance(given, Lambda) else given
+    choice = LAM if choice is None else choice
     if np.ndim(choice) > 0 or isinstance(choice, Mapping):
         raise found_flags.not_comparable("a lambda for each", f"{len(choice)} values")
     if Lambda.of(given).method == "tsvd":
