@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import LoadEstimate, LoadTracker
+from loadid import LoadEstimate, LoadTracker, Noise
 from loadid.inverse.gaussian.priors import Matern32
 from loadid.inverse.gaussian.steady import combined_std
 from structures import ForwardModel
@@ -148,7 +148,7 @@ def follow(true: Crossing) -> Followed:
     """Fit to the crossing and follow it sample by sample, as a stream would be."""
     stay = float(np.diff(PLACES)[0]) / SPEED
     tracker = LoadTracker(
-        model(), prior=Matern32(WEIGHT, stay), noise=true.noise, noise_source="data sheet"
+        model(), prior=Matern32(WEIGHT, stay), noise=Noise(true.noise, source="data sheet")
     ).fit(true.record, DT)  # fmt: skip
     assert tracker.fitted.settled is not None
     total = combined_std(tracker.fitted.settled, np.ones(len(PLACES)))

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import FrequencyInversion, LoadEstimate, Record, Spectra
+from loadid import FrequencyInversion, Lambda, LoadEstimate, Noise, Record, Spectra
 from structures import Channel, FrfModel, InputError, cross_spectra
 from structures.flags import Flag
 
@@ -215,7 +215,9 @@ def identified(number: int, calibration: Calibration) -> Identified:
     between = np.concatenate([np.arange(a, b + 1e-9, 1.25) for a, b in QUIET])
     noise = float(np.sqrt(np.median(np.abs(short_time(test["tip"], between)[1]) ** 2) / np.log(2)))
     family = FrequencyInversion(
-        calibration.model, neighbours=0, noise=noise, noise_source="lines of the record that nothing drives"
+        calibration.model,
+        choice=Lambda(neighbours=0),
+        noise=Noise(noise, source="lines of the record that nothing drives"),
     )  # tones: what stands on a line tells nothing of the next
     frames = [family.estimate(Spectra(lines, row[:, None])) for row in seen]
     first = record(1)

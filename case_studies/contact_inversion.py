@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import StaticInversion
+from loadid import Lambda, Noise, StaticInversion
 from loadid.inverse.constraints import Bounds, NonNegative, Resultant, Support
 from loadid.results.estimate import LoadEstimate
 from structures import Channel, MatrixModel
@@ -102,7 +102,7 @@ def methods(p: Array) -> dict[str, dict[str, Any]]:
     where = Support(np.flatnonzero(p > 1e-3 * p.max()))
     return {
         "least squares": {"penalty": None, "allow": ["E306", *QUIET]},
-        "truncated SVD": {"method": "tsvd", "choice": "gcv"},
+        "truncated SVD": {"choice": Lambda("gcv", method="tsvd")},
         "Tikhonov, L = I": {},
         "first difference": {"penalty": "first_difference"},
         "second difference": {"penalty": "second_difference"},
@@ -141,7 +141,7 @@ def table(t: float, profile: str = "bumps", layout: str = "every node", seeds: i
         for seed in range(seeds):
             y, sigma = readings(t, shape, layout, seed)
             family = StaticInversion(
-                forward, **{"noise": sigma, "noise_source": "repeatability", "allow": QUIET, **settings}
+                forward, **{"noise": Noise(sigma, source="repeatability"), "allow": QUIET, **settings}
             )
             estimate = family.estimate(y)
             found.append((*errors(estimate.load, p), estimate))

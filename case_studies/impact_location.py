@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import LocationResult, LocationSearch, Record
+from loadid import LocationResult, LocationSearch, Record, Search
 from structures import Channel, ForwardModel
 from structures.elements import beams, plates
 from structures.system import damping, loads, sensors
@@ -89,7 +89,7 @@ def beam_trials(
 ) -> Iterator[Trial]:
     """Every candidate as the truth, every noise level, `seeds` draws."""
     model = beam(seen)
-    search = LocationSearch(model, hold="zoh", refine=refine)
+    search = LocationSearch(model, hold="zoh", search=Search(refine=refine))
     h = model.impulse_response(DT, SAMPLES, "zoh")
     force = half_sine(SAMPLES, DT, 0.010, 0.005)
     for c, node in enumerate(NODES):
@@ -145,7 +145,7 @@ def mid_span(node: int = 12) -> LocationResult:
     model = beam((20,))
     h = model.impulse_response(DT, SAMPLES, "zoh")[:, :, NODES.index(node)]
     values = np.column_stack([np.convolve(h[:, 0], half_sine(SAMPLES, DT, 0.010, 0.005))[:SAMPLES]])
-    return LocationSearch(model, hold="zoh", refine=False, allow=["LID-E512"]).locate(values, DT)
+    return LocationSearch(model, hold="zoh", search=Search(refine=False), allow=["LID-E512"]).locate(values, DT)
 
 
 # -- the plate --------------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from loadid import Deconvolution, LoadEstimate
+from loadid import Deconvolution, Lambda, LoadEstimate, Noise
 from structures import ForwardModel
 from structures.elements import beams
 from structures.system import damping, loads, sensors
@@ -142,7 +142,9 @@ def study(samples: int = SAMPLES) -> Study:
     sigma = NOISE * float(np.std(clean))
     record = clean + sigma * np.random.default_rng(0).standard_normal(samples)
     start = time.process_time()
-    family = Deconvolution(beam, path="statespace", noise=[sigma], noise_source="quiet stretch of the laser")
+    family = Deconvolution(
+        beam, choice=Lambda(path="statespace"), noise=Noise([sigma], source="quiet stretch of the laser")
+    )
     estimate = family.estimate(record, dt=dt)
     assert estimate.std is not None
     return Study(beam, record, sigma, true, estimate, time.process_time() - start)

@@ -22,7 +22,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import Deconvolution, FrequencyInversion, LoadEstimate, LoadTracker, SparseDeconvolution, recommend
+from loadid import (
+    Deconvolution,
+    FrequencyInversion,
+    Lambda,
+    LoadEstimate,
+    LoadTracker,
+    Noise,
+    SparseDeconvolution,
+    recommend,
+)
 from loadid.families.recommend import Recommendation
 from loadid.inverse.constraints import NonNegative
 from structures import ForwardModel
@@ -105,7 +114,7 @@ def family(kind: Any, **settings: Any) -> Callable[..., LoadEstimate]:
 METHODS: dict[str, Callable[..., LoadEstimate]] = {
     "FRF inversion": family(FrequencyInversion, signal="transient"),
     "Tikhonov": family(Deconvolution),
-    "truncated SVD": family(Deconvolution, method="tsvd"),
+    "truncated SVD": family(Deconvolution, choice=Lambda(method="tsvd")),
     "non-negative": family(Deconvolution, constraints=[NonNegative()]),
     "l1, spikes": family(SparseDeconvolution),
     "l1, pulses": family(SparseDeconvolution, dictionary="bspline"),
@@ -152,7 +161,7 @@ class Column:
 def column(kind: str, seed: int = 0, methods: tuple[str, ...] = tuple(METHODS)) -> Column:
     """All methods on one load."""
     c = case(kind, seed)
-    noise = {"noise": c.noise, "noise_source": "data sheet"}
+    noise = {"noise": Noise(c.noise, source="data sheet")}
     cells = {name: cell(METHODS[name](model(), c.record, DT, **noise), c.force) for name in methods}
     advice = recommend(model(), c.record, DT, **noise)
     return Column(c, cells, advice, cell(advice.estimate(c.record, DT), c.force))

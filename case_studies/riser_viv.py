@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import FieldDeconvolution, HarmonicInversion, LoadEstimate
+from loadid import FieldDeconvolution, HarmonicInversion, LoadEstimate, Noise
 from loadid.families.harmonic import complex_load
 from loadid.zones import harmonic_power, mean_power
 from structures import ForwardModel, Structure, bases
@@ -127,7 +127,7 @@ def line_table(
     largest = np.array([np.abs(clean[kinds == k]).max() for k in kinds])
     out = {}
     for share in (0.001, 0.01, 0.05):
-        family = HarmonicInversion(model, frequency, choice=choice, noise=share * largest, noise_source="known")
+        family = HarmonicInversion(model, frequency, choice=choice, noise=Noise(share * largest, source="known"))
         rows, estimates = [], []
         for seed in range(seeds):
             rng = np.random.default_rng(seed)
@@ -222,7 +222,7 @@ def history(seed: int = 0, counts: tuple[int, int] = FULL) -> History:
     record = clean + noise * np.random.default_rng(seed).standard_normal(clean.shape)
     hats = bases.hats(riser, PLACES)
     few = ForwardModel(riser, nodal.sensors, hats, modes=MODES)
-    family = FieldDeconvolution(few, space="gradient", noise=noise, noise_source="known")
+    family = FieldDeconvolution(few, space="gradient", noise=Noise(noise, source="known"))
     estimate = family.estimate(record, DT)
     whole = ForwardModel(riser, nodal.sensors, hats)
     found, known = motion(whole, estimate.load, DT), motion(nodal, forces, DT)

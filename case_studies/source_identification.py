@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import FrequencyInversion, LoadEstimate, Record
+from loadid import FrequencyInversion, Lambda, LoadEstimate, Record
 from loadid.results.functionals import in_words
 from loadid.sources import Contributions, Transfer, contributions, decibels, validate_on
 from loadid.sources.split import Split, split
@@ -52,10 +52,10 @@ HELD = ("desk", "wall", "lamp")
 PLAIN, DEFAULT = "default, FRFs taken as exact", "default"
 METHODS: dict[str, dict[str, Any]] = {
     "pseudo-inverse": {"choice": 0},
-    "truncated SVD, GCV": {"method": "tsvd"},
-    "Tikhonov, L-curve per line": {"choice": "l_curve", "over": "line"},
-    "Tikhonov, GCV per line": {"choice": "gcv", "over": "line"},
-    "Tikhonov, one lambda, GCV": {"choice": "gcv", "over": "band"},
+    "truncated SVD, GCV": {"choice": Lambda(method="tsvd")},
+    "Tikhonov, L-curve per line": {"choice": Lambda("l_curve", over="line")},
+    "Tikhonov, GCV per line": {"choice": Lambda("gcv", over="line")},
+    "Tikhonov, one lambda, GCV": {"choice": Lambda("gcv", over="band")},
     PLAIN: {},
     DEFAULT: {},
 }

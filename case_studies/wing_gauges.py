@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import LoadEstimate, StaticInversion
+from loadid import LoadEstimate, Noise, StaticInversion
 from loadid.inverse.constraints import NonNegative
 from loadid.validate import PressureMat, ReferenceWrench, Validation, validate
 from structures import ForwardModel, Structure, bases
@@ -144,7 +144,7 @@ def table(seeds: int = 9) -> list[Row]:
     data, rows = [measured(seed) for seed in range(seeds)], []
     for name, (basis, settings) in methods().items():
         family = StaticInversion(
-            ForwardModel(wing(48), gauges(), basis), noise_source="data sheet", allow=QUIET, **settings
+            ForwardModel(wing(48), gauges(), basis), noise=Noise(source="data sheet"), allow=QUIET, **settings
         )
         weights = basis.resultant(about=(0.0,))
         found = []

@@ -26,16 +26,20 @@ class Option:
         What it is set to; None names the setting alone, ``noise=`` and ``--noise``.
     flag : str, optional
         Name of the option of the command line, where it differs.
+    within : str, optional
+        Argument and class that hold it in Python: ``"choice=Lambda"`` makes ``choice=Lambda(path='dense')``.
     """
 
     name: str
     value: Any = None
     flag: str = ""
+    within: str = ""
 
     @property
     def python(self) -> str:
         """As a keyword argument."""
-        return f"{self.name}=" if self.value is None else f"{self.name}={self.value!r}"
+        text = f"{self.name}=" if self.value is None else f"{self.name}={self.value!r}"
+        return f"{self.within}({text})" if self.within else text
 
     @property
     def command(self) -> str:

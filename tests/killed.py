@@ -17,6 +17,7 @@ import numpy as np
 from loadid.families.kalman import LoadTracker
 from loadid.families.tracking.tracker import Tracker
 from loadid.inverse.gaussian.priors import Matern32
+from loadid.settings import folded
 
 from .tracked import bm2
 
@@ -26,7 +27,9 @@ ROOT = Path(__file__).resolve().parent.parent
 def fitted(samples: int = 1500, **settings: object) -> tuple[Tracker, np.ndarray]:
     """Tracker of the ten-storey building with a given prior, and its record."""
     case = bm2("matern", 0, samples=samples)
-    tracker = LoadTracker(case.setup.space("foh"), prior=Matern32(100.0, 0.1), noise=case.noise, **settings)  # type: ignore[arg-type]
+    tracker = LoadTracker(
+        case.setup.space("foh"), prior=Matern32(100.0, 0.1), noise=case.noise, **folded(LoadTracker, settings)
+    )  # type: ignore[arg-type]
     return tracker.fit(case.y, case.dt), case.y
 
 

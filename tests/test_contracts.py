@@ -13,6 +13,7 @@ from loadid import (
     HarmonicInversion,
     LoadTracker,
     LocationSearch,
+    Search,
     SparseDeconvolution,
     Spectra,
     StaticInversion,
@@ -337,7 +338,7 @@ USERS = {
     "FrequencyInversion": (lambda m: FrequencyInversion(m, signal="transient"), {"OwnFrf", *IN_TIME}),
     "HarmonicInversion": (lambda m: HarmonicInversion(m, 80.0), {"OwnFrf"}),
     "LoadTracker": (lambda m: LoadTracker(m), {"OwnStates"}),
-    "LocationSearch": (lambda m: LocationSearch(m, refine=False), IN_TIME),
+    "LocationSearch": (lambda m: LocationSearch(m, search=Search(refine=False)), IN_TIME),
     "SparseDeconvolution": (lambda m: SparseDeconvolution(m), IN_TIME),
     "StaticInversion": (lambda m: StaticInversion(m), {"OwnStatic"}),
 }

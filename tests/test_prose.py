@@ -16,6 +16,7 @@ from loadid import (
     Deconvolution,
     FrequencyInversion,
     LoadTracker,
+    Noise,
     NoiseSource,
     NotIdentifiable,
     Record,
@@ -54,7 +55,7 @@ def static(source: Any, **settings: Any) -> Any:
     clean = H @ np.exp(-(((x - 0.45) / 0.1) ** 2) / 2)
     sigma = 0.01 * float(np.sqrt(np.mean(clean**2)))
     model = MatrixModel(H, sensors=[Channel(label=f"s{i}", quantity="displacement", unit="m") for i in range(16)])
-    family = StaticInversion(model, noise=sigma, noise_source=source, **settings)
+    family = StaticInversion(model, noise=Noise(sigma, source=source), **settings)
     return family.estimate(clean + sigma * RNG(0).standard_normal(16))
 
 
@@ -69,12 +70,12 @@ def impulse() -> tuple[ImpulseModel, np.ndarray, np.ndarray]:
 
 def deconvolution(source: Any) -> Any:
     model, y, sigma = impulse()
-    return Deconvolution(model, noise=sigma / 4, noise_source=source).estimate(y, 1e-3)  # a level that is too low
+    return Deconvolution(model, noise=Noise(sigma / 4, source=source)).estimate(y, 1e-3)  # a level that is too low
 
 
 def sparse(source: Any) -> Any:
     model, y, sigma = impulse()
-    return SparseDeconvolution(model, noise=sigma, noise_source=source).estimate(y, 1e-3)
+    return SparseDeconvolution(model, noise=Noise(sigma, source=source)).estimate(y, 1e-3)
 
 
 def frequency(source: Any) -> Any:
@@ -89,7 +90,7 @@ def tracker(source: Any) -> Any:
     model = made()
     y = model.predict(np.convolve(RNG(3).standard_normal(300), np.hanning(40))[:300, None], DT)
     sigma = 0.02 * y.std(axis=0)
-    family = LoadTracker(model, prior=Matern32(5.0, 0.1), noise=sigma / 3, noise_source=source, allow_drift=True)
+    family = LoadTracker(model, prior=Matern32(5.0, 0.1), noise=Noise(sigma / 3, source=source), allow=["LID-E501"])
     return family.estimate(y + sigma * RNG(4).standard_normal(y.shape), DT)
 
 
@@ -152,7 +153,7 @@ def test_a_source_is_a_kind_a_pair_or_a_text() -> None:
         with pytest.raises(InputError, match="no source of a noise level"):
             NoiseSource.of(wrong)
     with pytest.raises(InputError, match="no source"):
-        Deconvolution(impulse()[0], noise_source=("bogus", "text"))
+        Deconvolution(impulse()[0], noise=Noise(source=("bogus", "text")))
 
 
 def test_files_keep_the_kind_and_those_of_release_0_1_are_read(tmp_path: Any) -> None:

@@ -107,6 +107,7 @@ def _fitted(args: Namespace, progress: Any) -> Tracker:
     from ..families.kalman import LoadTracker
     from ..families.tracking.tracker import Tracker
     from ..readers import read
+    from ..settings import Noise, folded
 
     made = _made(args)
     model = load_model(args.model)
@@ -115,12 +116,12 @@ def _fitted(args: Namespace, progress: Any) -> Tracker:
     if "prior" in given and len(given["prior"]) == 1:
         given["prior"] = given["prior"][0]
     if "noise" in given:
-        given |= {"noise": _noise(given["noise"], [c.label for c in model.sensors]), "noise_source": "--noise"}
+        given["noise"] = Noise(_noise(given["noise"], [c.label for c in model.sensors]), source="--noise")
     if "start" in given:
         given["start"] = 0.0 if given["start"] == "rest" else "static"
     if given.get("gate") == 0:
         given["gate"] = None
-    family = LoadTracker(model, **given, progress=progress)
+    family = LoadTracker(model, **folded(LoadTracker, given), progress=progress)
     found = family.fit(read(args.fit, record=one_record(args), **settings(args)))
     told = replace(found.fitted, settings={**found.fitted.settings, COMMAND: made})
     tracker = Tracker(told, found.gate, found.lag, replay=found.replay, engine=found.engine)

@@ -91,11 +91,18 @@ def identify(
 
 
 def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
-    """The settings that were given, as the family takes them."""
-    from inspect import signature
+    """The settings that were given, as the family takes them.
 
+    Raises
+    ------
+    InputError
+        One that it does not take.
+    """
+    from ..settings import ARGUMENTS, folded
+
+    written = ARGUMENTS[family.__name__]
     given = {key: value for key, value in options.items() if value is not None}
-    taken = [name for name, p in signature(family).parameters.items() if p.kind is p.KEYWORD_ONLY]
+    taken = [name for name in (*written.defaults, *written.former) if name != "model"]
     if given.get("nonnegative") and "nonnegative" not in taken and "constraints" in taken:
         del given["nonnegative"]
         given["constraints"] = [*given.get("constraints", ()), NonNegative()]
@@ -105,7 +112,7 @@ def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
                          expected=f"some of {', '.join(taken)}")  # fmt: skip
     if given.get("penalty") == arguments.NONE:
         given["penalty"] = None
-    return given
+    return folded(family, given)
 
 
 def _with_contradiction(error: InputError, record: Record) -> InputError:

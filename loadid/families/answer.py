@@ -23,7 +23,7 @@ from ..inverse.diagnosis import diagnose
 from ..inverse.path import RegularizationPath, Solution
 from ..results.estimate import Axis, LoadEstimate
 from ..results.facts import Facts, provenance
-from .noise import Noise
+from .noise import NoiseLevel
 
 if TYPE_CHECKING:
     from .data import Data, Readings
@@ -96,7 +96,7 @@ class SolvedLoad:
 
 
 def of_path(
-    path: RegularizationPath, choice: Choice, solution: Solution, sigma: float, noise: Noise, *,
+    path: RegularizationPath, choice: Choice, solution: Solution, sigma: float, noise: NoiseLevel, *,
     layout: tuple[float, int, int], axis: Axis | None, response: Array, residual: Array, facts: Mapping[str, Any],
     load: Array | None = None, hidden_by: RegularizationPath | None = None, along: int = 0,
 ) -> SolvedLoad:  # fmt: skip
@@ -107,7 +107,7 @@ def of_path(
     solution : Solution
         At that lambda.
     sigma : float
-        Noise level of the whitened data.
+        NoiseLevel level of the whitened data.
     layout : (kappa, rank, nullity)
         Of the visible part.
     facts : mapping
@@ -141,7 +141,7 @@ def of_path(
     )  # fmt: skip
 
 
-def beyond_noise(residual2: float, m: float, noise: Noise) -> float | None:
+def beyond_noise(residual2: float, m: float, noise: NoiseLevel) -> float | None:
     """Residual of m whitened data over the stated noise, where noise alone never leaves so much."""
     return None if noise.sigma is None else unexplained(residual2, m, noise.sigma)
 

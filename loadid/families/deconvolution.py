@@ -16,13 +16,13 @@ from structures.model import Model, as_model
 
 from .. import guards
 from ..guards import families as told
-from ..inverse.choice import Choice, ChoiceLike, checked, choose, given, named
+from ..inverse.choice import Choice, checked, choose, given, named
 from ..inverse.constrained.nonnegative import NonNegativeSolution
 from ..inverse.diagnosis import diagnose
 from ..inverse.gaussian.coarse import confirm
-from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.penalties import order
 from ..results.estimate import LoadEstimate
+from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, takes
 from . import histories
 from .answer import SolvedLoad, answer, beyond_noise, of_path, over_time, undetermined
 from .data import Data, gather
@@ -30,7 +30,7 @@ from .histories import facts as pushing_facts
 from .histories import flags as pushing_flags
 from .histories import half_width, kurtosis, push, signs, without_offsets
 from .noise import noise_level
-from .posing import UNUSABLE, Posed, Settings, diagonal, pose
+from .posing import UNUSABLE, Posed, PosingSettings, diagonal, pose
 
 PROCESS = (
     "a load of zero mean and constant variance, white in time",
@@ -53,91 +53,63 @@ class Deconvolution:
     ----------
     model : Model
         Anything that gives ``impulse_response`` (and ``frf`` for measured models).
-    method : {"tikhonov", "tsvd"}
-    penalty : str, array or None
+    penalty : str, array, None or Penalty
         ``identity, first_difference, second_difference`` (``gradient``, ``laplacian``), a matrix of shape
-        (rows, samples * loads), or None for plain least squares, refused where the data do not determine the load.
-    choice : str, callable, float or None
+        (rows, samples * loads), or None for plain least squares, refused where the data do not determine the load;
+        beside it, what else holds the load: `loadid.Penalty`.
+    choice : str, callable, float, None or Lambda
         Rule by name or itself (`loadid.register_rule`), or relative lambda; None chooses as
-        `loadid.inverse.choice.choose` says.
-    path : {"auto", "dense", "statespace", "toeplitz", "windows", "fft"}
-        Solver; ``auto`` takes what fits the length, the model and the other settings (`loadid.families.posing.pose`).
+        `loadid.inverse.choice.choose` says. Truncation in place of Tikhonov and the solver: `loadid.Lambda`.
     initial : ``"rest"``, ``"unknown"`` or array (states,)
         State of the model at the first sample: at rest, an unknown of the data, or known. State-space path only.
-    leak : float, optional
-        The first difference becomes ``g_k - leak g_{k-1}``: a load that returns to zero by itself, for sensors that do
-        not see a constant. State-space path only.
-    from_zero : bool
-        The load is zero before the record, and a difference penalty counts its first step. State-space path only.
-    size : float or array (loads,), optional
-        The penalty becomes ``|L g|^2 + |size g|^2``: differences from sample to sample and the load itself are held
-        small together, a load that is correlated over 1 / size samples and returns to zero. Dense and state-space path.
     constraints : sequence of NonNegative
         Loads that only push (`loadid.inverse.constraints.NonNegative`). Lambda is then the largest at which such a load
         explains the data, where no rule was asked for by name; the std stays that of the load without signs, a bound.
     hold : {"foh", "zoh"}, optional
         How a load moves between samples; default the model's own, which is first order where it has a choice.
-    load_class : {"impact", "service"}, optional
-        Hammer blows and shocks, or a load that acts all the time: says when the prior does not fit it (W510, W311).
-        Impacts that the prior smears are said in any case.
-    noise : float or array, optional
-        Noise std of the sensors, (sensors,) or a covariance (sensors, sensors).
-    noise_source : NoiseSource, str or (str, str), optional
-        Where that level comes from: a kind (``"datasheet"``, ``"repeatability"``, ``"quiet"``, ...), a kind and a text,
-        or a `loadid.NoiseSource`; a text of another wording states no origin. Without an origin flag W406 is raised
-        when the level decides.
+    noise : float, array or Noise, optional
+        Noise std of the sensors, (sensors,) or a covariance (sensors, sensors); with where it comes from:
+        `loadid.Noise`.
     sensors : sequence of str or int, optional
         Sensors of the model to use; default all.
-    allow : sequence of str
-        Guard codes whose refusal is overridden; printed on everything made from the result.
-    coverage : Coverage, optional
-        Outcome of `loadid.validate.coverage` on a set-up like this one.
+    allow : sequence of str, or Guards
+        Guard codes whose refusal is overridden; printed on everything made from the result. What else guards ask:
+        `loadid.Guards`.
     progress : callable, optional
         Called as ``progress(fraction, text)``.
     """
 
     name = "deconvolution"
 
+    @takes(
+        penalty=(Penalty, "size leak from_zero"),
+        choice=(Lambda, "method path"),
+        noise=(Noise, "source"),
+        allow=(Guards, "coverage load_class"),
+    )
     def __init__(
         self,
         model: Model,
         *,
-        method: str = "tikhonov",
-        penalty: str | ArrayLike | None = "identity",
+        penalty: str | ArrayLike | Penalty | None = "identity",
         choice: ChoiceLike = None,
-        path: str = "auto",
         initial: str | ArrayLike = "rest",
-        leak: float | None = None,
-        from_zero: bool = False,
-        size: ArrayLike | None = None,
         constraints: Sequence[Any] = (),
-        load_class: str | None = None,
         hold: str | None = None,
-        noise: ArrayLike | None = None,
-        noise_source: NoiseSourceLike = None,
+        noise: ArrayLike | Noise | None = None,
         sensors: Sequence[str | int] | None = None,
-        allow: Sequence[str] = (),
-        coverage: Any = None,
+        allow: Sequence[str] | Guards = (),
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
-        choice = checked(choice)
-        if penalty is None:
-            if choice not in (None, 0):
-                raise InputError(
-                    "without a penalty there is no lambda to choose", where="choice", found=choice, expected="None"
-                )
-            choice = 0.0
-        if not isinstance(load_class, str | None) or load_class not in (None, *told.CLASSES):
-            raise InputError("unknown class of load", where="load_class", found=repr(load_class)[:80],
-                             expected=" or ".join(map(repr, told.CLASSES)))  # fmt: skip
-        self.load_class = load_class
-        free = choice == 0
-        self.settings = Settings(
-            method, penalty, hold, noise, NoiseSource.of(noise_source), guards.allowed(allow), path, initial, leak,
-            from_zero, free, signs(constraints), size,
-        )  # fmt: skip
+        held, lam, told_of = Penalty.of(penalty), Lambda.of(choice), Guards.of(allow)
+        if held.L is None and lam.choice is not None and not lam.free:
+            raise InputError(
+                "without a penalty there is no lambda to choose", where="choice", found=lam.choice, expected="None"
+            )
+        self.settings = PosingSettings(Noise.of(noise), lam, held, told_of.codes, hold, initial, signs(constraints))
         self.model = as_model(model, "Deconvolution", "impulse_response")
-        self.choice, self.sensors, self.coverage = choice, sensors, coverage
+        self.choice = 0.0 if held.L is None else checked(lam.choice)
+        self.sensors, self.coverage, self.load_class = sensors, told_of.coverage, told_of.load_class
         self._progress = progress or (lambda fraction, text: None)
 
     def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
@@ -225,7 +197,7 @@ class Deconvolution:
     @property
     def _free(self) -> bool:
         """Without regularisation."""
-        return self.settings.penalty is None or self.choice == 0
+        return self.settings.free
 
     @property
     def allow(self) -> tuple[str, ...]:
@@ -246,15 +218,16 @@ class Deconvolution:
         if not isinstance(self.settings.initial, str) or self.settings.initial != "rest":
             return None
         missing = data.missing[-len(posed.values) :] if data.missing.any() else None
-        lam, penalty = choice.lam * choice.scale, self.settings.penalty
+        lam, penalty = choice.lam * choice.scale, self.settings.penalty.L
         return histories.beginning(posed.h, posed.values, posed.noise.level, lam, penalty, sigma, missing)
 
     def _flags(self, posed: Posed, choice: Choice, data: Data, found: SolvedLoad) -> list[Flag | None]:
         s, facts = self.settings, found.facts
-        layout = histories.layout(self.model, data, posed.h, s.penalty, s.leak is not None or s.size is not None)
+        bound = s.penalty.leak is not None or s.penalty.size is not None
+        layout = histories.layout(self.model, data, posed.h, s.penalty.L, bound)
         cut = posed.path.zero_padded and "W505" not in codes(layout)  # what the padded transform cannot represent
         ratio = diagonal(posed.h) if "LID-E506" in s.allow else np.inf
-        penalty = s.penalty if isinstance(s.penalty, str) else "user matrix"
+        penalty = s.penalty.L if isinstance(s.penalty.L, str) else "user matrix"
         return [
             guards.overridden("E506", "|h(0)| / max |h|", ratio, UNUSABLE) if ratio <= UNUSABLE else None,
             histories.determined(self.model, facts["m"], facts["n"], facts["rank"], posed.h),
@@ -267,9 +240,9 @@ class Deconvolution:
     def _settings(self, posed: Posed) -> dict[str, Any]:
         s = self.settings
         return {
-            "method": s.method,
-            "penalty": s.penalty if isinstance(s.penalty, str | None) else "matrix",
-            "size": None if s.size is None else np.asarray(s.size, float).tolist(),
+            "method": s.lam.method,
+            "penalty": s.penalty.L if isinstance(s.penalty.L, str | None) else "matrix",
+            "size": None if s.penalty.size is None else np.asarray(s.penalty.size, float).tolist(),
             "choice": named(self.choice),
             "hold": s.hold,
             "path": posed.name,
@@ -278,13 +251,13 @@ class Deconvolution:
         }
 
 
-def _prior(settings: Settings) -> str:
+def _prior(settings: PosingSettings) -> str:
     """The prior in words."""
-    if isinstance(settings.penalty, str):
-        return _process(order(settings.penalty)) + (
-            "" if settings.size is None else ", its size held small beside its changes"
+    if isinstance(settings.penalty.L, str):
+        return _process(order(settings.penalty.L)) + (
+            "" if settings.penalty.size is None else ", its size held small beside its changes"
         )
-    return "none" if settings.penalty is None else "a penalty of the user"
+    return "none" if settings.penalty.L is None else "a penalty of the user"
 
 
 def _process(order: int) -> str:

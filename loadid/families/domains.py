@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from structures.errors import InputError, as_array
 from structures.model import Model, as_model
 
-from ..inverse.noise_source import NoiseSourceLike
 from ..results.estimate import LoadEstimate
+from ..settings import Lambda, Noise, takes
 from .deconvolution import Deconvolution
 from .frequency import FrequencyInversion
 from .posing.posed import PADDED
@@ -66,13 +66,13 @@ class Domains:
         )
 
 
+@takes(noise=(Noise, "source"))
 def compare_domains(
     model: Model,
     record: Any,
     dt: float | None = None,
     *,
-    noise: ArrayLike | None = None,
-    noise_source: NoiseSourceLike = None,
+    noise: ArrayLike | Noise | None = None,
     frequency: Mapping[str, Any] | None = None,
     time: Mapping[str, Any] | None = None,
     progress: Callable[[float, str], None] | None = None,
@@ -89,12 +89,12 @@ def compare_domains(
         With ``impulse_response`` or a full grid of FRFs.
     record, dt
         As for `Deconvolution.estimate`.
-    noise, noise_source
+    noise
         For both families.
     frequency, time : mapping, optional
         Further settings of `FrequencyInversion` and `Deconvolution`. Beyond `LONG` unknowns the latter goes line by
-        line over the padded spectrum (``path="fft"``) where nothing else is said and the model has no state space: the
-        exact convolution takes minutes there.
+        line over the padded spectrum (``choice=Lambda(path="fft")``) where nothing else is said and the model has no
+        state space: the exact convolution takes minutes there.
     progress : callable, optional
         Called as ``progress(fraction, text)``.
 
@@ -104,7 +104,7 @@ def compare_domains(
         A record that does not fit the model.
     """
     told = progress or (lambda fraction, text: None)
-    both: dict[str, Any] = {"noise": noise, "noise_source": noise_source}
+    known = Noise.of(noise)
     told(0.0, "in time")
     values = as_array(getattr(record, "values", record), where="compare_domains")
     if values.dtype.kind == "f" and np.isnan(values).any():
@@ -113,11 +113,11 @@ def compare_domains(
                          hint="take Deconvolution")  # fmt: skip
     unknowns = (len(values) if values.ndim else 0) * len(as_model(model, "compare_domains", "impulse_response").loads)
     long = unknowns > LONG and not model.gives("state_space")
-    in_time = {"path": "fft"} if long and time is None else dict(time or {})
-    timed = Deconvolution(model, **both, **in_time, progress=lambda f, t: told(0.7 * f, t)).estimate(record, dt)
+    in_time = {"choice": Lambda(path="fft")} if long and time is None else dict(time or {})
+    timed = Deconvolution(model, noise=known, **in_time, progress=lambda f, t: told(0.7 * f, t)).estimate(record, dt)
     told(0.7, "by frequency lines")
     lines = FrequencyInversion(
-        model, signal="transient", **both, **(frequency or {}), progress=lambda f, t: told(0.7 + 0.3 * f, t)
+        model, signal="transient", noise=known, **(frequency or {}), progress=lambda f, t: told(0.7 + 0.3 * f, t)
     ).estimate(record, dt)
     stated = (_stated(lines), _stated(timed))
     take, reason = _judge(lines, timed, stated)

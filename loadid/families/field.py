@@ -16,11 +16,11 @@ from structures.models.motion import Motion, motion
 
 from .. import guards
 from ..guards.inversion import undetermined_field
-from ..inverse.choice import ChoiceLike
 from ..inverse.gaussian.posterior import MappedPosterior
 from ..inverse.penalties import names
 from ..results.estimate import LoadEstimate
 from ..results.facts import Facts
+from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, takes
 from . import smoothness as spatial
 from .data import Data, gather
 from .deconvolution import Deconvolution
@@ -58,10 +58,10 @@ class FieldDeconvolution:
         second ones over the root of that.
     shapes : array (loads, unknowns), optional
         Instead of a prior: the load is a combination of these columns (mode shapes at the places of the basis, say).
-    time : str
-        Penalty in time: ``identity``, ``first_difference``, ``second_difference``.
+    time : str or Penalty
+        Penalty in time: ``identity``, ``first_difference``, ``second_difference``; no `size`, for which `ratio` stands.
     choice, sensors, allow, **settings
-        As in `Deconvolution`, with all its other settings: noise, hold, path, initial, coverage, progress, ...
+        As in `Deconvolution`, with all its other settings: noise, hold, initial, progress, ...
         Constraints only without a spatial prior and without shapes.
 
     Raises
@@ -72,6 +72,12 @@ class FieldDeconvolution:
 
     name = "field deconvolution"
 
+    @takes(
+        time=(Penalty, "leak from_zero"),
+        choice=(Lambda, "method path"),
+        noise=(Noise, "source"),
+        allow=(Guards, "coverage load_class"),
+    )
     def __init__(
         self,
         model: Model,
@@ -80,13 +86,14 @@ class FieldDeconvolution:
         length: float | None = None,
         ratio: float | None = None,
         shapes: ArrayLike | None = None,
-        time: str = "identity",
+        time: str | Penalty = "identity",
         choice: ChoiceLike = None,
         sensors: Sequence[str | int] | None = None,
-        allow: Sequence[str] = (),
+        allow: Sequence[str] | Guards = (),
         **settings: Any,
     ) -> None:
-        if not isinstance(time, str):
+        held = Penalty.of(time)
+        if not isinstance(held.L, str):
             raise InputError("the penalty in time is a name", where="time", found=type(time).__name__,
                              expected=f"one of {names()}")  # fmt: skip
         if space is not None and shapes is not None:
@@ -98,10 +105,10 @@ class FieldDeconvolution:
                                  found="no spatial prior", expected="space='gradient' or another with it")  # fmt: skip
             ratio = positive("ratio", ratio, where="ratio", unit="1")
         self.model = as_model(model, "FieldDeconvolution", "impulse_response")
-        self.space, self.length, self.time, self.ratio = space, length, time, ratio
+        self.space, self.length, self.time, self.ratio = space, length, held, ratio
         self.shapes = None if shapes is None else mapped(model, shapes)
         self.basis = model.basis
-        self.sensors, self.allow = sensors, guards.allowed(allow)
+        self.sensors, self.allow = sensors, Guards.of(allow).codes
         spatial.root(space, length, len(model.loads), self.basis, 1)  # refuses before any data
         for name, instead in (("penalty", "time= and space="), ("size", "ratio=")):
             if name in settings:
@@ -112,8 +119,8 @@ class FieldDeconvolution:
             raise InputError("signs hold loads, and here combinations of loads are solved for", where="constraints",
                              found="a spatial prior" if shapes is None else "shapes",
                              expected="space=None and no shapes with it")  # fmt: skip
-        self._settings = {"penalty": time, "choice": choice, "sensors": sensors, "allow": allow, **settings}
-        Deconvolution(model, **self._settings)  # refuses the others
+        self._settings = {"choice": choice, "sensors": sensors, "allow": allow, **settings}
+        Deconvolution(model, penalty=held, **self._settings)  # refuses the others
 
     def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
         """Rebuild the distributed load that caused a record.
@@ -139,7 +146,7 @@ class FieldDeconvolution:
         told = self._told_apart(data)
         T, size = self._combinations(told)
         model = self.model if T is None else self.shapes or mapped(self.model, T)
-        found = Deconvolution(model, size=size, **self._settings).estimate(record, dt)
+        found = Deconvolution(model, penalty=replace(self.time, size=size), **self._settings).estimate(record, dt)
         return self._over_places(found, T, told, data)
 
     def motion(self, estimate: LoadEstimate) -> Motion:

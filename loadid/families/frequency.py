@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, NotIdentifiable, real
+from structures.errors import InputError, NotIdentifiable, positive
 from structures.flags import Flag
 from structures.model import Model, as_model
 
 from .. import guards
 from ..guards import families as told
-from ..inverse.choice import CLEARLY, ChoiceLike, named
-from ..inverse.noise_source import NoiseSource, NoiseSourceLike
+from ..inverse.choice import CLEARLY
 from ..inverse.posterior import SpectralPosterior
 from ..results.estimate import Axis, LoadEstimate
 from ..results.facts import Facts
 from ..results.functionals import LEVEL, LoadSpectrum, nearest_zeros
+from ..settings import ChoiceLike, Guards, Lambda, Noise, Signal, takes
 from .answer import SolvedLoad, answer, over_time
 from .data import rows_of
 from .posing.fitting import LineFit, LineRule, fit, judged
-from .posing.gathered import SIGNALS, LineData, Settings, lines_of, response
+from .posing.gathered import LineData, LineSettings, lines_of, response
 
 Array = NDArray[Any]
 
@@ -45,35 +45,23 @@ class FrequencyInversion:
     ----------
     model : Model
         Anything that gives ``frf``; a variance of its FRFs (``frf_variance``) enters the weights and the band.
-    method : {"tikhonov", "tsvd"}
-    choice : str, callable, float or None
+    choice : str, callable, float, None or Lambda
         Rule by name or itself (`loadid.register_rule`), relative lambda (Tikhonov) or threshold (truncated SVD), 0 for
-        least squares; None is the evidence of the neighbouring lines (truncated SVD: GCV over them).
-    over : {"neighbours", "line", "band"}
-        Who decides on lambda: each line with its neighbours, each alone, or all together.
-    neighbours : int
-        Lines to either side that inform a line (Hann weights).
-    count : int, optional
-        Singular values that truncated SVD keeps.
-    size : array (loads,), optional
-        Expected relative size of the loads, for rules and given lambdas; by default each load counts by how much it
-        moves the sensors, so that forces and moments do not mix their units.
+        least squares; None is the evidence of the neighbouring lines (truncated SVD: GCV over them). Who decides, the
+        method, and how large the loads are expected to be: `loadid.Lambda`.
     level : float
         Predicted relative std above which a line is flagged.
-    signal : {"stationary", "transient"}, optional
-        What a time record is: averaged into cross spectra, or transformed once, zero-padded, into a load history.
+    signal : {"stationary", "transient"} or Signal, optional
+        What a time record is: averaged into cross spectra, or transformed once, zero-padded, into a load history; with
+        the segments that are averaged: `loadid.Signal`.
     band : (float, float), optional
         Lines that are inverted (Hz); not of a transient, whose history needs all of them.
-    window, segment, overlap
-        Of averaged records, as in `structures.testing.welch.cross_spectra`.
-    noise : float or array, optional
+    noise : float, array or Noise, optional
         Noise std of the sensors: of the amplitudes for spectra, of the samples for records, the root of the density
         (unit/sqrt(Hz)) for cross spectra. In the order of the model, or of `sensors` and then `validation`.
-    noise_source : NoiseSource, str or (str, str), optional
-        Where that level comes from.
     sensors, validation : sequence of str or int, optional
         Sensors to invert, default all; sensors that are kept out and predicted.
-    allow, coverage, progress
+    allow, progress
         As in `Deconvolution`.
 
     Raises
@@ -88,38 +76,29 @@ class FrequencyInversion:
 
     name = "frequency inversion"
 
+    @takes(
+        choice=(Lambda, "method over neighbours count size"),
+        signal=(Signal, "window segment overlap"),
+        noise=(Noise, "source"),
+        allow=(Guards, "coverage"),
+    )
     def __init__(
         self,
         model: Model,
         *,
-        method: str = "tikhonov",
         choice: ChoiceLike = None,
-        over: str = "neighbours",
-        neighbours: int = 40,
-        count: int | None = None,
-        size: ArrayLike | None = None,
         level: float = LEVEL,
-        signal: str | None = None,
+        signal: str | Signal | None = None,
         band: tuple[float, float] | None = None,
-        window: str = "hann",
-        segment: int | None = None,
-        overlap: float = 0.5,
-        noise: ArrayLike | None = None,
-        noise_source: NoiseSourceLike = None,
+        noise: ArrayLike | Noise | None = None,
         sensors: Sequence[str | int] | None = None,
         validation: Sequence[str | int] = (),
-        allow: Sequence[str] = (),
-        coverage: Any = None,
+        allow: Sequence[str] | Guards = (),
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
-        if not (real(level) or 0) > 0:
-            raise InputError("no level of trust", where="level", found=repr(level)[:80], expected="a number > 0")
-        if signal not in (None, *SIGNALS):
-            raise InputError("no such kind of record", where="signal", found=repr(signal)[:80],
-                             expected=" or ".join(map(repr, SIGNALS)))  # fmt: skip
         self.model = as_model(model, "FrequencyInversion", "frf", "impulse_response")
-        self.level, self.coverage = float(level), coverage
-        self.rule = LineRule(method, choice, over, neighbours, count, size)
+        self.level = positive("level", level, where="level")
+        self.rule = LineRule(**vars(Lambda.of(choice)))
         self.held = rows_of(validation, model) if len(validation) else np.zeros(0, int)
         chosen = rows_of(sensors, model)
         self.rows = chosen if sensors is not None else np.setdiff1d(chosen, self.held)
@@ -127,9 +106,12 @@ class FrequencyInversion:
             raise InputError("a sensor cannot train and validate", where="validation",
                              found=[model.sensors[i].label for i in self.held], expected="other sensors for training",
                              hint="leave sensors= out: all others train")  # fmt: skip
-        noise = noise if sensors is not None else _in_order(noise, np.concatenate([self.rows, self.held]))
-        self.settings = Settings(noise, NoiseSource.of(noise_source), signal, band, window, segment, overlap)
-        self.allow = guards.allowed(allow)
+        known = Noise.of(noise)
+        if sensors is None:
+            known = replace(known, std=_in_order(known.std, np.concatenate([self.rows, self.held])))
+        self.settings = LineSettings(known, Signal.of(signal), band)
+        told_of = Guards.of(allow)
+        self.allow, self.coverage = told_of.codes, told_of.coverage
         self._progress = progress or (lambda fraction, text: None)
 
     def estimate(self, found: Any, dt: float | None = None) -> LoadEstimate:
@@ -205,10 +187,10 @@ class FrequencyInversion:
     def _named_settings(self, line: LineData) -> dict[str, Any]:
         rule, s = self.rule, self.settings
         return {
-            "method": rule.method, "choice": named(rule.choice), "over": rule.over, "neighbours": rule.neighbours,
-            "count": rule.count, "level": self.level, "kind": line.kind, "signal": s.signal,
-            "band": None if s.band is None else list(s.band), "window": s.window, "segment": s.segment,
-            "overlap": s.overlap, "noise_source": line.source.text,
+            "method": rule.method, "choice": rule.choice, "over": rule.over, "neighbours": rule.neighbours,
+            "count": rule.count, "level": self.level, "kind": line.kind, "signal": s.signal.kind,
+            "band": None if s.band is None else list(s.band), "window": s.signal.window, "segment": s.signal.segment,
+            "overlap": s.signal.overlap, "noise_source": line.source.text,
             "validation": [self.model.sensors[i].label for i in self.held],
         }  # fmt: skip
 

@@ -17,8 +17,9 @@ from structures.files import storage
 from .. import guards
 from ..inverse.posterior import FramesPosterior
 from ..results.estimate import Axis, LoadEstimate
+from ..settings import Absolute
 from .data import LARGEST, Readings, readings, rows_of
-from .posing.steady import Absolute, StaticProblem
+from .posing.steady import StaticProblem
 
 if TYPE_CHECKING:
     from .static import StaticInversion
@@ -85,7 +86,7 @@ def calibrate(family: StaticInversion, records: Sequence[Any]) -> Calibration:
     alone = [family.choose(family.pose(g)).lam for g in given]
     posed = family.pose(_together(given))
     joint = family.choose(posed)
-    told = posed.noise.known and family.noise is None and family.model.noise is None
+    told = posed.noise.known and not family.noise.stated and family.model.noise is None
     positive = np.array([x for x in alone if x > 0] or [1.0])
     names = [g.name if g.data is not None else f"record {i + 1}" for i, g in enumerate(given)]
     return Calibration(
@@ -313,7 +314,7 @@ def _fixed(family: StaticInversion, posed: StaticProblem) -> float:
         return family.calibration.lam
     if isinstance(family.choice, Absolute):
         return family.choice.relative(posed.base)
-    return float(family.choice)  # type: ignore[arg-type]
+    return float(family.choice)
 
 
 def each_frame(family: StaticInversion, given: Readings) -> LoadEstimate:

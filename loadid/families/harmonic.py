@@ -13,17 +13,18 @@ from structures.errors import InputError, plain, positive
 from structures.model import Model, as_model
 
 from .. import guards
-from ..inverse.choice import ChoiceLike, checked, choose, named
+from ..inverse.choice import checked, choose, named
 from ..inverse.diagnosis import diagnose
-from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource, NoiseSourceLike
+from ..inverse.noise_source import NOT_KNOWN, STATED
 from ..inverse.problem import LinearProblem
 from ..inverse.svd import SVDPath
 from ..results.estimate import Axis, LoadEstimate
+from ..settings import ChoiceLike, Guards, Lambda, Noise, takes
 from . import smoothness as spatial
 from .answer import Amplitudes, answer, of_path, undetermined
 from .data import rows_of
 from .field import told_apart
-from .noise import Noise, noise_level
+from .noise import NoiseLevel, noise_level
 from .smoothness import geometry
 
 Complex = NDArray[np.complex128]
@@ -47,13 +48,11 @@ class HarmonicInversion:
         Spatial prior; see `spatial.root`. None: ``|W G| = |G|``.
     length : float, optional
         Length of the spatial prior (m).
-    choice : str, callable, float or None
+    choice : str, callable, float, None or Lambda
         Rule by name or itself, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
-    noise : float or array (sensors,), optional
+    noise : float, array (sensors,) or Noise, optional
         Standard deviation of the complex amplitudes, ``sqrt(mean |error|^2)``.
-    noise_source : NoiseSource, str or (str, str), optional
-        Where that level comes from.
-    sensors, allow, coverage, progress
+    sensors, allow, progress
         As in `Deconvolution`.
 
     Raises
@@ -64,6 +63,7 @@ class HarmonicInversion:
 
     name = "harmonic inversion"
 
+    @takes(choice=(Lambda, ""), noise=(Noise, "source"), allow=(Guards, "coverage"))
     def __init__(
         self,
         model: Model,
@@ -72,18 +72,17 @@ class HarmonicInversion:
         space: str | ArrayLike | None = None,
         length: float | None = None,
         choice: ChoiceLike = None,
-        noise: ArrayLike | None = None,
-        noise_source: NoiseSourceLike = None,
+        noise: ArrayLike | Noise | None = None,
         sensors: Sequence[str | int] | None = None,
-        allow: Sequence[str] = (),
-        coverage: Any = None,
+        allow: Sequence[str] | Guards = (),
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
         self.model = as_model(model, "HarmonicInversion", "frf")
         self.frequency = positive("frequency", frequency, where="HarmonicInversion", unit="Hz")
-        self.space, self.length, self.choice = space, length, checked(choice)
-        self.noise, self.noise_source, self.sensors = noise, NoiseSource.of(noise_source), sensors
-        self.allow, self.coverage = guards.allowed(allow), coverage
+        self.space, self.length, self.choice = space, length, checked(Lambda.of(choice).choice)
+        self.noise, self.sensors = Noise.of(noise), sensors
+        told_of = Guards.of(allow)
+        self.allow, self.coverage = told_of.codes, told_of.coverage
         self._progress = progress or (lambda fraction, text: None)
         self.basis = model.basis
         self.rows = rows_of(sensors, model)
@@ -143,7 +142,7 @@ class HarmonicInversion:
         """Real and imaginary parts of all loads."""
         return 2 * int(self.H.shape[1])
 
-    def _named_settings(self, noise: Noise) -> dict[str, Any]:
+    def _named_settings(self, noise: NoiseLevel) -> dict[str, Any]:
         return {
             "frequency": self.frequency,
             "space": self.space if self.space is None or isinstance(self.space, str) else "matrix",
@@ -172,7 +171,7 @@ class HarmonicInversion:
                              expected=f"finite, ({len(self.rows)},): {labels[:12]}")  # fmt: skip
         return Y
 
-    def _pose(self, Y: Complex) -> tuple[SVDPath, Noise]:
+    def _pose(self, Y: Complex) -> tuple[SVDPath, NoiseLevel]:
         """The line as a real problem: real parts before imaginary ones."""
         noise, H = self._noise(Y), self.H
         loads = H.shape[1]
@@ -182,25 +181,22 @@ class HarmonicInversion:
         labels = [f"{part} {c.label}" for part in ("Re", "Im") for c in self.model.loads]
         return SVDPath(problem, labels=labels), noise
 
-    def _noise(self, Y: Complex) -> Noise:
+    def _noise(self, Y: Complex) -> NoiseLevel:
         """Std of the real and of the imaginary part of each amplitude; else a scale per unit."""
         count = len(self.rows)
-        if self.noise is not None:
-            try:
-                level = np.broadcast_to(np.asarray(plain(self.noise), float), (count,))
-            except (TypeError, ValueError):
-                level = np.full(count, np.nan)
-            if not np.all(np.isfinite(level)) or np.any(level <= 0):
-                raise InputError("the noise does not fit the sensors", where="noise", found=str(self.noise)[:80],
+        if self.noise.stated:
+            level = np.asarray(self.noise.std, float)
+            if level.shape not in ((), (count,)) or np.any(level <= 0):
+                raise InputError("the noise does not fit the sensors", where="noise", found=str(self.noise.std)[:80],
                                  expected=f"a positive number, or ({count},)")  # fmt: skip
-            return Noise(level / np.sqrt(2), True, self.noise_source or STATED)
+            return NoiseLevel(np.broadcast_to(level, (count,)) / np.sqrt(2), True, self.noise.origin or STATED)
         units = [self.model.sensors[i].unit for i in self.rows]
         size = {u: np.sqrt(np.mean([abs(y) ** 2 for y, v in zip(Y, units, strict=True) if v == u])) for u in units}
         if not all(size.values()):
             raise InputError("all amplitudes of a kind are zero", where="estimate",
                              found=[u for u, s in size.items() if s == 0], expected="a response",
                              hint="state the noise of the amplitudes (noise=)")  # fmt: skip
-        return Noise(np.array([size[u] for u in units]), False, NOT_KNOWN)
+        return NoiseLevel(np.array([size[u] for u in units]), False, NOT_KNOWN)
 
     @property
     def _free(self) -> bool:

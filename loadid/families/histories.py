@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.advice import Advice
 from structures.errors import InputError, NotIdentifiable
 from structures.flags import Evidence, Flag
 from structures.model import Model
@@ -24,6 +25,7 @@ from ..inverse.sweep import RuleResult
 from ..quality import OFFSET, quiet_part
 from .data import Data
 from .posing import Posed
+from .posing.posed import AUTO
 
 Array = NDArray[Any]
 
@@ -302,7 +304,7 @@ def push(
     """
     if posed.pushing is None:
         raise InputError("this path takes no signs", where="constraints", found=posed.name,
-                         expected="path='auto' and a named penalty")  # fmt: skip
+                         expected=Advice(AUTO, " and a named penalty"))  # fmt: skip
     record = posed.pushing(signed)
     if keep:
         return record.solve(choice.lam * choice.scale, progress=progress), choice

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, NotIdentifiable, number, real
+from structures.errors import InputError, NotIdentifiable, real
 from structures.flags import Flag
 from structures.model import Model, as_model
 from structures.models.statespace import StateSpace
@@ -21,8 +21,9 @@ from ..inverse.gaussian.model import words as near_rest_in_words
 from ..inverse.gaussian.observe import Observability, observability
 from ..inverse.gaussian.priors import OU, Matern32, Matern52
 from ..inverse.gaussian.steady import SteadyFilter, steady
-from ..inverse.noise_source import NoiseSource, NoiseSourceLike
+from ..inverse.noise_source import NoiseSource
 from ..record import Record
+from ..settings import Guards, ModelErrors, Noise, Online, Priors, takes
 from . import noise as noises
 from .data import Data, gather, health
 from .tracking.certificate import TrackCertificate, banded, certify
@@ -30,15 +31,13 @@ from .tracking.engine import Engine
 from .tracking.filters import Named, Posing, leaky, named, restricted
 from .tracking.fit import Recipe, TrackerFit, storable
 from .tracking.judging import GATE
-from .tracking.running import ENGINES
 from .tracking.samples import ranges, within
 from .tracking.tracker import Tracker
 from .tracking.tuning import LONGEST, numbers_of
 
 Array = NDArray[Any]
 
-PARAMETERS = ("stiffness", "mass", "damping")
-MOST, FAR, NEARLY = 1000, 50, 1.05  # of a lag; where it is judged, and how near to that is near enough
+FAR, NEARLY = 50, 1.05  # where a lag is judged, and how near to that is near enough
 JOINT = ("ou", "matern32", "matern52")
 INNOVATIONS = NoiseSource("residual", "likelihood of the innovations")
 UNKNOWN = 0.01  # of the rms of a channel: its noise, to begin with, where nobody states it
@@ -56,50 +55,29 @@ class LoadTracker:
     ----------
     model : Model
         With a state space.
-    prior : str, prior, or one of them per load
+    prior : str, prior, one of them per load, or Priors
         ``"matern32"`` (default), ``"matern52"``, ``"ou"``, ``"random_walk"``, ``"white"``: their numbers are found by
-        likelihood. A prior of `loadid.inverse.gaussian.priors` is taken as it is.
-    noise : float or array (sensors,), optional
-        Noise std of the sensors. Where nobody states it, it is found with the prior.
-    noise_source : NoiseSource, str or (str, str), optional
-        As in `Deconvolution`.
+        likelihood. A prior of `loadid.inverse.gaussian.priors` is taken as it is. What is believed of the start and of
+        displacements: `loadid.Priors`.
+    noise : float, array (sensors,) or Noise, optional
+        Noise std of the sensors, with where it comes from and how offsets drift: `loadid.Noise`. Where nobody states
+        it, it is found with the prior.
     hold : {"joint", "foh", "zoh"}, optional
         How the load runs between samples. By default as its prior says (joint), where that has a length and the model
         has modes; else that of the model.
-    scales : sequence of str
-        Parameters of the model that are tuned too (``"stiffness"``, ``"mass"``, ``"damping"``).
-    model_error : mapping of str to float, optional
-        Relative std of parameters of the model: the variance between the models is added to the band.
-    state_noise : float
-        Std that a sample adds to each state of the structure.
-    ambient : Ambient, optional
-        Other loads, unknown and white, that disturb structure and sensors alike: the noises are then correlated
-        (`loadid.inverse.gaussian.augment.Ambient`).
-    bias : float or array (sensors of the model,)
-        Std that a second adds to the offset of a sensor; 0: it does not drift.
-    start : float, array or ``"static"``
-        Std of the states before the first sample: at rest by default, or carrying the first load in equilibrium.
-    dummy : float, optional
-        Std in m within which displacements at the loads are believed to stay near zero, at every sample: a prior that
-        holds the mean of loads which accelerometers alone let drift, and no measurement (flag W525).
-    lag : int or "auto"
-        Samples by which the answers come late, with what was measured meanwhile. ``"auto"``: as few as bring the std
-        within 5 % of that at 50.
-    allow_drift : bool
-        Run although no sensor sees a constant load; the std then grows as it should (flag E501 stays).
+    model_error : mapping of str to float, or ModelErrors, optional
+        Relative std of parameters of the model, as ``{"stiffness": 0.02}``: the variance between the models is added to
+        the band. Parameters that are tuned, noise of the states, ambient loads: `loadid.ModelErrors`.
     gate : float or None
         Std of an innovation beyond which a channel is kept out, or an event of the load taken up, whichever is the
         likelier; None believes every number.
-    limits : number, sequence (sensors,) or mapping of label to one, optional
-        Ends of the range of the sensors that are used, L for -L to L or (low, high): a sample at them counts as
-        missing, in the fit and after it.
-    replay : int, optional
-        Samples by which a sample may come late and still be put in its place (`Tracker.insert`); the lag if left out.
-    engine : {"own", "filterpy"}
-        What runs the fitted filter. filterpy is slower, believes every number and answers at once: `gate` is without
-        effect, `lag` and `model_error` are refused.
+    online : Online
+        Late answers, late samples, ranges of the sensors, what runs the filter: `loadid.Online`.
     sensors : sequence of str or int, optional
-    allow, coverage, progress
+    allow : sequence of str, or Guards
+        As in `Deconvolution`; ``"LID-E501"`` runs although no sensor sees a constant load: the std then grows as it
+        should, and the flag stays.
+    progress
         As in `Deconvolution`.
 
     Raises
@@ -110,74 +88,49 @@ class LoadTracker:
 
     name = "load tracking"
 
+    @takes(
+        codes={"allow_drift": "LID-E501"},
+        prior=(Priors, "start dummy"),
+        noise=(Noise, "source bias"),
+        model_error=(ModelErrors, "scales state_noise ambient"),
+        online=(Online, "lag replay limits engine"),
+        allow=(Guards, "coverage"),
+    )
     def __init__(
         self,
         model: Model,
         *,
         prior: Any = "matern32",
-        noise: ArrayLike | None = None,
-        noise_source: NoiseSourceLike = None,
+        noise: ArrayLike | Noise | None = None,
         hold: str | None = None,
-        scales: Sequence[str] = (),
-        model_error: Mapping[str, float] | None = None,
-        state_noise: float = 0.0,
-        ambient: Any = None,
-        bias: ArrayLike = 0.0,
-        start: ArrayLike | str = 0.0,
-        dummy: float | None = None,
-        lag: int | str = 0,
-        allow_drift: bool = False,
+        model_error: Mapping[str, float] | ModelErrors | None = None,
         gate: float | None = GATE,
-        limits: Any = None,
-        replay: int | None = None,
-        engine: str = "own",
+        online: Online = Online(),  # noqa: B008 -- immutable
         sensors: Sequence[str | int] | None = None,
-        allow: Sequence[str] = (),
-        coverage: Any = None,
+        allow: Sequence[str] | Guards = (),
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
         as_model(model, "LoadTracker", "state_space")
-        given = list(prior) if isinstance(prior, list | tuple) else [prior] * len(model.loads)
+        believed, wrong, told_of = Priors.of(prior), ModelErrors.of(model_error), Guards.of(allow)
+        given = believed.load if isinstance(believed.load, tuple) else (believed.load,) * len(model.loads)
         if len(given) != len(model.loads):
             raise InputError("one prior for each load", where="prior", found=f"{len(given)} priors",
                              expected=f"{len(model.loads)}, for {', '.join(c.label for c in model.loads)}")  # fmt: skip
         self.given = tuple(named(g) for g in given)
-        if model_error is not None and not isinstance(model_error, Mapping):
-            raise InputError("no declared error of the model", where="model_error", found=repr(model_error)[:80],
-                             expected="a mapping, such as {'stiffness': 0.02}")  # fmt: skip
-        errors = dict(model_error or {})
-        for name, std in errors.items():
-            if name not in PARAMETERS or not 0 < (real(std) or 0.0) < 0.5:
-                raise InputError("no declared error of the model", where="model_error", found=f"{name!r}: {std!r}",
-                                 expected=f"a relative std between 0 and 0.5 of {', '.join(PARAMETERS)}")  # fmt: skip
-        listed = isinstance(scales, list | tuple)
-        if not listed or any(s not in PARAMETERS for s in scales) or len(set(scales)) != len(scales):
-            raise InputError("no parameter of the model", where="scales", found=repr(scales)[:80],
-                             expected=f"a list of some of {', '.join(PARAMETERS)}, each once")  # fmt: skip
-        counted = isinstance(lag, int | np.integer) and not isinstance(lag, bool) and 0 <= lag <= MOST
-        if not counted and lag != "auto":
-            raise InputError("no lag", where="lag", found=repr(lag), expected=f"0 to {MOST} samples, or 'auto'")
-        if lag and errors:
+        self.online, errors = Online.of(online), dict(wrong.relative or {})
+        if self.online.lag and errors:
             raise InputError("late answers know nothing of errors of the model", where="lag", found="model_error given",
-                             expected="lag=0", hint="tune the model instead (scales=)")  # fmt: skip
-        self.lag = lag
-        whole = isinstance(replay, int | np.integer) and not isinstance(replay, bool) and 0 <= replay <= MOST
-        if replay is not None and not whole:
-            raise InputError("no count of samples", where="replay", found=repr(replay), expected=f"0 to {MOST}")
-        if engine not in ENGINES:
-            raise InputError("no such engine", where="engine", found=repr(engine)[:80], expected=", ".join(ENGINES))
-        if engine != "own" and (lag or errors):
+                             expected="lag=0", hint="tune the model instead: ModelErrors(scales=...)")  # fmt: skip
+        if self.online.engine != "own" and (self.online.lag or errors):
             raise InputError("filterpy answers at once, with one model", where="engine",
                              found="lag or model_error", expected="neither", hint="take the own engine")  # fmt: skip
-        self.limits, self.replay, self.engine = limits, replay, engine
         if gate is not None and not (real(gate) or 0) > 0:
             raise InputError("no gate", where="gate", found=repr(gate), expected="a number of stds > 0, or None")
-        self.model, self.noise, self.noise_source, self.hold = model, noise, NoiseSource.of(noise_source), hold
-        self.scales, self.errors = tuple(scales), errors
-        self.state_noise = number("state_noise", state_noise, where="LoadTracker")
-        self.around = {"ambient": ambient, "bias": bias, "start": start, "dummy": dummy}
-        self.allow_drift, self.gate, self.sensors = bool(allow_drift), gate, sensors
-        self.allow, self.coverage = guards.allowed(allow), coverage
+        self.model, self.noise, self.hold, self.gate, self.sensors = model, Noise.of(noise), hold, gate, sensors
+        self.scales, self.errors, self.state_noise = tuple(wrong.scales), errors, wrong.state_noise
+        self.around = {"ambient": wrong.ambient, "bias": self.noise.bias, "start": believed.start,
+                       "dummy": believed.dummy}  # fmt: skip
+        self.allow, self.coverage = told_of.codes, told_of.coverage
         self._progress = progress or (lambda fraction, text: None)
 
     def fit(self, record: Any, dt: float | None = None) -> Tracker:
@@ -200,12 +153,12 @@ class LoadTracker:
             A record that does not fit the model.
         NotIdentifiable
             No sensor sees a constant part of a load, and its prior does not return to zero (LID-E501): unless
-            `allow_drift`.
+            it is allowed.
         """
         data = gather(record, dt, self.model, self.sensors, allow_missing=True)
-        limits = ranges(self.limits, [self.model.sensors[i].label for i in data.rows])
+        limits = ranges(self.online.limits, [self.model.sensors[i].label for i in data.rows])
         data = within(data, limits)
-        noise = noises.resolve(self.noise, self.noise_source, self.model, data)
+        noise = noises.resolve(self.noise, self.model, data)
         if np.ndim(noise.level) != 1:
             raise InputError("a tracker takes a noise std per sensor", where="noise", found="a matrix",
                              expected="a number or (sensors,)")  # fmt: skip
@@ -250,7 +203,7 @@ class LoadTracker:
             recipe=self._recipe(posing, x, scale),
         )
         self._progress(1.0, "done")
-        tracker = Tracker(fitted, self.gate, self._lag(settled), replay=self.replay, engine=self.engine)
+        tracker = Tracker(fitted, self.gate, self._lag(settled), replay=self.online.replay, engine=self.online.engine)
         tracker.made_of(posing.scaled(x))
         return tracker
 
@@ -287,8 +240,8 @@ class LoadTracker:
         )  # fmt: skip
 
     def _lag(self, settled: SteadyFilter | None) -> int:
-        if self.lag != "auto":
-            return int(self.lag)
+        if self.online.lag != "auto":
+            return int(self.online.lag)
         if settled is None:
             return 0
         std = fixed_lag(settled, FAR).std
@@ -313,14 +266,14 @@ class LoadTracker:
                           sensors=[self.model.sensors[i] for i in rows], loads=self.model.loads)  # fmt: skip
         loads = [c.label for c in self.model.loads]
         found = observability(model, part, np.full(len(loads), size), loads=loads)
-        told.refused(told.drifting(found), self.allow_drift or "LID-E501" in self.allow)
+        told.refused(told.drifting(found), "LID-E501" in self.allow)
         return found
 
     def _settled(self, model: Any, dt: float) -> SteadyFilter | None:
         try:
             return steady(model, dt)
         except NotIdentifiable:
-            if self.allow_drift or "LID-E501" in self.allow:
+            if "LID-E501" in self.allow:
                 return None
             raise
 
@@ -363,7 +316,8 @@ class LoadTracker:
         return {
             "prior": [g.name if isinstance(g, Named) else g.words for g in self.given], "hold": self.hold,
             "scales": list(self.scales), "model_error": dict(self.errors), "state_noise": self.state_noise,
-            "dummy": self.around["dummy"], "allow_drift": self.allow_drift, "gate": self.gate, "engine": self.engine,
+            "dummy": self.around["dummy"], "allow_drift": "LID-E501" in self.allow, "gate": self.gate,
+            "engine": self.online.engine,
         }  # fmt: skip
 
 

@@ -18,11 +18,11 @@ from ..design.candidates import of_model
 from ..guards import families as found_flags
 from ..inverse.choice import is_rule
 from ..inverse.convolved import fits, places
-from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..inverse.problem import whiten
 from ..results.estimate import LoadEstimate
 from ..results.facts import provenance
 from ..results.location import LocationFacts, LocationResult, Rival
+from ..settings import Guards, Lambda, Noise, Search, takes
 from . import noise as noises
 from .data import Data, gather
 from .deconvolution import Deconvolution
@@ -46,6 +46,7 @@ MEMORY = 1.5e9  # bytes of all factors together, up to which they are kept
 RIVALS = 3  # other basins that are refined too, for each load
 BESIDE = 2  # neighbours of the best from which the place is refined too: between candidates lie local minima
 HOPELESS = 2.0  # times the least objective above which a rival is given up after some steps
+LAM = 1e-3  # relative lambda of the search, where nobody says another
 LEVEL = 0.95  # of the chi-square set of candidates
 
 
@@ -63,26 +64,19 @@ class LocationSearch:
         Its loads are the candidates; it must give ``impulse_response``.
     family : callable
         Family that rebuilds the load at the places found: ``family(model, **settings)``.
-    choice : float
+    choice : float or Lambda
         Relative lambda of the search, one for all candidates. From 1e-5 to 1e-2 it hardly matters; above 0.03 residuals
         measure bias. Rules and truncation differ from candidate to candidate and are refused (LID-E513).
-    impacts : int
-        Loads that act in the record, each at its own place.
-    refine : bool
-        Refine places between the candidates.
-    places : array, shape (candidates, dim), optional
-        Places of the candidates (m), where the model does not know them.
-    method : {"tikhonov"}
+    search : Search
+        Loads that act, places of the candidates, whether places between them are sought, threads: `loadid.Search`.
     hold : {"foh", "zoh"}, optional
         How a load moves between samples; default the model's own.
-    noise, noise_source, sensors
+    noise, sensors
         As for `Deconvolution`.
     settings : mapping, optional
         Further settings of the family (``{"choice": "discrepancy"}``).
     allow : sequence of str
         Guard codes whose refusal is overridden: LID-E512, and those of the family.
-    workers : int, optional
-        Threads; default the number of processors.
     progress : callable, optional
         Called as ``progress(fraction, text)``; what it raises ends the search, and nothing is kept.
 
@@ -102,39 +96,41 @@ class LocationSearch:
 
     name = "location"
 
+    @takes(
+        choice=(Lambda, "method"),
+        search=(Search, "impacts refine places workers"),
+        noise=(Noise, "source"),
+        allow=(Guards, ""),
+    )
     def __init__(
         self,
         model: Model,
         family: Callable[..., Any] = Deconvolution,
         *,
-        choice: float = 1e-3,
-        impacts: int = 1,
-        refine: bool = True,
-        places: ArrayLike | None = None,
-        method: str = "tikhonov",
+        choice: float | Lambda = LAM,
+        search: Search = Search(),  # noqa: B008 -- immutable
         hold: str | None = None,
-        noise: ArrayLike | None = None,
-        noise_source: NoiseSourceLike = None,
+        noise: ArrayLike | Noise | None = None,
         sensors: Sequence[str | int] | None = None,
         settings: Mapping[str, Any] | None = None,
-        allow: Sequence[str] = (),
-        workers: int | None = None,
+        allow: Sequence[str] | Guards = (),
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
         _check_candidates(model)
-        self.choice = _one_lambda(choice, method)
-        self.impacts = _count(impacts, len(model.loads))
-        self.allow = guards.allowed(allow)
+        self.choice = _one_lambda(choice)
+        asked = Search.of(search)
+        self.impacts, self.refine, self.workers = asked.impacts, asked.refine, asked.workers
+        if self.impacts >= len(model.loads):
+            raise InputError("no number of loads", where="impacts", found=self.impacts,
+                             expected=f"an integer from 1 to {len(model.loads) - 1}")  # fmt: skip
+        self.allow = Guards.of(allow).codes
         if not callable(family):
             raise InputError("no family", where="family", found=repr(family), expected="a class such as Deconvolution",
                              hint="family=loadid.Deconvolution")  # fmt: skip
-        if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
-            raise InputError("no number of threads", where="workers", found=repr(workers), expected="an integer >= 1",
-                             hint="leave it out")  # fmt: skip
-        self.model, self.family, self.refine = model, family, bool(refine)
-        self.noise, self.noise_source, self.sensors, self.hold = noise, NoiseSource.of(noise_source), sensors, hold
-        self.settings, self.workers = dict(settings or {}), workers
-        self.grid = grid_of(model, places)
+        self.model, self.family = model, family
+        self.noise, self.sensors, self.hold = Noise.of(noise), sensors, hold
+        self.settings = dict(settings or {})
+        self.grid = grid_of(model, asked.places)
         self._progress = progress or (lambda fraction, text: None)
         self._kept: tuple[Any, FactoredCandidates] | None = None
 
@@ -196,7 +192,7 @@ class LocationSearch:
         return self._result(posed, chosen, verdict, solutions)
 
     def _pose(self, data: Data) -> LocationProblem:
-        noise = noises.resolve(self.noise, self.noise_source, self.model, data)
+        noise = noises.resolve(self.noise, self.model, data)
         level = np.asarray(noise.level, float)
         size = float(np.sqrt(np.mean(level**2 if level.ndim == 1 else np.diagonal(level))))
         relative = level / (size if level.ndim == 1 else size**2)
@@ -373,7 +369,7 @@ class LocationSearch:
         return {name: np.asarray(value, float) for name, value in parts.items() if value is not None}
 
     def _family_settings(self) -> dict[str, Any]:
-        common = {"noise": self.noise, "noise_source": self.noise_source, "sensors": self.sensors, "hold": self.hold}
+        common = {"noise": self.noise, "sensors": self.sensors, "hold": self.hold}
         given = {name: value for name, value in common.items() if value is not None}
         return given | ({"allow": self.allow} if self.allow else {}) | self.settings
 
@@ -411,23 +407,16 @@ def _check_candidates(model: Model) -> None:
         )  # fmt: skip
 
 
-def _one_lambda(choice: Any, method: str) -> float:
-    if method == "tsvd":
-        raise found_flags.not_comparable("a truncation rank", "method='tsvd'")
-    if method != "tikhonov":
-        raise InputError("unknown method", where="method", found=repr(method), expected="'tikhonov'")
-    if is_rule(choice):
-        raise found_flags.not_comparable("a rule, which chooses another lambda for each", shown(choice))
+def _one_lambda(given: Any) -> float:
+    choice: Any = given.choice if isinstance(given, Lambda) else given
+    choice = LAM if choice is None else choice
     if np.ndim(choice) > 0 or isinstance(choice, Mapping):
         raise found_flags.not_comparable("a lambda for each", f"{len(choice)} values")
+    if Lambda.of(given).method == "tsvd":
+        raise found_flags.not_comparable("a truncation rank", "method='tsvd'")
+    if is_rule(choice):
+        raise found_flags.not_comparable("a rule, which chooses another lambda for each", shown(choice))
     if isinstance(choice, bool) or not isinstance(choice, int | float | np.number) or not 0 < choice < 1:
         raise InputError("no relative lambda", where="choice", found=repr(choice), expected="a number between 0 and 1",
                          hint="choice=1e-3")  # fmt: skip
     return float(choice)
-
-
-def _count(impacts: Any, candidates: int) -> int:
-    if isinstance(impacts, bool) or not isinstance(impacts, int | np.integer) or not 1 <= impacts < candidates:
-        raise InputError("no number of loads", where="impacts", found=repr(impacts),
-                         expected=f"an integer from 1 to {candidates - 1}", hint="impacts=1")  # fmt: skip
-    return int(impacts)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from structures.advice import Advice, Spelling
-from structures.errors import InputError, reals
+from structures.errors import InputError
 from structures.model import Model
 
 from ..inverse.choice import Choice, residual_level
@@ -17,6 +17,7 @@ from ..inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
 from ..inverse.path import RegularizationPath
 from ..inverse.problem import Cholesky
 from ..quality import noise_std
+from ..settings import Noise
 from .data import Data, Readings
 
 COVARIANCE = NoiseSource("repeatability", "covariance")
@@ -24,8 +25,8 @@ DECLARED = NoiseSource("datasheet", "data sheet (declared with the sensors)")
 
 
 @dataclass(frozen=True)
-class Noise:
-    """Noise of the used channels.
+class NoiseLevel:
+    """Noise of the used channels, as it was found.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ class Noise:
         return 1.0 if self.known else None
 
 
-def resolve(given: ArrayLike | None, source: NoiseSource | None, model: Model, data: Data) -> Noise:
+def resolve(given: Noise, model: Model, data: Data) -> NoiseLevel:
     """Noise level by the first that tells: the user, the model, the record's channels, its quiet segment; else a scale.
 
     Raises
@@ -56,39 +57,38 @@ def resolve(given: ArrayLike | None, source: NoiseSource | None, model: Model, d
         A level that does not fit the channels.
     """
     count = len(data.rows)
-    if given is not None:
-        level = _level(given, count, "sensors")
-        return Noise(level, True, source or (COVARIANCE if level.ndim == 2 else STATED))
+    if given.stated:
+        return _stated(given, count)
     declared = model.noise
     if declared is not None:
         pick = declared[data.rows] if declared.ndim == 1 else declared[np.ix_(data.rows, data.rows)]
-        return Noise(pick, True, DECLARED)
+        return NoiseLevel(pick, True, DECLARED)
     found = noise_std(data.record.select([c.label for c in data.channels]))
     if found is not None and np.all(found[0] > 0):
-        return Noise(found[0], True, found[1])
+        return NoiseLevel(found[0], True, found[1])
     scale = data.rms
     if len({c.unit for c in data.channels}) < 2:
         scale = np.full(count, float(np.sqrt(np.mean(scale**2))))
     if np.any(scale == 0):
         raise InputError(
-            "a channel is zero throughout", where="record",
-            found=[c.label for c, s in zip(data.channels, scale, strict=True) if s == 0], expected="a response",
+            "a channel is zero throughout",
+            where="record",
+            found=[c.label for c, s in zip(data.channels, scale, strict=True) if s == 0],
+            expected="a response",
             hint=Advice(Spelling("leave the channel out (sensors=[...])", "calibrate a model without this channel")),
-        )  # fmt: skip
-    return Noise(scale, False, NOT_KNOWN)
+        )
+    return NoiseLevel(scale, False, NOT_KNOWN)
 
 
-def steady(
-    given: Any, source: NoiseSource | None, interpolation: ArrayLike | None, model: Model, found: Readings
-) -> Noise:
+def steady(given: Noise, model: Model, found: Readings) -> NoiseLevel:
     """Noise of static readings, by the first that tells: the user, the model, the record's quiet segment; else a scale.
 
     Parameters
     ----------
-    given : float, array or Cholesky, optional
-        Std, (sensors,), covariance (sensors, sensors) or its factor; with `interpolation` that of the raw markers.
-    interpolation : array (sensors, markers), optional
-        The readings are ``W z`` of raw markers z: their noise is correlated, ``W R W^T``.
+    given : Noise
+        With an interpolation W the readings are ``W z`` of raw markers z, and their noise is correlated, ``W R W^T``.
+    model : Model
+    found : Readings
 
     Raises
     ------
@@ -96,48 +96,53 @@ def steady(
         A level that does not fit the channels, an interpolation without the noise of its markers.
     """
     count = len(found.rows)
-    if interpolation is not None:
-        return _interpolated(given, source, interpolation, count)
-    if isinstance(given, Cholesky):
-        return Noise(given, True, source or COVARIANCE)
-    if given is not None:
-        level = _level(given, count, "sensors")
-        return Noise(level, True, source or (COVARIANCE if level.ndim == 2 else STATED))
+    if given.interpolation is not None:
+        return _interpolated(given, count)
+    if isinstance(given.std, Cholesky):
+        return NoiseLevel(given.std, True, given.origin or COVARIANCE)
+    if given.stated:
+        return _stated(given, count)
     if found.data is not None:
-        return resolve(None, source, model, found.data)
+        return resolve(given, model, found.data)
     declared = model.noise
     if declared is not None:
         pick = declared[found.rows] if declared.ndim == 1 else declared[np.ix_(found.rows, found.rows)]
-        return Noise(pick, True, DECLARED)
-    return Noise(_scales(found), False, NOT_KNOWN)
+        return NoiseLevel(pick, True, DECLARED)
+    return NoiseLevel(_scales(found), False, NOT_KNOWN)
 
 
-def _level(given: Any, count: int, what: str) -> NDArray[np.float64]:
-    level = reals(given, what="the noise is no real number", where="noise")
-    level = np.full(count, float(level)) if level.ndim == 0 else level
-    if level.shape not in {(count,), (count, count)} or not np.all(np.isfinite(level)):
+def _stated(given: Noise, count: int) -> NoiseLevel:
+    level = _level(given.std, count, "sensors")
+    return NoiseLevel(level, True, given.origin or (COVARIANCE if level.ndim == 2 else STATED))
+
+
+def _level(std: Any, count: int, what: str) -> NDArray[np.float64]:
+    level = np.full(count, std) if isinstance(std, float) else std
+    if np.shape(level) not in {(count,), (count, count)}:
         raise InputError(
-            f"the noise does not fit the {what}", where="noise",
-            found=f"shape {level.shape}" + ("" if np.all(np.isfinite(level)) else ", NaN or infinity in it"),
-            expected=f"finite: a number, ({count},) or ({count}, {count})",
-        )  # fmt: skip
-    return level
+            f"the noise does not fit the {what}",
+            where="noise",
+            found=f"shape {np.shape(level)}",
+            expected=f"a number, ({count},) or ({count}, {count})",
+        )
+    return np.asarray(level, float)
 
 
-def _interpolated(given: Any, source: NoiseSource | None, interpolation: ArrayLike, count: int) -> Noise:
+def _interpolated(given: Noise, count: int) -> NoiseLevel:
     """Covariance of readings that were interpolated from markers."""
-    W = reals(interpolation, what="the interpolation is no matrix of real numbers", where="interpolation")
-    if W.ndim != 2 or W.shape[0] != count or not np.all(np.isfinite(W)) or given is None:
+    W = np.asarray(given.interpolation, float)
+    if W.ndim != 2 or W.shape[0] != count or not np.all(np.isfinite(W)) or not given.stated:
         raise InputError(
             "the interpolation does not fit the readings, or its markers have no noise",
             where="interpolation",
             found=f"shape {W.shape}, {'' if np.all(np.isfinite(W)) else 'NaN or infinity in it, '}"
-            f"noise {'missing' if given is None else 'given'}",
-            expected=f"({count}, markers), with noise= of the markers",
+            f"noise {'given' if given.stated else 'missing'}",
+            expected=f"({count}, markers), with the noise of the markers: Noise(std, interpolation=W)",
         )
-    level = _level(given, W.shape[1], "markers")
+    level = _level(given.std, W.shape[1], "markers")
     half = W * level if level.ndim == 1 else W @ np.linalg.cholesky(level)
-    return Noise(half @ half.T, True, source or NoiseSource("repeatability", "covariance of the interpolated markers"))
+    source = given.origin or NoiseSource("repeatability", "covariance of the interpolated markers")
+    return NoiseLevel(half @ half.T, True, source)
 
 
 def _scales(found: Readings) -> NDArray[np.float64]:
@@ -173,12 +178,12 @@ class LineNoise:
     known: bool = True
 
     @property
-    def noise(self) -> Noise:
+    def noise(self) -> NoiseLevel:
         """What remains to be said once lines are whitened."""
-        return Noise(np.ones(self.power.shape[1]), self.known, self.source)
+        return NoiseLevel(np.ones(self.power.shape[1]), self.known, self.source)
 
 
-def white(noise: Noise, samples: int, lines: int) -> LineNoise:
+def white(noise: NoiseLevel, samples: int, lines: int) -> LineNoise:
     """The same level on every line.
 
     Raises
@@ -197,7 +202,7 @@ def white(noise: Noise, samples: int, lines: int) -> LineNoise:
 CHANCE = 0.05  # a residual this unlikely under the stated noise is model error
 
 
-def noise_level(path: RegularizationPath, choice: Choice, noise: Noise) -> float:
+def noise_level(path: RegularizationPath, choice: Choice, noise: NoiseLevel) -> float:
     """Stated level of the whitened noise; what the residual shows where that is clearly more or nothing was stated."""
     seen = residual_level(path, choice.lam)
     if noise.sigma is None:

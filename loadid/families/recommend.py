@@ -24,15 +24,16 @@ from structures.model import Model
 from ..guards import families as told
 from ..inverse import rules
 from ..inverse.gaussian.records import filter_record
-from ..inverse.noise_source import NoiseSourceLike
 from ..inverse.sparse import dictionaries
 from ..record import Record
 from ..results.estimate import LoadEstimate
+from ..settings import Lambda, Noise, Penalty, takes
 from .data import Data, gather
 from .deconvolution import Deconvolution
 from .histories import half_width, kurtosis
 from .kalman import LoadTracker
-from .posing.sparsity import Problem, pose, posing, score
+from .posing import PosingSettings
+from .posing.sparsity import Problem, pose, score
 from .sparse import SparseDeconvolution
 from .tracking.tracker import Tracker
 
@@ -194,6 +195,7 @@ class Recommendation:
         return self._run(record, dt)
 
 
+@takes(noise=(Noise, "source"))
 def recommend(
     model: Model,
     record: Any,
@@ -201,8 +203,7 @@ def recommend(
     *,
     load_class: str | None = None,
     hold: str | None = None,
-    noise: ArrayLike | None = None,
-    noise_source: NoiseSourceLike = None,
+    noise: ArrayLike | Noise | None = None,
     sensors: Sequence[str | int] | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> Recommendation:
@@ -214,7 +215,7 @@ def recommend(
 
     Parameters
     ----------
-    model, record, dt, hold, noise, noise_source, sensors, progress
+    model, record, dt, hold, noise, sensors, progress
         As for `SparseDeconvolution`.
     load_class : {"impact", "service", "slow", "harmonic", "random", "step"}, optional
         What is known of the load. It decides between priors that the record does not tell apart, and has waveforms
@@ -229,7 +230,8 @@ def recommend(
         raise InputError("unknown class of load", where="load_class", found=repr(load_class)[:80],
                          expected=", ".join(map(repr, CLASSES)))  # fmt: skip
     say = progress or (lambda fraction, text: None)
-    settings: dict[str, Any] = {"hold": hold, "noise": noise, "noise_source": noise_source, "sensors": sensors}
+    known = Noise.of(noise)
+    settings: dict[str, Any] = {"hold": hold, "noise": known, "sensors": sensors}
     say(0.0, "Tikhonov")
     smooth = Deconvolution(model, **settings).estimate(record, dt)
     peaked = [kurtosis(g) for g in smooth.load.T]
@@ -237,7 +239,7 @@ def recommend(
     seen = _Seen(peaked[worst], pulse_width(smooth.load[:, worst]), 1 - (smooth.facts.peak_bias or 0.0))
     asked = _Asked(model, record, dt, settings, seen, load_class)
     data = gather(record, dt, model, sensors, allow_missing=True)
-    problem = pose(model, data, posing(hold, noise, noise_source, ()))
+    problem = pose(model, data, PosingSettings(known, Lambda(), Penalty(), (), hold))
     first = problem.beginning()
     samples = first.samples + len(data.values) - problem.samples
     processes = compared(model, data, samples, settings, lambda f, t: say(0.1 + 0.4 * f, t))

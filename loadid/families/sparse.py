@@ -13,26 +13,26 @@ from structures.errors import InputError, as_array, real
 from structures.flags import Flag
 from structures.model import Model, as_model
 
-from .. import guards
 from ..guards import families as told
-from ..inverse.choice import Choice, ChoiceLike, PathCurve, is_rule, named
+from ..inverse.choice import Choice, PathCurve, is_rule, named
 from ..inverse.convolution import Convolution
-from ..inverse.noise_source import NoiseSource, NoiseSourceLike
+from ..inverse.noise_source import NoiseSource
 from ..inverse.rules import name_of
 from ..inverse.sparse.path import TOLERANCE
 from ..inverse.sparse.support import SupportPosterior
 from ..inverse.sweep import RuleResult
 from ..results.estimate import LoadEstimate
 from ..results.facts import Facts
+from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, Sparsity, takes
 from . import histories
 from .answer import SolvedLoad, answer, beyond_noise, over_time
 from .data import Data, gather
 from .histories import without_offsets
-from .posing.sparsity import SparseChoice, Wanted, amplitude_share, choose, pose, posing
+from .posing import PosingSettings
+from .posing.sparsity import SparseChoice, Wanted, amplitude_share, choose, pose
 
 DICTIONARIES = ("dirac", "bspline", "wavelet")
 RULES = ("discrepancy", "ebic")
-GROUPS = ("loads", "slots")
 AGREED = (0.1, 0.3)  # relative distance of the loads of two rules up to which mu is determined, usable
 LEFT = NoiseSource("residual", "what the fit of the best criterion leaves")
 BAND = (
@@ -60,68 +60,55 @@ class SparseDeconvolution:
     knots : int, sequence of int, "scan" or None
         Spacing of the B-splines in samples; several, or "scan" (2, 4, 8, 16; the same as None), are compared by the
         extended information criterion. The best is a third to a fifth of the width of a pulse.
-    nonnegative : bool
-        Coefficients are not negative: the load only pushes (spikes, B-splines, matrices without negative entries).
-    groups : {"loads", "slots"} or None
-        ``"loads"``: which of the candidates acted: the history of a load is zero as a whole, or not.
-        ``"slots"``: the loads act at the same times.
-    reweighted : int
-        Rounds of reweighting, which hold small coefficients down and leave large ones.
-    debias : bool
-        Least squares on the support; without it the shrunken amplitudes of the penalty are returned.
-    choice : str, callable, float or None
+    sparsity : Sparsity
+        Groups of loads, signs, rounds of reweighting, the duality gap: `loadid.Sparsity`.
+    choice : str, callable, float, None or Lambda
         Rule for mu (``"discrepancy"``, ``"ebic"``, or any that the size of the support serves as degrees of freedom,
         such as ``"gcv"``), or mu over the smallest at which everything is zero. None: discrepancy, with the stated
         noise level, or with that which the least squares of the best extended information criterion leaves.
-    load_class : {"impact", "service"}, optional
-        What kind of load is expected; flag W510 where this prior does not fit it.
-    tol : float
-        Relative duality gap, over ``1/2 |y|^2``.
     hold : {"foh", "zoh"}, optional
         How a load moves between samples; default the model's own.
-    noise : float or array, optional
-        Noise std of the sensors, (sensors,) or a covariance (sensors, sensors).
-    noise_source : NoiseSource, str or (str, str), optional
-        Where that level comes from.
+    noise : float, array or Noise, optional
+        Noise std of the sensors, (sensors,) or a covariance (sensors, sensors); with where it comes from:
+        `loadid.Noise`.
     sensors : sequence of str or int, optional
         Sensors of the model to use; default all.
-    allow : sequence of str
-        Guard codes whose refusal is overridden.
-    coverage : Coverage, optional
+    allow : sequence of str, or Guards
+        Guard codes whose refusal is overridden. What else guards ask: `loadid.Guards`.
     progress : callable, optional
         Called as ``progress(fraction, text)``.
     """
 
     name = "sparse deconvolution"
 
+    @takes(
+        sparsity=(Sparsity, "groups nonnegative reweighted debias tol"),
+        choice=(Lambda, ""),
+        noise=(Noise, "source"),
+        allow=(Guards, "coverage load_class"),
+    )
     def __init__(
         self,
         model: Model,
         *,
         dictionary: str | ArrayLike = "dirac",
         knots: int | str | Sequence[int] | None = None,
-        nonnegative: bool = False,
-        groups: str | None = None,
-        reweighted: int = 0,
-        debias: bool = True,
+        sparsity: Sparsity = Sparsity(),  # noqa: B008 -- immutable
         choice: ChoiceLike = None,
-        load_class: str | None = None,
-        tol: float = TOLERANCE,
         hold: str | None = None,
-        noise: ArrayLike | None = None,
-        noise_source: NoiseSourceLike = None,
+        noise: ArrayLike | Noise | None = None,
         sensors: Sequence[str | int] | None = None,
-        allow: Sequence[str] = (),
-        coverage: Any = None,
+        allow: Sequence[str] | Guards = (),
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
         if not isinstance(dictionary, str):
             dictionary = as_array(dictionary, where="dictionary", dtype=float)
-        self.wanted = Wanted(dictionary, knots, nonnegative, groups, reweighted, debias, choice, tol)
-        _check(self.wanted, load_class)
-        self.posing = posing(hold, noise, noise_source, guards.allowed(allow))
+        told_of = Guards.of(allow)
+        self.wanted = Wanted(dictionary, knots, Sparsity.of(sparsity), Lambda.of(choice).choice)
+        _check(self.wanted)
+        self.posing = PosingSettings(Noise.of(noise), Lambda(), Penalty(), told_of.codes, hold)
         self.model = as_model(model, "SparseDeconvolution", "impulse_response")
-        self.sensors, self.coverage, self.load_class = sensors, coverage, load_class
+        self.sensors, self.coverage, self.load_class = sensors, told_of.coverage, told_of.load_class
         self._progress = progress or (lambda fraction, text: None)
 
     def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
@@ -175,7 +162,7 @@ class SparseDeconvolution:
     def _load(self, chosen: SparseChoice, samples: int) -> tuple[NDArray[np.float64], SupportPosterior]:
         """Loads (samples, loads of the model), zero for those that groups left out, and their covariance."""
         found, atoms = chosen.fit, chosen.atoms
-        x = found.full(atoms.n) if self.wanted.debias else chosen.solution.x
+        x = found.full(atoms.n) if self.wanted.penalty.debias else chosen.solution.x
         count = len(self.model.loads)
         load = np.zeros((samples, count))
         load[:, chosen.loads] = atoms.history(x)
@@ -186,18 +173,19 @@ class SparseDeconvolution:
     def _facts(self, chosen: SparseChoice, share: tuple[float, int] | None) -> Facts:
         problem, found = chosen.problem, chosen.fit
         freedom = max(problem.data - len(found.x), 1)
-        others = len(self.model.loads) // len(chosen.loads) if self.wanted.groups == "loads" else 1
+        others = len(self.model.loads) // len(chosen.loads) if self.wanted.penalty.groups == "loads" else 1
         more: dict[str, Any] = {}
         if chosen.knots is not None:
             more["knots"] = chosen.knots
-        if self.wanted.groups == "loads":
+        if self.wanted.penalty.groups == "loads":
             more["acting_loads"] = tuple(self.model.loads[j].label for j in chosen.loads)
         if share is not None:
             more["amplitude_std_with_neighbours"] = share[0]
         if len(chosen.scores) > 1:
             more["criterion_by_knots"] = ", ".join(f"{k}: {v:.1f}" for k, v in sorted(chosen.scores.items()))
+        slots = self.wanted.penalty.groups == "slots"
         return Facts(
-            path="l1, active set on shifted responses" if self.wanted.groups != "slots" else "groups, active set",
+            path="groups, active set" if slots else "l1, active set on shifted responses",
             m=problem.data, n=chosen.atoms.n * others, edf=float(len(found.x)), noise_level=float(chosen.sigma),
             residual_to_noise=float(np.sqrt(found.residual2 / freedom)) if problem.noise.known else None,
             **(problem.noise.source if problem.noise.known else LEFT).facts, gap=float(chosen.solution.gap),
@@ -224,7 +212,7 @@ class SparseDeconvolution:
         other = chosen.ratios.get("ebic" if chosen.rule != "ebic" else "discrepancy")
         if other is None or other == chosen.ratio:
             return "usable", 0.0, "mu of one rule alone"
-        along = chosen.problem.path(chosen.atoms, self.wanted.nonnegative)
+        along = chosen.problem.path(chosen.atoms, self.wanted.penalty.nonnegative)
         second = along.fitted(along.solve(other).x, self.wanted.small, chosen.sigma)
         first = chosen.atoms.history(chosen.fit.full(chosen.atoms.n))
         distance = np.linalg.norm(chosen.atoms.history(second.full(chosen.atoms.n)) - first) / np.linalg.norm(first)
@@ -241,9 +229,9 @@ class SparseDeconvolution:
             "wavelet": "few Daubechies wavelets",
             "user": "few columns of a matrix of the user",
         }[self.wanted.named]
-        sign = ", none negative" if self.wanted.nonnegative else ""
+        sign = ", none negative" if self.wanted.penalty.nonnegative else ""
         group = {None: "", "loads": "; few of the loads act", "slots": "; the loads act at the same times"}
-        return f"{what}{sign}{group[self.wanted.groups]} (Laplace, l1)"
+        return f"{what}{sign}{group[self.wanted.penalty.groups]} (Laplace, l1)"
 
     def _flags(
         self, chosen: SparseChoice, data: Data, facts: Facts, share: tuple[float, int] | None
@@ -258,7 +246,7 @@ class SparseDeconvolution:
             wrong,
             None if residual is None or wrong is not None else told.unexplained(residual, self._prior(chosen)),
             None if share is None else told.unsure_amplitudes(share[0], label),
-            told.stopped_gap(chosen.solution.gap, max(self.wanted.tol, TOLERANCE)),
+            told.stopped_gap(chosen.solution.gap, max(self.wanted.penalty.tol, TOLERANCE)),
         ]
 
     def _settings(self, chosen: SparseChoice) -> dict[str, Any]:
@@ -267,10 +255,10 @@ class SparseDeconvolution:
             "dictionary": w.named,
             "knots": chosen.knots,
             "scan": not isinstance(w.knots, int) and w.named == "bspline",
-            "nonnegative": w.nonnegative,
-            "groups": w.groups,
-            "reweighted": w.reweighted,
-            "debias": w.debias,
+            "nonnegative": w.penalty.nonnegative,
+            "groups": w.penalty.groups,
+            "reweighted": w.penalty.reweighted,
+            "debias": w.penalty.debias,
             "choice": named(w.choice),
             "hold": self.posing.hold,
             "noise_source": chosen.problem.noise.source.text,
@@ -278,7 +266,7 @@ class SparseDeconvolution:
         }
 
 
-def _check(w: Wanted, load_class: str | None) -> None:
+def _check(w: Wanted) -> None:
     """Refuse settings that mean nothing.
 
     Raises
@@ -301,23 +289,11 @@ def _check(w: Wanted, load_class: str | None) -> None:
             raise InputError("no spacing of knots", where="knots", found=repr(w.knots),
                              expected="a positive integer, some of them, or 'scan'")  # fmt: skip
     signed = w.named == "wavelet" or (not isinstance(w.dictionary, str) and np.any(w.dictionary < 0))
-    if w.nonnegative and signed:
+    if w.penalty.nonnegative and signed:
         raise InputError("these waveforms have both signs: coefficients that are not negative say nothing of the load",
                          where="nonnegative", found=w.named, expected="dictionary='dirac' or 'bspline'")  # fmt: skip
-    if w.groups is not None and w.groups not in GROUPS:
-        raise InputError("unknown groups", where="groups", found=repr(w.groups), expected="'loads', 'slots' or None")
-    if w.groups == "slots" and w.nonnegative:
-        raise InputError("groups of loads at one time have no sign", where="nonnegative", found="with groups='slots'",
-                         expected="groups='loads' or None")  # fmt: skip
-    if isinstance(w.reweighted, bool) or not isinstance(w.reweighted, int) or not 0 <= w.reweighted <= 20:
-        raise InputError("no number of rounds", where="reweighted", found=repr(w.reweighted), expected="0 to 20")
     if is_rule(w.choice):
         name_of(w.choice)
     elif w.choice is not None and not 0 < (real(w.choice) or 0) < 1:
         raise InputError("no rule and no relative mu", where="choice", found=repr(w.choice),
                          expected="a rule ('discrepancy', 'ebic', ...), or a number between 0 and 1")  # fmt: skip
-    if not (isinstance(w.tol, float) and 1e-14 <= w.tol <= 1e-5):
-        raise InputError("no tolerance", where="tol", found=repr(w.tol), expected="a duality gap of 1e-14 to 1e-5")
-    if load_class is not None and load_class not in told.CLASSES:
-        raise InputError("unknown class of load", where="load_class", found=repr(load_class),
-                         expected="'impact' or 'service'")  # fmt: skip

@@ -16,18 +16,17 @@ from structures.model import Model, as_model
 from structures.models.arrays import MatrixModel
 
 from .. import guards
-from ..inverse import penalties
-from ..inverse.choice import Choice, ChoiceLike, checked, choose, named
+from ..inverse.choice import Choice, checked, choose, named
 from ..inverse.diagnosis import diagnose
-from ..inverse.noise_source import NoiseSource, NoiseSourceLike
 from ..results.estimate import LoadEstimate
 from ..results.facts import STATIC, Facts
+from ..settings import Absolute, ChoiceLike, Guards, Lambda, Noise, Penalty, takes
 from . import smoothness
 from .answer import answer, of_path, undetermined
 from .data import Readings, readings
 from .frozen import Calibration, Frozen, at_rest, calibrate, each_frame, freeze
 from .noise import noise_level
-from .posing.steady import MEETING, Absolute, StaticProblem, drawn, missing, pose, transfer
+from .posing.steady import MEETING, StaticProblem, drawn, missing, pose, transfer
 from .smoothness import geometry
 
 MANY = 16  # loads from which their mesh can be called fine
@@ -46,29 +45,23 @@ class StaticInversion:
     ----------
     model : Model, or array (sensors, loads)
         Anything that gives ``static()``. Loads may be a `structures.bases` basis: then results know their geometry.
-    method : {"tikhonov", "tsvd"}
     penalty : str, array or None
         ``identity``; ``gradient`` or ``laplacian`` of the load field (differences in the order of the loads where the
         model knows no places); ``first_difference``, ``second_difference`` in the order of the loads; a matrix
         (rows, loads); or None for plain least squares, refused where the data do not determine the load.
-    choice : str, callable, float, Absolute or None
+    choice : str, callable, float, Absolute, None or Lambda
         Rule by name or itself, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
+        Truncation in place of Tikhonov: ``Lambda(method="tsvd")``.
     constraints : sequence
         From `loadid.inverse.constraints`: non-negativity, bounds, support, resultants, friction cones.
-    noise : float, array or Cholesky, optional
-        Noise std of the sensors, (sensors,), or their covariance (sensors, sensors), or its Cholesky factor.
-    noise_source : NoiseSource, str or (str, str), optional
-        Where that level comes from: a kind (``"datasheet"``, ``"repeatability"``, ``"quiet"``, ...), a kind and a text,
-        or a `loadid.NoiseSource`; a text of another wording states no origin. Without an origin flag W406 is raised
-        when the level decides.
-    interpolation : array (sensors, markers), optional
-        The readings were interpolated from raw markers, y = W z; `noise` is then that of the markers.
+    noise : float, array, Cholesky or Noise, optional
+        Noise std of the sensors, (sensors,), or their covariance (sensors, sensors), or its Cholesky factor; with where
+        it comes from, or that of the markers which readings were interpolated from: `loadid.Noise`.
     sensors : sequence of str or int, optional
         Sensors of the model to use; default all.
-    allow : sequence of str
-        Guard codes whose refusal is overridden; printed on everything made from the result.
-    coverage : Coverage, optional
-        Outcome of `loadid.validate.coverage` on a set-up like this one.
+    allow : sequence of str, or Guards
+        Guard codes whose refusal is overridden; printed on everything made from the result. With what was checked:
+        `loadid.Guards`.
     progress : callable, optional
         Called as ``progress(fraction, text)``.
 
@@ -80,48 +73,47 @@ class StaticInversion:
 
     name = STATIC
 
+    @takes(
+        penalty=(Penalty, ""),
+        choice=(Lambda, "method"),
+        noise=(Noise, "source interpolation"),
+        allow=(Guards, "coverage"),
+    )
     def __init__(
         self,
         model: Model | ArrayLike,
         *,
-        method: str = "tikhonov",
-        penalty: str | ArrayLike | None = "identity",
-        choice: ChoiceLike | Absolute = None,
+        penalty: str | ArrayLike | Penalty | None = "identity",
+        choice: ChoiceLike = None,
         constraints: Sequence[Any] | Any = (),
         noise: Any = None,
-        noise_source: NoiseSourceLike = None,
-        interpolation: ArrayLike | None = None,
         sensors: Sequence[str | int] | None = None,
-        allow: Sequence[str] = (),
-        coverage: Any = None,
+        allow: Sequence[str] | Guards = (),
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
-        if method not in ("tikhonov", "tsvd"):
-            raise InputError("unknown method", where="method", found=repr(method), expected="'tikhonov' or 'tsvd'")
-        if isinstance(penalty, str):
-            penalties.order(penalty)
-        if not isinstance(choice, Absolute):
-            choice = checked(choice, SMALLEST)
-        if penalty is None:
-            if choice not in (None, 0.0):
+        lam, told_of = Lambda.of(choice), Guards.of(allow)
+        self.method, self.penalty, self.choice = lam.method, Penalty.of(penalty).L, lam.choice
+        if not isinstance(self.choice, Absolute):
+            self.choice = checked(self.choice, SMALLEST)
+        if self.penalty is None:
+            if self.choice not in (None, 0.0):
                 raise InputError(
-                    "without a penalty there is no lambda to choose", where="choice", found=choice, expected="None"
+                    "without a penalty there is no lambda to choose", where="choice", found=self.choice, expected="None"
                 )
-            choice = 0.0
+            self.choice = 0.0
         self.model = as_model(MatrixModel.of(model), "StaticInversion", "static")
-        self.method, self.penalty, self.choice = method, penalty, choice
         self.constraints = tuple(constraints) if isinstance(constraints, list | tuple) else (constraints,)
-        if self.constraints and method == "tsvd":
+        if self.constraints and self.method == "tsvd":
             raise InputError(
                 "a truncated SVD takes no constraints", where="method", found="tsvd", expected="method='tikhonov'"
             )
-        self.noise, self.noise_source, self.interpolation = noise, NoiseSource.of(noise_source), interpolation
-        self.sensors, self.allow, self.coverage = sensors, guards.allowed(allow), coverage
+        self.noise, self.sensors = Noise.of(noise), sensors
+        self.allow, self.coverage = told_of.codes, told_of.coverage
         self._progress = progress or (lambda fraction, text: None)
         self.basis = self.model.basis
         self.geometry = None if self.basis is None else geometry(self.basis)
         self.H = transfer(self.model, self.allow)
-        self.L = smoothness.matrix(penalty, self.H.shape[1], self.basis)
+        self.L = smoothness.matrix(self.penalty, self.H.shape[1], self.basis)
         self.calibration: Calibration | None = None
 
     # -- doing --------------------------------------------------------------------------------------------------------
@@ -207,9 +199,7 @@ class StaticInversion:
             L=self.L,
             truncated=self.method == "tsvd",
             constraints=self.constraints,
-            noise=told if self.noise is None else self.noise,
-            source=self.noise_source,
-            interpolation=self.interpolation,
+            noise=self.noise if self.noise.stated else replace(self.noise, std=told),
         )
 
     def choose(self, posed: StaticProblem) -> Choice:
@@ -316,6 +306,6 @@ class StaticInversion:
             "constraint_kinds": [type(c).__name__ for c in self.constraints],
             "path": posed.solved_by,
             "noise_source": posed.noise.source.text,
-            "interpolated": self.interpolation is not None,
+            "interpolated": self.noise.interpolation is not None,
             "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
         }

@@ -115,7 +115,7 @@ def needs_white_noise(choice: Choice) -> Flag | None:
         "the dof-corrected discrepancy needs white noise, and that is neither stated nor shown",
         Advice(
             "use the plain discrepancy",
-            Spelling(", or say that it is white: noise_source=NoiseSource(kind, white=True)", ""),
+            Spelling(", or say that it is white: noise=Noise(std, source=NoiseSource(kind, white=True))", ""),
         ),
     )
 
@@ -190,7 +190,7 @@ def noise_source(choice: Choice, path: RegularizationPath | None = None) -> Flag
         Advice(
             "record the unloaded sensors for a minute, or ",
             Spelling(
-                "say where the level comes from: noise_source='datasheet', 'repeatability' or 'quiet'",
+                "say where the level comes from: noise=Noise(std, source='datasheet'), 'repeatability' or 'quiet'",
                 "choose another rule with --choice",
             ),
         ),

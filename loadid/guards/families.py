@@ -218,7 +218,8 @@ def place_unexplained(to_noise: float | None, residual: float) -> Flag | None:
         "W511",
         Evidence("residual over noise", float(to_noise), LOUD),
         f"no place explains the data: the best one leaves {residual:.0%} of them, {to_noise:.3g} times the noise",
-        "extend the grid of candidates, search for several loads (impacts=2), or check the model and the noise level",
+        "extend the grid of candidates, search for several loads (search=Search(impacts=2)), or check the model and "
+        "the noise level",
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 from structures.flags import Evidence, Flag
 
@@ -294,7 +295,10 @@ def windows_apart(share: float) -> Flag | None:
         Evidence("bound on the error of the windows over the std", float(share), NEGLIGIBLE),
         f"the record was solved in windows; the load can differ from that of the record in one piece by up to "
         f"{share:.2g} of its std",
-        "path='toeplitz' solves it in one piece; a larger lambda makes the windows forget their ends sooner",
+        Advice(
+            Option("path", "toeplitz", within="choice=Lambda"),
+            " solves it in one piece; a larger lambda makes the windows forget their ends sooner",
+        ),
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from structures.advice import Advice, Spelling
 from structures.errors import NotIdentifiable
 from structures.flags import Evidence, Flag
 from structures.model import Model
@@ -115,8 +116,12 @@ def drifting(observed: Observability, cures: Sequence[Cure] = ()) -> Flag | None
         "E501",
         Evidence("smallest singular value of [F - lam I; H]", unseen[0].sigma, UNSEEN),
         f"{what} (singular value {unseen[0].sigma:.1g}){told}",
-        f"add {_cure(cures)}; or take a prior that returns to zero (OU, Matern); or accept a drift with its growing "
-        "std (allow_drift=True)",
+        Advice(
+            f"add {_cure(cures)}; or take a prior that returns to zero (OU, Matern); or accept a drift with its",
+            " growing std (",
+            Spelling("allow=['LID-E501']", "--allow-drift"),
+            ")",
+        ),
     )
 
 

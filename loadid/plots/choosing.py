@@ -223,7 +223,8 @@ def draw_map(ax: Axes, result: LocationResult, *, load: int = 0, truth: ArrayLik
     if result.places is None:
         raise InputError(
             "the places of the candidates are not known", where="plot", found="labels alone",
-            expected="a model that knows its places", hint="LocationSearch(..., places=), or kind='residual'",
+            expected="a model that knows its places",
+            hint="LocationSearch(..., search=Search(places=...)), or kind='residual'",
         )  # fmt: skip
     used = _used(result.places)
     known = None if truth is None else _known(truth, result.places.shape[1])

@@ -15,6 +15,7 @@ from loadid.guards import collect
 from loadid.inverse.noise_source import NoiseSourceLike
 from loadid.results.estimate import LoadEstimate
 from loadid.results.facts import provenance
+from loadid.settings import Noise
 from structures.errors import InputError
 from structures.flags import Flag, codes
 
@@ -126,7 +127,7 @@ class LinearSensor(MarkedSensor):
         self.resultant = resultant
         self.model = PadModel(H, sensors, [self.loads[i] for i in self.kept], basis, body.flags)
         self.family = StaticInversion(
-            self.model, penalty=penalty, choice=choice, noise_source=noise_source, allow=list(allow)
+            self.model, penalty=penalty, choice=choice, noise=Noise(source=noise_source), allow=list(allow)
         )
         self._quick: dict[bool, QuickMap] = {}
 

@@ -296,7 +296,6 @@ def _settings(family: StaticInversion) -> dict[str, Any]:
         "penalty": family.penalty,
         "choice": family.choice,
         "noise": family.noise,
-        "noise_source": None if family.noise_source is None else family.noise_source.text,
         "allow": list(family.allow),
         "sensors": family.sensors,
     }

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from case_studies import contact_inversion, impact_plate
-from loadid import Deconvolution, StaticInversion
+from loadid import Deconvolution, Noise, StaticInversion
 from loadid.validate import coverage
 
 
@@ -21,9 +21,9 @@ def from_the_prior(draws: int, m: int = 16, n: int = 24) -> tuple[str, float]:
     """White loads of unit variance through a smooth kernel, lambda = sigma over that variance."""
     x, s = contact_inversion.nodes(n), contact_inversion.nodes(m)
     H, sigma = contact_inversion.kernel(0.1, s, x), 1e-3
-    family = StaticInversion(H, noise=sigma, noise_source="repeatability")
+    family = StaticInversion(H, noise=Noise(sigma, source="repeatability"))
     scale = float(np.linalg.norm(H / sigma, 2))
-    family = StaticInversion(H, noise=sigma, noise_source="repeatability", choice=1.0 / scale)
+    family = StaticInversion(H, noise=Noise(sigma, source="repeatability"), choice=1.0 / scale)
     found = coverage(family, lambda rng: rng.standard_normal(n), noise=sigma, draws=draws)
     return "white loads, lambda of their prior", found.share
 
@@ -35,7 +35,7 @@ def contact(profile: str, draws: int, constraints: tuple = ()) -> tuple[str, flo
     for seed in range(draws):
         y, sigma = contact_inversion.readings(t, shape, "every node", seed)
         estimate = StaticInversion(
-            contact_inversion.model(t), noise=sigma, noise_source="repeatability", constraints=constraints
+            contact_inversion.model(t), noise=Noise(sigma, source="repeatability"), constraints=constraints
         ).estimate(y)
         low, high = estimate.band()
         inside += np.sum((p >= low) & (p <= high))
@@ -47,7 +47,7 @@ def impacts(draws: int) -> tuple[str, float]:
     plate, g = impact_plate.model("strain", 0.5), impact_plate.force()
     clean: NDArray = plate.predict(g, impact_plate.DT)
     sigma = 0.01 * float(np.sqrt(np.mean(clean**2)))
-    family = Deconvolution(plate, noise=sigma, noise_source="unloaded record")
+    family = Deconvolution(plate, noise=Noise(sigma, source="unloaded record"))
     return "half-sine impacts", coverage(family, g, impact_plate.DT, noise=sigma, draws=draws).share
 
 

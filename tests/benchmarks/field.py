@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import FieldDeconvolution, NotIdentifiable
+from loadid import FieldDeconvolution, Noise, NotIdentifiable
 from loadid.inverse.convolution import Convolution
 from structures import ForwardModel, bases
 from structures.elements import plates
@@ -92,7 +92,7 @@ def errors(y, noise, q, places, steps=STEPS, **settings) -> tuple[float, float]:
     """Error at the chosen lambda, and the smallest at lambdas so many decades from it."""
     basis = bases.hats(plate(), (3, 3))
     under = model(basis)
-    asked = {"noise": noise, "noise_source": "known", **settings}
+    asked = {"noise": Noise(noise, source="known"), **settings}
     found = FieldDeconvolution(under, **asked).estimate(y, DT)
     at = [float(found.choice.lam * 10**s) for s in steps if s]
     others = [FieldDeconvolution(under, choice=lam, **asked).estimate(y, DT).load for lam in at]
@@ -126,13 +126,13 @@ def main(samples: int) -> None:
         floor = error(basis, np.linalg.lstsq(B.T, q.T, rcond=None)[0].T, q, places)
         for name, settings in PRIORS.items():
             start = time.process_time()
-            found = FieldDeconvolution(under, noise=noise, noise_source="known", **settings).estimate(y, DT)
+            found = FieldDeconvolution(under, noise=Noise(noise, source="known"), **settings).estimate(y, DT)
             spent = time.process_time() - start
             ours, best = errors(y, noise, q, places, **settings)
             print(f"  {seed:4d}  {name:26s}{ours:7.4f}{best:9.4f}{ours / best:8.3f}{floor:14.4f}{spent:8.2f}"
                   f"   {found.facts['path']}")  # fmt: skip
         if seed == 0:
-            plain = FieldDeconvolution(under, noise=noise, noise_source="known").estimate(y, DT)
+            plain = FieldDeconvolution(under, noise=Noise(noise, source="known")).estimate(y, DT)
             start = time.process_time()
             load, iterations = lsmr(under, y, noise, plain.choice.lam * plain.choice.scale)
             apart = np.linalg.norm(load - plain.load) / np.linalg.norm(plain.load)

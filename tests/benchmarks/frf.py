@@ -32,6 +32,7 @@ from loadid.families.posing.fitting import LineRule, fit
 from loadid.inverse import rules
 from loadid.inverse.spectral import LinesPath, compress, factor
 from loadid.inverse.sweep import Sweep
+from loadid.settings import Lambda
 from structures import FrfModel
 from tests import frfplate
 from tests.frfplate import KINDS, Lines
@@ -40,9 +41,9 @@ DEFAULT, CORE = "loadid, whole estimate", "loadid, loads and std"
 OURS: dict[str, dict[str, Any]] = {
     DEFAULT: {},
     "loadid, GCV of neighbours": {"choice": "gcv"},
-    "loadid, GCV per line": {"choice": "gcv", "over": "line"},
-    "loadid, L-curve per line": {"choice": "l_curve", "over": "line"},
-    "loadid, TSVD by GCV": {"method": "tsvd"},
+    "loadid, GCV per line": {"choice": Lambda("gcv", over="line")},
+    "loadid, L-curve per line": {"choice": Lambda("l_curve", over="line")},
+    "loadid, TSVD by GCV": {"choice": Lambda(method="tsvd")},
 }
 PEER_DEFAULT, PEER_VALIDATION = "forcefinder, L-curve (default)", "forcefinder, LOO cross-validation"
 LIMITS = {"accelerance": (0.145, 0.40), "mobility": (0.200, 0.26), "receptance": (0.75, 1.0)}  # med, glob

@@ -14,7 +14,7 @@ import sys
 
 import numpy as np
 
-from loadid import FrequencyInversion, Spectra
+from loadid import FrequencyInversion, Noise, Spectra
 from structures import FrfModel
 from tests import frfplate
 from tests.frfplate import KINDS, LOADS
@@ -30,7 +30,7 @@ def covered(kind: str, error: float, seed: int, told: bool = True) -> tuple[floa
     H = case.exact + level * frfplate.complex_normals(rng, *case.exact.shape) / np.sqrt(2)
     variance = np.broadcast_to(level**2, H.shape) if told else None
     model = FrfModel.from_frf(case.frequencies, H, kind=kind, variance=variance)
-    family = FrequencyInversion(model, noise=case.sigma, noise_source="known")
+    family = FrequencyInversion(model, noise=Noise(case.sigma, source="known"))
     found = family.estimate(Spectra(case.frequencies, case.Y))
     assert found.std is not None
     inside = np.abs(found.load - case.truth) <= CIRCLE * found.std

@@ -15,7 +15,7 @@ from time import perf_counter
 
 import numpy as np
 
-from loadid import StaticInversion
+from loadid import Noise, StaticInversion
 
 SENSORS, LOADS = 60, 1000
 
@@ -35,7 +35,7 @@ def main() -> None:
     x, s = np.linspace(0, 1, LOADS), np.linspace(0, 1, SENSORS)
     H = 0.05 / np.pi / (0.05**2 + (s[:, None] - x) ** 2) / LOADS
     y = H @ np.exp(-(((x - 0.4) / 0.1) ** 2)) + 1e-3 * np.random.default_rng(0).standard_normal(SENSORS)
-    family = StaticInversion(H, noise=1e-3, noise_source="repeatability", choice=1e-2)
+    family = StaticInversion(H, noise=Noise(1e-3, source="repeatability"), choice=1e-2)
     frozen, A = family.freeze(), np.ascontiguousarray(family.at_rest().inverse(1e-2))
     L = 1e-2 * np.linalg.norm(H, 2) * np.eye(LOADS)
     rows = [

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from loadid import LoadTracker
 from loadid.families.tracking.tracker import Tracker
+from loadid.settings import Noise
 from structures import ForwardModel
 from structures.elements import beams, chains, plates
 from structures.system import loads, sensors
@@ -49,7 +50,7 @@ class Campaign:
 
     def tracker(self) -> Tracker:
         """Fitted with default settings."""
-        known: dict[str, Any] = {"noise": self.noise, "noise_source": "data sheet"} if self.stated else {}
+        known: dict[str, Any] = {"noise": Noise(self.noise, source="data sheet")} if self.stated else {}
         return LoadTracker(self.model, **known).fit(self.fit, self.dt)
 
     def offset(self, size: float) -> Array | None:

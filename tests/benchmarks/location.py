@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from case_studies import impact_location as study
-from loadid import LocationSearch
+from loadid import LocationSearch, Search
 from loadid.inverse.convolution import toeplitz
 
 RANK = 40
@@ -73,7 +73,7 @@ def costs(samples: int) -> tuple[float, float, float]:
     runs = 5 if samples < 1000 else 1
 
     def fresh() -> LocationSearch:
-        one = LocationSearch(model, hold="zoh", refine=False, workers=1)
+        one = LocationSearch(model, hold="zoh", search=Search(refine=False, workers=1))
         one.locate(record)
         return one
 

@@ -25,7 +25,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import Deconvolution
+from loadid import Deconvolution, Noise
 from loadid.families.data import gather
 from loadid.families.posing import pose
 from loadid.inverse.gaussian.path import StateSpacePath
@@ -149,7 +149,7 @@ def judged(setup: str, layout: str, samples: int, seed: int, stated: bool) -> Ju
     """The public call, and what other lambdas would have given."""
     p = problem(setup, layout, samples, seed)
     begun = time.process_time()
-    family = Deconvolution(p.model, noise=p.sigma if stated else None, noise_source="data sheet" if stated else None)
+    family = Deconvolution(p.model, noise=Noise(p.sigma if stated else None, source="data sheet" if stated else None))
     found = family.estimate(p.record, p.dt)
     spent = time.process_time() - begun
     known = Deconvolution(p.model, noise=p.sigma)

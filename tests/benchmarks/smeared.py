@@ -12,7 +12,7 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import Deconvolution
+from loadid import Deconvolution, Noise
 from loadid.families.histories import half_width, kurtosis
 from structures import ForwardModel
 from structures.system import loads, sensors
@@ -60,7 +60,7 @@ def signs(setting: Setting, noise: float, seed: int) -> tuple[float, float, floa
     e = np.random.default_rng(seed).standard_normal(y.shape)
     e *= noise * np.linalg.norm(y) / np.linalg.norm(e)
     level = float(np.linalg.norm(e) / np.sqrt(e.size))
-    found = Deconvolution(model, noise=level, noise_source="known").estimate(y + e, dt)
+    found = Deconvolution(model, noise=Noise(level, source="known")).estimate(y + e, dt)
     load = found.load[:, 0]
     ratio = half_width(load) / (found.facts["resolution"] / dt)
     peak = float(np.abs(load).max() / np.abs(g).max())

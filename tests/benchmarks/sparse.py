@@ -15,10 +15,11 @@ from importlib.util import find_spec
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import Deconvolution, SparseDeconvolution
+from loadid import Deconvolution, SparseDeconvolution, Sparsity
 from loadid.inverse.sparse import dictionaries, lasso
 from loadid.inverse.sparse import lasso as workingset
 from loadid.inverse.sparse.atoms import ShiftedAtoms
+from loadid.settings import Noise
 from structures import ImpulseModel
 from tests import halfsine
 
@@ -127,14 +128,16 @@ def accuracy(seeds: int) -> float:
             knots, spent = [], []
             for seed in range(seeds):
                 y, g = halfsine.record(width, noise, seed)
-                said = {"noise": halfsine.level(halfsine.respond(g), noise), "noise_source": "unloaded record"}
+                said = {"noise": Noise(halfsine.level(halfsine.respond(g), noise), source="unloaded record")}
                 start = time.process_time()
                 splines = SparseDeconvolution(model, dictionary="bspline", **said).estimate(y, 1 / halfsine.RATE)
                 spent.append(time.process_time() - start)
                 knots.append(splines.facts["knots"])
                 others = {
                     "spikes": SparseDeconvolution(model, **said),
-                    "pushing": SparseDeconvolution(model, dictionary="bspline", nonnegative=True, **said),
+                    "pushing": SparseDeconvolution(
+                        model, dictionary="bspline", sparsity=Sparsity(nonnegative=True), **said
+                    ),
                     "tikhonov": Deconvolution(model, **said),
                 }
                 loads = {name: family.estimate(y, 1 / halfsine.RATE).load for name, family in others.items()}

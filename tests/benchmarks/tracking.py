@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import LoadTracker, NotIdentifiable
+from loadid import LoadTracker, Noise, NotIdentifiable
 from loadid.families.tracking.tracker import Tracker
 from loadid.inverse.gaussian.augment import Ambient, augment
 from loadid.inverse.gaussian.loop import Loop
@@ -25,6 +25,7 @@ from loadid.inverse.gaussian.model import FilterModel
 from loadid.inverse.gaussian.priors import OU, RandomWalk, White
 from loadid.inverse.gaussian.records import filter_record as recursive
 from loadid.inverse.gaussian.steady import steady
+from loadid.settings import ModelErrors
 from structures import ForwardModel, StateSpace
 from structures.elements import beams, chains
 from structures.system import damping, loads, sensors
@@ -61,7 +62,7 @@ def building(disp: tuple[int, ...] = (10,)) -> ForwardModel:
 
 def followed(case: Tracked, model: ForwardModel, **settings: Any) -> tuple[Score, Tracker]:
     """Fit to the record and track it from its first sample."""
-    tracker = LoadTracker(model, noise=case.noise, noise_source=KNOWN, **settings).fit(case.y, case.dt)
+    tracker = LoadTracker(model, noise=Noise(case.noise, source=KNOWN), **settings).fit(case.y, case.dt)
     load, std, _ = tracker.run(case.y)
     return score(load, std, case.load), tracker
 
@@ -95,7 +96,7 @@ def held(say: Verdict, seeds: int) -> None:
         write(f"{kind:9s}{tracked.judged(track, case)}\n")
     case = tracked.bm2("matern", disp=())
     try:
-        LoadTracker(building(()), prior="random_walk", noise=case.noise, noise_source=KNOWN).fit(case.y, case.dt)
+        LoadTracker(building(()), prior="random_walk", noise=Noise(case.noise, source=KNOWN)).fit(case.y, case.dt)
         said = "no refusal" + say("BM2 acc only", False)
     except NotIdentifiable as error:
         said = f"refused ({error.code})"
@@ -123,7 +124,7 @@ def wrong(say: Verdict, seeds: int) -> None:
         ways: dict[str, dict[str, Any]] = {
             "nothing done": {},
             "error declared": {"model_error": {"stiffness": share}},
-            "stiffness tuned": {"scales": ("stiffness",)},
+            "stiffness tuned": {"model_error": ModelErrors(scales=("stiffness",))},
         }
         for name, settings in ways.items():
             found, whiteness = [], []
@@ -305,7 +306,7 @@ def drift(say: Verdict, seeds: int) -> None:
         model = beam(disp)
         refusal = "none"
         try:
-            LoadTracker(model, prior=walk, noise=case.noise, noise_source=KNOWN, hold="zoh").fit(case.y, case.dt)
+            LoadTracker(model, prior=walk, noise=Noise(case.noise, source=KNOWN), hold="zoh").fit(case.y, case.dt)
         except NotIdentifiable as error:
             refusal = error.code
         found, tracker = followed(case, model, prior=walk, hold="zoh", allow_drift=not disp, gate=None)

@@ -15,11 +15,13 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from loadid import Deconvolution, FrequencyInversion, LoadEstimate
+from loadid import Deconvolution, FrequencyInversion, Lambda, LoadEstimate
+from loadid.settings import Noise
 from structures import ImpulseModel, StateSpace
 from tests import frfplate
 from tests.frfplate import RATE, SAMPLES, TAPS, Transient
@@ -85,26 +87,28 @@ def estimated(name: str, case: Transient, run: Callable[[], LoadEstimate]) -> Ro
 
 def package(case: Transient, full: bool) -> list[Row]:
     """Both families on the record."""
-    model, told = impulses(case), {"noise": case.sigma, "noise_source": "known"}
+    model, told = impulses(case), {"noise": Noise(case.sigma, source="known")}
 
-    def lines(**settings: object) -> Callable[[], LoadEstimate]:
+    def lines(**settings: Any) -> Callable[[], LoadEstimate]:
         return lambda: FrequencyInversion(model, signal="transient", **settings).estimate(case.y, DT)
 
-    def timed(**settings: object) -> Callable[[], LoadEstimate]:
-        return lambda: Deconvolution(model, path="fft", **settings).estimate(case.y, DT)
+    def timed(rule: str | None = None, **settings: Any) -> Callable[[], LoadEstimate]:
+        return lambda: Deconvolution(model, choice=Lambda(rule, path="fft"), **settings).estimate(case.y, DT)
 
     runs = {
         LINES: lines(),
         f"{LINES}, noise told": lines(**told),
-        f"{LINES}, one lambda by GCV": lines(choice="gcv", over="band"),
+        f"{LINES}, one lambda by GCV": lines(choice=Lambda("gcv", over="band")),
         TIME: timed(),
         f"{TIME}, noise told": timed(**told),
-        f"{TIME}, GCV": timed(choice="gcv"),
-        f"{TIME}, robust GCV": timed(choice="robust_gcv"),
+        f"{TIME}, GCV": timed("gcv"),
+        f"{TIME}, robust GCV": timed("robust_gcv"),
     }
     if full:
         system = states()
-        runs[f"{TIME}, over states"] = lambda: Deconvolution(system, path="statespace").estimate(case.y, DT)
+        runs[f"{TIME}, over states"] = lambda: Deconvolution(system, choice=Lambda(path="statespace")).estimate(
+            case.y, DT
+        )
     return [estimated(name, case, run) for name, run in runs.items()]
 
 

@@ -13,7 +13,7 @@ import time
 
 import numpy as np
 
-from loadid import Deconvolution
+from loadid import Deconvolution, Lambda, Noise
 from loadid.inverse.convolution import PenalizedConvolution
 from structures import ImpulseModel
 
@@ -42,9 +42,11 @@ def case(samples: int) -> tuple[ImpulseModel, np.ndarray, float]:
 def one(samples: int, path: str, choice: float | None) -> None:
     """CPU seconds, memory, error bound over std, lambda and the load's norm, of one run."""
     model, y, sigma = case(3000)
-    Deconvolution(model, path=path, noise=sigma, choice=LAMBDA).estimate(y, 1 / RATE)  # nothing pays for imports
+    Deconvolution(model, noise=sigma, choice=Lambda(LAMBDA, path=path)).estimate(
+        y, 1 / RATE
+    )  # nothing pays for imports
     model, y, sigma = case(samples)
-    family = Deconvolution(model, path=path, noise=sigma, noise_source="known", choice=choice)
+    family = Deconvolution(model, noise=Noise(sigma, source="known"), choice=Lambda(choice, path=path))
     before, start = _resident(), time.process_time()
     found = family.estimate(y, 1 / RATE)
     spent, memory = time.process_time() - start, (_resident("VmHWM") - before) / y.nbytes

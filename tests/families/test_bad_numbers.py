@@ -5,6 +5,7 @@ import pytest
 
 from loadid import StaticInversion
 from loadid.inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
+from loadid.settings import Noise
 from loadid.validate import Known, coverage, validate
 from structures import ForwardModel, InputError, MatrixModel, bases, files
 from structures.elements import beams
@@ -14,7 +15,7 @@ from structures.system import sensors
 RNG = np.random.default_rng(0)
 H = RNG.standard_normal((6, 4))
 Y = H @ np.arange(1.0, 5.0) + 1e-3 * RNG.standard_normal(6)
-SETTINGS = {"noise": 1e-3, "noise_source": "bench"}
+SETTINGS = {"noise": Noise(1e-3, source="bench")}
 
 NO_READINGS = {
     "text": ["a"] * 6,
@@ -72,7 +73,7 @@ def test_noise_that_is_no_number(noise):
         StaticInversion(H, noise=noise).estimate(Y)
 
 
-@pytest.mark.parametrize("choice", [[1.0], np.array([0.1]), True, np.inf, np.nan, -1, 1e300, 1e-300, len])
+@pytest.mark.parametrize("choice", [[1.0], np.array([0.1]), True, np.inf, np.nan, -1, 1e300, 1e-300, object()])
 def test_lambda_that_is_no_number(choice):
     with pytest.raises(InputError, match="relative lambda"):
         StaticInversion(H, choice=choice, **SETTINGS)

@@ -7,6 +7,7 @@ from loadid import Deconvolution, Record, StaticInversion, read
 from loadid.families.data import gather, health
 from loadid.families.noise import resolve
 from loadid.quality import masked
+from loadid.settings import Noise
 from structures import Channel, ForwardModel, ImpulseModel, InputError, MatrixModel, StateSpace
 from structures.elements.beams import materials, simply_supported
 from structures.elements.members import Section
@@ -168,7 +169,7 @@ def test_health_and_noise_of_a_record_with_gaps():
     assert len(lost) == 2
     assert all("left out of the fit" in f.advice for f in lost)
     assert [f.evidence.name for f in health(data) if f not in lost] == whole
-    level = resolve(None, None, MODEL, data)
+    level = resolve(Noise(), MODEL, data)
     assert level.known
     assert level.level == pytest.approx([1.0, 1.0], rel=0.1)
 
@@ -176,9 +177,9 @@ def test_health_and_noise_of_a_record_with_gaps():
 def test_the_scale_of_a_channel_does_not_depend_on_its_gaps():
     """Where no noise is known, channels are scaled by what was recorded, not by the zeros in the gaps."""
     tone = np.sin(np.arange(N)[:, None] * np.array([0.7, 0.9])) * [1.0, 3.0]
-    full = resolve(None, None, MODEL, gather(tone, DT, MODEL, None))
+    full = resolve(Noise(), MODEL, gather(tone, DT, MODEL, None))
     tone[::2] = np.nan
-    half = resolve(None, None, MODEL, gather(tone, DT, MODEL, None, allow_missing=True))
+    half = resolve(Noise(), MODEL, gather(tone, DT, MODEL, None, allow_missing=True))
     assert half.level == pytest.approx(full.level, rel=0.02)
 
 

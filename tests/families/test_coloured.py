@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from loadid import Deconvolution
+from loadid import Deconvolution, Lambda
 from loadid.families.data import gather
-from loadid.families.posing import Settings
+from loadid.families.posing import PosingSettings
 from loadid.families.posing.paths import coloured
 from loadid.inverse.noise_source import NoiseSource
+from loadid.settings import Noise, Penalty
 from structures import MeasuredModel
 
 DT, N = 1e-3, 1024
@@ -28,7 +29,7 @@ def case():
 def test_what_is_known_of_the_noise_is_white_afterwards(case):
     model, h, _, y = case
     data = gather(y, DT, model, None)
-    found = coloured(model, data, Settings("tikhonov", "identity", None, 0.5, NoiseSource("stated"), ()))
+    found = coloured(model, data, PosingSettings(Noise(0.5, NoiseSource("stated")), Lambda(), Penalty(), ()))
     assert found.raw[:, 0, 0] == pytest.approx(h, abs=1e-9)
     assert found.h[:, 0, 0] == pytest.approx(h / 0.5, abs=1e-6)  # the same level on all lines: nothing but a factor
     assert found.y == pytest.approx(y / 0.5, abs=1e-6)
@@ -43,7 +44,9 @@ def test_a_record_that_ends_in_motion(case):
     y = np.convolve(h, load[:, 0])[:N][:, None]
     y = y + 0.01 * y.std() * np.random.default_rng(1).standard_normal(y.shape)
     error = {
-        path: np.linalg.norm(Deconvolution(lively, noise=0.01 * y.std(), path=path).estimate(y, dt=DT).load - load)
+        path: np.linalg.norm(
+            Deconvolution(lively, noise=0.01 * y.std(), choice=Lambda(path=path)).estimate(y, dt=DT).load - load
+        )
         for path in ("fft", "toeplitz")
     }
     assert error["toeplitz"] < 0.7 * error["fft"]  # the ends of the record

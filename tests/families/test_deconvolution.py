@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from loadid import Deconvolution, Record
+from loadid import Deconvolution, Lambda, Noise, Record
+from loadid.settings import folded
 from structures import Channel, ForwardModel, ImpulseModel, InputError, MeasuredModel, NotIdentifiable, StateSpace
 from structures.elements import beams
 from structures.system import damping, loads, sensors
@@ -92,7 +93,7 @@ def test_dense_and_fft_path_agree_on_a_decayed_record():
     long = np.vstack([g, np.zeros((1500, 1))])
     y = noisy(ImpulseModel(h, DT, kind="held").predict(long, DT), 0.01)
     dense = Deconvolution(ImpulseModel(h[:1500], DT, kind="held"), choice=1e-3, noise=1.0).estimate(y[:1500], dt=DT)
-    fft = Deconvolution(ImpulseModel(h, DT, kind="held"), choice=1e-3, noise=1.0, path="fft").estimate(y, dt=DT)
+    fft = Deconvolution(ImpulseModel(h, DT, kind="held"), choice=Lambda(1e-3, path="fft"), noise=1.0).estimate(y, dt=DT)
     assert dense.facts["path"] == "dense SVD"
     assert fft.facts["path"] == "zero-padded FFT"
     # both are regularised by nearly the same absolute lambda
@@ -142,7 +143,7 @@ class TestIndexOffset:
         h[:, 1, 0] = 0.2 * h[:, 1, 1]
         g = np.hstack([pulse(200, 40, 30), pulse(200, 90, 50)])
         model = ImpulseModel(h, DT, kind="held")
-        estimate = Deconvolution(model, noise=1e-3, noise_source="data sheet").estimate(
+        estimate = Deconvolution(model, noise=Noise(1e-3, source="data sheet")).estimate(
             model.predict(g, DT) + 1e-3 * np.random.default_rng(0).standard_normal((200, 2)), dt=DT
         )
         assert len(estimate.load) == 198
@@ -195,7 +196,7 @@ class TestRefusals:
     )
     def test_settings(self, settings, words):
         with pytest.raises(InputError, match=words):
-            Deconvolution(make_model(), **settings)
+            Deconvolution(make_model(), **folded(Deconvolution, settings))
 
     @pytest.mark.parametrize(
         ("choice", "words"),
@@ -284,7 +285,7 @@ class TestNoise:
 def test_truncated_svd():
     model, g = make_model(), pulse(150)
     y = noisy(model.predict(g, DT), 0.01)
-    estimate = Deconvolution(model, method="tsvd").estimate(y, dt=DT)
+    estimate = Deconvolution(model, choice=Lambda(method="tsvd")).estimate(y, dt=DT)
     assert np.linalg.norm(estimate.load - g) < 0.1 * np.linalg.norm(g)
     kept = estimate.facts["edf"]
     assert kept == int(kept)
@@ -385,7 +386,7 @@ def test_the_band_knows_what_regularisation_hides():
     w[pulse_only] = dt
     assert abs(miss) > 3 * np.sqrt(estimate.posterior.variance(w))  # a stationary prior alone is overconfident here
     assert abs(miss) < 3 * found.std  # what is hidden, the noise, and the model of the demo, which is not the truth's
-    padded = Deconvolution(model(), path="fft").estimate(simulated.record)
+    padded = Deconvolution(model(), choice=Lambda(path="fft")).estimate(simulated.record)
     wrong = padded.functional("impulse", window=(470 * dt, 566.5 * dt)).value - float(
         simulated.force[pulse_only].sum() * dt
     )
@@ -402,7 +403,7 @@ def test_a_record_that_ends_in_motion_is_flagged_on_the_padded_path():
     for g, flagged in ((load, True), (rest, False)):
         y = np.convolve(h, g)[:2100]
         y = y + 0.01 * y.std() * rng.standard_normal(2100)
-        estimate = Deconvolution(ImpulseModel(h, DT, kind="held"), path="fft").estimate(y, dt=DT)
+        estimate = Deconvolution(ImpulseModel(h, DT, kind="held"), choice=Lambda(path="fft")).estimate(y, dt=DT)
         assert estimate.facts["path"] == "zero-padded FFT"
         assert ("W505" in estimate.codes) is flagged
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loadid import FieldDeconvolution, HarmonicInversion, InputError, NotIdentifiable
+from loadid import FieldDeconvolution, HarmonicInversion, InputError, Lambda, Noise, NotIdentifiable
 from loadid.families import smoothness as spatial
 from loadid.families.field import told_apart
 from loadid.families.harmonic import complex_load
@@ -14,6 +14,7 @@ from loadid.inverse.convolution import toeplitz
 from loadid.inverse.gaussian.posterior import MappedPosterior
 from loadid.inverse.posterior import from_arrays
 from loadid.results.estimate import Axis
+from loadid.settings import folded
 from loadid.zones import harmonic_power, mean_power
 from structures import ForwardModel, ImpulseModel, bases
 from structures.elements import beams
@@ -63,7 +64,7 @@ def whole(space, length=LENGTH):
 @pytest.mark.parametrize(("space", "time"), [("gradient", "identity"), ("laplacian", "first_difference")])
 def test_the_load_is_that_of_the_dense_problem(space, time, path):
     family = FieldDeconvolution(
-        MODEL, space=space, length=LENGTH, time=time, choice=0.02, noise=NOISE, noise_source="known", path=path
+        MODEL, space=space, length=LENGTH, time=time, choice=Lambda(0.02, path=path), noise=Noise(NOISE, source="known")
     )
     found = family.estimate(RECORD, DT)
     load, std = dense(whole(space), time, found.choice.lam * found.choice.scale)
@@ -88,9 +89,9 @@ def test_missing_samples():
 def test_the_variance_of_any_sum_and_its_bias_weights():
     """Against the dense covariance and resolution."""
     lam = 0.05
-    found = FieldDeconvolution(MODEL, space="gradient", length=LENGTH, choice=lam, noise=NOISE, path="dense").estimate(
-        RECORD, DT
-    )
+    found = FieldDeconvolution(
+        MODEL, space="gradient", length=LENGTH, choice=Lambda(lam, path="dense"), noise=NOISE
+    ).estimate(RECORD, DT)
     T, x, w = whole("gradient"), lam * found.choice.scale, RNG.standard_normal((N, 6))
     A = toeplitz(MODEL.impulse_response(DT, N)).reshape(-1, N * 6) / np.tile(NOISE, N)[:, None]
     precision = A.T @ A + x**2 * np.kron(np.eye(N), np.linalg.solve(T @ T.T, np.eye(6)))
@@ -139,9 +140,9 @@ def test_shapes_stand_for_a_basis():
     shapes = np.stack([np.sin(np.pi * x / 2), np.sin(2 * np.pi * x / 2)], axis=1)
     g = TRUTH[:, :2] @ shapes.T
     y = MODEL.predict(g, DT)
-    found = FieldDeconvolution(MODEL, shapes=shapes, choice=1e-4, noise=NOISE, path="dense").estimate(y, DT)
+    found = FieldDeconvolution(MODEL, shapes=shapes, choice=Lambda(1e-4, path="dense"), noise=NOISE).estimate(y, DT)
     assert np.linalg.norm(found.load - g) < 0.02 * np.linalg.norm(g)
-    again = FieldDeconvolution(MODEL, shapes=shapes, noise=NOISE, choice=0.3, path="statespace")
+    again = FieldDeconvolution(MODEL, shapes=shapes, noise=NOISE, choice=Lambda(0.3, path="statespace"))
     estimate = again.estimate(RECORD, DT)
     load, std = dense(shapes, "identity", estimate.choice.lam * estimate.choice.scale)
     assert estimate.load == pytest.approx(load, abs=1e-8 * np.abs(load).max())
@@ -167,7 +168,7 @@ def test_a_result_is_kept_whole(tmp_path):
 
 def test_the_motion_of_an_estimate_is_in_equilibrium_and_is_the_response():
     whole = ForwardModel(BEAM, GAUGES, HATS)
-    family = FieldDeconvolution(whole, noise=NOISE, path="dense")
+    family = FieldDeconvolution(whole, noise=NOISE, choice=Lambda(path="dense"))
     found = family.estimate(RECORD, DT)
     motion = family.motion(found)
     assert motion.imbalance() < 1e-10
@@ -216,7 +217,7 @@ def test_ranks():
 )
 def test_bad_settings_are_refused_at_once(changed, says):
     with pytest.raises(InputError, match=says):
-        FieldDeconvolution(MODEL, **changed)
+        FieldDeconvolution(MODEL, **folded(FieldDeconvolution, changed))
 
 
 def test_a_map_wants_a_line_and_time():
@@ -358,7 +359,7 @@ class TestAddedPenalties:
 
     def family(self, **settings):
         asked = {"space": "gradient", "length": LENGTH, "ratio": self.RATIO, "choice": 0.02, "noise": NOISE}
-        return FieldDeconvolution(MODEL, **{**asked, **settings})
+        return FieldDeconvolution(MODEL, **folded(FieldDeconvolution, {**asked, **settings}))
 
     @pytest.mark.parametrize("path", ["dense", "statespace"])
     @pytest.mark.parametrize("time", ["identity", "first_difference", "second_difference"])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, FrequencyInversion, Record, Spectra
+from loadid.settings import Signal, folded
 from structures import CrossSpectra, ForwardModel, FrfModel, InputError, NotIdentifiable, cross_spectra
 from structures.elements import beams
 from structures.system import damping, loads, sensors
@@ -25,7 +26,9 @@ def spectra(c: Case, known=True, **more):
 
 def estimate(c: Case, known=True, *, stated=True, **settings):
     variance = c.variance if stated else None
-    return FrequencyInversion(model(c.f, c.H, variance), **settings).estimate(spectra(c, known))
+    return FrequencyInversion(model(c.f, c.H, variance), **folded(FrequencyInversion, settings)).estimate(
+        spectra(c, known)
+    )
 
 
 def off(found, expected):
@@ -101,7 +104,7 @@ def test_no_unit_changes_the_loads(method, choice, over):
             H, Y = (H.conj(), Y.conj()) if conjugate else (H, Y)
             v = (c.variance * np.abs(size) ** 2)[:, turn] if stated else None
             data = Spectra(c.f, Y[:, turn], noise=noise[:, turn] if known else None)
-            return FrequencyInversion(model(c.f, H[:, turn], v), **settings).estimate(data)
+            return FrequencyInversion(model(c.f, H[:, turn], v), **folded(FrequencyInversion, settings)).estimate(data)
 
         base = ask(np.ones(3))
         small, large = ask(1e-9 * np.ones(3), order), ask(1e9 * np.ones(3), conjugate=True)
@@ -395,7 +398,7 @@ def test_records_become_cross_spectra(beam):
     f = np.fft.rfftfreq(segment, DT)
     sampled = np.fft.rfft(beam.impulse_response(DT, segment), axis=0)[1:]
     table = FrfModel(f[1:], sampled, sensors=beam.sensors, loads=beam.loads)
-    settings = {"signal": "stationary", "segment": segment, "noise": 0.05, "band": (20.0, 400.0)}
+    settings = {"signal": Signal("stationary", segment=segment), "noise": 0.05, "band": (20.0, 400.0)}
     e = FrequencyInversion(table, validation=["s3"], **settings).estimate(y, DT)
     truth = cross_spectra(g[4000:], DT, segment=segment).lines((f >= 20) & (f <= 400)).matrix
     trust = e.trust()
@@ -497,7 +500,7 @@ BAD = [
 def test_settings_that_do_not_fit(settings, where):
     c = case(20, 6, 3)
     with pytest.raises(InputError, match=where):
-        FrequencyInversion(model(c.f, c.H), **settings).estimate(spectra(c))
+        FrequencyInversion(model(c.f, c.H), **folded(FrequencyInversion, settings)).estimate(spectra(c))
 
 
 def test_data_that_do_not_fit(beam):

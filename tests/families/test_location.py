@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from case_studies.impact_location import DT, NODES, SAMPLES, beam, half_sine, noisy, recorded
-from loadid import LocationResult, LocationSearch, NotIdentifiable
+from loadid import LocationResult, LocationSearch, NotIdentifiable, Search
 from loadid.families.posing import locating as posed_module
 from loadid.families.posing.locating import CandidateLoads, grid_of
 from loadid.inverse.convolution import toeplitz
@@ -19,6 +19,7 @@ from loadid.inverse.convolved import fits as alike
 from loadid.inverse.convolved import fits as scan
 from loadid.inverse.convolved import places as several
 from loadid.inverse.convolved.places import refine
+from loadid.settings import folded
 from structures import Channel, ForwardModel, ImpulseModel, InputError, MatrixModel
 from structures.elements import beams
 from structures.system import damping, loads, sensors
@@ -30,7 +31,7 @@ SPACING = 0.1
 @cache
 def search(**settings) -> LocationSearch:
     """Factors are made once for all tests of the same settings."""
-    return LocationSearch(beam(CLEAR), hold="zoh", workers=1, **settings)
+    return LocationSearch(beam(CLEAR), hold="zoh", **folded(LocationSearch, {"workers": 1, **settings}))
 
 
 @cache
@@ -127,9 +128,9 @@ def test_neighbours_on_a_fine_grid_are_no_group():
 def test_the_mirror_place_is_refused_and_reported():
     model, values = beam((20,)), struck(seen=(20,))
     with pytest.raises(NotIdentifiable, match=r"2\+Z and 38\+Z.*impulse responses differ") as refused:
-        LocationSearch(model, hold="zoh", workers=1).locate(values)
+        LocationSearch(model, hold="zoh", search=Search(workers=1)).locate(values)
     assert refused.value.code == "LID-E512"
-    found = LocationSearch(model, hold="zoh", refine=False, workers=1, allow=["E512"]).locate(values)
+    found = LocationSearch(model, hold="zoh", search=Search(refine=False, workers=1), allow=["E512"]).locate(values)
     assert found.ratio == pytest.approx(1.0, abs=1e-6)
     assert {"E512", "W511"} <= found.codes
     assert ("12+Z", "28+Z") in found.alike
@@ -210,10 +211,12 @@ def test_no_answer_depends_on_units():
     plain = search().locate(record)
     for factor in (1e-6, 1e6):
         values = record.values * factor
-        scaled = LocationSearch(_scaled(model, factor), hold="zoh", workers=1, places=NODES_AT, refine=False)
+        scaled = LocationSearch(
+            _scaled(model, factor), hold="zoh", search=Search(refine=False, places=NODES_AT, workers=1)
+        )
         once = scaled.locate(values, DT)
         np.testing.assert_allclose(once.scores, plain.scores, rtol=1e-9)
-        louder = LocationSearch(model, hold="zoh", workers=1, noise=record.channels[0].noise * factor)
+        louder = LocationSearch(model, hold="zoh", search=Search(workers=1), noise=record.channels[0].noise * factor)
         again = louder.locate(values, DT)
         np.testing.assert_allclose(again.found, plain.found, rtol=1e-9)
         np.testing.assert_allclose(again.covariance, plain.covariance, rtol=1e-6)
@@ -228,14 +231,14 @@ def _scaled(model, factor):
 
 
 def test_impulse_responses_are_interpolated_over_given_places():
-    found = LocationSearch(_scaled(beam(CLEAR), 1.0), workers=1, places=NODES_AT).estimate(struck())
+    found = LocationSearch(_scaled(beam(CLEAR), 1.0), search=Search(places=NODES_AT, workers=1)).estimate(struck())
     assert found.facts["responses"] == "interpolated"
     assert found.found[0, 0] == pytest.approx(0.637, abs=0.1 * SPACING)
     assert found.estimate.labels == (f"load at ({found.found[0, 0]:.4g}) m",)
 
 
 def test_candidates_without_places_are_compared_only():
-    found = LocationSearch(_scaled(beam(CLEAR), 1.0), workers=1).estimate(struck(0.6))
+    found = LocationSearch(_scaled(beam(CLEAR), 1.0), search=Search(workers=1)).estimate(struck(0.6))
     assert (found.refined, found.found, found.std) == (False, None, None)
     assert found.where == ("candidate 12+Z",)
     assert found.estimate.labels == ("12+Z",)
@@ -245,7 +248,7 @@ def test_candidates_without_places_are_compared_only():
 
 def test_a_state_space_keeps_its_states():
     model, record = beam(CLEAR).state_space(DT, "zoh"), struck()
-    found = LocationSearch(model, workers=1, places=NODES_AT).estimate(record)
+    found = LocationSearch(model, search=Search(places=NODES_AT, workers=1)).estimate(record)
     assert found.found[0, 0] == pytest.approx(0.637, abs=0.1 * SPACING)
     assert found.estimate.load.max() == pytest.approx(100, rel=0.2)
     between = CandidateLoads(model, grid_of(model, NODES_AT), DT, SAMPLES, "zoh")
@@ -265,12 +268,12 @@ def test_two_impacts_at_once():
     pulses = np.column_stack([half_sine(SAMPLES, DT, 0.010, 0.005), half_sine(SAMPLES, DT, 0.012, 0.004, 70.0)])
     values, std = noisy(both.predict(pulses, DT, "zoh"), 0.02, 0)
     record = recorded(model, values, DT, std)
-    found = LocationSearch(model, hold="zoh", workers=1, impacts=2).estimate(record)
+    found = LocationSearch(model, hold="zoh", search=Search(2, workers=1)).estimate(record)
     np.testing.assert_allclose(np.sort(found.found[:, 0]), [0.9, 1.43], atol=0.05 * SPACING)
     assert found.scores.shape == (2, len(NODES))
     assert found.estimate.load.shape == (SAMPLES, 2)
     assert not found.ambiguous
-    one = LocationSearch(model, hold="zoh", workers=1).locate(record)
+    one = LocationSearch(model, hold="zoh", search=Search(workers=1)).locate(record)
     assert any("no place explains the data" in f.message for f in one.flags)
 
 
@@ -306,10 +309,10 @@ def test_long_records_give_the_scores_of_short_ones(monkeypatch, kind):
     clean = model.with_loads([loads.Point(at=0.637)]).predict(half_sine(SAMPLES, DT, 0.010, 0.005), DT)
     values, std = noisy(clean, 0.02, 0)
     record = recorded(model, values, DT, std)
-    dense = LocationSearch(model, workers=1).locate(record)
+    dense = LocationSearch(model, search=Search(workers=1)).locate(record)
     monkeypatch.setattr(posed_module, "DENSE", 10)
     monkeypatch.setattr("loadid.families.location.DENSE", 10)
-    long = LocationSearch(model, workers=1).locate(record)
+    long = LocationSearch(model, search=Search(workers=1)).locate(record)
     assert (dense.facts["path"], long.facts["path"]) == ("dense SVD", "FFT and conjugate gradients")
     assert long.facts["exact"]
     np.testing.assert_allclose(long.scores, dense.scores, rtol=1e-5)
@@ -318,7 +321,10 @@ def test_long_records_give_the_scores_of_short_ones(monkeypatch, kind):
 
 
 def test_threads_change_nothing():
-    alone, threads = search().locate(struck()), LocationSearch(beam(CLEAR), hold="zoh", workers=3).locate(struck())
+    alone, threads = (
+        search().locate(struck()),
+        LocationSearch(beam(CLEAR), hold="zoh", search=Search(workers=3)).locate(struck()),
+    )
     np.testing.assert_array_equal(threads.scores, alone.scores)
     np.testing.assert_array_equal(threads.found, alone.found)
 
@@ -332,7 +338,7 @@ def test_a_run_that_is_stopped_leaves_nothing(fraction):
         if done > fraction:
             raise Stopped
 
-    one = LocationSearch(beam(CLEAR), hold="zoh", workers=2, progress=stop)
+    one = LocationSearch(beam(CLEAR), hold="zoh", search=Search(workers=2), progress=stop)
     with pytest.raises(Stopped):
         one.estimate(struck())
     assert (one._kept is None) == (fraction < 0.6)  # whole factors, or none
@@ -362,7 +368,9 @@ def test_work_that_fails_stops_what_has_not_begun():
 # -- answers ----------------------------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
 def answer():
-    return LocationSearch(beam(CLEAR), hold="zoh", workers=1, settings={"choice": "gcv"}).estimate(struck())
+    return LocationSearch(beam(CLEAR), hold="zoh", search=Search(workers=1), settings={"choice": "gcv"}).estimate(
+        struck()
+    )
 
 
 def test_the_load_is_rebuilt_at_the_place(answer):
@@ -374,7 +382,9 @@ def test_the_load_is_rebuilt_at_the_place(answer):
 
 
 def test_flags_of_the_place_travel_with_the_load():
-    unsure = LocationSearch(beam((17,)), hold="zoh", workers=1, refine=False).estimate(struck(seen=(17,)))
+    unsure = LocationSearch(beam((17,)), hold="zoh", search=Search(refine=False, workers=1)).estimate(
+        struck(seen=(17,))
+    )
     assert "W511" in unsure.codes & unsure.estimate.codes
 
 
@@ -439,7 +449,7 @@ def test_candidates_on_supports_are_named():
 )
 def test_settings_that_are_none(settings, what):
     with pytest.raises(InputError, match=what):
-        LocationSearch(beam(CLEAR), **settings)
+        LocationSearch(beam(CLEAR), **folded(LocationSearch, settings))
 
 
 def test_models_that_are_none():
@@ -471,4 +481,4 @@ def test_a_candidate_that_no_sensor_sees_is_named():
     named = [Channel(label=f"p{j}", quantity="force", unit="N") for j in range(3)]
     model = ImpulseModel(h, 1e-3, kind="held", loads=named)
     with pytest.raises(InputError, match=r"1 candidates move no sensor.*p1"):
-        LocationSearch(model, workers=1).locate(np.ones((30, 3)), 1e-3)
+        LocationSearch(model, search=Search(workers=1)).locate(np.ones((30, 3)), 1e-3)

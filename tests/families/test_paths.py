@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import Deconvolution
+from loadid import Deconvolution, Guards, Lambda, Penalty
 from loadid.inverse.constraints import Bounds, NonNegative
+from loadid.settings import folded
 from structures import ForwardModel, ImpulseModel, InputError, StateSpace
 from structures.elements import beams
 from structures.system import damping, loads, sensors
@@ -41,7 +42,9 @@ def test_the_paths_agree(penalty, hold):
     own = model()
     _, y, noise = case(own, samples=160)
     found = {
-        path: Deconvolution(own, path=path, penalty=penalty, hold=hold, noise=noise, choice=0.01).estimate(y, dt=DT)
+        path: Deconvolution(own, penalty=penalty, hold=hold, noise=noise, choice=Lambda(0.01, path=path)).estimate(
+            y, dt=DT
+        )
         for path in ("dense", "statespace", "toeplitz")
     }
     dense = found.pop("dense")
@@ -61,9 +64,11 @@ def test_a_short_record_of_displacements_that_ring_on():
     clean = own.predict(np.sin(np.pi * ((t - 30) / 30).clip(0, 1))[:, None], 1e-3)
     said = {"penalty": "second_difference", "noise": 0.05 * clean.std(axis=0)}
     y = clean + said["noise"] * rng.standard_normal(clean.shape)
-    found, other = (Deconvolution(own, path=path, **said).estimate(y, dt=1e-3) for path in ("toeplitz", "statespace"))
+    found, other = (
+        Deconvolution(own, choice=Lambda(path=path), **said).estimate(y, dt=1e-3) for path in ("toeplitz", "statespace")
+    )
     assert found.choice.lam == pytest.approx(other.choice.lam, rel=0.02)
-    other = Deconvolution(own, path="statespace", choice=found.choice.lam, **said).estimate(y, dt=1e-3)
+    other = Deconvolution(own, choice=Lambda(found.choice.lam, path="statespace"), **said).estimate(y, dt=1e-3)
     assert found.load == pytest.approx(other.load, abs=1e-7 * np.abs(other.load).max())
 
 
@@ -74,7 +79,10 @@ def test_a_response_that_begins_a_sample_late(penalty):
     own = StateSpace(whole.A, whole.B, whole.C, np.zeros_like(whole.D), DT, "zoh")
     _, y, noise = case(own, samples=160)
     settings = {"hold": "zoh", "noise": noise, "choice": 0.01, "penalty": penalty}
-    dense, states = (Deconvolution(own, path=p, **settings).estimate(y, dt=DT) for p in ("dense", "statespace"))
+    dense, states = (
+        Deconvolution(own, **folded(Deconvolution, {"path": p, **settings})).estimate(y, dt=DT)
+        for p in ("dense", "statespace")
+    )
     assert states.load.shape == (159, 1)
     assert states.load == pytest.approx(dense.load, abs=1e-8 * np.abs(dense.load).max())
     assert states.residual == pytest.approx(dense.residual, abs=1e-8 * np.abs(y).max())
@@ -87,13 +95,17 @@ def test_the_path_follows_length_and_model():
     h = own.impulse_response(DT, 1100)
     assert Deconvolution(own, choice=0.01).estimate(y[:200], dt=DT).facts["path"] == "dense SVD"
     assert Deconvolution(state, choice=0.01).estimate(y, dt=DT).facts["path"] == "state space, O(N)"
-    bare = Deconvolution(ImpulseModel(h, DT, kind="held"), choice=0.01, path="toeplitz").estimate(y, dt=DT)
+    bare = Deconvolution(ImpulseModel(h, DT, kind="held"), choice=Lambda(0.01, path="toeplitz")).estimate(y, dt=DT)
     assert bare.facts["path"] == "Toeplitz, preconditioned CG"
     with pytest.raises(InputError, match="no state space"):
-        Deconvolution(ImpulseModel(h, DT, kind="held"), path="statespace").estimate(y, dt=DT)
+        Deconvolution(ImpulseModel(h, DT, kind="held"), choice=Lambda(path="statespace")).estimate(y, dt=DT)
     with pytest.raises(InputError, match="unknown path"):
-        Deconvolution(own, path="quick")
-    for extra in ({"initial": "unknown"}, {"leak": 0.9, "penalty": "first_difference"}, {"from_zero": True}):
+        Deconvolution(own, choice=Lambda(path="quick"))
+    for extra in (
+        {"initial": "unknown"},
+        {"penalty": Penalty("first_difference", leak=0.9)},
+        {"penalty": Penalty(from_zero=True)},
+    ):
         with pytest.raises(InputError, match="does not know this setting"):
             Deconvolution(ImpulseModel(h, DT, kind="held"), **extra).estimate(y, dt=DT)
 
@@ -137,7 +149,9 @@ def test_a_start_in_motion():
     y = clean + noise * np.random.default_rng(0).standard_normal(clean.shape)
     errors = {}
     for name, initial in (("rest", "rest"), ("unknown", "unknown"), ("known", x0)):
-        estimate = Deconvolution(system, initial=initial, noise=noise, path="statespace").estimate(y, dt=DT)
+        estimate = Deconvolution(system, initial=initial, noise=noise, choice=Lambda(path="statespace")).estimate(
+            y, dt=DT
+        )
         errors[name] = np.linalg.norm(estimate.load - g) / np.linalg.norm(g)
     assert errors["unknown"] < 0.2 * errors["rest"]
     assert errors["known"] < 0.2 * errors["rest"]
@@ -157,7 +171,9 @@ class TestSigns:
             H[k:, :, k] = h[: 150 - k]
         H, data = H.reshape(-1, 150), (y / noise).reshape(-1)
         for path in ("dense", "statespace", "toeplitz"):
-            e = Deconvolution(own, noise=noise, choice=0.02, path=path, constraints=[NonNegative()]).estimate(y, dt=DT)
+            e = Deconvolution(own, noise=noise, choice=Lambda(0.02, path=path), constraints=[NonNegative()]).estimate(
+                y, dt=DT
+            )
             lam = e.choice.lam * e.choice.scale
             ref = nnls(np.vstack([H, lam * np.eye(150)]), np.r_[data, np.zeros(150)])[0]
             assert e.load[:, 0] == pytest.approx(ref, abs=1e-7 * ref.max()), path
@@ -211,7 +227,7 @@ class TestSigns:
 def test_no_rule_is_called_undetermined_that_nobody_asked():
     own = model(at=(0.65,))
     _, y, noise = case(own)
-    e = Deconvolution(own, path="statespace", choice=0.01, noise=noise).estimate(y, dt=DT)
+    e = Deconvolution(own, choice=Lambda(0.01, path="statespace"), noise=noise).estimate(y, dt=DT)
     assert (e.choice.rule, e.choice.verdict) == ("given", "not asked")
     assert "W407" not in e.codes
 
@@ -220,28 +236,28 @@ def test_a_lambda_below_the_digits_is_refused():
     own = model(at=(0.65,))
     _, y, _ = case(own)
     with pytest.raises(InputError, match="too small"):
-        Deconvolution(own, path="statespace", choice=1e-10).estimate(y, dt=DT)
+        Deconvolution(own, choice=Lambda(1e-10, path="statespace")).estimate(y, dt=DT)
 
 
 def test_an_undetectable_constant_is_refused_and_the_leak_helps():
     own = model(at=(0.65,), kinds=(sensors.Accelerometer,))
     g, y, noise = case(own)
-    settings = {"penalty": "first_difference", "noise": noise, "path": "statespace", "choice": 0.01}
-    leaky = Deconvolution(own, leak=0.99, **settings).estimate(y, dt=DT)
+    settings = {"noise": noise, "choice": Lambda(0.01, path="statespace")}
+    leaky = Deconvolution(own, penalty=Penalty("first_difference", leak=0.99), **settings).estimate(y, dt=DT)
     assert np.linalg.norm(leaky.load - g) < 0.5 * np.linalg.norm(g)
     with pytest.raises(InputError, match="leak"):
-        Deconvolution(own, leak=0.9, path="statespace").estimate(y, dt=DT)
+        Deconvolution(own, penalty=Penalty(leak=0.9), choice=Lambda(path="statespace")).estimate(y, dt=DT)
 
 
 def test_scale_invariance_on_the_state_space_path():
     own = model(at=(0.65,))
     state = own.state_space(DT, "foh")
     _, y, _ = case(own)
-    base = Deconvolution(state, path="statespace").estimate(y, dt=DT)
+    base = Deconvolution(state, choice=Lambda(path="statespace")).estimate(y, dt=DT)
     for factor in (1e-6, 1e6):
         C, D = factor * state.C, factor * state.D
         scaled = StateSpace(state.A, state.B, C, D, DT, "foh", sensors=state.sensors, loads=state.loads)
-        again = Deconvolution(scaled, path="statespace").estimate(factor * y, dt=DT)
+        again = Deconvolution(scaled, choice=Lambda(path="statespace")).estimate(factor * y, dt=DT)
         assert again.load == pytest.approx(base.load, abs=1e-8 * np.abs(base.load).max())
         assert again.choice.lam == pytest.approx(base.choice.lam, rel=1e-6)
 
@@ -268,6 +284,7 @@ def test_the_declared_class_of_load():
     _, y, noise = case(own)
 
     def found(**extra):
+        extra = folded(Deconvolution, extra)
         return {"W311", "W510"} & Deconvolution(own, noise=noise, **extra).estimate(y, dt=DT).codes
 
     assert found() == set()
@@ -277,7 +294,7 @@ def test_the_declared_class_of_load():
     peaked = np.zeros((N, 1))
     peaked[100:104] = 50.0
     hit = own.predict(peaked, DT)
-    codes = Deconvolution(own, noise=1e-3 * hit.std(), load_class="service").estimate(hit, dt=DT).codes
+    codes = Deconvolution(own, noise=1e-3 * hit.std(), allow=Guards(load_class="service")).estimate(hit, dt=DT).codes
     assert "W311" in codes
     with pytest.raises(InputError, match="class of load"):
-        Deconvolution(own, load_class="hammer")
+        Deconvolution(own, allow=Guards(load_class="hammer"))

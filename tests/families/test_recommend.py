@@ -9,12 +9,14 @@ import pytest
 
 from loadid import Record, recommend
 from loadid.families import recommend as advice
-from loadid.families.posing.sparsity import pose, posing
+from loadid.families.posing import PosingSettings
+from loadid.families.posing.sparsity import pose
 from loadid.families.recommend import of_sparse
+from loadid.settings import Lambda, Noise, Penalty
 from structures import ImpulseModel, InputError, StateSpace
 from tests.tracked import Tracked, bm2
 
-SAID = {"noise_source": "data sheet"}
+SAID = "data sheet"
 
 
 @cache
@@ -33,7 +35,7 @@ def space(rows: tuple[int, ...] = (0, 1, 2, 3)) -> StateSpace:
 
 @cache
 def plainly() -> advice.Recommendation:
-    return recommend(space(), case().y, case().dt, noise=case().noise, **SAID)
+    return recommend(space(), case().y, case().dt, noise=case().noise)
 
 
 def test_a_process_is_recognised_and_run():
@@ -54,14 +56,14 @@ def test_a_record_of_some_sensors_and_in_any_unit():
     """The same prior, the same load; channels found by their labels."""
     c = case()
     labels = [s.label for s in space().sensors]
-    some = recommend(space(), c.y, c.dt, noise=c.noise[[3, 1]], sensors=[labels[3], labels[1]], **SAID)
+    some = recommend(space(), c.y, c.dt, noise=Noise(c.noise[[3, 1]], source=SAID), sensors=[labels[3], labels[1]])
     record = Record(c.y[:, [1, 3]], c.dt, [space().sensors[i] for i in (1, 3)])
     one, two = some.estimate(c.y, c.dt), some.estimate(record)
     assert np.array_equal(one.load, two.load)
     plain = space()
     small = StateSpace(plain.A, plain.B, 1e-6 * plain.C, 1e-6 * plain.D, plain.dt, plain.hold,
                        sensors=plain.sensors, loads=plain.loads)  # fmt: skip
-    other = recommend(small, 1e-6 * c.y, c.dt, noise=1e-6 * c.noise, **SAID)
+    other = recommend(small, 1e-6 * c.y, c.dt, noise=Noise(1e-6 * c.noise, source=SAID))
     assert other.prior == plainly().prior
     assert other.evidence == pytest.approx(plainly().evidence, abs=0.1)
 
@@ -75,13 +77,13 @@ def test_a_declared_class_decides_where_the_record_does_not():
     assert advice._chosen({**near, "matern32": 50.0}, "harmonic") == "random_walk"
     c = case()
     assert {"spikes", "pulses"} & set(plainly().evidence) == set()
-    asked = recommend(space(), c.y, c.dt, noise=c.noise, load_class="impact", **SAID)
+    asked = recommend(space(), c.y, c.dt, noise=Noise(c.noise, source=SAID), load_class="impact")
     assert {"spikes", "pulses"} <= set(asked.evidence)
     assert asked.prior == "matern32"
     told = advice._Asked(space(), c.y, c.dt, {}, advice._Seen(3.0, 5.0, 1.0), "harmonic")
     assert "although the load was declared as harmonic" in told.process({"ou": 0.0, "matern52": 99.0}, {}).reason
     with pytest.raises(InputError, match="load_class"):
-        recommend(space(), c.y, c.dt, noise=c.noise, load_class="hammer", **SAID)
+        recommend(space(), c.y, c.dt, noise=Noise(c.noise, source=SAID), load_class="hammer")
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -95,7 +97,8 @@ def test_waveforms_and_processes_are_judged_in_one_unit(known):
     from loadid.inverse.sparse.path import log_supports
 
     noise = sd if known else None
-    problem = pose(space(), gather(y, c.dt, space(), None), posing(None, noise, "data sheet" if known else None, ()))
+    asked = PosingSettings(Noise(noise, source="data sheet" if known else None), Lambda(), Penalty(), ())
+    problem = pose(space(), gather(y, c.dt, space(), None), asked)
     misfit, supports = float(np.sum(problem.y**2)), log_supports(len(y), 0)
     score = float(information(misfit, 0, supports, problem.data, problem.noise.sigma))
     level = problem.noise.level if known else problem.noise.level * np.sqrt(np.mean(problem.y**2))
@@ -108,7 +111,7 @@ def test_a_model_that_carries_no_process():
     c = case()
     h = space().impulse_response(c.dt, 300, "zoh")
     model = ImpulseModel(h, c.dt, kind="held")
-    found = recommend(model, c.y[:300], c.dt, noise=c.noise, **SAID)
+    found = recommend(model, c.y[:300], c.dt, noise=Noise(c.noise, source=SAID))
     assert found.prior == "tikhonov"
     assert found.evidence == {}
     assert found.estimate(c.y[:300], c.dt).load.shape == (300, 1)

@@ -7,16 +7,17 @@ from functools import cache
 import numpy as np
 import pytest
 
-from loadid import Deconvolution, LoadEstimate, SparseDeconvolution, recommend
+from loadid import Deconvolution, LoadEstimate, SparseDeconvolution, Sparsity, recommend
 from loadid.families import recommend as advice
 from loadid.families.posing import sparsity
+from loadid.settings import Noise, folded
 from structures import ForwardModel, ImpulseModel, InputError, NotIdentifiable
 from structures.elements import beams
 from structures.system import damping, loads, sensors
 from tests import halfsine
 
 DT, STEP = 1 / 2000, 1 / halfsine.RATE
-SAID = {"noise_source": "unloaded record"}
+SAID = "unloaded record"
 
 
 # -- D4: l1 against Tikhonov ------------------------------------------------------------------------------------------
@@ -61,7 +62,7 @@ def error(estimate: LoadEstimate, load: np.ndarray) -> float:
 @pytest.mark.parametrize("seed", range(3))
 def test_impacts_on_accelerometers_are_found_to_the_sample(seed, known):
     y, std = recorded(beam(), impacts(), 0.02, seed)
-    settings = {"noise": std, **SAID} if known else {}
+    settings = {"noise": Noise(std, source=SAID)} if known else {}
     e = SparseDeconvolution(beam(), hold="zoh", **settings).estimate(y, DT)
     assert np.flatnonzero(e.load[:, 0]).tolist() == [60, 61, 180]
     assert error(e, impacts()) <= 0.002
@@ -73,18 +74,18 @@ def test_impacts_on_accelerometers_are_found_to_the_sample(seed, known):
 def test_a_slow_load_is_not_sent_to_spikes():
     load = 100 * np.sin(np.pi * np.arange(400) / 400) ** 2
     y, std = recorded(beam(), load, 0.02)
-    found = recommend(beam(), y, DT, hold="zoh", noise=std, **SAID)
+    found = recommend(beam(), y, DT, hold="zoh", noise=Noise(std, source=SAID))
     assert found.prior == "matern52"
     assert found.knots is None
     assert "acts all the time" in str(found)
-    plain = Deconvolution(beam(), hold="zoh", noise=std, **SAID).estimate(y, DT)
+    plain = Deconvolution(beam(), hold="zoh", noise=Noise(std, source=SAID)).estimate(y, DT)
     assert error(found.estimate(y, DT), load) < 0.8 * error(plain, load)
-    assert "W311" in SparseDeconvolution(beam(), hold="zoh", noise=std, **SAID).estimate(y, DT).codes
+    assert "W311" in SparseDeconvolution(beam(), hold="zoh", noise=Noise(std, source=SAID)).estimate(y, DT).codes
 
 
 def test_impacts_are_sent_to_spikes():
     y, std = recorded(beam(), impacts(), 0.02)
-    found = recommend(beam(), y, DT, hold="zoh", noise=std, **SAID)
+    found = recommend(beam(), y, DT, hold="zoh", noise=Noise(std, source=SAID))
     assert (found.prior, found.trusted) == ("spikes", True)
 
 
@@ -92,11 +93,11 @@ def test_places_that_are_good_and_heights_that_are_not_are_said_so():
     model = beam(sensors.Displacement)
     for seed in range(2):
         y, std = recorded(model, impacts(200), 0.05, seed)
-        e = SparseDeconvolution(model, hold="zoh", noise=std, **SAID).estimate(y, DT)
+        e = SparseDeconvolution(model, hold="zoh", noise=Noise(std, source=SAID)).estimate(y, DT)
         large = np.flatnonzero(np.abs(e.load[:, 0]) > 0.2 * np.abs(e.load).max())
         assert {40, 110} <= set(range(200)) & {int(k) + d for k in large for d in (-1, 0, 1)}
         assert "W304" in e.codes
-        found = recommend(model, y, DT, hold="zoh", noise=std, **SAID)
+        found = recommend(model, y, DT, hold="zoh", noise=Noise(std, source=SAID))
         assert not found.trusted
         assert "places are good, the amplitudes are not" in str(found)
 
@@ -111,7 +112,7 @@ def struck() -> ImpulseModel:
 def pulses(width: int, noise: float, seed: int = 0, known: bool = True, **settings) -> tuple[LoadEstimate, np.ndarray]:
     y, load = halfsine.record(width, noise, seed)
     if known:
-        settings |= {"noise": halfsine.level(halfsine.respond(load), noise), **SAID}
+        settings |= {"noise": Noise(halfsine.level(halfsine.respond(load), noise), source=SAID)}
     return SparseDeconvolution(struck(), **settings).estimate(y, STEP), load
 
 
@@ -129,11 +130,11 @@ def test_spikes_for_wide_pulses_are_flagged_with_the_splines_that_fit():
     y, load = halfsine.record(41, 0.01, 0, 500)
     model = ImpulseModel(halfsine.impulse_response(500), STEP, kind="held")
     std = halfsine.level(halfsine.respond(load), 0.01)
-    e = SparseDeconvolution(model, noise=std, **SAID).estimate(y, STEP)
+    e = SparseDeconvolution(model, noise=Noise(std, source=SAID)).estimate(y, STEP)
     (flag,) = [f for f in e.flags if f.code == "LID-W311"]
     assert error(e, load) > 1
     assert "bspline" in flag.advice
-    assert recommend(model, y, STEP, noise=std, **SAID).prior == "pulses"
+    assert recommend(model, y, STEP, noise=Noise(std, source=SAID)).prior == "pulses"
 
 
 def test_a_load_that_only_pushes():
@@ -167,7 +168,7 @@ def test_the_std_on_the_support_is_the_scatter_over_records():
     for seed in range(8):
         clean = model.predict(load[:, None], DT, "zoh")
         y = clean + 2.0 * np.random.default_rng(seed).standard_normal(clean.shape)
-        found.append(SparseDeconvolution(model, hold="zoh", noise=2.0, choice=0.05, **SAID).estimate(y, DT))
+        found.append(SparseDeconvolution(model, hold="zoh", noise=Noise(2.0, source=SAID), choice=0.05).estimate(y, DT))
     at = [60, 61, 180]
     scatter = np.std([e.load[at, 0] for e in found], axis=0, ddof=1)
     np.testing.assert_allclose(scatter / found[0].std[at, 0], 1.0, atol=0.55)
@@ -181,7 +182,7 @@ def test_missing_samples_are_left_out():
     y, std = recorded(model, load, 0.02)
     gaps = y.copy()
     gaps[70:90, 0] = gaps[178:182, 1] = np.nan
-    e = SparseDeconvolution(model, hold="zoh", noise=std, **SAID).estimate(gaps, DT)
+    e = SparseDeconvolution(model, hold="zoh", noise=Noise(std, source=SAID)).estimate(gaps, DT)
     assert error(e, load) <= 0.004
     assert e.facts["m"] == 800 - 24
     assert np.all(np.isfinite(e.response))
@@ -191,8 +192,8 @@ def test_missing_samples_are_left_out():
 def test_a_correlated_noise_is_whitened():
     model, load = beam(), impacts()
     y, std = recorded(model, load, 0.02)
-    alone = SparseDeconvolution(model, hold="zoh", noise=std, **SAID).estimate(y, DT)
-    both = SparseDeconvolution(model, hold="zoh", noise=np.eye(2) * std**2, **SAID).estimate(y, DT)
+    alone = SparseDeconvolution(model, hold="zoh", noise=Noise(std, source=SAID)).estimate(y, DT)
+    both = SparseDeconvolution(model, hold="zoh", noise=Noise(np.eye(2) * std**2, source=SAID)).estimate(y, DT)
     np.testing.assert_allclose(both.load, alone.load, rtol=1e-8, atol=1e-9)
 
 
@@ -201,7 +202,9 @@ def test_the_candidate_that_was_hit_is_named():
     load = np.zeros((200, 3))
     load[[50, 120], 1] = 300, 200
     y, std = recorded(model, load, 0.02)
-    e = SparseDeconvolution(model, hold="zoh", noise=std, groups="loads", nonnegative=True, **SAID).estimate(y, DT)
+    e = SparseDeconvolution(
+        model, hold="zoh", noise=Noise(std, source=SAID), sparsity=Sparsity("loads", nonnegative=True)
+    ).estimate(y, DT)
     assert e.facts["acting_loads"] == ["p13"]
     assert np.all(e.load[:, [0, 2]] == 0)
     assert error(e, load) <= 0.02
@@ -213,7 +216,9 @@ def test_loads_that_act_together_share_their_times():
     load = np.zeros((200, 2))
     load[60], load[120] = (300, -200), (100, 250)
     y, std = recorded(model, load, 0.01)
-    e = SparseDeconvolution(model, hold="zoh", noise=std, groups="slots", **SAID).estimate(y, DT)
+    e = SparseDeconvolution(model, hold="zoh", noise=Noise(std, source=SAID), sparsity=Sparsity("slots")).estimate(
+        y, DT
+    )
     acting = e.load != 0
     np.testing.assert_array_equal(acting[:, 0], acting[:, 1])
     assert np.flatnonzero(acting[:, 0]).tolist() == [60, 120]
@@ -224,11 +229,11 @@ def test_wavelets_and_a_matrix_of_the_user():
     y, load = halfsine.record(41, 0.01, 0, 600)
     model = ImpulseModel(halfsine.impulse_response(600), STEP, kind="held")
     std = halfsine.level(halfsine.respond(load), 0.01)
-    wavy = SparseDeconvolution(model, dictionary="wavelet", noise=std, **SAID).estimate(y, STEP)
+    wavy = SparseDeconvolution(model, dictionary="wavelet", noise=Noise(std, source=SAID)).estimate(y, STEP)
     assert error(wavy, load) < 0.35
     shape = np.sin(np.pi * (np.arange(41) + 0.5) / 41)
     D = np.column_stack([np.convolve(np.eye(600)[k], shape)[:600] for k in range(0, 600, 5)])
-    own = SparseDeconvolution(model, dictionary=D, noise=std, **SAID).estimate(y, STEP)
+    own = SparseDeconvolution(model, dictionary=D, noise=Noise(std, source=SAID)).estimate(y, STEP)
     assert error(own, load) < 0.02
     assert own.facts["support"] == 1
 
@@ -266,14 +271,14 @@ def test_an_estimate_is_kept_whole(tmp_path):
         ({"reweighted": -1}, "number of rounds"),
         ({"choice": "gcv"}, "no rule"),
         ({"choice": 1.5}, "no rule"),
-        ({"choice": True}, "no rule"),
+        ({"choice": True}, "no relative lambda"),
         ({"tol": 0.1}, "no tolerance"),
         ({"load_class": "wind"}, "unknown class"),
     ],
 )
 def test_settings_that_mean_nothing_are_refused(settings, said):
     with pytest.raises(InputError, match=said):
-        SparseDeconvolution(struck(), **settings)
+        SparseDeconvolution(struck(), **folded(SparseDeconvolution, settings))
 
 
 def test_records_that_say_nothing_are_refused():

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import Absolute, InputError, NotIdentifiable, Record, StaticInversion, load
+from loadid import Absolute, InputError, Noise, NotIdentifiable, Record, StaticInversion, load
 from loadid.families.frozen import Frozen
 from loadid.inverse.constraints import NonNegative, Resultant, Support
+from loadid.settings import folded
 from structures import Channel, ForwardModel, MatrixModel, bases
 from structures.elements import beams
 from structures.flags import codes
@@ -134,7 +135,7 @@ def presses(model, count=6, noise=1e-3) -> list:
 
 
 def test_calibration_reports_the_spread():
-    family = StaticInversion(smooth(), noise=1e-3, noise_source="unloaded record")
+    family = StaticInversion(smooth(), noise=Noise(1e-3, source="unloaded record"))
     calibration = family.calibrate(presses(family.model))
     assert len(calibration.alone) == 6
     assert min(calibration.alone) <= calibration.lam * 10
@@ -145,7 +146,7 @@ def test_calibration_reports_the_spread():
 
 
 def test_the_frozen_inverse_is_one_product(tmp_path):
-    family = StaticInversion(smooth(), noise=1e-3, noise_source="unloaded record", penalty="first_difference")
+    family = StaticInversion(smooth(), noise=Noise(1e-3, source="unloaded record"), penalty="first_difference")
     records = presses(family.model)
     family.calibrate(records)
     frozen = family.freeze()
@@ -286,7 +287,7 @@ def test_interpolated_markers_are_said_and_whitened():
     g, x = bump(8), (np.arange(8) + 0.5) / 8
     at_markers = 0.1 / np.pi / (0.01 + (markers[:, None] - x) ** 2) / 8
     y = W @ (at_markers @ g + 1e-3 * rng.standard_normal(10))
-    estimate = StaticInversion(model, noise=1e-3, interpolation=W).estimate(y)
+    estimate = StaticInversion(model, noise=Noise(1e-3, interpolation=W)).estimate(y)
     flag = next(f for f in estimate.flags if f.code == "LID-W203")
     assert "rank of the noise covariance 10" in flag.message
     assert flag.evidence.value < 11
@@ -329,7 +330,7 @@ def test_bad_settings():
     for settings in ({"penalty": "rough"}, {"penalty": np.ones((2, 5))}, {"method": "magic"}, {"choice": "wish"},
                      {"choice": -1.0}, {"penalty": None, "choice": 0.1}, {"sensors": ["g0", "g0"]}):  # fmt: skip
         with pytest.raises(InputError):
-            StaticInversion(wing(), **settings).estimate(np.ones(6) * 1e-5)
+            StaticInversion(wing(), **folded(StaticInversion, settings)).estimate(np.ones(6) * 1e-5)
 
 
 def test_flags_have_words():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import Absolute, InputError, NotIdentifiable, Record, StaticInversion, load
+from loadid import Absolute, InputError, Noise, NotIdentifiable, Record, StaticInversion, load
 from loadid.families.frozen import Frozen
 from loadid.inverse.constraints import Bounds, NonNegative, Resultant, Support
 from structures import Channel, ForwardModel, MatrixModel, bases
@@ -100,7 +100,7 @@ def test_readings_of_a_singular_covariance_freeze():
     W, H = np.diff(np.eye(6), axis=0).T, rng.standard_normal((5, 8))
     model = MatrixModel(W @ H)
     y = W @ (H @ bump(8) + 1e-3 * rng.standard_normal(5))
-    family = StaticInversion(model, choice=1e-2, noise=1e-3, interpolation=W)
+    family = StaticInversion(model, choice=1e-2, noise=Noise(1e-3, interpolation=W))
     np.testing.assert_allclose(family.freeze()(y), family.estimate(y).load, rtol=1e-8, atol=1e-12)
 
 

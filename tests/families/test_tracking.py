@@ -11,6 +11,7 @@ import pytest
 from loadid import Record
 from loadid.families.kalman import LoadTracker
 from loadid.inverse.gaussian import priors
+from loadid.settings import folded
 from structures import Channel, ForwardModel, InputError, NotIdentifiable, StateSpace
 from structures.elements import chains
 from structures.models.mapped import mapped
@@ -45,7 +46,7 @@ def judged(tracker, c: Tracked) -> Score:
 
 def fitted(c: Tracked, model=None, **settings):
     settings = {"noise": c.noise, **settings}
-    return LoadTracker(c.setup.space() if model is None else model, **settings).fit(c.y, c.dt)
+    return LoadTracker(c.setup.space() if model is None else model, **folded(LoadTracker, settings)).fit(c.y, c.dt)
 
 
 # -- numbers of the fit -----------------------------------------------------------------------------------------------
@@ -247,7 +248,7 @@ def test_accelerometers_alone_cannot_hold_a_walk():
         LoadTracker(building(), prior=walk, **settings).fit(c.y, c.dt)
     with pytest.raises(NotIdentifiable, match="LID-E501"):
         LoadTracker(building(), **settings | {"prior": "random_walk"}).fit(c.y, c.dt)
-    drifting = LoadTracker(building(), prior=walk, allow_drift=True, **settings).fit(c.y, c.dt)
+    drifting = LoadTracker(building(), prior=walk, allow=["LID-E501"], **settings).fit(c.y, c.dt)
     assert "LID-E501" in {f.code for f in drifting.flags}
     std = drifting.track(c.y[:, :3]).std[:, 0]
     assert std[599] > 1.02 * std[299] > 1.04 * std[99]

@@ -8,10 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 
+from loadid import Online
 from loadid.families.kalman import LoadTracker
 from loadid.families.tracking.fit import TrackerFit
 from loadid.families.tracking.tracker import Tracker
 from loadid.inverse.gaussian import priors
+from loadid.settings import folded
 from structures import ForwardModel, InputError
 from structures.elements import chains
 from structures.system import damping, loads, sensors
@@ -38,7 +40,9 @@ def building(stiffness: float = 1.0, storeys: int = 10, label: str = "roof") -> 
 
 def made(**settings: object) -> Tracker:
     c = case()
-    return LoadTracker(building(), prior=MATERN, hold="zoh", noise=c.noise, **settings).fit(c.y[:500], c.dt)
+    return LoadTracker(building(), prior=MATERN, hold="zoh", noise=c.noise, **folded(LoadTracker, settings)).fit(
+        c.y[:500], c.dt
+    )
 
 
 @cache
@@ -101,7 +105,9 @@ def test_a_sample_at_the_end_of_its_range_is_no_sample():
     y[:, 2] = np.clip(y[:, 2], -end, end)
     clipped = np.abs(c.y[:, 2]) >= end
     gaps[clipped, 2] = np.nan
-    tracker = LoadTracker(building(), prior=MATERN, hold="zoh", noise=c.noise, limits={"a10": end}).fit(y, c.dt)
+    tracker = LoadTracker(building(), prior=MATERN, hold="zoh", noise=c.noise, online=Online(limits={"a10": end})).fit(
+        y, c.dt
+    )
     plain = LoadTracker(building(), prior=MATERN, hold="zoh", noise=c.noise).fit(gaps, c.dt)
     assert tracker.certificate.nis == plain.certificate.nis
     found, expected = tracker.track(y), plain.track(gaps)
@@ -225,4 +231,4 @@ def test_settings_of_engines_that_cannot_be():
         ({"replay": 2.5}, "replay"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=text):
-            LoadTracker(building(), **settings)
+            LoadTracker(building(), **folded(LoadTracker, settings))

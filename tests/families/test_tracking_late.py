@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import InputError, LoadTracker
+from loadid import InputError, LoadTracker, ModelErrors, Online
 from loadid.inverse.gaussian.records import filter_record as filtered
 from loadid.inverse.gaussian.records import smooth_record as smooth
+from loadid.settings import Noise, folded
 from tests import tracked
 
 
@@ -19,8 +20,8 @@ def case() -> tracked.Tracked:
 def tracker(case: tracked.Tracked, **settings: object):
     from loadid.inverse.gaussian.priors import Matern32
 
-    known = {"prior": Matern32(100.0, 0.08), "noise": case.noise, "noise_source": "data sheet"}
-    return LoadTracker(case.setup.space(), **{**known, **settings}).fit(case.y, case.dt)
+    known = {"prior": Matern32(100.0, 0.08), "noise": Noise(case.noise, source="data sheet")}
+    return LoadTracker(case.setup.space(), **folded(LoadTracker, {**known, **settings})).fit(case.y, case.dt)
 
 
 def test_a_late_answer_is_the_smoothed_one(case: tracked.Tracked) -> None:
@@ -118,9 +119,9 @@ def test_auto_takes_as_few_as_needed(case: tracked.Tracked) -> None:
 def test_lags_that_cannot_be(case: tracked.Tracked) -> None:
     for lag in (-1, 2.5, "late", 10_000, True):
         with pytest.raises(InputError, match="lag"):
-            LoadTracker(case.setup.space(), lag=lag)
+            LoadTracker(case.setup.space(), online=Online(lag))
     with pytest.raises(InputError, match="errors of the model"):
-        LoadTracker(case.setup.space(), lag=5, model_error={"stiffness": 0.01})
+        LoadTracker(case.setup.space(), online=Online(5), model_error={"stiffness": 0.01})
     with pytest.raises(InputError, match="first late answer"):
         tracker(case, lag=10).track(case.y[:8])
 
@@ -157,8 +158,10 @@ def test_ambient_loads_that_disturb_both_noises_leave_an_honest_band() -> None:
     _, first, second = setup.held(around, case.dt)
     A, _, G, _ = setup.matrices()
     ambient = Ambient(StateSpace(A, first + second, G, setup.through(around), case.dt, "zoh"), 1.0)
-    known = {"prior": OU(10.0, 1 / (2 * np.pi * 0.05)), "noise": 1e-4, "noise_source": "set", "state_noise": 1e-8}
-    found = LoadTracker(setup.space(), ambient=ambient, gate=None, **known).fit(case.y, case.dt)
+    known = {"prior": OU(10.0, 1 / (2 * np.pi * 0.05)), "noise": Noise(1e-4, source="set")}
+    found = LoadTracker(
+        setup.space(), model_error=ModelErrors(ambient=ambient, state_noise=1e-8), gate=None, **known
+    ).fit(case.y, case.dt)
     answer = found.track(case.y)
     rest = (answer.load - case.load)[2000:]
     assert np.std(rest) / answer.std[-1] == pytest.approx(1.0, abs=0.03)
@@ -168,8 +171,8 @@ def test_ambient_loads_that_disturb_both_noises_leave_an_honest_band() -> None:
 
 def test_a_drift_that_is_accepted_is_tuned_and_grows() -> None:
     seen = tracked.bm2("mix", 0, disp=(), samples=3000)
-    known = {"prior": "random_walk", "noise": seen.noise, "noise_source": "data sheet"}
-    found = LoadTracker(seen.setup.space(), allow_drift=True, **known).fit(seen.y, seen.dt)
+    known = {"prior": "random_walk", "noise": Noise(seen.noise, source="data sheet")}
+    found = LoadTracker(seen.setup.space(), allow=["LID-E501"], **known).fit(seen.y, seen.dt)
     answer = found.track(seen.y)
     assert "LID-E501" in {f.code for f in found.flags}
     assert answer.std[-1] > 1.2 * answer.std[300]

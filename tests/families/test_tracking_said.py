@@ -5,17 +5,17 @@ from __future__ import annotations
 import pytest
 
 from case_studies import method_map
-from loadid import InputError, LoadTracker, NotIdentifiable
+from loadid import InputError, LoadTracker, NotIdentifiable, Priors
 from tests.families.test_tracking import ACC, MATERN, building, case, fitted
 
 
 def test_a_belief_in_small_displacements_is_offered_as_what_it_is():
     """It takes the place of a sensor that sees a constant load, in words, as a flag, and not as a channel."""
     c = case(samples=800)
-    settings = {"noise": c.noise[:3], "sensors": ACC, "hold": "zoh", "prior": "random_walk"}
+    settings = {"noise": c.noise[:3], "sensors": ACC, "hold": "zoh"}
     with pytest.raises(NotIdentifiable, match="LID-E501"):
-        LoadTracker(building(), **settings).fit(c.y, c.dt)
-    tracker = LoadTracker(building(), dummy=1.0, **settings).fit(c.y, c.dt)
+        LoadTracker(building(), prior="random_walk", **settings).fit(c.y, c.dt)
+    tracker = LoadTracker(building(), prior=Priors("random_walk", dummy=1.0), **settings).fit(c.y, c.dt)
     assert "LID-W525" in {f.code for f in tracker.flags}
     assert len(tracker.fitted.sensors) == 3
     found = tracker.track(c.y[:, :3])
@@ -27,7 +27,7 @@ def test_a_belief_in_small_displacements_is_offered_as_what_it_is():
     assert tracker.fitted.settled.std == pytest.approx(before.std, rel=1e-9)
     assert "LID-W525" not in {f.code for f in fitted(c, building(), prior=MATERN, hold="zoh").flags}
     with pytest.raises(InputError, match="dummy"):
-        LoadTracker(building(), dummy=-1.0, **settings).fit(c.y, c.dt)
+        LoadTracker(building(), prior=Priors("random_walk", dummy=-1.0), **settings).fit(c.y, c.dt)
 
 
 def test_the_certificate_says_where_the_data_tell():

@@ -11,6 +11,7 @@ from loadid import LoadTracker
 from loadid.families.tracking.sweep import QSweep, _corner, q_sweep
 from loadid.inverse.gaussian.priors import Matern32, RandomWalk
 from loadid.plots.choosing import sweep_figure
+from loadid.settings import ModelErrors
 from structures import InputError
 from tests.families.test_tracking import building, case
 
@@ -79,7 +80,7 @@ def test_another_prior_is_swept_too():
 
 def test_bad_settings_are_refused():
     c = case(samples=400)
-    for bad in ({"points": 3}, {"points": 9.5}, {"decades": 0.0}, {"scales": ["stiffness"]}):
+    for bad in ({"points": 3}, {"points": 9.5}, {"decades": 0.0}, {"model_error": ModelErrors(scales=["stiffness"])}):
         with pytest.raises(InputError):
             q_sweep(building(), c.y, c.dt, noise=c.noise, hold="zoh", **bad)
 

@@ -7,6 +7,7 @@ import pytest
 
 from loadid import Deconvolution, read
 from loadid.commands.calibrate import calibrate
+from loadid.settings import folded
 from structures import ImpulseModel
 
 from ..data import measured
@@ -32,7 +33,10 @@ def case(samples, damping=0.02, taps=3000):
 
 def both(model, y, dt=DT, **settings):
     """Estimates in one piece and in windows, and the norm of their difference over that of the std."""
-    a, b = (Deconvolution(model, path=p, **settings).estimate(y, dt) for p in ("toeplitz", "windows"))
+    a, b = (
+        Deconvolution(model, **folded(Deconvolution, {"path": path, **settings})).estimate(y, dt)
+        for path in ("toeplitz", "windows")
+    )
     return a, b, float(np.linalg.norm(b.load - a.load) / np.linalg.norm(a.std))
 
 

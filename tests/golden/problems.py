@@ -25,6 +25,7 @@ from loadid import (
     LoadTracker,
     LocationSearch,
     Record,
+    Signal,
     SparseDeconvolution,
     Spectra,
     StaticInversion,
@@ -35,6 +36,7 @@ from loadid import (
 )
 from loadid.inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from loadid.inverse.gaussian.priors import OU, Matern32, Matern52, Periodic, RandomWalk, White
+from loadid.settings import Noise, Search, folded
 from structures import Channel, ForwardModel, FrfModel, ImpulseModel, MatrixModel, MeasuredModel, bases
 from structures.elements import beams, chains
 from structures.system import damping, loads, sensors
@@ -49,6 +51,7 @@ DT, N, LAM = 1e-3, 160, 3e-3
 RULES = ("discrepancy", "dof_discrepancy", "upre", "gcv", "robust_gcv", "modified_gcv", "predicted_error", "l_curve",
          "quasi_optimality", "ncp", "evidence")  # fmt: skip
 SAID = {"noise_source": "unloaded record"}
+SOURCE = {"source": SAID["noise_source"]}
 TIGHT = 1e-10
 
 
@@ -127,7 +130,9 @@ def deconvolved(
         y[50:58, 0] = y[90:93, 1] = np.nan
     if stated:
         settings = {"noise": std, **SAID, **settings}
-    e = Deconvolution((table if bare else chain)(at, *([samples] if bare else [])), **settings).estimate(y, DT)
+    e = Deconvolution(
+        (table if bare else chain)(at, *([samples] if bare else [])), **folded(Deconvolution, settings)
+    ).estimate(y, DT)
     return answer(e, impulse=spread(e.functional("impulse")))
 
 
@@ -194,14 +199,14 @@ def unpenalised() -> Answer:
     """Least squares, with an accelerometer at the load so that the data determine it."""
     model = chain(more=(sensors.Accelerometer("3+X", label="a3"),))
     y, std = noisy(model.predict(np.hanning(N)[:, None], DT), 0.02)
-    return answer(Deconvolution(model, penalty=None, noise=std, **SAID).estimate(y, DT))
+    return answer(Deconvolution(model, penalty=None, noise=Noise(std, **SOURCE)).estimate(y, DT))
 
 
 def offset() -> Answer:
     """An accelerometer with an offset, which is taken off and stays an unknown."""
     y, std = pushed()
     return answer(
-        Deconvolution(chain(), noise=std, choice=LAM, **SAID).estimate(y + np.array([np.ptp(y[:, 0]), 0]), DT)
+        Deconvolution(chain(), noise=Noise(std, **SOURCE), choice=LAM).estimate(y + np.array([np.ptp(y[:, 0]), 0]), DT)
     )
 
 
@@ -212,7 +217,7 @@ def crossing() -> Answer:
     gauge = [sensors.Displacement(at=x, direction="Z", label=f"d{x}") for x in (0.7, 1.2)]
     model = ForwardModel(beam, gauge, [loads.MovingPoint(np.linspace(0.3, 1.7, N), label="truck")], modes=3)
     y, std = noisy(model.predict(np.full((N, 1), 100.0), DT), 0.01)
-    family = Deconvolution(model, penalty="first_difference", choice=LAM, noise=std, **SAID)
+    family = Deconvolution(model, penalty="first_difference", choice=LAM, noise=Noise(std, **SOURCE))
     return answer(family.estimate(y, DT))
 
 
@@ -233,7 +238,7 @@ def hammered() -> tuple[MeasuredModel, np.ndarray]:
 def from_hits(**settings: Any) -> Answer:
     """Deconvolution by that model."""
     model, y = hammered()
-    return answer(Deconvolution(model, **settings).estimate(y, DT))
+    return answer(Deconvolution(model, **folded(Deconvolution, settings)).estimate(y, DT))
 
 
 add("deconvolution/dense/least squares", unpenalised)
@@ -256,7 +261,7 @@ def sparse(*, at: tuple[str, ...] = ("3+X",), stated: bool = True, **settings: A
     y, std = noisy(chain(at).predict(g, DT), 0.02)
     if stated:
         settings = {"noise": std, **SAID, **settings}
-    return answer(SparseDeconvolution(chain(at), **settings).estimate(y, DT))
+    return answer(SparseDeconvolution(chain(at), **folded(SparseDeconvolution, settings)).estimate(y, DT))
 
 
 atoms = np.stack([np.roll(np.concatenate([np.hanning(14), np.zeros(N - 14)]), 4 * k) for k in range(36)], axis=1)
@@ -296,7 +301,9 @@ def inverted(
         y, settings = y[:, ::2] @ onto.T, {"interpolation": onto, **settings}
     if stated:
         settings = {"noise": std, **SAID, **settings}
-    e = StaticInversion(MatrixModel(H), **settings).estimate(y if frames else y[0], joint=joint)
+    e = StaticInversion(MatrixModel(H), **folded(StaticInversion, settings)).estimate(
+        y if frames else y[0], joint=joint
+    )
     return answer(e) if frames else answer(e, sum=spread(e.functional("sum")))
 
 
@@ -357,7 +364,7 @@ def lifted(**settings: Any) -> Answer:
 def calibrated() -> Answer:
     """One lambda for several readings, then one product a reading."""
     H, y, std = kernel()
-    family = StaticInversion(MatrixModel(H), penalty="gradient", noise=std, **SAID)
+    family = StaticInversion(MatrixModel(H), penalty="gradient", noise=Noise(std, **SOURCE))
     found = family.calibrate(list(y))
     return answer(family.estimate(y[1]), frozen=family.freeze()(y[2]), joint=found.lam)
 
@@ -382,7 +389,11 @@ def span() -> tuple[ForwardModel, np.ndarray, np.ndarray]:
 def distributed(**settings: Any) -> Answer:
     """Field deconvolution of that record."""
     model, y, std = span()
-    return answer(FieldDeconvolution(model, **{"length": 0.4, "noise": std, **SAID, **settings}).estimate(y, 1 / 400))
+    return answer(
+        FieldDeconvolution(
+            model, **folded(FieldDeconvolution, {"length": 0.4, "noise": std, **SAID, **settings})
+        ).estimate(y, 1 / 400)
+    )
 
 
 def harmonic(**settings: Any) -> Answer:
@@ -392,7 +403,7 @@ def harmonic(**settings: Any) -> Answer:
     Y = H @ (np.arange(1, H.shape[1] + 1) * np.exp(0.4j * np.arange(H.shape[1])))
     rng, std = np.random.default_rng(3), 0.01 * np.abs(Y)
     Y = Y + std * (rng.standard_normal(len(Y)) + 1j * rng.standard_normal(len(Y))) / np.sqrt(2)
-    return answer(HarmonicInversion(model, 17.0, noise=std, **SAID, **settings).estimate(Y))
+    return answer(HarmonicInversion(model, 17.0, noise=Noise(std, **SOURCE), **settings).estimate(Y))
 
 
 for path in ("dense", "statespace"):
@@ -435,7 +446,7 @@ def on_lines(*, error: float = 0.0, stated: bool = True, **settings: Any) -> Ans
     """Frequency inversion of that response."""
     model, Y, sigma = lines(error)
     given = Spectra(model.frequencies, Y, noise=sigma if stated else None, noise_source="unloaded record")
-    e = FrequencyInversion(model, **settings).estimate(given)
+    e = FrequencyInversion(model, **folded(FrequencyInversion, settings)).estimate(given)
     return answer(e, naive=e.spectrum.naive, trusted=e.trust().sum(axis=0))
 
 
@@ -449,20 +460,24 @@ def running() -> tuple[np.ndarray, np.ndarray]:
 def averaged(**settings: Any) -> Answer:
     """A stationary record, averaged into cross spectra."""
     y, std = running()
-    family = FrequencyInversion(chain(TWO), signal="stationary", segment=100, noise=std, **SAID, **settings)
+    family = FrequencyInversion(
+        chain(TWO), signal=Signal("stationary", segment=100), noise=Noise(std, **SOURCE), **settings
+    )
     return answer(family.estimate(y, DT))
 
 
 def transient(**settings: Any) -> Answer:
     """A transient, line by line."""
     y, std = pushed(samples=400)
-    return answer(FrequencyInversion(chain(), signal="transient", noise=std, **SAID, **settings).estimate(y, DT))
+    return answer(
+        FrequencyInversion(chain(), signal="transient", noise=Noise(std, **SOURCE), **settings).estimate(y, DT)
+    )
 
 
 def domains() -> Answer:
     """The same in both domains."""
     y, std = pushed(samples=400)
-    found = compare_domains(chain(), y, DT, noise=std, time={"choice": LAM}, **SAID)
+    found = compare_domains(chain(), y, DT, noise=Noise(std, **SOURCE), time={"choice": LAM})
     both = answer(found.time, difference=found.difference, stated=found.stated, apart=found.apart)
     more = answer(found.frequency)
     return Answer(
@@ -508,7 +523,7 @@ def candidates() -> tuple[ForwardModel, np.ndarray, np.ndarray]:
 def located(**settings: Any) -> Answer:
     """The place of that impact."""
     model, y, std = candidates()
-    found = LocationSearch(model, noise=std, workers=1, settings={"choice": LAM}, **SAID, **settings).estimate(y, DT)
+    found = LocationSearch(model, noise=Noise(std, **SOURCE), settings={"choice": LAM}, **settings).estimate(y, DT)
     assert found.estimate is not None
     e = answer(found.estimate, scores=found.scores, found=found.found, ratio=found.ratio, residual=found.residual)
     words = {"codes": sorted(f.code for f in found.flags), "best": [str(b) for b in found.best]}
@@ -518,14 +533,14 @@ def located(**settings: Any) -> Answer:
 def recommended() -> Answer:
     """Which prior fits, and by how much."""
     y, std = pushed(samples=240)
-    found = recommend(chain(), y, DT, noise=std, **SAID)
+    found = recommend(chain(), y, DT, noise=Noise(std, **SOURCE))
     numbers = {"scores": list(found.scores.values()), "evidence": list(found.evidence.values()),
                "kurtosis": [found.kurtosis], "width": [found.width]}  # fmt: skip
     words = {"prior": [found.prior], "knots": [str(found.knots)], "compared": sorted(found.evidence)}
     return Answer({n: np.asarray(v, float) for n, v in numbers.items() if len(v)}, words)
 
 
-add("location/candidates", lambda: located(refine=False, choice=0.01))
+add("location/candidates", lambda: located(search=Search(refine=False), choice=0.01))
 add("location/refined", lambda: located(choice=0.01))
 
 
@@ -559,7 +574,7 @@ def tracked(
     if spike:
         y[300, 1] += 0.01
     settings = {"noise": NOISE, **SAID, **settings}
-    tracker = LoadTracker(housed(at), **settings).fit(y[:250], DT)
+    tracker = LoadTracker(housed(at), **folded(LoadTracker, settings)).fit(y[:250], DT)
     c = tracker.certificate
     said = {"certificate": [c.verdict], "flags": sorted({f.code for f in tracker.flags})}
     if kind == "step":
@@ -673,7 +688,7 @@ def five_hits(**settings: Any) -> Answer:
     stated = {"columns": ("time", "force", "acceleration"), "units": {"force": "N", "acceleration": "m/s^2"}}
     records = [read(measured("hammer_five_hits", f"measurements_{k}.npy"), **stated) for k in range(1, 6)]
     model = MeasuredModel.from_hits(records[:4], force="force", responses=["acceleration"])
-    return answer(Deconvolution(model, **settings).estimate(records[4].select(["acceleration"])))
+    return answer(Deconvolution(model, **folded(Deconvolution, settings)).estimate(records[4].select(["acceleration"])))
 
 
 def two_hits(**settings: Any) -> Answer:
@@ -681,7 +696,7 @@ def two_hits(**settings: Any) -> Answer:
     with np.load(measured("hammer_two_hits", "lvm_two_hits.npz")) as file:
         hits = [np.asarray(file[name], float) for name in ("hit1", "hit2")]
     model = MeasuredModel.from_hits(hits[:1], dt=1 / 1024, force=0, responses=[1, 2])
-    return answer(Deconvolution(model, **settings).estimate(hits[1][:, 1:], 1 / 1024))
+    return answer(Deconvolution(model, **folded(Deconvolution, settings)).estimate(hits[1][:, 1:], 1 / 1024))
 
 
 def shaken() -> Answer:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import Deconvolution, Record
+from loadid import Deconvolution, Guards, Noise, Record
 from structures import ForwardModel
 from structures.elements import beams, circular
 from structures.system import damping, loads, sensors
@@ -74,7 +74,9 @@ def test_expected_guards_and_no_other(case, must, may, seed):
     e *= 0.01 * np.linalg.norm(y) / np.linalg.norm(e)
     record = Record(y + e, dt, model.sensors, simulated_by=model.fingerprint)
     level = float(np.linalg.norm(e) / np.sqrt(e.size))
-    estimate = Deconvolution(model, noise=level, noise_source="unloaded record", coverage=COVERED).estimate(record)
+    estimate = Deconvolution(
+        model, noise=Noise(level, source="unloaded record"), allow=Guards(coverage=COVERED)
+    ).estimate(record)
     assert must | ALWAYS <= estimate.codes <= must | may | ALWAYS
 
 
@@ -85,6 +87,6 @@ def test_a_well_conditioned_problem_does_not_contradict_its_noise_level():
     level = 0.01 * float(np.linalg.norm(y)) / np.sqrt(y.size)
     for seed in range(3):
         record = y + level * np.random.default_rng(seed).standard_normal(y.shape)
-        estimate = Deconvolution(model, noise=level, noise_source="unloaded record").estimate(record, dt)
+        estimate = Deconvolution(model, noise=Noise(level, source="unloaded record")).estimate(record, dt)
         assert "W406" not in estimate.codes
         assert np.linalg.norm(estimate.load[:, 0] - g) < 0.1 * np.linalg.norm(g)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import FrequencyInversion, Spectra
+from loadid import FrequencyInversion, Signal, Spectra
 from structures import ForwardModel, FrfModel
 from structures.elements import beams
 from structures.flags import Flag
@@ -59,7 +59,7 @@ def hit(samples: int, noise: float = 0.05) -> tuple[Flag, ...]:
 def stationary(segment: int) -> tuple[Flag, ...]:
     """Flags of a record that is averaged in segments."""
     y = np.random.default_rng(0).standard_normal((30_000, 3))
-    return tuple(FrequencyInversion(beam(), signal="stationary", segment=segment).estimate(y, DT).flags)
+    return tuple(FrequencyInversion(beam(), signal=Signal("stationary", segment=segment)).estimate(y, DT).flags)
 
 
 def harmonic(apart: float, background: float = 0.02) -> tuple[Flag, ...]:

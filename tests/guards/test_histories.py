@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loadid import Deconvolution, Record, read
+from loadid import Deconvolution, Guards, Record, read
 from loadid.commands.check import check
+from loadid.settings import Noise, folded
 from loadid.validate import Coverage, held_out
 from structures import Channel, ForwardModel, ImpulseModel, InputError, MeasuredModel
 from structures.elements import beams
@@ -77,8 +78,10 @@ def flags(model, y=None, **settings) -> tuple[Flag, ...]:
     if y is None:
         y = noisy(model.predict(pulse(columns=len(model.loads)), dt))
     if "noise" not in settings and not isinstance(model, MeasuredModel):
-        settings |= {"noise": 0.02 * rms(np.asarray(getattr(y, "values", y))), "noise_source": "unloaded record"}
-    return Deconvolution(model, **settings).estimate(y, None if isinstance(y, Record) else dt).flags
+        settings |= {"noise": Noise(0.02 * rms(np.asarray(getattr(y, "values", y))), source="unloaded record")}
+    return (
+        Deconvolution(model, **folded(Deconvolution, settings)).estimate(y, None if isinstance(y, Record) else dt).flags
+    )
 
 
 # -- the guards -------------------------------------------------------------------------------------------------------
@@ -136,7 +139,7 @@ def stated(factor: float, choice: str | None = None) -> tuple[Flag, ...]:
     """Flags with a noise level that is a factor too small."""
     y = smooth_kernel().predict(pulse(), DT)
     level = 0.02 * rms(y) / factor
-    return flags(smooth_kernel(), noisy(y), noise=level, noise_source="unloaded record", choice=choice)
+    return flags(smooth_kernel(), noisy(y), noise=Noise(level, source="unloaded record"), choice=choice)
 
 
 def trained(used: bool) -> tuple[Flag, ...]:
@@ -330,7 +333,7 @@ CASES = [
     Case(
         "W406",
         lambda: flags(arrays(impulse()), noise=[1.0, 1.0, 2.3]),
-        lambda: flags(arrays(impulse()), noise=[1.0, 1.0, 2.3], noise_source="unloaded record"),
+        lambda: flags(arrays(impulse()), noise=Noise([1.0, 1.0, 2.3], source="unloaded record")),
         r"half, once and twice of it: [\d.e-]+, [\d.e-]+, [\d.e-]+",
     ),
     Case(
@@ -439,7 +442,7 @@ def test_a_clean_set_up_raises_the_note_alone(seed):
     model = beam(noise=sigma)
     model.verify(pulse(450), y, DT, source="a known hit")
     record = Record(y + sigma * np.random.default_rng(seed).standard_normal(y.shape), DT, model.sensors)
-    estimate = Deconvolution(model, coverage=COVERED).estimate(record)
+    estimate = Deconvolution(model, allow=Guards(coverage=COVERED)).estimate(record)
     assert estimate.codes == {"N303"}
     assert "ker(H)" not in estimate.flags[0].message
     assert "flags: none" in "".join(t.get_text() for t in estimate.plot().texts)
@@ -450,7 +453,7 @@ def test_a_measured_hit_raises_the_note_alone():
     """Four hammer hits make the model, the fifth is rebuilt: verified by the hits themselves, offsets as recorded."""
     tables = [np.load(measured("hammer_five_hits", f"measurements_{k}.npy"))[1:].T for k in range(1, 6)]
     model = MeasuredModel.from_hits(tables[:4], dt=1 / 25600, force=0, responses=[1])
-    assert Deconvolution(model, coverage=COVERED).estimate(tables[4][:, 1:], 1 / 25600).codes == {"N303"}
+    assert Deconvolution(model, allow=Guards(coverage=COVERED)).estimate(tables[4][:, 1:], 1 / 25600).codes == {"N303"}
     assert check(Record(tables[4][:, 1:], 1 / 25600, model.sensors), model).flags == []
 
 

@@ -7,7 +7,8 @@ from functools import cache
 import numpy as np
 
 from case_studies.impact_location import DT, NODES, SAMPLES, beam, half_sine, noisy, plate, plate_grid, recorded
-from loadid import LocationSearch
+from loadid import Lambda, LocationSearch, Search
+from loadid.settings import folded
 from structures import ForwardModel
 from structures.flags import Flag
 from structures.system import sensors
@@ -31,19 +32,23 @@ def struck(seen: tuple[int, ...], node: int, level: float, seed: int = 0):
 def flags(seen: tuple[int, ...] = CLEAR, node: int = 12, level: float = 0.01, **settings) -> tuple[Flag, ...]:
     """Flags of a search on the beam."""
     settings = {"refine": False, "hold": "zoh", "workers": 1, **settings}
-    return LocationSearch(beam(seen), **settings).locate(struck(seen, node, level)).flags
+    return LocationSearch(beam(seen), **folded(LocationSearch, settings)).locate(struck(seen, node, level)).flags
 
 
 def rim(beyond: bool) -> tuple[Flag, ...]:
     """Flags where the grid stops before the true place, or reaches beyond it."""
     grid = range(13 if beyond else 7, 30)
-    return LocationSearch(beam(CLEAR, grid), hold="zoh", workers=1).locate(struck(CLEAR, 12, 0.01)).flags
+    return LocationSearch(beam(CLEAR, grid), hold="zoh", search=Search(workers=1)).locate(struck(CLEAR, 12, 0.01)).flags
 
 
 def gone(beyond: bool) -> tuple[Flag, ...]:
     """Flags where the load acts far outside the grid, or inside."""
     grid = NODES[9:] if beyond else NODES[:10]
-    return LocationSearch(beam(CLEAR, grid), hold="zoh", workers=1, refine=False).locate(struck(CLEAR, 6, 0.01)).flags
+    return (
+        LocationSearch(beam(CLEAR, grid), hold="zoh", search=Search(refine=False, workers=1))
+        .locate(struck(CLEAR, 6, 0.01))
+        .flags
+    )
 
 
 def layout(seen: tuple[int, ...]) -> tuple[Flag, ...]:
@@ -107,8 +112,8 @@ CASES = [
     ),
     Case(
         "E513",
-        lambda: refused(lambda: LocationSearch(beam(CLEAR), method="tsvd")),
-        lambda: refused(lambda: LocationSearch(beam(CLEAR), method="tikhonov")),
+        lambda: refused(lambda: LocationSearch(beam(CLEAR), choice=Lambda(method="tsvd"))),
+        lambda: refused(lambda: LocationSearch(beam(CLEAR), choice=Lambda(method="tikhonov"))),
         r"a truncation rank",
         "truncation",
     ),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loadid import Deconvolution, SparseDeconvolution
+from loadid import Deconvolution, Lambda, SparseDeconvolution
 from loadid.inverse.constraints import NonNegative
 from structures import ForwardModel
 from structures.elements import beams
@@ -79,7 +79,9 @@ def test_an_offset_is_an_unknown_of_the_problem(penalty: str, gap: bool) -> None
     if gap:
         shifted[150:160, 1] = np.nan
     mass = model(ACCELEROMETERS, 6)
-    found = Deconvolution(mass, noise=sigma, penalty=penalty, path="statespace", choice=1e-3).estimate(shifted, DT)
+    found = Deconvolution(mass, noise=sigma, penalty=penalty, choice=Lambda(1e-3, path="statespace")).estimate(
+        shifted, DT
+    )
     there = ~np.isnan(shifted.reshape(-1))
     H = operator(mass.state_space(DT), len(load)).reshape(-1, len(load))
     weight = np.tile(1 / sigma, len(load))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from loadid import FieldDeconvolution
+from loadid.settings import folded
 from structures import ForwardModel, bases
 from structures.elements import beams
 from structures.system import sensors
@@ -21,7 +22,11 @@ GAUGES = [sensors.StrainGauge(at=x, fibre=0.005) for x in (0.31, 0.77, 1.63)]
 def inverted(grid, **settings):
     model = ForwardModel(BEAM, GAUGES, bases.hats(BEAM, grid), modes=6)
     y = np.random.default_rng(0).standard_normal((40, 3)) * 1e-6
-    return FieldDeconvolution(model, noise=1e-6, choice=0.1, **settings).estimate(y, DT).flags
+    return (
+        FieldDeconvolution(model, noise=1e-6, **folded(FieldDeconvolution, {"choice": 0.1, **settings}))
+        .estimate(y, DT)
+        .flags
+    )
 
 
 CASES = [

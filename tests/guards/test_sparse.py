@@ -7,9 +7,10 @@ from unittest import mock
 
 import numpy as np
 
-from loadid import Deconvolution, SparseDeconvolution
+from loadid import Deconvolution, Noise, SparseDeconvolution
 from loadid.guards import families as sparsity
 from loadid.inverse.sparse import lasso as workingset
+from loadid.settings import folded
 from structures import ForwardModel, ImpulseModel
 from structures.flags import Flag
 from structures.system import loads, sensors
@@ -45,7 +46,13 @@ def pulse(width: int) -> np.ndarray:
 def flags(width: int, noise: float = 0.01, **settings) -> tuple[Flag, ...]:
     """Flags of a sparse inversion of one pulse."""
     y, std = record(pulse(width), noise)
-    return SparseDeconvolution(model(), noise=std, noise_source="unloaded record", **settings).estimate(y, DT).flags
+    return (
+        SparseDeconvolution(
+            model(), noise=Noise(std, source="unloaded record"), **folded(SparseDeconvolution, settings)
+        )
+        .estimate(y, DT)
+        .flags
+    )
 
 
 def dense(settings: dict) -> tuple[Flag, ...]:
@@ -55,7 +62,7 @@ def dense(settings: dict) -> tuple[Flag, ...]:
     load = np.sin(np.arange(200) / 9) if settings["slow"] else np.eye(200)[50] * 20
     y = np.convolve(h, load)[:200] + 0.01 * rng.standard_normal(200)
     return (
-        SparseDeconvolution(ImpulseModel(h, DT, kind="held"), noise=0.01, noise_source="unloaded record")
+        SparseDeconvolution(ImpulseModel(h, DT, kind="held"), noise=Noise(0.01, source="unloaded record"))
         .estimate(y, DT)
         .flags
     )
@@ -83,7 +90,7 @@ def smooth(kind: str) -> tuple[Flag, ...]:
     y = own.predict(g, 1 / 2000)
     level = 0.01 * float(np.sqrt(np.mean(y**2)))
     y = y + level * np.random.default_rng(0).standard_normal(y.shape)
-    return Deconvolution(own, noise=level, noise_source="known").estimate(y, 1 / 2000).flags
+    return Deconvolution(own, noise=Noise(level, source="known")).estimate(y, 1 / 2000).flags
 
 
 def found(flag: Flag | None) -> tuple[Flag, ...]:

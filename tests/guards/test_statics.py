@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import Absolute, StaticInversion
+from loadid import Absolute, Noise, StaticInversion
 from loadid import guards as guards
 from loadid.inverse.constrained.path import ConstrainedPath
 from loadid.inverse.constrained.solver import ConstrainedSolution
@@ -13,6 +13,7 @@ from loadid.inverse.constraints import Bounds, NonNegative, Resultant
 from loadid.inverse.noise_source import NoiseSource
 from loadid.inverse.problem import LinearProblem
 from loadid.inverse.svd import SVDPath
+from loadid.settings import folded
 from loadid.validate import Known, ReferenceWrench, validate
 from structures import Channel, ForwardModel, MatrixModel
 from structures.elements import beams, solids
@@ -44,7 +45,7 @@ def flags(H=None, *, level=0.01, seed=0, constraints=(), noise=True, y=None, **s
     if noise:
         settings = {"noise": sigma, "noise_source": "unloaded record", **settings}
     model = MatrixModel(H, sensors=[Channel(label=f"s{i}", quantity="displacement", unit="m") for i in range(len(H))])
-    return StaticInversion(model, constraints=constraints, **settings).estimate(y).flags
+    return StaticInversion(model, constraints=constraints, **folded(StaticInversion, settings)).estimate(y).flags
 
 
 def pad(nu: float, allow=()) -> tuple[Flag, ...]:
@@ -61,7 +62,7 @@ def per_frame(joint: bool) -> tuple[Flag, ...]:
     H = kernel()
     rng = np.random.default_rng(0)
     y = np.outer([1.0, 0.5, 2.0], H @ bump()) + 1e-3 * rng.standard_normal((3, 48))
-    return StaticInversion(H, noise=1e-3, noise_source="repeatability").estimate(y, joint=joint).flags
+    return StaticInversion(H, noise=Noise(1e-3, source="repeatability")).estimate(y, joint=joint).flags
 
 
 def markers(interpolated: bool) -> tuple[Flag, ...]:

@@ -76,7 +76,7 @@ def innovations(bias: float) -> tuple[Flag, ...]:
 CALM = np.random.default_rng(1).standard_normal((2000, 2))
 CASES = [
     Case("E501", lambda: drift((), False), lambda: drift((10,), False), r"constant force.*0 of 1.*displacement"),
-    Case("E501", lambda: drift((), True), lambda: drift((1,), True), r"singular value [0-9.e-]+.*allow_drift", "kept"),
+    Case("E501", lambda: drift((), True), lambda: drift((1,), True), r"singular value .*allow=.'LID-E501'", "kept"),
     Case("E501", cured, lambda: drift((), True, matern32(100.0, 0.08, 0.01)), r"sensor at 10\+X.*0\.4 m", "cure"),
     Case("W502", lambda: one(untuned(3.31, tuned=True)), lambda: one(untuned(1.06, tuned=True)), "3.31"),
     Case("W502", lambda: one(untuned(1.0, tuned=False)), lambda: one(untuned(1.0, tuned=True)), "sweep", "no sweep"),

@@ -10,6 +10,7 @@ from loadid import (
     Deconvolution,
     FrequencyInversion,
     HarmonicInversion,
+    Lambda,
     LoadEstimate,
     SparseDeconvolution,
     StaticInversion,
@@ -85,7 +86,7 @@ def in_frequency(place: float) -> LoadEstimate:
 FAMILIES = {
     "deconvolution": lambda place: in_time(Deconvolution, place),
     "dense, a lambda of the user": lambda place: in_time(lambda *a, **k: Deconvolution(*a, choice=1e-3, **k), place),
-    "convolved": lambda place: in_time(lambda *a, **k: Deconvolution(*a, path="toeplitz", **k), place),
+    "convolved": lambda place: in_time(lambda *a, **k: Deconvolution(*a, choice=Lambda(path="toeplitz"), **k), place),
     "sparse": lambda place: in_time(SparseDeconvolution, place),
     "static": static,
     "harmonic": harmonic,

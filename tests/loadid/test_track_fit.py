@@ -11,6 +11,7 @@ from loadid.commands.check import check
 from loadid.commands.identify import identify
 from loadid.families import kalman
 from loadid.families.tracking.tracker import Tracker
+from loadid.settings import Guards, ModelErrors, Noise, Online, Priors
 from structures import ForwardModel, MeasuredModel
 from structures.elements import beams
 from structures.errors import NotIdentifiable
@@ -164,9 +165,9 @@ def test_every_setting_reaches_the_tracker(run, monkeypatch):
     assert code == cli.REFUSED, err
     del given["progress"]
     assert given == {
-        "prior": "matern52", "noise": [1.0, 2.0, 3.0], "noise_source": "--noise", "allow_drift": True,
-        "scales": ["stiffness", "damping"], "model_error": {"mass": 0.02}, "start": "static", "gate": None,
+        "prior": Priors("matern52", start="static"), "noise": Noise([1.0, 2.0, 3.0], source="--noise"), "gate": None,
+        "model_error": ModelErrors({"mass": 0.02}, scales=["stiffness", "damping"]), "allow": Guards(["LID-E501"]),
     }  # fmt: skip
     for words, lag in (("auto", "auto"), ("5", 5)):
         assert run(f"--model named.h5 --fit record.csv --in stream.csv --out new.csv --lag {words}")[0] == cli.REFUSED
-        assert given["lag"] == lag
+        assert given["online"] == Online(lag)

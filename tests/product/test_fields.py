@@ -10,6 +10,7 @@ import pytest
 from loadid import FieldDeconvolution
 from loadid.inverse import penalties
 from loadid.inverse.constraints import NonNegative
+from loadid.settings import folded
 from structures import ForwardModel, InputError, bases
 from structures.system import sensors
 
@@ -94,10 +95,13 @@ def test_field(path, time, space, option):
     y = clean + noise * rng.standard_normal(clean.shape)
     if option == "gap":
         y[8:11, 1] = np.nan
-    said = {"time": time, "space": SPACES[space], "length": None if space == "none" else LENGTH, "noise": noise}
+    said = {"time": time, "space": SPACES[space], "length": None if space == "none" else LENGTH, "noise": noise,
+            "choice": LAM, "path": path}  # fmt: skip
     expected, refused = objections(path, time, space, option), None
     try:
-        family = FieldDeconvolution(MODEL, path=path, choice=LAM, allow=["LID-E514"], **said, **OPTIONS[option])
+        family = FieldDeconvolution(
+            MODEL, allow=["LID-E514"], **folded(FieldDeconvolution, {**said, **OPTIONS[option]})
+        )
         estimate = family.estimate(y, dt=DT)
     except InputError as error:
         refused = error

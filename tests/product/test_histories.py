@@ -9,15 +9,15 @@ own way.
 
 from __future__ import annotations
 
-from functools import partial
 from itertools import combinations, product
 
 import numpy as np
 import pytest
 
-from loadid import Deconvolution, NotIdentifiable
+from loadid import Deconvolution, Lambda, NotIdentifiable
 from loadid.inverse import penalties, rules
 from loadid.inverse.convolved import windows
+from loadid.settings import folded
 from structures import ImpulseModel, InputError
 
 from . import histories, reference
@@ -45,13 +45,10 @@ def check(kind, path, penalty, choice, options, count=2):
     expected = histories.objections(kind, path, penalty, free, options)
     if choice is False or choice == "ebic" or (penalty == "none" and choice not in (None, 0)):
         expected = {"choice"}
-    family, refused, undetermined = (
-        partial(Deconvolution, histories.model(kind, count), path=path, choice=choice),
-        None,
-        False,
-    )
+    refused, undetermined = None, False
     try:
-        estimate = family(**said).estimate(y, dt=DT)
+        said = folded(Deconvolution, {**said, "choice": choice, "path": path})
+        estimate = Deconvolution(histories.model(kind, count), **said).estimate(y, dt=DT)
     except InputError as error:
         refused = error
     except NotIdentifiable:
@@ -184,8 +181,9 @@ def test_several_windows(monkeypatch, penalty, gap):
     if gap:
         y[70:74] = np.nan
     lam = 10.0 ** -(2 + histories.ORDERS[penalty])  # of a scale that grows with the order
-    said = {"penalty": histories.PENALTIES[penalty], "choice": lam, "noise": noise}
-    estimate = Deconvolution(ImpulseModel(h, DT, kind="held"), path="windows", **said).estimate(y, dt=DT)
+    said = {"penalty": histories.PENALTIES[penalty], "noise": noise}
+    said["choice"] = Lambda(lam, path="windows")
+    estimate = Deconvolution(ImpulseModel(h, DT, kind="held"), **said).estimate(y, dt=DT)
     H, data = reference.whitened(reference.convolution(h), y, noise)
     problem = reference.Problem(H, data, reference.differences(histories.ORDERS[penalty], len(y)))
     expected = problem.solution(estimate.choice.lam * estimate.choice.scale)

@@ -9,6 +9,7 @@ import pytest
 
 from loadid import FrequencyInversion, HarmonicInversion, Spectra
 from loadid.inverse import rules
+from loadid.settings import folded
 from structures import ForwardModel, InputError, bases
 from structures.system import loads, sensors
 from structures.testing.spectra import padded_length
@@ -64,7 +65,9 @@ def check(kind, method, choice, over, option=""):
     said |= {"signal": "transient"} if kind == "transient" else {}
     expected, refused = objections(kind, method, choice, over, option), None
     try:
-        estimate = FrequencyInversion(MODEL, **said, **OPTIONS[option]).estimate(given, *([DT] if H is None else []))
+        estimate = FrequencyInversion(MODEL, **folded(FrequencyInversion, {**said, **OPTIONS[option]})).estimate(
+            given, *([DT] if H is None else [])
+        )
     except InputError as error:
         refused = error
     if refused is not None:

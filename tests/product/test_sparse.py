@@ -9,6 +9,7 @@ import pytest
 
 from loadid import InputError, SparseDeconvolution
 from loadid.inverse import rules
+from loadid.settings import folded
 
 from . import histories, reference
 from .histories import DT, N
@@ -58,8 +59,8 @@ def check(dictionary, choice, option):
     expected, refused = objections(dictionary, choice, option), None
     try:
         family = SparseDeconvolution(
-            histories.model("impulses"), dictionary=DICTIONARIES[dictionary], choice=choice, noise=noise, tol=1e-12,
-            **OPTIONS[option],
+            histories.model("impulses"), dictionary=DICTIONARIES[dictionary], choice=choice, noise=noise,
+            **folded(SparseDeconvolution, {"tol": 1e-12, **OPTIONS[option]}),
         )  # fmt: skip
         estimate = family.estimate(y, dt=DT)
     except InputError as error:

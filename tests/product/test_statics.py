@@ -10,6 +10,7 @@ import pytest
 from loadid import Absolute, StaticInversion
 from loadid.inverse import penalties, rules
 from loadid.inverse.constraints import Bounds, NonNegative, Resultant, Support
+from loadid.settings import folded
 from structures import ForwardModel, InputError, MatrixModel, bases
 from structures.elements import beams
 from structures.system import sensors
@@ -84,7 +85,9 @@ def check(kind, penalty, choice, constraints=(), *, method="tikhonov", frames=1,
     refused = None
     try:
         said = {"penalty": given, "choice": choice, "method": method, "noise": level}
-        estimate = StaticInversion(MODELS[kind], constraints=constraints, **said).estimate(y[0] if frames == 1 else y)
+        estimate = StaticInversion(MODELS[kind], constraints=constraints, **folded(StaticInversion, said)).estimate(
+            y[0] if frames == 1 else y
+        )
     except InputError as error:
         refused = error
     if refused is not None:

@@ -13,7 +13,7 @@ from structures.errors import InputError, NotIdentifiable, real, reals
 
 from ...inverse import choice as choosing
 from ...inverse import rules
-from ...inverse.choice import Choice, ChoiceLike, PathCurve, is_rule
+from ...inverse.choice import Choice, PathCurve, is_rule
 from ...inverse.noise_source import NoiseSource
 from ...inverse.rules import MEANING
 from ...inverse.spectral import (
@@ -31,6 +31,7 @@ from ...inverse.spectral import (
     window,
 )
 from ...inverse.sweep import LINE_POINTS, RuleResult, Sweep
+from ...settings import Lambda
 
 Array = NDArray[Any]
 
@@ -38,58 +39,29 @@ ROUNDS = 3  # of FRF errors, whose share of the noise depends on the loads
 LEAST = 0.01  # share of the shown noise that stays noise of the response
 SMALLEST = 1e-100  # relative lambda whose square is still a number
 POOL = 20  # lines to either side that a noise level of a rule rests on
-OVER = ("neighbours", "line", "band")
-METHODS = ("tikhonov", "tsvd")
 
 
-@dataclass(frozen=True)
-class LineRule:
-    """How lines are regularised.
-
-    Parameters
-    ----------
-    method : ``"tikhonov"`` or ``"tsvd"``
-    choice : str, callable, float or None
-        Rule, relative lambda or threshold; None is the evidence of the neighbouring lines (Tikhonov).
-    over : ``"neighbours"``, ``"line"`` or ``"band"``
-        Who decides: each line with its neighbours, alone, or all together.
-    neighbours : int
-        Lines to either side.
-    count : int, optional
-        Singular values kept on each line (truncated SVD).
-    size : array (loads,), optional
-        Expected relative size of the loads, which the penalty measures them by.
-    """
-
-    method: str = "tikhonov"
-    choice: ChoiceLike = None
-    over: str = "neighbours"
-    neighbours: int = 40
-    count: int | None = None
-    size: ArrayLike | None = None
+@dataclass(frozen=True, repr=False, eq=False)
+class LineRule(Lambda):
+    """How lines are regularised: None is the evidence of the neighbouring lines (Tikhonov)."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+
         def need(good: bool, what: str, where: str, found: object, expected: str) -> None:
             if not good:
                 raise InputError(what, where=where, found=repr(found)[:80], expected=expected)
 
-        need(self.method in METHODS, "unknown method", "method", self.method, " or ".join(METHODS))
-        need(self.over in OVER, "who decides lambda?", "over", self.over, ", ".join(OVER))
-        whole = isinstance(self.neighbours, int | np.integer) and not isinstance(self.neighbours, bool)
-        need(whole and self.neighbours >= 0, "no number of lines", "neighbours", self.neighbours, "an integer >= 0")
-        whole = isinstance(self.count, int | np.integer) and not isinstance(self.count, bool)
-        need(self.count is None or (whole and self.count >= 1), "no number of singular values", "count", self.count,
-             "an integer >= 1")  # fmt: skip
         need(self.count is None or (self.method == "tsvd" and self.choice is None), "count is for truncation alone",
-             "count", self.count, "method='tsvd' without choice=")  # fmt: skip
+             "count", self.count, "method='tsvd' without a choice")  # fmt: skip
+        need(self.size is None or not self.pooled, "the evidence of the lines finds the sizes itself", "size",
+             self.size, "no size, or a rule (choice=)")  # fmt: skip
         if is_rule(self.choice):
             rules.name_of(self.choice)
         elif self.choice is not None:
             value = real(self.choice)
             need(value is not None and np.isfinite(value) and value >= 0, "no relative lambda", "choice", self.choice,
                  "a number >= 0, the name of a rule, or None")  # fmt: skip
-        need(self.size is None or not self.pooled, "the evidence of the lines finds the sizes itself", "size",
-             self.size, "no size, or a rule (choice=)")  # fmt: skip
 
     @property
     def pooled(self) -> bool:

@@ -18,13 +18,13 @@ from structures.testing.welch import CrossSpectra, cross_spectra
 
 from ...inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
 from ...record import Record, Spectra
+from ...settings import SIGNALS, Noise, Signal
 from .. import noise as noises
 from ..data import WITHOUT_SENSOR, Data, gather
 
 Array = NDArray[Any]
 
 NEGATIVE = 1e-6  # of the largest eigenvalue: rounding that a cross-spectral matrix may show
-SIGNALS = ("stationary", "transient")
 
 
 @dataclass(frozen=True)
@@ -97,19 +97,15 @@ class LineData:
 
 
 @dataclass(frozen=True)
-class Settings:
+class LineSettings:
     """How records become lines."""
 
-    noise: ArrayLike | None = None
-    noise_source: NoiseSource | None = None
-    signal: str | None = None
-    band: tuple[float, float] | None = None
-    window: str = "hann"
-    segment: int | None = None
-    overlap: float = 0.5
+    noise: Noise
+    signal: Signal
+    band: tuple[float, float] | None
 
 
-def lines_of(found: Any, dt: float | None, model: Model, rows: Array, s: Settings) -> LineData:
+def lines_of(found: Any, dt: float | None, model: Model, rows: Array, s: LineSettings) -> LineData:
     """The lines of any input.
 
     Raises
@@ -130,14 +126,14 @@ def lines_of(found: Any, dt: float | None, model: Model, rows: Array, s: Setting
                      hint="loadid.Spectra(frequencies, values) wraps complex amplitudes")  # fmt: skip
 
 
-def _of_spectra(found: Spectra, model: Model, rows: Array, s: Settings) -> LineData:
+def _of_spectra(found: Spectra, model: Model, rows: Array, s: LineSettings) -> LineData:
     f, keep = _inside(found.frequencies, s.band)
     columns = _columns([model.sensors[i].label for i in rows], found.labels, found.values.shape[1], len(model.sensors),
                        rows, found.name)  # fmt: skip
     X = found.values[keep][:, columns]
-    noise = _stated(found.noise, keep, columns) if s.noise is None else _levels(s.noise, len(rows))
+    noise = _stated(found.noise, keep, columns) if not s.noise.stated else _levels(s.noise.std, len(rows))
     power, known = _power(noise, X, [model.sensors[i] for i in rows])
-    stated = NoiseSource.of(found.noise_source if s.noise is None else s.noise_source)
+    stated = s.noise.origin if s.noise.stated else NoiseSource.of(found.noise_source)
     source = stated or (STATED if known else NOT_KNOWN)
     return LineData(
         f, X[..., None], power, known, source, 1.0, "spectra", rows, tuple(model.sensors[i] for i in rows),
@@ -145,17 +141,17 @@ def _of_spectra(found: Spectra, model: Model, rows: Array, s: Settings) -> LineD
     )  # fmt: skip
 
 
-def _of_cross(found: CrossSpectra, model: Model, rows: Array, s: Settings, name: str = "cross spectra") -> LineData:
+def _of_cross(found: CrossSpectra, model: Model, rows: Array, s: LineSettings, name: str = "cross spectra") -> LineData:
     labels = [model.sensors[i].label for i in rows]
     f, keep = _inside(found.frequencies, s.band)
     f, keep = _known_lines(model, f, keep)
     columns = _columns(labels, found.labels, len(found.channels), len(model.sensors), rows, name)
     S = found.matrix[keep][:, columns][:, :, columns]
-    noise = None if s.noise is None else _levels(s.noise, len(rows))
+    noise = None if not s.noise.stated else _levels(s.noise.std, len(rows))
     X = _snapshots(S)
     own = np.sqrt(np.einsum("kss->ks", S).real)
     power, known = _power(noise, own, [model.sensors[i] for i in rows])
-    source = (s.noise_source or STATED) if known else NOT_KNOWN
+    source = (s.noise.origin or STATED) if known else NOT_KNOWN
     facts = {"averages": found.averages, "bandwidth": found.bandwidth, "window": found.window}
     return LineData(
         f, X, power, known, source, found.averages, "cross spectra", rows, tuple(model.sensors[i] for i in rows),
@@ -163,58 +159,58 @@ def _of_cross(found: CrossSpectra, model: Model, rows: Array, s: Settings, name:
     )  # fmt: skip
 
 
-def _of_record(found: Any, dt: float | None, model: Model, rows: Array, s: Settings) -> LineData:
+def _of_record(found: Any, dt: float | None, model: Model, rows: Array, s: LineSettings) -> LineData:
     if isinstance(found, np.ndarray) and found.ndim == 2 and found.shape[1] == len(model.sensors) == len(rows):
         found = found[:, rows]  # columns without names are the sensors of the model in its order
     data = gather(found, dt, model, [int(i) for i in rows])
-    if s.signal not in SIGNALS:
+    if s.signal.kind is None:
         raise InputError("is the record a transient, or does it go on all the time?", where="signal",
-                         found=repr(s.signal), expected=" or ".join(map(repr, SIGNALS)),
+                         found=repr(s.signal.kind), expected=" or ".join(map(repr, SIGNALS)),
                          hint="'stationary' averages windowed segments into cross spectra; 'transient' transforms the "
                          "whole record once, zero-padded, and gives the load history")  # fmt: skip
-    if s.signal == "stationary":
+    if s.signal.kind == "stationary":
         return _averaged([data], model, s)
     return _of_transient(data, model, s)
 
 
-def _of_records(found: list[Record], model: Model, rows: Array, s: Settings) -> LineData:
-    if s.signal != "stationary":
-        raise InputError("several records at once are averaged", where="signal", found=repr(s.signal),
+def _of_records(found: list[Record], model: Model, rows: Array, s: LineSettings) -> LineData:
+    if s.signal.kind != "stationary":
+        raise InputError("several records at once are averaged", where="signal", found=repr(s.signal.kind),
                          expected="'stationary'", hint="estimate transients one by one")  # fmt: skip
     return _averaged([gather(r, None, model, [int(i) for i in rows]) for r in found], model, s)
 
 
-def _averaged(data: list[Data], model: Model, s: Settings) -> LineData:
+def _averaged(data: list[Data], model: Model, s: LineSettings) -> LineData:
     first = data[0]
     found = cross_spectra(
-        [d.values for d in data], first.dt, channels=first.channels, window=s.window, segment=s.segment,
-        overlap=s.overlap,
+        [d.values for d in data], first.dt, channels=first.channels, window=s.signal.window,
+        segment=s.signal.segment, overlap=s.signal.overlap,
     )  # fmt: skip
     positive = found.lines(found.frequencies > 0)  # the mean has been removed
-    noise = noises.resolve(s.noise, s.noise_source, model, first)
+    noise = noises.resolve(s.noise, model, first)
     level = None
     if noise.known:
         _refuse_covariance(noise)
         level = np.sqrt(2 * first.dt) * noise.level
-    line = _of_cross(positive, model, first.rows, Settings(noise=level, noise_source=noise.source, band=s.band))
+    line = _of_cross(positive, model, first.rows, replace(s, noise=Noise(level, noise.source)))
     inputs = {d.record.source or d.record.name or f"record {i + 1}": d.record.sha256 for i, d in enumerate(data)}
     flags = tuple(flag for d in data for flag in d.findings)
     findings = (*line.findings, *flags)
     return replace(line, inputs=inputs, findings=findings, channels=first.channels, **_origin(data))
 
 
-def _of_transient(data: Data, model: Model, s: Settings) -> LineData:
+def _of_transient(data: Data, model: Model, s: LineSettings) -> LineData:
     if s.band is not None:
         raise InputError("a history is made of all lines of its record", where="band", found=f"{s.band!r}"[:80],
                          expected="no band with signal='transient'",
                          hint="filter the record, or look at estimate.spectrum in the band")  # fmt: skip
-    noise = noises.resolve(s.noise, s.noise_source, model, data)
+    noise = noises.resolve(s.noise, model, data)
     _refuse_covariance(noise)
     samples, padded = len(data.values), padded_length(len(data.values))
     f = np.asarray(np.fft.rfftfreq(padded, data.dt), float)
     X = np.fft.rfft(data.values, padded, axis=0)
     power, known, source = np.tile(samples * noise.level**2, (len(f), 1)), noise.known, noise.source
-    if s.noise is None and model.sampled:
+    if not s.noise.stated and model.sampled:
         spectrum = model.noise_spectrum(f)
         if spectrum is not None:
             power, known = samples * spectrum[:, data.rows], True
@@ -269,7 +265,8 @@ def _known_lines(model: Model, f: Array, keep: Array) -> tuple[NDArray[np.float6
         raise InputError("no line of the spectra is a line of the model", where="frequency lines",
                          found=f"spectra {f[0]:.6g} to {f[-1]:.6g} Hz, {len(f)} lines",
                          expected=f"some of the {len(own)} lines {own[0]:.6g} to {own[-1]:.6g} Hz",
-                         hint="choose segment= so that the line spacing is that of the model")  # fmt: skip
+                         hint="choose the segment, signal=Signal('stationary', segment=...), so that the line spacing "
+                         "is that of the model")  # fmt: skip
     return f[there], keep[there]
 
 
@@ -329,7 +326,7 @@ def _power(noise: Array | None, X: Array, sensors: list[Channel]) -> tuple[NDArr
     return np.tile(scale, (len(X), 1)), False
 
 
-def _refuse_covariance(noise: noises.Noise) -> None:
+def _refuse_covariance(noise: noises.NoiseLevel) -> None:
     if np.ndim(noise.level) == 2:
         raise InputError("lines take a noise std per sensor, not a covariance", where="noise", found="a matrix",
                          expected="a number or (sensors,)", hint="Deconvolution takes a covariance")  # fmt: skip

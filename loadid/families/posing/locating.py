@@ -23,7 +23,7 @@ from ...inverse.convolved.places import CandidateSet, Refined
 from ...inverse.problem import whiten
 from ...results.location import Rival
 from ..data import Data
-from ..noise import Noise
+from ..noise import NoiseLevel
 
 Array = NDArray[np.float64]
 NEIGHBOUR = 1.5  # spacings within which candidates are neighbours: the diagonal of a square grid is one
@@ -274,7 +274,7 @@ class LocationProblem:
     """
 
     data: Data
-    noise: Noise
+    noise: NoiseLevel
     sigma: float | None
     y: Array
     relative: Array

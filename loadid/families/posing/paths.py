@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.advice import Advice
 from structures.errors import InputError, plain
 from structures.model import Model
 from structures.models.statespace import StateSpace
@@ -31,8 +32,8 @@ from ...inverse.gaussian.sized import SizedPath
 from ...inverse.penalties import names
 from ...inverse.problem import whiten
 from ..data import Data
-from ..noise import Noise
-from .posed import WHOLE, Posed, Settings, measured_response
+from ..noise import NoiseLevel
+from .posed import BY_MATRIX, WHOLE, Posed, PosingSettings, measured_response
 
 Array = NDArray[Any]
 
@@ -55,7 +56,7 @@ def at_rest_in_place(system: StateSpace) -> StateSpace:
     return StateSpace(system.A, B, system.C, D, system.dt, system.hold, sensors=system.sensors, loads=system.loads)
 
 
-def states(system: StateSpace, h: Array, late: int, noise: Noise, data: Data, settings: Settings) -> Posed:
+def states(system: StateSpace, h: Array, late: int, noise: NoiseLevel, data: Data, settings: PosingSettings) -> Posed:
     """Problem of a state space whose first `late` Markov parameters are zero.
 
     Parameters
@@ -68,9 +69,9 @@ def states(system: StateSpace, h: Array, late: int, noise: Noise, data: Data, se
     InputError
         An initial state that does not fit, loads that move over another number of samples, or a penalty without a name.
     """
-    if not isinstance(settings.penalty, str):
+    if not isinstance(settings.penalty.L, str):
         raise InputError("the state-space path takes a named penalty", where="penalty", found="a matrix or None",
-                         expected=f"one of {names()}; a matrix goes by path='dense'")  # fmt: skip
+                         expected=Advice(f"one of {names()}; a matrix goes by ", BY_MATRIX))  # fmt: skip
     C, D = _advanced(system, late)
     rows, values, missing = data.rows, data.values[late:], data.missing[late:]
     start = _start(system, settings)
@@ -94,13 +95,14 @@ def states(system: StateSpace, h: Array, late: int, noise: Noise, data: Data, se
         return forward(plain, feedback(plain), np.ascontiguousarray(load, float), first)[2]
 
     known = respond(np.zeros((len(values), D.shape[-1])), start) if isinstance(start, np.ndarray) else 0.0
-    extra = {"leak": settings.leak, "from_zero": settings.from_zero, "unknown_start": seen}
-    systems = _systems(A, B, C[rows], D[..., rows, :], len(values), settings.penalty, **extra)
+    extra = {"leak": settings.penalty.leak, "from_zero": settings.penalty.from_zero, "unknown_start": seen}
+    systems = _systems(A, B, C[rows], D[..., rows, :], len(values), settings.penalty.L, **extra)
     own = measured(systems, np.where(missing, np.nan, values - known), noise.level)
     long = len(values) > WHOLE_STATES
     if sizes is not None and unknown:
         raise InputError("with a weight of the size the start of the structure is known", where="initial",
-                         found="'unknown'", expected="'rest' or a state", hint="leave out size=")  # fmt: skip
+                         found="'unknown'", expected="'rest' or a state",
+                         hint="leave out the size of the penalty")  # fmt: skip
     path = StateSpacePath(own, quick=long) if sizes is None else SizedPath(own, sizes, quick=long)
     judged = (windows_of(path) or path) if long and sizes is None else path
 
@@ -115,7 +117,7 @@ def states(system: StateSpace, h: Array, late: int, noise: Noise, data: Data, se
     full = None
     if len(rows) < len(C):
         size = np.sqrt(np.mean(h**2, axis=(0, 2)))
-        everything = _systems(A, B, C, D, len(values), settings.penalty, **extra)
+        everything = _systems(A, B, C, D, len(values), settings.penalty.L, **extra)
         full = layout(measured(everything, np.zeros((len(values), len(C))), np.where(size > 0, size, 1.0)))
 
     def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
@@ -158,7 +160,7 @@ def _advanced(system: StateSpace, late: int) -> tuple[Array, Array]:
     return before @ system.A, before @ system.B
 
 
-def _start(system: StateSpace, settings: Settings) -> str | NDArray[np.float64]:
+def _start(system: StateSpace, settings: PosingSettings) -> str | NDArray[np.float64]:
     if isinstance(settings.initial, str):
         return settings.initial
     x0 = np.asarray(plain(settings.initial), float)
@@ -183,10 +185,10 @@ class Coloured:
     raw: NDArray[np.float64]
     h: NDArray[np.float64]
     y: NDArray[np.float64]
-    noise: Noise
+    noise: NoiseLevel
 
 
-def coloured(model: Model, data: Data, settings: Settings) -> Coloured:
+def coloured(model: Model, data: Data, settings: PosingSettings) -> Coloured:
     """Whiten a record and its measured model in time.
 
     Raises
@@ -206,7 +208,7 @@ def coloured(model: Model, data: Data, settings: Settings) -> Coloured:
         h, y = _whitened(raw[:, data.rows], data.values, power)
     level = np.sqrt(np.mean(power, axis=0))
     source = replace(noise.source, text=f"{noise.source}, with the errors of the FRFs, white in time", white=True)
-    return Coloured(raw, h, y, Noise(level, noise.known, source))
+    return Coloured(raw, h, y, NoiseLevel(level, noise.known, source))
 
 
 def _whitened(h: Array, y: Array, power: Array) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -223,7 +225,9 @@ FEW = 4096  # samples of a record whose lines tell as much as those of a longer 
 LAYOUT = 1e-12  # share of the largest line below which a line says nothing
 
 
-def convolved(h: Array, values: Array, missing: Array, noise: Noise, data: Data, settings: Settings) -> Posed:
+def convolved(
+    h: Array, values: Array, missing: Array, noise: NoiseLevel, data: Data, settings: PosingSettings
+) -> Posed:
     """Problem of impulse responses (taps, sensors, loads) of all sensors of the model.
 
     Raises
@@ -231,9 +235,9 @@ def convolved(h: Array, values: Array, missing: Array, noise: Noise, data: Data,
     InputError
         A penalty without a name, a start that is not at rest, or a covariance beside missing samples.
     """
-    if not isinstance(settings.penalty, str):
+    if not isinstance(settings.penalty.L, str):
         raise InputError("the Toeplitz path takes a named penalty", where="penalty", found="a matrix or None",
-                         expected=f"one of {names()}; a matrix goes by path='dense'")  # fmt: skip
+                         expected=Advice(f"one of {names()}; a matrix goes by ", BY_MATRIX))  # fmt: skip
     if missing.any() and noise.level.ndim == 2:
         raise InputError("missing samples take a noise std per sensor, not a covariance", where="noise",
                          found=f"covariance {noise.level.shape}", expected=f"({len(data.rows)},)")  # fmt: skip
@@ -242,15 +246,15 @@ def convolved(h: Array, values: Array, missing: Array, noise: Noise, data: Data,
 
 
 def _posed(
-    h: Array, h_white: Array, y_white: Array, values: Array, missing: Array, noise: Noise, data: Data,
-    settings: Settings,
+    h: Array, h_white: Array, y_white: Array, values: Array, missing: Array, noise: NoiseLevel, data: Data,
+    settings: PosingSettings,
 ) -> Posed:  # fmt: skip
     """Problem of whitened impulse responses of the used sensors and whitened data."""
     settings.refuse_special("Toeplitz")
-    used, samples, penalty = h[:, data.rows], len(values), settings.penalty
+    used, samples, penalty = h[:, data.rows], len(values), settings.penalty.L
     assert isinstance(penalty, str)
     weight = (~missing).astype(float) if missing.any() else None
-    pieces = settings.path == "windows" or (settings.path == "auto" and samples > WHOLE and weight is None)
+    pieces = settings.lam.path == "windows" or (settings.lam.path == "auto" and samples > WHOLE and weight is None)
     h_white = heard(h_white)
     path = (WindowedPath if pieces else ConvolvedPath)(h_white, y_white, penalty, weight)
     judged = (beginning_of(path) or path) if pieces else path
@@ -275,7 +279,7 @@ def _posed(
     return Posed(path, noise, compare, values, name, used, visible, full, n, judged, pushing)
 
 
-def convolved_measured(model: Model, data: Data, settings: Settings) -> Posed:
+def convolved_measured(model: Model, data: Data, settings: PosingSettings) -> Posed:
     """The same for a measured model, its noise made white in time; with gaps, at its mean level.
 
     Raises
@@ -283,13 +287,13 @@ def convolved_measured(model: Model, data: Data, settings: Settings) -> Posed:
     InputError
         As `convolved`, and a record of another step.
     """
-    if not isinstance(settings.penalty, str):
+    if not isinstance(settings.penalty.L, str):
         raise InputError("the Toeplitz path takes a named penalty", where="penalty", found="a matrix or None",
-                         expected=f"one of {names()}; a matrix goes by path='dense'")  # fmt: skip
+                         expected=Advice(f"one of {names()}; a matrix goes by ", BY_MATRIX))  # fmt: skip
     if data.missing.any():
         h, line_noise = measured_response(model, data, settings)
         level = np.sqrt(np.mean(line_noise.power, axis=0) / len(data.values))
-        noise = Noise(level, line_noise.known, line_noise.source)
+        noise = NoiseLevel(level, line_noise.known, line_noise.source)
         return convolved(h, data.values, data.missing, noise, data, settings)
     white = coloured(model, data, settings)
     return _posed(white.raw, white.h, white.y, data.values, data.missing, white.noise, data, settings)

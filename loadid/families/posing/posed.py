@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.advice import Advice
-from structures.errors import InputError, number, reals
+from structures.advice import Advice, Option
+from structures.errors import InputError, reals
 from structures.model import Model
 from structures.models.discretise import HOLDS
 from structures.testing.spectra import padded_length, smooth_lines
@@ -22,91 +22,70 @@ from ...inverse.convolved.padded import SpectralPath
 from ...inverse.diagnosis import diagnose
 from ...inverse.noise_source import NoiseSource
 from ...inverse.path import RegularizationPath
-from ...inverse.penalties import order
+from ...settings import Lambda, Noise, Penalty, one_of
 from .. import noise as noises
 from ..data import AS_RECORDED, Data
 
 Array = NDArray[Any]
 
-PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
 PADDED = "zero-padded FFT"  # name of the path that goes line by line
+AUTO = Option("path", "auto", within="choice=Lambda")
+BY_MATRIX = Option("path", "dense", within="choice=Lambda")
 WHOLE = 50_000  # samples up to which a record is convolved in one piece: `python -m tests.benchmarks.windows`
 UNUSABLE = 1e-12  # |h(0)| over max |h| below which the diagonal is zero
 
 
-def _one_of(name: str, value: object, allowed: tuple[object, ...]) -> None:
-    if not isinstance(value, str | bool | None) or value not in allowed:
-        raise InputError(f"unknown {name}", where=name, found=repr(value)[:80],
-                         expected=f"one of {', '.join(repr(x) for x in allowed)}")  # fmt: skip
-
-
 @dataclass(frozen=True)
-class Settings:
+class PosingSettings:
     """What decides how a problem is posed; see `Deconvolution`."""
 
-    method: str
-    penalty: str | ArrayLike | None
-    hold: str | None
-    noise: ArrayLike | None
-    noise_source: NoiseSource | None
+    noise: Noise
+    lam: Lambda
+    penalty: Penalty
     allow: tuple[str, ...]
-    path: str = "auto"
+    hold: str | None = None
     initial: str | ArrayLike = "rest"
-    leak: float | None = None
-    from_zero: bool = False
-    free: bool = False
     signed: ArrayLike | bool | None = False
-    size: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        _one_of("method", self.method, ("tikhonov", "tsvd"))
-        _one_of("path", self.path, PATHS)
-        _one_of("hold", self.hold, (None, *HOLDS))
-        _one_of("from_zero", self.from_zero, (False, True))
-        if isinstance(self.penalty, str):
-            order(self.penalty)
+        one_of("hold", self.hold, (None, *HOLDS))
         if self.truncated:
             self._check_truncated()
-        if self.leak is not None:
-            object.__setattr__(self, "leak", number("leak", self.leak, where="leak"))
-        if self.size is not None:
-            self._check_size()
+        sized = isinstance(self.penalty.L, str) and not self.truncated and self.signed is False
+        if self.penalty.size is not None and not sized:
+            raise InputError(
+                "a weight of the size stands beside a named penalty", where="size",
+                found="'tsvd'" if self.truncated else "signs" if self.signed is not False else "a matrix or None",
+                expected="penalty=Penalty('first_difference', size=...) or another name, Tikhonov, no constraints",
+            )  # fmt: skip
         if isinstance(self.initial, str):
-            _one_of("initial", self.initial, ("rest", "unknown"))
+            one_of("initial", self.initial, ("rest", "unknown"))
         else:
             object.__setattr__(self, "initial", reals(self.initial, what="no initial state", where="initial"))
 
     def _check_truncated(self) -> None:
-        if self.path in ("statespace", "toeplitz", "windows"):
+        if self.lam.path in ("statespace", "toeplitz", "windows"):
             raise InputError("this path has no singular values to truncate", where="method",
-                             found=f"'tsvd' with path={self.path!r}",
-                             expected="path='auto', 'dense' or 'fft', or method='tikhonov'")  # fmt: skip
+                             found=repr(self.lam),
+                             expected=Advice(AUTO, ", 'dense' or 'fft', or Tikhonov"))  # fmt: skip
         if self.signed is not False:
             raise InputError("a truncated SVD takes no constraints", where="method", found="'tsvd'",
                              expected="method='tikhonov'")  # fmt: skip
 
-    def _check_size(self) -> None:
-        object.__setattr__(self, "size", reals(self.size, what="no weights of the size", where="size"))
-        size = np.asarray(self.size, float)
-        if size.ndim > 1 or not np.all(np.isfinite(size)) or np.any(size <= 0):
-            raise InputError("no weights of the size of the loads", where="size", expected="positive, for each load",
-                             found=f"shape {size.shape}, or not > 0")  # fmt: skip
-        if not isinstance(self.penalty, str) or self.truncated or self.signed is not False:
-            raise InputError(
-                "a weight of the size stands beside a named penalty", where="size",
-                found=self.method if self.truncated else "signs" if self.signed is not False else "a matrix or None",
-                expected="penalty='first_difference' or another name, Tikhonov, no constraints",
-            )  # fmt: skip
+    @property
+    def free(self) -> bool:
+        """Without regularisation."""
+        return self.penalty.L is None or self.lam.free
 
     @property
     def truncated(self) -> bool:
         """Truncated SVD in place of Tikhonov."""
-        return self.method == "tsvd"
+        return self.lam.method == "tsvd"
 
     @property
     def named(self) -> bool:
         """A penalty that every path knows."""
-        return isinstance(self.penalty, str)
+        return isinstance(self.penalty.L, str)
 
     @property
     def resting(self) -> bool:
@@ -116,7 +95,7 @@ class Settings:
     @property
     def special(self) -> bool:
         """Asks for what only the state-space path gives."""
-        return not self.resting or self.leak is not None or self.from_zero
+        return not self.resting or self.penalty.leak is not None or self.penalty.from_zero
 
     def sizes(self, loads: int) -> NDArray[np.float64] | None:
         """Weight of the size of each load beside its differences.
@@ -126,9 +105,9 @@ class Settings:
         InputError
             Another number of weights than loads.
         """
-        if self.size is None:
+        if self.penalty.size is None:
             return None
-        size = np.asarray(self.size, float)
+        size = np.asarray(self.penalty.size, float)
         if size.ndim and size.shape != (loads,):
             raise InputError("the weights of the size do not fit the loads", where="size", found=f"shape {size.shape}",
                              expected=f"a number, or ({loads},)")  # fmt: skip
@@ -142,13 +121,14 @@ class Settings:
         InputError
             If one was asked for.
         """
-        if self.special or (self.size is not None and path != "dense"):
-            name = "initial" if not self.resting else "leak" if self.leak is not None else "from_zero"
-            name = name if self.special else "size"
+        if self.special or (self.penalty.size is not None and path != "dense"):
+            name = "leak" if self.penalty.leak is not None else "from_zero" if self.penalty.from_zero else "size"
+            name = name if self.resting else "initial"
             raise InputError(
-                f"the {path} path does not know this setting", where=name, found=repr(getattr(self, name))[:60],
-                expected="a named penalty, Tikhonov with lambda > 0, a model with state_space(), and path='auto' or "
-                "'statespace'",
+                f"the {path} path does not know this setting", where=name,
+                found=repr(self.penalty if self.resting else self.initial)[:60],
+                expected=Advice("a named penalty, Tikhonov with lambda > 0, a model with state_space(), and ", AUTO,
+                                " or 'statespace'"),
             )  # fmt: skip
 
 
@@ -159,7 +139,7 @@ class Posed:
     Parameters
     ----------
     path : RegularizationPath
-    noise : Noise
+    noise : NoiseLevel
     compare : callable
         (load, relative lambda, start or None) -> response and residual (samples, sensors); what is missing in the
         response is filled by the prediction. `start` is the state at the first sample, where that is an unknown and
@@ -182,7 +162,7 @@ class Posed:
     """
 
     path: RegularizationPath
-    noise: noises.Noise
+    noise: noises.NoiseLevel
     compare: Callable[[Array, float, Array | None], tuple[Array, Array]]
     values: NDArray[np.float64]
     name: str
@@ -293,7 +273,7 @@ SILENT = 0.01  # share of the lines on which an FRF may be zero
 ROUGH = 0.5  # relative error of the best sensor above which the load fills the record and roughness tells nothing
 
 
-def lines(h: Array, values: Array, noise: noises.Noise, data: Data, settings: Settings) -> Posed:
+def lines(h: Array, values: Array, noise: noises.NoiseLevel, data: Data, settings: PosingSettings) -> Posed:
     """Problem of impulse responses (samples, sensors, loads) with the same noise on every line.
 
     Right where the response has decayed within the record.
@@ -308,7 +288,7 @@ def lines(h: Array, values: Array, noise: noises.Noise, data: Data, settings: Se
     return _lines(H, h, values, noises.white(noise, len(values), len(H)), data, settings)
 
 
-def measured_lines(model: Model, data: Data, settings: Settings) -> Posed:
+def measured_lines(model: Model, data: Data, settings: PosingSettings) -> Posed:
     """Problem of a measured model, with the variance of its FRFs and the noise that its training left on each line.
 
     Raises
@@ -326,7 +306,9 @@ def measured_lines(model: Model, data: Data, settings: Settings) -> Posed:
     return _lines(H, h[: min(samples, model.samples or samples)], data.values, noise, data, settings, variance)
 
 
-def measured_response(model: Model, data: Data, settings: Settings) -> tuple[NDArray[np.float64], noises.LineNoise]:
+def measured_response(
+    model: Model, data: Data, settings: PosingSettings
+) -> tuple[NDArray[np.float64], noises.LineNoise]:
     """Impulse responses (taps, sensors, loads) of a measured model, and its noise line by line."""
     H, f = _measured_lines(model, data)
     h = np.fft.irfft(H, axis=0)[: min(len(data.values), model.samples or len(data.values))]
@@ -352,13 +334,13 @@ def _lines(
     values: Array,
     noise: noises.LineNoise,
     data: Data,
-    settings: Settings,
+    settings: PosingSettings,
     variance: Array | None = None,
 ) -> Posed:
     if data.missing.any():
         raise InputError("the path by lines takes no missing samples", where="record", found=data.gaps,
-                         expected="complete channels", hint="path='auto' and method='tikhonov'")  # fmt: skip
-    penalty = "identity" if settings.penalty is None else settings.penalty
+                         expected="complete channels", hint=Advice(AUTO, " and Tikhonov"))  # fmt: skip
+    penalty = "identity" if settings.penalty.L is None else settings.penalty.L
     if not isinstance(penalty, str):
         raise InputError(
             "the path by lines takes a named penalty", where="penalty", found="a matrix",
@@ -389,14 +371,16 @@ def _lines(
     return Posed(path, noise.noise, compare, values, PADDED, h[:, data.rows], layout, full, path.unknowns, path)
 
 
-def _measured_noise(model: Model, data: Data, settings: Settings, H: Array, spectrum: Array | None) -> noises.LineNoise:
+def _measured_noise(
+    model: Model, data: Data, settings: PosingSettings, H: Array, spectrum: Array | None
+) -> noises.LineNoise:
     """Noise of each line: of the user, of the training hits, of the roughness of one short load, or of the record."""
     samples = len(data.values)
-    if settings.noise is None and spectrum is not None:
+    if not settings.noise.stated and spectrum is not None:
         hits = sum(h.used for h in model.hits)
         said = f"residual power of {hits} training hits, averaged over neighbouring lines"
         return noises.LineNoise(samples * spectrum[:, data.rows], None, NoiseSource("residual", said))
-    if settings.noise is None and model.training and H.shape[2] == 1 and np.mean(H == 0) < SILENT:
+    if not settings.noise.stated and model.training and H.shape[2] == 1 and np.mean(H == 0) < SILENT:
         own = np.where(H[..., 0] == 0, np.max(np.abs(H)), H[..., 0])  # a silent line tells nothing: no roughness there
         size = np.abs(own) ** 2
         told = roughness(np.fft.rfft(data.values, 2 * (len(H) - 1), axis=0) / own)
@@ -404,5 +388,5 @@ def _measured_noise(model: Model, data: Data, settings: Settings, H: Array, spec
             excess = np.maximum(told.local - told.typical, 0.0) * size
             source = NoiseSource("residual", "roughness of the load spectrum that each sensor gives alone")
             return noises.LineNoise(told.typical * size, excess, source)
-    noise = noises.resolve(settings.noise, settings.noise_source, model, data)
+    noise = noises.resolve(settings.noise, model, data)
     return noises.white(noise, samples, len(H))

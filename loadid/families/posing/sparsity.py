@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from structures.advice import Advice, Spelling
 from structures.errors import InputError, NotIdentifiable
 from structures.model import Model
 
 from ...inverse import rules
 from ...inverse.choice import ChoiceLike, is_rule, relative
-from ...inverse.noise_source import NoiseSource, NoiseSourceLike
 from ...inverse.problem import whiten
 from ...inverse.sparse import dictionaries, path
 from ...inverse.sparse.atoms import MatrixAtoms, ShiftedAtoms
@@ -23,11 +23,11 @@ from ...inverse.sparse.lasso import SparseSolution
 from ...inverse.sparse.path import SparsePath
 from ...inverse.sparse.support import SupportFit, fit
 from ...inverse.sweep import RuleResult, Sweep
+from ...settings import Sparsity
 from .. import noise as noises
 from ..data import Data
 from .paths import coloured
-from .posed import Settings as Posing
-from .posed import measured_response, shift
+from .posed import PosingSettings, measured_response, shift
 
 Array = NDArray[Any]
 
@@ -47,12 +47,8 @@ class Wanted:
 
     dictionary: str | NDArray[np.float64]
     knots: int | str | Sequence[int] | None
-    nonnegative: bool
-    groups: str | None
-    reweighted: int
-    debias: bool
+    penalty: Sparsity
     choice: ChoiceLike
-    tol: float
 
     @property
     def small(self) -> float:
@@ -81,7 +77,7 @@ class Problem:
     values : array, shape (samples, used sensors)
         The data, advanced where the impulse response begins late.
     missing : array of bool, the shape of `values`
-    noise : Noise
+    noise : NoiseLevel
     """
 
     h: NDArray[np.float64]
@@ -90,7 +86,7 @@ class Problem:
     raw: NDArray[np.float64]
     values: NDArray[np.float64]
     missing: NDArray[np.bool_]
-    noise: noises.Noise
+    noise: noises.NoiseLevel
 
     @property
     def samples(self) -> int:
@@ -138,7 +134,7 @@ class Problem:
         return replace(self, h=self.h[:, :, loads], raw=self.raw[:, :, loads])
 
 
-def pose(model: Model, data: Data, posing: Posing) -> Problem:
+def pose(model: Model, data: Data, posing: PosingSettings) -> Problem:
     """Whitened problem of a record.
 
     Raises
@@ -152,12 +148,12 @@ def pose(model: Model, data: Data, posing: Posing) -> Problem:
             return Problem(white.h, white.y, None, white.raw[:, data.rows], data.values, data.missing, white.noise)
         h, lines = measured_response(model, data, posing)
         late, level = 0, np.sqrt(np.mean(lines.power, axis=0) / len(data.values))
-        noise = noises.Noise(level, lines.known, lines.source)
+        noise = noises.NoiseLevel(level, lines.known, lines.source)
         raw = h[:, data.rows]
     else:
         h = model.impulse_response(data.dt, len(data.values), posing.hold or model.default_hold)
         late = shift(h[:, data.rows], model, posing.allow)
-        noise = noises.resolve(posing.noise, posing.noise_source, model, data)
+        noise = noises.resolve(posing.noise, model, data)
         raw = h[late:, data.rows]
     values = data.values[late:]
     missing: NDArray[np.bool_] = np.asarray(data.missing)[late:]
@@ -249,20 +245,20 @@ def choose(problem: Problem, wanted: Wanted, progress: Callable[[float, str], No
     sigma, shown = _level(first, sweep)
     loads, group_gap = np.arange(problem.h.shape[2]), None
     progress(0.6, "solving")
-    if wanted.groups == "loads":
+    if wanted.penalty.groups == "loads":
         loads, group_gap = _candidates(problem, wanted, knots, sigma)
         problem = problem.of(loads)
     atoms = problem.atoms(wanted.dictionary, knots)
-    groups = Groups(atoms.slot) if wanted.groups == "slots" else None
-    along = problem.path(atoms, wanted.nonnegative, groups)
+    groups = Groups(atoms.slot) if wanted.penalty.groups == "slots" else None
+    along = problem.path(atoms, wanted.penalty.nonnegative, groups)
     ratio, rule, edge, ratios = _ratio(along, wanted.choice, sigma, sweep, problem.samples == first.samples)
-    solution = _solved(along, ratio, wanted.tol)
-    for _ in range(wanted.reweighted):
+    solution = _solved(along, ratio, wanted.penalty.tol)
+    for _ in range(wanted.penalty.reweighted):
         along = along.reweighted(solution.x)
         if rule == "discrepancy":
             met = _met(along, sigma)
             ratio, edge = rules.answered(met), met.edge
-        solution = _solved(along, ratio, wanted.tol)
+        solution = _solved(along, ratio, wanted.penalty.tol)
     progress(0.9, "amplitudes")
     # a support chosen by the criterion is the whole support of its solution
     small = 0.0 if rule == "ebic" else wanted.small
@@ -286,7 +282,9 @@ def _swept(
     else:
         spacings = [1]
         beside = (
-            [k for k in WIDER if k <= first.samples // 8] if wanted.named == "dirac" and wanted.groups is None else []
+            [k for k in WIDER if k <= first.samples // 8]
+            if wanted.named == "dirac" and wanted.penalty.groups is None
+            else []
         )
     sweeps = {}
     for i, k in enumerate(spacings + beside):
@@ -294,12 +292,13 @@ def _swept(
             0.1 + 0.5 * i / len(spacings + beside), f"path over mu{'' if k == 1 else f', knots every {k} samples'}"
         )
         name = wanted.dictionary if k in spacings else "bspline"
-        along = first.path(first.atoms(name, k), wanted.nonnegative)
+        along = first.path(first.atoms(name, k), wanted.penalty.nonnegative)
         if along.scale == 0:
             raise InputError(
                 "no load moves the sensors the way of the data", where="record",
                 found="data that are zero, or that a load of this sign cannot make", expected="a response",
-                hint="check the record, and the sign that the load may have (nonnegative=False)",
+                hint=Advice("check the record, and the sign that the load may have (",
+                            Spelling("sparsity=Sparsity(nonnegative=False)", "without --nonnegative"), ")"),
             )  # fmt: skip
         sweeps[k] = along.sweep(first.noise.sigma)
     return spacings, sweeps
@@ -389,13 +388,13 @@ def _candidates(problem: Problem, wanted: Wanted, knots: int | None, sigma: floa
     atoms = problem.atoms(wanted.dictionary, knots)
     groups = Groups(atoms.load)
     along = problem.path(atoms, False, groups)
-    found = along.solve(rules.answered(_met(along, sigma)), wanted.tol)
+    found = along.solve(rules.answered(_met(along, sigma)), wanted.penalty.tol)
     norms = groups.norms(found.x)
     order = [int(j) for j in np.argsort(-norms) if norms[j] > 0][:CANDIDATES]
     scores = []
     for count in range(1, len(order) + 1):
         some = problem.of(np.sort(order[:count]))
-        part = some.path(some.atoms(wanted.dictionary, knots), wanted.nonnegative)
+        part = some.path(some.atoms(wanted.dictionary, knots), wanted.penalty.nonnegative)
         scores.append(score(part.sweep(sigma)))
     if not scores:
         raise NotIdentifiable("the record holds nothing beyond its noise: no candidate is needed to explain it",
@@ -418,9 +417,4 @@ def amplitude_share(chosen: SparseChoice) -> tuple[float, int] | None:
     return float(chosen.sigma * std / abs(chosen.fit.x[k])), int(atoms.load[support[k]])
 
 
-def posing(hold: str | None, noise: ArrayLike | None, source: NoiseSourceLike, allow: tuple[str, ...]) -> Posing:
-    """What the shared posing of a record asks."""
-    return Posing("tikhonov", "identity", hold, noise, NoiseSource.of(source), allow)
-
-
-__all__ = ["Problem", "SparseChoice", "Wanted", "amplitude_share", "choose", "pose", "posing", "score"]
+__all__ = ["Problem", "SparseChoice", "Wanted", "amplitude_share", "choose", "pose", "score"]

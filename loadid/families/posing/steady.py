@@ -21,35 +21,17 @@ from ...inverse.constrained.path import ConstrainedPath
 from ...inverse.constrained.solver import soft
 from ...inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from ...inverse.diagnosis import diagnose
-from ...inverse.noise_source import NOT_KNOWN, NoiseSource
-from ...inverse.path import RegularizationPath, Solution
+from ...inverse.noise_source import NOT_KNOWN
+from ...inverse.path import Solution
 from ...inverse.problem import LinearProblem, whiten
 from ...inverse.svd import SVDPath
+from ...settings import Noise
 from .. import noise as noises
 from ..data import Readings
 from ..noise import noise_level
 
 if TYPE_CHECKING:
     pass
-
-
-@dataclass(frozen=True)
-class Absolute:
-    """A lambda in the units of the problem, kept only where it must be (flag W307).
-
-    Parameters
-    ----------
-    lam : float
-        Absolute lambda of the whitened problem.
-    """
-
-    lam: float
-
-    def relative(self, path: RegularizationPath) -> float:
-        """The relative lambda that it is on this path."""
-        if isinstance(self.lam, bool) or not (np.isfinite(self.lam) and self.lam >= 0):
-            raise InputError("no lambda", where="choice", found=self.lam, expected="a finite number >= 0")
-        return float(self.lam / path.scale)
 
 
 @dataclass(frozen=True)
@@ -64,7 +46,7 @@ class StaticProblem:
         Path of the problem without its constraints.
     path : RegularizationPath
         With them.
-    noise : Noise
+    noise : NoiseLevel
     full : (kappa, rank, nullity) or None
         Conditioning with all sensors of the model, where only some are used.
     channels : tuple of Channel
@@ -74,7 +56,7 @@ class StaticProblem:
     H: NDArray[np.float64]
     base: SVDPath
     path: Any
-    noise: noises.Noise
+    noise: noises.NoiseLevel
     full: tuple[float, int, int] | None
     channels: tuple[Channel, ...]
 
@@ -189,9 +171,7 @@ def pose(
     L: NDArray[np.float64] | None,
     truncated: bool,
     constraints: Sequence[Any],
-    noise: Any,
-    source: NoiseSource | None,
-    interpolation: ArrayLike | None,
+    noise: Noise,
 ) -> StaticProblem:
     """Whiten, factorise, constrain.
 
@@ -204,7 +184,7 @@ def pose(
     """
     rows = H[given.rows]
     _refuse_silent(rows, given.channels)
-    level = noises.steady(noise, source, interpolation, model, given)
+    level = noises.steady(noise, model, given)
     y = given.values[0] if given.axis is None else given.values
     labels = [c.label for c in model.loads]
     base = SVDPath(LinearProblem.whitened(rows, y, level.level, L), truncated=truncated, labels=labels)
@@ -219,7 +199,7 @@ def pose(
 
 def _shown(base: SVDPath) -> float:
     """Noise level that the data show without constraints: what soft resultants weigh against if nobody stated it."""
-    return noise_level(base, choose(base), noises.Noise(None, False, NOT_KNOWN)) or 1.0
+    return noise_level(base, choose(base), noises.NoiseLevel(None, False, NOT_KNOWN)) or 1.0
 
 
 def _refuse_silent(H: NDArray[np.float64], channels: Sequence[Channel]) -> None:

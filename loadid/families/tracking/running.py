@@ -115,7 +115,6 @@ class Means:
         self.sums, self.counts = np.array(tree["sums"], float), np.array(tree["counts"], float)
 
 
-ENGINES = ("own", "filterpy")
 ENGINE_COUNTS = ("samples", "missing", "gated", "believed", "steps", "lost")
 
 

@@ -23,11 +23,10 @@ from . import fit as recipe
 from . import samples as blocks
 from .certificate import TrackCertificate
 from .fit import TrackerFit, pack, unpack
-from .running import ENGINES, Running
+from .running import Running
 from .samples import Replay, inside
 
 __all__ = [
-    "ENGINES",
     "Tracker",
     "TrackerFit",
 ]
@@ -189,7 +188,7 @@ class Tracker(Running):
         """
         f = self.fitted
         if f.settled is None:
-            raise InputError("a filter that never settles has no constant gain", where="to_c", found="allow_drift",
+            raise InputError("a filter that never settles has no constant gain", where="to_c", found="an allowed drift",
                              expected="a settled gain", hint="add a sensor that sees a constant load")  # fmt: skip
         labels = {"sensors": [c.label for c in f.sensors], "loads": [c.label for c in f.loads]}
         return write_c(Path(path), f.settled, name=name, dt=f.dt, **labels)

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures.advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 
 from ..convolution import PenalizedConvolution
@@ -343,4 +344,5 @@ class ConvolvedPath(RegularizationPath):
         if not np.all(np.isfinite(lam)) or np.any(lam < 0.99 * self.lowest):
             raise InputError("lambda is too small for this path", where="lambda", found=float(np.min(lam)),
                              expected=f"a relative lambda of at least {self.lowest:.2g}",
-                             hint="use the dense path (path='dense') on a window")  # fmt: skip
+                             hint=Advice("use the dense path (", Option("path", "dense", within="choice=Lambda"),
+                                         ") on a window"))  # fmt: skip

@@ -394,7 +394,8 @@ class StateSpacePath(RegularizationPath):
             raise InputError(
                 "lambda is too small for the state-space path", where="lambda", found=float(np.min(lam)),
                 expected=f"a relative lambda of at least {LOWEST:g}",
-                hint="below that the recursion loses all digits: use the dense path (path='dense') on a window",
+                hint=Advice("below that the recursion loses all digits: use the dense path (",
+                            Option("path", "dense", within="choice=Lambda"), ") on a window"),
             )  # fmt: skip
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loadid import Deconvolution, LoadEstimate
+from loadid import Deconvolution, Lambda, LoadEstimate
 from loadid.inverse.posterior import from_arrays
 
 from .cases import DT, beam, case, holes
@@ -22,7 +22,9 @@ def test_it_comes_back_from_its_arrays() -> None:
 
 def test_an_estimate_comes_back_from_its_file(tmp_path: Path) -> None:
     given = case(beam("da"), 600, holes)
-    estimate = Deconvolution(given.system, noise=given.noise, choice=1e-2, path="statespace").estimate(given.y, DT)
+    estimate = Deconvolution(given.system, noise=given.noise, choice=Lambda(1e-2, path="statespace")).estimate(
+        given.y, DT
+    )
     estimate.save(tmp_path / "load.h5")
     again = LoadEstimate.read(tmp_path / "load.h5")
     w = np.ones(estimate.load.shape)
