@@ -26,10 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import LoadEstimate, LoadTracker, Noise, NotIdentifiable
-from loadid.inverse.gaussian.priors import RandomWalk
-from structures import ForwardModel
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from loadid.priors import RandomWalk
+from structures import ForwardModel, beams, damping, loads, sensors
 
 DT, SAMPLES, FINE = 2e-3, 10_000, 5
 PLACES = (0.40, 0.65, 1.00, 1.55)  # of the accelerometers, m

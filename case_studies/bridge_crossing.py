@@ -30,11 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import LoadEstimate, LoadTracker, Noise
-from loadid.inverse.gaussian.priors import Matern32
-from loadid.inverse.gaussian.steady import combined_std
-from structures import ForwardModel
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from loadid._inverse.gaussian.steady import combined_std
+from loadid.priors import Matern32
+from structures import ForwardModel, beams, damping, loads, sensors
 
 LENGTH, SPEED, WEIGHT, PULSE, BEAT = 30.0, 15.0, 100e3, 0.08, 1.8
 PLACES = LENGTH * np.arange(1, 6) / 6

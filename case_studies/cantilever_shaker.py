@@ -27,8 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import FrequencyInversion, Lambda, LoadEstimate, Noise, Record, Spectra
-from structures import Channel, FrfModel, InputError, cross_spectra
-from structures.flags import Flag
+from structures import Channel, Flag, FrfModel, InputError, cross_spectra
 
 RATE, POUND, GRAVITY = 3200.0, 4.4482216, 9.80665
 SEGMENT = 320  # samples, 0.1 s: whole periods of every line that the shaker makes

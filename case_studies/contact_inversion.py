@@ -20,9 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import Lambda, Noise, StaticInversion
-from loadid.inverse.constraints import Bounds, NonNegative, Resultant, Support
-from loadid.results.estimate import LoadEstimate
+from loadid import Lambda, LoadEstimate, Noise, StaticInversion
+from loadid.constraints import Bounds, NonNegative, Resultant, Support
 from structures import Channel, MatrixModel
 
 NODES, FINER, NOISE = 48, 10, 0.01
@@ -152,7 +151,7 @@ def table(t: float, profile: str = "bumps", layout: str = "every node", seeds: i
 
 def conditioning(t: float) -> dict[str, tuple[float, int, int]]:
     """Condition number of the visible part, rank and nullity of each layout."""
-    from loadid.inverse.diagnosis.diagnose import layout as judged
+    from loadid._inverse.diagnosis.diagnose import layout as judged
 
     return {name: judged(np.linalg.svd(model(t, name).H, compute_uv=False), NODES) for name in LAYOUTS}
 

@@ -31,9 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures.errors import NotIdentifiable
-from tactile import GelForce, HalfSpace, Layer, Press, metrics
-from tactile.sensors.observation import Markers
-from tactile.sensors.settings import Extent
+from tactile import Extent, GelForce, HalfSpace, Layer, Markers, Press, metrics
 
 E, NU, NOISE = 0.147e6, 0.49, 5e-6
 COUNT, PITCH = 11, 2e-3

@@ -32,8 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid.validate import ReferenceWrench, Validation, validate
-from tactile import DepthMap, ForceMap, GelSlim, Layer, Press, Sphere, metrics
-from tactile.sensors.observation import Markers
+from tactile import DepthMap, ForceMap, GelSlim, Layer, Markers, Press, Sphere, metrics
 
 from .pads import NU, PITCH, SIZE, THICKNESS, E, Rule, off, pad, patch, rules
 

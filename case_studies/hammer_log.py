@@ -19,10 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from loadid import Deconvolution, LoadEstimate, Record, SparseDeconvolution, read, read_all
-from loadid.commands.calibrate import calibrate
-from loadid.commands.identify import identify
-from loadid.inverse.constraints import NonNegative
+from loadid import Deconvolution, LoadEstimate, Record, SparseDeconvolution, calibrate, identify, read, read_all
+from loadid.constraints import NonNegative
 from structures import InputError
 
 HEAD = 6144  # samples of the response, 0.24 s, from which the other priors rebuild a hit

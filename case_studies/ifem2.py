@@ -30,10 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from tactile import GelSlim, MultilayerPad, Pad, Press, metrics
-from tactile.material.identify import Gain, Shape, gain, poisson
-from tactile.sensors.observation import Markers
-from tactile.sensors.settings import ContactLaw
+from tactile import ContactLaw, GelSlim, Markers, MultilayerPad, Pad, Press, metrics
+from tactile.material import Gain, Shape, gain, poisson
 
 from .pads import NU, PITCH, SIZE, THICKNESS, E, Rule, off, pad, patch, rules
 

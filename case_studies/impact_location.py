@@ -19,9 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import LocationResult, LocationSearch, Record, Search
-from structures import Channel, ForwardModel
-from structures.elements import beams, plates
-from structures.system import damping, loads, sensors
+from structures import Channel, ForwardModel, beams, damping, loads, plates, sensors
 
 Array = NDArray[np.float64]
 
@@ -262,7 +260,7 @@ def picture(path: Path, impacts: Sequence[Impact]) -> None:
     """All places on the plate, and the residual map of the impact that was hardest to place."""
     from matplotlib.figure import Figure
 
-    from loadid.plots.choosing import draw_map
+    from loadid._plots.choosing import draw_map
 
     figure = Figure(figsize=(11, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)

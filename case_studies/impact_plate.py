@@ -20,9 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import Deconvolution
-from loadid.inverse.convolution import toeplitz
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid.paths import LinearProblem, SVDPath, toeplitz
 from structures import Channel, ImpulseModel
 
 RADIUS, THICKNESS, E, RHO, NU, DAMPING = 0.25, 4e-3, 70e9, 2700.0, 0.33, 0.005

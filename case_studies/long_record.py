@@ -23,9 +23,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from loadid import Deconvolution, Lambda, LoadEstimate, Noise
-from structures import ForwardModel
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from structures import ForwardModel, beams, damping, loads, sensors
 
 FS, SAMPLES, NOISE = 10_240.0, 1_000_000, 0.01
 PULSE, SPACING = 41, 4_000  # samples of a hit; mean distance between hits

@@ -29,14 +29,12 @@ from loadid import (
     LoadEstimate,
     LoadTracker,
     Noise,
+    Recommendation,
     SparseDeconvolution,
     recommend,
 )
-from loadid.families.recommend import Recommendation
-from loadid.inverse.constraints import NonNegative
-from structures import ForwardModel
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from loadid.constraints import NonNegative
+from structures import ForwardModel, beams, damping, loads, sensors
 
 DT, SAMPLES, FINE, NOISE = 2e-3, 400, 10, 0.01
 LOADS = ("impact", "slow", "harmonic", "random")

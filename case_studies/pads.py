@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.inverse.choice import choose
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid.paths import LinearProblem, SVDPath, choose
 from tactile import Pad
 
 E, NU, SIZE, THICKNESS, PITCH = 147e3, 0.3223, (20e-3, 16e-3), 3e-3, 1e-3

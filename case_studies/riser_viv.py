@@ -29,12 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import FieldDeconvolution, HarmonicInversion, LoadEstimate, Noise
-from loadid.families.harmonic import complex_load
-from loadid.zones import harmonic_power, mean_power
-from structures import ForwardModel, Structure, bases
-from structures.elements import beams as risers
-from structures.models.motion import Motion, harmonic_motion, motion
-from structures.system import sensors
+from loadid._families.harmonic import complex_load
+from loadid._zones import harmonic_power, mean_power
+from structures import ForwardModel, Structure, bases, sensors
+from structures import beams as risers
+from structures._models.motion import Motion, harmonic_motion, motion
 
 RISER: dict[str, Any] = {"length": 9.63, "EI": 135.4, "mass_per_length": 0.85}
 TENSION, ELEMENTS, LOSS = 700.0, 60, 0.01
@@ -250,7 +249,7 @@ def picture(found: History, lines: LoadEstimate, path: Path) -> None:
     """Zones over place and time, estimated and true, and the power on one line."""
     from matplotlib.figure import Figure
 
-    from loadid.plots.fields import draw_map, signed
+    from loadid._plots.fields import draw_map, signed
 
     figure = Figure(figsize=(9.5, 8.5), layout="constrained")
     axes = figure.subplots(4, 1, height_ratios=(1, 1, 1, 0.9))

@@ -30,13 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import FrequencyInversion, Lambda, LoadEstimate, Record
-from loadid.results.functionals import in_words
-from loadid.sources import Contributions, Transfer, contributions, decibels, validate_on
-from loadid.sources.split import Split, split
-from structures import Channel, CrossSpectra, ForwardModel, FrfModel, cross_spectra
-from structures.elements import plates
-from structures.elements.beams import materials
-from structures.system import loads, sensors
+from loadid._results.functionals import in_words
+from loadid.sources import Contributions, Split, Transfer, contributions, decibels, split, validate_on
+from structures import Channel, CrossSpectra, ForwardModel, FrfModel, cross_spectra, loads, plates, sensors
+from structures._elements.beams import materials
 
 RATE, SEGMENT = 1024.0, 1024  # Hz, samples: lines every hertz
 BAND = (20.0, 400.0)

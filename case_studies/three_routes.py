@@ -41,10 +41,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile import DepthMap, ForceMap, GelForce, GelSlim, HalfSpace, Layer, MultilayerPad, Pad, Press, metrics
-from tactile.closed import halfspace as closed
-from tactile.sensors.observation import Markers
-from tactile.sensors.settings import ContactLaw
+from tactile import (
+    ContactLaw,
+    DepthMap,
+    ForceMap,
+    GelForce,
+    GelSlim,
+    HalfSpace,
+    Layer,
+    Markers,
+    MultilayerPad,
+    Pad,
+    Press,
+    metrics,
+)
+from tactile._closed import halfspace as closed
 
 H, E, NU = 3e-3, 0.147e6, 0.3223
 SIDE, SEEN, PITCH, DEPTHS = 28e-3, 20e-3, 1e-3, (0.5e-3, 1e-3)

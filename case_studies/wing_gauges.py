@@ -20,11 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import LoadEstimate, Noise, StaticInversion
-from loadid.inverse.constraints import NonNegative
+from loadid.constraints import NonNegative
 from loadid.validate import PressureMat, ReferenceWrench, Validation, validate
-from structures import ForwardModel, Structure, bases
-from structures.elements import beams
-from structures.system import sensors
+from structures import ForwardModel, Structure, bases, beams, sensors
 
 SPAN, SKIN, E, RHO = 6.0, 2e-3, 70e9, 2700.0
 NOISE = 1.5e-6

@@ -12,12 +12,14 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any, NoReturn
 
-from structures.advice import on_command_line
+from structures._advice import on_command_line
 from structures.errors import InputError, NotIdentifiable
 
 from . import __version__
-from .commands import Command
-from .commands._arguments import UsageError
+from ._commands import Command
+from ._commands._arguments import UsageError
+
+__all__ = ["commands", "main"]
 
 GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
@@ -88,7 +90,7 @@ def commands() -> dict[str, Command]:
             "only its own commands are known",
             file=sys.stderr,
         )
-        found |= {name: import_module(f".commands.{name}", __package__).command for name in _OWN}
+        found |= {name: import_module(f"._commands.{name}", __package__).command for name in _OWN}
     return found
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from structures.codes import table
+from structures._codes import table
+from structures._flags import Flag, canonical
 from structures.errors import InputError
-from structures.flags import Flag, canonical
+
+__all__ = ["GUARDS", "allowed", "collect", "explained", "known_codes"]
 
 GUARDS = {code: guard.title for code, guard in table().items()}
 

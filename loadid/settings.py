@@ -21,14 +21,28 @@ from numpy.typing import ArrayLike
 
 from structures.errors import InputError, number, positive, real, reals, shown
 
+from ._inverse.noise_source import NoiseSource, NoiseSourceLike
+from ._inverse.penalties import order
+from ._inverse.problem import Cholesky
+from ._inverse.sparse.path import TOLERANCE
 from .codes import allowed
-from .inverse.noise_source import NoiseSource, NoiseSourceLike
-from .inverse.penalties import order
-from .inverse.problem import Cholesky
-from .inverse.sparse.path import TOLERANCE
 
 if TYPE_CHECKING:
-    from .inverse.path import RegularizationPath
+    from ._inverse.path import RegularizationPath
+
+__all__ = [
+    "Absolute",
+    "Guards",
+    "Lambda",
+    "ModelErrors",
+    "Noise",
+    "Online",
+    "Penalty",
+    "Priors",
+    "Search",
+    "Signal",
+    "Sparsity",
+]
 
 METHODS = ("tikhonov", "tsvd")
 PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
@@ -209,11 +223,11 @@ class Lambda(Setting):
     Parameters
     ----------
     choice : str, callable, float, Absolute or None
-        Rule, or relative lambda; None chooses as `loadid.inverse.choice.choose` says.
+        Rule, or relative lambda; None chooses as `loadid._inverse.choice.choose` says.
     method : {"tikhonov", "tsvd"}
     path : {"auto", "dense", "statespace", "toeplitz", "windows", "fft"}
         Solver of `Deconvolution`; ``auto`` takes what fits the length, the model and the other settings
-        (`loadid.families.posing.pose`).
+        (`loadid._families.posing.pose`).
     over : {"neighbours", "line", "band"}
         Who decides in `FrequencyInversion`: each line with its neighbours, each alone, or all together.
     neighbours : int
@@ -311,7 +325,7 @@ class Guards(Setting):
     allow : sequence of str
         Guard codes whose refusal is overridden; printed on everything made from the result.
     coverage : Coverage, optional
-        Outcome of `loadid.validate.checks` on a set-up like this one.
+        Outcome of `loadid.validate._checks` on a set-up like this one.
     load_class : {"impact", "service"}, optional
         Hammer blows and shocks, or a load that acts all the time: says when the prior does not fit it (W510, W311).
         Impacts that the prior smears are said in any case. `Deconvolution`, `SparseDeconvolution`.
@@ -351,7 +365,7 @@ class Signal(Setting):
     kind : {"stationary", "transient"}, optional
         Averaged into cross spectra, or transformed once, zero-padded, into a load history.
     window, segment, overlap
-        Of averaged records, as in `structures.testing.welch.cross_spectra`.
+        Of averaged records, as in `structures._testing.welch.cross_spectra`.
 
     Raises
     ------
@@ -453,7 +467,7 @@ class Priors(Setting):
     ----------
     load : str, prior, or one of them per load
         ``"matern32"`` (default), ``"matern52"``, ``"ou"``, ``"random_walk"``, ``"white"``: their numbers are found by
-        likelihood. A prior of `loadid.inverse.gaussian.priors` is taken as it is.
+        likelihood. A prior of `loadid.priors` is taken as it is.
     start : float, array or ``"static"``
         Std of the states before the first sample: at rest by default, or carrying the first load in equilibrium.
     dummy : float, optional
@@ -497,7 +511,7 @@ class ModelErrors(Setting):
         Std that a sample adds to each state of the structure.
     ambient : Ambient, optional
         Other loads, unknown and white, that disturb structure and sensors alike: the noises are then correlated
-        (`loadid.inverse.gaussian.augment.Ambient`).
+        (`loadid._inverse.gaussian.augment.Ambient`).
 
     Raises
     ------

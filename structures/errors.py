@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .advice import on_command_line
+from ._advice import on_command_line
+
+__all__ = ["InputError", "NotIdentifiable"]
 
 
 class InputError(ValueError):

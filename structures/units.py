@@ -16,8 +16,10 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .advice import Advice, either
+from ._advice import Advice, either
 from .errors import InputError, plain
+
+__all__ = ["Unit", "assignments", "check", "from_si", "known", "parse", "to_si"]
 
 STANDARD_GRAVITY = 9.80665
 ARBITRARY = "arbitrary"

@@ -239,8 +239,7 @@ AMPLITUDE = 10.0
 
 def beam_model(*nodes: int) -> ForwardModel:
     """Accelerometers at some nodes of a simply supported steel beam of 2 m, 12 modes, a force at node 13."""
-    from structures.elements import beams
-    from structures.system import damping, loads, sensors
+    from structures import beams, damping, loads, sensors
 
     structure = beams.simply_supported(
         length=2.0, section=beams.Section.rectangle(0.05, 0.01), material=beams.materials.steel, elements=40,

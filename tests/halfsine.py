@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.models.discretise import blocks
-from structures.models.statespace import StateSpace
+from structures import StateSpace
+from structures._models.discretise import blocks
 
 RATE, SAMPLES = 10240.0, 2000
 ROOTS = np.array([4.730040745, 7.853204624, 10.995607838, 14.137165491, 17.278759657, 20.420352246])

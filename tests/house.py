@@ -169,7 +169,7 @@ def trespassed(tree: ast.Module) -> Iterator[int]:
 
 
 def places(found: Callable[[ast.Module], Iterator[int]]) -> list[str]:
-    """Where the modules have what `found` finds, ``"loadid.results.report:12"``."""
+    """Where the modules have what `found` finds, ``"loadid._results.report:12"``."""
     return [f"{name}:{line}" for name, tree in trees().items() for line in sorted(found(tree))]
 
 
@@ -246,9 +246,7 @@ def identify() -> Callable[[], object]:
 
 
 def _simulated():  # type: ignore[no-untyped-def]
-    from structures import ForwardModel
-    from structures.elements import beams
-    from structures.system import damping, loads, sensors
+    from structures import ForwardModel, beams, damping, loads, sensors
 
     beam = beams.cantilever(
         length=0.6, section=beams.Section.rectangle(width=0.04, height=0.01), material=beams.materials.steel,

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from loadid.families.kalman import LoadTracker
-from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.gaussian.priors import Matern32
+from loadid import LoadTracker
+from loadid._families.tracking.tracker import Tracker
+from loadid.priors import Matern32
 from loadid.settings import folded
 
 from .tracked import bm2
@@ -152,7 +152,7 @@ def _written(path: Path) -> int:
 
 def seen(state: Path) -> int:
     """Length of the output that a checkpoint saw."""
-    from loadid.families.tracking import tracker as checkpoint
+    from loadid._families.tracking import tracker as checkpoint
 
     stream = checkpoint.read(state)[1]
     assert stream is not None
@@ -162,9 +162,9 @@ def seen(state: Path) -> int:
 def _nurse() -> None:
     import h5py  # noqa: F401  (what a run would import)
 
-    import loadid.stream  # noqa: F401
+    import loadid._stream  # noqa: F401
     from loadid import cli
-    from loadid.commands import track  # noqa: F401
+    from loadid._commands import track  # noqa: F401
 
     print("ready", flush=True)
     for line in sys.stdin:

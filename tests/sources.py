@@ -48,7 +48,7 @@ def imported(node: ast.AST, module: str) -> Iterator[tuple[str, ...]]:
     elif isinstance(node, ast.Call) and called(node) in IMPORTERS and node.args:
         yield from ((name,) for name in _by_name(node.args[0], package))
     elif isinstance(node, ast.Constant) and isinstance(node.value, str) and _own(node.value):
-        yield (node.value.split(":")[0],)  # tables such as {"Deconvolution": "loadid.families.deconvolution"}
+        yield (node.value.split(":")[0],)  # tables such as {"Deconvolution": "loadid._families.deconvolution"}
 
 
 def called(node: ast.Call) -> str:

@@ -18,15 +18,18 @@ FORBIDDEN = {
     "structures": ("loadid", "tactile", "case_studies", "tests"),
     "loadid": ("tactile", "case_studies", "tests"),
     "tactile": ("case_studies", "tests"),
-    "loadid.inverse": (
-        "loadid.families", "loadid.readers", "loadid.record", "loadid.quality", "loadid.results", "loadid.validate",
-        "loadid.guards", "loadid.plots", "loadid.cli", "loadid.commands", "loadid.stream",
+    "loadid._inverse": (
+        "loadid._families", "loadid._readers", "loadid._record", "loadid._quality", "loadid._results",
+        "loadid.validate",
+        "loadid._guards", "loadid._plots", "loadid.cli", "loadid._commands", "loadid._stream",
     ),
-    "loadid.readers": ("loadid.families", "loadid.inverse", "loadid.results", "loadid.plots"),
-    "loadid.plots": ("loadid.families", "loadid.readers", "loadid.inverse.svd", "loadid.inverse.convolution"),
-    "loadid.families": ("loadid.readers", "loadid.plots", "loadid.results.report", "loadid.cli", "loadid.commands"),
+    "loadid._readers": ("loadid._families", "loadid._inverse", "loadid._results", "loadid._plots"),
+    "loadid._plots": ("loadid._families", "loadid._readers", "loadid._inverse.svd", "loadid._inverse.convolution"),
+    "loadid._families": (
+        "loadid._readers", "loadid._plots", "loadid._results.report", "loadid.cli", "loadid._commands",
+    ),
 }  # fmt: skip
-DOORS = ("loadid.__init__", "loadid.cli", "loadid.commands", "loadid.lab", "loadid.batch", "loadid.stream")
+DOORS = ("loadid.__init__", "loadid.cli", "loadid._commands", "loadid.lab", "loadid.batch", "loadid._stream")
 
 
 def offences(module: str, source: str) -> list[str]:
@@ -39,12 +42,12 @@ def offences(module: str, source: str) -> list[str]:
         for name in loaded
         if any(within(name, b) for b in banned)
     ]
-    inside = any(within(module, door) for door in (*DOORS, "loadid.families"))
+    inside = any(within(module, door) for door in (*DOORS, "loadid._families"))
     if within(module, "loadid") and not inside:
         bad += [
             f"{module} imports {name}: only {', '.join(DOORS)} may"
             for name in loaded
-            if within(name, "loadid.families")
+            if within(name, "loadid._families")
         ]
     return bad
 
@@ -57,40 +60,43 @@ def test_imports_run_one_way(package: str) -> None:
 
 def test_every_package_is_read() -> None:
     read = {module for module, _ in modules(*PACKAGES)}
-    assert {"structures.model", "loadid.inverse.svd", "loadid.families.deconvolution", "tactile.__init__"} <= read
+    assert {"structures._model", "loadid._inverse.svd", "loadid._families.deconvolution", "tactile.__init__"} <= read
 
 
 OFFENDERS = [
-    ("structures.model", "import loadid"),
-    ("structures.model", "def f():\n    from loadid.record import Record"),
-    ("structures.model", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from loadid import Record"),
-    ("structures.model", "import numpy, case_studies.impact_plate"),
-    ("structures.__init__", "TABLE = {'Pad': 'tactile.pad.pad'}"),
-    ("loadid.results.report", "from tactile import pad"),
-    ("loadid.__init__", "import importlib\nimportlib.import_module('tactile.pad.pad')"),
-    ("loadid.readers.csv_table", "from ..families import deconvolution"),
-    ("loadid.inverse.rules", "from ..families.deconvolution import Deconvolution"),
-    ("loadid.inverse.rules", "from ..results import estimate"),
-    ("loadid.inverse.rules", "import importlib\nimportlib.import_module('..readers', __package__)"),
-    ("loadid.inverse.__init__", "from ..plots import plot"),
-    ("loadid.plots", "def f():\n    from .inverse.svd import SVDPath"),
-    ("loadid.validate", "from .families.deconvolution import Deconvolution"),
-    ("loadid.validate", "from importlib import import_module\nname = 'loadid.families.deconvolution:Deconvolution'"),
-    ("loadid.results.estimate", "from .. import families"),
-    ("tactile.pad.pad", "from case_studies import hammer_log"),
+    ("structures._model", "import loadid"),
+    ("structures._model", "def f():\n    from loadid._record import Record"),
+    ("structures._model", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from loadid import Record"),
+    ("structures._model", "import numpy, case_studies.impact_plate"),
+    ("structures.__init__", "TABLE = {'Pad': 'tactile._pad.pad'}"),
+    ("loadid._results.report", "from tactile import pad"),
+    ("loadid.__init__", "import importlib\nimportlib.import_module('tactile._pad.pad')"),
+    ("loadid._readers.csv_table", "from .._families import deconvolution"),
+    ("loadid._inverse.rules", "from .._families.deconvolution import Deconvolution"),
+    ("loadid._inverse.rules", "from .._results import estimate"),
+    ("loadid._inverse.rules", "import importlib\nimportlib.import_module('.._readers', __package__)"),
+    ("loadid._inverse.__init__", "from .._plots import plot"),
+    ("loadid._plots", "def f():\n    from ._inverse.svd import SVDPath"),
+    ("loadid.validate", "from ._families.deconvolution import Deconvolution"),
+    ("loadid.validate", "from importlib import import_module\nname = 'loadid._families.deconvolution:Deconvolution'"),
+    ("loadid._results.estimate", "from .. import _families"),
+    ("tactile._pad.pad", "from case_studies import hammer_log"),
 ]
 CLEAN = [
-    ("structures.model", "import numpy as np\nfrom .errors import InputError\ntext = 'loadid turns it back'"),
-    ("loadid.__init__", "TABLE = {'Deconvolution': 'loadid.families.deconvolution'}"),
-    ("loadid.commands.identify", "from loadid.families.deconvolution import Deconvolution"),
-    ("loadid.cli", "from .families import deconvolution"),
-    ("loadid.batch.run", "from ..families import deconvolution"),
+    ("structures._model", "import numpy as np\nfrom .errors import InputError\ntext = 'loadid turns it back'"),
+    ("loadid.__init__", "TABLE = {'Deconvolution': 'loadid._families.deconvolution'}"),
+    ("loadid._commands.identify", "from loadid._families.deconvolution import Deconvolution"),
+    ("loadid.cli", "from ._families import deconvolution"),
+    ("loadid.batch.run", "from .._families import deconvolution"),
     (
-        "loadid.families.static",
-        "from .data import gather\nfrom ..inverse.svd import SVDPath\nfrom ..estimate import LoadEstimate",
+        "loadid._families.static",
+        "from .data import gather\nfrom .._inverse.svd import SVDPath\nfrom ..estimate import LoadEstimate",
     ),
-    ("loadid.inverse.svd", "from structures.errors import InputError\nfrom .path import Solution\nfrom . import rules"),
-    ("tactile.pad.pad", "from loadid import LoadEstimate\nfrom loadid.families.static import StaticInversion"),
+    (
+        "loadid._inverse.svd",
+        "from structures.errors import InputError\nfrom .path import Solution\nfrom . import rules",
+    ),
+    ("tactile._pad.pad", "from loadid import LoadEstimate\nfrom loadid._families.static import StaticInversion"),
 ]
 
 

@@ -18,18 +18,13 @@ from loadid import (
     Spectra,
     StaticInversion,
 )
-from loadid.inverse import rules
-from loadid.inverse.choice import choose
-from loadid.inverse.path import PathPoint, RegularizationPath, Solution
-from loadid.inverse.problem import LinearProblem, whiten
-from loadid.inverse.spectral import LinesPath, compress, factor, posterior
-from loadid.inverse.svd import SVDPath
-from loadid.sources.split import SensorSubset
-from structures import ForwardModel, FrfModel, InputError, Model, StateSpace
-from structures.channels import Channel
-from structures.elements import beams
-from structures.models.mapped import mapped
-from structures.system import damping, loads, sensors
+from loadid._inverse import rules
+from loadid._inverse.problem import whiten
+from loadid._inverse.spectral import LinesPath, compress, factor, posterior
+from loadid.paths import LinearProblem, PathPoint, RegularizationPath, Solution, SVDPath, choose
+from loadid.sources._split import SensorSubset
+from structures import Channel, ForwardModel, FrfModel, InputError, Model, StateSpace, beams, damping, loads, sensors
+from structures._models.mapped import mapped
 
 BEAM = beams.simply_supported(
     length=2.0,
@@ -133,7 +128,7 @@ def test_one_proximal_step_of_l1():
     """Sparse family: a proximal step from the path's operator lowers the l1 objective."""
     model = beam([0.4, 1.3])
     h = model.impulse_response(DT, 80)
-    from loadid.inverse.convolution import toeplitz
+    from loadid.paths import toeplitz
 
     H = toeplitz(h)
     g = np.zeros(80)
@@ -171,7 +166,7 @@ def test_three_kalman_steps_from_the_state_space():
         filtered = x[nx:].copy()
         x, P = F @ x, F @ P @ F.T
         P[nx:, nx:] += q
-    from loadid.inverse.convolution import toeplitz
+    from loadid.paths import toeplitz
 
     H = toeplitz(model.impulse_response(DT, 3)).reshape(6, 3) / sigma
     L = (np.eye(3) - np.eye(3, k=-1)) / np.sqrt(q)
@@ -181,8 +176,8 @@ def test_three_kalman_steps_from_the_state_space():
 
 def test_a_smoothed_track_equals_tikhonov():
     """Online family, whole: a random walk's smoothed loads are batch least squares with L = first difference."""
-    from loadid.inverse.convolution import toeplitz
-    from loadid.inverse.gaussian.priors import RandomWalk
+    from loadid.paths import toeplitz
+    from loadid.priors import RandomWalk
 
     model, N, sd, rate = beam([0.4, 1.3], kind=sensors.Displacement), 60, 1e-6, 300.0
     y = model.predict(np.sin(np.arange(N)[:, None] / 5), DT, "zoh")
@@ -395,7 +390,7 @@ def test_a_model_of_one_method_goes_through(family, kind, tmp_path, monkeypatch)
     again = loadid.load(tmp_path / "found.h5")
     np.testing.assert_array_equal(again.load, estimate.load)
     monkeypatch.setattr(
-        "loadid.results.report.html_image", lambda *_, **__: ""
+        "loadid._results.report.html_image", lambda *_, **__: ""
     )  # pictures take seconds, and know no model
     again.report(tmp_path / "found.html")
     assert "p0" in (tmp_path / "found.html").read_text("utf-8")

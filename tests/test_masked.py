@@ -17,15 +17,16 @@ from loadid import (
     Spectra,
     StaticInversion,
     compare_domains,
+    constraints,
 )
-from loadid.inverse import constraints
-from loadid.inverse.diagnosis import picard
-from loadid.inverse.diagnosis import picard as decay
-from loadid.quality import health
-from loadid.sources import correlation, levels
-from loadid.sources import levels as bands
-from loadid.validate import references
-from loadid.zones import harmonic_power, mean_power
+from loadid._inverse.diagnosis import picard
+from loadid._inverse.diagnosis import picard as decay
+from loadid._quality import health
+from loadid._zones import harmonic_power, mean_power
+from loadid.sources import _correlation as correlation
+from loadid.sources import _levels as bands
+from loadid.sources import _levels as levels
+from loadid.validate import _references as references
 from structures import (
     CrossSpectra,
     FrfModel,
@@ -34,19 +35,20 @@ from structures import (
     MeasuredModel,
     StateSpace,
     Structure,
+    chains,
     cross_spectra,
+    loads,
+    sensors,
     units,
 )
-from structures.elements import chains
-from structures.elements import solids as meshes
-from structures.elements.members import Material
+from structures import solids as meshes
+from structures._elements.members import Material
+from structures._flags import codes
+from structures._system.damping import Modal
 from structures.errors import InputError, plain, reals
-from structures.flags import codes
-from structures.system import loads, sensors
-from structures.system.damping import Modal
-from tactile.sensors.observation import DepthMap, Markers, Wrench
+from tactile import DepthMap, Markers, Wrench
 from tactile.vision import read_motions
-from tactile.vision.images import grey
+from tactile.vision._images import grey
 from tests.loadid.test_cli import hit
 
 WRONG = 999.0  # what the mask hides

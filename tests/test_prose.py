@@ -23,20 +23,20 @@ from loadid import (
     SparseDeconvolution,
     Spectra,
     StaticInversion,
+    calibrate,
     cli,
 )
-from loadid.commands.calibrate import calibrate
-from loadid.families.tracking.fit import pack, unpack
-from loadid.inverse.constraints import Resultant
-from loadid.inverse.gaussian.priors import Matern32
-from loadid.inverse.noise_source import KINDS, WRITTEN
-from loadid.inverse.sweep import Refusal, RuleResult
-from loadid.results import archive
+from loadid._families.tracking.fit import pack, unpack
+from loadid._inverse.noise_source import KINDS, WRITTEN
+from loadid._results import archive
+from loadid.constraints import Resultant
+from loadid.paths import Refusal, RuleResult
+from loadid.priors import Matern32
 from loadid.validate import ReferenceWrench, held_out, validate
-from structures import Channel, FrfModel, ImpulseModel, MatrixModel
-from structures.advice import Advice, Option, Spelling, from_plain, on_command_line, to_plain
+from structures import Channel, Flag, FrfModel, ImpulseModel, MatrixModel
+from structures._advice import Advice, Option, Spelling, from_plain, on_command_line, to_plain
+from structures._flags import Evidence
 from structures.errors import InputError
-from structures.flags import Evidence, Flag
 from tests.loadid.test_cli import RATE, hit
 from tests.loadid.test_track_fit import DT, made
 
@@ -268,7 +268,9 @@ def checked() -> list[str]:
 def test_the_words_of_the_package_give_no_exit_code(
     other_words: Callable[[], None], tmp_path: Any, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    group = EntryPoints(EntryPoint(n, f"loadid.commands.{n}:command", cli.GROUP) for n in ("info", "check", "identify"))
+    group = EntryPoints(
+        EntryPoint(n, f"loadid._commands.{n}:command", cli.GROUP) for n in ("info", "check", "identify")
+    )
     monkeypatch.setattr(cli, "entry_points", lambda group_=None, group=None, found=group: found)
     monkeypatch.chdir(tmp_path)
     for k in range(2):

@@ -13,9 +13,7 @@ EXAMPLES = re.findall(r"```python\n(.*?)```", README, re.S)
 
 def test_the_static_example(tmp_path, monkeypatch, capsys):
     """The lift of a wing on a finer mesh comes back: its moment within 3 %, its distribution within its band."""
-    from structures import ForwardModel, bases
-    from structures.elements import beams
-    from structures.system import sensors
+    from structures import ForwardModel, bases, beams, sensors
 
     places = np.linspace(0, 6, 121)
     lift = 900 * np.sqrt(np.maximum(1 - (places / 6) ** 2, 0.0))
@@ -37,9 +35,7 @@ def test_the_static_example(tmp_path, monkeypatch, capsys):
 
 def test_the_python_example(tmp_path, monkeypatch, capsys):
     """A hit of 200 N, simulated with a finer mesh, comes back within its band."""
-    from structures import ForwardModel
-    from structures.elements import beams
-    from structures.system import damping, loads, sensors
+    from structures import ForwardModel, beams, damping, loads, sensors
 
     beam = beams.cantilever(
         length=0.3,
@@ -79,9 +75,7 @@ def test_the_frequency_example(tmp_path, monkeypatch, capsys):
     """Universal files of a beam under a random force: its power comes back, the kept-out sensor is predicted."""
     from scipy.signal import butter, lfilter
 
-    from structures import ForwardModel
-    from structures.elements import beams
-    from structures.system import damping, loads, sensors
+    from structures import ForwardModel, beams, damping, loads, sensors
     from tests.structures.uff_made import frfs, text58, units
 
     beam = beams.simply_supported(
@@ -119,10 +113,8 @@ def test_the_frequency_example(tmp_path, monkeypatch, capsys):
 
 def test_the_tracking_example(tmp_path, monkeypatch, capsys):
     """A gusty load on a mast, simulated finer, is followed within its band from a saved commissioning record on."""
-    from loadid.inverse.gaussian.priors import Matern32
-    from structures import ForwardModel
-    from structures.elements import beams
-    from structures.system import damping, loads, sensors
+    from loadid.priors import Matern32
+    from structures import ForwardModel, beams, damping, loads, sensors
 
     mast = beams.cantilever(length=12.0, EI=4e6, mass_per_length=60.0, damping=damping.Modal(0.02))
     seen = [sensors.Accelerometer("20+Z"), sensors.Accelerometer("11+Z"), sensors.StrainGauge(at=0.5, fibre=0.1)]
@@ -180,10 +172,8 @@ def test_links_and_pictures_exist():
 
 def test_the_tactile_example(tmp_path, monkeypatch, capsys):
     """A press of 1 N with 0.25 N of shear, photographed, comes back within 5 %."""
-    from tactile.closed.layer import Layer
-    from tactile.closed.presses import Press
-    from tactile.vision.eye import View
-    from tactile.vision.images import Scene, grid
+    from tactile import Layer, Press, View
+    from tactile.vision._images import Scene, grid
 
     layer, dots = Layer(3e-3, 147e3, 0.3223), grid(17, 20, 0.85e-3)
     view = View.camera(focal=640, centre=(320, 240), distance=25e-3, depth=3e-3, gamma=1.4)

@@ -12,12 +12,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from loadid.inverse.convolved.padded import SpectralPath
-from loadid.inverse.path import FactoredPath
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.spectral import LinesPath, compress, factor, posterior
-from loadid.inverse.svd import SVDPath
-from structures.testing.spectra import padded_length
+from loadid._inverse.convolved.padded import SpectralPath
+from loadid._inverse.path import FactoredPath
+from loadid._inverse.spectral import LinesPath, compress, factor, posterior
+from loadid.paths import LinearProblem, SVDPath
+from structures._testing.spectra import padded_length
 
 from .sources import PACKAGES, called, imports, modules, parsed, within
 
@@ -29,7 +28,7 @@ PRODUCTS = {"dot", "matmul", "vdot"}
 UNSAFE_MODULES = ("pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal")
 UNSAFE_CALLS = {"eval", "exec"}
 YAML = {"load", "load_all", "unsafe_load", "unsafe_load_all", "full_load", "full_load_all"}
-MAY_PRINT = ("loadid.cli", "loadid.commands", "loadid.commands._outputs")  # the terminal's own modules
+MAY_PRINT = ("loadid.cli", "loadid._commands", "loadid._commands._outputs")  # the terminal's own modules
 
 
 # -- the rules -------------------------------------------------------------------------------------------------------
@@ -140,7 +139,7 @@ def test_what_is_right_passes(rule: Rule, text: str) -> None:
     assert list(rule(ast.parse(text), "structures.made_up")) == []
 
 
-@pytest.mark.parametrize("module", ["loadid.cli", "loadid.commands.demo"])
+@pytest.mark.parametrize("module", ["loadid.cli", "loadid._commands.demo"])
 def test_the_command_line_may_print(module: str) -> None:
     assert list(prints(ast.parse("print(1)"), module)) == []
 

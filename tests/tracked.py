@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, cho_solve, cholesky, eigh, expm, qr, solve
 
-from loadid.inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.model import FilterModel
 from structures import Channel, StateSpace
 
 Array = NDArray[np.float64]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .comparison import LayoutComparison, compare
-from .layout import Judged
-from .placement import Placement, place
+from ._comparison import LayoutComparison, compare
+from ._layout import Judged
+from ._placement import Placement, place
 
 __all__ = ["Judged", "LayoutComparison", "Placement", "compare", "place"]

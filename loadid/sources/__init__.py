@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from .comparison import BandLevels, ResponseComparison, compare, compare_estimate
-from .contributions import Contributions, Shares, contributions
-from .correlation import csac, csf, faac, frac, lac, mac, trac
-from .levels import (
+from ._comparison import BandLevels, ResponseComparison, compare, compare_estimate
+from ._contributions import Contributions, Shares, contributions
+from ._correlation import csac, csf, faac, frac, lac, mac, trac
+from ._levels import (
     BandPower,
     Bands,
     RunningLevel,
@@ -16,9 +16,9 @@ from .levels import (
     running_rms,
     time_weighted,
 )
-from .split import Split, split
-from .synthesis import SynthesisedResponse, synthesise
-from .transfer import Transfer, validate_on
+from ._split import Split, split
+from ._synthesis import SynthesisedResponse, synthesise
+from ._transfer import Transfer, validate_on
 
 __all__ = [
     "BandLevels", "BandPower", "Bands", "Contributions", "ResponseComparison", "RunningLevel", "Shares", "Split",

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from .checks import DistributionCheck, ResultantCheck, SensorCheck, Validation
-from .coverage import Coverage, coverage
-from .references import Known, PressureMat, ReferenceWrench
-from .validation import HeldOut, held_out, validate
+from ._checks import DistributionCheck, ResultantCheck, SensorCheck, Validation
+from ._coverage import Coverage, coverage
+from ._references import Known, PressureMat, ReferenceWrench
+from ._validation import HeldOut, held_out, validate
 
 __all__ = [
     "Coverage", "DistributionCheck", "HeldOut", "Known", "PressureMat", "ReferenceWrench", "ResultantCheck",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .basis import Basis, BasisLoad
-from .builders import hats, patches, polynomials
-from .nodes import nodal
+from ._basis import Basis, BasisLoad
+from ._builders import hats, patches, polynomials
+from ._nodes import nodal
 
 __all__ = ["Basis", "BasisLoad", "hats", "nodal", "patches", "polynomials"]

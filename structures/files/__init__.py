@@ -9,12 +9,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .frfs import read_frfs
-    from .matrices import load, save
+    from ._frfs import read_frfs
+    from ._matrices import load, save
 
 __all__ = ["load", "read_frfs", "save"]
 
-_PLACES = {"load": "matrices", "read_frfs": "frfs", "save": "matrices"}
+_PLACES = {"load": "_matrices", "read_frfs": "_frfs", "save": "_matrices"}
 
 
 def __getattr__(name: str) -> Any:

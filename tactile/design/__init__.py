@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from .evaluation import SkinComparison, SkinDesign, compare, skin
-from .modes import Skin, effective_markers
-from .resolution import largest_strain, locking, strains
+from ._evaluation import SkinComparison, SkinDesign, compare, skin
+from ._modes import Skin, effective_markers
+from ._resolution import largest_strain, locking, strains
 
 __all__ = [
     "Skin",

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from ..closed.contact import flat_stiffness, sphere_contact, sphere_force
-from .curves import Indentation, Tensile
-from .fits import Verdict
-from .identify import MaterialFit, from_tests
+from .._closed.contact import flat_stiffness, sphere_contact, sphere_force
+from ._curves import Indentation, Tensile
+from ._fits import Verdict
+from ._identify import Gain, MaterialFit, Shape, from_tests, gain, poisson
 
 __all__ = [
+    "Gain",
     "Indentation",
     "MaterialFit",
+    "Shape",
     "Tensile",
     "Verdict",
     "flat_stiffness",
     "from_tests",
+    "gain",
+    "poisson",
     "sphere_contact",
     "sphere_force",
 ]

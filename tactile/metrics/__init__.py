@@ -6,8 +6,8 @@ are words that papers define in their own ways; the formulas here are those of e
 
 from __future__ import annotations
 
-from .benchmark import BenchmarkRow, BenchmarkTable, Case, NoiseSlope, benchmark, cases, noise_slope
-from .mapped import (
+from ._benchmark import BenchmarkRow, BenchmarkTable, Case, NoiseSlope, benchmark, cases, noise_slope
+from ._mapped import (
     CellErrors,
     MapMetrics,
     ResultantErrors,
@@ -18,7 +18,7 @@ from .mapped import (
     resultant_errors,
     to_cells,
 )
-from .measures import (
+from ._measures import (
     centroid,
     centroid_error,
     cosine,

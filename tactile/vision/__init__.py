@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from .detect import Detected, Detector, detect, size_of_dots
-from .frames import Frames, frames
-from .motion import Jitter, MarkerMotion, MarkerMotions, jitter, read_motions
-from .tracker import MarkerTracker, match
+from ._detect import Detected, Detector, detect, size_of_dots
+from ._frames import Frames, frames
+from ._motion import Jitter, MarkerMotion, MarkerMotions, jitter, read_motions
+from ._tracker import MarkerTracker, match
 
 __all__ = [
     "Detected",

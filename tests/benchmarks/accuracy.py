@@ -16,9 +16,8 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from loadid.inverse import penalties
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid._inverse import penalties
+from loadid.paths import LinearProblem, SVDPath
 from tests.inverse.reference import attainable, rounding
 
 LAMBDAS = (1e-2, 1e-5, 1e-8)  # absolute
@@ -138,8 +137,8 @@ def long_errors(samples: int) -> dict[str, dict[str, NDArray[np.float64]]]:
 
     Displacement of the half-sine benchmark in advance form (the data of the next sample beside the load of this one).
     """
-    from loadid.inverse.gaussian.path import StateSpacePath
-    from loadid.inverse.gaussian.record import augment, record
+    from loadid._inverse.gaussian.path import StateSpacePath
+    from loadid._inverse.gaussian.record import augment, record
     from tests import halfsine
 
     s = halfsine.system("zoh")

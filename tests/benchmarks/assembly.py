@@ -27,10 +27,9 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import KDTree
 
-from structures import Structure
-from structures.elements import solids
-from structures.elements.cells import HEX8
-from structures.elements.members import Material
+from structures import Structure, solids
+from structures._elements.cells import HEX8
+from structures._elements.members import Material
 
 GEL = Material(E=2e5, rho=1e3, nu=0.45)
 ORDER = [0, 1, 3, 2, 4, 5, 7, 6]  # corners i + 2 j + 4 k in cyclic order

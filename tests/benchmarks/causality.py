@@ -11,7 +11,7 @@ import sys
 
 import numpy as np
 
-from structures.testing.kinds import TURNED, before_zero
+from structures._testing.kinds import TURNED, before_zero
 
 COLUMNS = "   lines  noise      told  called turned  conjugated missed"
 

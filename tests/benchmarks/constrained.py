@@ -14,11 +14,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.inverse.constrained.path import ConstrainedPath
-from loadid.inverse.constrained.solver import ConstrainedSolver
-from loadid.inverse.constraints import FrictionCone, NonNegative, Resultant
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid._inverse.constrained.path import ConstrainedPath
+from loadid._inverse.constrained.solver import ConstrainedSolver
+from loadid.constraints import FrictionCone, NonNegative, Resultant
+from loadid.paths import LinearProblem, SVDPath
 
 FRAMES = 30
 
@@ -83,7 +82,7 @@ def sequence(prepared: ConstrainedSolver, y: NDArray) -> tuple[list[float], list
 
 def by_clarabel(prepared: ConstrainedSolver, y: NDArray) -> NDArray:
     """The same problem by clarabel at its tightest."""
-    from loadid.inverse.constrained.activeset import interior_point
+    from loadid._inverse.constrained.activeset import interior_point
 
     inner = interior_point(prepared.quadratic, prepared.compress(y)[0], prepared.feasible)
     return np.zeros(0) if inner is None else prepared.feasible.to_global(inner.h)

@@ -15,10 +15,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.inverse.convolution import PenalizedConvolution
-from loadid.inverse.convolved.path import ConvolvedPath
-from loadid.inverse.convolved.pcg import Circulant, Sides, largest, solve
-from loadid.inverse.convolved.windows import solve_in_windows
+from loadid._inverse.convolution import PenalizedConvolution
+from loadid._inverse.convolved.path import ConvolvedPath
+from loadid._inverse.convolved.pcg import Circulant, Sides, largest, solve
+from loadid._inverse.convolved.windows import solve_in_windows
 
 from .forward import cpu
 

@@ -53,7 +53,7 @@ def impacts(draws: int) -> tuple[str, float]:
 
 def failing(share: float) -> str:
     """What the summary of an estimate says when it knows this coverage."""
-    from loadid.guards import no_coverage
+    from loadid._guards import no_coverage
     from loadid.validate import Coverage
 
     flag = no_coverage(Coverage(share, 0.95, 0, ""))
@@ -69,7 +69,7 @@ def main() -> None:
     for profile in contact_inversion.PROFILES:
         name, share, band = contact(profile, few)
         print(f"{name:48s} {share:7.2%}   ({few} draws)  {failing(share)}")
-    from loadid.inverse.constraints import NonNegative
+    from loadid.constraints import NonNegative
 
     name, share, band = contact("hertz", few, (NonNegative(),))
     print(f"{name + ', p >= 0':48s} {share:7.2%}   ({few} draws)  {failing(share)}  band: {band}")

@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import FieldDeconvolution, Noise, NotIdentifiable
-from loadid.inverse.convolution import Convolution
-from structures import ForwardModel, bases
-from structures.elements import plates
-from structures.elements.beams import materials
-from structures.system import sensors
+from loadid._inverse.convolution import Convolution
+from structures import ForwardModel, bases, plates, sensors
+from structures._elements.beams import materials
 
 DT, NOISE, SEEDS = 1 / 500, 0.05, 2
 SMOOTH = {"space": "gradient", "time": "first_difference"}

@@ -10,12 +10,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from structures import ForwardModel, Structure
-from structures.elements import plates
-from structures.elements.members import steel
-from structures.system import loads, sensors
-from structures.system.damping import Rayleigh
-from structures.system.factor import Factor
+from structures import ForwardModel, Structure, loads, plates, sensors
+from structures._elements.members import steel
+from structures._system.damping import Rayleigh
+from structures._system.factor import Factor
 
 
 def cpu(work: Callable[[], object], repeat: int = 3) -> float:

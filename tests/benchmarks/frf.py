@@ -28,10 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import FrequencyInversion, Spectra
-from loadid.families.posing.fitting import LineRule, fit
-from loadid.inverse import rules
-from loadid.inverse.spectral import LinesPath, compress, factor
-from loadid.inverse.sweep import Sweep
+from loadid._families.posing.fitting import LineRule, fit
+from loadid._inverse import rules
+from loadid._inverse.spectral import LinesPath, compress, factor
+from loadid.paths import Sweep
 from loadid.settings import Lambda
 from structures import FrfModel
 from tests import frfplate

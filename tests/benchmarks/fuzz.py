@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from loadid.readers import read_all
+from loadid import read_all
+from structures._flags import codes
 from structures.errors import InputError
-from structures.flags import codes
 
 STATED = {"fs": 1000.0, "units": {0: "N", 1: "g"}}
 

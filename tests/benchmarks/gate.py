@@ -19,11 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import LoadTracker
-from loadid.families.tracking.tracker import Tracker
+from loadid._families.tracking.tracker import Tracker
 from loadid.settings import Noise
-from structures import ForwardModel
-from structures.elements import beams, chains, plates
-from structures.system import loads, sensors
+from structures import ForwardModel, beams, chains, loads, plates, sensors
 
 Array = NDArray[np.float64]
 SAMPLES, FINE = 800, 10

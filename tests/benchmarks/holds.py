@@ -16,14 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.inverse.gaussian.augment import augment
-from loadid.inverse.gaussian.loop import Loop
-from loadid.inverse.gaussian.priors import Matern32
-from loadid.inverse.gaussian.steady import steady
-from structures import ForwardModel
-from structures.elements import chains
-from structures.system import loads, sensors
-from structures.system.damping import Rayleigh
+from loadid._inverse.gaussian.augment import augment
+from loadid._inverse.gaussian.loop import Loop
+from loadid._inverse.gaussian.steady import steady
+from loadid.priors import Matern32
+from structures import ForwardModel, chains, loads, sensors
+from structures._system.damping import Rayleigh
 
 from .. import tracked
 

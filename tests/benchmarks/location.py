@@ -17,7 +17,7 @@ import numpy as np
 
 from case_studies import impact_location as study
 from loadid import LocationSearch, Search
-from loadid.inverse.convolution import toeplitz
+from loadid.paths import toeplitz
 
 RANK = 40
 LENGTHS = (200, 2000, 20_000)

@@ -13,10 +13,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from structures import Structure
-from structures.elements import solids
-from structures.elements.members import Material
-from structures.system.factor import Factor
+from structures import Structure, solids
+from structures._elements.members import Material
+from structures._system.factor import Factor
 
 E, SIGMA, LENGTHS = 1e6, 2.5e-3, (20e-3, 20e-3, 4e-3)
 COLUMNS = (("standard", 2), ("standard", 4), ("bbar", 2), ("bbar", 4), ("incompatible", 2))

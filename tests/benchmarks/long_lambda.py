@@ -26,14 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import Deconvolution, Noise
-from loadid.families.data import gather
-from loadid.families.posing import pose
-from loadid.inverse.gaussian.path import StateSpacePath
-from structures import ForwardModel
-from structures.elements import beams
-from structures.model import Model
-from structures.models.statespace import StateSpace
-from structures.system import damping, loads, sensors
+from loadid._families.data import gather
+from loadid._families.posing import pose
+from loadid._inverse.gaussian.path import StateSpacePath
+from structures import ForwardModel, Model, StateSpace, beams, damping, loads, sensors
 from tests.halfsine import DAMPING, FREQUENCIES, RATE, SIGNS
 
 DRAWS = 8  # of the noise, for the expectation

@@ -20,17 +20,14 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator
 
 from loadid import Deconvolution
-from loadid.inverse.choice import choose
-from loadid.inverse.convolution import toeplitz
-from loadid.inverse.gaussian.coarse import confirm, windows_of
-from loadid.inverse.gaussian.gains import gains
-from loadid.inverse.gaussian.passes import Solved, solve
-from loadid.inverse.gaussian.path import StateSpacePath
-from loadid.inverse.gaussian.posterior import variances
-from loadid.inverse.gaussian.record import Augmented, augment, record
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
-from structures.models.statespace import StateSpace
+from loadid._inverse.gaussian.coarse import confirm, windows_of
+from loadid._inverse.gaussian.gains import gains
+from loadid._inverse.gaussian.passes import Solved, solve
+from loadid._inverse.gaussian.path import StateSpacePath
+from loadid._inverse.gaussian.posterior import variances
+from loadid._inverse.gaussian.record import Augmented, augment, record
+from loadid.paths import LinearProblem, SVDPath, choose, toeplitz
+from structures import StateSpace
 
 from .forward import exponent
 

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from scipy.linalg import svd, toeplitz
 from scipy.optimize import minimize, nnls
 
-from loadid.inverse import rules
-from loadid.inverse.constrained.condensed import BlockNormal
-from loadid.inverse.constrained.exchange import gap
-from loadid.inverse.constrained.nonnegative import NonNegativeRecord, discrepancy
-from loadid.inverse.convolution import Convolution
-from loadid.inverse.gaussian.path import StateSpacePath
-from loadid.inverse.gaussian.record import WhitenedRecord, augment, record
+from loadid._inverse import rules
+from loadid._inverse.constrained.condensed import BlockNormal
+from loadid._inverse.constrained.exchange import gap
+from loadid._inverse.constrained.nonnegative import NonNegativeRecord, discrepancy
+from loadid._inverse.convolution import Convolution
+from loadid._inverse.gaussian.path import StateSpacePath
+from loadid._inverse.gaussian.record import WhitenedRecord, augment, record
 from tests import halfsine
 
 SEEDS = 3

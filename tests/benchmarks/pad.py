@@ -17,11 +17,9 @@ from scipy import sparse
 from scipy.linalg import blas, lapack
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
-from structures import ForwardModel, Structure
-from structures.elements import solids
-from structures.elements.members import Material
-from structures.system import sensors
-from structures.system.factor import Factor
+from structures import ForwardModel, Structure, sensors, solids
+from structures._elements.members import Material
+from structures._system.factor import Factor
 
 CELLS = (40, 40, 2)
 SYMMETRIC = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}

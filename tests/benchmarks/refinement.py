@@ -19,11 +19,9 @@ from scipy import sparse
 from scipy.linalg import solve_triangular
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from structures import Structure
-from structures.elements import solids
-from structures.elements.members import Material
-from structures.system import sensors
-from structures.system.factor import Factor
+from structures import Structure, sensors, solids
+from structures._elements.members import Material
+from structures._system.factor import Factor
 
 LENGTHS, DEPTH, NOISE = (20e-3, 20e-3, 5e-3), 2.5e-3, 1e-2  # noise over the largest singular value
 MATERIAL = Material(E=1e5, rho=1000.0, nu=0.45)

@@ -16,10 +16,9 @@ from multiprocessing import Pool
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.inverse import penalties, rules
-from loadid.inverse.choice import GRADES, Choice, decide
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid._inverse import penalties, rules
+from loadid._inverse.choice import GRADES, decide
+from loadid.paths import Choice, LinearProblem, SVDPath
 
 from .fredholm import NOISES, PROBLEMS
 
@@ -144,7 +143,7 @@ def by_rule(found: list[Outcome], known: bool) -> None:
 
 
 def by_verdict(found: list[Outcome], known: bool) -> None:
-    """Print the shares and odds of the verdicts, and the lines that `loadid.inverse.rules` holds."""
+    """Print the shares and odds of the verdicts, and the lines that `loadid._inverse.rules` holds."""
     groups = {"white": [o for o in found if o.case[4] == "white"], "smooth": [o for o in found if o.case[4] != "white"]}
     for name, group in groups.items():
         flagged = [o.verdict[known] in GRADES[2:] for o in group]

@@ -119,7 +119,7 @@ def deconvolution(title: str, sizes: Sequence[int], other: str, alternative: Cal
 
 def main(quick: bool = False) -> int:
     """Print all tables; 1 where the FFT path grows faster than the limit."""
-    import loadid.plots  # noqa: F401  (nothing below pays for an import)
+    import loadid._plots  # noqa: F401  (nothing below pays for an import)
 
     estimate(case(200))
     estimate(case(4096))

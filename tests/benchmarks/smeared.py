@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import Deconvolution, Noise
-from loadid.families.histories import half_width, kurtosis
-from structures import ForwardModel
-from structures.system import loads, sensors
+from loadid._families.histories import half_width, kurtosis
+from structures import ForwardModel, loads, sensors
 
 from ..guards.test_expected import beam, blows, impact, plate
 

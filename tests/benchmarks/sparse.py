@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import Deconvolution, SparseDeconvolution, Sparsity
-from loadid.inverse.sparse import dictionaries, lasso
-from loadid.inverse.sparse import lasso as workingset
-from loadid.inverse.sparse.atoms import ShiftedAtoms
+from loadid._inverse.sparse import dictionaries, lasso
+from loadid._inverse.sparse import lasso as workingset
+from loadid._inverse.sparse.atoms import ShiftedAtoms
 from loadid.settings import Noise
 from structures import ImpulseModel
 from tests import halfsine

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import signal
 
 from structures import cross_spectra
-from structures.testing.frfs import estimate
+from structures._testing.frfs import estimate
 from tests.structures.test_frfs import MIX, spectra
 
 CASES = (

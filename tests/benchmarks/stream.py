@@ -26,13 +26,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.families.tracking import tracker as checkpoint
-from loadid.families.tracking.fit import TrackerFit
-from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.gaussian.augment import augment
-from loadid.inverse.gaussian.priors import OU, Matern32, Sum
-from loadid.inverse.gaussian.steady import steady
-from loadid.stream import follow
+from loadid._families.tracking import tracker as checkpoint
+from loadid._families.tracking.fit import TrackerFit
+from loadid._families.tracking.tracker import Tracker
+from loadid._inverse.gaussian.augment import augment
+from loadid._inverse.gaussian.steady import steady
+from loadid._stream import follow
+from loadid.priors import OU, Matern32, Sum
 from tests.killed import Nursery, fitted, leaves, tortured, troubled
 from tests.tracked import Setup, selector, tridiagonal
 

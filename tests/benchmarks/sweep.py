@@ -31,10 +31,9 @@ def measure(what: str, penalty: str, n: int) -> None:
     """Run one measurement in this process, and print CPU seconds and MiB."""
     import scipy.linalg
 
-    from loadid.inverse import penalties, rules
-    from loadid.inverse.choice import decide
-    from loadid.inverse.problem import LinearProblem
-    from loadid.inverse.svd import SVDPath
+    from loadid._inverse import penalties, rules
+    from loadid._inverse.choice import decide
+    from loadid.paths import LinearProblem, SVDPath
 
     from .fredholm import PROBLEMS
 

@@ -15,11 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactile.closed.presses import Press
-from tactile.results.forcemap import ForceMap
-from tactile.sensors.multilayer import MultilayerPad
-from tactile.sensors.settings import ContactLaw
-from tactile.vision.images import Scene, grid
+from tactile import ContactLaw, ForceMap, MultilayerPad, Press
+from tactile.vision._images import Scene, grid
 
 from .tactile_rate import SIDE, Rig, rig
 
@@ -86,7 +83,7 @@ def fresh(r: Rig) -> Rig:
     """The same rig with an eye that has seen nothing yet."""
     from dataclasses import replace
 
-    from tactile.vision.eye import Eye
+    from tactile import Eye
 
     flat = np.column_stack([grid(20, 26, 0.9e-3), np.zeros(520)])
     scene = Scene(radius=0.22e-3, blur=1.0, noise=2.0)

@@ -15,10 +15,9 @@ import numpy as np
 from scipy.integrate import quad
 from scipy.special import jv
 
-from tactile.closed.gridded import LayerGrid, influence
-from tactile.closed.layer import Layer
-from tactile.closed.presses import Press
-from tactile.closed.profiles import PROFILES
+from tactile import Layer, LayerGrid, Press
+from tactile._closed.gridded import influence
+from tactile._closed.profiles import PROFILES
 
 LAYER = Layer(3e-3, 147e3, 0.3223)
 PRESS = Press(radius=2.5e-3, force=1.0, shear=(0.25, 0.1))

@@ -13,10 +13,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tactile import design
-from tactile.closed.gridded import LayerGrid
+from tactile import LayerGrid, Pad, design
 from tactile.design import Skin
-from tactile.pad.pad import Pad
 
 GEL = {"h": 3e-3, "E": 0.147e6, "nu": 0.3223}
 Row = tuple[float, int, float, float]

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import sys
 
-from tactile.results.film import overlay
+from tactile._results.film import overlay
 from tactile.vision import MarkerTracker, detect
-from tactile.vision.frames import read_image, read_stack
-from tactile.vision.images import installed
+from tactile.vision._frames import read_image, read_stack
+from tactile.vision._images import installed
 
 from ..data import data_folder
 

@@ -18,11 +18,10 @@ import time
 
 import numpy as np
 
-from structures.system import factor
-from structures.system.factor import Factor
-from tactile.closed.presses import Press
-from tactile.pad.meshfiles import elastic
-from tactile.pad.pad import Pad
+from structures import factor
+from structures._system.factor import Factor
+from tactile import Pad, Press
+from tactile._pad.meshfiles import elastic
 from tests.data import data_folder
 from tests.tactile.padtruth import consistent, map_error, recovered
 from tests.tactile.test_pad_layer import HERTZ, PRESS, WAVES, pad

@@ -15,13 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from tactile.closed.presses import Press
-from tactile.pad.pad import Pad
-from tactile.sensors.multilayer import MultilayerPad
-from tactile.sensors.observation import DepthMap
-from tactile.sensors.settings import ContactLaw
-from tactile.vision.eye import Eye, View
-from tactile.vision.images import Scene, grid
+from tactile import ContactLaw, DepthMap, Eye, MultilayerPad, Pad, Press, View
+from tactile.vision._images import Scene, grid
 
 SIDE, THICKNESS, E, NU = 24e-3, 3e-3, 0.147e6, 0.3223
 PIXELS, PIXEL, DEPTH_NOISE = 240, 1e-4, 1e-5

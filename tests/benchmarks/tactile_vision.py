@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from tactile import Interpolation, View
 from tactile.vision import Detector, MarkerTracker
-from tactile.vision.eye import View
-from tactile.vision.images import Scene, grid, installed, opencv
-from tactile.vision.interpolation import Interpolation
+from tactile.vision._images import Scene, grid, installed, opencv
 
 Points = NDArray[np.float64]
 FRAMES = 8

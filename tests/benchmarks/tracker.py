@@ -17,11 +17,11 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from scipy.linalg import solve_discrete_are
 
-from loadid.inverse.gaussian.lag import LagLine, fixed_lag
-from loadid.inverse.gaussian.loop import Loop, PeriodicLoop
-from loadid.inverse.gaussian.model import FilterModel
-from loadid.inverse.gaussian.squareroot import SquareRoot
-from loadid.inverse.gaussian.steady import SteadyFilter, periodic, steady
+from loadid._inverse.gaussian.lag import LagLine, fixed_lag
+from loadid._inverse.gaussian.loop import Loop, PeriodicLoop
+from loadid._inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.squareroot import SquareRoot
+from loadid._inverse.gaussian.steady import SteadyFilter, periodic, steady
 
 SIZES, SENSORS, LAG, DT = (20, 60, 200), 10, 20, 0.01
 EVERY = 10  # samples between two of the slow channel

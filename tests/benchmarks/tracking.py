@@ -17,18 +17,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import LoadTracker, Noise, NotIdentifiable
-from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.gaussian.augment import Ambient, augment
-from loadid.inverse.gaussian.loop import Loop
-from loadid.inverse.gaussian.model import FilterModel
-from loadid.inverse.gaussian.priors import OU, RandomWalk, White
-from loadid.inverse.gaussian.records import filter_record as recursive
-from loadid.inverse.gaussian.steady import steady
+from loadid import Ambient, LoadTracker, Noise, NotIdentifiable
+from loadid._families.tracking.tracker import Tracker
+from loadid._inverse.gaussian.augment import augment
+from loadid._inverse.gaussian.loop import Loop
+from loadid._inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.records import filter_record as recursive
+from loadid._inverse.gaussian.steady import steady
+from loadid.priors import OU, RandomWalk, White
 from loadid.settings import ModelErrors
-from structures import ForwardModel, StateSpace
-from structures.elements import beams, chains
-from structures.system import damping, loads, sensors
+from structures import ForwardModel, StateSpace, beams, chains, damping, loads, sensors
 from tests import tracked
 from tests.tracked import Score, Tracked, score
 

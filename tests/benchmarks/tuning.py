@@ -14,11 +14,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.families.tracking.filters import NAMES, Posing
-from loadid.families.tracking.tuning import STARTS, likelihood, tune
-from loadid.inverse.gaussian.augment import augment
-from loadid.inverse.gaussian.priors import RandomWalk
-from loadid.inverse.gaussian.steady import steady
+from loadid._families.tracking.filters import NAMES, Posing
+from loadid._families.tracking.tuning import STARTS, likelihood, tune
+from loadid._inverse.gaussian.augment import augment
+from loadid._inverse.gaussian.steady import steady
+from loadid.priors import RandomWalk
 from structures import ForwardModel
 from tests import tracked
 from tests.benchmarks.tracking import building, run

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from structures.errors import InputError
-from structures.files.uff import read_uff
+from structures.files._uff import read_uff
 from tests.structures.uff_made import binary58, text58
 
 SAMPLES = 1_000_000

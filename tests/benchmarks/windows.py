@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from loadid import Deconvolution, Lambda, Noise
-from loadid.inverse.convolution import PenalizedConvolution
+from loadid._inverse.convolution import PenalizedConvolution
 from structures import ImpulseModel
 
 from .convolved import RATE, responses

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from loadid import StaticInversion
-from loadid.inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
+from loadid.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from loadid.settings import Noise
 from loadid.validate import Known, coverage, validate
-from structures import ForwardModel, InputError, MatrixModel, bases, files
-from structures.elements import beams
+from structures import ForwardModel, InputError, MatrixModel, bases, beams, files, sensors
 from structures.errors import reals
-from structures.system import sensors
 
 RNG = np.random.default_rng(0)
 H = RNG.standard_normal((6, 4))

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, Record, StaticInversion, read
-from loadid.families.data import gather, health
-from loadid.families.noise import resolve
-from loadid.quality import masked
+from loadid._families.data import gather, health
+from loadid._families.noise import resolve
+from loadid._quality import masked
 from loadid.settings import Noise
-from structures import Channel, ForwardModel, ImpulseModel, InputError, MatrixModel, StateSpace
-from structures.elements.beams import materials, simply_supported
-from structures.elements.members import Section
-from structures.system import damping as dampings
-from structures.system import loads, sensors
+from structures import Channel, ForwardModel, ImpulseModel, InputError, MatrixModel, StateSpace, loads, sensors
+from structures import damping as dampings
+from structures._elements.beams import materials, simply_supported
+from structures._elements.members import Section
 
 DT, N = 1 / 5000, 120
 RNG = np.random.default_rng(0)

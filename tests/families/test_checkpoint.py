@@ -5,11 +5,11 @@ import os
 import numpy as np
 import pytest
 
-from loadid.families.tracking import fit as packing
-from loadid.families.tracking import tracker as checkpoint
-from loadid.families.tracking.tracker import Tracker
+from loadid._families.tracking import fit as packing
+from loadid._families.tracking import tracker as checkpoint
+from loadid._families.tracking.tracker import Tracker
 from structures.errors import InputError
-from structures.files import storage
+from structures.files import _storage as storage
 from tests.killed import fitted
 
 

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from loadid import Deconvolution, Lambda
-from loadid.families.data import gather
-from loadid.families.posing import PosingSettings
-from loadid.families.posing.paths import coloured
-from loadid.inverse.noise_source import NoiseSource
+from loadid import Deconvolution, Lambda, NoiseSource
+from loadid._families.data import gather
+from loadid._families.posing import PosingSettings
+from loadid._families.posing.paths import coloured
 from loadid.settings import Noise, Penalty
 from structures import MeasuredModel
 

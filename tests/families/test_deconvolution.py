@@ -5,9 +5,19 @@ import pytest
 
 from loadid import Deconvolution, Lambda, Noise, Record
 from loadid.settings import folded
-from structures import Channel, ForwardModel, ImpulseModel, InputError, MeasuredModel, NotIdentifiable, StateSpace
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from structures import (
+    Channel,
+    ForwardModel,
+    ImpulseModel,
+    InputError,
+    MeasuredModel,
+    NotIdentifiable,
+    StateSpace,
+    beams,
+    damping,
+    loads,
+    sensors,
+)
 
 DT = 1 / 5000
 
@@ -375,7 +385,7 @@ def test_inputs_are_not_changed():
 
 def test_the_band_knows_what_regularisation_hides():
     """Accelerometers do not see the slow part of an impact: the stated std of its impulse must hold the loss."""
-    from loadid.commands.demo import model, simulate
+    from loadid._commands.demo import model, simulate
 
     simulated = simulate(1)
     estimate, dt = Deconvolution(model()).estimate(simulated.record), simulated.record.dt
@@ -410,10 +420,8 @@ def test_a_record_that_ends_in_motion_is_flagged_on_the_padded_path():
 
 def test_a_residual_that_is_small_by_chance_does_not_choose_lambda():
     """One displacement sensor, a load that fills the record: few degrees of freedom are left at a tiny lambda."""
-    from loadid.inverse import rules
-    from loadid.inverse.convolution import toeplitz
-    from loadid.inverse.problem import LinearProblem
-    from loadid.inverse.svd import SVDPath
+    from loadid._inverse import rules
+    from loadid.paths import LinearProblem, SVDPath, toeplitz
 
     beam = beams.cantilever(length=1.2, elements=24, EI=300.0, mass_per_length=1.5, damping=damping.Modal(0.04))
     model = ForwardModel(beam, [sensors.Displacement(at=0.8)], [loads.Point(at=1.0)], modes=4)

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from loadid import FrequencyInversion, InputError, compare_domains
-from structures import Channel, ForwardModel
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from structures import Channel, ForwardModel, beams, damping, loads, sensors
 
 DT = 1 / 2000
 

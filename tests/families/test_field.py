@@ -6,21 +6,19 @@ import numpy as np
 import pytest
 
 from loadid import FieldDeconvolution, HarmonicInversion, InputError, Lambda, Noise, NotIdentifiable
-from loadid.families import smoothness as spatial
-from loadid.families.field import told_apart
-from loadid.families.harmonic import complex_load
-from loadid.inverse import penalties
-from loadid.inverse.convolution import toeplitz
-from loadid.inverse.gaussian.posterior import MappedPosterior
-from loadid.inverse.posterior import from_arrays
-from loadid.results.estimate import Axis
+from loadid._families import smoothness as spatial
+from loadid._families.field import told_apart
+from loadid._families.harmonic import complex_load
+from loadid._inverse import penalties
+from loadid._inverse.gaussian.posterior import MappedPosterior
+from loadid._inverse.posterior import from_arrays
+from loadid._results.estimate import Axis
+from loadid._zones import harmonic_power, mean_power
+from loadid.paths import toeplitz
 from loadid.settings import folded
-from loadid.zones import harmonic_power, mean_power
-from structures import ForwardModel, ImpulseModel, bases
-from structures.elements import beams
-from structures.models.mapped import mapped
-from structures.models.motion import harmonic_motion
-from structures.system import damping, sensors
+from structures import ForwardModel, ImpulseModel, bases, beams, damping, sensors
+from structures._models.mapped import mapped
+from structures._models.motion import harmonic_motion
 from tests.benchmarks import field as plate
 
 DT, N, LENGTH = 1 / 400, 50, 0.4

@@ -9,9 +9,18 @@ import pytest
 
 from loadid import Deconvolution, FrequencyInversion, Record, Spectra
 from loadid.settings import Signal, folded
-from structures import CrossSpectra, ForwardModel, FrfModel, InputError, NotIdentifiable, cross_spectra
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from structures import (
+    CrossSpectra,
+    ForwardModel,
+    FrfModel,
+    InputError,
+    NotIdentifiable,
+    beams,
+    cross_spectra,
+    damping,
+    loads,
+    sensors,
+)
 
 from ..linecases import BAND95, Case, case, model, normals
 
@@ -163,7 +172,7 @@ def test_noise_alone_understates_what_errors_of_the_frf_do():
 
 def test_calibration_undoes_the_attenuation(monkeypatch):
     """Of two close loads under large errors of the FRF: without it the band does not cover."""
-    from loadid.families.posing import fitting
+    from loadid._families.posing import fitting
 
     def covered():
         found = []

@@ -11,18 +11,16 @@ import pytest
 
 from case_studies.impact_location import DT, NODES, SAMPLES, beam, half_sine, noisy, recorded
 from loadid import LocationResult, LocationSearch, NotIdentifiable, Search
-from loadid.families.posing import locating as posed_module
-from loadid.families.posing.locating import CandidateLoads, grid_of
-from loadid.inverse.convolution import toeplitz
-from loadid.inverse.convolved import fits
-from loadid.inverse.convolved import fits as alike
-from loadid.inverse.convolved import fits as scan
-from loadid.inverse.convolved import places as several
-from loadid.inverse.convolved.places import refine
+from loadid._families.posing import locating as posed_module
+from loadid._families.posing.locating import CandidateLoads, grid_of
+from loadid._inverse.convolved import fits
+from loadid._inverse.convolved import fits as alike
+from loadid._inverse.convolved import fits as scan
+from loadid._inverse.convolved import places as several
+from loadid._inverse.convolved.places import refine
+from loadid.paths import toeplitz
 from loadid.settings import folded
-from structures import Channel, ForwardModel, ImpulseModel, InputError, MatrixModel
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from structures import Channel, ForwardModel, ImpulseModel, InputError, MatrixModel, beams, damping, loads, sensors
 
 CLEAR = (5, 17, 29)
 SPACING = 0.1
@@ -311,7 +309,7 @@ def test_long_records_give_the_scores_of_short_ones(monkeypatch, kind):
     record = recorded(model, values, DT, std)
     dense = LocationSearch(model, search=Search(workers=1)).locate(record)
     monkeypatch.setattr(posed_module, "DENSE", 10)
-    monkeypatch.setattr("loadid.families.location.DENSE", 10)
+    monkeypatch.setattr("loadid._families.location.DENSE", 10)
     long = LocationSearch(model, search=Search(workers=1)).locate(record)
     assert (dense.facts["path"], long.facts["path"]) == ("dense SVD", "FFT and conjugate gradients")
     assert long.facts["exact"]

@@ -18,12 +18,10 @@ from loadid import (
     Spectra,
     StaticInversion,
 )
-from loadid.inverse import penalties, rules
-from loadid.inverse.constraints import NonNegative
-from loadid.inverse.sweep import RuleResult, Sweep, minimum
-from structures import ForwardModel
-from structures.elements import chains
-from structures.system import damping, loads, sensors
+from loadid._inverse import penalties, rules
+from loadid.constraints import NonNegative
+from loadid.paths import RuleResult, Sweep, minimum
+from structures import ForwardModel, chains, damping, loads, sensors
 
 DT, N = 1e-2, 80
 CHAIN = chains.chain(masses=[1.0, 1.5, 2.0, 1.0], springs=[4e4, 3e4, 5e4, 4e4], damping=damping.Modal(0.04))

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, Guards, Lambda, Penalty
-from loadid.inverse.constraints import Bounds, NonNegative
+from loadid.constraints import Bounds, NonNegative
 from loadid.settings import folded
-from structures import ForwardModel, ImpulseModel, InputError, StateSpace
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from structures import ForwardModel, ImpulseModel, InputError, StateSpace, beams, damping, loads, sensors
 
 DT, N = 1 / 2000, 300
 BEAM = beams.simply_supported(

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from loadid import Record, recommend
-from loadid.families import recommend as advice
-from loadid.families.posing import PosingSettings
-from loadid.families.posing.sparsity import pose
-from loadid.families.recommend import of_sparse
+from loadid._families import recommend as advice
+from loadid._families.posing import PosingSettings
+from loadid._families.posing.sparsity import pose
+from loadid._families.recommend import of_sparse
 from loadid.settings import Lambda, Noise, Penalty
 from structures import ImpulseModel, InputError, StateSpace
 from tests.tracked import Tracked, bm2
@@ -92,9 +92,9 @@ def test_waveforms_and_processes_are_judged_in_one_unit(known):
     c = case()
     rng, sd = np.random.default_rng(0), c.noise
     y = sd * rng.standard_normal(c.y.shape)
-    from loadid.families.data import gather
-    from loadid.inverse.rules import information
-    from loadid.inverse.sparse.path import log_supports
+    from loadid._families.data import gather
+    from loadid._inverse.rules import information
+    from loadid._inverse.sparse.path import log_supports
 
     noise = sd if known else None
     asked = PosingSettings(Noise(noise, source="data sheet" if known else None), Lambda(), Penalty(), ())

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, LoadEstimate, SparseDeconvolution, Sparsity, recommend
-from loadid.families import recommend as advice
-from loadid.families.posing import sparsity
+from loadid._families import recommend as advice
+from loadid._families.posing import sparsity
 from loadid.settings import Noise, folded
-from structures import ForwardModel, ImpulseModel, InputError, NotIdentifiable
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from structures import ForwardModel, ImpulseModel, InputError, NotIdentifiable, beams, damping, loads, sensors
 from tests import halfsine
 
 DT, STEP = 1 / 2000, 1 / halfsine.RATE

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from loadid import Absolute, InputError, Noise, NotIdentifiable, Record, StaticInversion, load
-from loadid.families.frozen import Frozen
-from loadid.inverse.constraints import NonNegative, Resultant, Support
+from loadid._families.frozen import Frozen
+from loadid.constraints import NonNegative, Resultant, Support
 from loadid.settings import folded
-from structures import Channel, ForwardModel, MatrixModel, bases
-from structures.elements import beams
-from structures.flags import codes
-from structures.system import loads, sensors
+from structures import Channel, ForwardModel, MatrixModel, bases, beams, loads, sensors
+from structures._flags import codes
 
 BEAM = {"length": 2.0, "EI": 1e4, "mass_per_length": 1.0, "elements": 20}
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from loadid import Absolute, InputError, Noise, NotIdentifiable, Record, StaticInversion, load
-from loadid.families.frozen import Frozen
-from loadid.inverse.constraints import Bounds, NonNegative, Resultant, Support
-from structures import Channel, ForwardModel, MatrixModel, bases
-from structures.elements import beams
+from loadid._families.frozen import Frozen
+from loadid.constraints import Bounds, NonNegative, Resultant, Support
+from structures import Channel, ForwardModel, MatrixModel, bases, beams
 
 from .test_static import BEAM, bump, gauges, smooth
 

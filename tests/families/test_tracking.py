@@ -8,14 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from loadid import Record
-from loadid.families.kalman import LoadTracker
-from loadid.inverse.gaussian import priors
+from loadid import LoadTracker, Record, priors
 from loadid.settings import folded
-from structures import Channel, ForwardModel, InputError, NotIdentifiable, StateSpace
-from structures.elements import chains
-from structures.models.mapped import mapped
-from structures.system import damping, loads, sensors
+from structures import Channel, ForwardModel, InputError, NotIdentifiable, StateSpace, chains, damping, loads, sensors
+from structures._models.mapped import mapped
 from tests.tracked import Score, Tracked, bm2, matern32, score
 
 MATERN = priors.Matern32(100.0, 0.08)

@@ -7,11 +7,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from loadid.families.tracking.certificate import banded, certify, in_words, spectra, told_bands
-from loadid.inverse.gaussian.augment import Ambient, augment
-from loadid.inverse.gaussian.model import FilterModel
-from loadid.inverse.gaussian.priors import Matern32, RandomWalk
-from loadid.inverse.gaussian.steady import SteadyFilter, steady
+from loadid import Ambient
+from loadid._families.tracking.certificate import banded, certify, in_words, spectra, told_bands
+from loadid._inverse.gaussian.augment import augment
+from loadid._inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.steady import SteadyFilter, steady
+from loadid.priors import Matern32, RandomWalk
 from tests.families.test_tracking import building
 
 DT = 0.01

@@ -8,15 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from loadid import Online
-from loadid.families.kalman import LoadTracker
-from loadid.families.tracking.fit import TrackerFit
-from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.gaussian import priors
+from loadid import LoadTracker, Online, priors
+from loadid._families.tracking.fit import TrackerFit
+from loadid._families.tracking.tracker import Tracker
 from loadid.settings import folded
-from structures import ForwardModel, InputError
-from structures.elements import chains
-from structures.system import damping, loads, sensors
+from structures import ForwardModel, InputError, chains, damping, loads, sensors
 from tests.tracked import Tracked, bm2
 
 MATERN = priors.Matern32(100.0, 0.08)

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from loadid.families.tracking.running import Means
-from loadid.families.tracking.tracker import Tracker
+from loadid._families.tracking.running import Means
+from loadid._families.tracking.tracker import Tracker
 from tests.benchmarks.gate import GUARDS, WORSE, Campaign, campaign, followed
 
 FIVE, HALF = 0.049, 0.0049  # mg as m/s^2

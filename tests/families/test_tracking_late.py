@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from loadid import InputError, LoadTracker, ModelErrors, Online
-from loadid.inverse.gaussian.records import filter_record as filtered
-from loadid.inverse.gaussian.records import smooth_record as smooth
+from loadid._inverse.gaussian.records import filter_record as filtered
+from loadid._inverse.gaussian.records import smooth_record as smooth
 from loadid.settings import Noise, folded
 from tests import tracked
 
@@ -18,7 +18,7 @@ def case() -> tracked.Tracked:
 
 
 def tracker(case: tracked.Tracked, **settings: object):
-    from loadid.inverse.gaussian.priors import Matern32
+    from loadid.priors import Matern32
 
     known = {"prior": Matern32(100.0, 0.08), "noise": Noise(case.noise, source="data sheet")}
     return LoadTracker(case.setup.space(), **folded(LoadTracker, {**known, **settings})).fit(case.y, case.dt)
@@ -88,7 +88,7 @@ def test_a_wrong_sample_beside_the_load_is_decided_before_a_late_answer() -> Non
 
 
 def test_a_drift_that_is_accepted_has_late_answers_too() -> None:
-    from loadid.inverse.gaussian.priors import RandomWalk
+    from loadid.priors import RandomWalk
 
     seen, lag = tracked.bm2("mix", 0, disp=(), samples=300), 8
     found = tracker(seen, prior=RandomWalk(100.0), allow_drift=True, lag=lag, gate=None)
@@ -147,8 +147,8 @@ def test_the_settled_filter_as_a_c_file(case: tracked.Tracked, tmp_path) -> None
 
 def test_ambient_loads_that_disturb_both_noises_leave_an_honest_band() -> None:
     """A beam of 8 modes whose error exceeds its load: the predicted std is the empirical one."""
-    from loadid.inverse.gaussian.augment import Ambient
-    from loadid.inverse.gaussian.priors import OU
+    from loadid import Ambient
+    from loadid.priors import OU
     from structures import StateSpace
 
     case = tracked.bm3(0, 30_000)

@@ -7,14 +7,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from loadid.families.kalman import LoadTracker
-from loadid.families.tracking.filters import rescaled
-from loadid.families.tracking.fit import TrackerFit
-from loadid.families.tracking.likelihood import Listener, Patchy
-from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.gaussian import priors
-from loadid.inverse.gaussian.records import filter_record as recursive
-from loadid.inverse.gaussian.squareroot import SquareRoot
+from loadid import LoadTracker, priors
+from loadid._families.tracking.filters import rescaled
+from loadid._families.tracking.fit import TrackerFit
+from loadid._families.tracking.likelihood import Listener, Patchy
+from loadid._families.tracking.tracker import Tracker
+from loadid._inverse.gaussian.records import filter_record as recursive
+from loadid._inverse.gaussian.squareroot import SquareRoot
 from tests.tracked import Tracked, bm2
 
 DISP = 3
@@ -112,7 +111,7 @@ def test_sets_of_channels_are_forgotten(monkeypatch):
     """A stream whose sets never come again takes no memory, and what came last is known all the same."""
     from types import SimpleNamespace
 
-    from loadid.families.tracking import likelihood as rhythm
+    from loadid._families.tracking import likelihood as rhythm
 
     monkeypatch.setattr(rhythm, "NAMES", 150)
     listener, rng = Listener(SimpleNamespace(model=SimpleNamespace(m=20))), np.random.default_rng(0)

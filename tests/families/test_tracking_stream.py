@@ -8,13 +8,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from loadid.families.kalman import LoadTracker
-from loadid.families.tracking.fit import TrackerFit
-from loadid.families.tracking.tracker import Tracker
-from loadid.inverse.gaussian import priors
-from structures import ForwardModel, InputError
-from structures.elements import chains
-from structures.system import damping, loads, sensors
+from loadid import LoadTracker, priors
+from loadid._families.tracking.fit import TrackerFit
+from loadid._families.tracking.tracker import Tracker
+from structures import ForwardModel, InputError, chains, damping, loads, sensors
 from tests.families.test_tracking import building
 from tests.tracked import Tracked, bm2, reference
 

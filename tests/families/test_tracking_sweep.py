@@ -7,10 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from loadid import LoadTracker
-from loadid.families.tracking.sweep import QSweep, _corner, q_sweep
-from loadid.inverse.gaussian.priors import Matern32, RandomWalk
-from loadid.plots.choosing import sweep_figure
+from loadid import LoadTracker, q_sweep
+from loadid._families.tracking.sweep import QSweep, _corner
+from loadid._plots.choosing import sweep_figure
+from loadid.priors import Matern32, RandomWalk
 from loadid.settings import ModelErrors
 from structures import InputError
 from tests.families.test_tracking import building, case

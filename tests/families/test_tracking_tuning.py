@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from case_studies import method_map
-from loadid.families.tracking import likelihood as search
-from loadid.families.tracking import tuning
-from loadid.families.tracking.filters import NAMES, Posing
-from loadid.families.tracking.tuning import wrong_samples
-from loadid.inverse.gaussian.priors import Matern32
-from loadid.inverse.gaussian.records import filter_record, smooth_record, smooth_settled
-from loadid.inverse.gaussian.steady import steady
+from loadid._families.tracking import likelihood as search
+from loadid._families.tracking import tuning
+from loadid._families.tracking.filters import NAMES, Posing
+from loadid._families.tracking.tuning import wrong_samples
+from loadid._inverse.gaussian.records import filter_record, smooth_record, smooth_settled
+from loadid._inverse.gaussian.steady import steady
+from loadid.priors import Matern32
 from tests.families.test_tracking import building
 from tests.tracked import Tracked, bm2
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import Deconvolution, read
-from loadid.commands.calibrate import calibrate
+from loadid import Deconvolution, calibrate, read
 from loadid.settings import folded
 from structures import ImpulseModel
 

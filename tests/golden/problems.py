@@ -34,15 +34,24 @@ from loadid import (
     read,
     recommend,
 )
-from loadid.inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
-from loadid.inverse.gaussian.priors import OU, Matern32, Matern52, Periodic, RandomWalk, White
+from loadid.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
+from loadid.priors import OU, Matern32, Matern52, Periodic, RandomWalk, White
 from loadid.settings import Noise, Search, folded
-from structures import Channel, ForwardModel, FrfModel, ImpulseModel, MatrixModel, MeasuredModel, bases
-from structures.elements import beams, chains
-from structures.system import damping, loads, sensors
-from tactile import GelForce, GelSlim, HalfSpace, MultilayerPad, Pad, Press
-from tactile.sensors.observation import Markers
-from tactile.sensors.settings import ContactLaw
+from structures import (
+    Channel,
+    ForwardModel,
+    FrfModel,
+    ImpulseModel,
+    MatrixModel,
+    MeasuredModel,
+    bases,
+    beams,
+    chains,
+    damping,
+    loads,
+    sensors,
+)
+from tactile import ContactLaw, GelForce, GelSlim, HalfSpace, Markers, MultilayerPad, Pad, Press
 from tests.data import measured
 
 from .answers import Answer, answer, kept
@@ -674,9 +683,9 @@ def gel(**settings: Any) -> Answer:
 
 add("tactile/pad/given", lambda: pressed(choice=LAM))
 add("tactile/pad/default", pressed)
-add("tactile/pad in the plane, laplacian/given", lambda: pressed("XY", penalty="laplacian", choice=LAM))
-add("tactile/pad, no pull/given", lambda: pressed(choice=LAM, contact=ContactLaw(no_pull=True)))
-add("tactile/pad, friction/given", lambda: pressed(choice=LAM, contact=ContactLaw(friction=0.5)))
+add("tactile/_pad in the plane, laplacian/given", lambda: pressed("XY", penalty="laplacian", choice=LAM))
+add("tactile/_pad, no pull/given", lambda: pressed(choice=LAM, contact=ContactLaw(no_pull=True)))
+add("tactile/_pad, friction/given", lambda: pressed(choice=LAM, contact=ContactLaw(friction=0.5)))
 add("tactile/stiffness product", slim)
 add("tactile/point forces/least squares", lambda: gel(choice=0, penalty=None))
 add("tactile/point forces/discrepancy", lambda: gel(choice="discrepancy"))

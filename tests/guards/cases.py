@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from structures import InputError, NotIdentifiable
-from structures.flags import Evidence, Flag
+from structures import Flag, InputError, NotIdentifiable
+from structures._flags import Evidence
 
 
 def refused(action: Callable[[], object]) -> tuple[Flag, ...]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from structures.advice import Advice
-from structures.codes import STAGES, Guard, table
+from structures._advice import Advice
+from structures._codes import STAGES, Guard, table
 
 from ..sources import ROOT
 

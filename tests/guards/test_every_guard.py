@@ -12,10 +12,11 @@ from collections.abc import Iterator
 
 import pytest
 
+from loadid._commands.check import NAMES
 from loadid.codes import GUARDS, explained
-from loadid.commands.check import NAMES
-from structures.codes import table
-from structures.flags import Evidence, Flag
+from structures import Flag
+from structures._codes import table
+from structures._flags import Evidence
 
 from ..sources import PACKAGES, called, modules, parsed
 from . import (

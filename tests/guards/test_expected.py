@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, Guards, Noise, Record
-from structures import ForwardModel
-from structures.elements import beams, circular
-from structures.system import damping, loads, sensors
+from structures import ForwardModel, beams, circular, damping, loads, sensors
 
 from .test_histories import COVERED
 

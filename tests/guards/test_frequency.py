@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from loadid import FrequencyInversion, Signal, Spectra
-from structures import ForwardModel, FrfModel
-from structures.elements import beams
-from structures.flags import Flag
-from structures.system import damping, loads, sensors
+from structures import Flag, ForwardModel, FrfModel, beams, damping, loads, sensors
 
 from .. import frfplate
 from ..linecases import case, frf, model, normals

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from structures import FrfModel, cross_spectra
-from structures.flags import Flag
-from structures.testing.frfs import estimate
+from structures import Flag, FrfModel, cross_spectra
+from structures._testing.frfs import estimate
 
 from .cases import Case, refused
 

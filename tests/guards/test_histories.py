@@ -10,13 +10,21 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, Guards, Record, read
-from loadid.commands.check import check
+from loadid._commands.check import check
 from loadid.settings import Noise, folded
 from loadid.validate import Coverage, held_out
-from structures import Channel, ForwardModel, ImpulseModel, InputError, MeasuredModel
-from structures.elements import beams
-from structures.flags import Flag
-from structures.system import damping, loads, sensors
+from structures import (
+    Channel,
+    Flag,
+    ForwardModel,
+    ImpulseModel,
+    InputError,
+    MeasuredModel,
+    beams,
+    damping,
+    loads,
+    sensors,
+)
 from tests.data import measured
 from tests.structures.impacts import hits
 

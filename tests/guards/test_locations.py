@@ -9,9 +9,7 @@ import numpy as np
 from case_studies.impact_location import DT, NODES, SAMPLES, beam, half_sine, noisy, plate, plate_grid, recorded
 from loadid import Lambda, LocationSearch, Search
 from loadid.settings import folded
-from structures import ForwardModel
-from structures.flags import Flag
-from structures.system import sensors
+from structures import Flag, ForwardModel, sensors
 
 from .cases import Case, refused
 

@@ -7,12 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from loadid import Deconvolution, Lambda, SparseDeconvolution
-from loadid.inverse.constraints import NonNegative
-from structures import ForwardModel
-from structures.elements import beams
+from loadid.constraints import NonNegative
+from structures import Flag, ForwardModel, beams, damping, loads, sensors
 from structures.errors import NotIdentifiable
-from structures.flags import Flag
-from structures.system import damping, loads, sensors
 
 from ..inverse.gaussian.dense import operator
 from .cases import Case, refused

@@ -6,9 +6,7 @@ import numpy as np
 
 from loadid import FieldDeconvolution
 from loadid.settings import folded
-from structures import ForwardModel, bases
-from structures.elements import beams
-from structures.system import sensors
+from structures import ForwardModel, bases, beams, sensors
 
 from .cases import Case, refused
 

@@ -8,12 +8,10 @@ from unittest import mock
 import numpy as np
 
 from loadid import Deconvolution, Noise, SparseDeconvolution
-from loadid.guards import families as sparsity
-from loadid.inverse.sparse import lasso as workingset
+from loadid._guards import families as sparsity
+from loadid._inverse.sparse import lasso as workingset
 from loadid.settings import folded
-from structures import ForwardModel, ImpulseModel
-from structures.flags import Flag
-from structures.system import loads, sensors
+from structures import Flag, ForwardModel, ImpulseModel, loads, sensors
 from tests import halfsine
 
 from .cases import Case, refused

@@ -5,20 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import Absolute, Noise, StaticInversion
-from loadid import guards as guards
-from loadid.inverse.constrained.path import ConstrainedPath
-from loadid.inverse.constrained.solver import ConstrainedSolution
-from loadid.inverse.constraints import Bounds, NonNegative, Resultant
-from loadid.inverse.noise_source import NoiseSource
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid import Absolute, Noise, NoiseSource, StaticInversion
+from loadid import _guards as guards
+from loadid._inverse.constrained.path import ConstrainedPath
+from loadid._inverse.constrained.solver import ConstrainedSolution
+from loadid.constraints import Bounds, NonNegative, Resultant
+from loadid.paths import LinearProblem, SVDPath
 from loadid.settings import folded
 from loadid.validate import Known, ReferenceWrench, validate
-from structures import Channel, ForwardModel, MatrixModel
-from structures.elements import beams, solids
-from structures.flags import Flag
-from structures.system import loads, sensors
+from structures import Channel, Flag, ForwardModel, MatrixModel, beams, loads, sensors, solids
 from tests.inverse.test_choice import coloured, in_the_null_space
 
 from .cases import Case, of, refused

@@ -6,14 +6,9 @@ from datetime import datetime
 
 import numpy as np
 
-from structures.flags import Flag
-from tactile import guards, metrics
-from tactile.closed.contact import Hertz, Sphere
-from tactile.pad.pad import Pad
-from tactile.results.forcemap import ForceMap
-from tactile.sensors.gelslim import GelSlim
-from tactile.sensors.observation import Markers
-from tactile.vision.eye import View
+from structures import Flag
+from tactile import ForceMap, GelSlim, Hertz, Markers, Pad, Sphere, View, metrics
+from tactile import _guards as guards
 
 from ..tactile import rigs
 from .cases import Case, refused

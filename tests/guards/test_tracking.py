@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loadid.guards.tracking import (
+from loadid._guards.tracking import (
     believed,
     beyond_the_fit,
     biases,
@@ -22,11 +22,8 @@ from loadid.guards.tracking import (
     undetermined,
     untuned,
 )
-from loadid.inverse.gaussian.observe import observability
-from structures import ForwardModel
-from structures.elements import chains
-from structures.flags import Flag
-from structures.system import loads, sensors
+from loadid._inverse.gaussian.observe import observability
+from structures import Flag, ForwardModel, chains, loads, sensors
 from tests.tracked import Prior, bm2, building, d2, filter_model, judged, matern32, reference, walk
 
 from .cases import Case

@@ -15,11 +15,9 @@ from loadid import (
     SparseDeconvolution,
     StaticInversion,
 )
-from loadid.inverse.choice import CLEARLY, GRADES, unexplained
-from loadid.results.report import fragment
-from structures import ForwardModel
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from loadid._inverse.choice import CLEARLY, GRADES, unexplained
+from loadid._results.report import fragment
+from structures import ForwardModel, beams, damping, loads, sensors
 
 from .cases import Case
 

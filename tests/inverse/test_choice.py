@@ -6,17 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loadid import guards as guards
-from loadid.inverse import choice as choices
-from loadid.inverse import rules
-from loadid.inverse import rules as odds
-from loadid.inverse.choice import DEFAULT_RULES, agreement, choose
-from loadid.inverse.convolution import toeplitz
-from loadid.inverse.noise_source import NoiseSource
-from loadid.inverse.path import PathPoint, RegularizationPath
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
-from loadid.inverse.sweep import RuleResult
+from loadid import NoiseSource
+from loadid import _guards as guards
+from loadid._inverse import choice as choices
+from loadid._inverse import rules
+from loadid._inverse import rules as odds
+from loadid._inverse.choice import DEFAULT_RULES, agreement
+from loadid.paths import LinearProblem, PathPoint, RegularizationPath, RuleResult, SVDPath, choose, toeplitz
 from structures.errors import InputError
 from tests.benchmarks.fredholm import NOISES, PROBLEMS
 

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from loadid.inverse import rules
-from loadid.inverse.choice import choose
-from loadid.inverse.compare import compare
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid._inverse import rules
+from loadid._inverse.compare import compare
+from loadid.paths import LinearProblem, SVDPath, choose
 from tests.benchmarks.fredholm import NOISES, PROBLEMS
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from loadid.inverse import constraints as cones
+from loadid import constraints as cones
 
 
 def points(count: int, dim: int = 3, seed: int = 0) -> np.ndarray:

@@ -10,14 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from loadid.inverse import constraints as cones
-from loadid.inverse.choice import choose
-from loadid.inverse.constrained.path import ConstrainedPath
-from loadid.inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
-from loadid.inverse.path import RegularizationPath
-from loadid.inverse.posterior import from_arrays
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid import constraints as cones
+from loadid._inverse.constrained.path import ConstrainedPath
+from loadid._inverse.posterior import from_arrays
+from loadid.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
+from loadid.paths import LinearProblem, RegularizationPath, SVDPath, choose
 
 CONTACTS = np.arange(12).reshape(4, 3)
 TOTAL = np.kron(np.ones((1, 4)), np.eye(3))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.guards import fighting, stopped
-from loadid.inverse.constrained.path import ConstrainedPath
-from loadid.inverse.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid._guards import fighting, stopped
+from loadid._inverse.constrained.path import ConstrainedPath
+from loadid.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
+from loadid.paths import LinearProblem, SVDPath
 from structures.errors import InputError, NotIdentifiable
 
 N = 6

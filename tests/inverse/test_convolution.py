@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.sparse.linalg import aslinearoperator
 
-from loadid.inverse.convolution import Convolution, PenalizedConvolution, toeplitz
+from loadid._inverse.convolution import Convolution, PenalizedConvolution
+from loadid.paths import toeplitz
 from structures.errors import InputError
 
 SHAPES = [(1, 1, 1, 1), (61, 61, 1, 1), (64, 23, 3, 2), (97, 1, 2, 3), (50, 80, 2, 2), (75, 40, 1, 4)]

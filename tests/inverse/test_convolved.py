@@ -6,17 +6,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loadid.inverse import penalties
-from loadid.inverse.choice import choose
-from loadid.inverse.convolution import PenalizedConvolution, toeplitz
-from loadid.inverse.convolved import posterior as probes
-from loadid.inverse.convolved.path import ConvolvedPath
-from loadid.inverse.convolved.pcg import Circulant, Sides, solve
-from loadid.inverse.convolved.posterior import diagonals, profile
-from loadid.inverse.path import RegularizationPath
-from loadid.inverse.posterior import Posterior, from_arrays
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid._inverse import penalties
+from loadid._inverse.convolution import PenalizedConvolution
+from loadid._inverse.convolved import posterior as probes
+from loadid._inverse.convolved.path import ConvolvedPath
+from loadid._inverse.convolved.pcg import Circulant, Sides, solve
+from loadid._inverse.convolved.posterior import diagonals, profile
+from loadid._inverse.posterior import Posterior, from_arrays
+from loadid.paths import LinearProblem, RegularizationPath, SVDPath, choose, toeplitz
 from structures.errors import InputError, NotIdentifiable
 
 from .reference import augmented, penalty
@@ -222,7 +219,7 @@ def test_an_iteration_that_does_not_settle_is_no_answer(monkeypatch: pytest.Monk
     h, y = record(ringing(200))
     operator = PenalizedConvolution(h, 200)
     circulant = Circulant(operator, 1e-3 * np.abs(operator.spectrum).max())
-    monkeypatch.setattr("loadid.inverse.convolved.pcg.FACTORED", 199)
+    monkeypatch.setattr("loadid._inverse.convolved.pcg.FACTORED", 199)
     with pytest.raises(NotIdentifiable, match="do not determine"):
         solve(operator, circulant, Sides(y=y.T[None]), most=5)
     with pytest.raises(InputError, match="too small"):

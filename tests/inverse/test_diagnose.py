@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from loadid.inverse.convolution import toeplitz
-from loadid.inverse.convolved.padded import SpectralPath
-from loadid.inverse.diagnosis import diagnose
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid._inverse.convolved.padded import SpectralPath
+from loadid._inverse.diagnosis import diagnose
+from loadid.paths import LinearProblem, SVDPath, toeplitz
+from structures._testing.spectra import padded_length
 from structures.errors import InputError, NotIdentifiable
-from structures.testing.spectra import padded_length
 
 FWHM = 2 * np.sqrt(2 * np.log(2))
 

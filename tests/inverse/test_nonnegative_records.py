@@ -9,15 +9,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from loadid.inverse.constrained.condensed import BlockNormal
-from loadid.inverse.constrained.exchange import gap
-from loadid.inverse.constrained.nonnegative import NonNegativeRecord, discrepancy, minimise
-from loadid.inverse.constrained.path import ConstrainedPath
-from loadid.inverse.constraints import NonNegative
-from loadid.inverse.gaussian.record import WhitenedRecord, augment, record
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.rules import discrepancy_level
-from loadid.inverse.svd import SVDPath
+from loadid._inverse.constrained.condensed import BlockNormal
+from loadid._inverse.constrained.exchange import gap
+from loadid._inverse.constrained.nonnegative import NonNegativeRecord, discrepancy, minimise
+from loadid._inverse.constrained.path import ConstrainedPath
+from loadid._inverse.gaussian.record import WhitenedRecord, augment, record
+from loadid._inverse.rules import discrepancy_level
+from loadid.constraints import NonNegative
+from loadid.paths import LinearProblem, SVDPath
 from structures.errors import InputError, NotIdentifiable
 from tests import halfsine
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.spatial
 
-from loadid.inverse import penalties
+from loadid._inverse import penalties
 from structures.errors import InputError
 
 from . import reference

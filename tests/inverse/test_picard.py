@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loadid.inverse.diagnosis.picard import decay, plateau
+from loadid._inverse.diagnosis.picard import decay, plateau
 from structures.errors import InputError
 
 R = 60

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from loadid.inverse.convolution import toeplitz
-from loadid.inverse.convolved.padded import SpectralPath
-from loadid.inverse.posterior import DensePosterior, Posterior, SpectralPosterior, from_arrays
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid._inverse.convolved.padded import SpectralPath
+from loadid._inverse.posterior import DensePosterior, Posterior, SpectralPosterior, from_arrays
+from loadid.paths import LinearProblem, SVDPath, toeplitz
+from structures._testing.spectra import padded_length
 from structures.errors import InputError
-from structures.testing.spectra import padded_length
 
 from .reference import augmented, echo, ill_conditioned, penalty
 

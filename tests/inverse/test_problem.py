@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loadid.inverse.problem import Cholesky, LinearProblem, whiten, whitener
-from loadid.inverse.svd import SVDPath
+from loadid._inverse.problem import Cholesky, whiten, whitener
+from loadid.paths import LinearProblem, SVDPath
 from structures.errors import InputError
 
 RNG = np.random.default_rng(3)

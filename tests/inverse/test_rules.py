@@ -4,16 +4,13 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from loadid.inverse import rules
-from loadid.inverse import rules as odds
-from loadid.inverse.choice import GRADES
-from loadid.inverse.convolution import toeplitz
-from loadid.inverse.convolved.padded import SpectralPath
-from loadid.inverse.path import PathPoint, RegularizationPath
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid._inverse import rules
+from loadid._inverse import rules as odds
+from loadid._inverse.choice import GRADES
+from loadid._inverse.convolved.padded import SpectralPath
+from loadid.paths import LinearProblem, PathPoint, RegularizationPath, SVDPath, toeplitz
+from structures._testing.spectra import padded_length
 from structures.errors import InputError
-from structures.testing.spectra import padded_length
 from tests.benchmarks.fredholm import PROBLEMS
 from tests.benchmarks.rules import PENALTIES, Outcome, Setting, outcomes
 

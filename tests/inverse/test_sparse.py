@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse import rules
-from loadid.inverse.sparse import dictionaries, groups, lasso
-from loadid.inverse.sparse import lasso as workingset
-from loadid.inverse.sparse import support as debias
-from loadid.inverse.sparse.atoms import DenseAtoms, MatrixAtoms, ShiftedAtoms
-from loadid.inverse.sparse.path import SparsePath, log_supports
+from loadid._inverse import rules
+from loadid._inverse.sparse import dictionaries, groups, lasso
+from loadid._inverse.sparse import lasso as workingset
+from loadid._inverse.sparse import support as debias
+from loadid._inverse.sparse.atoms import DenseAtoms, MatrixAtoms, ShiftedAtoms
+from loadid._inverse.sparse.path import SparsePath, log_supports
 from structures import InputError
 from tests import halfsine
 
@@ -81,7 +81,7 @@ def test_a_matrix_of_the_user_is_a_dictionary():
 
 
 def test_a_matrix_that_does_not_fit_in_memory_is_refused(monkeypatch):
-    monkeypatch.setattr("loadid.inverse.sparse.atoms.LARGEST", 1000)
+    monkeypatch.setattr("loadid._inverse.sparse.atoms.LARGEST", 1000)
     with pytest.raises(InputError, match="too large"):
         MatrixAtoms(decaying(), np.eye(SHORT))
 

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from loadid.inverse import rules
-from loadid.inverse import spectral as pooled
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.spectral import Compressed, LinesPath, compress, factor, identifiable, posterior, window
-from loadid.inverse.svd import SVDPath
-from loadid.inverse.sweep import RuleResult, Sweep
-from loadid.results.functionals import nearest_zeros
+from loadid._inverse import rules
+from loadid._inverse import spectral as pooled
+from loadid._inverse.spectral import Compressed, LinesPath, compress, factor, identifiable, posterior, window
+from loadid._results.functionals import nearest_zeros
+from loadid.paths import LinearProblem, RuleResult, SVDPath, Sweep
 from structures import InputError
 
 from ..linecases import case, normals

@@ -7,11 +7,9 @@ import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loadid.inverse import rules
-from loadid.inverse import svd as gsvd
-from loadid.inverse.choice import choose
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid._inverse import rules
+from loadid._inverse import svd as gsvd
+from loadid.paths import LinearProblem, SVDPath, choose
 from structures.errors import InputError, NotIdentifiable
 
 from .reference import augmented, echo, ill_conditioned, penalty

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from loadid.inverse.convolution import toeplitz
-from loadid.inverse.convolved.padded import SpectralPath
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid._inverse.convolved.padded import SpectralPath
+from loadid.paths import LinearProblem, SVDPath, toeplitz
+from structures._testing.spectra import padded_length
 from structures.errors import InputError, NotIdentifiable
-from structures.testing.spectra import padded_length
 
 from .reference import augmented, echo, penalty
 

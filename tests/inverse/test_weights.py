@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loadid.families.posing.posed import roughness
+from loadid._families.posing.posed import roughness
 
 N = 1024
 

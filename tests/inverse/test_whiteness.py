@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from loadid.inverse.convolution import toeplitz
-from loadid.inverse.path import RegularizationPath
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
-from loadid.inverse.sweep import COLOURED, KS, effective_number, ncp_statistic, plateau_test, residual_test
+from loadid._inverse.sweep import COLOURED, KS, effective_number, ncp_statistic, plateau_test, residual_test
+from loadid.paths import LinearProblem, RegularizationPath, SVDPath, toeplitz
 from structures.errors import InputError
 from tests.benchmarks.fredholm import NOISES, PROBLEMS
 

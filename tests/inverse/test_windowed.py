@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse.choice import choose
-from loadid.inverse.convolution import toeplitz
-from loadid.inverse.convolved import windows as windowed
-from loadid.inverse.convolved.path import ConvolvedPath
-from loadid.inverse.convolved.windows import WindowedPath, beginning_of
-from loadid.inverse.gaussian.coarse import confirm
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
+from loadid._inverse.convolved import windows as windowed
+from loadid._inverse.convolved.path import ConvolvedPath
+from loadid._inverse.convolved.windows import WindowedPath, beginning_of
+from loadid._inverse.gaussian.coarse import confirm
+from loadid.paths import LinearProblem, SVDPath, choose, toeplitz
 from structures.errors import InputError
 
 from .test_convolved import ringing
@@ -93,7 +90,7 @@ def test_a_quiet_beginning_does_not_stand_for_the_record():
 def test_the_sweep_begins_where_the_iteration_settles(factored, monkeypatch):
     """A response with a tail of noise, as measured ones have: the scalars are those of a dense SVD."""
     if not factored:
-        monkeypatch.setattr("loadid.inverse.convolved.pcg.FACTORED", 0)
+        monkeypatch.setattr("loadid._inverse.convolved.pcg.FACTORED", 0)
     n, rng = 600, np.random.default_rng(0)
     t = np.arange(n)
     h = np.diff(np.exp(-0.002 * t) * np.sin(0.3 * (t + 1)), prepend=0.0) + 0.015 * rng.standard_normal(n)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loadid.inverse.convolved.path import ConvolvedPath
-from loadid.inverse.convolved.windows import solve_in_windows
+from loadid._inverse.convolved.path import ConvolvedPath
+from loadid._inverse.convolved.windows import solve_in_windows
 from structures.errors import InputError
 
 from .test_convolved import ringing

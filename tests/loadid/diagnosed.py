@@ -4,12 +4,10 @@ from functools import cache
 
 import numpy as np
 
-from loadid.inverse.choice import Choice, choose
-from loadid.inverse.diagnosis import diagnose
-from loadid.inverse.noise_source import NoiseSource
-from loadid.inverse.problem import LinearProblem
-from loadid.inverse.svd import SVDPath
-from loadid.results.estimate import Axis, LoadEstimate
+from loadid import LoadEstimate, NoiseSource
+from loadid._inverse.diagnosis import diagnose
+from loadid._results.estimate import Axis
+from loadid.paths import Choice, LinearProblem, SVDPath, choose
 
 
 @cache

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loadid.inverse.choice import Choice, PathCurve
-from loadid.inverse.noise_source import NoiseSource
-from loadid.inverse.sweep import RuleResult
-from loadid.results.estimate import Axis, LoadEstimate
-from structures.certificate import Certificate
-from structures.flags import Evidence, Flag
+from loadid import LoadEstimate, NoiseSource
+from loadid._inverse.choice import PathCurve
+from loadid._results.estimate import Axis
+from loadid.paths import Choice, RuleResult
+from structures import Certificate, Flag
+from structures._flags import Evidence
 
 
 @dataclass

@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from loadid.results.estimate import Axis, LoadEstimate
-from structures import Channel
-from structures.models.tabulated import FrfModel
+from loadid import LoadEstimate
+from loadid._results.estimate import Axis
+from structures import Channel, FrfModel
 
 LINES = np.arange(5.0, 101.0, 0.5)  # Hz
 

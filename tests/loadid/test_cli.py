@@ -9,23 +9,20 @@ from importlib.metadata import EntryPoint, EntryPoints
 import numpy as np
 import pytest
 
-from loadid import cli, commands
-from loadid.commands import check as checking
-from loadid.commands import demo as demonstration
-from loadid.commands._arguments import units
-from loadid.commands._outputs import Bar
-from loadid.commands.calibrate import calibrate
-from loadid.commands.identify import identify
-from loadid.record import Record
-from loadid.results.estimate import LoadEstimate
-from loadid.results.summary import against
+from loadid import LoadEstimate, Record, calibrate, cli, identify
+from loadid import _commands as commands
+from loadid._commands import check as checking
+from loadid._commands import demo as demonstration
+from loadid._commands._arguments import units
+from loadid._commands._outputs import Bar
+from loadid._results.summary import against
 from loadid.settings import Lambda, Penalty, Sparsity
-from structures.channels import Channel
+from structures import Channel
 from structures.errors import InputError, NotIdentifiable
 from tests.data import measured
 
 GROUP = EntryPoints(
-    EntryPoint(name, f"loadid.commands.{name}:command", cli.GROUP)
+    EntryPoint(name, f"loadid._commands.{name}:command", cli.GROUP)
     for name in ("demo", "info", "check", "calibrate", "identify")
 )
 RATE = 2000.0
@@ -85,7 +82,7 @@ from loadid import cli
 assert cli.main(["--version"]) == 0
 heavy = {"scipy", "matplotlib", "h5py", "casadi", "filterpy", "skfem", "clarabel"} & set(sys.modules)
 assert not heavy, heavy
-from loadid.commands import calibrate, check, demo, identify, info
+from loadid._commands import calibrate, check, demo, identify, info
 heavy = {"scipy", "matplotlib", "h5py"} & set(sys.modules)
 assert not heavy, heavy
 """
@@ -414,8 +411,8 @@ def asking(name: str):
     ],
 )
 def test_words_of_the_command_line_reach_the_family(run, logs, model, tmp_path, monkeypatch, words, asked):
-    monkeypatch.setattr("loadid.families.sparse.SparseDeconvolution", asking("SparseDeconvolution"))
-    monkeypatch.setattr("loadid.families.deconvolution.Deconvolution", asking("Deconvolution"))
+    monkeypatch.setattr("loadid._families.sparse.SparseDeconvolution", asking("SparseDeconvolution"))
+    monkeypatch.setattr("loadid._families.deconvolution.Deconvolution", asking("Deconvolution"))
     with pytest.raises(Asked) as caught:
         run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", *words)
     del caught.value.args[0]["progress"]
@@ -423,9 +420,9 @@ def test_words_of_the_command_line_reach_the_family(run, logs, model, tmp_path, 
 
 
 def test_loads_that_push_are_a_constraint_where_the_family_has_constraints(run, logs, model, tmp_path, monkeypatch):
-    from loadid.inverse.constraints import NonNegative
+    from loadid.constraints import NonNegative
 
-    monkeypatch.setattr("loadid.families.deconvolution.Deconvolution", asking("Deconvolution"))
+    monkeypatch.setattr("loadid._families.deconvolution.Deconvolution", asking("Deconvolution"))
     with pytest.raises(Asked) as caught:
         run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", "--nonnegative")
     (one,) = caught.value.args[0]["constraints"]

@@ -10,9 +10,7 @@ import pytest
 
 from loadid import LoadEstimate
 from loadid.cli import main
-from structures import ForwardModel, FrfModel
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from structures import ForwardModel, FrfModel, beams, damping, loads, sensors
 
 DT = 1 / 2000
 NODES = (8, 20, 31)
@@ -62,7 +60,7 @@ def test_spectra_of_the_load(files: Path, tmp_path: Path, capsys: pytest.Capture
     assert found.units == ("(N)^2/Hz",)
     inside = (found.axis.values >= 25) & (found.axis.values <= 250)
     assert inside.all()
-    from structures.testing.welch import cross_spectra
+    from structures import cross_spectra
 
     known = cross_spectra(np.load(files / "force.npy")[:, None], DT, segment=4096)
     truth = np.interp(found.axis.values, known.frequencies, known.autospectra[:, 0])

@@ -9,10 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from loadid import InputError, design
-from loadid.design import layout as search
-from structures import Channel, ForwardModel, MatrixModel
-from structures.elements import beams
-from structures.system import loads, sensors
+from loadid.design import _layout as search
+from structures import Channel, ForwardModel, MatrixModel, beams, loads, sensors
 
 
 def dense(A):

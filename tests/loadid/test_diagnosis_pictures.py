@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from loadid import plots
-from loadid.results.estimate import LoadEstimate
+from loadid import LoadEstimate
+from loadid import _plots as plots
 from structures.errors import InputError
 from tests.loadid.diagnosed import line, surface
 from tests.loadid.made import impact
@@ -197,7 +197,7 @@ def test_scattered_places_and_wrong_questions():
 
 # -- report, summary, file --------------------------------------------------------------------------------------------
 def test_the_report_says_what_the_data_can_tell(estimate):
-    from loadid.results.report import page
+    from loadid._results.report import page
 
     read = Page(page(estimate))
     for word in (

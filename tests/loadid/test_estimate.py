@@ -9,20 +9,21 @@ import types
 import numpy as np
 import pytest
 
-from loadid.results import estimate as module
-from loadid.results.estimate import Axis, LoadEstimate
-from loadid.results.summary import plus_minus, quantity
+from loadid import LoadEstimate
+from loadid._results import estimate as module
+from loadid._results.estimate import Axis
+from loadid._results.summary import plus_minus, quantity
 from structures.errors import InputError
-from structures.files import storage
+from structures.files import _storage as storage
 from tests.loadid.made import CERTIFICATE, Gaussian, impact, static
 
 
 @pytest.fixture
 def posterior_module(monkeypatch):
     """Stands in for the module that rebuilds posteriors."""
-    fake = types.ModuleType("loadid.inverse.posterior")
+    fake = types.ModuleType("loadid._inverse.posterior")
     fake.from_arrays = lambda arrays: Gaussian(**arrays)
-    monkeypatch.setitem(sys.modules, "loadid.inverse.posterior", fake)
+    monkeypatch.setitem(sys.modules, "loadid._inverse.posterior", fake)
 
 
 def test_arrays_and_mappings_cannot_be_changed():

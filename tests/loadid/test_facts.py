@@ -7,10 +7,10 @@ from dataclasses import FrozenInstanceError, fields, replace
 
 import pytest
 
-from loadid.results.estimate import LoadEstimate
-from loadid.results.facts import Facts
-from loadid.results.location import LocationFacts
-from loadid.results.summary import facts as listed
+from loadid import LoadEstimate
+from loadid._results.facts import Facts
+from loadid._results.location import LocationFacts
+from loadid._results.summary import facts as listed
 
 from .made import impact
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from loadid import guards as flags
-from loadid.inverse.diagnosis.resolution import Refinement
+from loadid import _guards as flags
+from loadid._inverse.diagnosis.resolution import Refinement
 
 
 def test_nodal_forces_are_no_pressure():

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loadid import InputError, Record
-from loadid.guards.measurement import resultant_only
-from loadid.results.estimate import Axis, LoadEstimate
+from loadid import InputError, LoadEstimate, Record
+from loadid._guards.measurement import resultant_only
+from loadid._results.estimate import Axis
 from loadid.validate import Known, PressureMat, ReferenceWrench, Validation, held_out, validate
 from structures import Channel, MatrixModel
-from structures.files import storage
+from structures.files import _storage as storage
 from tests.loadid.made import impact
 
 P = 12

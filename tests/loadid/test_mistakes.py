@@ -8,13 +8,12 @@ import pytest
 
 import loadid
 from loadid import Record, StaticInversion, cli, read, read_all
-from loadid.commands.identify import known_load
-from loadid.families.data import WITHOUT_SENSOR
-from loadid.readers import outline
-from structures import Channel, MatrixModel
-from structures.advice import Option
+from loadid._commands.identify import known_load
+from loadid._families.data import WITHOUT_SENSOR
+from loadid._readers import outline
+from structures import Channel, MatrixModel, MeasuredModel
+from structures._advice import Option
 from structures.errors import InputError
-from structures.models.measured import MeasuredModel
 from tests.loadid.made import impact
 from tests.loadid.readers.files import small_files
 from tests.loadid.test_cli import RATE, hit, installed, logs, model, run

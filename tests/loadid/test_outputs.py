@@ -5,7 +5,7 @@ import os
 import pytest
 
 from loadid import cli
-from loadid.commands._outputs import require_outputs
+from loadid._commands._outputs import require_outputs
 from structures.errors import InputError
 from tests.loadid.test_cli import installed, logs, model, run
 
@@ -78,7 +78,7 @@ def test_a_report_that_fails_leaves_no_result(run, logs, model, tmp_path, monkey
     def fail(*args, **kwargs):
         raise InputError("broken")
 
-    monkeypatch.setattr("loadid.results.report.page", fail)
+    monkeypatch.setattr("loadid._results.report.page", fail)
     code, _, err = run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", "--report", tmp_path / "p.html")
     assert code == 3
     assert "broken" in err
@@ -97,7 +97,7 @@ def test_a_run_that_is_stopped_leaves_no_partial_result(run, logs, model, tmp_pa
             raise KeyboardInterrupt
 
     monkeypatch.setattr(
-        *("os.fsync", stop) if where == "while it writes" else ("loadid.commands._outputs.Bar.__call__", stop)
+        *("os.fsync", stop) if where == "while it writes" else ("loadid._commands._outputs.Bar.__call__", stop)
     )
     code, out, err = run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5")
     assert (code, out) == (130, "")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from loadid.inverse.choice import Choice
-from loadid.results.estimate import Axis
-from loadid.results.summary import pulse_window
+from loadid._results.estimate import Axis
+from loadid._results.summary import pulse_window
+from loadid.paths import Choice
 from structures.errors import InputError
 from tests.loadid.made import CERTIFICATE, half_sine, impact, static
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from loadid.quality import describe, health, noise_std, quiet_segment, require_finite
-from loadid.record import Record
-from structures.channels import Channel
+from loadid import Record
+from loadid._quality import describe, health, noise_std, quiet_segment, require_finite
+from structures import Channel
 from structures.errors import InputError
 from tests.data import measured
 

@@ -4,8 +4,8 @@ import hashlib
 import numpy as np
 import pytest
 
-from loadid.record import Record
-from structures.channels import Channel
+from loadid import Record
+from structures import Channel
 from structures.errors import InputError
 
 RNG = np.random.default_rng(1)

@@ -8,9 +8,10 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from loadid.results.report import fragment, page
+from loadid._results.report import fragment, page
+from structures import Flag
+from structures._flags import Evidence
 from structures.errors import InputError
-from structures.flags import Evidence, Flag
 from tests.loadid.made import CERTIFICATE, half_sine, impact, static
 
 VOID = {"meta", "br", "img", "source"}
@@ -129,7 +130,7 @@ def test_it_is_written_whole_and_is_the_same_each_time(tmp_path):
 
 
 def test_a_folder_that_is_not_there_is_said_before_anything_is_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr("loadid.results.report.page", lambda *a, **k: pytest.fail("drawn in vain"))
+    monkeypatch.setattr("loadid._results.report.page", lambda *a, **k: pytest.fail("drawn in vain"))
     with pytest.raises(InputError, match=r"the folder does not exist.*none"):
         small().report(tmp_path / "none" / "a.html")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from loadid.sources import band_power, octave_bands
-from loadid.sources.levels import bands_of
+from loadid.sources._levels import bands_of
 from structures import InputError
 
 THIRDS = [

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loadid.results.estimate import Axis, LoadEstimate
+from loadid import LoadEstimate
+from loadid._results.estimate import Axis
 from loadid.sources import contributions, synthesise
-from structures import ForwardModel, InputError
-from structures.elements import chains
-from structures.system import loads, sensors
+from structures import ForwardModel, InputError, chains, loads, sensors
 from tests.loadid import sourced
 from tests.loadid.made import Gaussian
 from tests.loadid.sourced import LINES, densities, estimated, table

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loadid.plots.sources import mac_figure
+from loadid._plots.sources import mac_figure
 from loadid.sources import compare, contributions, mac, validate_on
 from structures import InputError
 from tests.loadid import sourced

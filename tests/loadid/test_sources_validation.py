@@ -7,11 +7,7 @@ import pytest
 
 from loadid import Deconvolution, Record
 from loadid.sources import split, validate_on
-from structures import Channel, ForwardModel, InputError, MeasuredModel
-from structures.elements import chains
-from structures.models.tabulated import FrfModel
-from structures.system import loads, sensors
-from structures.testing.welch import CrossSpectra
+from structures import Channel, CrossSpectra, ForwardModel, FrfModel, InputError, MeasuredModel, chains, loads, sensors
 from tests.loadid import sourced
 from tests.loadid.sourced import LINES, densities, estimated, solved, table
 

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from loadid import FrequencyInversion, Spectra, load
-from loadid.results.functionals import LoadSpectrum, in_words
+from loadid._results.functionals import LoadSpectrum, in_words
 from structures import CrossSpectra, FrfModel, InputError
 from tests import frfplate
 from tests.linecases import case, model, normals

@@ -15,17 +15,17 @@ import numpy as np
 import pytest
 
 from loadid import cli
-from loadid.families.tracking import tracker as checkpoint
-from loadid.families.tracking.tracker import Tracker
-from loadid.stream import follow
-from structures.files import storage
+from loadid._families.tracking import tracker as checkpoint
+from loadid._families.tracking.tracker import Tracker
+from loadid._stream import follow
+from structures.files import _storage as storage
 from tests.killed import fitted, text
 
 
 @pytest.fixture(autouse=True)
 def installed(monkeypatch):
     """Entry points as an installed package has them."""
-    group = EntryPoints([EntryPoint("track", "loadid.commands.track:command", cli.GROUP)])
+    group = EntryPoints([EntryPoint("track", "loadid._commands.track:command", cli.GROUP)])
     monkeypatch.setattr(cli, "entry_points", lambda group=None, found=group: found)
 
 

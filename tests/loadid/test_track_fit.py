@@ -6,17 +6,14 @@ from importlib.metadata import EntryPoint, EntryPoints
 import numpy as np
 import pytest
 
-from loadid import cli, read
-from loadid.commands.check import check
-from loadid.commands.identify import identify
-from loadid.families import kalman
-from loadid.families.tracking.tracker import Tracker
+from loadid import cli, identify, read
+from loadid._commands.check import check
+from loadid._families import kalman
+from loadid._families.tracking.tracker import Tracker
 from loadid.settings import Guards, ModelErrors, Noise, Online, Priors
-from structures import ForwardModel, MeasuredModel
-from structures.elements import beams
+from structures import ForwardModel, MeasuredModel, beams, damping, loads, sensors
 from structures.errors import NotIdentifiable
-from structures.files import storage
-from structures.system import damping, loads, sensors
+from structures.files import _storage as storage
 
 DT = 0.005
 
@@ -47,7 +44,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture
 def run(folder, monkeypatch, capfd):
-    group = EntryPoints([EntryPoint("track", "loadid.commands.track:command", cli.GROUP)])
+    group = EntryPoints([EntryPoint("track", "loadid._commands.track:command", cli.GROUP)])
     monkeypatch.setattr(cli, "entry_points", lambda group=None, found=group: found)
     monkeypatch.chdir(folder)
 
@@ -66,7 +63,7 @@ def first(folder):
         patch.chdir(folder)
         patch.setattr(
             cli, "entry_points",
-            lambda group=None: EntryPoints([EntryPoint("track", "loadid.commands.track:command", cli.GROUP)]),
+            lambda group=None: EntryPoints([EntryPoint("track", "loadid._commands.track:command", cli.GROUP)]),
         )  # fmt: skip
         words = "--model model.h5 --fit record.csv --prior ou --state s.h5 --in stream.csv --out out.csv --idle 0"
         assert cli.main(["track", *words.split()]) == 0

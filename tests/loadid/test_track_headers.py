@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from loadid import cli
-from loadid.families.tracking import tracker as checkpoint
-from loadid.families.tracking.tracker import Tracker
-from loadid.stream import follow
-from loadid.stream.clock import Clock
-from loadid.stream.framing import Lines
-from loadid.stream.header import ColumnLayout
-from structures.channels import Channel
+from loadid._families.tracking import tracker as checkpoint
+from loadid._families.tracking.tracker import Tracker
+from loadid._stream import follow
+from loadid._stream.clock import Clock
+from loadid._stream.framing import Lines
+from loadid._stream.header import ColumnLayout
+from structures import Channel
 from structures.errors import InputError
 from tests.killed import fitted, text
 
@@ -158,7 +158,7 @@ def test_a_sender_whose_clock_was_put_back_while_nobody_listened_is_told_of(capl
 # -- from end to end --------------------------------------------------------------------------------------------------
 @pytest.fixture(autouse=True)
 def installed(monkeypatch):
-    group = EntryPoints([EntryPoint("track", "loadid.commands.track:command", cli.GROUP)])
+    group = EntryPoints([EntryPoint("track", "loadid._commands.track:command", cli.GROUP)])
     monkeypatch.setattr(cli, "entry_points", lambda group=None, found=group: found)
 
 

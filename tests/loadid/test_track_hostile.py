@@ -6,12 +6,12 @@ import threading
 import numpy as np
 import pytest
 
-from loadid.stream.clock import SEEN, Clock
-from loadid.stream.framing import HOPELESS, Lines
-from loadid.stream.header import printable
-from loadid.stream.output import Output
-from loadid.stream.sources import open_source, require_source
-from structures.channels import Channel
+from loadid._stream.clock import SEEN, Clock
+from loadid._stream.framing import HOPELESS, Lines
+from loadid._stream.header import printable
+from loadid._stream.output import Output
+from loadid._stream.sources import open_source, require_source
+from structures import Channel
 from structures.errors import InputError
 
 SENSORS = (Channel(label="a"), Channel(label="d"))

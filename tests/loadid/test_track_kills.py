@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from loadid.families.tracking import tracker as checkpoint
-from loadid.stream import follow
+from loadid._families.tracking import tracker as checkpoint
+from loadid._stream import follow
 from tests.killed import Nursery, fitted, leaves, tortured, troubled
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and SIGKILL")

@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 
 from loadid import cli
-from loadid.families.tracking import tracker as checkpoint
-from loadid.families.tracking.tracker import Tracker
-from loadid.stream import follow
-from loadid.stream.output import Output, StateLock, taken
+from loadid._families.tracking import tracker as checkpoint
+from loadid._families.tracking.tracker import Tracker
+from loadid._stream import follow
+from loadid._stream.output import Output, StateLock, taken
 from structures.errors import InputError
 from tests.killed import fitted, text
 
 
 @pytest.fixture(autouse=True)
 def installed(monkeypatch):
-    group = EntryPoints([EntryPoint("track", "loadid.commands.track:command", cli.GROUP)])
+    group = EntryPoints([EntryPoint("track", "loadid._commands.track:command", cli.GROUP)])
     monkeypatch.setattr(cli, "entry_points", lambda group=None, found=group: found)
 
 
@@ -144,7 +144,7 @@ def test_a_state_is_held_by_one_run(made, run, tmp_path):
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 def test_a_lock_dies_with_its_process(tmp_path):
     code = (
-        "import sys; from loadid.stream.output import StateLock; held = StateLock(sys.argv[1]); "
+        "import sys; from loadid._stream.output import StateLock; held = StateLock(sys.argv[1]); "
         "print('held', flush=True); sys.stdin.read()"
     )
     argv = [sys.executable, "-c", code, str(tmp_path / "s.h5")]

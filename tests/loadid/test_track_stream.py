@@ -8,13 +8,13 @@ import time
 import numpy as np
 import pytest
 
-from loadid.commands.track import BINS, History, live
-from loadid.stream.clock import LONGEST, REGULAR, Clock
-from loadid.stream.framing import LONGEST as LINE
-from loadid.stream.framing import Lines
-from loadid.stream.output import Output
-from loadid.stream.sources import GrowingFile, Pumped, open_source
-from structures.channels import Channel
+from loadid._commands.track import BINS, History, live
+from loadid._stream.clock import LONGEST, REGULAR, Clock
+from loadid._stream.framing import LONGEST as LINE
+from loadid._stream.framing import Lines
+from loadid._stream.output import Output
+from loadid._stream.sources import GrowingFile, Pumped, open_source
+from structures import Channel
 from structures.errors import InputError
 
 SENSORS = (

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from loadid._results.report import page
+from loadid._results.summary import against, allowed, cannot_tell, comparison, share
 from loadid.codes import GUARDS, known_codes
-from loadid.inverse.choice import Choice
-from loadid.results.report import page
-from loadid.results.summary import against, allowed, cannot_tell, comparison, share
+from loadid.paths import Choice
+from structures import Flag
+from structures._flags import Evidence
 from structures.errors import InputError
-from structures.flags import Evidence, Flag
 from tests.loadid.made import half_sine, impact
 
 

@@ -9,10 +9,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from loadid.inverse.constraints import NonNegative
-from structures import ForwardModel, ImpulseModel, MeasuredModel, TrainingRecords
-from structures.elements import beams
-from structures.system import damping, loads, sensors
+from loadid.constraints import NonNegative
+from structures import ForwardModel, ImpulseModel, MeasuredModel, TrainingRecords, beams, damping, loads, sensors
 
 from . import reference
 from .reference import Problem

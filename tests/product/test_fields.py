@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from loadid import FieldDeconvolution
-from loadid.inverse import penalties
-from loadid.inverse.constraints import NonNegative
+from loadid._inverse import penalties
+from loadid.constraints import NonNegative
 from loadid.settings import folded
-from structures import ForwardModel, InputError, bases
-from structures.system import sensors
+from structures import ForwardModel, InputError, bases, sensors
 
 from . import histories, reference
 from .histories import BEAM, DT

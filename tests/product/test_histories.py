@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, Lambda, NotIdentifiable
-from loadid.inverse import penalties, rules
-from loadid.inverse.convolved import windows
+from loadid._inverse import penalties, rules
+from loadid._inverse.convolved import windows
 from loadid.settings import folded
 from structures import ImpulseModel, InputError
 

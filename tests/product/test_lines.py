@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from loadid import FrequencyInversion, HarmonicInversion, Spectra
-from loadid.inverse import rules
+from loadid._inverse import rules
 from loadid.settings import folded
-from structures import ForwardModel, InputError, bases
-from structures.system import loads, sensors
-from structures.testing.spectra import padded_length
+from structures import ForwardModel, InputError, bases, loads, sensors
+from structures._testing.spectra import padded_length
 
 from . import reference
 from .histories import BEAM, DT

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from loadid import InputError, SparseDeconvolution
-from loadid.inverse import rules
+from loadid._inverse import rules
 from loadid.settings import folded
 
 from . import histories, reference

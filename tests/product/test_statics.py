@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from loadid import Absolute, StaticInversion
-from loadid.inverse import penalties, rules
-from loadid.inverse.constraints import Bounds, NonNegative, Resultant, Support
+from loadid._inverse import penalties, rules
+from loadid.constraints import Bounds, NonNegative, Resultant, Support
 from loadid.settings import folded
-from structures import ForwardModel, InputError, MatrixModel, bases
-from structures.elements import beams
-from structures.system import sensors
+from structures import ForwardModel, InputError, MatrixModel, bases, beams, sensors
 
 from . import reference
 

@@ -8,7 +8,7 @@ from scipy import sparse
 from scipy.optimize import brentq
 from scipy.sparse.linalg import eigsh, spsolve
 
-from structures.system.structure import Structure
+from structures import Structure
 
 
 def frequencies(structure: Structure, modes: int) -> np.ndarray:

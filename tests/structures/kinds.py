@@ -4,9 +4,8 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from structures.elements import beams, chains, plates
-from structures.elements.members import Material, Section
-from structures.system.structure import Structure
+from structures import Structure, beams, chains, plates
+from structures._elements.members import Material, Section
 
 UNIT = {"length": 1.0, "EI": 1.0, "mass_per_length": 1.0}
 ALLOY = Material(E=70e9, rho=2700.0, nu=0.3)

@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from structures import ForwardModel, ImpulseModel, InputError, StateSpace, Structure
-from structures.elements import beams, chains, plates
-from structures.system import damping
-from structures.system.loads import MovingPoint, Patch, Point
-from structures.system.sensors import Displacement, StrainGauge
+from structures import ForwardModel, ImpulseModel, InputError, StateSpace, Structure, beams, chains, damping, plates
+from structures._system.loads import MovingPoint, Patch, Point
+from structures._system.sensors import Displacement, StrainGauge
 
 FLAT = beams.Section.rectangle(0.04, 0.008)
 steel = beams.materials.steel

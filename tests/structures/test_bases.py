@@ -8,13 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
-from structures import ForwardModel, Structure, bases
-from structures.channels import Dof
-from structures.elements import beams, chains, plates, solids
-from structures.elements.surfaces import Surface
+from structures import Dof, ForwardModel, Structure, Surface, bases, beams, chains, plates, solids
+from structures._system.loads import Patch, Point, matrix, near_support
+from structures._system.sensors import Displacement
 from structures.errors import InputError
-from structures.system.loads import Patch, Point, matrix, near_support
-from structures.system.sensors import Displacement
 
 from .kinds import SQUARE, UNIT
 from .test_sensors import BEAM, ORIGIN, PLATE, P, Q, beam_field, plate_field

@@ -2,11 +2,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from structures import ForwardModel
-from structures.elements import beams
-from structures.elements.members import Material, Section
+from structures import ForwardModel, beams, loads, sensors
+from structures._elements.members import Material, Section
 from structures.errors import InputError
-from structures.system import loads, sensors
 
 from .exact import beam_roots, frequencies, solve
 from .kinds import MIXES, UNIT

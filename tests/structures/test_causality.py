@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from structures import ForwardModel, FrfModel, MeasuredModel
-from structures.elements import chains
-from structures.flags import codes
-from structures.system import loads, sensors
-from structures.testing.kinds import BAND, before_zero, drive_point, feeds_back, uniform_run
+from structures import ForwardModel, FrfModel, MeasuredModel, chains, loads, sensors
+from structures._flags import codes
+from structures._testing.kinds import BAND, before_zero, drive_point, feeds_back, uniform_run
 from tests.benchmarks.causality import rates
 
 CHAIN = chains.chain(masses=[1.0, 1.5, 2.0, 1.0], springs=[4e4, 6e4, 3e4, 5e4], dashpots=8.0)

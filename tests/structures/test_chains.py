@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from structures.elements import chains
+from structures import chains
 from structures.errors import InputError
 
 from .exact import frequencies, solve

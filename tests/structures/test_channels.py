@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from structures import Channel, ForwardModel, InputError, MeasuredModel, units
-from structures.elements import chains
-from structures.system.loads import Moment, MovingPoint, Patch, Point
-from structures.system.sensors import Accelerometer, Displacement, StrainGauge, Velocity
+from structures import Channel, ForwardModel, InputError, MeasuredModel, chains, units
+from structures._system.loads import Moment, MovingPoint, Patch, Point
+from structures._system.sensors import Accelerometer, Displacement, StrainGauge, Velocity
 
 
 @pytest.mark.parametrize("quantity", units.QUANTITIES)
@@ -132,7 +131,7 @@ def test_an_accelerometer_in_another_kind_is_a_plain_channel():
 
 def test_the_table_of_units_is_not_read_for_usual_channels():
     code = (
-        "import sys; from structures.channels import Channel; Channel(label='a', quantity='force', unit='N'); "
+        "import sys; from structures._channels import Channel; Channel(label='a', quantity='force', unit='N'); "
         "print('structures.units' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -2,12 +2,10 @@ import numpy as np
 import pytest
 from scipy.special import iv, ivp, jv, jvp, kv, kvp, yv, yvp
 
-from structures import ForwardModel
-from structures.elements import beams, circular, plates
+from structures import ForwardModel, beams, circular, loads, plates, sensors
+from structures._system.checks import motions
+from structures._system.factor import Factor
 from structures.errors import InputError
-from structures.system import loads, sensors
-from structures.system.checks import motions
-from structures.system.factor import Factor
 
 from .exact import assembled, frequencies, roots, solve
 
@@ -278,8 +276,8 @@ def test_energy_mass_and_rigid_motions(inner):
 
 def test_quadrature_is_exact():
     """More Gauss points change nothing, also where 1 / r^3 is steep."""
-    from structures.elements.circular import _points, bending
-    from structures.system.fields import Line
+    from structures._elements.circular import _points, bending
+    from structures._system.fields import Line
 
     for line in (Line(1.0, 8), Line(0.99, 8, 0.01), Line(0.5, 3, 0.5)):
         for n in (0, 1, 3, 7):

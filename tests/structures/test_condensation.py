@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from structures import InputError, NotIdentifiable
-from structures.elements import plates, solids
-from structures.elements.members import Material, steel
-from structures.system import factor as c
-from structures.system import factor as f
-from structures.system.factor import Factor, compliance, mirrored
+from structures import InputError, NotIdentifiable, plates, solids
+from structures import factor as c
+from structures import factor as f
+from structures._elements.members import Material, steel
+from structures._system.factor import Factor, compliance, mirrored
 
 
 @pytest.fixture(scope="module")

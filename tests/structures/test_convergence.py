@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from structures.elements import beams, plates
-from structures.system import loads, sensors
+from structures import beams, loads, plates, sensors
 
 from .exact import beam_roots, frequencies, solve
 from .kinds import SQUARE, UNIT

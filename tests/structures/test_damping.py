@@ -3,13 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from structures import ForwardModel, files
-from structures.elements import beams, chains
+from structures import ForwardModel, Structure, beams, chains, files, loads, motion, sensors
+from structures._system.damping import Modal, Rayleigh, Structural
 from structures.errors import InputError
-from structures.models import motion
-from structures.system import loads, sensors
-from structures.system.damping import Modal, Rayleigh, Structural
-from structures.system.structure import Structure
 
 from .kinds import EVERY
 

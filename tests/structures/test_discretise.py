@@ -3,8 +3,8 @@ import pytest
 from scipy import signal
 
 from structures import InputError
-from structures.models.discretise import blocks, discretise, filter_step, markov, sequence
-from structures.models.reduction import ReducedModel
+from structures._models.discretise import blocks, discretise, filter_step, markov, sequence
+from structures._models.reduction import ReducedModel
 
 
 def taylor(F):

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from structures.channels import TWIST, Dof, direction_code
+from structures import Dof
+from structures._channels import TWIST, direction_code
 from structures.errors import InputError
 
 NAMES = {1: "X", 2: "Y", 3: "Z", 4: "RX", 5: "RY", 6: "RZ"}

@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from structures import InputError, NotIdentifiable, Structure
-from structures.elements import beams, chains, plates
-from structures.elements.members import steel
-from structures.system.factor import BLOCK, Factor
+from structures import InputError, NotIdentifiable, Structure, beams, chains, plates
+from structures._elements.members import steel
+from structures._system.factor import BLOCK, Factor
 
 SETTINGS = {"length": 1.2, "EI": 800.0, "mass_per_length": 3.0}
 

@@ -13,13 +13,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from structures import ForwardModel, InputError, Structure, files
-from structures.elements import beams, chains, plates
-from structures.files import hdf5
-from structures.files.container import split
-from structures.system import damping
-from structures.system.loads import Moment, Point
-from structures.system.sensors import Displacement
+from structures import ForwardModel, InputError, Structure, beams, chains, damping, files, plates
+from structures._system.loads import Moment, Point
+from structures._system.sensors import Displacement
+from structures.files import _hdf5 as hdf5
+from structures.files._container import split
 
 from .kinds import EVERY, UNIT
 

@@ -2,11 +2,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from structures import ForwardModel, NotIdentifiable, Structure
-from structures.elements import beams, chains, plates
-from structures.elements.members import steel
-from structures.system import loads, sensors
-from structures.system.damping import Modal, Rayleigh
+from structures import ForwardModel, NotIdentifiable, Structure, beams, chains, loads, plates, sensors
+from structures._elements.members import steel
+from structures._system.damping import Modal, Rayleigh
 
 L, EI, MASS = 1.2, 800.0, 3.0
 SETTINGS = {"length": L, "EI": EI, "mass_per_length": MASS}

@@ -1,11 +1,9 @@
 import numpy as np
 import pytest
 
-from structures import ForwardModel, InputError, NotIdentifiable, Structure
-from structures.elements import beams, chains
-from structures.elements.members import steel
-from structures.system import loads, sensors
-from structures.system.damping import Modal
+from structures import ForwardModel, InputError, NotIdentifiable, Structure, beams, chains, loads, sensors
+from structures._elements.members import steel
+from structures._system.damping import Modal
 
 L, EI, MASS = 1.2, 800.0, 3.0
 SETTINGS = {"length": L, "EI": EI, "mass_per_length": MASS}

@@ -5,14 +5,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from structures import ForwardModel, NotIdentifiable
-from structures.elements import beams, frames
-from structures.elements.framefield import At
-from structures.elements.framemesh import LineLoad, Member
-from structures.elements.members import Element, Section
+from structures import ForwardModel, NotIdentifiable, beams, frames, loads, sensors
+from structures._elements.framefield import At
+from structures._elements.framemesh import LineLoad, Member
+from structures._elements.members import Element, Section
+from structures._system.factor import Factor
 from structures.errors import InputError
-from structures.system import loads, sensors
-from structures.system.factor import Factor
 
 from .exact import assembled, beam_roots, frequencies, solve
 

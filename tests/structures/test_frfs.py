@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from structures import Channel, CrossSpectra, InputError, NotIdentifiable, cross_spectra
-from structures.flags import codes
-from structures.testing.frfs import estimate
+from structures._flags import codes
+from structures._testing.frfs import estimate
 
 N, DT = 128, 1e-3
 LINES = np.fft.rfftfreq(N, DT)

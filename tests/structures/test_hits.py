@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from structures import InputError, MeasuredModel
-from structures.testing.impact import clipped, judge, last_bit, second_pulse, stretches
+from structures._testing.impact import clipped, judge, last_bit, second_pulse, stretches
 from tests.data import measured
 
 from .impacts import DT, blow, hits, record, response

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from structures import InputError, MeasuredModel
-from structures.testing.spectra import exponential, gate, taken_out
+from structures._testing.spectra import exponential, gate, taken_out
 
 from .impacts import DT, blow, hits, record, response, transfer
 

@@ -5,14 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from structures import ForwardModel, InputError, NotIdentifiable, Structure
-from structures.elements import beams, chains, plates
-from structures.elements.members import steel
-from structures.models import krylov as reduction
-from structures.models.galerkin import Images, Pencil, project
-from structures.models.krylov import krylov
-from structures.system import loads, sensors
-from structures.system.damping import Modal, Rayleigh, Structural
+from structures import ForwardModel, InputError, NotIdentifiable, Structure, beams, chains, loads, plates, sensors
+from structures._elements.members import steel
+from structures._models import krylov as reduction
+from structures._models.galerkin import Images, Pencil, project
+from structures._models.krylov import krylov
+from structures._system.damping import Modal, Rayleigh, Structural
 
 L, EI, MASS = 1.2, 800.0, 3.0
 BEAM = {"length": L, "EI": EI, "mass_per_length": MASS, "elements": 30}

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from structures import Structure
-from structures.elements import solids
-from structures.elements.members import Material
-from structures.system.factor import Factor, compliance, schur
-from structures.system.layered import SymmetricFactor, blocks, condense, reflections
+from structures import Structure, solids
+from structures._elements.members import Material
+from structures._system.factor import Factor, compliance, schur
+from structures._system.layered import SymmetricFactor, blocks, condense, reflections
 
 GEL = Material(E=1e5, rho=1e3, nu=0.45)
 

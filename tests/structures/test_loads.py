@@ -3,10 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from structures.elements import beams, plates
+from structures import beams, loads, plates
+from structures._system.loads import Moment, MovingPoint, Patch, Point, near_support
 from structures.errors import InputError
-from structures.system import loads
-from structures.system.loads import Moment, MovingPoint, Patch, Point, near_support
 
 from .kinds import EVERY, SQUARE, UNIT
 from .test_sensors import BEAM, ORIGIN, PLATE, P, Q, beam_field, plate_field
@@ -70,7 +69,7 @@ def test_a_couple_is_two_forces():
 
 
 def test_loads_and_sensors_are_reciprocal():
-    from structures.system.sensors import Displacement
+    from structures._system.sensors import Displacement
 
     for dof in ("3+Z", "3-Z"):
         assert np.array_equal(Point(dof).column(BEAM), Displacement(dof).row(BEAM))

@@ -9,8 +9,8 @@ from scipy import sparse
 from scipy.io import loadmat, savemat
 
 from structures.errors import InputError
-from structures.files.hdf5 import read_mat
-from structures.files.mat_level5 import read_level5
+from structures.files._hdf5 import read_mat
+from structures.files._mat_level5 import read_level5
 
 from .mat_made import level5_big_endian, mat73
 

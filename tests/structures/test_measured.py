@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from structures import Channel, FrfModel, InputError, MeasuredModel, TrainingRecords
-from structures.testing.impact import digests
+from structures._testing.impact import digests
 from tests.data import measured
 
 from .impacts import DT, blow, hits, record, response, transfer
@@ -493,7 +493,7 @@ class TestFiles:
             MeasuredModel.load(path)
 
     def test_another_kind_of_file(self, tmp_path):
-        from structures.files import storage
+        from structures.files import _storage as storage
 
         storage.write(tmp_path / "x.h5", {"load": np.ones(3)}, "estimate")
         with pytest.raises(InputError, match="estimate"):

@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from structures import InputError, bases
-from structures.elements import solids
-from structures.elements.cells import HEX8, TET10
-from structures.elements.members import Material
-from structures.elements.meshfield import interpolants, largest_strain, motions, strains
-from structures.flags import codes
-from structures.system.factor import Factor
+from structures import InputError, bases, solids
+from structures._elements.cells import HEX8, TET10
+from structures._elements.members import Material
+from structures._elements.meshfield import interpolants, largest_strain, motions, strains
+from structures._flags import codes
+from structures._system.factor import Factor
 from tests.benchmarks.assembly import hexahedra, skewed, tetrahedra
 
 GEL = Material(E=2e5, rho=1e3, nu=0.45)

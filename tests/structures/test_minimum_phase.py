@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from structures.testing.spectra import minimum_phase
+from structures._testing.spectra import minimum_phase
 
 
 def test_a_filter_with_its_zeros_inside_the_circle_is_found_again():

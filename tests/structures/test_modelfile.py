@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 
-from structures import ForwardModel, MatrixModel, bases
-from structures.elements import beams
+from structures import ForwardModel, MatrixModel, StateSpace, Structure, bases, beams, damping, loads, sensors
 from structures.errors import InputError
-from structures.files import modelfile, storage
-from structures.models.statespace import StateSpace
-from structures.system import damping, loads, sensors
-from structures.system.structure import Structure
+from structures.files import _modelfile as modelfile
+from structures.files import _storage as storage
 
 
 def mast(**settings):

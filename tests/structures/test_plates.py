@@ -3,10 +3,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from structures.elements import plates
-from structures.elements.members import Material
+from structures import loads, plates, sensors
+from structures._elements.members import Material
 from structures.errors import InputError
-from structures.system import loads, sensors
 
 from .exact import frequencies, levy_roots, navier, solve
 from .kinds import PLAIN, SQUARE

@@ -1,12 +1,10 @@
 import numpy as np
 import pytest
 
-from structures import ForwardModel, InputError, NotIdentifiable, Structure
-from structures.elements import beams, chains, plates
-from structures.elements.members import steel
-from structures.models.reduction import DENSE, modal_damping, modal_weights, modes
-from structures.system import loads, sensors
-from structures.system.damping import Modal, Rayleigh
+from structures import ForwardModel, InputError, NotIdentifiable, Structure, beams, chains, loads, plates, sensors
+from structures._elements.members import steel
+from structures._models.reduction import DENSE, modal_damping, modal_weights, modes
+from structures._system.damping import Modal, Rayleigh
 
 SETTINGS = {"length": 1.2, "EI": 800.0, "mass_per_length": 3.0}
 PLATE = {"lengths": (0.5, 0.5), "thickness": 3e-3, "material": steel}

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from structures import ForwardModel, bases
-from structures.elements import beams
-from structures.elements import beams as risers
+from structures import ForwardModel, bases, beams, damping, loads, sensors
+from structures import beams as risers
+from structures._models.motion import motion
 from structures.errors import InputError
-from structures.models.motion import motion
-from structures.system import damping, loads, sensors
 
 RISER = {"length": 9.63, "EI": 135.4, "mass_per_length": 0.85}
 DT = 1 / 64

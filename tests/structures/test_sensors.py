@@ -3,11 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from structures.channels import Dof
-from structures.elements import beams, plates
+from structures import Dof, beams, plates, sensors
+from structures._system.sensors import Accelerometer, Displacement, StrainGauge, Velocity
 from structures.errors import InputError
-from structures.system import sensors
-from structures.system.sensors import Accelerometer, Displacement, StrainGauge, Velocity
 
 from .kinds import EVERY, SQUARE, UNIT
 

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from structures import ForwardModel, InputError, NotIdentifiable
-from structures.elements import solids
-from structures.elements.cells import ELEMENTS, Brick
-from structures.elements.hexfield import FACES
-from structures.elements.members import Material
-from structures.system import loads, sensors
-from structures.system.factor import Factor
+from structures import ForwardModel, InputError, NotIdentifiable, loads, sensors, solids
+from structures._elements.cells import ELEMENTS, Brick
+from structures._elements.hexfield import FACES
+from structures._elements.members import Material
+from structures._system.factor import Factor
 from tests.benchmarks import locking
 
 SOFT = Material(E=2e5, rho=1100.0, nu=0.4)
@@ -280,7 +278,7 @@ class TestField:
             sensor.row(block())
 
     def test_gauges_and_tractions_of_solids_need_a_solid(self):
-        from structures.elements import beams
+        from structures import beams
 
         beam = beams.cantilever(length=1.0, EI=1.0, mass_per_length=1.0)
         with pytest.raises(InputError, match="needs a solid"):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from structures.testing.spectra import multiplicity, padded_length, resample_lines, smooth_lines
+from structures._testing.spectra import multiplicity, padded_length, resample_lines, smooth_lines
 
 from .impacts import DT, response, transfer
 

@@ -2,10 +2,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from structures import Channel, ForwardModel, InputError, NotIdentifiable, StateSpace
-from structures.elements import beams, chains
-from structures.system import loads, sensors
-from structures.system.damping import Modal
+from structures import Channel, ForwardModel, InputError, NotIdentifiable, StateSpace, beams, chains, loads, sensors
+from structures._system.damping import Modal
 
 RNG = np.random.default_rng(0)
 A = 0.25 * RNG.standard_normal((6, 6))

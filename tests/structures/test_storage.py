@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from structures.errors import InputError
-from structures.files import storage
+from structures.files import _storage as storage
 
 TREE = {
     "real": np.linspace(0, 1, 7),

@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from structures.channels import Dof
-from structures.elements import beams, chains, plates
+from structures import Dof, Structure, beams, chains, loads, plates
 from structures.errors import InputError
-from structures.system import loads
-from structures.system.structure import Structure
 
 from .exact import assembled, norm, solve
 from .kinds import EVERY, MASS, SQUARE, UNIT

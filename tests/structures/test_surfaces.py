@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from structures import InputError
-from structures.elements import solids
-from structures.elements.hexfield import FACES
-from structures.elements.members import Material
+from structures import InputError, solids
+from structures._elements.hexfield import FACES
+from structures._elements.members import Material
 
 SIDES, ORIGIN = (0.03, 0.02, 0.01), (1.0, -2.0, 0.5)
 BLOCK = solids.block(

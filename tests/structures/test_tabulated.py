@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from structures import Channel, ForwardModel, FrfModel, InputError, MeasuredModel
-from structures.elements import chains
-from structures.flags import codes
-from structures.system import loads, sensors
+from structures import Channel, ForwardModel, FrfModel, InputError, MeasuredModel, chains, loads, sensors
+from structures._flags import codes
 
 F = np.array([20.0, 21.0, 22.5, 40.0, 100.0])
 H = np.random.default_rng(0).standard_normal((5, 3, 2)) + 1j * np.random.default_rng(1).standard_normal((5, 3, 2))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError
-from structures.files.uff import System, parse_uff, ratio, read_uff, unit_of
-from structures.files.uff_datasets import unrounded
-from structures.files.uff_records import AxisRecord
+from structures.files._uff import System, parse_uff, ratio, read_uff, unit_of
+from structures.files._uff_datasets import unrounded
+from structures.files._uff_records import AxisRecord
 
 from .uff_made import END, binary58, block, frfs, head, text58, units
 
@@ -329,7 +329,7 @@ def test_numbers_by_python_and_no_underscores():
 def test_a_long_text_is_turned_into_numbers_in_parts(monkeypatch):
     data = text58(np.arange(5000.0))
     whole = only(data).values
-    monkeypatch.setattr("structures.files.uff_records.CHUNK", 999)
+    monkeypatch.setattr("structures.files._uff_records.CHUNK", 999)
     np.testing.assert_array_equal(only(data).values, whole)
     with pytest.raises(InputError, match=r"line 1014: no number.*'4.0x"):
         only(data.replace(b"4.000000000000E+03", b"4.0x0000000000E+03"))

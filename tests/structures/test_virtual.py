@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from structures import FrfModel
+from structures._models import mapped as virtual
 from structures.errors import InputError, NotIdentifiable
-from structures.models import mapped as virtual
-from structures.models.tabulated import FrfModel
 
 CORNERS = np.array([[0.1, 0.1, 0.0], [-0.1, 0.1, 0.02], [-0.1, -0.1, 0.0]])
 POSITIONS = np.repeat(CORNERS, 3, axis=0)

@@ -61,7 +61,7 @@ class TestAgainstScipy:
 
     def test_long_records_are_transformed_in_blocks(self, monkeypatch):
         whole = cross_spectra(X, DT, segment=128).matrix
-        monkeypatch.setattr("structures.testing.spectra.BLOCK", 1000)
+        monkeypatch.setattr("structures._testing.spectra.BLOCK", 1000)
         assert cross_spectra(X, DT, segment=128).matrix == pytest.approx(whole, rel=1e-12)
 
 

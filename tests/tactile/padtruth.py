@@ -4,8 +4,8 @@ from functools import cache
 
 import numpy as np
 
-from structures.elements.cells import Brick
-from tactile.closed.layer import Layer
+from structures._elements.cells import Brick
+from tactile import Layer
 
 GEL = {"E": 147e3, "thickness": 3e-3}
 

@@ -7,11 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.closed.presses import Press
-from tactile.pad.pad import Pad
-from tactile.sensors.multilayer import MultilayerPad
-from tactile.sensors.observation import DepthMap, Markers
-from tactile.sensors.settings import ContactLaw
+from tactile import ContactLaw, DepthMap, Markers, MultilayerPad, Pad, Press
 
 NOISE = 2e-6
 PRESS = Press(at=(0.4e-3, -0.3e-3), radius=2.5e-3, force=1.0, shear=(0.25, 0.0))

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tactile.vision.eye import View
-from tactile.vision.images import grid
+from tactile import View
+from tactile.vision._images import grid
 
 PITCH = 23.0  # px
 ROWS, COLUMNS = 20, 26

@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse.choice import Choice, PathCurve
-from loadid.inverse.sweep import RuleResult
+from loadid._inverse.choice import PathCurve
+from loadid.paths import Choice, RuleResult
 from structures.errors import InputError
-from tactile.closed.presses import Press
-from tactile.pad.pad import Pad
-from tactile.sensors.multilayer import MultilayerPad
-from tactile.sensors.observation import Markers
-from tactile.sensors.posing import END, RULES, chosen
+from tactile import Markers, MultilayerPad, Pad, Press
+from tactile._sensors.posing import END, RULES, chosen
 
 from .padtruth import consistent
 from .rigs import NOISE, markers, motion, nodal, pad

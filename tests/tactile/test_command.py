@@ -14,16 +14,14 @@ import pytest
 
 from loadid.cli import main
 from structures.errors import InputError
-from tactile.closed.presses import Press
-from tactile.commands import _demo as demo
-from tactile.commands import _sources as _eyes
-from tactile.commands._sources import depth_maps, is_motion
-from tactile.commands.tactile import EXAMPLES, span
-from tactile.pad import padfile
-from tactile.pad.pad import Pad
-from tactile.results import film
-from tactile.results.forcemap import ForceMap
-from tactile.vision.images import Scene, grid
+from tactile import ForceMap, Pad, Press
+from tactile._commands import _demo as demo
+from tactile._commands import _sources as _eyes
+from tactile._commands._sources import depth_maps, is_motion
+from tactile._commands.tactile import EXAMPLES, span
+from tactile._pad import padfile
+from tactile._results import film
+from tactile.vision._images import Scene, grid
 
 FILE = """\
 [pad]

@@ -7,10 +7,10 @@ import pytest
 from scipy.integrate import quad
 
 from structures import InputError, NotIdentifiable
-from structures.flags import codes
-from tactile.closed import halfspace as closed
-from tactile.closed.contact import Hertz, Mindlin
-from tactile.closed.halfspace import point_forces
+from structures._flags import codes
+from tactile import Hertz, Mindlin
+from tactile._closed import halfspace as closed
+from tactile._closed.halfspace import point_forces
 
 SPHERE = Hertz(4.0, 1.0, 0.147, 0.3223)
 

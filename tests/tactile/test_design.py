@@ -10,14 +10,12 @@ import pytest
 from case_studies import contact_inversion as surrogate
 from loadid import StaticInversion
 from structures import MatrixModel
+from structures._flags import codes
 from structures.errors import InputError
-from structures.flags import codes
-from tactile import design
-from tactile.closed.layer import Layer
-from tactile.closed.presses import Press
+from tactile import Layer, Press, design
 from tactile.design import Skin
-from tactile.design.modes import modes, spectrum
-from tactile.design.resolution import noise_std
+from tactile.design._modes import modes, spectrum
+from tactile.design._resolution import noise_std
 
 GEL = {"h": 3e-3, "E": 0.147e6, "nu": 0.3223}
 

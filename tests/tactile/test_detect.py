@@ -7,10 +7,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from structures.errors import InputError
-from tactile.results.film import overlay
+from tactile import frames
+from tactile._results.film import overlay
 from tactile.vision import Detector, detect, size_of_dots
-from tactile.vision.frames import frames, read_image
-from tactile.vision.images import Scene, grid, installed
+from tactile.vision._frames import read_image
+from tactile.vision._images import Scene, grid, installed
 
 from ..data import measured
 from .scenes import PITCH, camera, errors, pattern, pressed

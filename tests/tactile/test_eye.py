@@ -8,14 +8,8 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError
-from tactile.closed.presses import Press
-from tactile.pad.pad import Pad
-from tactile.results.forcemap import ForceMap
-from tactile.sensors.multilayer import MultilayerPad
-from tactile.sensors.observation import DepthMap
-from tactile.sensors.settings import ContactLaw
-from tactile.vision.eye import Eye, View
-from tactile.vision.images import Scene, grid
+from tactile import ContactLaw, DepthMap, Eye, ForceMap, MultilayerPad, Pad, Press, View
+from tactile.vision._images import Scene, grid
 
 SIDE, H = 24e-3, 3e-3
 SCENE = Scene(radius=0.22e-3, blur=1.0, noise=2.0)

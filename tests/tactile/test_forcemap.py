@@ -9,9 +9,7 @@ import pytest
 
 from loadid import LoadEstimate
 from structures.errors import InputError
-from tactile.results.forcemap import ForceMap
-from tactile.sensors.gelslim import GelSlim
-from tactile.sensors.observation import Markers
+from tactile import ForceMap, GelSlim, Markers
 
 from .rigs import NO_PULL, NOISE, PRESS, markers, motion, nodal, pad, sensor
 

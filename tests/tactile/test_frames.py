@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from structures._flags import codes
 from structures.errors import InputError
-from structures.flags import codes
+from tactile.vision import _images as backend
 from tactile.vision import frames, read_motions
-from tactile.vision import images as backend
-from tactile.vision.frames import missing_numbers, natural
-from tactile.vision.images import Scene
+from tactile.vision._frames import missing_numbers, natural
+from tactile.vision._images import Scene
 
 from ..data import measured
 from .scenes import pattern
@@ -157,7 +157,7 @@ def test_videos_are_read_and_a_truncated_one_names_the_frame(clip: np.ndarray, t
 
 def test_without_opencv_a_video_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.avi").write_bytes(b"RIFF")
-    monkeypatch.setattr(sys.modules["tactile.vision.frames"], "installed", lambda: False)  # the name is its function
+    monkeypatch.setattr(sys.modules["tactile.vision._frames"], "installed", lambda: False)  # the name is its function
     monkeypatch.setattr(backend, "installed", lambda: False)
     with pytest.raises(InputError, match=r"loadid\[vision\]"):
         frames(tmp_path / "a.avi")

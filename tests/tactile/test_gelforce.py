@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError, NotIdentifiable
-from tactile.closed.layer import HalfSpace, Layer
-from tactile.closed.presses import Press
-from tactile.sensors.gelforce import GelForce, influence
-from tactile.sensors.observation import Markers
-from tactile.sensors.settings import Extent
+from tactile import Extent, GelForce, HalfSpace, Layer, Markers, Press
+from tactile._sensors.gelforce import influence
 
 GROUND = HalfSpace(E=0.147e6, nu=0.49)
 # condition number, relative error of the pseudo-inverse at 5 um: 11 x 11 forces 2 mm apart, markers under them

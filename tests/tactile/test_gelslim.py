@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError
-from tactile.closed.contact import Cylinder, Sphere
-from tactile.pad.stiffness import Completion
-from tactile.sensors.gelslim import GelSlim
-from tactile.sensors.observation import Markers, Wrench
-from tactile.sensors.settings import ContactLaw
-from tactile.vision.interpolation import Interpolation
+from tactile import ContactLaw, Cylinder, GelSlim, Interpolation, Markers, Sphere, Wrench
+from tactile._pad.stiffness import Completion
 
 from .rigs import NOISE, depth, markers, motion, pad
 

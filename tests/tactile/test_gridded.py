@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from structures import InputError, NotIdentifiable
-from tactile.closed.gridded import LayerGrid, influence
-from tactile.closed.layer import HalfSpace, Layer
-from tactile.closed.presses import Press
-from tactile.design.resolution import noise_std
+from tactile import HalfSpace, Layer, LayerGrid, Press
+from tactile._closed.gridded import influence
+from tactile.design._resolution import noise_std
 
 LAYER = Layer(3e-3, 147e3, 0.3223)
 PRESS = Press(at=(0.1e-3, -0.2e-3), radius=2.5e-3, force=1.0, shear=(0.25, 0.1))

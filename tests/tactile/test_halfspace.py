@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import dblquad
 
 from structures import InputError
-from tactile.closed.halfspace import point_forces, rectangle
-from tactile.closed.layer import HalfSpace
-from tactile.closed.presses import moved, radial
+from tactile import HalfSpace
+from tactile._closed.halfspace import point_forces, rectangle
+from tactile._closed.presses import moved, radial
 
 GROUND = HalfSpace(0.147, 0.3223)
 

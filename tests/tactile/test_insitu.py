@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError
-from tactile.closed.presses import Press
-from tactile.material.identify import Gain, gain, poisson
-from tactile.pad.pad import Pad
-from tactile.sensors.multilayer import MultilayerPad
-from tactile.sensors.observation import Markers
+from tactile import Markers, MultilayerPad, Pad, Press
+from tactile.material import Gain, gain, poisson
 
 from .rigs import NOISE, markers, motion, nodal, sensor
 

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import LinearNDInterpolator
 
+from structures._flags import codes
 from structures.errors import InputError
-from structures.flags import codes
-from tactile.vision.images import grid
-from tactile.vision.interpolation import Interpolation, fitted_weights
+from tactile import Interpolation
+from tactile.vision._images import grid
+from tactile.vision._interpolation import fitted_weights
 
 
 def scattered(seed: int = 0, count: int = 120) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from structures import InputError
-from tactile.closed.layer import HalfSpace, Layer
+from tactile import HalfSpace, Layer
 
 NUS = (0.0, 0.1, 0.3, 0.3223, 0.45, 0.49, 0.499)
 KH = (0.05, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0, 8.0, 15.0)

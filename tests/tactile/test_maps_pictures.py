@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from structures import Flag
+from structures._flags import Evidence
 from structures.errors import InputError
-from structures.flags import Evidence, Flag
-from tactile.closed.presses import Press
-from tactile.pad.pad import Pad
-from tactile.results import film, report
-from tactile.results import film as video
-from tactile.results import pictures as maps
-from tactile.results import report as words
-from tactile.results.forcemap import ForceMap, record, shared
-from tactile.sensors.posing import channels, of_pad
+from tactile import ForceMap, Pad, Press
+from tactile._results import film, report
+from tactile._results import film as video
+from tactile._results import pictures as maps
+from tactile._results import report as words
+from tactile._results.forcemap import record, shared
+from tactile._sensors.posing import channels, of_pad
 
 STD = 150.0  # Pa
 
@@ -247,7 +247,7 @@ def test_nothing_half_is_written(tmp_path: Path) -> None:
 def test_videos_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"no kind of video.*\.gif"):
         video.require_video(tmp_path / "a.mkv")
-    monkeypatch.setattr("tactile.results.film.installed", lambda: False)
+    monkeypatch.setattr("tactile._results.film.installed", lambda: False)
     with pytest.raises(InputError, match=r"needs OpenCV.*loadid\[vision\].*\.gif"):
         video.require_video(tmp_path / "a.mp4")
     assert video.require_video(tmp_path / "a.gif") == ".gif"

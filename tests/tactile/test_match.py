@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from structures.errors import InputError
-from tactile.vision.tracker import Dots, Neighbourhood, match
+from tactile.vision import match
+from tactile.vision._tracker import Dots, Neighbourhood
 
 from .scenes import PITCH, pattern, pressed
 

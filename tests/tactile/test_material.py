@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.special import j0
 
+from structures._flags import codes
 from structures.errors import InputError, NotIdentifiable
-from structures.flags import codes
-from tactile import material
-from tactile.closed.contact import _excess, _gauss, _solved
-from tactile.closed.layer import Layer
-from tactile.material.fits import pool
+from tactile import Layer, material
+from tactile._closed.contact import _excess, _gauss, _solved
+from tactile.material._fits import pool
 
 E, H = 0.147e6, 3e-3
 SLOW, MID, FAST = 1e-4, 1e-3, 1e-2

@@ -11,12 +11,10 @@ import pytest
 from loadid import StaticInversion
 from loadid.validate import ReferenceWrench, validate
 from structures import Channel, MatrixModel
+from structures._flags import codes
 from structures.errors import InputError
-from structures.flags import codes
-from tactile import metrics
-from tactile.closed.layer import Layer
-from tactile.closed.presses import Press
-from tactile.metrics.mapped import compare_resultants
+from tactile import Layer, Press, metrics
+from tactile.metrics import compare_resultants
 
 PITCH = 1e-3
 

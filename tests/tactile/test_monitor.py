@@ -9,12 +9,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from structures._flags import codes
 from structures.errors import InputError
-from structures.flags import codes
-from tactile import guards
-from tactile.closed.layer import Layer
-from tactile.closed.presses import Press
-from tactile.material.monitor import GelMonitor, tangents
+from tactile import GelMonitor, Layer, Press
+from tactile import _guards as guards
+from tactile.material._monitor import tangents
 
 LAYER = Layer(h=3e-3, E=0.147e6, nu=0.45)
 PRESSES = [Press(at=(1e-3, 0), radius=r, force=1.0, shear=(0.3, 0.1)) for r in (1e-3, 2.5e-3, 4e-3)]

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
+from structures._flags import codes
 from structures.errors import InputError
-from structures.flags import codes
-from tactile.vision.eye import View
-from tactile.vision.rays import Parallel, Window, projection_shift
+from tactile import View
+from tactile.vision._rays import Parallel, Window, projection_shift
 
 from ..data import measured
 from .scenes import camera
@@ -174,7 +174,7 @@ def test_tangential_motion_is_refused_without_rays_or_normal_motion() -> None:
 
 
 def test_the_refusal_can_be_turned_into_a_flag() -> None:
-    from tactile.guards import tangential
+    from tactile._guards import tangential
 
     flag = tangential(False, True, allow=["LID-E603"])
     assert flag is not None

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from structures import InputError
-from structures.system.factor import Factor
-from tactile.pad.pad import Pad
+from structures._system.factor import Factor
+from tactile import Pad
 
 GEL = {"size": (20e-3, 16e-3), "thickness": 3e-3, "E": 147e3, "nu": 0.3223, "pitch": 1e-3}
 PLAIN = {**GEL, "element": "standard", "allow": ("W115",)}

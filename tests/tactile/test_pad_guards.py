@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from structures import InputError
-from structures.flags import codes
-from tactile import guards
-from tactile.pad import body as outline
-from tactile.pad.pad import Pad
+from structures._flags import codes
+from tactile import Pad
+from tactile import _guards as guards
+from tactile._pad import body as outline
 
 GEL = {"size": (8e-3, 8e-3), "thickness": 3e-3, "E": 147e3, "nu": 0.3223, "pitch": 2e-3}
 

@@ -5,8 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tactile.closed.presses import Press
-from tactile.pad.pad import Pad
+from tactile import Pad, Press
 
 from .padtruth import consistent, map_error, recovered
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from structures import InputError
-from structures.system.layered import reflections
-from tactile.pad import body as outline
-from tactile.pad.mesh import placed
-from tactile.pad.meshfiles import elastic, read
-from tactile.pad.pad import Pad
+from structures._system.layered import reflections
+from tactile import Pad
+from tactile._pad import body as outline
+from tactile._pad.mesh import placed
+from tactile._pad.meshfiles import elastic, read
 from tests.data import measured
 from tests.structures.test_meshes import tets
 

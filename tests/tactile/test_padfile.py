@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError
-from tactile.pad import padfile
-from tactile.pad.pad import Pad
-from tactile.vision.eye import View
+from tactile import Pad, View
+from tactile._pad import padfile
 
 BODY = '[pad]\nsize = ["6 mm", "4 mm"]\nthickness = "2 mm"\nE = "0.147 MPa"\nnu = 0.3\npitch = "1 mm"\nlayers = 3\n'
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from structures import InputError
-from tactile.closed.layer import HalfSpace, Layer
-from tactile.closed.presses import Press, Presses, press_and_slide
+from tactile import HalfSpace, Layer, Press, press_and_slide
+from tactile._closed.presses import Presses
 
 LAYER = Layer(3e-3, 147e3, 0.3223)
 PRESS = Press(at=(0.31e-3, -0.2e-3), radius=2.5e-3, force=1.0, shear=(0.2, 0.1))
@@ -71,7 +71,7 @@ def test_displacements_are_the_fourier_sum_of_the_kernels(nu: float, z: float | 
     layer, n, side = Layer(3e-3, 147e3, nu), 256, 90e-3
     k = 2 * np.pi * np.fft.fftfreq(n, side / n)
     kx, ky = np.meshgrid(k, k)
-    from tactile.closed.profiles import PROFILES
+    from tactile._closed.profiles import PROFILES
 
     load = PROFILES["hertz"].transform(np.hypot(kx, ky) * 4e-3)[..., None] * np.array([0.3, -0.2, -1.0])
     waves = np.einsum("yxij,yxj->yxi", layer.interior(kx, ky, z), load)

@@ -7,9 +7,9 @@ import pytest
 from scipy.special import jv
 
 from structures import InputError
-from tactile.closed.layer import HalfSpace, Layer
-from tactile.closed.presses import HEIGHTS, matrices, moved, radial, unit_point
-from tactile.closed.profiles import PROFILES
+from tactile import HalfSpace, Layer
+from tactile._closed.presses import HEIGHTS, matrices, moved, radial, unit_point
+from tactile._closed.profiles import PROFILES
 
 # depth of the centre over that of a half-space, tactile literature page
 RATIOS = {

@@ -7,8 +7,8 @@ import pytest
 from scipy import ndimage
 
 from structures.errors import InputError
-from tactile.vision.eye import View
-from tactile.vision.images import Scene, grid
+from tactile import View
+from tactile.vision._images import Scene, grid
 
 from .scenes import camera
 

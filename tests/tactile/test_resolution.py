@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from structures import InputError
-from tactile.closed.layer import Layer
-from tactile.design.resolution import cutoff, mistaken_shear, noise_std, peak, sideways, sign_change
+from tactile import Layer
+from tactile.design._resolution import cutoff, mistaken_shear, noise_std, peak, sideways, sign_change
 
 # h (mm), E (MPa), nu: peak of G_zz (mm/MPa) and its wavelength over h, uniform/peak, wavelengths (mm) at 10 % of the
 # peak (zz, kk, tt), noise (kPa) of shear and pressure at 1 mm, 2.1 um in the plane and 10 um along the normal

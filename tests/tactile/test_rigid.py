@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from structures.flags import Flag
-from tactile.closed.layer import Layer
-from tactile.closed.presses import Press
-from tactile.sensors.gelforce import GelForce
-from tactile.sensors.gelslim import GelSlim
-from tactile.sensors.multilayer import MultilayerPad
-from tactile.sensors.observation import Markers
-from tactile.sensors.rigid import away
-from tactile.vision.eye import Eye, View
+from structures import Flag
+from tactile import Eye, GelForce, GelSlim, Layer, Markers, MultilayerPad, Press, View
+from tactile._sensors.rigid import away
 
 from .rigs import NOISE, markers, pad, sensor
 

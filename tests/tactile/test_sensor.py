@@ -9,12 +9,8 @@ import pytest
 
 from loadid import StaticInversion
 from structures.errors import InputError
-from tactile.closed.presses import Press
-from tactile.results.forcemap import ForceMap
-from tactile.sensors.gelslim import GelSlim
-from tactile.sensors.multilayer import MultilayerPad
-from tactile.sensors.observation import DepthMap, Depths, Markers, Wrench
-from tactile.sensors.settings import ContactLaw
+from tactile import ContactLaw, DepthMap, ForceMap, GelSlim, Markers, MultilayerPad, Press, Wrench
+from tactile._sensors.observation import Depths
 
 from .rigs import NO_PULL, NOISE, PRESS, depth, markers, motion, nodal, pad, sensor
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile.sensors.posing import REST, StrainWatch
+from tactile._sensors.posing import REST, StrainWatch
 
 from .rigs import motion, nodal, pad, sensor
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from structures._flags import codes
 from structures.errors import InputError
-from structures.flags import codes
-from tactile.results.film import overlay
+from tactile import frames
+from tactile._results.film import overlay
 from tactile.vision import Detector, MarkerTracker, jitter
-from tactile.vision.frames import frames, read_image
-from tactile.vision.images import Scene
+from tactile.vision._frames import read_image
+from tactile.vision._images import Scene
 
 from ..data import measured
 from .scenes import PITCH, pattern, pressed

@@ -12,21 +12,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy import linalg
 
-from loadid.inverse.gaussian.augment import Ambient, augment
-from loadid.inverse.gaussian.model import FilterModel
-from loadid.inverse.gaussian.path import StateSpacePath
-from loadid.inverse.gaussian.priors import OU, Matern32, Matern52, Periodic, RandomWalk, Sum, White
-from loadid.inverse.gaussian.record import of_model, record
-from loadid.inverse.gaussian.records import filter_record as filter
-from loadid.inverse.gaussian.records import smooth_record as smooth
-from structures import Channel, ForwardModel, MeasuredModel, Structure
-from structures.elements import beams, chains
+from loadid import Ambient
+from loadid._inverse.gaussian.augment import augment
+from loadid._inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.path import StateSpacePath
+from loadid._inverse.gaussian.record import of_model, record
+from loadid._inverse.gaussian.records import filter_record as filter
+from loadid._inverse.gaussian.records import smooth_record as smooth
+from loadid.priors import OU, Matern32, Matern52, Periodic, RandomWalk, Sum, White
+from structures import Channel, ForwardModel, MeasuredModel, StateSpace, Structure, beams, chains, loads, sensors
+from structures._models.discretise import continuous
+from structures._models.mapped import MappedModel, mapped
+from structures._system.damping import Modal, Rayleigh, Structural
 from structures.errors import InputError, NotIdentifiable
-from structures.models.discretise import continuous
-from structures.models.mapped import MappedModel, mapped
-from structures.models.statespace import StateSpace
-from structures.system import loads, sensors
-from structures.system.damping import Modal, Rayleigh, Structural
 
 from ... import tracked
 from ...benchmarks import holds

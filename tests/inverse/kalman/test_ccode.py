@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian.exports import c_source, write_c
-from loadid.inverse.gaussian.loop import Loop
-from loadid.inverse.gaussian.steady import SteadyFilter, steady
+from loadid._inverse.gaussian.exports import c_source, write_c
+from loadid._inverse.gaussian.loop import Loop
+from loadid._inverse.gaussian.steady import SteadyFilter, steady
 from structures import InputError
 from tests.tracked import Tracked, ar1, bm2, bm3, filter_model, matern32
 

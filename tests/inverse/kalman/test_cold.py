@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian import loop as loops
-from loadid.inverse.gaussian.compiled import Compiled
-from loadid.inverse.gaussian.loop import Loop
+from loadid._inverse.gaussian import loop as loops
+from loadid._inverse.gaussian.compiled import Compiled
+from loadid._inverse.gaussian.loop import Loop
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -86,7 +86,7 @@ def test_loops_are_compiled_where_no_folder_can_keep_them(tmp_path):
     """A file stands in the way of every folder that numba would make."""
     (tmp_path / "__pycache__").write_text("")
     (tmp_path / "own.py").write_text(
-        "import logging\nfrom loadid.inverse.gaussian.compiled import Compiled\nlogging.basicConfig()\n"
+        "import logging\nfrom loadid._inverse.gaussian.compiled import Compiled\nlogging.basicConfig()\n"
         "@Compiled\ndef double(x):\n    return 2 * x\n"
         "@Compiled\ndef more(x):\n    return double(x) + 1.0\n"
         "print(more(3.0), type(more.build()).__module__)\n"
@@ -101,7 +101,7 @@ def test_loops_are_compiled_where_no_folder_can_keep_them(tmp_path):
 
 def test_nothing_is_compiled_where_a_module_is_only_imported():
     code = (
-        "import sys; import loadid.stream, loadid.families.kalman, loadid.inverse.gaussian.passes; "
+        "import sys; import loadid._stream, loadid._families.kalman, loadid._inverse.gaussian.passes; "
         "print('numba' in sys.modules)"
     )
     ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=dict(os.environ), capture_output=True, text=True,

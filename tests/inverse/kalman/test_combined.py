@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian.augment import augment
-from loadid.inverse.gaussian.loop import Loop
-from loadid.inverse.gaussian.priors import OU
-from loadid.inverse.gaussian.steady import combined_std, steady
+from loadid._inverse.gaussian.augment import augment
+from loadid._inverse.gaussian.loop import Loop
+from loadid._inverse.gaussian.steady import combined_std, steady
+from loadid.priors import OU
 from structures.errors import InputError
 from tests.tracked import Setup, reference, selector, tridiagonal
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian.gains import gains
-from loadid.inverse.gaussian.model import FilterModel
-from loadid.inverse.gaussian.passes import solve
-from loadid.inverse.gaussian.record import augment, record
-from loadid.inverse.gaussian.records import filter_record, smooth_record
-from loadid.inverse.gaussian.roots import joined, lower, square
+from loadid._inverse.gaussian.gains import gains
+from loadid._inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.passes import solve
+from loadid._inverse.gaussian.record import augment, record
+from loadid._inverse.gaussian.records import filter_record, smooth_record
+from loadid._inverse.gaussian.roots import joined, lower, square
 
 from .gaussian import building
 

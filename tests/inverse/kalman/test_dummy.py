@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian.augment import Ambient, augment
-from loadid.inverse.gaussian.model import FilterModel, words
-from loadid.inverse.gaussian.priors import Matern32, RandomWalk
-from loadid.inverse.gaussian.records import filter_record as filtered
-from loadid.inverse.gaussian.records import smooth_record as smooth
-from loadid.inverse.gaussian.steady import steady
-from structures import ForwardModel, InputError, NotIdentifiable
-from structures.elements import chains
-from structures.models.mapped import mapped
-from structures.system import damping, loads, sensors
+from loadid import Ambient
+from loadid._inverse.gaussian.augment import augment
+from loadid._inverse.gaussian.model import FilterModel, words
+from loadid._inverse.gaussian.records import filter_record as filtered
+from loadid._inverse.gaussian.records import smooth_record as smooth
+from loadid._inverse.gaussian.steady import steady
+from loadid.priors import Matern32, RandomWalk
+from structures import ForwardModel, InputError, NotIdentifiable, chains, damping, loads, sensors
+from structures._models.mapped import mapped
 
 DT, STD = 0.01, 0.02
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian.exports import FilterpyEngine, from_filterpy, to_filterpy
-from loadid.inverse.gaussian.model import FilterModel
-from loadid.inverse.gaussian.squareroot import SquareRoot
+from loadid._inverse.gaussian.exports import FilterpyEngine, from_filterpy, to_filterpy
+from loadid._inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.squareroot import SquareRoot
 from structures import InputError
 from tests.tracked import ar1, bm2, bm3, filter_model, matern32, reference, walk
 

@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian import records
-from loadid.inverse.gaussian.lag import LagLine, delayed, fixed_lag, phased, resumed
-from loadid.inverse.gaussian.loop import Loop
-from loadid.inverse.gaussian.model import FilterModel
-from loadid.inverse.gaussian.roots import lower
-from loadid.inverse.gaussian.squareroot import FilterState, SquareRoot
-from loadid.inverse.gaussian.steady import SteadyFilter, periodic, steady
+from loadid._inverse.gaussian import records
+from loadid._inverse.gaussian.lag import LagLine, delayed, fixed_lag, phased, resumed
+from loadid._inverse.gaussian.loop import Loop
+from loadid._inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.roots import lower
+from loadid._inverse.gaussian.squareroot import FilterState, SquareRoot
+from loadid._inverse.gaussian.steady import SteadyFilter, periodic, steady
 from structures.errors import InputError
 
 from .gaussian import building, conditioned, drawn, small

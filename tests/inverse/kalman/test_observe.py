@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from scipy.signal import ss2zpk
 
-from loadid.guards.tracking import cures
-from loadid.inverse.gaussian.observe import UNSEEN, Observability, delay, invariant_zeros, observability
-from structures import ForwardModel, InputError, StateSpace
-from structures.elements import chains
-from structures.system import loads, sensors
+from loadid._guards.tracking import cures
+from loadid._inverse.gaussian.observe import UNSEEN, Observability, delay, invariant_zeros, observability
+from structures import ForwardModel, InputError, StateSpace, chains, loads, sensors
 from tests.tracked import (
     Array,
     Prior,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -12,9 +14,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import linalg
 
-from loadid.inverse.gaussian import roots as quadrature
-from loadid.inverse.gaussian.priors import OU, Matern32, Matern52, Periodic, Prior, RandomWalk, Sum, White
+from loadid._inverse.gaussian import roots as quadrature
+from loadid.priors import OU, Matern32, Matern52, Periodic, Prior, RandomWalk, Sum, White
 from structures.errors import InputError
+from tests.sources import ROOT
 
 SD, LENGTH, PERIOD = 3.0, 0.08, 0.5
 COMPANIONS = (OU, Matern32, Matern52)
@@ -203,6 +206,14 @@ def test_bad_settings_are_refused(bad: Callable[[], object]) -> None:
 
 
 def test_priors_come_from_where_release_0_1_has_them() -> None:
-    from importlib import import_module
-
-    assert import_module("loadid.inverse.kalman.priors").Matern32 is Matern32
+    code = (
+        "import warnings\n"
+        "with warnings.catch_warnings(record=True) as said:\n"
+        "    warnings.simplefilter('always')\n"
+        "    from loadid.inverse.constraints import NonNegative\n"
+        "    from loadid.inverse.kalman.priors import Matern32\n"
+        "from loadid import constraints, priors\n"
+        "assert NonNegative is constraints.NonNegative and Matern32 is priors.Matern32\n"
+        "assert [w.category for w in said] == [DeprecationWarning]\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, timeout=120)

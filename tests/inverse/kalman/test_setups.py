@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian.model import FilterModel
-from structures import ForwardModel
-from structures.elements import chains
-from structures.system import damping, loads, sensors
+from loadid._inverse.gaussian.model import FilterModel
+from structures import ForwardModel, chains, damping, loads, sensors
 from tests.tracked import (
     Setup,
     ar1,

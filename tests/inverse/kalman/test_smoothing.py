@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian import records
-from loadid.inverse.gaussian.model import FilterModel
-from loadid.inverse.gaussian.path import StateSpacePath
-from loadid.inverse.gaussian.record import augment, record
-from loadid.inverse.gaussian.records import smooth_record
-from loadid.inverse.gaussian.steady import steady
+from loadid._inverse.gaussian import records
+from loadid._inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.path import StateSpacePath
+from loadid._inverse.gaussian.record import augment, record
+from loadid._inverse.gaussian.records import smooth_record
+from loadid._inverse.gaussian.steady import steady
 
 from .gaussian import building, conditioned, drawn, rts, small
 

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from loadid.inverse.gaussian import records
-from loadid.inverse.gaussian.loop import Loop, PeriodicLoop
-from loadid.inverse.gaussian.model import FilterModel
-from loadid.inverse.gaussian.squareroot import SquareRoot
-from loadid.inverse.gaussian.steady import SteadyFilter, periodic, steady
+from loadid._inverse.gaussian import records
+from loadid._inverse.gaussian.loop import Loop, PeriodicLoop
+from loadid._inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.squareroot import SquareRoot
+from loadid._inverse.gaussian.steady import SteadyFilter, periodic, steady
 from structures.errors import InputError, NotIdentifiable
 
 from .gaussian import building, drawn, small

@@ -10,14 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid.inverse.gaussian.path import StateSpacePath
-from loadid.inverse.gaussian.record import WhitenedRecord, augment, record
-from structures import ForwardModel
-from structures.elements import beams
-from structures.models.discretise import blocks
-from structures.models.statespace import StateSpace
-from structures.system import loads, sensors
-from structures.system.damping import Modal
+from loadid._inverse.gaussian.path import StateSpacePath
+from loadid._inverse.gaussian.record import WhitenedRecord, augment, record
+from structures import ForwardModel, StateSpace, beams, loads, sensors
+from structures._models.discretise import blocks
+from structures._system.damping import Modal
 
 from .dense import Dense, problem, starts
 

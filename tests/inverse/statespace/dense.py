@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.models.statespace import StateSpace
+from structures import StateSpace
 
 
 def operator(system: StateSpace, samples: int) -> NDArray[np.float64]:

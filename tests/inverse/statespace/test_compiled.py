@@ -7,7 +7,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian.compiled import Compiled, settled
+from loadid._inverse.gaussian.compiled import Compiled, settled
 
 from .cases import beam, case, holes
 
@@ -15,7 +15,7 @@ MODULES = ("compiled", "gains", "passes", "posterior")
 
 
 def loops() -> set[Compiled]:
-    modules = [import_module(f"loadid.inverse.gaussian.{name}") for name in MODULES]
+    modules = [import_module(f"loadid._inverse.gaussian.{name}") for name in MODULES]
     return {loop for module in modules for loop in vars(module).values() if isinstance(loop, Compiled)}
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from loadid.inverse.choice import DEFAULT_RULES, Choice, choose
-from loadid.inverse.gaussian.coarse import confirm, windows_of
-from loadid.inverse.gaussian.path import StateSpacePath
-from loadid.inverse.rules import run
-from loadid.inverse.sweep import RuleResult, Sweep
+from loadid._inverse.choice import DEFAULT_RULES
+from loadid._inverse.gaussian.coarse import confirm, windows_of
+from loadid._inverse.gaussian.path import StateSpacePath
+from loadid._inverse.rules import run
+from loadid.paths import Choice, RuleResult, Sweep, choose
 
 from .cases import Case, beam
 

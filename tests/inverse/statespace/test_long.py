@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian.path import StateSpacePath
-from loadid.inverse.gaussian.record import WhitenedRecord
+from loadid._inverse.gaussian.path import StateSpacePath
+from loadid._inverse.gaussian.record import WhitenedRecord
 
 from .cases import Case, case, modal, off
 

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian.path import StateSpacePath
-from loadid.inverse.gaussian.record import augment, measured, moving
-from loadid.inverse.problem import Cholesky
-from structures import ForwardModel, InputError
-from structures.elements import beams
-from structures.system import loads
-from structures.system.damping import Modal
+from loadid._inverse.gaussian.path import StateSpacePath
+from loadid._inverse.gaussian.record import augment, measured, moving
+from loadid._inverse.problem import Cholesky
+from structures import ForwardModel, InputError, beams, loads
+from structures._system.damping import Modal
 
 from .cases import DT, PENALTIES, PLACES, beam, case, holes, off
 from .dense import problem

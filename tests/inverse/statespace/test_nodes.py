@@ -27,7 +27,7 @@ def test_between_the_nodes(penalty: str, mix: int) -> None:
 
 
 def test_a_quick_path_says_the_same_of_what_it_says() -> None:
-    from loadid.inverse.gaussian.path import StateSpacePath
+    from loadid._inverse.gaussian.path import StateSpacePath
 
     whole = case(beam("d", "foh", 1), 150).path("first_difference")
     quick, lams = StateSpacePath(whole.record, quick=True), np.geomspace(1e-4, 1, 9)

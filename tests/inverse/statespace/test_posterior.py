@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from loadid import Deconvolution, Lambda, LoadEstimate
-from loadid.inverse.posterior import from_arrays
+from loadid._inverse.posterior import from_arrays
 
 from .cases import DT, beam, case, holes
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian.coarse import COUNT, LENGTH, windows_of
-from loadid.inverse.gaussian.gains import gains
-from loadid.inverse.gaussian.passes import solve
-from structures.models.statespace import StateSpace
+from loadid._inverse.gaussian.coarse import COUNT, LENGTH, windows_of
+from loadid._inverse.gaussian.gains import gains
+from loadid._inverse.gaussian.passes import solve
+from structures import StateSpace
 
 from .cases import PENALTIES, Case, beam, case, off
 from .dense import Dense, problem

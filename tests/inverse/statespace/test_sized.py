@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loadid.inverse.gaussian.sized import SizedPath
-from loadid.inverse.posterior import from_arrays
+from loadid._inverse.gaussian.sized import SizedPath
+from loadid._inverse.posterior import from_arrays
 from structures import InputError
 
 from .cases import PENALTIES, beam, case, holes, off

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from loadid.readers import read, scan
+from loadid import read
+from loadid._readers import scan
+from structures._flags import codes
 from structures.errors import InputError
-from structures.flags import codes
 
 from .files import A, F, csv
 

@@ -2,7 +2,8 @@ import h5py
 import numpy as np
 import pytest
 
-from loadid.readers import child, read, read_all
+from loadid import read, read_all
+from loadid._readers import child
 from structures.errors import InputError
 
 from .files import A, F, T, hdf5

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loadid.readers import read, read_all
+from loadid import read, read_all
 from structures.errors import InputError
 from tests.benchmarks.fuzz import outcomes
 from tests.structures.mat_made import level5_big_endian, mat73

@@ -4,7 +4,8 @@ import zipfile
 import numpy as np
 import pytest
 
-from loadid.readers import read, read_all, source
+from loadid import read, read_all
+from loadid._readers import source
 from structures.errors import InputError
 from tests.data import measured
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import loadid
-from loadid import readers
-from loadid.readers import formats, read, read_all, scan
-from loadid.readers import source as registry
-from loadid.readers.source import Table, register
+from loadid import _readers as readers
+from loadid import read, read_all
+from loadid._readers import formats, scan
+from loadid._readers import source as registry
+from loadid._readers.source import Table, register
 from structures.errors import InputError
 from tests.benchmarks.fuzz import outcomes
 
@@ -29,7 +30,7 @@ def test_the_recipe_imports_what_is_there():
     lines = re.findall(r"^ +from (\S+) import (.+)$", readers.__doc__, re.MULTILINE)
     assert lines
     for module, names in lines:
-        found = importlib.import_module(module, "loadid.readers")
+        found = importlib.import_module(module, "loadid._readers")
         assert all(hasattr(found, name) for name in names.split(", ")), module
 
 

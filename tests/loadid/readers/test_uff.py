@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from loadid import read, read_all
+from loadid._readers import outline
 from loadid.cli import main
-from loadid.readers import outline, read, read_all
 from structures.errors import InputError
 from tests.structures.uff_made import binary58, block, text58, units
 

@@ -1,0 +1,273 @@
+"""The tracker of ``loadid track``: of a file, of a state that is gone on from, or fitted to a record."""
+
+from __future__ import annotations
+
+import hashlib
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from structures.errors import InputError
+
+from . import _arguments as arguments
+from . import names
+from ._arguments import UsageError, add_log_options, load_model, one_record, settings
+
+if TYPE_CHECKING:
+    from .._families.tracking.tracker import Tracker
+
+
+COMMAND = "command"  # among the settings of a fit: what it was made from here
+PIECE = 1 << 20
+OPTIONS = ("prior", "noise", "lag", "replay", "scales", "model_error", "start", "gate", "allow_drift")
+
+
+def add_fit_options(parser: ArgumentParser) -> None:
+    """Options that say how a model is tuned."""
+    group = parser.add_argument_group("tuning a model", "with --fit only; all of it is found where nothing is given")
+    group.add_argument(
+        "--prior", type=names, metavar="NAME,...",
+        help="matern32 (default), matern52, ou, random_walk, white: one for all loads, or one for each",
+    )  # fmt: skip
+    group.add_argument(
+        "--noise",
+        metavar="STD,...",
+        help="noise std of each sensor, in its SI unit: numbers in the order of the model, or CH=STD",
+    )
+    group.add_argument("--lag", type=_lag, metavar="N", help="answer N samples late, with what came meanwhile; or auto")
+    group.add_argument("--replay", type=_samples, metavar="N",
+                       help="rows up to N samples late are put in their place (as --lag)")  # fmt: skip
+    group.add_argument("--scales", type=names, metavar="NAME,...", help="tune the model too: stiffness, mass, damping")
+    group.add_argument("--model-error", type=_errors, metavar="NAME=STD,...",
+                       help="relative std of parameters, as stiffness=0.02: widens the band")  # fmt: skip
+    group.add_argument("--start", choices=("rest", "static"), help="the structure before the first sample")
+    group.add_argument(
+        "--gate", type=_gate, metavar="STDS", help="innovation beyond which a sample is doubted; or none"
+    )
+    group.add_argument("--allow-drift", action="store_true", default=None, help="track although the load will drift")
+    add_log_options(parser)
+
+
+def require_fit_options(args: Namespace) -> None:
+    """Nothing, where the options say one thing.
+
+    Raises
+    ------
+    UsageError
+        Neither model nor state; settings of a fit without one.
+    """
+    if args.model is None and args.state is None:
+        raise UsageError("nothing to track with: name a tracker with --model, a model with --model and its record with "
+                         "--fit, or a state with --state")  # fmt: skip
+    if args.fit is not None and args.model is None:
+        raise UsageError("--fit tunes a model: name its file with --model")
+    given = [f"--{name.replace('_', '-')}" for name in (*OPTIONS, "fs", "columns", "axis", "record")
+             if getattr(args, name) not in (None, [])]  # fmt: skip
+    if args.fit is None and given:
+        raise UsageError(f"{given[0]} is a setting of a fit: name its record with --fit, or leave it out")
+
+
+def started(args: Namespace, progress: Any = None) -> tuple[Tracker, dict[str, Any] | None, bool]:
+    """Tracker of the state where there is one, else of the model; where its stream stood; whether it was fitted now.
+
+    Raises
+    ------
+    InputError
+        No file, a damaged one, one of another kind; a state of another tracker, model, record or setting; a model
+        without a record to tune it on.
+    NotIdentifiable
+        From the fit.
+    """
+    from .._families.tracking import tracker as checkpoint
+
+    model, state = args.model, args.state
+    if state is not None and Path(state).exists():
+        tracker, stream = checkpoint.read(_tracker_file(state))
+        _require_same(args, tracker)
+        return tracker, stream, False
+    if model is None:
+        raise InputError("there is no state to go on from", where=f"--state {state}", found="no such file",
+                         expected="a file of a tracker", hint="name a fitted tracker with --model, or a model with "
+                         "--model and --fit")  # fmt: skip
+    if _is_tracker(model):
+        _refuse_fit(args)
+        return checkpoint.read(model)[0], None, False
+    if args.fit is None:
+        raise InputError("this model is not tuned yet", where=f"--model {model}", found="a model of a structure",
+                         expected="a fitted tracker", hint="name a record to tune it on with --fit")  # fmt: skip
+    tracker = _fitted(args, progress)
+    if state is not None:
+        checkpoint.save(tracker, state)  # before the first sample: what took seconds is not lost
+    return tracker, None, True
+
+
+def _fitted(args: Namespace, progress: Any) -> Tracker:
+    from dataclasses import replace
+
+    from .._families.kalman import LoadTracker
+    from .._families.tracking.tracker import Tracker
+    from .._readers import read
+    from ..settings import Noise, folded
+
+    made = _made(args)
+    model = load_model(args.model)
+    model.require("state_space")
+    given: dict[str, Any] = {name: value for name in OPTIONS if (value := getattr(args, name)) is not None}
+    if "prior" in given and len(given["prior"]) == 1:
+        given["prior"] = given["prior"][0]
+    if "noise" in given:
+        given["noise"] = Noise(_noise(given["noise"], [c.label for c in model.sensors]), source="--noise")
+    if "start" in given:
+        given["start"] = 0.0 if given["start"] == "rest" else "static"
+    if given.get("gate") == 0:
+        given["gate"] = None
+    family = LoadTracker(model, **folded(LoadTracker, given), progress=progress)
+    found = family.fit(read(args.fit, record=one_record(args), **settings(args)))
+    told = replace(found.fitted, settings={**found.fitted.settings, COMMAND: made})
+    tracker = Tracker(told, found.gate, found.lag, replay=found.replay, engine=found.engine)
+    tracker.made_of(found.origin)
+    return tracker
+
+
+# -- is it the same fit? ----------------------------------------------------------------------------------------------
+def _require_same(args: Namespace, tracker: Tracker) -> None:
+    """A state is gone on from only where a new start would have made the same tracker."""
+    from .._families.tracking import tracker as checkpoint
+
+    if args.model is None:
+        return
+    where = f"--state {args.state}"
+    if _is_tracker(args.model):
+        _refuse_fit(args)
+        if checkpoint.fit_of(args.model) != checkpoint.fit_of(args.state):
+            raise InputError("the state belongs to another tracker than the model", where=where,
+                             expected=f"a state of {args.model}", hint="name a new file with --state")  # fmt: skip
+        return
+    made = tracker.fitted.settings.get(COMMAND)
+    if made is None:  # fitted in Python
+        if load_model(args.model).fingerprint != tracker.fitted.fingerprint:
+            raise InputError("the state belongs to another model", where=where, expected=f"a state of {args.model}",
+                             hint="name a new file with --state")  # fmt: skip
+        return
+    now = _made(args, int(made["record"]["bytes"]))
+    if args.fit is None:
+        now |= {"record": made["record"], "options": made["options"]}
+    for name, words in (("model", "another model"), ("options", "a fit with other settings"),
+                        ("record", "a fit to another record")):  # fmt: skip
+        if made[name] != now[name]:
+            raise InputError(f"the state belongs to {words}", where=where, found=_shown(made[name]),
+                             expected=_shown(now[name]), hint="name a new file with --state")  # fmt: skip
+
+
+def _shown(value: Any) -> str:
+    if not isinstance(value, dict):
+        return f"sha256 {value[:12]}"
+    if "sha256" in value:
+        return f"{value['bytes']} bytes, sha256 {value['sha256'][:12]}"
+    return ", ".join(f"--{k.replace('_', '-')} {v}" for k, v in value.items()) or "no settings"
+
+
+def _made(args: Namespace, size: int | None = None) -> dict[str, Any]:
+    """What a fit is made from: content of the model's file, settings, content of the record, which may have grown."""
+    options = {name: str(value) for name in (*OPTIONS, "fs", "columns", "axis", "record", "unit")
+               if (value := getattr(args, name)) not in (None, [])}  # fmt: skip
+    record = {} if args.fit is None else _digest(args.fit, size)
+    return {"model": _digest(args.model)["sha256"], "options": options, "record": record}
+
+
+def _digest(path: str, size: int | None = None) -> dict[str, Any]:
+    """Of a file, or of as much of it as there was before."""
+    hasher, total = hashlib.sha256(), 0
+    try:
+        left = Path(path).stat().st_size if size is None else size
+        with Path(path).open("rb") as file:
+            while left > 0 and (data := file.read(min(PIECE, left))):
+                hasher.update(data)
+                total, left = total + len(data), left - len(data)
+    except OSError as error:
+        raise InputError("the file cannot be read", where=path, found=error.strerror or str(error),
+                         hint="check the path") from None  # fmt: skip
+    return {"bytes": total, "sha256": hasher.hexdigest()}
+
+
+def _is_tracker(path: str) -> bool:
+    """Whether the file holds a tracker; other kinds of model may become one."""
+    from structures._models.tabulated import FILE
+    from structures.files import _modelfile as modelfile
+    from structures.files._storage import kind_of, read
+    from structures.files._uff import SUFFIXES
+
+    from .._families.tracking.tracker import KIND
+
+    if Path(path).suffix.lower() in SUFFIXES:
+        return False
+    kind = kind_of(path)
+    if kind is not None and kind not in (KIND, *modelfile.KINDS, FILE, "measured model"):
+        raise InputError("this file holds no tracker, and no model to tune", where=path, found=kind,
+                         expected=f"{KIND}, or {', '.join(modelfile.KINDS)}",
+                         hint="in Python: LoadTracker(model).fit(record).save(file), or model.save(file)")  # fmt: skip
+    if kind is None:
+        read(path, KIND)  # refuses what is no file of ours
+    return kind == KIND
+
+
+def _tracker_file(path: str) -> str:
+    """The path, where it leads to a tracker."""
+    if not _is_tracker(path):
+        raise InputError("this file holds no tracker", where=path, found="a model of a structure", expected="a state",
+                         hint="name the model with --model, and a new file with --state")  # fmt: skip
+    return path
+
+
+def _refuse_fit(args: Namespace) -> None:
+    if args.fit is not None:
+        raise InputError("this tracker is tuned already", where=f"--model {args.model}", found=f"--fit {args.fit}",
+                         expected="a model of a structure", hint="leave --fit out, or name the model")  # fmt: skip
+
+
+# -- values -----------------------------------------------------------------------------------------------------------
+def _lag(text: str) -> int | str:
+    return text if text == "auto" else _samples(text, ", nor auto")
+
+
+def _samples(text: str, more: str = "") -> int:
+    if not (text.isascii() and text.isdecimal()):
+        raise ArgumentTypeError(f"{text!r} is no number of samples >= 0{more}")
+    return int(text)
+
+
+def _gate(text: str) -> float:
+    """Stds; 0 stands for no gate."""
+    return 0.0 if text == arguments.NONE else arguments.positive(text)
+
+
+def _errors(text: str) -> dict[str, float]:
+    found = {}
+    for part in names(text):
+        name, sign, value = part.partition("=")
+        if not sign:
+            raise ArgumentTypeError(f"{part!r} is not NAME=STD, as stiffness=0.02")
+        found[name.strip()] = arguments.positive(value)
+    return found
+
+
+def _noise(text: str, sensors: list[str]) -> list[float]:
+    """Std of every sensor."""
+    parts = names(text)
+    pairs = [part.rpartition("=") for part in parts]
+    named = [label for label, sign, _ in pairs if sign]
+    if named and sorted(named) != sorted(sensors):
+        raise InputError("one noise std for each sensor", where="--noise", found=", ".join(named),
+                         expected=", ".join(sensors))  # fmt: skip
+    values = []
+    for _, _, value in sorted(pairs, key=lambda p: sensors.index(p[0])) if named else pairs:
+        try:
+            values.append(arguments.positive(value))
+        except ArgumentTypeError as error:
+            raise InputError("no noise std", where="--noise", found=value, expected="a number > 0") from error
+    if not named and len(values) == 1:
+        return values * len(sensors)
+    if len(values) != len(sensors):
+        raise InputError("one noise std for each sensor", where="--noise", found=f"{len(values)} numbers",
+                         expected=f"{len(sensors)}, for {', '.join(sensors)}")  # fmt: skip
+    return values

@@ -1,0 +1,265 @@
+"""Deconvolution: load histories from response histories, Tikhonov or truncated SVD, any length of record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from structures._advice import Advice, Option
+from structures._flags import Flag, codes
+from structures._model import Model, as_model
+from structures.errors import InputError
+
+from .. import _guards as guards
+from .._guards import families as told
+from .._inverse.choice import Choice, checked, choose, given, named
+from .._inverse.constrained.nonnegative import NonNegativeSolution
+from .._inverse.diagnosis import diagnose
+from .._inverse.gaussian.coarse import confirm
+from .._inverse.penalties import order
+from .._results.estimate import LoadEstimate
+from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, takes
+from . import histories
+from .answer import SolvedLoad, answer, beyond_noise, of_path, over_time, undetermined
+from .data import Data, gather
+from .histories import facts as pushing_facts
+from .histories import flags as pushing_flags
+from .histories import half_width, kurtosis, push, signs, without_offsets
+from .noise import noise_level
+from .posing import UNUSABLE, Posed, PosingSettings, diagonal, pose
+
+PROCESS = (
+    "a load of zero mean and constant variance, white in time",
+    "a random walk in time",
+    "an integrated random walk in time",
+)  # which a penalty on differences of that order is the prior of
+
+
+class Deconvolution:
+    """Load histories from response histories.
+
+    Minimises ``|R^(-1/2) (h * g - y)|^2 + lambda^2 |L g|^2`` over whole records (Jacquelin, Bennani & Hamelin, J. Sound
+    Vib. 265 (2003) 81, for the problem; Hansen, SIAM 1998, for the method), exactly and at any length: short records by
+    SVD, longer ones by recursions over the state space of the model, or by convolution where it has none, in windows
+    beyond 50 000 samples, with a bound on what that changes; the result says which. Measured models go line by line
+    over the zero-padded spectrum, which carries the errors of their FRFs and is right where the response decays within
+    the record (flag W505 says when it does not).
+
+    Parameters
+    ----------
+    model : Model
+        Anything that gives ``impulse_response`` (and ``frf`` for measured models).
+    penalty : str, array, None or Penalty
+        ``identity, first_difference, second_difference`` (``gradient``, ``laplacian``), a matrix of shape
+        (rows, samples * loads), or None for plain least squares, refused where the data do not determine the load;
+        beside it, what else holds the load: `loadid.Penalty`.
+    choice : str, callable, float, None or Lambda
+        Rule by name or itself (`loadid.register_rule`), or relative lambda; None chooses as
+        `loadid._inverse.choice.choose` says. Truncation in place of Tikhonov and the solver: `loadid.Lambda`.
+    initial : ``"rest"``, ``"unknown"`` or array (states,)
+        State of the model at the first sample: at rest, an unknown of the data, or known. State-space path only.
+    constraints : sequence of NonNegative
+        Loads that only push (`loadid.constraints.NonNegative`). Lambda is then the largest at which such a load
+        explains the data, where no rule was asked for by name; the std stays that of the load without signs, a bound.
+    hold : {"foh", "zoh"}, optional
+        How a load moves between samples; default the model's own, which is first order where it has a choice.
+    noise : float, array or Noise, optional
+        Noise std of the sensors, (sensors,) or a covariance (sensors, sensors); with where it comes from:
+        `loadid.Noise`.
+    sensors : sequence of str or int, optional
+        Sensors of the model to use; default all.
+    allow : sequence of str, or Guards
+        Guard codes whose refusal is overridden; printed on everything made from the result. What else guards ask:
+        `loadid.Guards`.
+    progress : callable, optional
+        Called as ``progress(fraction, text)``.
+    """
+
+    name = "deconvolution"
+
+    @takes(
+        penalty=(Penalty, "size leak from_zero"),
+        choice=(Lambda, "method path"),
+        noise=(Noise, "source"),
+        allow=(Guards, "coverage load_class"),
+    )
+    def __init__(
+        self,
+        model: Model,
+        *,
+        penalty: str | ArrayLike | Penalty | None = "identity",
+        choice: ChoiceLike = None,
+        initial: str | ArrayLike = "rest",
+        constraints: Sequence[Any] = (),
+        hold: str | None = None,
+        noise: ArrayLike | Noise | None = None,
+        sensors: Sequence[str | int] | None = None,
+        allow: Sequence[str] | Guards = (),
+        progress: Callable[[float, str], None] | None = None,
+    ) -> None:
+        held, lam, told_of = Penalty.of(penalty), Lambda.of(choice), Guards.of(allow)
+        if held.L is None and lam.choice is not None and not lam.free:
+            raise InputError(
+                "without a penalty there is no lambda to choose", where="choice", found=lam.choice, expected="None"
+            )
+        self.settings = PosingSettings(Noise.of(noise), lam, held, told_of.codes, hold, initial, signs(constraints))
+        self.model = as_model(model, "Deconvolution", "impulse_response")
+        self.choice = 0.0 if held.L is None else checked(lam.choice)
+        self.sensors, self.coverage, self.load_class = sensors, told_of.coverage, told_of.load_class
+        self._progress = progress or (lambda fraction, text: None)
+
+    def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
+        """Rebuild the loads that caused a record.
+
+        Parameters
+        ----------
+        record : Record, or array of shape (samples, sensors)
+        dt : float, optional
+            Step in s of a bare array.
+
+        Returns
+        -------
+        LoadEstimate
+            Loads (samples, loads) with std, flags, and what every rule said.
+
+        Raises
+        ------
+        InputError
+            A record that does not fit the model, or an impulse response without a usable diagonal (LID-E506).
+        NotIdentifiable
+            Without regularisation, where the data do not determine the load (LID-E306).
+        """
+        data = gather(record, dt, self.model, self.sensors, allow_missing=True)
+        data = without_offsets(data, self.model, at_rest=self.settings.resting, allow=self.settings.allow)
+        self._progress(0.1, "posing the problem")
+        posed = pose(self.model, data, self.settings)
+        self._refuse_undetermined(posed)
+        self._progress(0.5, "choosing lambda")
+        choice = self._choose(posed)
+        self._progress(0.9, "estimating the load")
+        posed.path.precompute(choice.lam, lambda f, t: self._progress(0.9 + 0.09 * f, t))
+        # a residual above the stated noise is model error: the band must not be narrower than what is seen
+        sigma = noise_level(posed.path, choice, posed.noise)
+        pushed = None
+        if (signed := self.settings.signed) is not False:
+            keep = self.choice is not None
+            pushed, choice = push(posed, choice, sigma, signed, keep, lambda f, t: self._progress(0.7 + 0.2 * f, t))
+        found = self._found(posed, choice, sigma, data, pushed)
+        self._progress(1.0, "done")
+        return answer(
+            self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),
+            prior=_prior(self.settings) + ("" if pushed is None else "; it only pushes"),
+            flags=self._flags(posed, choice, data, found), searched=posed.judged, full=posed.full, free=self._free,
+        )  # fmt: skip
+
+    def _found(
+        self, posed: Posed, choice: Choice, sigma: float, data: Data, pushed: NonNegativeSolution | None
+    ) -> SolvedLoad:
+        """The load with what is known of it; of loads that only push, that of the solver of signs."""
+        path, solution = posed.path, posed.path.solution(choice.lam, sigma)
+        load = solution.load if pushed is None else pushed.load
+        response, residual = posed.compare(load, choice.lam, None if pushed is None else pushed.start)
+        width, lost = diagnose.resolution(path, choice.lam, load)
+        facts = {
+            "path": posed.name, "n": posed.unknowns, "resolution": width * data.dt, "resolution_unit": "s",
+            "peak_bias": lost, **({"missing": data.gaps} if data.gaps else {}),
+            **({} if pushed is None else pushing_facts(pushed, path.m, posed.noise.known)),
+        }  # fmt: skip
+        found = of_path(
+            path, choice, solution, sigma, posed.noise, layout=posed.layout, axis=over_time(len(load), data.dt),
+            response=response, residual=residual, facts=facts, load=load, hidden_by=path,
+        )  # fmt: skip
+        if pushed is None:
+            return replace(found, flags=(*self._impacts(found, data.dt), *found.flags))
+        excess = beyond_noise(pushed.residual2, path.m, posed.noise)
+        return replace(found, excess=excess, flags=(*pushing_flags(pushed, posed, choice, sigma), *found.flags))
+
+    def _choose(self, posed: Posed) -> Choice:
+        """Lambda by the rules: of a long record on windows first, then on the whole."""
+        sigma, source = posed.noise.sigma, posed.noise.source
+        if isinstance(self.choice, float) and posed.path.coefficients is None:
+            return given(posed.path, self.choice, sigma=sigma, source=source)
+        choice = choose(posed.judged, self.choice, sigma=sigma, source=source)
+        if posed.judged is posed.path:
+            return choice
+        self._progress(0.6, "confirming lambda on the whole record")
+        return confirm(posed.path, choice, self.choice, sigma=sigma, source=source)
+
+    def _refuse_undetermined(self, posed: Posed) -> None:
+        if self._free and posed.rank < posed.unknowns and "LID-E306" not in self.settings.allow:
+            advice = Advice("add sensors, use a penalty (", Option("penalty", "identity"), "), or give lambda > 0")
+            raise undetermined(posed.rank, f"{posed.unknowns} unknowns", f"{posed.path.m} data", advice)
+
+    @property
+    def _free(self) -> bool:
+        """Without regularisation."""
+        return self.settings.free
+
+    @property
+    def allow(self) -> tuple[str, ...]:
+        """Guard codes whose refusal is overridden."""
+        return self.settings.allow
+
+    def _impacts(self, found: SolvedLoad, dt: float) -> tuple[Flag, ...]:
+        """W510 and W311: whether the load is one of impacts that this prior smears."""
+        load, prior = found.load, _prior(self.settings)
+        g = load[:, int(np.argmax(np.max(np.abs(load), axis=0)))]
+        peaked = None if self.load_class is None else told.impulsive(kurtosis(load), prior)
+        width = found.facts["resolution"] / dt
+        peaked = peaked or told.smeared(kurtosis(g), half_width(g), width, found.facts["peak_bias"], prior)
+        return guards.collect([told.declared_class(self.load_class, "tikhonov"), peaked])
+
+    def _beginning(self, posed: Posed, choice: Choice, data: Data, sigma: float) -> Flag | None:
+        """W518 of a record that starts in motion, where the model starts at rest."""
+        if not isinstance(self.settings.initial, str) or self.settings.initial != "rest":
+            return None
+        missing = data.missing[-len(posed.values) :] if data.missing.any() else None
+        lam, penalty = choice.lam * choice.scale, self.settings.penalty.L
+        return histories.beginning(posed.h, posed.values, posed.noise.level, lam, penalty, sigma, missing)
+
+    def _flags(self, posed: Posed, choice: Choice, data: Data, found: SolvedLoad) -> list[Flag | None]:
+        s, facts = self.settings, found.facts
+        bound = s.penalty.leak is not None or s.penalty.size is not None
+        layout = histories.layout(self.model, data, posed.h, s.penalty.L, bound)
+        cut = posed.path.zero_padded and "W505" not in codes(layout)  # what the padded transform cannot represent
+        ratio = diagonal(posed.h) if "LID-E506" in s.allow else np.inf
+        penalty = s.penalty.L if isinstance(s.penalty.L, str) else "user matrix"
+        return [
+            guards.overridden("E506", "|h(0)| / max |h|", ratio, UNUSABLE) if ratio <= UNUSABLE else None,
+            histories.determined(self.model, facts["m"], facts["n"], facts["rank"], posed.h),
+            *layout,
+            guards.unfinished(posed.values, np.asarray(found.residual)) if cut else None,
+            self._beginning(posed, choice, data, facts["noise_level"]),
+            guards.resolution(facts["nullity"], penalty, facts["resolution"], "s", facts["peak_bias"]),
+        ]
+
+    def _settings(self, posed: Posed) -> dict[str, Any]:
+        s = self.settings
+        return {
+            "method": s.lam.method,
+            "penalty": s.penalty.L if isinstance(s.penalty.L, str | None) else "matrix",
+            "size": None if s.penalty.size is None else np.asarray(s.penalty.size, float).tolist(),
+            "choice": named(self.choice),
+            "hold": s.hold,
+            "path": posed.name,
+            "noise_source": posed.noise.source.text,
+            "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
+        }
+
+
+def _prior(settings: PosingSettings) -> str:
+    """The prior in words."""
+    if isinstance(settings.penalty.L, str):
+        return _process(order(settings.penalty.L)) + (
+            "" if settings.penalty.size is None else ", its size held small beside its changes"
+        )
+    return "none" if settings.penalty.L is None else "a penalty of the user"
+
+
+def _process(order: int) -> str:
+    """The random process that a difference of this order makes white, in words."""
+    return PROCESS[order] if order < len(PROCESS) else f"a random walk in time, integrated {order - 1} times"

@@ -1,0 +1,151 @@
+"""How a record and a model become a problem with a path: dense, over states, by convolution, or by measured lines."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures._advice import Advice
+from structures._model import Model, impulse_of
+from structures._models.statespace import StateSpace
+from structures.errors import InputError
+
+from ..._inverse import penalties
+from ..._inverse.constrained.nonnegative import NonNegativeRecord
+from ..._inverse.convolution import toeplitz
+from ..._inverse.diagnosis import diagnose
+from ..._inverse.problem import LinearProblem, whiten
+from ..._inverse.svd import SVDPath
+from .. import noise as noises
+from ..data import Data
+from .paths import MOST, TAPS, at_rest_in_place, convolved, convolved_measured, state_space_of, states
+from .posed import AUTO, UNUSABLE, Posed, PosingSettings, by_prediction, diagonal, lines, measured_lines, shift
+
+Array = NDArray[Any]
+
+__all__ = ["UNUSABLE", "Posed", "PosingSettings", "diagonal", "pose"]
+
+DENSE = 2000  # unknowns of a matrix that fits a desk
+SMALL = 1000  # unknowns up to which a factorisation, which tells more, is about as quick
+
+
+def pose(model: Model, data: Data, settings: PosingSettings) -> Posed:
+    """Problem of a record, on the path that was asked for or that fits.
+
+    ``auto``: dense up to some thousand unknowns, where penalties are matrices, and without regularisation; beyond, and
+    for missing samples, offsets of channels or an initial state, the state-space path of a model with a few dozen
+    states, else convolution, of a long record in windows.
+    Measured models go by lines, which carry the errors of their FRFs, and by convolution for missing samples and signs;
+    the truncated SVD by dense matrix or by lines.
+
+    Raises
+    ------
+    InputError
+        No usable diagonal (LID-E506), different steps, or what the path does not take.
+    """
+    if model.sampled:
+        if settings.lam.path in ("dense", "statespace"):
+            raise InputError("a measured model has no such path", where="path", found=repr(settings.lam.path),
+                             expected="'auto', 'fft', 'toeplitz' or 'windows'")  # fmt: skip
+        beyond_lines = settings.signed is not False or (data.missing.any() and not settings.truncated)
+        if settings.lam.path in ("toeplitz", "windows") or (settings.lam.path == "auto" and beyond_lines):
+            return convolved_measured(model, data, settings)
+        settings.refuse_special("line by line")
+        return measured_lines(model, data, settings)
+    hold, samples = settings.hold or model.default_hold, len(data.values)
+    kind, system = _kind(model, data, settings)
+    taps = min(samples, TAPS) if kind == "statespace" else samples
+    still = system is not None and system.moving
+    h = impulse_of(at_rest_in_place(system) if still and system else model, data.dt, taps, hold)
+    late = 0 if still else shift(h[:, data.rows], model, settings.allow)
+    noise = noises.resolve(settings.noise, model, data)
+    if kind == "statespace":
+        assert system is not None
+        return states(system, h[late:], late, noise, data, settings)
+    h, values = h[late:], data.values[late:]
+    if kind == "dense":
+        return dense(h, values, noise, data, settings)
+    if kind in ("toeplitz", "windows"):
+        return convolved(h, values, data.missing[late:], noise, data, settings)
+    return lines(h, values, noise, data, settings)
+
+
+def _kind(model: Model, data: Data, settings: PosingSettings) -> tuple[str, StateSpace | None]:
+    """Name of the path, and the state space if it is that one."""
+    if model.moving and settings.lam.path in ("auto", "statespace"):
+        if settings.truncated:
+            raise InputError("loads that move have no singular values to truncate", where="method", found="'tsvd'",
+                             expected="method='tikhonov'")  # fmt: skip
+        return "statespace", state_space_of(model, data.dt, settings.hold)
+    unknowns = len(data.values) * len(model.loads)
+    gaps, floating = bool(data.missing.any()), any(data.offsets)
+    if settings.lam.path != "auto":
+        system = state_space_of(model, data.dt, settings.hold) if settings.lam.path == "statespace" else None
+        if settings.lam.path == "statespace" and system is None:
+            raise InputError("the model has no state space", where="path", found="'statespace'",
+                             expected="'dense' or 'toeplitz', or another model")  # fmt: skip
+        return settings.lam.path, system
+    if settings.truncated:
+        return ("dense" if unknowns <= DENSE else "fft"), None
+    if not settings.named or settings.free or (unknowns <= SMALL and not (gaps or floating or settings.special)):
+        return "dense", None
+    system = state_space_of(model, data.dt, settings.hold)
+    if system is not None and (len(system.A) <= MOST or settings.special or settings.penalty.size is not None):
+        return "statespace", system
+    if settings.special or (settings.penalty.size is not None and (gaps or unknowns > DENSE)):
+        settings.refuse_special("convolution")
+    return ("dense" if unknowns <= DENSE and not gaps else "toeplitz"), None
+
+
+def dense(h: Array, values: Array, noise: noises.NoiseLevel, data: Data, settings: PosingSettings) -> Posed:
+    """Problem of impulse responses (samples, sensors, loads) of all sensors of the model.
+
+    Raises
+    ------
+    InputError
+        A record too long for a matrix, or with missing samples.
+    """
+    settings.refuse_special("dense")
+    samples, loads = len(values), h.shape[2]
+    n = samples * loads
+    if n > 2 * DENSE:
+        raise InputError(
+            "the record is too long for the dense path", where="penalty" if not settings.named else "path",
+            found=f"{n} unknowns", expected=f"at most {2 * DENSE}",
+            hint=Advice("use a named penalty with lambda > 0 and ", AUTO, ", or a window"),
+        )  # fmt: skip
+    if data.missing.any():
+        raise InputError(
+            "the dense path takes no missing samples", where="record", found=data.gaps, expected="complete channels",
+            hint=Advice("use a named penalty, Tikhonov, lambda > 0 and ", AUTO),
+        )  # fmt: skip
+    used = h[:, data.rows]
+    T = toeplitz(used)
+    L = None if settings.penalty.L is None else penalties.matrix(settings.penalty.L, samples, loads)
+    if (sizes := settings.sizes(loads)) is not None:
+        L = np.vstack([np.eye(n) if L is None else L, np.kron(np.eye(samples), np.diag(sizes))])
+    path = SVDPath(LinearProblem.whitened(T, values, noise.level, L, (samples, loads)), truncated=settings.truncated)
+    full = None
+    if len(data.rows) < h.shape[1]:
+        scale = np.sqrt(np.mean(h**2, axis=(0, 2)))
+        full = diagnose.layout(np.linalg.svd(toeplitz(h / scale[:, None]).reshape(-1, n), compute_uv=False), n)
+
+    def predict(g: Array) -> Array:
+        return (T.reshape(-1, n) @ g.reshape(-1)).reshape(values.shape)
+
+    kappa, _, _ = diagnose.layout(path.singular_values, n)
+    layout = kappa, path.rank, max(n - path.rank, 0)
+    penalty = settings.penalty.L
+
+    def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
+        if not isinstance(penalty, str):
+            raise InputError("signs take a named penalty", where="penalty", found="a matrix or None",
+                             expected=f"one of {penalties.names()}")  # fmt: skip
+        return NonNegativeRecord.convolved(
+            whiten(used, noise.level, 1), whiten(values, noise.level, 1), penalty, signed=signed
+        )
+
+    compare = by_prediction(values, predict)
+    return Posed(path, noise, compare, values, "dense SVD", used, layout, full, n, path, pushing)

@@ -1,0 +1,400 @@
+"""The filters of a tracker with all that a sample changes in them: bare numbers in and out; means of innovations.
+
+Means of pieces tell the standard error of the whole where innovations are correlated
+(`loadid._guards.tracking.biases`). A stream has no length: where there are too many pieces, two are made one, and the
+pieces are as long as it needs.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from structures._flags import Flag
+from structures.errors import InputError, plain, reals
+
+from ..._guards.tracking import beyond_the_fit, kept_out, moved_off
+from ..._inverse.gaussian.exports import Peer
+from ..._inverse.gaussian.lag import fixed_lag
+from ..._inverse.gaussian.roots import Array
+from ..._inverse.gaussian.steady import SteadyFilter
+from .engine import Engine, Late
+from .fit import TrackerFit
+from .samples import Replay, inside
+
+PIECES = 40  # at most, then half as many, twice as long
+SHORTEST = 10  # samples of a piece
+FEWEST = 16  # pieces, from which a mean is judged
+ROUNDING = 1e-9  # of a number, below which it is none
+SHOWN = 1e-3  # stds of an innovation that a load as large as its prior must add to the mean, to be taken for a mean
+
+
+def constant(settled: SteadyFilter) -> Array:
+    """Mean normalised innovations (m, p) of loads that stay, as large as their prior says.
+
+    A prior that returns to zero predicts less of them.
+    """
+    model = settled.model
+    nx, n = model.nx, model.n
+    z = np.linalg.lstsq(model.Cp[:, nx:], np.eye(model.p), rcond=None)[0]
+    x = np.linalg.lstsq(np.eye(nx) - model.F[:nx, :nx], model.F[:nx, nx:] @ z, rcond=None)[0]
+    y = model.H @ np.vstack([x, z])
+    ahead = np.linalg.lstsq(np.eye(n) - model.F @ (np.eye(n) - settled.K @ model.H), model.F @ settled.K @ y,
+                            rcond=None)[0]  # fmt: skip
+    size = np.linalg.norm(model.Cp @ model.L0, axis=1)
+    return np.asarray((y - model.H @ ahead) * size / settled.innovation_std[:, None], float)
+
+
+class Means:
+    """Sums of the innovations of all channels, piece by piece.
+
+    Parameters
+    ----------
+    m : int
+        Channels.
+    """
+
+    def __init__(self, m: int) -> None:
+        self.length, self.filled = SHORTEST, 0  # samples of a piece, and of the one that is not full
+        self.sums, self.counts = np.zeros((1, m)), np.zeros((1, m))  # (pieces, m), the last is not full
+
+    def add(self, e: Array) -> None:
+        """Take up normalised innovations (samples, m); NaN where there is none."""
+        k = 0
+        while k < len(e):
+            part = e[k : k + self.length - self.filled]
+            there = np.isfinite(part)
+            # one after the other: blocks of any length give the same bits
+            self.sums[-1] = np.add.accumulate(np.vstack([self.sums[-1], np.where(there, part, 0.0)]))[-1]
+            self.counts[-1] += there.sum(axis=0)
+            self.filled, k = self.filled + len(part), k + len(part)
+            if self.filled == self.length:
+                self._next()
+
+    def _next(self) -> None:
+        """A new piece."""
+        if len(self.sums) == PIECES:
+            self.sums, self.counts = (x[0::2] + x[1::2] for x in (self.sums, self.counts))
+            self.length *= 2
+        self.filled, none = 0, np.zeros((1, self.sums.shape[1]))
+        self.sums, self.counts = np.vstack([self.sums, none]), np.vstack([self.counts, none])
+
+    def errors(self, loads: Array | None = None) -> Array:
+        """Standard errors by which the mean of each channel lies off zero (m,); 0 where there are too few pieces.
+
+        `loads` (m, any): means that are no offset but a load (`constant`); what is left beside them is judged.
+        """
+        out, there = np.zeros(self.sums.shape[1]), self.counts[:-1] > 0
+        seen = there.sum(axis=0) >= FEWEST
+        whole = there[:, seen].all(axis=1)
+        if not seen.any() or whole.sum() < FEWEST:
+            return out
+        means = self.sums[:-1][np.ix_(whole, seen)] / self.counts[:-1][np.ix_(whole, seen)]
+        if loads is not None:
+            U, s, _ = np.linalg.svd(loads[seen], full_matrices=False)
+            U = U[:, s > SHOWN]
+            means = means - means @ U @ U.T
+        off = means - means.mean(axis=0)
+        power = np.maximum(np.sum(off**2, axis=0), np.finfo(float).tiny)
+        alike = np.clip(np.sum(off[1:] * off[:-1], axis=0) / power, 0.0, 0.99)  # neighbours, of a filter that is slow
+        error = np.sqrt((1 + alike) / (1 - alike)) * means.std(axis=0, ddof=1) / np.sqrt(len(means))
+        told = error > ROUNDING * np.abs(self.sums[:-1]).max(initial=1.0)
+        out[seen] = np.where(told, means.mean(axis=0) / np.where(told, error, 1.0), 0.0)
+        return out
+
+    def to_tree(self) -> dict[str, Any]:
+        """Everything, as plain arrays and numbers."""
+        return {"length": self.length, "filled": self.filled, "sums": self.sums.copy(), "counts": self.counts.copy()}
+
+    def restore(self, tree: dict[str, Any]) -> None:
+        """Go on from what `to_tree` gave."""
+        self.length, self.filled = int(tree["length"]), int(tree["filled"])
+        self.sums, self.counts = np.array(tree["sums"], float), np.array(tree["counts"], float)
+
+
+ENGINE_COUNTS = ("samples", "missing", "gated", "believed", "steps", "lost")
+
+
+class Running:
+    """Engines of a fit, late answers, models that may be wrong, and the last samples.
+
+    Parameters
+    ----------
+    fitted : TrackerFit
+    gate : float or None
+    lag : int
+    replay : int, optional
+    engine : {"own", "filterpy"}
+        As `Tracker`.
+    """
+
+    def __init__(
+        self, fitted: TrackerFit, gate: float | None = None, lag: int = 0, *, replay: int | None = None,
+        engine: str = "own",
+    ) -> None:  # fmt: skip
+        self.fitted, self.gate, self.lag = fitted, gate, lag
+        self.replay, self.engine = lag if replay is None else replay, engine
+        self._p = fitted.model.p
+        self._origin: Any = None  # the model of the structure, where it is at hand
+        self.reset()
+
+    def made_of(self, model: Any) -> None:
+        """The model of the structure behind the filter, for `update_model`: a file does not hold it."""
+        self._origin = model
+
+    @property
+    def origin(self) -> Any:
+        """The model of the structure, where it is at hand."""
+        return self._origin
+
+    @property
+    def phase(self) -> str:
+        """``"warm-up"``, ``"steady"``, ``"periodic"`` (channels of several rates) or ``"transient"``."""
+        return str(self._engine.phase)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What has come, since the start.
+
+        ``samples``; channel samples ``missing``, at the end of a range among them (``saturated``), or ``gated``;
+        events of the load taken up (``steps``); times that the state was ``lost`` and found; late samples put in their
+        place (``replayed``), or come too late (``expired``). Channel samples beyond the gate that were ``believed``,
+        as it had been set aside.
+        """
+        found = {name: self._engine.counts[name] for name in ENGINE_COUNTS}
+        return found | {name: self._tally[name] for name in ("saturated", "replayed", "expired")}
+
+    @property
+    def alarms(self) -> tuple[Flag, ...]:
+        """What the guards found since the start: the gate, and means of the innovations of what came in blocks."""
+        f, engine, counts = self.fitted, self._engine, self.counts
+        labels = [c.label for c in f.sensors]
+        beyond = getattr(engine, "beyond", np.zeros(len(labels), int))
+        found = (
+            kept_out(counts["gated"], counts["samples"] * len(labels), counts["steps"], counts["believed"],
+                     dict(zip(labels, beyond.tolist(), strict=True))),
+            beyond_the_fit(getattr(engine, "largest", 0.0)),
+            moved_off(self._means.errors(None if f.settled is None else constant(f.settled)), labels),
+        )  # fmt: skip
+        return tuple(flag for flag in found if flag is not None)
+
+    def reset(self) -> None:
+        """Back before the first sample."""
+        self._tally: Counter[str] = Counter()
+        self._means = Means(self.fitted.model.m)
+        self._ring = Replay(self.replay) if self.replay else None
+        self._made()
+
+    def _made(self) -> None:
+        """Engines of the fit, before their first sample."""
+        f = self.fitted
+        self._engine: Any = self._filter()
+        prior = f.model.Cp @ f.model.x0, np.linalg.norm(f.model.Cp @ f.model.L0, axis=1)
+        fixed = None if not self.lag or f.settled is None else fixed_lag(f.settled, self.lag)
+        self._late = Late(self.lag, fixed, *prior) if self.lag else None
+        self._bank = [(weight, Engine(model, settled, None)) for weight, model, settled in f.bank]
+
+    def _filter(self) -> Any:
+        f = self.fitted
+        if self.engine == "own":
+            return Engine(f.model, f.settled, self.gate, self._width())
+        return Peer(f.model)
+
+    def compile(self) -> None:
+        """Load the compiler of the settled gains now, so that no sample waits for it."""
+        for engine in (self._engine, *(engine for _, engine in self._bank)):
+            if engine.loop is not None:
+                engine.loop.compile()
+
+    def step(self, sample: ArrayLike) -> tuple[Array, Array]:
+        """Loads and their std (loads,) after one sample (sensors,); NaN marks a channel that is missing.
+
+        With a lag they are those of so many samples ago: before the first one, what the prior says.
+
+        Raises
+        ------
+        InputError
+            A sample of another width, or infinite.
+        """
+        if self.fitted.limits is not None:
+            sample = self._believable(sample)
+        if self._ring is None:
+            return self._one(sample)
+        if self._ring.count % self.replay == 0 or not self._ring.anchors:
+            self._ring.anchor(self._changing())
+        answer = self._one(sample)
+        self._ring.push(np.asarray(plain(sample), float)[None])
+        return answer
+
+    def _one(self, sample: ArrayLike) -> tuple[Array, Array]:
+        if self._late is not None:
+            return self._lagged(sample, self._late)
+        steady = self._engine.phase == "steady"
+        load, std = self._engine.step(sample)
+        if not self._bank:
+            return load, std
+        quick = steady and self._engine.phase == "steady"
+        taken = sample if quick else self._engine.taken  # what was kept out is kept out of all models
+        between = np.zeros(self._p)
+        for weight, engine in self._bank:
+            between += weight * (engine.step(taken)[0] - load) ** 2
+        return load, np.sqrt(std**2 + between)
+
+    def _lagged(self, sample: ArrayLike, late: Late) -> tuple[Array, Array]:
+        engine = self._engine
+        if engine.phase == "steady" and late.line is not None:
+            try:
+                found = engine.loop.step(sample)
+            except (TypeError, ValueError):  # said below
+                found = None
+            if found is not None:
+                engine.counts["samples"] += 1
+                due = late.line.push(found, engine.loop.e)
+                assert due is not None  # the line is full
+                return due, late.line.std
+        row = engine.core.sample(reals(sample, where="sample", what="a sample that is no row of real numbers"))
+        load, std = np.empty((1, self._p)), np.empty((1, self._p))
+        engine.block(row[None], load, std, late=late)
+        return load[0], std[0]
+
+    def run(self, Y: Array, progress: Callable[[float, str], None] | None = None) -> tuple[Array, Array, Array]:
+        """Loads and std (samples, loads), normalised innovations (samples, sensors) of bare numbers."""
+        load, std, e = np.empty((len(Y), self._p)), np.empty((len(Y), self._p)), np.full(Y.shape, np.nan)
+        if self.fitted.limits is not None:
+            Y = self._believable(Y)
+        if self._ring is None:
+            self._run(Y, load, std, e, progress)
+            self._means.add(e)
+            return load, std, e
+        cuts = self._ring.cuts(len(Y))
+        for start, stop in zip([0, *cuts], cuts, strict=False):
+            part = slice(start, stop)
+            if start in cuts:
+                self._ring.anchor(self._changing())
+            self._run(Y[part], load[part], std[part], e[part], progress)
+            self._ring.push(Y[part])
+        self._means.add(e)
+        return load, std, e
+
+    def _run(self, Y: Array, load: Array, std: Array, e: Array, progress: Callable[[float, str], None] | None) -> None:
+        """Fill loads, std and innovations of a block."""
+        told = progress or (lambda share, text: None)
+        size = 65_536
+        for k in range(0, len(Y), size):
+            part = slice(k, k + size)
+            taken = Y[part].copy() if self._bank else None
+            late = {} if self._late is None else {"late": self._late}
+            self._engine.block(Y[part], load[part], std[part], e[part], taken, **late)
+            if taken is not None:
+                between = np.zeros(load[part].shape)
+                other, unused = np.empty(load[part].shape), np.empty(load[part].shape)
+                for weight, engine in self._bank:
+                    engine.block(taken, other, unused)
+                    between += weight * (other - load[part]) ** 2
+                std[part] = np.sqrt(std[part] ** 2 + between)
+            told(min((k + size) / len(Y), 1.0), "tracking")
+
+    def insert(self, sample: ArrayLike, ago: int) -> tuple[Array, Array] | None:
+        """Put a sample that comes late in its place, and run the filter again from there.
+
+        What has already come of that time stays; the channels that were missing then are filled in.
+
+        Parameters
+        ----------
+        sample : array (sensors,)
+            NaN marks a channel that is still missing.
+        ago : int
+            Samples taken after it.
+
+        Returns
+        -------
+        load, std : array, shape (ago + 1, loads), or None
+            The answers from its time on, as if it had come in order (with a lag, of so many samples before); None
+            where it comes too late (`replay`), which is counted.
+
+        Raises
+        ------
+        InputError
+            A sample of another width, or infinite; `ago` is no count.
+        """
+        if isinstance(ago, bool) or not isinstance(ago, int | np.integer) or ago < 0:
+            raise InputError("no count of samples", where="ago", found=repr(ago), expected="0, 1, 2, ...")
+        row = self._engine.core.sample(sample)
+        place = None if self._ring is None else self._ring.place(int(ago))
+        if self._ring is None or place is None:
+            self._tally["expired"] += 1
+            return None
+        row = self._believable(row)
+        rows = self._ring.samples
+        rows[place] = np.where(np.isfinite(rows[place]), rows[place], row)
+        load, std = self._again(np.array(rows))
+        self._tally["replayed"] += 1
+        return load[place:], std[place:]
+
+    def _again(self, Y: Array) -> tuple[Array, Array]:
+        """The kept samples once more, from the older anchor on."""
+        assert self._ring is not None
+        load, std, e = np.empty((len(Y), self._p)), np.empty((len(Y), self._p)), np.full(Y.shape, np.nan)
+        marks = [k for k, _ in self._ring.anchors]
+        self._restored(self._ring.anchors[0][1])
+        anchors, ends = [], [*(k - marks[0] for k in marks), len(Y)]
+        for k, start, stop in zip(marks, ends, ends[1:], strict=False):
+            anchors.append((k, self._changing()))
+            part = slice(start, stop)
+            self._run(Y[part], load[part], std[part], e[part], None)
+        self._ring.anchors = anchors
+        return load, std
+
+    def _believable(self, Y: Any) -> Any:
+        """Samples without those at the end of the range of their sensor, which are counted."""
+        try:
+            given = np.asarray(plain(Y), float)
+            found = inside(given, self.fitted.limits)
+        except (TypeError, ValueError):
+            return Y  # the engine says what is wrong with it
+        self._tally["saturated"] += int(np.sum(np.isnan(found)) - np.sum(np.isnan(given)))
+        return found
+
+    def to_tree(self) -> dict[str, Any]:
+        """Everything that changes from sample to sample, as plain arrays and numbers."""
+        ring = None if self._ring is None else self._ring.to_tree()
+        return self._changing() | {"ring": ring, "tally": dict(self._tally), "means": self._means.to_tree()}
+
+    def restore(self, tree: dict[str, Any]) -> None:
+        """Go on from what `to_tree` gave."""
+        self._restored(tree)
+        self._tally = Counter({str(k): int(v) for k, v in tree["tally"].items()})
+        if (means := tree.get("means")) is not None:  # files of 0.1 hold none
+            self._means.restore(means)
+        if self._ring is not None:
+            self._ring.restore(tree["ring"])
+
+    def _changing(self) -> dict[str, Any]:
+        """What a sample changes in the filters."""
+        return {
+            "engine": self._engine.to_tree(),
+            "bank": [engine.to_tree() for _, engine in self._bank],
+            "late": None if self._late is None else self._late.to_tree(),
+        }
+
+    def _restored(self, tree: dict[str, Any]) -> None:
+        self._engine.restore(tree["engine"])
+        for (_, engine), own in zip(self._bank, tree["bank"], strict=True):
+            engine.restore(own)
+        if self._late is not None:
+            self._late.restore(tree["late"])
+
+    def _width(self) -> Array | None:
+        """Of the gate: a model that is not exact is no reason to throw its sensors away."""
+        stds = () if self.fitted.certificate is None else self.fitted.certificate.robust_std
+        return np.asarray(np.maximum(1.0, stds)) if stds else None
+
+    def _spread(self) -> Array:
+        settled = self.fitted.settled
+        if settled is not None:
+            return settled.innovation_std
+        return np.asarray(np.linalg.norm(self.fitted.model.LR, axis=1))

@@ -1,0 +1,438 @@
+"""How lambda was chosen: what every rule said, how far they agree, and what that agreement is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TypeGuard
+
+import numpy as np
+
+from structures._advice import Advice, Spelling
+from structures.errors import InputError, real, shown
+
+from . import rules
+from .arrays import Array
+from .noise_source import NOT_KNOWN, NoiseSource, NoiseSourceLike
+from .path import RegularizationPath
+from .rules import Rule, answered, in_words
+from .sweep import ALARM, LARGEST, TESTABLE, Refusal, RuleResult, Sweep, plateau_test, residual_test, smallest_seen
+
+ChoiceLike = str | Rule | float | None  # name of a rule, a rule, a relative lambda, or nothing said
+
+
+@dataclass(frozen=True)
+class PathCurve:
+    """The path over a grid of relative lambdas, for pictures: all arrays (points,)."""
+
+    lam: Array
+    residual_norm: Array
+    penalty_norm: Array
+    edf: Array | None = None
+    gcv: Array | None = None
+
+    @classmethod
+    def of(cls, sweep: Sweep) -> PathCurve:
+        """What the pictures show of a sweep."""
+        p = sweep.point
+        gcv = None if p.left is None else rules.gcv_function(sweep.path, p)
+        return cls(sweep.lam, np.sqrt(p.residual2), np.sqrt(p.penalty2), p.edf, gcv)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The lambda that was used and what every rule said.
+
+    Parameters
+    ----------
+    lam : float
+        Relative lambda; ``lam * scale`` is the absolute one (whitened data).
+    scale : float
+        Scale of the problem, its largest generalised singular value.
+    rule : str
+        Rule that chose it, or ``"given"``.
+    rules : tuple of RuleResult
+        All rules that were asked.
+    spread : float
+        Decades between the smallest and the largest lambda of the rules that are compared.
+    verdict : str
+        ``determined``, ``usable``, ``rules disagree`` or ``not determined``; ``not asked`` beside a lambda of the user.
+    odds : str
+        What the verdict is worth, as measured on test problems.
+    sigma : float or None
+        Noise level of the whitened data (1 where the noise is known).
+    source : NoiseSource
+        Where the noise level comes from.
+    edf : float or None
+        Effective degrees of freedom at `lam`.
+    sweep : PathCurve or None
+        For the pictures.
+    whiteness : mapping of str to float
+        What the tests of the noise found (`whiteness_of`); empty where none could run.
+    correlated : bool
+        The tests say that the noise is correlated.
+    shown : float or None
+        Noise level that robust GCV shows, where it is above the stated one by more than chance: lambda was then chosen
+        without the stated one.
+    """
+
+    lam: float
+    scale: float
+    rule: str
+    rules: tuple[RuleResult, ...] = ()
+    spread: float = 0.0
+    verdict: str = "determined"
+    odds: str = ""
+    sigma: float | None = None
+    source: NoiseSource = NOT_KNOWN
+    edf: float | None = None
+    sweep: PathCurve | None = field(default=None, repr=False)
+    whiteness: Mapping[str, float] = field(default_factory=dict)
+    correlated: bool = False
+    shown: float | None = None
+
+    @property
+    def sigma_source(self) -> str:
+        """Where the noise level comes from, in words."""
+        return self.source.text
+
+
+DEFAULT_RULES = (
+    "discrepancy",
+    "upre",
+    "gcv",
+    "robust_gcv",
+    "predicted_error",
+    "l_curve",
+    "ncp",
+    "quasi_optimality",
+    "evidence",
+)
+GRADES = ("determined", "usable", "rules disagree", "not determined")
+LIMITS = (0.5, 1.0, 2.0)  # decades between the grades
+KINDS = (("gcv", "robust_gcv"), ("quasi_optimality",), ("discrepancy",))  # the first of each that ran has its voice
+BENEATH = 0.03  # share of the smallest singular value below which the load no longer changes
+ORDERS = {
+    False: ("predicted_error", "robust_gcv", "gcv", "l_curve"),
+    True: ("predicted_error", "discrepancy", "upre", "gcv", "l_curve"),
+}
+WIDE, NEAR = 0.2, 1.0  # share of the data that a wide-band load spends; decades within which UPRE then refines it
+BELOW = 0.7  # decades by which a whiteness rule lies below quasi-optimality where it may follow correlated noise
+CHANCE, CLEARLY = 1e-2, 1.3  # of a residual so far above the stated noise; and how far at least
+EXCESS = 1e-3  # chance of a residual so far above the noise that the load does not explain its data
+CORNER = 1.5  # decades by which the corner of the L-curve lies below the lambda in use where it has a voice
+SPARE = 0.2  # share of the data that a fit leaves for the test of the stated noise level
+CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
+
+
+def choose(
+    path: RegularizationPath, choice: ChoiceLike = None, *, sigma: float | None = None, source: NoiseSourceLike = None
+) -> Choice:
+    """Choose lambda on a path, ask the other rules too, and grade their agreement.
+
+    Parameters
+    ----------
+    path : RegularizationPath
+    choice : str, callable, float or None
+        Rule by name or itself, or relative lambda. None: the smallest predicted error of the load
+        (`rules.predicted_error`), from the discrepancy solution where the noise level is known, else from robust GCV;
+        where it cannot run or ends at an edge, discrepancy and UPRE (noise level known) or robust GCV, then GCV and the
+        L-curve. Noise level known and more than a fifth of the data spent: UPRE, if it is not more than a decade below.
+        Noise level not known and the noise shows itself as correlated (`whiteness_of`): quasi-optimality, which does
+        not ask for white noise. A noise level that the data contradict (`contradicted`) is set aside, and robust GCV
+        decides: a level far below the true one would let the noise through.
+    sigma : float, optional
+        Noise level of the whitened data.
+    source : NoiseSource or str, optional
+        Where it comes from.
+
+    Raises
+    ------
+    InputError
+        Unknown rule, a lambda that is not a finite number >= 0, or a rule that refuses.
+
+    Notes
+    -----
+    Load error over the smallest error of all lambdas, median / 90 % quantile / share above 3, on 9450 cases of seven
+    discrete ill-posed problems for each kind of noise (``python -m tests.benchmarks.rules``):
+
+    ==========================  ====================  ====================  ====================
+    rule                        white                 AR(1), 0.9            interpolated
+    ==========================  ====================  ====================  ====================
+    default, level not known    1.07 / 1.8 / 3.2 %    1.19 / 5.4 / 15.9 %   1.15 / 4.1 / 13.3 %
+    robust GCV                  1.10 / 2.1 / 5.3 %    7.34 / 9e7 / 57.5 %   4.63 / 1e6 / 53.2 %
+    GCV                         1.23 / 132 / 23.4 %   1e3 / 2e10 / 79.8 %   5e3 / 2e10 / 84.2 %
+    default, level known        1.08 / 2.0 / 3.3 %    1.11 / 2.1 / 5.3 %    1.08 / 2.0 / 4.2 %
+    discrepancy                 1.41 / 2.8 / 8.8 %    1.66 / 3.4 / 12.4 %   1.40 / 3.2 / 11.2 %
+    UPRE                        1.17 / 19 / 18.1 %    1.54 / 6e6 / 39.0 %   7.25 / 5e7 / 57.1 %
+    ==========================  ====================  ====================  ====================
+
+    ``rules disagree`` or worse: 39 % of the white cases (39 % with the level known), 91 % (92 %) of the correlated
+    ones, 96 % (94 %) of those in which the default is off by more than 3.
+    """
+    sweep = Sweep.over(path, sigma)
+    return decide(sweep, choice, {name: rules.run(name, sweep) for name in DEFAULT_RULES}, source)
+
+
+def given(
+    path: RegularizationPath, lam: float, *, sigma: float | None = None, source: NoiseSourceLike = None
+) -> Choice:
+    """A relative lambda of the user, where no rule is asked: for paths on which a sweep is dear."""
+    lam = relative(lam)
+    point = path.at(lam)
+    return Choice(
+        lam=lam, scale=float(path.scale), rule="given", verdict="not asked",
+        odds="lambda was given: no rule asked", sigma=sigma,
+        source=NoiseSource.of(source) or NOT_KNOWN, edf=None if point.edf is None else float(point.edf),
+    )  # fmt: skip
+
+
+def decide(
+    sweep: Sweep, choice: ChoiceLike, asked: dict[str, RuleResult], source: NoiseSourceLike = None,
+    refine: bool = True,
+) -> Choice:  # fmt: skip
+    """As `choose`, from a sweep and the rules that were asked already; `refine`: UPRE may step in, as said there."""
+    path, sigma, origin = sweep.path, sweep.sigma, NoiseSource.of(source) or NOT_KNOWN
+    wanted = named(choice)
+    if is_rule(choice) and wanted not in asked:
+        asked[str(wanted)] = rules.run(choice, sweep)
+    shown = contradicted(sweep, asked, origin) if wanted is None else None
+    lam, rule = _pick(path, "robust_gcv" if shown is not None else wanted, asked, sigma, refine)
+    evidence = whiteness_of(path, asked, lam)
+    correlated = is_correlated(evidence)
+    quasi = asked["quasi_optimality"]
+    if choice is None and sigma is None and evidence.get("followed") and quasi.lam is not None:
+        lam, rule = quasi.lam, quasi.rule
+    spread, verdict = agreement(asked, lam, path, correlated)
+    asked["discrepancy"] = _with_sensitivity(asked["discrepancy"], sweep)
+    point = path.at(lam)
+    return Choice(
+        lam=lam,
+        scale=float(path.scale),
+        rule=rule,
+        rules=tuple(asked.values()),
+        spread=spread,
+        verdict=verdict,
+        odds=in_words(verdict, sigma is not None) + ("; lambda itself was given" if rule == "given" else ""),
+        sigma=sigma,
+        source=origin,
+        edf=None if point.edf is None else float(point.edf),
+        sweep=PathCurve.of(sweep),
+        whiteness=evidence,
+        correlated=correlated,
+        shown=shown,
+    )
+
+
+def is_rule(choice: object) -> TypeGuard[str | Rule]:
+    """Whether a choice is the name of a rule, or a rule."""
+    return isinstance(choice, str) or callable(choice)
+
+
+def checked(choice: object, low: float = 0.0) -> ChoiceLike:
+    """What a user gave as ``choice=``: a rule that there is, a relative lambda (`relative`), or None.
+
+    Raises
+    ------
+    InputError
+        Anything else.
+    """
+    if is_rule(choice):
+        rules.name_of(choice)
+        return choice
+    return None if choice is None else relative(choice, low)
+
+
+def named(choice: ChoiceLike) -> str | float | None:
+    """A choice as provenance holds it."""
+    return rules.name_of(choice) if isinstance(choice, str) or callable(choice) else choice
+
+
+def contradicted(sweep: Sweep, asked: dict[str, RuleResult], source: NoiseSource) -> float | None:
+    """Noise level that the data show, where chance cannot explain that it is above the stated one.
+
+    The fit may spend all data but `SPARE` of them, so that the residual which it leaves is noise, or what the model
+    cannot explain: a chi-square test at `CHANCE` with those degrees of freedom, and a factor of at least `CLEARLY`.
+    None where robust GCV, which would have to stand in, found no optimum or one that spends more (a fit that leaves
+    enough is then smoother than the load, and leaves some of it), and where the level itself was estimated from the
+    misfit of the model (kind ``residual``).
+    """
+    path, sigma, found, left = sweep.path, sweep.sigma, asked["robust_gcv"], sweep.point.left
+    if sigma is None or left is None or found.lam is None or found.edge or source.kind == "residual":
+        return None
+    enough = np.flatnonzero(left >= SPARE * path.m)
+    if not len(enough):
+        return None
+    from scipy.special import gammaincinv
+
+    k = int(enough[0])
+    if sweep.lam[k] > found.lam:
+        return None
+    freedom = float(left[k])
+    level = float(np.sqrt(sweep.point.residual2[k] / freedom))
+    margin = max(CLEARLY, float(np.sqrt(2 * gammaincinv(freedom / 2, 1 - CHANCE) / freedom)))
+    return level if level > margin * sigma else None
+
+
+def whiteness_of(path: RegularizationPath, asked: dict[str, RuleResult], lam: float) -> dict[str, float]:
+    """What speaks for and against white noise at a chosen lambda; only what could be tested.
+
+    Returns
+    -------
+    dict
+        ``below``: decades by which the chosen lambda lies below quasi-optimality. ``fine``, ``coarse``: statistic of
+        the residual (`residual_test`) over its limit, at the chosen lambda and at the larger of the two.
+        ``spent``, ``left``: degrees of freedom at the chosen lambda over the data, and data beyond them. ``chance``:
+        of the data coefficients' plateau at the larger lambda under white noise; ``modes``: how many noise modes it
+        has. ``followed`` (1 or 0): the chosen lambda follows what may be correlated noise.
+    """
+    quasi = asked["quasi_optimality"].lam
+    larger = max(lam, quasi or 0.0)
+    found: dict[str, float] = {}
+    if quasi is not None and lam > 0 and not asked["quasi_optimality"].edge:
+        found["below"] = float(np.log10(quasi / lam))
+    fine = residual_test(path, lam)
+    coarse = residual_test(path, larger) if larger > lam else fine
+    if fine is not None and coarse is not None:
+        found |= {"fine": fine.statistic / fine.threshold, "coarse": coarse.statistic / coarse.threshold}
+        found |= {"spent": fine.spent, "left": (1 - fine.spent) * path.m}
+    if (plateau := plateau_test(path, larger)) is not None:
+        found |= {"modes": float(plateau.modes), "chance": plateau.chance}
+    calm = found.get("fine", np.inf) < CALM and (found["spent"] < FEW or found["left"] >= MANY)
+    found["followed"] = float(found.get("below", 0.0) > BELOW and found.get("coarse", 0.0) > 1 and not calm)
+    return found
+
+
+def is_correlated(evidence: Mapping[str, float]) -> bool:
+    """Whether the tests say that the noise is correlated."""
+    uneven = evidence.get("modes", 0.0) >= TESTABLE and evidence.get("chance", 1.0) < ALARM
+    return bool(evidence.get("followed", 0.0)) or uneven
+
+
+def agreement(
+    asked: dict[str, RuleResult], used: float, path: RegularizationPath | None = None, correlated: bool = False
+) -> tuple[float, str]:
+    """Spread in decades between rules of different kinds and the lambda in use, and the verdict.
+
+    Rules of one kind fail together, so each kind has one voice: GCV for those that ask for white noise,
+    quasi-optimality for those that do not (none where it ends below), discrepancy where the noise level is known (none
+    where the load spends much of the data: it then smooths more than any other).
+    Where the load no longer changes, above the largest and far below the smallest singular value, no distance is
+    counted. Correlated noise leaves no better verdict than ``rules disagree``. Where the noise level is not known,
+    a corner of the L-curve far below the lambda in use has a voice too.
+    """
+    smallest = None if path is None else smallest_seen(path)
+    low, high = (0.0, np.inf) if smallest is None else (BENEATH * float(smallest), 1.0)
+    heard = [next((asked[name].lam for name in kind if asked[name].lam is not None), None) for kind in KINDS]
+    if path is not None and _spends(path, used):
+        heard[2] = None
+    if asked["quasi_optimality"].edge and (heard[1] or 0.0) < 0.5:
+        heard[1] = None
+    if _cornered(asked, used):
+        heard.append(asked["l_curve"].lam)
+    lams = [used, *(lam for lam in heard if lam is not None)]
+    if len(lams) == 1:
+        return float("inf"), "not determined"
+    spread = float(np.ptp(np.log10(np.clip(lams, max(low, np.finfo(float).tiny), high))))
+    grade = int(np.searchsorted(LIMITS, spread, side="right"))
+    if None in heard[:2]:
+        grade = max(grade, 1)
+    return spread, GRADES[max(grade, 2) if correlated else grade]
+
+
+def _cornered(asked: dict[str, RuleResult], used: float) -> bool:
+    """Whether, without a noise level, the L-curve has its corner far below the lambda in use.
+
+    A wrong corner is more frequent than a wrong lambda, so that it counts from `CORNER` decades only.
+    """
+    corner, known = asked["l_curve"], asked["discrepancy"].lam is not None
+    if known or corner.lam is None or corner.edge or used <= 0:
+        return False
+    return corner.lam < 10**-CORNER * used
+
+
+def _pick(
+    path: RegularizationPath, choice: str | float | None, asked: dict[str, RuleResult], sigma: float | None,
+    refine: bool = True,
+) -> tuple[float, str]:  # fmt: skip
+    if isinstance(choice, str):
+        return answered(asked[choice]), choice
+    if choice is not None:
+        return relative(choice), "given"
+    order = [asked[name] for name in ORDERS[sigma is not None] if asked[name].lam is not None]
+    inside = [r for r in order if not r.edge or r.free]
+    running = inside or order or [r for r in asked.values() if r.lam is not None]
+    if not running:
+        raise InputError(
+            "no rule can run on this path",
+            where="choice",
+            found="; ".join(r.note for r in asked.values()),
+            expected="a relative lambda",
+            hint=Advice(Spelling("pass choice=<relative lambda>", "give a relative lambda with --choice")),
+        )
+    first, upre = running[0], asked["upre"]
+    refined = refine and first.rule == "predicted_error" and upre.lam is not None and not (upre.edge or first.edge)
+    if refined and _spends(path, answered(first)) and answered(upre) > 10**-NEAR * answered(first):
+        first = upre
+    return answered(first), first.rule
+
+
+def relative(choice: object, low: float = 0.0) -> float:
+    """A lambda that a user gave, as a number: 0, or from `low` to `LARGEST`.
+
+    Raises
+    ------
+    InputError
+        Anything else.
+    """
+    lam = real(choice)
+    if lam is None or not (lam == 0 or low <= lam <= LARGEST):
+        raise InputError("no relative lambda", where="choice", found=shown(choice),
+                         expected=f"{f'0, a number from {low:g}' if low else 'a number from 0'} to {LARGEST:g}, or the "
+                                  "name of a rule")  # fmt: skip
+    return lam
+
+
+def _spends(path: RegularizationPath, lam: float) -> bool:
+    """Whether the solution takes more than a fifth of the data as degrees of freedom."""
+    edf = path.at(lam).edf
+    return edf is not None and float(edf) > WIDE * path.m
+
+
+def _with_sensitivity(found: RuleResult, sweep: Sweep) -> RuleResult:
+    """The discrepancy rule with what it says at half and twice the noise level."""
+    try:
+        values = rules.sensitivity(sweep)
+    except Refusal:
+        return found
+    text = " / ".join("none" if x is None else f"{x:.2g}" for x in values)
+    note = f"at half, once and twice the noise level: {text}"
+    return replace(found, note=f"{found.note}; {note}" if found.note else note)
+
+
+def unexplained(residual2: float, m: float, sigma: float) -> float | None:
+    """Residual over the noise, where no noise of that level leaves so much; None where it may.
+
+    The rms of all m data counts, whatever the fit has spent: noise alone leaves less. A chi-square test at `EXCESS`,
+    and a factor of at least `CLEARLY`, as stated noise levels are rough.
+    """
+    from scipy.special import gammaincinv
+
+    level = float(np.sqrt(residual2 / m)) / sigma
+    return level if level > max(CLEARLY, float(np.sqrt(2 * gammaincinv(m / 2, 1 - EXCESS) / m))) else None
+
+
+def ungraded(choice: Choice) -> Choice:
+    """The choice with the worst grade: of a load that does not explain its data."""
+    return replace(choice, verdict=GRADES[-1], odds="the load does not explain its data: no agreement of rules counts")
+
+
+def residual_level(path: RegularizationPath, lam: float) -> float | None:
+    """Noise level of the whitened data that the residual shows, sqrt(|r|^2 / (m - edf)).
+
+    None where the fit leaves less than a fifth of the data: what is left then tells of the prior, not of the noise.
+    """
+    point = path.at(lam)
+    if point.left is None or float(point.left) < 0.2 * path.m:
+        return None
+    return float(np.sqrt(point.residual2 / point.left))

@@ -1,0 +1,316 @@
+"""The regularization path under constraints: signs, bounds, support, resultants, friction cones; its edf, posterior."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures.errors import InputError
+
+from ...constraints import Constraint
+from ..path import Coefficients, PathPoint, RegularizationPath, Solution
+from ..posterior import FacePosterior, FramesPosterior, Posterior
+from ..svd import SVDPath
+from . import activeset
+from .activeset import ActivePoint
+from .conic import refuse_empty
+from .feasible import Feasible, compile_
+from .quadratic import ActiveFace
+from .solver import ConstrainedSolution, ConstrainedSolver, grams, resultants_of, soft, soft_values, whitening
+
+Array = NDArray[np.float64]
+
+__all__ = [
+    "ConstrainedPath",
+    "ConstrainedSolution",
+    "ConstrainedSolver",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """Directions in which the estimate may move, as a factor of its inverse Hessian.
+
+    Parameters
+    ----------
+    loads : array, shape (n, d)
+        ``loads @ loads.T`` is the inverse of the Hessian of half the objective on the face, curvature included.
+    data : array, shape (rows, d)
+        The same directions in the whitened response: ``data.T @ data`` is the share that comes from the data.
+    other : array, shape (rows, d)
+        Their complement, from the penalty and the curvature of the cones: the two together are orthonormal.
+    sensitivity : float
+        Norm of lambda dg/dlambda.
+    """
+
+    loads: Array
+    data: Array
+    other: Array
+    sensitivity: float
+
+    @classmethod
+    def of(cls, solver: ConstrainedSolver, y: Array, p: ActivePoint, s: Feasible) -> Tangent:
+        """At the solution of one vector of data."""
+        q = solver.quadratic
+        push = (q.A @ p.h - solver.compress(y)[0]) @ q.A + p.nu @ s.equal.matrix + p.kappa @ s.below.matrix
+        face = ActiveFace.near(s, p.h - q.tau * push)
+        S = q.shrink(face, np.vstack([s.equal.matrix, s.below.matrix[p.kappa > 0]]))
+        image = q.A @ S
+        prior, bend = solver.prior[:, None] * image, face.curvature(q.tau)
+        curved = np.sqrt(bend[bend > 0])[:, None] * face.turn(S)[bend > 0]
+        moved = S @ (prior.T @ (solver.prior * (q.A @ p.h)))
+        return cls(
+            s.to_global(S), solver.seen[:, None] * image, np.vstack([prior, curved]), 2 * float(np.linalg.norm(moved))
+        )
+
+    @property
+    def edf(self) -> float:
+        """Divergence of the predicted response by the data."""
+        return float(np.sum(self.data**2))
+
+    @property
+    def edf2(self) -> float:
+        """Trace of the square of that derivative."""
+        seen = self.data[np.any(self.data, axis=1)]  # modes that meet no data have no rows
+        seen = seen if len(seen) <= seen.shape[1] else seen.T
+        return float(np.sum((seen @ seen.T) ** 2))
+
+    def rest(self, m: int) -> tuple[float, float, float]:
+        """What is left, m - edf, tr (I - A)^2 and tr (I - A)^4 of the derivative A, from the complement."""
+        other = self.other
+        E = np.einsum("ki,kj->ij", other, other, optimize=True)
+        beyond = m - E.shape[0]
+        return beyond + float(np.trace(E)), beyond + float(np.sum(E**2)), beyond + float(np.sum((E @ E) ** 2))
+
+
+def posterior(faces: Sequence[Tangent], sigma: float, shape: tuple[int, ...], frames: int | None) -> Posterior:
+    """Gaussian posterior on the active faces, in modes that split the share of the noise from that of the prior."""
+    each = []
+    for t in faces:
+        _, s, Vt = np.linalg.svd(t.data, full_matrices=False)
+        passed = np.zeros(t.loads.shape[1])
+        passed[: len(s)] = np.minimum(s**2, 1.0)
+        each.append(FacePosterior(sigma * t.loads @ Vt.T, shape, passed=passed))
+    return each[0] if frames is None else FramesPosterior(each)
+
+
+SCALARS = (
+    "residual2", "penalty2", "edf", "edf2", "left", "rest2", "rest4", "sensitivity", "objective",
+)  # fmt: skip
+KEPT = 4  # lambdas whose matrices are kept; their solutions are kept for all
+
+
+class ConstrainedPath(RegularizationPath):
+    """Path of ``min |H g - y|^2 + lambda^2 |L g|^2`` under constraints, solved lambda by lambda, each start warm.
+
+    The effective degrees of freedom are those of the active face: the divergence of the estimate by the data where
+    the active set stays as it is (held loads count nothing; a sliding contact counts along its ray and, damped by the
+    curvature of its cone, across it). Meyer & Woodroofe, Ann. Stat. 28 (2000) 1083, for projections on convex sets.
+    The evidence and the predicted error are not defined here: rules that need them refuse by name. Soft resultants
+    are data: they count in `m`, in the residual norm and in the degrees of freedom.
+
+    Parameters
+    ----------
+    path : SVDPath
+        Of the problem without constraints; relative lambdas keep its scale.
+    constraints : sequence
+        From `loadid.constraints`, in any mixture.
+    sigma : float
+        Noise level of the whitened data (1 where they were whitened by their noise): a soft resultant is weighed
+        against it.
+
+    Raises
+    ------
+    InputError
+        Constraints that do not fit the loads, or contradict each other (LID-E309).
+    NotIdentifiable
+        If no load is admissible (LID-E309).
+    """
+
+    approximation = "active-set approximation"
+
+    def __init__(self, path: SVDPath, constraints: Sequence[Constraint] | Constraint, *, sigma: float = 1.0) -> None:
+        if not path.smooth:
+            raise InputError("a truncated SVD takes no constraints", where="constraints", expected="Tikhonov")
+        if not (np.isfinite(sigma) and sigma > 0):
+            raise InputError("no noise level", where="sigma", found=sigma, expected="a finite number > 0")
+        self.path, self.sigma = path, float(sigma)
+        self.constraints = tuple(constraints) if isinstance(constraints, Sequence) else (constraints,)
+        n, frames = path.problem.H.shape[1], path.problem.frames
+        self.feasible: Feasible = compile_(self.constraints, n)
+        held = self.feasible.equal.value
+        if held.ndim == 2 and held.shape[1] != (frames or 1):
+            raise InputError("the resultants have other frames than the data", where="Resultant",
+                             found=held.shape[1], expected=frames or 1)  # fmt: skip
+        self._sets = [self.feasible.of(k) for k in range(held.shape[1] if held.ndim == 2 else 1)]
+        for each in self._sets:
+            refuse_empty(each)
+        self.base = _with_soft(path, self.constraints, self.sigma)
+        self.m, self.null, self.scale = self.base.m, path.null, path.scale  # soft resultants are data
+        y = self.base.problem.y
+        self._columns = y[:, None] if y.ndim == 1 else y
+        self._points: dict[float, tuple[ActivePoint, ...]] = {}
+        self._solvers: OrderedDict[float, ConstrainedSolver] = OrderedDict()
+        self._known: dict[float, Array] = {}  # scalars: several rules and guards sweep the same lambdas
+
+    # -- the contract -------------------------------------------------------------------------------------------------
+    @property
+    def problem(self) -> object:
+        """The problem without constraints."""
+        return self.path.problem
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Sensible interval of relative lambda."""
+        return self.path.range
+
+    @property
+    def coefficients(self) -> Coefficients | None:
+        """Data coefficients without constraints."""
+        return self.path.coefficients
+
+    def at(self, lam: ArrayLike) -> PathPoint:
+        """Scalars of the path at relative `lam`, a number or an array (k,): one solve each, from large to small."""
+        lam = np.asarray(lam, float)
+        if lam.ndim > 1 or not np.all((lam >= 0) & np.isfinite(lam)):
+            raise InputError("no relative lambda", where="lambda", found=lam, expected="finite numbers >= 0")
+        each = np.atleast_1d(lam)
+        rows = np.zeros((9, len(each)))
+        for k in np.argsort(-each, kind="stable"):
+            value = float(each[k])
+            if value not in self._known:
+                self._known[value] = self._scalars(value)
+            rows[:, k] = self._known[value]
+        return PathPoint(**dict(zip(SCALARS, rows if lam.ndim else rows[:, 0], strict=True)))
+
+    def residual(self, lam: float) -> Array:
+        """Whitened residual y - H g of the sensors, in the layout of the data."""
+        problem = self.path.problem
+        g = np.stack([self._load(p) for p in self._solved(lam)], axis=1)
+        y = problem.y if problem.y.ndim == 2 else problem.y[:, None]
+        return (y - problem.H @ g).T.reshape(problem.layout)
+
+    def solution(self, lam: float, sigma: float | None) -> Solution:
+        """Load and, at the noise level `sigma`, its posterior on the active face (an active-set approximation).
+
+        Loads held by a constraint have std 0 there, which says that a small change of the data leaves them held, not
+        that they are known; `sample` draws from what the constraints leave.
+        """
+        load = np.stack([self._load(p) for p in self._solved(lam)]).reshape(self.path.problem.load_shape)
+        if sigma is None:
+            return Solution(load, None)
+        faces = [self._tangent(lam, k) for k in range(len(self._columns.T))]
+        return Solution(load, posterior(faces, sigma, self.path.problem.shape, self.path.problem.frames))
+
+    def resolve(self, load: Array, lam: float) -> Array:
+        """What would be estimated from the noise-free response of `load` (and its own soft resultants)."""
+        g = np.asarray(load, float).reshape(-1, self.path.problem.H.shape[1])
+        prepared = self._solver(lam)
+        y = self.base.problem.H @ g.T
+        out = [self._load(p) for p in prepared.points(y, self.feasible, ())]
+        return np.stack(out).reshape(np.shape(load))
+
+    # -- solving ------------------------------------------------------------------------------------------------------
+    def solve(self, lam: float, warm: ConstrainedSolution | None = None) -> ConstrainedSolution:
+        """Solution at relative `lam` with multipliers, duality gap, violation and active sets."""
+        prepared, points = self._solver(lam), self._points.get(float(lam))
+        if warm is not None or points is None:
+            points = self._run(float(lam), None if warm is None else warm.points)
+        return prepared.finish(self._columns, self.feasible, points, framed=self.path.problem.frames is not None)
+
+    def prepare(self, lam: float) -> ConstrainedSolver:
+        """Solver at relative `lam` for other whitened data, one after another: ``.solve(y, warm=previous)``."""
+        return self._solver(lam)
+
+    def sample(self, lam: float, sigma: float, draws: int = 200, *, seed: int = 0) -> Array:
+        """Loads drawn by randomise-then-optimise: noise and prior are perturbed, the problem is solved anew, warm.
+
+        Every draw meets the constraints, so that bands from it are one-sided where they must be. Without active
+        constraints the draws are exactly those of the Gaussian posterior; with them they are an approximation
+        (Bardsley, Solonen, Haario & Laine, SIAM J. Sci. Comput. 36 (2014) A1895; Bardsley & Hansen, Computational
+        Uncertainty Quantification for Inverse Problems, SIAM 2018, for bounds).
+
+        Returns
+        -------
+        array, shape (draws,) + shape of the load
+        """
+        prepared, rng = self._solver(lam), np.random.default_rng(seed)
+        out = []
+        for k, (column, point) in enumerate(zip(self._columns.T, self._solved(lam), strict=True)):
+            b = prepared.compress(column)[0]
+            inside = self._sets[min(k, len(self._sets) - 1)]
+            drawn = [b + sigma * rng.standard_normal(len(b)) for _ in range(draws)]
+            out.append([self._load(activeset.solve(prepared.quadratic, x, inside, point)) for x in drawn])
+        return np.swapaxes(np.array(out), 0, 1).reshape(draws, *self.path.problem.load_shape)
+
+    def _solver(self, lam: float) -> ConstrainedSolver:
+        lam = float(lam)
+        if not (np.isfinite(lam) and lam >= 0):
+            raise InputError("no relative lambda", where="lambda", found=lam, expected="a finite number >= 0")
+        if lam not in self._solvers:
+            self._solvers[lam] = ConstrainedSolver(
+                self.base, self.constraints, self.feasible, lam * float(self.scale), self.sigma, self._grams
+            )
+            while len(self._solvers) > KEPT:
+                self._solvers.popitem(last=False)
+        self._solvers.move_to_end(lam)
+        return self._solvers[lam]
+
+    @cached_property
+    def _grams(self) -> tuple[Array, Array]:
+        return grams(self.base, self.feasible)
+
+    def _solved(self, lam: float) -> tuple[ActivePoint, ...]:
+        """Points at `lam`, from the cache or from the nearest lambda in it."""
+        lam = float(lam)
+        if lam not in self._points:
+            floor = 1e-300
+            near = min(self._points, key=lambda x: abs(np.log((x + floor) / (lam + floor))), default=None)
+            self._run(lam, None if near is None else self._points[near])
+        return self._points[lam]
+
+    def _run(self, lam: float, starts: Sequence[ActivePoint] | None) -> tuple[ActivePoint, ...]:
+        self._points[lam] = self._solver(lam).points(self._columns, self.feasible, starts or ())
+        return self._points[lam]
+
+    def _load(self, p: ActivePoint) -> Array:
+        return self.feasible.to_global(p.h)
+
+    def _tangent(self, lam: float, frame: int) -> Tangent:
+        inside = self._sets[min(frame, len(self._sets) - 1)]
+        return Tangent.of(self._solver(lam), self._columns[:, frame], self._solved(lam)[frame], inside)
+
+    def _scalars(self, lam: float) -> Array:
+        """Residual, penalty, edf, tr A^2, left, rest2, rest4, sensitivity, objective, summed over the frames."""
+        problem, total, change2 = self.base.problem, np.zeros(9), 0.0
+        absolute2 = (lam * float(self.scale)) ** 2
+        for k, (column, p) in enumerate(zip(self._columns.T, self._solved(lam), strict=True)):
+            g = self._load(p)
+            rest = column - problem.H @ g
+            rough = g if problem.L is None else problem.L @ g
+            residual2, penalty2 = float(rest @ rest), float(rough @ rough)
+            t = self._tangent(lam, k)
+            change2 += t.sensitivity**2
+            total += [residual2, penalty2, t.edf, t.edf2, *t.rest(len(column)), 0.0, residual2 + absolute2 * penalty2]
+        total[7] = np.sqrt(change2)
+        return total
+
+
+def _with_soft(path: SVDPath, constraints: Sequence[Constraint], sigma: float) -> SVDPath:
+    """The path with the whitened rows of soft resultants behind those of the sensors."""
+    measured = soft(constraints)
+    if not measured:
+        return path
+    problem = path.problem
+    y = problem.y[:, None] if problem.y.ndim == 1 else problem.y
+    values = soft_values(constraints, resultants_of(constraints, None), sigma, y.shape[1])
+    stacked = np.vstack([y, *values])
+    stacked = stacked[:, 0] if problem.y.ndim == 1 else stacked
+    H = np.vstack([problem.H, *(whitening(c, sigma) @ np.asarray(c.C) for c in measured)])
+    layout = stacked.shape if stacked.ndim == 1 else stacked.T.shape
+    return SVDPath(replace(problem, H=H, y=stacked, layout=layout))

@@ -1,0 +1,304 @@
+"""The objective |A h - b|^2 of a constrained problem, the face on which a load lies, and least squares on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import constraints as cones
+from .feasible import Feasible
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int_]
+
+
+@dataclass(frozen=True, eq=False)
+class ActiveFace:
+    """ActiveFace of the intervals and cones near a point, in turned unknowns: on a cone along the ray, across, outward.
+
+    Parameters
+    ----------
+    point : array, shape (n,)
+        Projection of the point, not turned.
+    share : array, shape (n,)
+        Derivative of the projection along each turned unknown: 1 free, 0 held.
+    turns : tuple of (index (k, dim), axes (k, dim, dim))
+        Cones that are turned; the other unknowns stay as they are.
+    status : tuple of array
+        Per group of cones: 0 open, 1 sliding, 2 sticking.
+    """
+
+    point: Array
+    share: Array
+    turns: tuple[tuple[Index, Array], ...]
+    status: tuple[Index, ...]
+
+    @classmethod
+    def near(cls, feasible: Feasible, v: Array) -> ActiveFace:
+        """The face to which `v` projects."""
+        point = np.clip(v, feasible.lower, feasible.upper)
+        share = ((v > feasible.lower) & (v < feasible.upper)).astype(float)
+        turns, status = [], []
+        for c in feasible.cones:
+            w = v[c.index]
+            found = cones.faces(w, c.mu, c.facets)
+            point[c.index], share[c.index] = cones.project(w, found), found.share
+            side = found.status == 1
+            if np.any(side):
+                turns.append((c.index[side], found.axes[side]))
+            status.append(found.status)
+        return cls(point, share, tuple(turns), tuple(status))
+
+    @property
+    def held(self) -> Mask:
+        """Turned unknowns that the face holds."""
+        return np.asarray(self.share == 0)
+
+    def curvature(self, tau: Array) -> Array:
+        """Second derivative that the curved sides of round cones add to half the objective, along each unknown."""
+        a = self.share
+        return np.divide(1 - a, a * tau, out=np.zeros(len(a)), where=(a > 0) & (a < 1))
+
+    def turn(self, x: Array) -> Array:
+        """Turned unknowns, along the first axis."""
+        out = x.copy()
+        for index, axes in self.turns:
+            out[index] = np.einsum("kij,ki...->kj...", axes, x[index])
+        return out
+
+    def back(self, x: Array) -> Array:
+        """Inverse of `turn`, along the first axis."""
+        out = x.copy()
+        for index, axes in self.turns:
+            block = x[index.ravel()].reshape(*index.shape, -1)
+            out[index.ravel()] = np.matmul(axes, block).reshape(index.size, *x.shape[1:])
+        return out
+
+    def columns(self, A: Array) -> Array:
+        """Columns of a matrix for the turned unknowns."""
+        out = A.copy(order="F")
+        for index, axes in self.turns:
+            _turn(out, index, axes)
+        return out
+
+    def gram(self, G: Array, f: Index) -> Array:
+        """Rows and columns `f` of a symmetric matrix for the turned unknowns."""
+        if not self.turns:
+            return np.asfortranarray(G[np.ix_(f, f)])
+        used = np.zeros(len(G), bool)
+        used[f] = True
+        for index, _ in self.turns:
+            used[index] = True
+        place = np.cumsum(used) - 1
+        M = np.asfortranarray(G[np.ix_(used, used)])
+        for _ in range(2):
+            for index, axes in self.turns:
+                _turn(M, place[index], axes)
+            M = np.asfortranarray(M.T)
+        return np.asfortranarray(M[np.ix_(place[f], place[f])])
+
+
+def _turn(A: Array, index: Index, axes: Array) -> None:
+    """Turn some columns of a Fortran-ordered matrix, in place."""
+    flat = index.ravel()
+    rows = A.T[flat].reshape(*index.shape, len(A))
+    A.T[flat] = np.matmul(axes.transpose(0, 2, 1), rows).reshape(index.size, len(A))
+
+
+WELL = 1e-11  # reciprocal condition of the Gram matrix above which it may direct the steps
+FAIR = 1e-3  # and above which one step has the digits that A tells
+EPS = float(np.finfo(float).eps)
+
+
+class Quadratic:
+    """Half of |A h - b|^2 in local unknowns, prepared for many faces.
+
+    A step on a face is a least-squares problem with one more row for each curved cone. Where A is well conditioned its
+    Gram matrix directs the step, and the gradient A^T (A h - b), formed from A itself, decides when to stop: iterative
+    refinement of the semi-normal equations (Björck, Linear Algebra Appl. 88/89 (1987) 31). Elsewhere each step is a QR.
+
+    Parameters
+    ----------
+    A : array, shape (rows, n)
+    feasible : Feasible
+        For the blocks, which share one length scale.
+    gram : array, shape (n, n), optional
+        A^T A, where it is known.
+    """
+
+    def __init__(self, A: Array, feasible: Feasible, gram: Array | None = None) -> None:
+        self.A = np.asfortranarray(A, float)
+        self.n = A.shape[1]
+        self.G = gram_of(self.A) if gram is None else gram
+        d = np.diag(self.G).copy()
+        for c in feasible.cones:
+            d[c.index] = np.max(d[c.index], axis=1)[:, None]
+        top = float(d.max(initial=0.0)) or 1.0
+        self.tau = 1 / np.maximum(d, 1e-12 * top)  # step lengths: one per interval or contact
+        self._factor: Array | None = None
+        condition = self._condition()
+        self.well, self.fair = condition > WELL, condition > FAIR
+        self._triangle: Array | None = None
+
+    def _condition(self) -> float:
+        """Reciprocal condition number of the Gram matrix with a unit diagonal; zero where it is singular."""
+        from scipy.linalg import lapack
+
+        w = np.sqrt(self.tau)
+        scaled = np.asfortranarray(self.G * w[:, None] * w)
+        norm = float(np.abs(scaled).sum(axis=0).max(initial=0.0))
+        factor, info = lapack.dpotrf(scaled, clean=1, overwrite_a=1)
+        self._factor = None if info else factor
+        return float(lapack.dpocon(factor, norm)[0]) if info == 0 and self.n else 0.0
+
+    def dual_energy(self, delta: Array, h: Array) -> float:
+        """Half of |A^-T delta|^2: what a gradient left over can lower half the objective by, anywhere.
+
+        Where A is singular that has no bound; then what it lowers on the way from h to zero, |delta h|.
+        """
+        from scipy.linalg import solve_triangular
+
+        if not np.any(delta):
+            return 0.0
+        if self.well and self._factor is not None:
+            scaled = np.sqrt(self.tau) * delta
+            return float(0.5 * np.sum(solve_triangular(self._factor, scaled, trans="T", check_finite=False) ** 2))
+        if self._triangle is None:
+            self._triangle = np.asarray(np.linalg.qr(self.A, mode="r"))
+        R, diagonal = self._triangle, np.abs(np.diag(self._triangle))
+        if len(R) < self.n or diagonal.min() <= self.n * EPS * diagonal.max():
+            return float(np.abs(delta @ h))
+        return float(0.5 * np.sum(solve_triangular(R, delta, trans="T") ** 2))
+
+    def step(
+        self, h: Array, b: Array, gradient: Array, face: ActiveFace, tau: Array, pull: Array,
+        offset: Array, C: Array, short: Array,
+    ) -> tuple[Array, Array] | None:  # fmt: skip
+        """Minimiser on a face from `h`, with C times it fixed; and the multipliers of C. None: singular.
+
+        Parameters
+        ----------
+        gradient : array, shape (n,)
+            A^T (A h - b).
+        tau : array, shape (n,)
+            Step lengths by which the face was found.
+        pull, offset : array, shape (n,)
+            Proximal term ``pull * (step + offset)^2`` in (turned) unknowns; zero without.
+        C, short : array, shape (rows, n), (rows,)
+            Linear rows that hold, and what h lacks: C (step) = short.
+        """
+        ht, free = face.turn(h), ~face.held
+        target = np.where(free, 0.0, face.turn(face.point))
+        d0 = np.where(free, 0.0, target - ht)
+        bend = face.curvature(tau)
+        f = np.flatnonzero(free)
+        stiff = (bend + pull)[f]
+        lean = (bend * ht + pull * face.turn(offset))[f]  # gradient of the rows that the cones and the prox add
+        Ct = face.columns(C)[:, f] if len(C) else C[:, f]
+        if len(C):
+            short = short - face.columns(C) @ d0
+        if len(f) == 0:
+            return face.back(ht + d0), np.zeros(len(C))
+        solved = (
+            self._semi_normal(face, f, d0, gradient, stiff, lean)
+            if self.well or np.all(pull[f] > 0)
+            else self._orthogonal(face, f, d0, b - self.A @ h, stiff, lean)
+        )
+        if solved is None:
+            return None
+        q, R = solved
+        nu = np.zeros(len(C))
+        if len(C):
+            q, nu = _onto_rows(q, R, Ct, short)
+        ht = ht + d0
+        ht[f] += q
+        return face.back(ht), nu
+
+    def _semi_normal(
+        self, face: ActiveFace, f: Index, d0: Array, gradient: Array, stiff: Array, lean: Array
+    ) -> tuple[Array, Array] | None:
+        from scipy.linalg import lapack
+
+        M = face.gram(self.G, f)
+        M[np.arange(len(f)), np.arange(len(f))] += stiff
+        if np.any(d0):
+            gradient = gradient + (self.A @ face.back(d0)) @ self.A
+        right = -face.turn(gradient)[f] - lean
+        R, info = lapack.dpotrf(M, lower=0, clean=1, overwrite_a=1)
+        return None if info else (lapack.dpotrs(R, right)[0], R)
+
+    def _orthogonal(
+        self, face: ActiveFace, f: Index, d0: Array, residual: Array, stiff: Array, lean: Array
+    ) -> tuple[Array, Array] | None:
+        from scipy.linalg import solve_triangular
+
+        At = face.columns(self.A)
+        curved = np.flatnonzero(stiff)
+        rows = np.zeros((len(curved), len(f)))
+        root = np.sqrt(stiff[curved])
+        rows[np.arange(len(curved)), curved] = root
+        right = np.concatenate([residual - At @ d0, -lean[curved] / root])
+        Q, R = np.linalg.qr(np.vstack([At[:, f], rows]))
+        diagonal = np.abs(np.diag(R))
+        if len(R) < len(f) or diagonal.min() <= len(f) * EPS * diagonal.max():
+            return None
+        return solve_triangular(R, Q.T @ right), R
+
+    def shrink(self, face: ActiveFace, C: Array) -> Array:
+        """Factor S (n, directions) of the inverse Hessian on the face, S S^T, with the rows C held; of full rank.
+
+        The curvature of the cones is in it: S S^T A^T is the derivative of the solution by b.
+        """
+        f = np.flatnonzero(~face.held)
+        stiff = face.curvature(self.tau)[f]
+        rows = np.diag(np.sqrt(stiff))[stiff > 0]
+        R: Array = np.asarray(np.linalg.qr(np.vstack([face.columns(self.A)[:, f], rows]), mode="r"))
+        V = None
+        if len(C):
+            V = _kernel(face.columns(C)[:, f])
+            R = np.asarray(np.linalg.qr(R @ V, mode="r"))
+        free = _right_inverse(R)
+        S = np.zeros((self.n, free.shape[1]))
+        S[f] = free if V is None else V @ free
+        return face.back(S)
+
+
+def _right_inverse(R: Array) -> Array:
+    """S with S S^T the (pseudo-)inverse of R^T R, of full column rank."""
+    from scipy.linalg import solve_triangular
+
+    diagonal = np.abs(np.diag(R))
+    if R.shape[0] == R.shape[1] and diagonal.min(initial=np.inf) > 100 * len(R) * EPS * diagonal.max(initial=0.0):
+        return np.asarray(solve_triangular(R, np.eye(len(R))))
+    s, Wt = np.linalg.svd(R, full_matrices=False)[1:]
+    keep = s > max(R.shape) * EPS * s.max(initial=0.0)
+    return np.asarray(Wt[keep].T / s[keep])
+
+
+def _onto_rows(q: Array, R: Array, C: Array, short: Array) -> tuple[Array, Array]:
+    """The step moved by the least energy so that C step = short, and the multipliers: gradient + C^T nu = 0."""
+    from scipy.linalg import solve_triangular
+
+    W = solve_triangular(R, C.T, trans="T")
+    Q, T = np.linalg.qr(W)
+    z = np.linalg.lstsq(T.T, short - C @ q, rcond=1e-13)[0]
+    nu = -np.linalg.lstsq(T, z, rcond=1e-13)[0]
+    return q + solve_triangular(R, Q @ z), nu
+
+
+def _kernel(C: Array) -> Array:
+    """Orthonormal null space of some rows."""
+    s, Vt = np.linalg.svd(C, full_matrices=True)[1:]
+    rank = int(np.sum(s > max(C.shape) * EPS * s.max(initial=0.0)))
+    return Vt[rank:].T
+
+
+def gram_of(A: Array) -> Array:
+    """A^T A, both triangles."""
+    from scipy.linalg import blas
+
+    upper = blas.dsyrk(1.0, np.asfortranarray(A, float), trans=1)
+    return np.asarray(np.triu(upper) + np.triu(upper, 1).T)

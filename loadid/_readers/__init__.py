@@ -1,0 +1,266 @@
+"""Files to records: one module per format, found by suffix and content.
+
+A new format is one file in this folder. It registers a function that turns the file into tables; names, time column,
+step, units and errors are then treated as in every other format::
+
+    # loadid/readers/myformat.py
+    from .source import Options, Source, Table, register
+
+    @register("my format", suffixes=(".my",), sniff=lambda head: head.startswith(b"MYFT"))
+    def load(source: Source, options: Options) -> list[Table]:
+        values = ...                                        # (samples, columns), as recorded
+        return [Table(values, name="run 1", columns=("F", "a"), units=("N", "g"), dt=1e-3)]
+
+A reader compares what a file declares with what it delivers (`truncated` gives the flag), asks `source.allow(bytes)`
+before it unpacks, and never evaluates or unpickles anything. `rows_of` (`numbers.py`) turns lines of text into numbers
+and names the line and the cell that is none. Whatever else a reader raises leaves `read` as an InputError.
+With ``native=True`` it runs in a child process, as a C library must that a damaged file can crash.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pkgutil
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypedDict, Unpack
+
+import numpy as np
+
+from structures import units as _units
+from structures._advice import Advice, either
+from structures.errors import InputError
+
+from .._record import Record, find
+from .child import load_apart
+from .settle import check_unit_keys, outlined, settle
+from .source import (
+    Format,
+    NotStated,
+    Options,
+    RecordOutline,
+    Source,
+    Table,
+    formats,
+    known_suffixes,
+    recognise,
+    register,
+    truncated,
+)
+
+__all__ = [
+    "Format", "NotStated", "Options", "RecordOutline", "Source", "Table", "formats", "outline", "read", "read_all",
+    "register", "scan", "truncated",
+]  # fmt: skip
+
+for _module in pkgutil.iter_modules(__path__):  # a format is found because its file lies here
+    importlib.import_module(f".{_module.name}", __name__)
+
+
+class Stated(TypedDict, total=False):
+    """What may be stated of a file; see `read`."""
+
+    fs: float | None
+    columns: Sequence[str | int] | None
+    axis: int | None
+    units: Mapping[str | int, Any] | None
+
+
+def read(
+    path: str | os.PathLike[str],
+    record: str | int | None = None,
+    *,
+    fs: float | None = None,
+    columns: Sequence[str | int] | None = None,
+    axis: int | None = None,
+    units: Mapping[str | int, Any] | None = None,
+) -> Record:
+    """The record of a file, in SI.
+
+    Parameters
+    ----------
+    path : path
+        CSV and other text tables, NPY, NPZ, HDF5, MAT, universal files (UFF, UNV), LabVIEW LVM.
+    record : str or int, optional
+        Which record of a file that holds several: its name, or its index from 0.
+    fs : float, optional
+        Sampling frequency in Hz; replaces what the file says.
+    columns : sequence of str or int, optional
+        Where the file names its columns: the ones to read. Where it does not: the names of all of them, in order.
+    axis : int, optional
+        Axis of an array that is time; default the longer one (said in ``record.notes``).
+    units : dict, optional
+        ``{channel: unit}``, replaces what the file says; "arbitrary" is a unit. A time column takes one too, default s.
+
+    Returns
+    -------
+    Record
+        With ``flags`` (W209 where the file ends early) and ``notes`` (what was decided).
+
+    Raises
+    ------
+    InputError
+        Whatever is wrong with the file or with what was asked of it; no other exception leaves a reader.
+    """
+    found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
+    return guarded(source, lambda: _settle(_chosen(found, record, source), source, options, found))
+
+
+def read_all(path: str | os.PathLike[str], **stated: Unpack[Stated]) -> tuple[Record, ...]:
+    """All records of a file; arguments and errors as for `read`."""
+    found, source, options = _scan(path, **stated)
+    return guarded(source, lambda: tuple(_settle(table, source, options, found) for table in found))
+
+
+def scan(path: str | os.PathLike[str], *, axis: int | None = None) -> tuple[Table, ...]:
+    """Raw tables of a file, before names, steps and units are settled: nothing need be stated for it.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    return tuple(_scan(path, axis=axis)[0])
+
+
+def outline(path: str | os.PathLike[str], **stated: Unpack[Stated]) -> tuple[RecordOutline, ...]:
+    """What a file holds, under the names and indices that `read` takes, where units or the step are not stated.
+
+    Raises
+    ------
+    InputError
+        Whatever else is wrong with the file.
+    """
+    found, source, options = _scan(path, **stated)
+    return guarded(source, lambda: tuple(outlined(table, source, options) for table in found))
+
+
+def _scan(
+    path: str | os.PathLike[str],
+    *,
+    fs: float | None = None,
+    columns: Sequence[str | int] | None = None,
+    axis: int | None = None,
+    units: Mapping[str | int, Any] | None = None,
+) -> tuple[list[Table], Source, Options]:
+    source = _open(path)
+    if isinstance(columns, str):
+        columns = [c.strip() for c in columns.split(",")]
+    try:
+        listed = None if columns is None else [c if isinstance(c, str) else int(c) for c in columns]
+    except (TypeError, ValueError):
+        source.refuse("columns are no names", repr(columns), "names or indices of columns")
+    if axis is not None and (not isinstance(axis, int | np.integer) or axis not in (0, 1, -1, -2)):
+        source.refuse("there is no such axis", f"axis = {axis!r}", "0 or 1")
+    axis = None if axis is None else int(axis) % 2
+    options = Options(fs=fs, columns=listed, axis=axis, units=_units.as_mapping(units))
+    form = recognise(source)
+    if form.native:
+        found = load_apart(form.name, source, options)
+    else:
+        found = guarded(source, lambda: form.load(source, options), form.name)
+    if not found:
+        source.refuse("the file holds no record", "nothing", f"samples in {form.name} form")
+    return found, source, options
+
+
+def asked_for(request: dict[str, Any]) -> list[Table]:
+    """Tables of a file that was asked for in the child process (`child.load_apart`)."""
+    place, shown = Path(request["path"]), Path(request["shown"])
+    try:
+        with place.open("rb") as file:
+            source = Source(shown, os.fstat(file.fileno()).st_size, file.read(4096), place)
+    except OSError as error:
+        raise InputError("the file cannot be opened", where=str(shown), found=str(error)) from None
+    form = next(f for f in formats() if f.name == request["form"])
+    tables: list[Table] = guarded(source, lambda: form.load(source, Options(axis=request["axis"])), form.name)
+    return tables
+
+
+def _open(path: str | os.PathLike[str]) -> Source:
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(
+            "this is no path", where="read", found=f"an object of type {type(path).__name__}", expected="a file name",
+            hint="an array is no file: Record(values, dt, labels) makes a record of it",
+        )  # fmt: skip
+    if not os.fspath(path):
+        raise InputError("the path is empty", where="read", found="''", expected="a file name", hint="name a file")
+    try:
+        place = Path(path)
+        if not place.exists():
+            near = _neighbours(place)
+            raise InputError(
+                "there is no such file", where=str(place), hint=f"did you mean {near}?" if near else "check the path"
+            )
+        if not place.is_file():
+            raise InputError("this is no file", where=str(place), found="a folder or a device", expected="a file",
+                             hint="name a file in it")  # fmt: skip
+        with place.open("rb") as file:
+            source = Source(place, os.fstat(file.fileno()).st_size, file.read(4096))
+    except (OSError, TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("the file cannot be opened", where=repr(path), found=str(error)) from None
+    if source.head.startswith(b"loadid-hdf5"):
+        _refuse_own(source)
+    if place.suffix.lower() not in known_suffixes():
+        likely = [f.name for f in formats() if not f.generic and f.sniff(source.head)]
+        source.refuse("unknown suffix", place.suffix or "no suffix", f"one of {', '.join(known_suffixes())}",
+                      f"the content looks like {likely[0]}: rename the file" if likely
+                      else "export the record in one of these formats")  # fmt: skip
+    if source.size == 0:
+        source.refuse("the file is empty", "0 bytes", "a record")
+    return source
+
+
+def _refuse_own(source: Source) -> None:
+    """A model or a result is given where a log is read."""
+    kind = next((x[5:].decode("latin-1") for x in source.head.split(b"\n")[:4] if x.startswith(b"kind ")), "file")
+    word = {"measured model": "model", "load estimate": "result"}.get(kind, kind)
+    source.refuse(f"this is a loadid {word}, not a log", kind, "a log", "give the file with the recorded samples")
+
+
+def _neighbours(place: Path) -> str:
+    import difflib
+
+    try:
+        names = [p.name for p, _ in zip(place.parent.iterdir(), range(1000), strict=False)]
+    except OSError:
+        return ""
+    return next(iter(difflib.get_close_matches(place.name, names, n=1, cutoff=0.75)), "")
+
+
+def _chosen(found: list[Table], record: str | int | None, source: Source) -> Table:
+    names = [t.name or f"record_{i + 1}" for i, t in enumerate(found)]
+    if record is not None:
+        return found[find(record, names, what="record", where=str(source.path))]
+    if len(found) > 1:
+        listed = [
+            f"{i}: {n} {'x'.join(map(str, t.values.shape))}" for i, (n, t) in enumerate(zip(names, found, strict=True))
+        ]
+        source.refuse("the file holds several records", ", ".join(listed[:50]) + (", ..." if len(listed) > 50 else ""),
+                      "one of them, by name or index",
+                      Advice("choose: ", either("record=NAME or read_all", "--record NAME")))  # fmt: skip
+    return found[0]
+
+
+def _settle(table: Table, source: Source, options: Options, found: list[Table]) -> Record:
+    check_unit_keys(found, source, options)
+    return settle(table, source, options)
+
+
+def guarded(source: Source, action: Any, form: str = "a record") -> Any:
+    """Run a reader; damage that it did not foresee is still bad input, and says where."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return action()
+    except InputError:
+        raise
+    except Exception as error:
+        kind = type(error).__name__
+        raise InputError(f"the file cannot be read as {form}", where=str(source.path),
+                         found=f"{kind}: {str(error)[:300]}", expected="an undamaged file",
+                         hint="transfer or export it again") from error  # fmt: skip

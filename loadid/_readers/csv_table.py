@@ -1,0 +1,214 @@
+"""Text tables (.csv, .txt, ...): delimiter and decimal sign found from the numbers themselves, never from a guess.
+
+Above the numbers there may be anything; the last line with as many cells as the rows names the columns ("acc [m/s^2]",
+"acc (g)"), and a line between may hold the units.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from structures import units as _units
+from structures._flags import Flag
+
+from .numbers import number_of, rows_of, split, whole
+from .source import COLUMNS, Options, Source, Table, register, truncated
+
+TRIES = (("\t", "."), ("\t", ","), (";", "."), (";", ","), (",", "."), (None, "."), (None, ","))
+HEADER_LINES = 1000
+WITH_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>.*)\))\s*", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    separator: str | None
+    decimal: str
+    width: int
+    first: int  # index of the first row of numbers
+
+
+def _is_text(head: bytes) -> bool:
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return True
+    control = sum(b < 9 or 13 < b < 27 or 27 < b < 32 for b in head)
+    return bool(head) and control == 0
+
+
+@register("CSV", suffixes=(".csv", ".txt", ".tsv", ".dat", ".asc", ".tab"), sniff=_is_text, generic=True)
+def load(source: Source, options: Options) -> list[Table]:
+    """The one table of the file."""
+    if options.axis not in (None, 0):
+        source.refuse(
+            "in a text table time runs down", f"axis = {options.axis!r}", "no axis, or 0", "transpose the table"
+        )
+    text = _decoded(source)
+    ended = text.endswith(("\n", "\r"))
+    lines = text.splitlines()
+    while lines and not lines[-1].strip(" \t;,"):
+        lines.pop()
+        ended = True
+    layout = _layout(lines, source)
+    body = [(i + 1, line) for i, line in enumerate(lines) if i >= layout.first and line.strip()]
+    body, flags = (body, ()) if ended else _unended(body, layout)
+    for number, line in body:
+        if len(_cells(line, layout)) != layout.width:
+            source.refuse("lines of different length", f"line {number}: {len(_cells(line, layout))} cells",
+                          f"{layout.width} cells", "correct or delete that line")  # fmt: skip
+    columns = np.arange(layout.width)
+    clean = (
+        [(n, line.rstrip().rstrip(layout.separator or " ")) for n, line in body] if _trailing(body, layout) else body
+    )
+    values = rows_of(clean, layout.separator, layout.decimal, columns, layout.width, source)
+    names, units = _heading(lines[: layout.first], layout)
+    return [Table(values, name=source.path.stem, columns=names, units=units, flags=flags)]
+
+
+def _decoded(source: Source) -> str:
+    data = source.data()
+    encodings = ["utf-16"] if data.startswith((b"\xff\xfe", b"\xfe\xff")) else ["utf-8-sig", "cp1252", "latin-1"]
+    for encoding in encodings:
+        try:
+            text = data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        if "\0" in text:
+            break
+        return text
+    return source.refuse("the file holds binary data", f"first bytes {source.head[:16]!r}", "text")
+
+
+def _cells(line: str, layout: _Layout) -> list[str]:
+    cells = split(line, layout.separator)
+    if len(cells) == layout.width + 1 and not cells[-1]:
+        cells.pop()
+    return cells
+
+
+def _trailing(body: list[tuple[int, str]], layout: _Layout) -> bool:
+    """Whether every row ends with a separator that separates nothing."""
+    return layout.separator is not None and all(
+        len(split(line, layout.separator)) == layout.width + 1 for _, line in body
+    )
+
+
+def _layout(lines: list[str], source: Source) -> _Layout:
+    """Separator, decimal sign, cells per row and first row, from a sample of lines at the end of the file."""
+    filled = [i for i, line in enumerate(lines) if line.strip()]
+    if not filled:
+        source.refuse("the file is empty", "blank lines", "rows of numbers")
+    tail = filled[max(0, len(filled) - 200) :]
+    sample = [lines[i] for i in (tail[:-1] if len(tail) > 1 else tail)]  # the very last line may be cut
+    sample = sample[len(sample) // 2 :] if len(sample) < 100 else sample[-50:]
+    fits = [(s, d, w) for s, d in TRIES if (w := _width(sample, s, d))]
+    many = [f for f in fits if f[2] > 1]
+    if not fits:
+        source.refuse(
+            "no rows of numbers", f"{sample[-1][:60]!r}", "numbers with one delimiter (comma, semicolon, tab or spaces)"
+        )
+    comma = next((f for f in many if f[:2] == (",", ".")), None)
+    if comma and comma[2] == 2 and not any("." in line for line in sample) and any(f[1] == "," for f in fits):
+        heading = [lines[i] for i in filled if lines[i] not in sample and not _numeric(lines[i], ",", ".")]
+        if not heading:
+            source.refuse("a comma may be the decimal sign or the delimiter", repr(sample[-1][:40]),
+                          "a file that says which",
+                          "add a line of column names, or use semicolons or tabs between columns")  # fmt: skip
+        chosen = comma if heading[-1].count(",") == 1 else (None, ",", 1)
+    else:
+        chosen = (many or fits)[0]
+    separator, decimal, width = chosen
+    if width > COLUMNS:
+        source.refuse("too many columns", width, f"at most {COLUMNS}")
+    first = next(i for i in filled if _numeric(lines[i], separator, decimal, width))
+    if first > HEADER_LINES:
+        source.refuse(
+            "no numbers near the top", f"first row of numbers in line {first + 1}", f"within {HEADER_LINES} lines"
+        )
+    return _Layout(separator, decimal, width, first)
+
+
+def _width(sample: list[str], separator: str | None, decimal: str) -> int:
+    """Cells per row when all lines are rows of numbers of one length, else 0."""
+    widths = set()
+    for line in sample:
+        cells = split(line, separator)
+        if len(cells) > 1 and not cells[-1]:
+            cells.pop()
+        if len(cells) > 1 and separator is None and decimal == "," and not any("," in c for c in cells):
+            return 0
+        if not any(cells) or any(number_of(c, decimal) is None for c in cells):
+            return 0
+        widths.add(len(cells))
+    return max(widths) if len(widths) <= 2 and max(widths) - min(widths) <= 1 else 0
+
+
+def _numeric(line: str, separator: str | None, decimal: str, width: int = 0) -> bool:
+    cells = split(line, separator)
+    if len(cells) > 1 and not cells[-1] and len(cells) == width + 1:
+        cells.pop()
+    filled = [c for c in cells if c]
+    return bool(filled) and len(cells) >= width and all(number_of(c, decimal) is not None for c in filled)
+
+
+def _unended(body: list[tuple[int, str]], layout: _Layout) -> tuple[list[tuple[int, str]], tuple[Flag, ...]]:
+    """Rows of a file whose last line has no end: without the last one, and said, unless it is sure to be whole."""
+    *others, (_, line) = body
+    cells, before = _cells(line, layout), [_cells(row, layout)[-1] for _, row in others[-1000:]]
+    if len(cells) > layout.width or (len(cells) == layout.width and whole(cells[-1], before, layout.decimal)):
+        return body, ()
+    known = "rows are sure to be whole (the last line has no end: give it a line break if nothing of it is lost)"
+    return others or body, (truncated(len(others), len(body), known),)
+
+
+def _heading(lines: list[str], layout: _Layout) -> tuple[tuple[str, ...] | None, tuple[str | None, ...] | None]:
+    """Names and units of the columns from the lines above the numbers; (None, None) when they name nothing."""
+    rows = []
+    for line in reversed(lines):
+        if not line.strip():
+            continue
+        cells = _names_of(line.strip().lstrip("#%").strip(" "), layout)
+        if len(cells) == layout.width + 1 and not cells[-1]:
+            cells.pop()
+        if len(cells) != layout.width:
+            break
+        rows.append(cells)
+        if len(rows) == 2:
+            break
+    if not rows:
+        return None, None
+    bare = [_bare(c) for c in rows[0]]
+    if len(rows) == 2 and all(not c or _units.known(c) for c in bare) and any(bare) and not _all_known(rows[1]):
+        names = [WITH_UNIT.fullmatch(n)["name"] if _split(n)[1] else n for n in rows[1]]  # type: ignore[index]
+        return tuple(names), tuple(c or _split(n)[1] for c, n in zip(bare, rows[1], strict=True))
+    pairs = [_split(c) for c in rows[0]]
+    return tuple(n for n, _ in pairs), tuple(u for _, u in pairs)
+
+
+def _names_of(line: str, layout: _Layout) -> list[str]:
+    if layout.separator is not None:
+        return split(line, layout.separator)
+    if layout.width == 1:
+        return [line]
+    cells = line.split()
+    return cells if len(cells) == layout.width else re.sub(r"\s+(?=[\[(])", "", line).split()  # "F [N]" is one name
+
+
+def _bare(cell: str) -> str:
+    """Unit of a cell of a units row, with or without brackets."""
+    return cell.strip().strip("[]()").strip()
+
+
+def _all_known(cells: list[str]) -> bool:
+    return all(_units.known(_bare(c)) for c in cells)
+
+
+def _split(cell: str) -> tuple[str, str | None]:
+    """("acc", "m/s^2") of "acc [m/s^2]"; round brackets hold a unit only when they hold a known one."""
+    match = WITH_UNIT.fullmatch(cell.strip())
+    if match is None or not match["name"]:
+        return cell.strip(), None
+    if match["square"] is not None:
+        return match["name"], match["square"].strip() or None
+    return (match["name"], match["round"].strip()) if _units.known(match["round"]) else (cell.strip(), None)

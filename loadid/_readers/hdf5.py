@@ -1,0 +1,240 @@
+"""HDF5 files in a plain layout, walked so that nothing outside is touched; MAT files, one record a matrix.
+
+Datasets are 2-D (a record each) or 1-D (the channels of their group). Attributes ``fs`` or ``dt``, ``channels`` and
+``units`` stand on the dataset, on its group or on the root; ``unit`` on a 1-D dataset.
+
+Level 5 (-v6, -v7) is parsed here, 7.3 is HDF5 and therefore read in the child. MATLAB has no vectors: a matrix with one
+row or one column is taken as one. Complex arrays, cells and structs are no records; FRFs are a model, which
+``structures.files.read_frfs`` reads.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.files._mat_level5 import is_level5, read_level5
+
+from .npy import NAMES, UNITS, step_of, tables_of, texts_of
+from .source import Options, Source, Table, register
+
+# deflate, shuffle, fletcher32, szip, lzf: what the library itself brings, and nothing that loads a plug-in
+FILTERS = {1, 2, 3, 4, 32000}
+DEPTH = 16
+OBJECTS = 10_000
+ATTRIBUTE_BYTES = 65_536
+
+
+@register(
+    "HDF5", suffixes=(".h5", ".hdf5", ".hdf"), sniff=lambda head: head.startswith(b"\x89HDF\r\n\x1a\n"), native=True
+)
+def load(source: Source, options: Options) -> list[Table]:
+    """All records of the file, named by their place in it."""
+    import h5py
+
+    with h5py.File(source.place or source.path, "r") as file:
+        walk = Walk(source, options)
+        walk.group(file, "", {}, 0)
+    return walk.tables
+
+
+class Walk:
+    """One pass over a file, from the root, one name at a time."""
+
+    def __init__(self, source: Source, options: Options) -> None:
+        self.source, self.options = source, options
+        self.tables: list[Table] = []
+        self.unpacked = 0
+        self.seen: set[Any] = set()
+
+    def group(self, group: Any, path: str, above: dict[str, Any], depth: int) -> None:
+        """Records of a group and of those below it; `above` are the attributes that it inherits."""
+        import h5py
+
+        if depth > DEPTH:
+            self.source.refuse("groups are nested too deep", path, f"at most {DEPTH} levels")
+        about = {**above, **self.attributes(group, path)}
+        arrays: dict[str, NDArray[Any]] = {}
+        own: dict[str, dict[str, Any]] = {}
+        below = []
+        for name in group:
+            place = f"{path}/{name}"
+            link = group.get(name, getlink=True)
+            if isinstance(link, h5py.SoftLink):
+                continue  # what it points to is found in its own place, or lies behind a link that is not followed
+            if not isinstance(link, h5py.HardLink):
+                self.source.refuse("a link leaves the file", place, "a file that holds its own data")
+            item = group[name]
+            address = (h5py.h5o.get_info(item.id).addr, type(item).__name__)
+            if address in self.seen:
+                continue
+            self.seen.add(address)
+            if len(self.seen) > OBJECTS:
+                self.source.refuse("too many objects", len(self.seen), f"at most {OBJECTS}")
+            if isinstance(item, h5py.Group):
+                below.append((item, place))
+            elif isinstance(item, h5py.Dataset) and (values := self.dataset(item, place)) is not None:
+                arrays[name], own[name] = values, self.attributes(item, place)
+        self.collect(arrays, own, path, about)
+        for item, place in below:
+            self.group(item, place, about, depth + 1)
+
+    def collect(
+        self, arrays: dict[str, NDArray[Any]], own: dict[str, dict[str, Any]], path: str, about: dict[str, Any]
+    ) -> None:
+        """Tables of the datasets of one group."""
+        flat = {k: x for k, x in arrays.items() if x.ndim < 2 or x.dtype.kind in "US"}
+        for name, x in arrays.items():
+            if x.ndim == 2 and x.dtype.kind in "fiu":
+                clocks = {
+                    k: y
+                    for k, y in flat.items()
+                    if y.ndim == 1 and y.dtype.kind in "fiu" and k.lower() in ("time", "t")
+                }
+                texts = {k: y for k, y in flat.items() if y.dtype.kind in "US" or y.ndim == 0}
+                self.add({**_plain({**about, **own[name]}), **clocks, **texts, f"{path}/{name}".lstrip("/"): x}, "")
+        channels = {k: x for k, x in flat.items() if x.ndim == 1 and x.dtype.kind in "fiu"}
+        if channels and not any(x.ndim == 2 for x in arrays.values()):
+            units = {k: t[0] for k in channels if (t := texts_of(_plain(own[k]), UNITS, self.source))}
+            attributes = {
+                k: v for k in channels for k, v in _plain(own[k]).items() if step_of({k: v}, self.source) is not None
+            }
+            inherited = {k: v for k, v in _plain(about).items() if k.lower() not in NAMES}
+            self.add({**inherited, **attributes, **flat}, path.lstrip("/") or self.source.path.stem, units)
+
+    def add(self, arrays: dict[str, NDArray[Any]], name: str, units: dict[str, str] | None = None) -> None:
+        """Tables of some arrays and of what is said about them."""
+        self.tables += tables_of(arrays, self.source, self.options, name=name, unit_of=units)
+
+    def dataset(self, item: Any, place: str) -> NDArray[Any] | None:
+        """Numbers or texts of a dataset that lies wholly in this file; None for kinds that are no record."""
+        import h5py
+
+        if item.external or item.is_virtual:
+            self.source.refuse("a dataset lies outside the file", place, "a file that holds its own data")
+        plist = item.id.get_create_plist()
+        filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
+        if not filters <= FILTERS:
+            self.source.refuse(
+                "unknown compression", f"{place}: filter {sorted(filters - FILTERS)}", "gzip, lzf or szip"
+            )
+        if item.shape is None or item.ndim > 2 or 0 in item.shape:
+            return None
+        text = h5py.check_string_dtype(item.dtype) is not None
+        if not text and item.dtype.kind not in "fiu":
+            return None
+        count = math.prod(item.shape)
+        if text and count > ATTRIBUTE_BYTES:
+            return None
+        self.unpacked += count * max(item.dtype.itemsize, 8)
+        self.source.allow(self.unpacked, f"dataset {place}")
+        self.complete(item, place)
+        if text:
+            return np.asarray(item.asstr(errors="replace")[()], dtype=str)
+        return np.asarray(item[()])
+
+    def complete(self, item: Any, place: str) -> None:
+        """Refuse a dataset of which parts were never written: the library would make numbers up."""
+        if item.chunks is not None:
+            declared = math.prod(-(-n // c) for n, c in zip(item.shape, item.chunks, strict=True))
+            stored = int(item.id.get_num_chunks())
+            what = "chunks"
+        else:
+            declared, what = math.prod(item.shape) * item.dtype.itemsize, "bytes"
+            stored = int(item.id.get_storage_size())
+        if stored < declared:
+            self.source.refuse(f"truncated: {stored} of {declared} {what}", place, "all that the dataset declares")
+
+    def attributes(self, item: Any, place: str) -> dict[str, Any]:
+        """Numbers and texts that stand on an object, of those names that mean something here."""
+        import h5py
+
+        found: dict[str, Any] = {}
+        for name in item.attrs:
+            if name.lower() not in (*NAMES, *UNITS, "fs", "dt", "sampling_rate", "sample_rate", "sampling_frequency"):
+                continue
+            attribute = item.attrs.get_id(name)
+            size = math.prod(attribute.shape) * max(attribute.dtype.itemsize, 1)
+            if size > ATTRIBUTE_BYTES:
+                self.source.refuse(
+                    "an attribute is too large", f"{place} {name}: {size} bytes", f"{ATTRIBUTE_BYTES} bytes"
+                )
+            if attribute.dtype.kind in "fiuSU" or h5py.check_string_dtype(attribute.dtype) is not None:
+                found[name] = item.attrs[name]
+        return found
+
+
+def _plain(attributes: dict[str, Any]) -> dict[str, NDArray[Any]]:
+    """Attributes as arrays of numbers or texts; "F,a" is two names."""
+    plain = {}
+    for name, value in attributes.items():
+        x = np.asarray(value)
+        if x.dtype.kind == "O":
+            x = np.array([t.decode("utf-8", "replace") if isinstance(t, bytes) else str(t) for t in x.reshape(-1)])
+        elif x.dtype.kind == "S":
+            x = np.char.decode(x, "utf-8", "replace")
+        if x.dtype.kind == "U" and x.size == 1 and "," in str(x.reshape(-1)[0]):
+            x = np.array([t.strip() for t in str(x.reshape(-1)[0]).split(",")])
+        plain[name] = x
+    return plain
+
+
+_HDF5_MARKS = (b"\x00\x02IM", b"\x02\x00MI")
+
+
+@register("MAT", suffixes=(".mat",), sniff=is_level5)
+def load_level5(source: Source, options: Options) -> list[Table]:
+    """Records of a file that MATLAB wrote with -v6 or -v7."""
+    arrays, others = read_level5(source.data(), str(source.path))
+    return _tables(arrays, others, source, options)
+
+
+@register("MAT 7.3", suffixes=(".mat",), sniff=lambda head: head[124:128] in _HDF5_MARKS, native=True)
+def load_hdf5(source: Source, options: Options) -> list[Table]:
+    """Records of a file that MATLAB wrote with -v7.3: the variables at its root, with their axes turned back."""
+    import h5py
+
+    arrays: dict[str, NDArray[Any]] = {}
+    others: dict[str, str] = {}
+    with h5py.File(source.place or source.path, "r") as file:
+        walk = Walk(source, options)
+        for name in file:
+            if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                source.refuse("a link leaves the file", name, "a file that holds its own data")
+            item = file[name]
+            values = walk.dataset(item, name) if isinstance(item, h5py.Dataset) else None
+            if values is None:
+                others[name] = "struct, cell or complex"
+            elif item.attrs.get("MATLAB_class") == b"char":
+                arrays[name] = np.array("".join(map(chr, np.ravel(values).astype(int).tolist())))
+            else:
+                arrays[name] = values.T
+    return _tables(arrays, others, source, options)
+
+
+def _tables(arrays: dict[str, NDArray[Any]], others: dict[str, str], source: Source, options: Options) -> list[Table]:
+    flat = {name: _flat(x) for name, x in arrays.items()}
+    found = tables_of(flat, source, options)
+    passed = [f"{name} ({word})" for name, word in others.items()]
+    passed += [f"{k} (complex)" for k, x in flat.items() if x.dtype.kind == "c"]
+    passed += [f"{k} ({x.ndim} axes)" for k, x in flat.items() if x.dtype.kind in "fiu" and x.ndim > 2]
+    if not found:
+        source.refuse(
+            "the file holds no record",
+            ", ".join([*passed, *(f"{k} ({x.size} values)" for k, x in flat.items())][:30]) or "no variable",
+            "matrices or vectors of real numbers",
+            "save plain arrays: x = log.x; save('log.mat', 'x', 'fs'); structures.files.read_frfs reads FRFs",
+        )
+    note = (f"passed over: {', '.join(passed[:20])}",) if passed else ()
+    return [replace(table, notes=(*table.notes, *note)) for table in found]
+
+
+def _flat(x: NDArray[Any]) -> NDArray[Any]:
+    """A matrix of one row or one column as a vector, of one entry as a number."""
+    if x.dtype.kind == "U" or x.ndim > 2:
+        return x
+    return x.reshape(()) if x.size == 1 else np.ravel(x) if min(x.shape, default=0) == 1 else x

@@ -1,0 +1,218 @@
+"""Layouts side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures._flags import Flag
+from structures._model import Model
+from structures._models.forward import ForwardModel
+from structures.errors import InputError
+
+from .._guards.measurement import lost_channels
+from ._candidates import CandidateSensors, expected, settle
+from ._layout import Judged, judge, table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class LayoutComparison:
+    """Layouts judged for the same loads. Immutable.
+
+    Parameters
+    ----------
+    layouts : tuple of Judged
+    expected : str
+        The loads that they were judged for, in words.
+    flags : tuple of Flag
+        W202 where a condition number is better because modes are lost.
+    loads_at, outline : array or None
+        Places of the loads and of the nodes of the structure (m), for the picture.
+    """
+
+    layouts: tuple[Judged, ...]
+    expected: str
+    flags: tuple[Flag, ...] = ()
+    loads_at: NDArray[np.float64] | None = None
+    outline: NDArray[np.float64] | None = None
+
+    def __getitem__(self, name: str) -> Judged:
+        for one in self.layouts:
+            if one.name == name:
+                return one
+        raise KeyError(name)
+
+    def best(self, criterion: str = "D") -> Judged:
+        """Layout of the largest log det (``"D"``), or of the smallest worst std over amplitude (``"worst"``)."""
+        criterion = checked(criterion)
+        return max(self.layouts, key=lambda one: one.logdet if criterion == "D" else -float(one.share.max()))
+
+    def table(self) -> str:
+        """Condition number with rank and nullity, modes above the noise, worst std and its load, log det."""
+        notes = [f"warning: {f.message}" for f in self.flags]
+        return "\n".join([table([one.row() for one in self.layouts]), f"for {self.expected}", *notes])
+
+    def __str__(self) -> str:
+        return self.table()
+
+    def plot(self, **settings: Any) -> Figure:
+        """Picture of the layouts, the worst load marked; see `loadid.design._picture.draw`."""
+        from ._picture import draw
+
+        return draw(self.layouts, self.loads_at, outline=self.outline, **settings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain texts, numbers and lists."""
+        return {
+            "layouts": [one.to_dict() for one in self.layouts],
+            "expected": self.expected,
+            "flags": [f.to_dict() for f in self.flags],
+            "loads_at": None if self.loads_at is None else self.loads_at.tolist(),
+        }
+
+
+def compare(
+    sensor_sets: Mapping[str, Any],
+    loads: Sequence[Any] | None = None,
+    *,
+    candidates: Model | ArrayLike | None = None,
+    structure: Any = None,
+    noise: ArrayLike | None = None,
+    amplitude: ArrayLike | None = None,
+    snr: float | None = None,
+    at: ArrayLike | None = None,
+    loads_at: ArrayLike | None = None,
+) -> LayoutComparison:
+    """Judge sensor layouts before anything is measured.
+
+    Parameters
+    ----------
+    sensor_sets : mapping of name to layout
+        Labels or indices of `candidates`; sensors for `structure`; or a Model or array (sensors, loads) each.
+    loads : sequence, optional
+        Loads or load basis on `structure`; else labels or indices of the columns that count, default all.
+    candidates : Model or array (sensors, loads), optional
+        What the sets pick their sensors from.
+    structure : Structure, optional
+        What the sensors of the sets and the loads are placed on.
+    noise : float or array, optional
+        Noise std per candidate, or covariance, where the model states none. Without any, the same for all sensors.
+    amplitude : float or array (loads,), optional
+        Std of each load before any reading, SI.
+    snr : float, optional
+        Instead of an amplitude: the sensor that sees a load best (of each unit) reads it at this multiple of its noise.
+        Default 100. No unit of sensors or loads then matters.
+    at, loads_at : array, optional
+        Places of candidates and loads (m), where no model knows them; for the picture.
+
+    Returns
+    -------
+    LayoutComparison
+
+    Raises
+    ------
+    InputError
+        Sets, noise or amplitudes that do not fit; sensors of different units without noise.
+
+    Notes
+    -----
+    A condition number says nothing without rank and nullity: fewer sensors may condition a smaller problem better.
+    """
+    if not isinstance(sensor_sets, Mapping) or not sensor_sets:
+        raise InputError(
+            "no layouts", where="design.compare", found=type(sensor_sets).__name__,
+            expected="a mapping from a name to a layout", hint='{"two rows": ["s1", "s2"], "one row": ["s1"]}',
+        )  # fmt: skip
+    if candidates is not None and structure is not None:
+        raise InputError(
+            "candidates and structure are two ways to say what the sets pick from", where="design.compare",
+            found="both", expected="one of them",
+            hint="candidates= for labels or indices, structure= for sensors that are placed on it",
+        )  # fmt: skip
+    sets: dict[str, tuple[CandidateSensors, NDArray[np.intp]]] = {}
+    if candidates is not None:
+        pool = settle(candidates, noise=noise, loads=loads, at=at, loads_at=loads_at, where="design.compare")
+        sets = {str(k): (pool, pool.index(v, f"layout {k}")) for k, v in sensor_sets.items()}
+    else:
+        for name, given in sensor_sets.items():
+            own, columns = _placed(given, structure, loads), None if structure is not None else loads
+            one = settle(own, noise=noise, loads=columns, at=at, loads_at=loads_at, where=f"layout {name}")
+            sets[str(name)] = one, np.arange(len(one.H))
+    for name, (_, rows) in sets.items():
+        if not len(rows):
+            raise InputError("a layout without sensors", where=f"layout {name}", found="nothing", expected="a sensor",
+                             hint="leave it out")  # fmt: skip
+    first = next(iter(sets.values()))[0]
+    for name, (pool, _) in sets.items():
+        if pool.load_labels != first.load_labels or pool.load_units != first.load_units:
+            raise InputError(
+                "layouts are compared for the same loads", where=f"layout {name}", found=pool.load_labels[:8],
+                expected=first.load_labels[:8], hint="build every model with the same loads",
+            )  # fmt: skip
+    want = expected([replace(c, H=c.H[r], noise=_sub(c.noise, r)) for c, r in sets.values()], amplitude, snr,
+                    "design.compare")  # fmt: skip
+    layouts = tuple(of(name, pool, rows, want.amplitude) for name, (pool, rows) in sets.items())
+    return LayoutComparison(layouts, want.words, lost(layouts), first.loads_at, first.outline)
+
+
+def of(name: str, pool: CandidateSensors, rows: NDArray[np.intp], amplitude: NDArray[np.float64]) -> Judged:
+    """Judge some rows of the candidates."""
+    return judge(
+        name,
+        pool.whitened(rows) * amplitude,
+        amplitude,
+        tuple(pool.labels[i] for i in rows),
+        pool.load_labels,
+        pool.load_units,
+        None if pool.at is None else pool.at[rows],
+    )
+
+
+def lost(layouts: Sequence[Judged]) -> tuple[Flag, ...]:
+    """W202 for every layout that is better conditioned than one of higher rank."""
+    flags = []
+    for after in layouts:
+        better = [x for x in layouts if x.rank > after.rank and x.kappa > after.kappa]
+        if better:
+            before = max(better, key=lambda x: (x.rank, x.logdet))
+            gone = [s for s in before.sensors if s not in after.sensors] or [f"the sensors of {before.name}"]
+            pair = [(x.kappa, x.rank, x.nullity) for x in (before, after)]
+            names = [*gone[:6], f"{len(gone) - 6} more"] if len(gone) > 6 else gone
+            found = lost_channels(pair[0], pair[1], names)
+            if found is not None:
+                flags.append(replace(found, message=f"{after.name} against {before.name}: {found.message}"))
+    return tuple(flags)
+
+
+def checked(criterion: Any) -> str:
+    """A criterion by its name.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+    """
+    if criterion not in ("D", "worst"):
+        raise InputError(
+            "no such criterion", where="criterion", found=repr(criterion), expected="'D' or 'worst'",
+            hint="D: most information in all; worst: the least known load known best",
+        )  # fmt: skip
+    return str(criterion)
+
+
+def _placed(given: Any, structure: Any, loads: Any) -> Any:
+    """The model of one layout of sensors on a structure; anything else as it is."""
+    if structure is None or isinstance(given, Model):
+        return given
+    return ForwardModel(structure, given, loads)
+
+
+def _sub(noise: NDArray[Any] | None, rows: NDArray[np.intp]) -> NDArray[Any] | None:
+    return noise if noise is None else noise[rows] if noise.ndim == 1 else noise[np.ix_(rows, rows)]

@@ -1,0 +1,30 @@
+"""For methods of one's own: linear problems, their regularisation paths, and what a rule for lambda gets and gives.
+
+A rule is a function ``Sweep -> RuleResult`` (`loadid.register_rule`, or ``choice=<function>``); a solver derives from
+`RegularizationPath`; ``choose(SVDPath(LinearProblem.whitened(H, y, noise)))`` asks every rule of a matrix and data.
+"""
+
+from ._inverse.choice import Choice, choose
+from ._inverse.convolution import toeplitz
+from ._inverse.path import PathPoint, RegularizationPath, Solution
+from ._inverse.problem import LinearProblem
+from ._inverse.rules import need
+from ._inverse.svd import SVDPath
+from ._inverse.sweep import Refusal, RuleResult, Sweep, crossing, minimum
+
+__all__ = [
+    "Choice",
+    "LinearProblem",
+    "PathPoint",
+    "Refusal",
+    "RegularizationPath",
+    "RuleResult",
+    "SVDPath",
+    "Solution",
+    "Sweep",
+    "choose",
+    "crossing",
+    "minimum",
+    "need",
+    "toeplitz",
+]

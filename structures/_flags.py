@@ -1,0 +1,119 @@
+"""Flags: what a user must know before a number is trusted. A guard returns one, or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from ._advice import Advice, Spelling, on_command_line
+from ._codes import LEVELS, table
+from .errors import InputError
+
+
+def canonical(code: str) -> str:
+    """Full form of a guard code: ``"w407"`` and ``"LID-W407"`` both give ``"LID-W407"``.
+
+    Raises
+    ------
+    InputError
+        If it is no guard code.
+    """
+    short = str(code).strip().upper().removeprefix("LID-")
+    if len(short) != 4 or short[0] not in LEVELS or not short[1:].isdigit():
+        raise InputError(
+            "no guard code",
+            where="allow",
+            found=repr(code),
+            expected="a letter E, W or N and three digits, such as W407",
+        )
+    return f"LID-{short}"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The number that triggered a flag, and the threshold that it crossed."""
+
+    name: str
+    value: float | str
+    threshold: float | str | None = None
+
+    def __str__(self) -> str:
+        def show(x: float | str) -> str:
+            return x if isinstance(x, str) else f"{x:.4g}"
+
+        return f"{self.name} = {show(self.value)}" + (
+            "" if self.threshold is None else f" (threshold {show(self.threshold)})"
+        )
+
+
+@dataclass(frozen=True)
+class Flag:
+    """One finding of a guard.
+
+    Parameters
+    ----------
+    code : str
+        ``"LID-W407"``: E refuses, W warns, N notes; the first digit is the stage (1 model, 2 measurement,
+        3 inversion, 4 parameter choice, 5 dynamics, 6 tactile, 7 validation).
+    evidence : Evidence
+        The number that triggered it and the threshold.
+    message : str
+        What was found.
+    advice : str, optional
+        What to do next (`structures._advice.Advice` where Python and the command line differ), where it is not what the
+        table of codes says (`structures._codes`).
+    """
+
+    code: str
+    evidence: Evidence
+    message: str
+    advice: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "code", canonical(self.code))
+        if not self.advice:
+            object.__setattr__(self, "advice", table()[self.code.removeprefix("LID-")].advice)
+
+    @property
+    def level(self) -> str:
+        """``"refused"``, ``"warning"`` or ``"note"``."""
+        return LEVELS[self.code[4]]
+
+    def __str__(self) -> str:
+        return f"{self.code} {self.level}: {self.message} [{self.evidence}] -> {self.advice}"
+
+    @property
+    def command(self) -> str:
+        """The line in the words of the command line."""
+        message, advice = on_command_line(self.message), on_command_line(self.advice)
+        return f"{self.code} {self.level}: {message} [{self.evidence}] -> {advice}"
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain dictionary, for JSON and for result files."""
+        spelt = {"command": self.advice.command} if isinstance(self.advice, Advice) else {}
+        return {
+            "code": self.code,
+            "level": self.level,
+            "evidence": {
+                "name": self.evidence.name,
+                "value": self.evidence.value,
+                "threshold": self.evidence.threshold,
+            },
+            "message": str(self.message),
+            "advice": str(self.advice),
+            **spelt,
+        }
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Flag:
+        """Inverse of `to_dict`."""
+        advice = data["advice"]
+        if "command" in data:
+            advice = Advice(Spelling(advice, data["command"]))
+        return cls(data["code"], Evidence(**data["evidence"]), data["message"], advice)
+
+
+def codes(flags: Iterable[Flag]) -> set[str]:
+    """Short codes of some flags, ``{"W407", ...}``."""
+    return {flag.code.removeprefix("LID-") for flag in flags}

@@ -1,0 +1,223 @@
+"""Point forces and patches on an elastic half-space in closed form; guards W601 and E602 of its formulas on a pad."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from structures._flags import Evidence, Flag, canonical
+from structures.errors import InputError, NotIdentifiable, positive, reals
+
+from .._arrays import Array
+from .layer import HalfSpace, Layer
+from .presses import Press
+
+
+def point_forces(ground: HalfSpace, offsets: ArrayLike) -> Array:
+    """Displacement per unit point force on the surface (m/N).
+
+    Parameters
+    ----------
+    ground : HalfSpace
+        The body, at z <= 0.
+    offsets : array_like, (..., 2) or (..., 3)
+        Point minus point of the force (m); without a height, on the surface.
+
+    Returns
+    -------
+    ndarray, (..., 3, 3)
+        Motion X, Y, Z per force X, Y, Z, both outward.
+
+    Raises `InputError`: At the force itself, where the motion has no bound, and above the surface.
+
+    Notes
+    -----
+    Boussinesq (1885) and Cerruti (1882), as in Johnson, Contact Mechanics, ch. 3.
+    """
+    x, y, d = split(offsets)
+    r = np.sqrt(x**2 + y**2 + d**2)
+    if not r.all():
+        raise InputError(
+            "the motion under a point force has no bound", where="offsets", found="a distance of 0",
+            hint="spread the force over a patch (tactile._closed.halfspace) or a press",
+        )  # fmt: skip
+    nu, m, s = ground.nu, 1 - 2 * ground.nu, r + d
+    found = np.empty((*r.shape, 3, 3))
+    found[..., 0, 0] = 1 / r + x**2 / r**3 + m * (1 / s - x**2 / (r * s**2))
+    found[..., 1, 1] = 1 / r + y**2 / r**3 + m * (1 / s - y**2 / (r * s**2))
+    found[..., 0, 1] = found[..., 1, 0] = x * y / r**3 - m * x * y / (r * s**2)
+    found[..., 2, 2] = d**2 / r**3 + 2 * (1 - nu) / r
+    for i, c in enumerate((x, y)):
+        found[..., i, 2] = m * c / (r * s) - c * d / r**3
+        found[..., 2, i] = -m * c / (r * s) - c * d / r**3
+    return found / (4 * np.pi * ground.mu)
+
+
+def split(offsets: ArrayLike) -> tuple[Array, Array, Array]:
+    """Offsets (..., 2) or (..., 3) as x, y and the depth below the surface.
+
+    Raises `InputError`: if they are no finite offsets, or above the surface.
+    """
+    found = reals(offsets, where="offsets")
+    if found.ndim == 0 or found.shape[-1] not in (2, 3) or not np.isfinite(found).all():
+        raise InputError(
+            "offsets must be finite, two or three coordinates each", where="offsets",
+            found=f"an array of shape {found.shape}", expected="(..., 2) or (..., 3), in metres",
+        )  # fmt: skip
+    d = -found[..., 2] if found.shape[-1] == 3 else np.zeros(found.shape[:-1])
+    if (d < 0).any():
+        raise InputError("points above the half-space", where="z", found=-float(d.min()), expected="z <= 0")
+    return found[..., 0], found[..., 1], d + 0.0
+
+
+def rectangle(ground: HalfSpace, offsets: ArrayLike, sides: tuple[float, float]) -> Array:
+    """Displacement per uniform traction on a rectangle (m/Pa).
+
+    Parameters
+    ----------
+    ground : HalfSpace
+        The body, at z <= 0.
+    offsets : array_like, (..., 2) or (..., 3)
+        Point minus centre of the rectangle (m); without a height, on the surface.
+    sides : tuple of two floats
+        Lengths along X and Y (m).
+
+    Returns
+    -------
+    ndarray, (..., 3, 3)
+        Motion X, Y, Z per traction X, Y, Z.
+
+    Raises `InputError`: if offsets or sides are not possible.
+
+    Notes
+    -----
+    Corner sums of the antiderivatives of the kernels of `tactile._closed.halfspace`; on the surface those of Love
+    (1929).
+    """
+    a, b = (positive("sides", side, where="rectangle", unit="m") / 2 for side in sides)
+    scale = max(a, b)
+    x, y, d = (c / scale for c in split(offsets))
+    total = np.zeros((*x.shape, 3, 3))
+    for sx in (1, -1):
+        for sy in (1, -1):
+            total += sx * sy * _corner(x + sx * a / scale, y + sy * b / scale, d, ground.nu)
+    return total * scale / (4 * np.pi * ground.mu)
+
+
+def _corner(X: Array, Y: Array, d: Array, nu: float) -> Array:
+    """Antiderivative in x and y of 4 pi mu times the motion under a point force."""
+    m, R = 1 - 2 * nu, np.sqrt(X**2 + Y**2 + d**2)
+    bulge = d * np.arctan(_over(X * Y, d * R))
+    log_x, log_y = (X, Y**2 + d**2), (Y, X**2 + d**2)
+    lift_x, lift_y = _lift(X, Y, d, R), _lift(Y, X, d, R)
+    mass = _times_log(X, *log_y, R) + _times_log(Y, *log_x, R) - bulge  # of 1/r
+    found = np.empty((*R.shape, 3, 3))
+    found[..., 0, 0] = 2 * mass - _times_log(X, *log_y, R) + m * (_times_log(X, *log_y, R) - d * lift_x)
+    found[..., 1, 1] = 2 * mass - _times_log(Y, *log_x, R) + m * (_times_log(Y, *log_x, R) - d * lift_y)
+    height = _times_log(d, R, np.zeros_like(R), d)
+    found[..., 0, 1] = found[..., 1, 0] = -R + m * (R - height)
+    found[..., 2, 2] = bulge + 2 * (1 - nu) * mass
+    for i, (edge, log, across, lift) in enumerate(((Y, log_y, X, lift_x), (X, log_x, Y, lift_y))):
+        leaning = -_times_log(d, *log, R)  # of c d / r^3
+        turning = _times_log(edge, R, np.zeros_like(R), d) - leaning + across * lift  # of c / (r (r + d))
+        found[..., i, 2] = m * turning - leaning
+        found[..., 2, i] = -m * turning - leaning
+    return found
+
+
+def _times_log(factor: Array, y: Array, rest: Array, R: Array) -> Array:
+    """The product factor ln(y + R) with R^2 = y^2 + rest, which cancels for y < 0; 0 where the factor is."""
+    straight = np.where(factor != 0, y + R, 1.0)
+    safe = np.where((factor != 0) & (y < 0), rest, 1.0)
+    mirrored = np.log(np.where(safe > 0, safe, 1.0)) - np.log(np.where(y < 0, R - y, 1.0))
+    return factor * np.where(y < 0, mirrored, np.log(np.where(straight > 0, straight, 1.0)))
+
+
+def _lift(X: Array, Y: Array, d: Array, R: Array) -> Array:
+    """atan(Y / X) - atan(Y d / (X R)); 0 at X = 0."""
+    return np.arctan(_over(Y, X)) - np.arctan(_over(Y * d, X * R))
+
+
+def _over(a: Array, b: Array) -> Array:
+    return np.divide(a, b, out=np.zeros_like(a), where=b != 0)
+
+
+WARN, REFUSE = 0.1, 0.3  # contact radius over thickness
+EDGE = 4.0  # thicknesses to the edge of the pad
+
+
+def too_soft(ratio: float, nu: float) -> float:
+    """Per cent of the depth of a half-space at the middle of a Hertz press that a bonded layer does not have.
+
+    Parameters
+    ----------
+    ratio : float
+        Contact radius over thickness.
+    nu : float
+        Poisson's ratio.
+    """
+    layer, press = Layer(h=1.0, E=1.0, nu=nu), Press(radius=positive("a/t", ratio, where="too_soft"))
+    ours, theirs = (press.displacement(ground, [[0.0, 0.0]])[0, 2] for ground in (layer, layer.half_space))
+    return float(100 * (1 - ours / theirs))
+
+
+def thin_pad(
+    radius: float, thickness: float, nu: float, *, what: str = "half-space", allow: Iterable[str] = ()
+) -> Flag | None:
+    """W601 above a contact of 0.1 thicknesses; E602 above 0.3.
+
+    Parameters
+    ----------
+    radius : float
+        Contact radius a (m).
+    thickness : float
+        Thickness t of the bonded pad (m).
+    nu : float
+        Poisson's ratio of the pad.
+    what : str
+        The formula, as the message names it.
+    allow : iterable of str
+        ``("E602",)`` turns the refusal into a flag.
+
+    Raises `NotIdentifiable`: Code LID-E602, with the number, unless it is allowed.
+    """
+    ratio = positive("radius", radius, where=what, unit="m") / positive("thickness", thickness, where=what, unit="m")
+    if not ratio > WARN:
+        return None
+    message = (
+        f"the {what} is {too_soft(ratio, nu):.0f} % too soft here: "
+        f"contact radius / thickness = {ratio:.3g}, nu = {nu:g}"
+    )
+    advice = "use the bonded layer (tactile._closed.layer.Layer) or a finite-element pad, for validation too"
+    if ratio <= REFUSE:
+        return Flag("W601", Evidence("contact radius / thickness", ratio, WARN), message, advice)
+    if "LID-E602" not in {canonical(code) for code in ([allow] if isinstance(allow, str) else allow)}:
+        raise NotIdentifiable(
+            f"{message}, above {REFUSE:g}", advice=f'{advice}; allow=("E602",) uses it all the same', code="LID-E602",
+        )  # fmt: skip
+    return Flag(
+        "E602", Evidence("contact radius / thickness", ratio, REFUSE), message + ", allowed by the user", advice
+    )
+
+
+def near_edge(distance: float, thickness: float) -> Flag | None:
+    """W601 for an infinite layer or a half-space: a load nearer to the edge of the pad than four thicknesses.
+
+    Parameters
+    ----------
+    distance : float
+        From the rim of the contact to the edge of the pad (m).
+    thickness : float
+        Thickness of the pad (m).
+    """
+    ratio = distance / positive("thickness", thickness, where="near_edge", unit="m")
+    if ratio >= EDGE:
+        return None
+    return Flag(
+        "W601",
+        Evidence("distance to the edge / thickness", ratio, EDGE),
+        f"the load is {ratio:.2g} thicknesses from the edge of the pad: the formula knows no edge",
+        "use a finite-element pad with its free edges, or press in the middle",
+    )

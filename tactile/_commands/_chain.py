@@ -1,0 +1,292 @@
+"""From an input and a pad file to the force maps of its frames."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loadid._families.frozen import Calibration
+from loadid.codes import GUARDS, collect
+from structures._flags import Flag
+from structures.errors import InputError
+
+from .._arrays import Array
+from .._pad import padfile
+from .._pad.pad import Pad
+from .._results.forcemap import ForceMap, record
+from .._sensors.gelslim import GelSlim
+from .._sensors.multilayer import MultilayerPad
+from .._sensors.posing import RULES, chosen
+from .._sensors.settings import ContactLaw
+from ._sources import DepthMaps, MarkerSource, depth_maps, look
+
+STRONGEST = 3  # frames on which lambda is chosen
+HALF = 0.5  # of the largest motion, that a frame must show to be asked
+SEARCHED = 30  # strongest frames among which whole ones are looked for
+DEFAULT = ", by default,"
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """Force maps of an input, and how they came about.
+
+    Parameters
+    ----------
+    map : ForceMap
+        (frames, 3 P).
+    source : MarkerSource
+        Markers, their noise, and which frames are the rest.
+    lost : list of int
+        Markers lost in each frame.
+    lam : str
+        Lambda and its rule, in words.
+    normal : str
+        Where the normal motion comes from, in words.
+    rate : float
+        Frames a second, from image (or motion) to map; reading files is left out.
+    """
+
+    map: ForceMap
+    pad: Pad
+    source: MarkerSource
+    lost: list[int]
+    lam: str
+    normal: str
+    rate: float
+
+    @property
+    def strongest(self) -> int:
+        """Frame of the largest force, from 0."""
+        return self.map.strongest
+
+
+def reconstruct(
+    source: str | Path,
+    pad_file: str | Path,
+    *,
+    depth: str | Path | None = None,
+    unloaded: str | None = None,
+    sensor: str = "multilayer",
+    friction: float | None = None,
+    no_pull: bool = False,
+    lam: float | str | None = None,
+    frames: tuple[int, int] | None = None,
+    rate: float | None = None,
+    allow: Iterable[str] = (),
+    progress: Callable[[float, str], None] | None = None,
+) -> Reconstruction:
+    """Force maps of images, or of marker motions.
+
+    Parameters
+    ----------
+    source : path
+        Folder of images, NPY or NPZ stack, video, or marker motions (CSV, NPY).
+    pad_file : path
+        As `tactile._pad.padfile` reads it.
+    depth : path, optional
+        Depth maps, one per frame of the source.
+    unloaded : str, optional
+        Number of frames that the source begins with, or a path, of the unloaded pad.
+    sensor : {"multilayer", "gelslim"}
+    friction, no_pull, lam
+        Override those of the file.
+    frames : (first, last), optional
+        Frames to invert, from 1, both included; all are tracked up to the last.
+    rate : float, optional
+        Frames a second of the camera: the axis is then time.
+    allow : iterable of str
+        Guard codes whose refusal is overridden.
+    progress : callable, optional
+        Called as ``progress(fraction, text)``.
+
+    Raises `InputError, NotIdentifiable`: From the files, the guards, and the sensor.
+    """
+    tell = progress or (lambda fraction, text: None)
+    settings = padfile.read(pad_file)
+    codes = tuple(c.upper().removeprefix("LID-") for c in allow)
+    tell(0.02, "building the pad")
+    pad = Pad.from_settings(settings, allow=[c for c in codes if c[1:2] == "1"])
+    tell(0.05, "finding markers")
+    seen = look(Path(source), settings, pad, unloaded, codes)
+    maps = None if depth is None else depth_maps(Path(depth), settings.depth, settings.path).zeroed(seen.inside)
+    contact = {**settings.contact, **({"no_pull": True} if no_pull else {})}
+    contact |= {name: v for name, v in (("friction", friction), ("lam", lam)) if v is not None}
+    if pad.surface.cells.shape[1] != 4:
+        raise InputError("the surface of this mesh is of triangles", where=f"{settings.path}: [pad] mesh",
+                         found=repr(pad), expected="quadrilaterals",
+                         hint='pitch = "1 mm" rebuilds the body from bricks')  # fmt: skip
+    built, fixed = _sensor(sensor, pad, seen, maps, contact, codes)
+    tracked = _tracked(seen, maps, frames, tell)
+    words = "no lambda: F = K U is a product"
+    if sensor == "multilayer":
+        tell(0.45, "choosing lambda")
+        words = f"{fixed:g}, as stated" if fixed is not None else _choose(built, tracked, maps, seen.noise_source.text)
+    found = _inverted(built, pad, seen, tracked, maps, words, rate, tell)
+    return _traced(found, [settings.path, Path(source), *([] if depth is None else [Path(depth)])])
+
+
+# -- steps ------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Tracked:
+    """Motion of the frames to invert, with their numbers from 0, and the flags of each."""
+
+    numbers: list[int]
+    motions: list[Array]
+    flags: list[list[Flag | None]]
+    seconds: float
+    read: int
+
+
+def _sensor(
+    name: str, pad: Pad, seen: MarkerSource, maps: DepthMaps | None, contact: dict[str, Any], codes: tuple[str, ...]
+) -> tuple[Any, float | None]:
+    """The sensor, and lambda where it is stated as a number."""
+    given: dict[str, Any] = {
+        "markers": seen.markers, "contact": ContactLaw(contact.get("no_pull", False), contact.get("friction")),
+        "depth": None if maps is None else maps[0], "allow": [c for c in codes if c in GUARDS],
+    }  # fmt: skip
+    if name == "gelslim":
+        ignored = [key for key in ("lam", "penalty") if key in contact]
+        if ignored:
+            raise InputError("F = K U has no lambda and no penalty", where="--sensor gelslim", found=", ".join(ignored),
+                             expected="neither", hint="leave them out, or take --sensor multilayer")  # fmt: skip
+        return GelSlim(pad, **given), None
+    choice = contact.get("lam")
+    fixed = None if choice is None or isinstance(choice, str) else float(choice)
+    built = MultilayerPad(
+        pad, choice=choice if fixed is None else fixed, penalty=contact.get("penalty", "identity"), **given,
+    )  # fmt: skip
+    return built, fixed
+
+
+def _tracked(
+    seen: MarkerSource, maps: DepthMaps | None, wanted: tuple[int, int] | None, tell: Callable[[float, str], None]
+) -> _Tracked:
+    """Motion of all frames that are asked for."""
+    first, last = wanted or (1, seen.count or 10**9)
+    numbers, motions, flags, seconds = [], [], [], 0.0
+    read = 0
+    for k, frame in enumerate(seen.frames):
+        if k + 1 > last:
+            break
+        read += 1
+        if maps is not None and k >= len(maps):
+            raise InputError("there are fewer depth maps than frames", where=maps.name, found=len(maps),
+                             expected=f"one per frame, also of the unloaded ones: at least {k + 1}")  # fmt: skip
+        depth = None if maps is None else maps[k]
+        start = time.perf_counter()
+        motion, found = seen.read(frame, depth)
+        seconds += time.perf_counter() - start
+        if k + 1 >= first:
+            numbers.append(k)
+            motions.append(motion)
+            flags.append(list(found))
+        tell(0.1 + 0.35 * min(1.0, (k + 1) / (seen.count or k + 2)), f"tracking frame {k + 1}")
+    if maps is not None and seen.count is not None and len(maps) != seen.count:
+        raise InputError("there is not one depth map per frame", where=maps.name, found=len(maps),
+                         expected=f"{seen.count}, the unloaded frames included")  # fmt: skip
+    if not numbers:
+        raise InputError("there are no such frames", where="--frames", found=f"{first}:{last}",
+                         expected=f"frames from 1 to {read}")  # fmt: skip
+    return _Tracked(numbers, motions, flags, seconds, read)
+
+
+def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None, source: str) -> str:
+    """Lambda on the strongest frames together, frozen; in words.
+
+    Without a rule of the user as `tactile._sensors.posing`, from one factorisation.
+    """
+    readings, used = _strongest(built, tracked, maps)
+    family, ruled = built.family, built.family.choice
+    family.choice = ruled or RULES[0]
+    found = family.estimate(readings)
+    family.choice = ruled
+    choice = found.choice
+    rule = choice.rule if ruled else chosen(choice, np.size(found.response))
+    lam = float(choice.lam if ruled else next(r.lam for r in choice.rules if r.rule == rule))
+    family.calibration = Calibration(
+        lam=lam, rule=rule, records=(used,), alone=(lam,), spread=0.0, verdict=choice.verdict,
+        sigma_source=source, date=datetime.now(UTC).isoformat(timespec="seconds"),
+    )  # fmt: skip
+    return f"{lam:.3g} by {rule}{'' if ruled else DEFAULT} on {used}; {choice.verdict}"
+
+
+def _strongest(built: Any, tracked: _Tracked, maps: DepthMaps | None) -> tuple[Any, str]:
+    """Readings of the strongest frames in which everything is seen, or of the strongest one; and which they are."""
+    strength = [float(np.sqrt(np.nanmean(m**2))) if np.isfinite(m).any() else 0.0 for m in tracked.motions]
+    order = [int(i) for i in np.argsort(strength)[::-1] if strength[i] >= HALF * max(strength)]
+    read: Callable[[int], Array] = lambda i: built.readings(  # noqa: E731
+        tracked.motions[i], None if maps is None else maps[tracked.numbers[i]]
+    )
+    whole = ((i, y) for i in order[:SEARCHED] for y in [read(i)] if np.all(np.isfinite(y)))
+    chosen = list(itertools.islice(whole, STRONGEST))
+    if chosen:
+        names = ", ".join(str(k) for k in sorted(tracked.numbers[i] + 1 for i, _ in chosen))
+        return np.array([y for _, y in chosen]), f"the strongest whole frames ({names})"
+    labels = [s.label for s in built.model.sensors]  # in no frame is every marker seen: one speaks with what it has
+    y = read(order[0])
+    seen = {name: float(v) for name, v in zip(labels, y, strict=True) if np.isfinite(v)}
+    return seen, f"frame {tracked.numbers[order[0]] + 1}"
+
+
+def _inverted(
+    built: Any, pad: Pad, seen: MarkerSource, tracked: _Tracked, maps: DepthMaps | None, words: str, rate: float | None,
+    tell: Callable[[float, str], None],
+) -> Reconstruction:  # fmt: skip
+    """Maps of all frames as one result."""
+    found, seconds = _maps(built, tracked, maps, tell)
+    times = None if rate is None else np.array(tracked.numbers) / rate
+    whole = record(found, numbers=[k + 1 for k in tracked.numbers], times=times)
+    largest = whole.frame(int(np.argmax(np.abs(whole.load).max(axis=1))))
+    strained = pad.strained(largest.forces())  # solved for: that of the single frames is read off earlier ones
+    others = [flag for flag in whole.flags if flag.code != "LID-W112"]
+    whole = replace(whole, flags=collect([*others, strained, *seen.flags]))
+    lost = [int(np.isnan(m[:, 0]).sum()) for m in tracked.motions]
+    each = tracked.seconds / tracked.read + seconds / len(found)
+    return Reconstruction(whole, pad, seen, lost, words, whole.provided["z"], 1 / max(each, 1e-9))
+
+
+def _maps(
+    built: Any, tracked: _Tracked, maps: DepthMaps | None, tell: Callable[[float, str], None]
+) -> tuple[list[ForceMap], float]:
+    """Map of every frame, and the seconds that they took; what the first of them prepares is left out."""
+    found, seconds = [], 0.0
+    for i, (k, motion) in enumerate(zip(tracked.numbers, tracked.motions, strict=True)):
+        depth = None if maps is None else maps[k]
+        if i == 0:
+            built.estimate(motion, depth)
+        start = time.perf_counter()
+        one = built.estimate(motion, depth)
+        seconds += time.perf_counter() - start
+        flags = collect([*one.flags, *tracked.flags[i]])
+        found.append(replace(one, flags=flags, posterior=None, diagnosis=None))
+        tell(0.7 + 0.25 * (i + 1) / len(tracked.numbers), f"map of frame {k + 1}")
+    return found, seconds
+
+
+def _traced(found: Reconstruction, paths: list[Path]) -> Reconstruction:
+    """The same with the digests of what was read and how the maps came about in their provenance."""
+    from ._output import about
+
+    inputs = {str(path): _digest(path) for path in paths}
+    notes = [f"{name}: {said}" for name, said in about(found)]
+    whole = replace(found.map, provenance={**found.map.provenance, "inputs": inputs, "notes": notes})
+    return replace(found, map=whole)
+
+
+def _digest(path: Path) -> str:
+    """sha256 of a file, or of the files of a folder in the order of their names."""
+    digest = hashlib.sha256()
+    for file in sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]:
+        with file.open("rb") as content:
+            while block := content.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()

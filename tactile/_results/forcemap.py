@@ -1,0 +1,474 @@
+"""The answer of every tactile sensor: a force map, a load estimate that knows its surface; of one frame or of many."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from loadid._results.estimate import Axis, LoadEstimate
+from loadid._results.facts import Facts, fact
+from loadid._results.summary import plus_minus
+from structures._flags import Flag
+from structures.errors import InputError
+
+from .._arrays import Array, Mask, shaped
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+PROVIDED = ("tracked", "measured", "completed")
+SHARE = 0.1  # of the peak pressure, from which a point is taken to be in contact
+CLEAR = 3.0  # stds above zero that a pressure must lie to be contact
+
+
+@dataclass(frozen=True, eq=False)
+class Vector:
+    """Three components with their standard deviations and one unit: a resultant force, or a torque."""
+
+    value: Array
+    std: Array
+    unit: str
+
+    def __str__(self) -> str:
+        last = (np.atleast_2d(a)[-1] for a in (self.value, self.std))
+        return f"({', '.join(plus_minus(v, s) for v, s in zip(*last, strict=True))}) {self.unit}"
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """Where the pad is touched.
+
+    Parameters
+    ----------
+    mask : bool array (P,)
+        Nodes in contact.
+    area : float
+        m^2, by tributary areas.
+    centre : array (2,)
+        Centre of pressure in the plane of the pad (m).
+    radius : float
+        Radius (m) of the Hertz pressure of the same second moment, ``sqrt(5/2 <r^2>)``.
+    peak : float
+        Largest pressure (Pa).
+    slip : array (P,)
+        Shear over pressure at the nodes in contact, NaN elsewhere: near the friction coefficient where it slips.
+    threshold : float
+        Pressure (Pa) above which a node counts as in contact.
+    """
+
+    mask: Mask
+    area: float
+    centre: Array
+    radius: float
+    peak: float
+    slip: Array
+    threshold: float
+
+    def __str__(self) -> str:
+        x, y = 1e3 * self.centre
+        return (
+            f"contact of {1e6 * self.area:.3g} mm^2 about ({x:.3g}, {y:.3g}) mm, radius {1e3 * self.radius:.3g} mm, "
+            f"peak {1e-3 * self.peak:.3g} kPa"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ForceFacts(Facts):
+    """Facts of a force map; in a record of several frames, what differs between them is a tuple of all.
+
+    Parameters
+    ----------
+    lost : int
+        Readings that are not there.
+    strays : int
+        Markers that contradict the others.
+    misfit : float
+        Residual of the markers over their noise.
+    lambda_rule : str
+        How lambda was chosen.
+    free_of_load, outside_hull : int
+        Nodes that carry no load, and nodes outside the hull of the markers.
+    provided : mapping
+        Component -> where its motion came from, as `ForceMap.provided`.
+    """
+
+    lost: int | tuple[int, ...] | None = fact()
+    strays: int | tuple[int, ...] | None = fact()
+    misfit: float | tuple[float, ...] | None = fact()
+    lambda_rule: str | tuple[str, ...] | None = fact()
+    free_of_load: int | tuple[int, ...] | None = fact()
+    outside_hull: int | tuple[int, ...] | None = fact()
+    provided: Mapping[str, str] | None = fact()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForceMap(LoadEstimate):
+    """A contact force field on the surface of a pad, with its uncertainty.
+
+    A `loadid.LoadEstimate`: ``load`` and ``std`` hold tractions (Pa, ``geometry["kind"] == "hats"``) or nodal forces
+    (N, ``"nodal"``), node by node, components X, Y, Z: (3 P,) for one frame or (frames, 3 P). Tractions act on the
+    pad; a pressure is ``-t_z``. ``geometry`` holds also the boundary mass, the centre for moments and the covariance
+    of the resultant.
+    """
+
+    facts: ForceFacts = field(default_factory=ForceFacts)
+
+    kind_of_facts: ClassVar[type[Facts]] = ForceFacts
+
+    @property
+    def provided(self) -> Mapping[str, str]:
+        """Where each component of the motion came from: ``tracked``, ``measured``, ``completed`` or ``unknown``."""
+        return dict(self.facts.provided or {})
+
+    @property
+    def single(self) -> bool:
+        """Whether this is one frame."""
+        return self.load.ndim == 1
+
+    @property
+    def strongest(self) -> int:
+        """Frame of the largest force, from 0."""
+        return int(np.argmax(np.linalg.norm(np.atleast_2d(self.resultant().value), axis=1)))
+
+    def chosen(self, frame: int | None = None) -> int:
+        """The frame asked for, from 0, or the strongest.
+
+        Raises
+        ------
+        InputError
+            If it is not there.
+        """
+        count = 1 if self.single else len(self.load)
+        if frame is None:
+            return self.strongest
+        if not -count <= frame < count:
+            raise InputError("there is no such frame", where="frame", found=frame, expected=f"0 to {count - 1}")
+        return frame % count
+
+    def frame_name(self, k: int) -> str:
+        """``frame 7`` or ``1.25 s``; nothing of a single frame."""
+        if self.axis is None:
+            return ""
+        value = self.axis.values[k]
+        return f"{value:.3g} s" if self.axis.name == "time" else f"frame {value:.0f}"
+
+    @property
+    def nodes(self) -> Array:
+        """Places of the nodes (P, 3) in m."""
+        return np.asarray(self._geometry["coordinates"], float)
+
+    @property
+    def areas(self) -> Array:
+        """Tributary areas (P,) in m^2."""
+        return np.asarray(self._geometry["measures"], float)
+
+    def frame(self, index: int) -> Self:
+        """One frame of a sequence."""
+        if self.single:
+            return self
+        cut: dict[str, Any] = {
+            n: None if getattr(self, n) is None else getattr(self, n)[index]
+            for n in ("load", "std", "response", "residual")
+        }
+        spread = self._covariance if self._covariance.ndim == 2 else self._covariance[index]
+        return replace(self, axis=None, geometry={**self._geometry, "resultant_covariance": spread}, **cut)
+
+    def forces(self) -> Array:
+        """Consistent nodal forces (..., P, 3) in N."""
+        g = self._vectors(self.load)
+        if self._geometry["kind"] == "nodal":
+            return g
+        return self._apply(lambda column: np.asarray(self._mass @ column), g)
+
+    def traction(self) -> Array:
+        """Tractions at the nodes (..., P, 3) in Pa: of nodal forces by the boundary mass (or tributary areas)."""
+        g = self._vectors(self.load)
+        if self._geometry["kind"] != "nodal":
+            return g
+        if self._solve is None:
+            return g / self.areas[:, None]
+        return self._apply(self._solve, g)
+
+    def pressure(self) -> Array:
+        """Normal pressure at the nodes (..., P) in Pa, positive where the pad is pressed."""
+        return -self.traction()[..., 2]
+
+    def pressure_std(self) -> Array:
+        """Std of the pressure at the nodes (..., P) in Pa; of nodal forces over the areas of their nodes."""
+        spread = self._vectors(self.std)[..., 2]
+        return spread / self.areas if self._geometry["kind"] == "nodal" else spread
+
+    def resultant(self) -> Vector:
+        """Force on the pad, (..., 3) in N, with its std."""
+        return self._wrench(slice(0, 3), "N")
+
+    def torque(self, about: ArrayLike | None = None) -> Vector:
+        """Moment of the load, (..., 3) in N m, about the centre of the loaded surface or another point (x, y, z)."""
+        if about is None:
+            return self._wrench(slice(3, 6), "N m")
+        point = shaped(about, (3,), where="torque, about", what="no point", hint="(x, y, z) in m")
+        arm = np.asarray(self._geometry["about"], float) - point
+        cross = np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
+        turn = np.hstack([cross, np.eye(3)])
+        values = self._rows() @ turn.T
+        return Vector(values, _spread(turn @ self._covariance @ turn.T, values), "N m")
+
+    def contact(self, share: float = SHARE) -> Contact:
+        """Where the pad is touched: pressure above `share` of its peak and clear of its noise. One frame.
+
+        Raises
+        ------
+        InputError
+            For a sequence (ask ``frame(i)``), or a share outside 0 to 1.
+        """
+        if not self.single:
+            raise InputError("contact is that of one frame", where="contact", found=f"{len(self.load)} frames",
+                             expected="one", hint="force.frame(i).contact()")  # fmt: skip
+        if not 0 < share < 1:
+            raise InputError("no share of the peak", where="contact", found=share, expected="between 0 and 1")
+        t, areas = self.traction(), self.areas
+        p, spread = -t[:, 2], self.pressure_std()
+        peak = float(p.max())
+        threshold = share * max(peak, 0.0)
+        mask = (p > threshold) & (p > CLEAR * spread)
+        weight = np.where(mask, p, 0.0) * areas
+        total = float(weight.sum())
+        xy = self.nodes[:, :2]
+        centre = weight @ xy / total if total > 0 else np.full(2, np.nan)
+        radius = float(np.sqrt(2.5 * (weight @ np.sum((xy - centre) ** 2, axis=1)) / total)) if total > 0 else 0.0
+        slip = np.full(len(p), np.nan)
+        slip[mask] = np.hypot(t[mask, 0], t[mask, 1]) / p[mask]
+        return Contact(mask, float(areas[mask].sum()), centre, radius, max(peak, 0.0), slip, threshold)
+
+    def plot(
+        self,
+        kind: str = "map",
+        *,
+        truth: ArrayLike | None = None,
+        ax: Axes | None = None,
+        path: str | os.PathLike[str] | None = None,
+        show: bool = False,
+    ) -> Figure:
+        """Picture: ``"map"`` (pressure, shear, std; force and torque of a sequence below), or as `LoadEstimate.plot`.
+
+        Parameters
+        ----------
+        kind : str
+        truth : array (P, 3) or (frames, P, 3), optional
+            Known tractions (Pa), for ``"map"``.
+        ax, path, show
+            As `LoadEstimate.plot`.
+        """
+        if kind != "map":
+            return super().plot(kind, truth=truth, ax=ax, path=path, show=show)
+        from .pictures import map_figure, sequence_figure
+
+        figure = map_figure(self, truth=truth) if self.single else sequence_figure(self, truth=truth)
+        if path is not None:
+            figure.savefig(path)
+        if show:
+            from matplotlib import pyplot
+
+            pyplot.show()
+        return figure
+
+    def report(self, path: str | os.PathLike[str], *, truth: ArrayLike | None = None) -> None:
+        """Write one self-contained HTML page."""
+        from .report import write_report
+
+        write_report(self, path, truth=truth)
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a result file.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, of another kind, damaged, or no force map.
+        """
+        found = LoadEstimate.read(path)
+        if found.geometry is None or "resultant_covariance" not in found.geometry:
+            raise InputError(
+                "this result is no force map", where=str(path), found="a load estimate",
+                expected="what a tactile sensor saved", hint="loadid.LoadEstimate.read reads it",
+            )  # fmt: skip
+        return cls(**{f.name: getattr(found, f.name) for f in fields(LoadEstimate)})
+
+    # -- inside -------------------------------------------------------------------------------------------------------
+    @property
+    def _geometry(self) -> Mapping[str, Any]:
+        assert self.geometry is not None
+        return self.geometry
+
+    @cached_property
+    def _mass(self) -> sparse.csr_array:
+        g = self._geometry
+        count = len(g["measures"])
+        return sparse.csr_array((g["mass_data"], g["mass_indices"], g["mass_indptr"]), shape=(count, count))
+
+    @cached_property
+    def _solve(self) -> Any:
+        from scipy.sparse.linalg import splu
+
+        return splu(self._mass.tocsc()).solve if "mass_data" in self._geometry else None
+
+    @property
+    def _covariance(self) -> Array:
+        return np.asarray(self._geometry["resultant_covariance"], float)
+
+    def _vectors(self, values: NDArray[Any]) -> Array:
+        return values.reshape(*values.shape[:-1], -1, 3)
+
+    def _apply(self, act: Any, g: Array) -> Array:
+        flat = np.ascontiguousarray(np.moveaxis(g, -2, 0).reshape(g.shape[-2], -1))
+        done = np.asarray(act(flat)).reshape(g.shape[-2], *g.shape[:-2], 3)
+        return np.moveaxis(done, 0, -2)
+
+    def _rows(self) -> Array:
+        return np.asarray(self.load @ np.asarray(self._geometry["resultant"], float).T)
+
+    def _wrench(self, part: slice, unit: str) -> Vector:
+        values = self._rows()[..., part]
+        return Vector(values, _spread(self._covariance[..., part, part], values), unit)
+
+
+def _spread(covariance: Array, values: Array) -> Array:
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    return np.broadcast_to(np.sqrt(np.maximum(variance, 0.0)), values.shape)
+
+
+def record(
+    maps: Iterable[ForceMap], *, numbers: Sequence[int] | None = None, times: ArrayLike | None = None
+) -> ForceMap:
+    """One force map of the frames of a sensor.
+
+    Parameters
+    ----------
+    maps : iterable of ForceMap
+        Single frames on one surface, in their order.
+    numbers : sequence of int, optional
+        Of the frames; from 1 where not given.
+    times : array, optional
+        Seconds of the frames, ascending: the axis is then time.
+
+    Returns
+    -------
+    ForceMap
+        ``load`` and ``std`` (frames, 3 P). What differs between frames in ``facts`` is a list; of a finding that
+        several frames share the strongest is kept, with their number. Posterior and residuals stay with the frames.
+
+    Raises `InputError`: No frames, sequences among them, frames of different sensors, numbers or times that do not
+    fit.
+    """
+    frames = list(maps)
+    if not frames:
+        raise InputError("no frames to record", where="record", found="none", expected="force maps of single frames")
+    first = frames[0]
+    for k, frame in enumerate(frames):
+        _require_alike(frame, first, k)
+    known = list(range(1, len(frames) + 1)) if numbers is None else [int(n) for n in numbers]
+    assert first.geometry is not None
+    spread = np.array([f.geometry["resultant_covariance"] for f in frames if f.geometry is not None])
+    return ForceMap(
+        load=np.array([f.load for f in frames]),
+        std=np.array([f.std for f in frames]),
+        bias=_all([f.bias for f in frames]),
+        labels=first.labels,
+        units=first.units,
+        axis=_axis(len(frames), known, times),
+        flags=shared([f.flags for f in frames], known),
+        allowed=first.allowed,
+        certificate=first.certificate,
+        choice=first.choice if all(f.choice is first.choice for f in frames) else None,
+        provenance=first.provenance,
+        geometry={**first.geometry, "resultant_covariance": spread},
+        facts=_facts([f.facts for f in frames]),
+    )
+
+
+def shared(flags: Sequence[Iterable[Flag]], numbers: Sequence[int]) -> tuple[Flag, ...]:
+    """Every code once: the finding with the largest number, and in which frames.
+
+    Parameters
+    ----------
+    flags : sequence of sequences of Flag
+        Of each frame.
+    numbers : sequence of int
+        Of the frames.
+    """
+    found: dict[str, list[tuple[int, Flag]]] = {}
+    for number, of_frame in zip(numbers, flags, strict=True):
+        for flag in of_frame:
+            found.setdefault(flag.code, []).append((number, flag))
+    return tuple(_one(listed, len(flags)) for listed in found.values())
+
+
+def _one(listed: list[tuple[int, Flag]], total: int) -> Flag:
+    number, strongest = max(listed, key=lambda pair: _size(pair[1]))
+    frames = sorted({n for n, _ in listed})
+    if total == 1 or (len(frames) == total and len({f.message for _, f in listed}) == 1):
+        return strongest
+    same = len({f.message for _, f in listed}) == 1
+    most = f"from frame {frames[0]}" if same else f"most in frame {number}"
+    where = f"in {len(frames)} of {total} frames, {most}"
+    return replace(strongest, message=f"{strongest.message} ({where})")
+
+
+def _size(flag: Flag) -> float:
+    value = flag.evidence.value
+    return 0.0 if isinstance(value, str) else abs(float(value))
+
+
+def _require_alike(frame: ForceMap, first: ForceMap, k: int) -> None:
+    if not frame.single:
+        raise InputError("a sequence among single frames", where=f"record, frame {k + 1}", found=frame.load.shape,
+                         expected="(3 P,)", hint="force.frame(i) gives one")  # fmt: skip
+    same = frame.labels == first.labels and frame.units == first.units and np.array_equal(frame.nodes, first.nodes)
+    if not same:
+        raise InputError("frames of different sensors", where=f"record, frame {k + 1}",
+                         found=f"{len(frame.labels)} loads in {frame.units[0]}",
+                         expected=f"{len(first.labels)} in {first.units[0]}, on the nodes of frame 1")  # fmt: skip
+
+
+def _axis(count: int, numbers: list[int], times: ArrayLike | None) -> Axis:
+    where, what = "record" if times is None else "record, times", "the axis does not fit the frames"
+    values = shaped(numbers if times is None else times, (count,), where=where, what=what)
+    if not np.all(np.diff(values) > 0):
+        raise InputError(what, where=where, found="values that do not grow", expected=f"{count} numbers, ascending")
+    return Axis("frame", "", values) if times is None else Axis("time", "s", values)
+
+
+def _all(arrays: list[Any]) -> Any:
+    return None if any(a is None for a in arrays) else np.array(arrays)
+
+
+def _facts(listed: list[ForceFacts]) -> ForceFacts:
+    """What all frames share as it is, the rest as a list."""
+    out: dict[str, Any] = {}
+    for name in dict.fromkeys(key for facts in listed for key in facts):
+        values = [facts.get(name) for facts in listed]  # as files hold them
+        out[name] = values[0] if all(_equal(v, values[0]) for v in values) else values
+    provided = _provided([dict(facts.provided or {}) for facts in listed])
+    return ForceFacts.of({**out, "provided": provided, "frames": len(listed)})
+
+
+def _provided(listed: list[dict[str, str]]) -> dict[str, str]:
+    """Of each component the least that any frame can say: completed, then measured, then tracked."""
+    axes = dict.fromkeys(axis for one in listed for axis in one)
+    return {axis: max((one[axis] for one in listed if axis in one), key=PROVIDED.index) for axis in axes}
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        return np.array_equal(a, b)
+    return bool(a == b)

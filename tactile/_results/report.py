@@ -1,0 +1,197 @@
+"""A force map in words for the terminal, and as one self-contained HTML page."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from functools import partial
+from html import escape
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loadid._results import report as parts
+from loadid._results.summary import plus_minus
+from structures.errors import InputError
+from structures.files._storage import as_path, replace
+
+if TYPE_CHECKING:
+    from .forcemap import ForceMap
+
+
+AXES = "xyz"
+HOW = {
+    "tracked": "tracked by the markers",
+    "measured": "measured by a depth map",
+    "completed": "completed, not measured",
+    "unknown": "not known",
+}
+
+
+def numbers(one: ForceMap) -> list[tuple[str, str, str]]:
+    """Name, value and remark of what one frame says: force, torque, pressure, contact.
+
+    Parameters
+    ----------
+    one : ForceMap
+        A single frame.
+    """
+    force, torque, contact = one.resultant(), one.torque(), one.contact()
+    rows = [_vector("force on the pad", force.value, force.std, "N", "(x, y, z), the pad is pressed along -z")]
+    rows.append(_vector("torque", 1e3 * torque.value, 1e3 * torque.std, "N mm", "about the centre of the surface"))
+    spread = float(one.pressure_std()[int(np.argmax(one.pressure()))])
+    rows.append(("peak pressure", f"{plus_minus(1e-3 * contact.peak, 1e-3 * spread)} kPa", "largest at a node"))
+    if not contact.mask.any():
+        return [*rows, ("contact", "none", "no pressure stands clear of its noise")]
+    x, y = 1e3 * contact.centre
+    area, size = 1e6 * contact.area, 1e3 * contact.radius
+    slip = float(np.nanmedian(contact.slip))
+    rows.append(("contact radius", f"{size:.3g} mm", "of the Hertz pressure with the same second moment"))
+    rows.append(("contact", f"{area:.3g} mm²", f"about ({x:.3g}, {y:.3g}) mm; shear over pressure {slip:.2g}"))
+    return rows
+
+
+def provided(force: ForceMap) -> str:
+    """Where each component of the motion comes from, in words."""
+    found = force.provided
+    groups: dict[str, list[str]] = {}
+    for axis, how in found.items():
+        groups.setdefault(how, []).append(f"u_{axis}")
+    return "; ".join(f"{', '.join(names)} {HOW.get(how, how)}" for how, names in groups.items())
+
+
+def _vector(name: str, value: np.ndarray, std: np.ndarray, unit: str, remark: str) -> tuple[str, str, str]:
+    parts = ", ".join(plus_minus(float(v), float(s)) for v, s in zip(value.ravel(), std.ravel(), strict=True))
+    return name, f"({parts}) {unit}", remark
+
+
+BITMAP = 10**6  # points: maps are bitmaps, a vector picture of them is many times larger
+
+
+def write_report(
+    force: ForceMap,
+    path: str | os.PathLike[str],
+    *,
+    truth: ArrayLike | None = None,
+    wrenches: ArrayLike | None = None,
+    frame: int | None = None,
+    about: Iterable[tuple[str, str]] = (),
+    compared: Iterable[tuple[str, ...]] = (),
+) -> None:
+    """Write the page, whole or not at all; the settings are those of `page`.
+
+    Raises `InputError`: if the file cannot be written, or the truth does not fit.
+    """
+    target = as_path(path)
+    if not target.resolve().parent.is_dir():  # said before the pictures are drawn
+        raise InputError("the folder does not exist", where=str(target), found=str(target.resolve().parent),
+                         hint="make the folder first, or write elsewhere")  # fmt: skip
+    text = page(force, truth=truth, wrenches=wrenches, frame=frame, about=about, compared=compared)
+    replace(target, text.encode())
+
+
+def page(
+    force: ForceMap,
+    *,
+    truth: ArrayLike | None = None,
+    wrenches: ArrayLike | None = None,
+    frame: int | None = None,
+    about: Iterable[tuple[str, str]] = (),
+    compared: Iterable[tuple[str, ...]] = (),
+) -> str:
+    """The page as text.
+
+    Parameters
+    ----------
+    force : ForceMap
+        One frame, or a sequence.
+    truth, wrenches, frame
+        As `tactile._results.pictures.sequence_figure`.
+    about : iterable of (str, str)
+        How the map came about: names and texts.
+    compared : iterable of (str, str, str)
+        What was compared with the truth: name, estimate, truth.
+    """
+    k = force.chosen(frame)
+    one = force if force.single else force.frame(k)
+    name = "" if force.single else f", {force.frame_name(k)}"
+    sections = [
+        (f"Result{name}", _result(one) + _picture(force, one, truth, wrenches, frame)),
+        ("Against the truth", _compared(compared)),
+        ("Flags", parts.flag_list(force)),
+        ("How it came about", _about(force, about)),
+        ("Verification", parts.verification(force)),
+        ("Provenance", parts.provenance_table(force)),
+    ]
+    body = "\n".join(f"<section>\n<h2>{escape(title)}</h2>\n{text}\n</section>" for title, text in sections if text)
+    said = " · ".join(escape(str(x)) for x in (force.provenance.get("family"), force.provenance.get("created")) if x)
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
+<title>Contact force map</title>
+<style>
+{files("loadid").joinpath("report.css").read_text(encoding="utf-8")}</style>
+</head>
+<body>
+<header>
+<h1>Contact force map</h1>
+<p class="quiet">{said}</p>
+{parts.notices(force)}
+</header>
+<main>
+{body}
+</main>
+</body>
+</html>
+"""
+
+
+def _result(one: ForceMap) -> str:
+    cards = "".join(
+        f"<li>{escape(name)}<b>{escape(value)}</b>{escape(remark)}</li>" for name, value, remark in numbers(one)
+    )
+    return f'<ul class="results">{cards}</ul><p class="quiet">± one standard deviation</p>'
+
+
+def _picture(
+    force: ForceMap, one: ForceMap, truth: ArrayLike | None, wrenches: ArrayLike | None, frame: int | None
+) -> str:
+    from .pictures import sequence_figure
+
+    name, value, _ = numbers(one)[0]
+    draw = partial(sequence_figure, force, truth=truth, wrenches=wrenches, frame=frame)
+    return parts.html_image(draw, f"map of pressure and shear with its std: {name} {value}", BITMAP)
+
+
+def _compared(rows: Iterable[tuple[str, ...]]) -> str:
+    listed = list(rows)
+    return parts.html_table(listed, ("", "estimate", "truth")) if listed else ""
+
+
+def _about(force: ForceMap, about: Iterable[tuple[str, str]]) -> str:
+    facts = force.facts
+    rows = [*about]
+    said = {name for name, _ in rows}
+    own = [
+        ("motion", provided(force)),
+        ("frames", "1" if force.single else str(len(force.load))),
+        ("lambda", "" if facts.lam is None else f"{facts.lam:.3g} by {facts.lambda_rule}"),
+        ("readings and loads", f"{facts.get('m', '?')} and {facts.n}" if "n" in facts else ""),
+        ("solved by", _path(facts.get("path"))),
+    ]
+    rows += [(name, text) for name, text in own if text and name not in said]
+    prior = force.provenance.get("prior")
+    said_prior = f"<p>What the data do not determine is filled by the prior: {escape(str(prior))}.</p>" if prior else ""
+    return parts.html_table(rows) + said_prior
+
+
+def _path(path: object) -> str:
+    """How the frames were solved; what counts the steps of each is cut."""
+    if isinstance(path, list):
+        return "; ".join(dict.fromkeys(str(p).rpartition(", ")[0] or str(p) for p in path))
+    return "" if path is None else str(path)

@@ -1,0 +1,257 @@
+"""Frame after frame at a lambda that is fixed, and whether the markers agree with each other and with the maps.
+
+What the others predict for a reading is known from the inverse alone: its residual over ``1 - A_ii`` (leave-one-out).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from loadid._families.static import StaticInversion
+from structures._flags import Flag
+from structures.errors import InputError
+
+from .. import _guards as guards
+from .._arrays import Array, Index, Mask
+from .._results.forcemap import ForceFacts
+from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, prepare
+from .observation import Wrench
+from .settings import ContactLaw
+
+MANY = 12  # markers from which one can be told to contradict the others
+STRAYS = 20  # of them that are left out, at most
+STRAY, PART = 10.0, 0.6  # distance over its std or the typical one, and over the largest motion
+BESIDE = 4.0  # and over the second largest distance of its neighbours, which a contact raises alike
+AROUND = 8  # neighbours
+TURNS, ALIKE = 4, 0.5  # of them that may be the other half of a swap; its distance over that of the first
+FREE = 0.02  # 1 - A_ii below which a reading explains itself: no other tells of it
+NORMAL = 1.4826  # standard deviation over median absolute value of a normal law
+
+
+@dataclass(eq=False)
+class Consistency:
+    """Leave-one-out errors of the markers of a frozen inverse.
+
+    Parameters
+    ----------
+    inverse : Inverse
+        Readings of markers first, `axes` each.
+    places : array (markers, 2)
+    """
+
+    inverse: Inverse
+    places: Array
+    axes: int
+    near: Index = field(init=False)
+
+    def __post_init__(self) -> None:
+        from scipy.spatial import cKDTree
+
+        rows = len(self.places) * self.axes
+        count = min(AROUND + 1, len(self.places))
+        self.near = np.atleast_2d(cKDTree(self.places).query(self.places, k=count)[1])[:, 1:]
+        self.free = np.maximum(1 - np.diagonal(self.inverse.influence)[:rows], 1e-3)
+        self.judged = np.repeat((self.free.reshape(-1, self.axes) > FREE).all(axis=1), self.axes)
+        # single precision where the products of the map are: it is asked for every frame
+        self.rows = np.ascontiguousarray(self.inverse.influence[:rows], self.inverse.matrix.dtype)
+
+    def checked(self, y: Array) -> tuple[Array, int, float]:
+        """Readings without those of markers that contradict all others, how many these are, and the misfit left.
+
+        One at a time, the worst first, as a stray marker pulls the predictions of its neighbours with it. The misfit is
+        the rms residual of the markers over what their noise lets expect: 1 where model and noise are right.
+        """
+        found, rest = 0, self._rest(y)
+        while len(self.places) >= MANY and found < STRAYS and (worst := self._stray(y, *rest)) is not None:
+            before, y = y, self._left_out(y, worst)
+            partner = self._partner(before, y, worst)
+            y = y if partner is None else self._left_out(y, partner)
+            found += 1 if partner is None else 2
+            rest = self._rest(y)
+        return y, found, self._misfit(*rest[1:])
+
+    def _partner(self, before: Array, y: Array, stray: int) -> int | None:
+        """The neighbour that was taken for the stray marker in turn: as far from its place, if there is one.
+
+        Alone it might explain itself, so it is held against what all others say without both.
+        """
+        far = self._distance(before, y, stray)
+        seen = [int(j) for j in self.near[stray][:TURNS] if np.isfinite(y[j * self.axes])]
+        away = [self._distance(before, self._left_out(y, j), j) for j in seen]
+        return seen[int(np.argmax(away))] if away and max(away) > ALIKE * far else None
+
+    def _distance(self, before: Array, y: Array, marker: int) -> float:
+        """Whitened distance of a marker that was left out from what the others predict for it."""
+        here = slice(marker * self.axes, (marker + 1) * self.axes)
+        return float(np.linalg.norm(before[here] / self.inverse.noise[here] - self.inverse.filled(y)[0][here]))
+
+    def _misfit(self, gone: Mask, rest: Array) -> float:
+        kept = ~gone & self.judged
+        return float(np.sqrt(np.sum(rest[kept] ** 2) / max(np.sum(self.free[kept]), 1.0))) if kept.any() else 0.0
+
+    def _stray(self, y: Array, z: Array, gone: Mask, rest: Array) -> int | None:
+        apart = self._apart(gone, rest)
+        free = self.free.reshape(-1, self.axes)
+        size = np.linalg.norm(apart, axis=1)
+        scaled = size / np.sqrt(np.sum(1 / free, axis=1))
+        worst = int(np.argmax(scaled))
+        moved = np.linalg.norm(z.reshape(-1, self.axes), axis=1).max(initial=0.0)
+        if not size[worst] > PART * moved or not scaled[worst] > STRAY * max(1.0, NORMAL * float(np.median(scaled))):
+            return None
+        others = self._apart(*self._rest(self._left_out(y, worst))[1:])[self.near[worst]]
+        beside = np.sort(np.linalg.norm(others, axis=1))
+        # the second largest: two dots that were swapped are each other's neighbours
+        return worst if size[worst] > BESIDE * beside[-2] else None
+
+    def _left_out(self, y: Array, marker: int) -> Array:
+        y = y.copy()
+        y[marker * self.axes : (marker + 1) * self.axes] = np.nan
+        return y
+
+    def _apart(self, gone: Mask, rest: Array) -> Array:
+        """Whitened distance (markers, axes) from what the others predict."""
+        return np.where(self.judged & ~gone, rest / self.free, 0.0).reshape(-1, self.axes)
+
+    def _rest(self, y: Array) -> tuple[Array, Mask, Array]:
+        """Whitened motion of the markers, which are lost, and the residual."""
+        z, lost = self.inverse.filled(y)
+        count = len(self.free)
+        gone = np.zeros(len(z), bool)
+        gone[lost] = True
+        rest = z[:count] - self.rows @ z.astype(self.rows.dtype, copy=False)
+        return z[:count], gone[:count], np.where(gone[:count], 0.0, rest)
+
+
+TOUCH = 0.05  # of the peak pressure of the unconstrained map: where the constrained one looks for contact
+CLEAR = 2.0  # stds of the unconstrained map
+
+
+@dataclass(frozen=True, eq=False)
+class FrameAnswer:
+    """What came of one frame: load (n,) and std, covariance of the resultant (6, 6), facts, flags."""
+
+    load: Array
+    std: Array
+    wrench: Array
+    facts: ForceFacts
+    flags: list[Flag | None]
+
+
+@dataclass(eq=False)
+class QuickMap:
+    """The frozen inverse of a sensor, with what it keeps from frame to frame.
+
+    Parameters
+    ----------
+    family : StaticInversion
+        At a calibrated or given lambda.
+    resultant : array (6, n)
+    places : array (n / 3, 3)
+        Nodes that may be loaded (m).
+    neighbours : sparse (n / 3, n / 3)
+        Which of them share a cell.
+    markers : array (N, 2)
+        Their places (m); their readings come first.
+    axes : int
+        Readings of each marker.
+    reach : float
+        Radius (m) of the press whose recovery is told.
+    about : array (3,)
+        Middle of the surface.
+    """
+
+    family: StaticInversion
+    resultant: Array
+    places: Array
+    neighbours: Any
+    markers: Array
+    axes: int
+    reach: float
+    about: Array
+    contact: ContactLaw
+    _solver: RegionSolver | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        family = self.family
+        lam = family.calibration.lam if family.calibration is not None else family.choice
+        if not isinstance(lam, int | float):
+            raise InputError(
+                "lambda is not fixed yet", where="sensor", found=f"choice={lam!r}",
+                expected="a calibration, or a relative lambda", hint="sensor.calibrate([press, press, ...])",
+            )  # fmt: skip
+        rule = "given" if family.calibration is None else family.calibration.rule
+        self.inverse: Inverse = prepare(family, self.resultant, float(lam), rule)
+        self.consistency = Consistency(self.inverse, self.markers, self.axes)
+        self.recovery = self.inverse.recovery(self._press())
+
+    def __call__(self, y: Array, wrench: Wrench | None = None) -> FrameAnswer:
+        """Map of readings (m,), NaN where one is lost."""
+        inverse = self.inverse
+        y, strays, misfit = self.consistency.checked(y)
+        answer = inverse(y, None if self.contact.constrains else wrench)
+        load, std, covariance, path = answer.load, answer.std, answer.wrench, "frozen inverse"
+        flags: list[Flag | None] = [guards.strays(strays), guards.misfit(misfit)]
+        if wrench is None:
+            hidden = inverse.hidden(load)
+            flags += [guards.unseen(self.recovery), guards.taken(hidden, inverse.resultant @ load, covariance)]
+            covariance = covariance + np.outer(hidden, hidden) + self._blind(inverse.resultant @ load)
+        if self.contact.constrains:
+            found = self.pressed(y, wrench, answer)
+            load, std = found.load, found.std
+            covariance = found.wrench if wrench is not None or found.touched else covariance
+            path = f"active sets on the contact region, {found.steps} steps"
+            flags.append(guards.stopped(found.converged, found.steps))
+        wide = max(1.0, misfit)  # as far as the markers contradict their noise, so does the map
+        std, covariance = wide * std, wide**2 * covariance
+        lost = int(np.sum(~np.isfinite(y)))
+        facts = ForceFacts(
+            path=path, m=len(y) - lost, n=len(load), lost=lost, strays=strays, misfit=misfit, lam=inverse.lam,
+            lambda_rule=inverse.rule,
+        )  # fmt: skip
+        return FrameAnswer(load, std, covariance, facts, flags)
+
+    def pressed(self, y: Array, wrench: Wrench | None = None, answer: Answer | None = None) -> Pressed:
+        """The map that only presses, looked for where the unconstrained answer does.
+
+        Raises `InputError`: For penalties that couple loads; a resultant that no contact of this friction
+        carries.
+        """
+        if wrench is not None:
+            carried(wrench, self.contact.friction)
+        answer = self.inverse(y) if answer is None else answer
+        pressure, spread = -answer.load[2::3], answer.std[2::3]
+        touched = pressure > TOUCH * pressure.max()
+        if wrench is None:
+            touched &= pressure > CLEAR * spread
+        return self._region.solve(y / self.inverse.noise, touched, wrench, answer)
+
+    def _blind(self, resultant: Array) -> Array:
+        """Variance of a normal force that the readings hardly see: as large as what they may hide."""
+        out = np.zeros((6, 6))
+        if self.recovery < guards.SEEN:
+            out[2, 2] = (resultant[2] * (1 / max(self.recovery, 1e-3) - 1)) ** 2
+        return out
+
+    @property
+    def _region(self) -> RegionSolver:
+        if self._solver is None:
+            if self.family.L is not None:
+                raise InputError(
+                    "constrained maps at a fixed lambda take the identity as their penalty",
+                    where="penalty", found=self.family.penalty, expected="'identity'",
+                    hint="leave lambda to be chosen per frame, or leave the constraints out",
+                )  # fmt: skip
+            inverse = self.inverse
+            prior = np.full(inverse.shape[0], inverse.lam * inverse.scale)
+            H = self.family.H[: inverse.shape[1]] / inverse.noise[:, None]  # markers first, depth after them
+            self._solver = RegionSolver(H, prior, inverse.resultant, self.neighbours, self.contact.friction)
+        return self._solver
+
+    def _press(self) -> Array:
+        """A plain press in the middle of the surface (n,), of no particular size."""
+        press = np.zeros((len(self.places), 3))
+        press[:, 2] = -np.exp(-np.sum((self.places[:, :2] - self.about[:2]) ** 2, axis=1) / self.reach**2)
+        return press.ravel()

@@ -1,0 +1,353 @@
+"""The frozen inverse of a pad, one product per frame; and maps in their friction cones, solved where the contact is.
+
+With C the posterior covariance, H the whitened transfer matrix and G = C H^T, leaving rows M out gives the load
+``G y`` with ``y_M = (I - A_MM)^-1 A_MO y_O`` and ``A = H G`` (what the others predict there), and the covariance
+``C + G_M (I - A_MM)^-1 G_M^T``: the Woodbury identity, no matrix of the size of the map is factored again.
+
+Only the nodes of a region are unknowns; the region follows the contact. The answer is exact for a load on the region
+(active sets, `loadid._inverse.constrained.activeset`), and every frame starts from the one before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, qr
+
+from loadid._inverse.constrained import activeset
+from loadid._inverse.constrained.activeset import ActivePoint
+from loadid._inverse.constrained.feasible import Feasible, compile_
+from loadid._inverse.constrained.quadratic import Quadratic, gram_of
+from loadid.constraints import Constraint, FrictionCone, NonNegative, Resultant
+from structures._system.factor import compliance
+from structures.errors import InputError
+
+from .._arrays import Array, Index, Mask
+from .observation import Wrench
+
+if TYPE_CHECKING:
+    from loadid._families.static import StaticInversion
+
+
+LARGE = 4_000_000  # entries from which the products run in single precision: 1e-6 of the load, half the memory traffic
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Load (n,), its std (n,), covariance of its resultant (6, 6), and of the load with it (n, 6)."""
+
+    load: Array
+    std: Array
+    wrench: Array
+    reach: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Inverse:
+    """Regularised inverse at one lambda, in whitened readings.
+
+    Parameters
+    ----------
+    matrix : array (n, m)
+        G: loads per whitened reading; single precision where it is large.
+    influence : array (m, m)
+        A = H G: what is predicted at a reading per unit of another.
+    noise : array (m,)
+        Std of each reading: what whitens it.
+    std : array (n,)
+        Posterior std of the loads.
+    resultant : array (6, n)
+        Force and moment of unit loads.
+    reach : array (n, 6)
+        C R^T: covariance of the loads with their resultant.
+    loss : array (6, n)
+        ``R (G H - I)``: what regularisation takes from the resultant of a load.
+    lam, scale : float
+        Relative lambda and what makes it absolute.
+    rule : str
+        Who chose it.
+    """
+
+    matrix: NDArray[np.floating[Any]]
+    influence: Array
+    noise: Array
+    std: Array
+    resultant: Array
+    reach: Array
+    loss: Array
+    lam: float
+    scale: float
+    rule: str
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Loads and readings."""
+        return self.matrix.shape
+
+    def __call__(self, y: Array, wrench: Wrench | None = None) -> Answer:
+        """Load of readings (m,) in their own units; NaN where one is lost.
+
+        Raises `InputError`: if no reading is left.
+        """
+        z, lost = self.filled(y)
+        plain = Answer(self._times(z), self.std, self.resultant @ self.reach, self.reach) if lost.size == 0 else None
+        answer = self._widened(z, lost) if plain is None else plain
+        return answer if wrench is None else fused(answer, self.resultant, wrench)
+
+    def recovery(self, press: Array) -> float:
+        """Share of the resultant force of a load (n,) that would be found, were it there and the noise zero."""
+        force = self.resultant[:3] @ press
+        return float(1 + force @ (self.loss[:3] @ press) / (force @ force))
+
+    def hidden(self, load: Array) -> Array:
+        """What regularisation is expected to have taken from the resultant of this load (6,)."""
+        return self.loss @ load
+
+    def _times(self, z: Array) -> Array:
+        return np.asarray(self.matrix @ z.astype(self.matrix.dtype, copy=False), float)
+
+    def filled(self, y: Array) -> tuple[Array, Index]:
+        """Whitened readings with the lost ones as the others predict them, and which those are."""
+        z = y / self.noise
+        lost = np.flatnonzero(~np.isfinite(z))
+        if lost.size == len(z):
+            raise InputError("no reading is left in this frame", where="frame", found="all markers lost",
+                             expected="at least three markers", hint="look at the image")  # fmt: skip
+        if lost.size:
+            z = np.where(np.isfinite(z), z, 0.0)
+            z[lost] = cho_solve(self._left(lost), self.influence[lost] @ z)
+        return z, lost
+
+    def _left(self, lost: Index) -> Any:
+        """Cholesky factor of I - A_MM."""
+        left = np.eye(lost.size) - self.influence[np.ix_(lost, lost)]
+        try:
+            return cho_factor((left + left.T) / 2)
+        except LinAlgError:
+            raise InputError(
+                "too few readings are left for this lambda", where="frame",
+                found=f"{lost.size} of {len(self.noise)} lost", expected="readings that determine the map",
+                hint="a larger lambda, or a look at the image: light, focus, occlusion",
+            ) from None  # fmt: skip
+
+    def _widened(self, z: Array, lost: Index) -> Answer:
+        """The answer of filled readings, with the std of those that were read."""
+        factor = self._left(lost)
+        columns = self.matrix[:, lost].astype(float)
+        more = cho_solve(factor, columns.T)
+        reach = self.reach + columns @ cho_solve(factor, (self.resultant @ columns).T)
+        spread = np.sqrt(self.std**2 + np.einsum("nk,kn->n", columns, more))
+        return Answer(self._times(z), spread, self.resultant @ reach, reach)
+
+
+def fused(answer: Answer, resultant: Array, wrench: Wrench) -> Answer:
+    """Answer conditioned on what a force/torque sensor says: exactly met, or weighed by its std."""
+    value = wrench.value
+    k = len(value)
+    S = answer.wrench[:k, :k]
+    if wrench.std is not None:
+        S = S + np.diag(wrench.std**2)
+    gain = _gain(S, answer.reach[:, :k])
+    load = answer.load + gain @ (value - resultant[:k] @ answer.load)
+    variance = np.maximum(answer.std**2 - np.sum(gain * answer.reach[:, :k], axis=1), 0.0)
+    reach = answer.reach - gain @ answer.wrench[:k]
+    return Answer(load, np.sqrt(variance), resultant @ reach, reach)
+
+
+def _gain(S: Array, P: Array) -> Array:
+    """P S^-1, scaled so that forces and moments do not drown each other."""
+    size = np.sqrt(np.diag(S))
+    size = np.where(size > 0, size, 1.0)
+    return np.linalg.lstsq(S / size[:, None] / size, (P / size).T, rcond=1e-12)[0].T / size
+
+
+def prepare(family: StaticInversion, resultant: Array, lam: float, rule: str = "given") -> Inverse:
+    """Inverse of a static family at relative `lam`; its constraints are left to others.
+
+    Parameters
+    ----------
+    family : StaticInversion
+        Its noise is known.
+    resultant : array (6, n)
+    """
+    posed = family.at_rest()
+    base = posed.base
+    known = base.solution(lam, 1.0).posterior
+    assert known is not None
+    spread = np.asarray(posed.noise.level, float)
+    matrix = base.inverse(lam)  # per whitened reading
+    whitened = posed.H / spread[:, None]
+    factor = known.factor  # type: ignore[attr-defined]
+    return Inverse(
+        matrix=np.ascontiguousarray(matrix, np.float32 if matrix.size > LARGE else float),
+        influence=whitened @ matrix,
+        noise=spread,
+        std=np.asarray(known.std, float),
+        resultant=resultant,
+        reach=factor @ (factor.T @ resultant.T),
+        loss=(resultant @ matrix) @ whitened - resultant,
+        lam=float(lam),
+        scale=float(base.scale),
+        rule=rule,
+    )
+
+
+GROWTH = 1.6  # how much larger than needed a region may be before it is cut
+FLIP = np.array([1.0, 1.0, -1.0])  # pressures are unknowns, not normal tractions
+
+
+@dataclass(frozen=True, eq=False)
+class Pressed:
+    """Load (n,), its std (n,), covariance of its resultant (6, 6), Newton steps, whether they ended, any contact."""
+
+    load: Array
+    std: Array
+    wrench: Array
+    steps: int
+    converged: bool
+    touched: bool = True
+
+
+def carried(wrench: Wrench, friction: float | None) -> None:
+    """Refuse a resultant that no contact can carry that only presses, with this friction.
+
+    Raises `InputError`: An exact resultant that pulls, or shears more than friction allows.
+    """
+    pull, shear = float(wrench.force[2]), float(np.hypot(*wrench.force[:2]))
+    if wrench.std is None and (pull > 0 or (friction is not None and shear > -friction * pull)):
+        raise InputError(
+            "the force sensor says what this contact cannot carry", where="wrench",
+            found=f"shear {shear:.4g} N, Fz {pull:.4g} N",
+            expected="Fz <= 0" + ("" if friction is None else f", shear at most {friction:g} times the pressing force"),
+            hint="state the std of the force sensor (Wrench(..., std=)), or another friction",
+        )  # fmt: skip
+
+
+class _Region:
+    """The problem on some nodes: matrix, Gram matrix, feasible set, posterior of its unconstrained answer."""
+
+    def __init__(self, owner: RegionSolver, nodes: Index, lost: Index) -> None:
+        self.nodes, self.lost = nodes, lost
+        self.columns = (3 * nodes[:, None] + np.arange(3)).ravel()
+        self.flip = np.tile(FLIP, len(nodes))
+        H = owner.H[:, self.columns].astype(float) * self.flip
+        H[lost] = 0.0
+        # few unknowns, many readings: a QR leaves a square problem for all frames on this region
+        self.Q, self.A = qr(np.vstack([H, np.diag(owner.prior[self.columns])]), mode="economic", check_finite=False)
+        self.Q = np.asfortranarray(self.Q[: len(H)])
+        self.gram = gram_of(self.A)
+        self.R = owner.resultant[:, self.columns] * self.flip
+        self._spread: Answer | None = None
+        self._free: tuple[Quadratic, Feasible] | None = None
+
+    def problem(self, mu: float | None) -> tuple[Quadratic, Feasible]:
+        """Objective and feasible set where no resultant is given; prepared once."""
+        if self._free is None:
+            feasible = self.feasible(mu, None)
+            self._free = Quadratic(self.A, feasible, self.gram), feasible
+        return self._free
+
+    def feasible(self, mu: float | None, equal: tuple[Array, Array] | None) -> Feasible:
+        """Cones, or pressures that are not negative; a resultant that is met."""
+        n = len(self.columns)
+        triples = np.arange(n).reshape(-1, 3)
+        first: Constraint = NonNegative(triples[:, 2]) if mu is None else FrictionCone(mu, triples)
+        constraints = [first] if equal is None else [first, Resultant(equal[0], equal[1])]
+        return compile_(constraints, n)
+
+    def spread(self, wrench: Wrench | None) -> Answer:
+        """Std of the load on the region without constraints, covariance of its resultant, conditioned on a wrench."""
+        if self._spread is None:
+            C = compliance(np.asfortranarray(self.gram.copy()))
+            reach = C @ self.R.T
+            self._spread = Answer(np.zeros(len(C)), np.sqrt(np.diag(C)), self.R @ reach, reach)
+        return self._spread if wrench is None else fused(self._spread, self.R, wrench)
+
+
+class RegionSolver:
+    """Constrained maps on the region of contact.
+
+    Parameters
+    ----------
+    H : array (m, n)
+        Whitened transfer matrix.
+    prior : array (n,)
+        Weight of each load in the penalty, absolute lambda included.
+    resultant : array (6, n)
+    neighbours : sparse (P, P)
+        Which nodes share a cell.
+    friction : float or None
+        Coefficient of friction; None only forbids pulling.
+    """
+
+    def __init__(
+        self, H: Array, prior: Array, resultant: Array, neighbours: Any, friction: float | None = None
+    ) -> None:
+        self.H, self.prior, self.resultant = np.asfortranarray(H), prior, resultant
+        self.neighbours, self.friction = neighbours.tocsr().astype(bool), friction
+        self._last: _Region | None = None
+        self._point: ActivePoint | None = None
+
+    def solve(self, z: Array, touched: Mask, wrench: Wrench | None, free: Answer) -> Pressed:
+        """Load for whitened readings; `touched` (P,) says where contact is, a ring about it is added.
+
+        The ring makes room for what a first guess misses; where nothing is touched the load is zero, with the std
+        of the answer without constraints.
+        """
+        n = self.H.shape[1]
+        wanted = self._grown(touched)
+        if not wanted.any():
+            return Pressed(np.zeros(n), free.std, free.wrench, 0, True, touched=False)
+        lost = np.flatnonzero(~np.isfinite(z))
+        region = self._region(wanted, lost)
+        point = self._solve(region, np.where(np.isfinite(z), z, 0.0), wrench)
+        load, std = np.zeros(n), np.zeros(n)
+        spread = region.spread(wrench)
+        load[region.columns], std[region.columns] = point.h * region.flip, spread.std
+        return Pressed(load, std, spread.wrench, point.steps, point.converged)
+
+    def _grown(self, mask: Mask) -> Mask:
+        return np.asarray(self.neighbours @ mask, bool) | mask
+
+    def _region(self, wanted: Mask, lost: Index) -> _Region:
+        """The last region while it still covers the contact and the same markers are lost."""
+        last = self._last
+        if last is not None and np.array_equal(last.lost, lost):
+            inside = np.zeros(len(wanted), bool)
+            inside[last.nodes] = True
+            if not np.any(wanted & ~inside) and inside.sum() <= GROWTH * self._grown(wanted).sum():
+                return last
+        self._point = None if last is None else self._point
+        region = _Region(self, np.flatnonzero(self._grown(wanted)), lost)
+        self._point = None if self._point is None else self._moved(last, region)
+        self._last = region
+        return region
+
+    def _moved(self, last: _Region | None, region: _Region) -> ActivePoint | None:
+        """The last answer on the nodes of a new region."""
+        if last is None or self._point is None:
+            return None
+        whole = np.zeros(self.H.shape[1])
+        whole[last.columns] = self._point.h
+        start = activeset.origin(region.feasible(self.friction, None))
+        return replace(start, h=whole[region.columns])
+
+    def _solve(self, region: _Region, z: Array, wrench: Wrench | None) -> ActivePoint:
+        b = region.Q.T @ z
+        quadratic, feasible = region.problem(self.friction)
+        if wrench is not None:
+            rows = region.R[: len(wrench.value)]
+            if wrench.std is None:
+                feasible = region.feasible(self.friction, (rows, wrench.value))
+            else:
+                soft = rows / wrench.std[:, None]
+                quadratic = Quadratic(np.vstack([region.A, soft]), feasible, region.gram + gram_of(soft))
+                b = np.concatenate([b, wrench.value / wrench.std])
+        start = self._point
+        if start is not None and (len(start.nu) != len(feasible.equal) or len(start.h) != len(region.columns)):
+            start = None
+        self._point = activeset.solve(quadratic, b, feasible, start)
+        return self._point

@@ -1,0 +1,392 @@
+"""What the linear sensors share: readings in, force map out; lambda chosen once, then one product per frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loadid._families.static import StaticInversion
+from loadid._guards import collect
+from loadid._inverse.noise_source import NoiseSourceLike
+from loadid._results.estimate import LoadEstimate
+from loadid._results.facts import provenance
+from loadid.settings import Noise
+from structures._flags import Flag, codes
+from structures.errors import InputError
+
+from .. import _guards as guards
+from .._arrays import Array, Mask
+from .._results.forcemap import ForceFacts, ForceMap
+from .fixed import QuickMap
+from .inversion import Inverse, Pressed, prepare
+from .marked import MarkedSensor
+from .observation import DepthMap, Depths, Markers, Wrench, stacked
+from .posing import (
+    PadModel,
+    calibrated,
+    channels,
+    constrained,
+    constraints,
+    cut,
+    estimated,
+    fewer,
+    neighbours,
+    resultant_covariance,
+)
+from .rigid import whole_motion
+from .settings import ContactLaw, spelled_before
+
+if TYPE_CHECKING:
+    from loadid._families.frozen import Calibration
+
+    from ..vision._eye import Eye
+
+
+FEWEST = 3  # markers of a frame
+
+
+@dataclass(frozen=True, eq=False)
+class PressedBody:
+    """What is pressed, and how loads on it move its markers.
+
+    Parameters
+    ----------
+    body : Pad, Layer or HalfSpace
+        Its E.
+    thickness : float or None
+        m; None for a half-space.
+    transfer : callable
+        Takes points (n, 2 or 3) and a function that combines rows of their motion; returns the rows (rows, loads).
+    geometry : mapping
+        As `tactile._sensors.posing` makes it.
+    basis : Basis, optional
+        For penalties between neighbours.
+    flags : sequence of Flag
+        What was found of the body.
+    about : mapping
+        What goes into the provenance.
+    """
+
+    body: Any
+    thickness: float | None
+    transfer: Callable[[Array, Callable[[Any], Any]], Array]
+    geometry: dict[str, Any]
+    basis: Any = None
+    flags: Sequence[Flag] = ()
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+
+class LinearSensor(MarkedSensor):
+    """A tactile sensor whose readings are a linear function of the load on its surface.
+
+    Build one of its kinds: `MultilayerPad`, `GelForce`.
+
+    Parameters
+    ----------
+    body : PressedBody
+    markers, eye, depth
+        As `MarkedSensor`.
+    penalty, choice, noise_source, contact, allow
+        See `tactile._sensors.settings.InversionSettings`.
+    """
+
+    @spelled_before("markers", "contact")
+    def __init__(
+        self,
+        body: PressedBody,
+        markers: Markers | ArrayLike | None = None,
+        *,
+        eye: Eye | None = None,
+        depth: Depths | None = None,
+        penalty: Any = "identity",
+        choice: Any = None,
+        noise_source: NoiseSourceLike = None,
+        contact: ContactLaw | None = None,
+        allow: Sequence[str] = (),
+    ) -> None:
+        super().__init__(markers, eye, depth, contact or ContactLaw())
+        self.pressed_body, self.geometry = body, body.geometry
+        rows, sensors = [body.transfer(self.markers.points, self.markers.rows)], list(self.markers.channels)
+        if depth is not None:
+            rows.append(body.transfer(depth.samples, depth.rows))
+            sensors += depth.channels
+        points, basis = len(self.geometry["coordinates"]), body.basis
+        self.loads = channels(points, self.geometry["kind"])
+        kept = self.contact.loads(points)
+        self.kept = np.arange(3 * points) if kept is None else kept
+        self._whole = kept is None
+        H, resultant = stacked(rows), self.geometry["resultant"]
+        if kept is not None:
+            penalty, basis = cut(penalty, basis, kept), None
+            H, resultant = H[:, kept], resultant[:, kept]
+        self.resultant = resultant
+        self.model = PadModel(H, sensors, [self.loads[i] for i in self.kept], basis, body.flags)
+        self.family = StaticInversion(
+            self.model, penalty=penalty, choice=choice, noise=Noise(source=noise_source), allow=list(allow)
+        )
+        self._quick: dict[bool, QuickMap] = {}
+
+    def __repr__(self) -> str:
+        rows, loads = self.model.H.shape
+        return f"<{type(self).__name__}: {len(self.markers)} markers, {rows} readings, {loads} loads>"
+
+    # -- doing --------------------------------------------------------------------------------------------------------
+    def estimate(self, found: ArrayLike, depth: DepthMap | None = None, *, wrench: Wrench | None = None) -> ForceMap:
+        """Force map of one frame.
+
+        Parameters
+        ----------
+        found : array (N, 2 or 3), or an image (H, W[, 3])
+            Motion of the markers (m), NaN where one is lost; or a frame, where the sensor has an eye.
+        depth : DepthMap, optional
+            Measured normal motion.
+        wrench : Wrench, optional
+            Of a force/torque sensor: met exactly, or weighed by its std.
+
+        Returns
+        -------
+        ForceMap
+            With lambda frozen (`calibrate`, or ``choice`` a number) one product, or a warm-started solver under
+            constraints; else lambda is chosen on this frame and everything is diagnosed.
+
+        Raises
+        ------
+        InputError
+            Readings that do not fit; fewer than three markers left; a depth map for which the sensor was not built.
+        NotIdentifiable
+            What neither readings nor penalty determine.
+        """
+        y, flags = self._readings(found, depth)
+        count = self.markers.readings_count
+        left = int(np.sum(np.isfinite(y[:count]))) // len(self.markers.axes)
+        if left < FEWEST:
+            raise InputError(
+                "too few markers are left in this frame", where="frame", found=left, expected=f"at least {FEWEST}",
+                hint="look at the image: light, focus, occlusion",
+            )  # fmt: skip
+        return self._at_once(y, wrench, flags) if self.frozen else self._thorough(y, wrench, flags)
+
+    def calibrate(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Calibration:
+        """Choose one lambda over calibration presses, and freeze it.
+
+        Where no frame is whole, what is seen in all of them decides: a dot that is broken for good costs that dot.
+
+        Raises
+        ------
+        InputError
+            Without frames, or if too few markers are seen in all of them.
+        """
+        listed = self._listed(frames, depths)
+        whole = [y for y in listed if np.all(np.isfinite(y))]
+        listed = whole or listed
+        seen: Mask = np.zeros(len(self.model.sensors), bool)
+        if listed:
+            seen = np.asarray(np.isfinite(np.array(listed)).all(axis=0))
+        if np.sum(seen[: self.markers.readings_count]) < FEWEST * len(self.markers.axes):
+            raise InputError(
+                "no frames to calibrate with", where="calibrate", found=f"{len(listed)} frames",
+                expected="presses in which the same markers are seen", hint="press where few markers vanish",
+            )  # fmt: skip
+        self._quick = {}
+        self.__dict__.pop("_provenance", None)
+        self.family.calibration = None
+        if isinstance(self.family.choice, int | float):
+            self.family.choice = None  # presses tell more than the number that was given
+        family = self.family if whole else fewer(self.family, self._named(seen))
+        self.family.calibration = calibrated(family, [y[seen] for y in listed])
+        return self.family.calibration
+
+    def pressed(self, y: Array) -> Pressed:
+        """Load of readings (m,) that only presses, within its friction cone if there is one, in the region of contact.
+
+        Raises
+        ------
+        InputError
+            Where lambda is not fixed.
+        """
+        return self._quick_map(with_depth=True).pressed(y)
+
+    # -- what it is ---------------------------------------------------------------------------------------------------
+    @property
+    def codes(self) -> set[str]:
+        """Short codes of what the guards found when the sensor was built."""
+        return codes(self.model.flags)
+
+    @property
+    def E(self) -> float:
+        """Young's modulus that the sensor was built with (Pa)."""
+        return float(self.pressed_body.body.E)
+
+    @property
+    def thickness(self) -> float | None:
+        """Thickness of what is pressed (m); None for a half-space."""
+        return self.pressed_body.thickness
+
+    @property
+    def frozen(self) -> bool:
+        """Whether lambda is fixed: estimates are then quick, and comparable from frame to frame."""
+        return self.family.calibration is not None or isinstance(self.family.choice, int | float)
+
+    @property
+    def inverse(self) -> Inverse:
+        """The frozen inverse of all readings.
+
+        Raises
+        ------
+        InputError
+            Where lambda is not fixed yet.
+        """
+        return self._quick_map(with_depth=True).inverse
+
+    def provided(self, depth: bool) -> dict[str, str]:
+        """Where each component of the motion comes from."""
+        z = "tracked" if self.markers.axes == "XYZ" else "measured" if depth else "completed"
+        return {"x": "tracked", "y": "tracked", "z": z}
+
+    # -- steps --------------------------------------------------------------------------------------------------------
+    def _quick_map(self, with_depth: bool) -> QuickMap:
+        if with_depth not in self._quick:
+            nodes = self.kept[::3] // 3
+            places = self.geometry["coordinates"]
+            linked = neighbours(self.geometry["cells"], places)
+            self._quick[with_depth] = QuickMap(
+                self.family if with_depth else fewer(self.family, [s.label for s in self.markers.channels]),
+                self.resultant,
+                places[nodes],
+                linked[nodes][:, nodes],
+                self.markers.points[:, :2],
+                len(self.markers.axes),
+                self._thick,
+                np.asarray(self.geometry["about"], float),
+                self.contact,
+            )
+        return self._quick[with_depth]
+
+    def _at_once(self, y: Array, wrench: Wrench | None, flags: list[Flag | None]) -> ForceMap:
+        """The map at the frozen lambda."""
+        count = self.markers.readings_count
+        depth = self.depth is None or bool(np.isfinite(y[count:]).any())
+        quick = self._quick_map(depth)
+        found = quick(y if depth else y[:count], wrench)
+        facts = replace(found.facts, provided=self.provided(depth and self.depth is not None))
+        spread = found.std / max(1.0, found.facts["misfit"])  # a motion of all markers widens the band
+        moved = self._moved(y, found.load, spread, slice(None) if depth else slice(count), lambda: quick.inverse)
+        load, std = self._scattered(found.load), self._scattered(found.std)
+        return ForceMap(
+            load=load,
+            std=std,
+            labels=self._labels,
+            units=self._units,
+            flags=collect([*self.model.flags, *flags, *found.flags, moved, *self._own(load, facts)]),
+            allowed=self.family.allow,
+            certificate=self.model.certificate,
+            geometry={**self.geometry, "resultant_covariance": found.wrench},
+            facts=facts,
+            provenance=self._provenance,
+        )
+
+    def _thorough(self, y: Array, wrench: Wrench | None, flags: list[Flag | None]) -> ForceMap:
+        """The map at a lambda that is chosen on this frame, with everything that the static family tells."""
+        seen = np.isfinite(y)
+        held = constraints(len(self.kept), self.contact, self.resultant, wrench)
+        family = self.family if seen.all() else fewer(self.family, self._named(seen))
+        found = estimated(constrained(family, held), y[seen])
+        measured = self.depth is not None and bool(seen[self.markers.readings_count :].any())
+        facts = ForceFacts.of({**found.facts, "lost": int(np.sum(~seen)), "provided": self.provided(measured)})
+        kept = {f.name: getattr(found, f.name) for f in fields(LoadEstimate)}
+        if not self._whole:  # posterior and diagnosis are those of the loads that may act
+            kept |= {"posterior": None, "bias": None, "diagnosis": None}
+        load = self._scattered(found.load)
+        covariance = resultant_covariance(found.posterior, self.resultant)
+        if found.bias is not None and wrench is None:  # what the penalty takes is in the band
+            taken = self.resultant @ found.bias
+            covariance = covariance + np.outer(taken, taken)
+        assert found.choice is not None
+        lam = found.choice.lam
+        moved = self._moved(y, found.load, found.std, seen, lambda: prepare(family, self.resultant, lam))
+        own = {
+            "load": load,
+            "std": self._scattered(found.std),
+            "labels": self._labels,
+            "units": self._units,
+            "flags": collect([*found.flags, *flags, moved, *self._own(load, facts)]),
+            "geometry": {
+                **self.geometry,
+                "resultant_covariance": covariance,
+            },
+            "facts": facts,
+        }
+        return ForceMap(**{**kept, **own})
+
+    def _moved(self, y: Array, load: Array, std: Array, rows: Any, inverse: Callable[[], Inverse]) -> Flag | None:
+        """W611 of readings (m,) and the loads (n,) found; `inverse`, of `rows`, is asked where most markers moved."""
+        markers, count = self.markers, self.markers.readings_count
+        places, shape = markers.points[:, :2], (len(markers), len(markers.axes))
+
+        def alone(motion: Callable[[Array], Array]) -> Array:
+            only = np.zeros(len(y))
+            only[:count].reshape(shape)[:, :2] = motion(places)
+            maps = inverse()
+            return np.asarray(maps.matrix @ (only[rows] / maps.noise))
+
+        return whole_motion(
+            y[:count].reshape(shape)[:, :2], load, std, markers, self.geometry["coordinates"][self.kept[::3] // 3, :2],
+            self._thick, alone, lambda g: np.asarray(self.model.H[:count] @ g).reshape(shape)[:, :2], self.resultant,
+            None if self.eye is None else self.eye.pixel,
+        )  # fmt: skip
+
+    @cached_property
+    def _thick(self) -> float:
+        """Thickness (m); of a half-space a sixth of the side."""
+        return self.thickness or float(np.ptp(self.geometry["coordinates"][:, :2])) / 6
+
+    def _named(self, seen: Mask) -> list[str]:
+        """Labels of the readings that are there."""
+        return [s.label for s, there in zip(self.model.sensors, seen, strict=True) if there]
+
+    def _own(self, load: Array, facts: ForceFacts) -> list[Flag | None]:
+        """What is found in every map."""
+        lost = guards.lost(facts["lost"], facts["m"] + facts["lost"])
+        return [guards.completed(dict(facts.provided or {})), lost, *self._checked(load)]
+
+    def _checked(self, load: Array) -> list[Flag | None]:
+        """What a kind of sensor finds in a map (3 P,) beyond that."""
+        return []
+
+    def _scattered(self, values: Array) -> Array:
+        """Values of the loads that may act among all of the surface."""
+        if self._whole:
+            return values
+        out = np.zeros(len(self.loads))
+        out[self.kept] = values
+        return out
+
+    @cached_property
+    def _labels(self) -> tuple[str, ...]:
+        return tuple(c.label for c in self.loads)
+
+    @cached_property
+    def _units(self) -> tuple[str, ...]:
+        return tuple(c.unit for c in self.loads)
+
+    @cached_property
+    def _provenance(self) -> dict[str, Any]:
+        family = self.family
+        return provenance(
+            self.name,
+            settings={
+                **self.pressed_body.about,
+                "penalty": family.penalty if isinstance(family.penalty, str | None) else "matrix",
+                "no_pull": self.contact.no_pull,
+                "friction": self.contact.friction,
+                "calibration": None if family.calibration is None else str(family.calibration),
+            },
+            inputs={},
+            model=self.model.fingerprint,
+            prior="white prior on the load of every node" if family.L is None else "smooth load",
+        )
