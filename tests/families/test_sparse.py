@@ -111,7 +111,7 @@ def pulses(width: int, noise: float, seed: int = 0, known: bool = True, **settin
     y, load = halfsine.record(width, noise, seed)
     if known:
         settings |= {"noise": Noise(halfsine.level(halfsine.respond(load), noise), source=SAID)}
-    return SparseDeconvolution(struck(), **settings).estimate(y, STEP), load
+    return SparseDeconvolution(struck(), **folded(SparseDeconvolution, settings)).estimate(y, STEP), load
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, Noise, Record
+from loadid.settings import folded
 from loadid.validate import Coverage, coverage, held_out
 from structures import Channel, ImpulseModel, InputError, MatrixModel, MeasuredModel
 from tests.structures.impacts import blow, hits
@@ -36,7 +37,9 @@ class TestCoverage:
         """For loads of standard deviation 1: in whitened data the absolute lambda is 1."""
         m = model()
         scale = Deconvolution(m, choice=1.0, noise=SIGMA).estimate(np.ones((N, 3)), DT).choice.scale
-        return Deconvolution(m, noise=Noise(SIGMA, source="covariance"), **{"choice": 1.0 / scale, **settings})
+        return Deconvolution(
+            m, noise=Noise(SIGMA, source="covariance"), **folded(Deconvolution, {"choice": 1.0 / scale, **settings})
+        )
 
     @pytest.mark.parametrize("level", [0.5, 0.95])
     def test_loads_from_the_prior(self, level):
