@@ -29,7 +29,6 @@ from loadid import (
     LoadEstimate,
     LoadTracker,
     Noise,
-    Recommendation,
     SparseDeconvolution,
     recommend,
 )
@@ -142,7 +141,7 @@ class Column:
 
     case: Case
     cells: dict[str, Cell]
-    advice: Recommendation
+    advice: Any
     recommended: Cell
 
     @property

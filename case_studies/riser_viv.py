@@ -33,7 +33,7 @@ from loadid._families.harmonic import complex_load
 from loadid._zones import harmonic_power, mean_power
 from structures import ForwardModel, Structure, bases, sensors
 from structures import beams as risers
-from structures._models.motion import Motion, harmonic_motion, motion
+from structures import motion as motions
 
 RISER: dict[str, Any] = {"length": 9.63, "EI": 135.4, "mass_per_length": 0.85}
 TENSION, ELEMENTS, LOSS = 700.0, 60, 0.01
@@ -99,7 +99,7 @@ class Line:
 def compare(estimate: LoadEstimate, model: ForwardModel, truth: Complex) -> Line:
     """Estimated against true force, motion and power."""
     load, frequency = complex_load(estimate), estimate.facts.frequency
-    found, known = (harmonic_motion(model, g, frequency) for g in (load, truth))
+    found, known = (motions.harmonic_motion(model, g, frequency) for g in (load, truth))
     at = found.along()[1:-1]
     power = harmonic_power(load, found.velocity[at])
     exact = harmonic_power(truth, known.velocity[at])
@@ -181,8 +181,8 @@ class History:
     """Estimate, its motion and the truth at the inner nodes: loads in N/m, power in W/m, both (samples, 59)."""
 
     estimate: LoadEstimate
-    motion: Motion
-    known: Motion
+    motion: motions.Motion
+    known: motions.Motion
     load: Array
     truth: Array
     power: Array
@@ -224,7 +224,7 @@ def history(seed: int = 0, counts: tuple[int, int] = FULL) -> History:
     family = FieldDeconvolution(few, space="gradient", noise=Noise(noise, source="known"))
     estimate = family.estimate(record, DT)
     whole = ForwardModel(riser, nodal.sensors, hats)
-    found, known = motion(whole, estimate.load, DT), motion(nodal, forces, DT)
+    found, known = motions.motion(whole, estimate.load, DT), motions.motion(nodal, forces, DT)
     load, at = hats.evaluate(estimate.load, X)[..., 0], found.along()[1:-1]
     return History(
         estimate, found, known, load, forces / H,
@@ -267,7 +267,7 @@ def picture(found: History, lines: LoadEstimate, path: Path) -> None:
     riser, truth = structure(ABOVE * float(FREQUENCIES[2])), fluid_force(ABOVE * float(FREQUENCIES[2]), 0.6)
     model = ForwardModel(riser, layout(*FULL), bases.nodal(riser))
     for force_on, style, name in ((truth, "k--", "true"), (complex_load(lines), "C0", "rebuilt")):
-        moved = harmonic_motion(model, force_on, ABOVE * float(FREQUENCIES[2]))
+        moved = motions.harmonic_motion(model, force_on, ABOVE * float(FREQUENCIES[2]))
         axes[3].plot(X, harmonic_power(force_on, moved.velocity[moved.along()[1:-1]]) / H, style, label=name)
     axes[3].axhline(0, color="0.6", lw=0.6)
     axes[3].set(xlabel="x [m]", ylabel="mean power [W/m]")

@@ -32,8 +32,7 @@ from numpy.typing import NDArray
 from loadid import FrequencyInversion, Lambda, LoadEstimate, Record
 from loadid._results.functionals import in_words
 from loadid.sources import Contributions, Split, Transfer, contributions, decibels, split, validate_on
-from structures import Channel, CrossSpectra, ForwardModel, FrfModel, cross_spectra, loads, plates, sensors
-from structures._elements.beams import materials
+from structures import Channel, CrossSpectra, ForwardModel, FrfModel, beams, cross_spectra, loads, plates, sensors
 
 RATE, SEGMENT = 1024.0, 1024  # Hz, samples: lines every hertz
 BAND = (20.0, 400.0)
@@ -63,7 +62,7 @@ Array = NDArray[np.float64]
 @lru_cache(maxsize=1)
 def plate() -> ForwardModel:
     """The structure that makes the data."""
-    aluminium = materials.aluminium
+    aluminium = beams.materials.aluminium
     structure = plates.plate(lengths=(1.0, 0.7), thickness=4e-3, material=aluminium, elements=(12, 9), damping=0.01)
     seen = [sensors.Accelerometer(at=p, direction="Z", label=name) for name, p in SEEN.items()]
     pushed = [loads.Point(at=p, direction="Z", label=name) for name, p in LOADS.items()]

@@ -30,7 +30,6 @@ _PUBLIC = {
     "Penalty": "loadid.settings",
     "Priors": "loadid.settings",
     "Record": "loadid._record",
-    "Recommendation": "loadid._families.recommend",
     "Search": "loadid.settings",
     "Signal": "loadid.settings",
     "Sparsity": "loadid.settings",

@@ -14,6 +14,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,12 @@ import numpy as np
 from .sources import PACKAGES, ROOT, imported, modules, parsed, within
 
 MOST_FILES, MOST_PARAMETERS = 20, 10
+PUBLIC = (
+    "structures", "structures.bases", "structures.errors", "structures.files", "structures.units",
+    "loadid", "loadid.codes", "loadid.constraints", "loadid.design", "loadid.paths", "loadid.priors", "loadid.settings",
+    "loadid.sources", "loadid.validate",
+    "tactile", "tactile.design", "tactile.material", "tactile.metrics", "tactile.vision",
+)  # fmt: skip
 HEAVY = ("numpy", "scipy", "matplotlib", "h5py", "numba", "casadi", "filterpy", "clarabel", "cv2", "pyuff", "skfem")
 
 
@@ -102,13 +109,17 @@ def lazy() -> int:
 
 
 def public_names() -> int:
-    """Names without an underscore that modules without one define at their top level."""
-    return sum(
-        isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
+    """Names in ``__all__`` of the public modules, each once, and of modules that are public by their name alone."""
+    offered = {name for module in PUBLIC for name in import_module(module).__all__}
+    named = {
+        f"{name}.{node.name}"
         for name, tree in trees().items()
         if not any(part.startswith("_") and part != "__init__" for part in name.split("."))
+        and name.removesuffix(".__init__") not in PUBLIC
         for node in tree.body
-    )
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
+    }
+    return len(offered) + len(named)
 
 
 def repeated_classes() -> dict[str, int]:
@@ -285,7 +296,7 @@ def main() -> None:
         ("import circles, lazy ones included / modules in them", f"{len(rings)} / {sum(map(len, rings))}"),
         ("imports of own modules inside functions", lazy()),
         ("modules with one importer", single_importers()),
-        ("public top-level names", public_names()),
+        (f"names in __all__ of {len(PUBLIC)} public modules", public_names()),
         ("getattr, hasattr, isinstance on models and paths", len(places(probed))),
         ("private attributes of another object", len(places(trespassed))),
         ("class names defined more than once", f"{len(twice)}: {', '.join(twice)}"),
