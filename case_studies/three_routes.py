@@ -55,7 +55,7 @@ from tactile import (
     Press,
     metrics,
 )
-from tactile._closed import halfspace as closed
+from tactile import halfspace as closed
 
 H, E, NU = 3e-3, 0.147e6, 0.3223
 SIDE, SEEN, PITCH, DEPTHS = 28e-3, 20e-3, 1e-3, (0.5e-3, 1e-3)

@@ -5,6 +5,7 @@ A rule is a function ``Sweep -> RuleResult`` (`loadid.register_rule`, or ``choic
 """
 
 from ._inverse.choice import Choice, choose
+from ._inverse.compare import compare
 from ._inverse.convolution import toeplitz
 from ._inverse.path import PathPoint, RegularizationPath, Solution
 from ._inverse.problem import LinearProblem
@@ -23,6 +24,7 @@ __all__ = [
     "Solution",
     "Sweep",
     "choose",
+    "compare",
     "crossing",
     "minimum",
     "need",

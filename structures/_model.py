@@ -398,7 +398,7 @@ def as_model(given: Any, where: str, *methods: str) -> Model:
             if not isinstance(channels, tuple | list) or not all(isinstance(c, Channel) for c in channels):
                 raise InputError(
                     f"{type(given).__name__} does not say what its {name} are", where=where,
-                    found=f"{name} = {shown(channels)}", expected="a tuple of structures._channels.Channel",
+                    found=f"{name} = {shown(channels)}", expected="a tuple of structures.Channel",
                     hint=f'self.{name} = (Channel(label="a", quantity="arbitrary"),)',
                 )  # fmt: skip
         if methods:
@@ -409,7 +409,7 @@ def as_model(given: Any, where: str, *methods: str) -> Model:
         where=where,
         found=shown(given),
         expected="a structures.Model, such as ForwardModel or StateSpace",
-        hint="a class of your own derives from structures._model.Model and overrides what it can give",
+        hint="a class of your own derives from structures.Model and overrides what it can give",
     )
 
 

@@ -38,7 +38,14 @@ _PUBLIC = {
     "frames": "tactile.vision._frames",
     "press_and_slide": "tactile._closed.presses",
 }
-_PARTS = ("design", "material", "metrics", "vision")
+_PARTS = {
+    "design": "tactile.design",
+    "halfspace": "tactile._closed.halfspace",
+    "material": "tactile.material",
+    "metrics": "tactile.metrics",
+    "outline": "tactile._pad.body",
+    "vision": "tactile.vision",
+}
 
 __all__ = sorted([*_PUBLIC, *_PARTS])
 
@@ -49,7 +56,7 @@ def __getattr__(name: str) -> Any:
     if name in _PUBLIC:
         return getattr(importlib.import_module(_PUBLIC[name]), name)
     if name in _PARTS:
-        return importlib.import_module(f"tactile.{name}")
+        return importlib.import_module(_PARTS[name])
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

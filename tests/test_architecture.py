@@ -61,7 +61,6 @@ INSIDE = {
     "impact_location": {"loadid._plots.choosing"},
     "riser_viv": {"loadid._families.harmonic", "loadid._plots.fields", "loadid._zones"},
     "source_identification": {"loadid._results.functionals"},
-    "three_routes": {"tactile._closed"},
 }
 
 

@@ -299,7 +299,7 @@ def diagonal(H: Array) -> InputError | None:
         where="StaticInversion",
         found=f"no coupling among {n} loads",
         expected="a model in which a load moves its neighbours too",
-        hint="assemble the stiffness of the whole body (structures._elements.solids, plates, beams)",
+        hint="assemble the stiffness of the whole body (structures.solids, plates, beams)",
         code="LID-E102",
     )
 

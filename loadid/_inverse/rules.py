@@ -525,7 +525,7 @@ def run(rule: str | Rule, sweep: Sweep) -> RuleResult:
     if not isinstance(found, RuleResult) or sweep.path.stacked != (found.lines is not None):
         raise InputError(
             f"the rule {name} gives no lambda" + " of every line" * sweep.path.stacked, where="choice",
-            found=shown(found), expected="a RuleResult, as loadid._inverse.sweep.minimum and crossing make it",
+            found=shown(found), expected="a RuleResult, as loadid.paths.minimum and crossing make it",
             hint="over='band' asks it of all lines together" if sweep.path.stacked else "",
         )  # fmt: skip
     return found if found.rule == name else replace(found, rule=name)

@@ -253,7 +253,7 @@ class SVDPath(FactoredPath):
         if np.iscomplexobj(H) or np.iscomplexobj(problem.y):
             raise InputError(
                 "the dense path takes real problems", where="inverse problem", found="complex numbers",
-                expected="real operator and data", hint="loadid._inverse.spectral takes complex lines",
+                expected="real operator and data", hint="FrequencyInversion takes complex lines",
             )  # fmt: skip
         parts = plain(H) if L is None else paired(H, L, labels)
         self.U, self.X, self.Y, self.meeting = parts.U, parts.X, parts.Y, parts.meeting

@@ -160,7 +160,7 @@ def kind_of(estimate: LoadEstimate) -> str:
     raise InputError(
         "a response is synthesised over time or frequency", where="synthesis",
         found="a static load" if axis is None else f"an axis of {axis.name}",
-        expected="load histories or spectra", hint="of a static estimate see loadid.validate._validation",
+        expected="load histories or spectra", hint="of a static estimate: loadid.validate.validate",
     )  # fmt: skip
 
 

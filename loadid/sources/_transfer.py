@@ -223,7 +223,7 @@ def _over_frequency(
         raise InputError(
             "spectra are compared with spectra", where="validate_on", found="a record over time",
             expected="spectra or cross spectra on the lines of the estimate",
-            hint="structures._testing.welch.cross_spectra(record) for densities",
+            hint="structures.cross_spectra(record) for densities",
         )  # fmt: skip
     if not hasattr(measured, "frequencies"):
         return _table(measured, (len(f), len(model.sensors)), density), np.arange(len(f)), None

@@ -229,7 +229,7 @@ class FacePatch(Load):
                 "this structure has no faces",
                 where=f"load {self.label}",
                 found=type(field).__name__,
-                expected="a structure of structures._elements.solids",
+                expected="a structure of structures.solids",
                 hint="loads.Patch loads a beam or a plate",
             )
         whole = ((line.origin, line.origin + line.length) for line in field.face_lines(self.face))

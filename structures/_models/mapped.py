@@ -268,7 +268,7 @@ def _full(positions: ArrayLike, directions: ArrayLike, centre: ArrayLike, what: 
         raise NotIdentifiable(
             f"these {what} leave a motion of the virtual point open: {left} (rank {rank} of 6)",
             advice="add channels off the others' axes, or give the combinations that exist as a matrix "
-            "(structures._models.mapped.mapped)",
+            "(structures.virtual.mapped)",
             code="LID-W201",
         )
     return R

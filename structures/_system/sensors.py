@@ -286,7 +286,7 @@ class SolidGauge(Sensor):
                 "a solid gauge needs a solid",
                 where=f"sensor {self.label}",
                 found=type(field).__name__,
-                expected="a structure of structures._elements.solids",
+                expected="a structure of structures.solids",
                 hint="sensors.StrainGauge(at=, fibre=) reads a fibre of a beam or plate",
             )
         return np.asarray(field.direct_strain(self.at, np.array(self.direction), self.length), float)

@@ -307,7 +307,7 @@ class LayerGrid:
     def _checked(self, values: ArrayLike, name: str) -> Array:
         what, hint = (
             f"{name} must be finite, three components at every node",
-            "fill lost nodes by a fit first (tactile.vision._interpolation)",
+            "fill lost nodes by a fit first (tactile.Interpolation)",
         )
         return shaped(values, (*self.shape, 3), where=name, what=what, hint=hint)
 

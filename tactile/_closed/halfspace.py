@@ -41,7 +41,7 @@ def point_forces(ground: HalfSpace, offsets: ArrayLike) -> Array:
     if not r.all():
         raise InputError(
             "the motion under a point force has no bound", where="offsets", found="a distance of 0",
-            hint="spread the force over a patch (tactile._closed.halfspace) or a press",
+            hint="spread the force over a patch (tactile.halfspace) or a press",
         )  # fmt: skip
     nu, m, s = ground.nu, 1 - 2 * ground.nu, r + d
     found = np.empty((*r.shape, 3, 3))
@@ -190,7 +190,7 @@ def thin_pad(
         f"the {what} is {too_soft(ratio, nu):.0f} % too soft here: "
         f"contact radius / thickness = {ratio:.3g}, nu = {nu:g}"
     )
-    advice = "use the bonded layer (tactile._closed.layer.Layer) or a finite-element pad, for validation too"
+    advice = "use the bonded layer (tactile.Layer) or a finite-element pad, for validation too"
     if ratio <= REFUSE:
         return Flag("W601", Evidence("contact radius / thickness", ratio, WARN), message, advice)
     if "LID-E602" not in {canonical(code) for code in ([allow] if isinstance(allow, str) else allow)}:

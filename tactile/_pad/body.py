@@ -299,7 +299,7 @@ def rectangle(pad: Pad, material: Material) -> Body:
     dimensions = {"size": size, "thickness": thickness, "elements": (nx, ny), "pitch": None, "layers": nz}
     if pad.outline is not None:
         if not isinstance(pad.outline, PadOutline):
-            hint = "outline.rounded(radius), outline.polygon(corners) or outline.mask(cells) of tactile._pad.body"
+            hint = "tactile.outline.rounded(radius), .polygon(corners) or .mask(cells)"
             raise InputError(
                 "no outline", where="Pad, outline", found=shown(pad.outline), expected="an outline", hint=hint
             )

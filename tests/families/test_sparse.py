@@ -267,7 +267,7 @@ def test_an_estimate_is_kept_whole(tmp_path):
         ({"groups": "sensors"}, "unknown groups"),
         ({"groups": "slots", "nonnegative": True}, "no sign"),
         ({"reweighted": -1}, "number of rounds"),
-        ({"choice": "gcv"}, "no rule"),
+        ({"choice": "gcvv"}, "unknown rule"),
         ({"choice": 1.5}, "no rule"),
         ({"choice": True}, "no relative lambda"),
         ({"tol": 0.1}, "no tolerance"),

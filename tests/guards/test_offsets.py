@@ -11,7 +11,7 @@ from loadid.constraints import NonNegative
 from structures import Flag, ForwardModel, beams, damping, loads, sensors
 from structures.errors import NotIdentifiable
 
-from ..inverse.gaussian.dense import operator
+from ..inverse.statespace.dense import operator
 from .cases import Case, refused
 
 DT, SAMPLES = 2e-4, 1500
