@@ -15,7 +15,7 @@ from structures.errors import InputError, NotIdentifiable, positive
 
 from .. import _guards as guards
 from .._guards import families as told
-from .._inverse.choice import CLEARLY
+from .._inverse.choice import CLEARLY, named
 from .._inverse.posterior import SpectralPosterior
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts
@@ -187,7 +187,7 @@ class FrequencyInversion:
     def _named_settings(self, line: LineData) -> dict[str, Any]:
         rule, s = self.rule, self.settings
         return {
-            "method": rule.method, "choice": rule.choice, "over": rule.over, "neighbours": rule.neighbours,
+            "method": rule.method, "choice": named(rule.choice), "over": rule.over, "neighbours": rule.neighbours,
             "count": rule.count, "level": self.level, "kind": line.kind, "signal": s.signal.kind,
             "band": None if s.band is None else list(s.band), "window": s.signal.window, "segment": s.signal.segment,
             "overlap": s.signal.overlap, "noise_source": line.source.text,

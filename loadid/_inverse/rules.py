@@ -162,7 +162,7 @@ def robust_gcv(sweep: Sweep) -> RuleResult:
 
 
 def modified_gcv(sweep: Sweep) -> RuleResult:
-    """Modified generalised cross-validation."""
+    """Modified generalised cross-validation: each degree of freedom counts 1.4 times."""
     return minimum("modified_gcv", sweep, lambda p: modified_gcv_function(sweep.path, p))
 
 

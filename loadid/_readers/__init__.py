@@ -3,7 +3,7 @@
 A new format is one file in this folder. It registers a function that turns the file into tables; names, time column,
 step, units and errors are then treated as in every other format::
 
-    # loadid/readers/myformat.py
+    # loadid/_readers/myformat.py
     from .source import Options, Source, Table, register
 
     @register("my format", suffixes=(".my",), sniff=lambda head: head.startswith(b"MYFT"))

@@ -12,6 +12,7 @@ from loadid import (
     FrequencyInversion,
     HarmonicInversion,
     InputError,
+    Lambda,
     LocationSearch,
     NotIdentifiable,
     SparseDeconvolution,
@@ -53,16 +54,19 @@ def record():
     return noisy(MODEL.predict(pulse, DT))
 
 
-def in_time(family, **settings):
+def in_time(family, lam=None, **settings):
     y, level = record()
-    return lambda choice: family(MODEL, choice=choice, noise=level, **settings).estimate(y, DT)
+    how = {} if lam is None else lam
+    return lambda choice: family(
+        MODEL, choice=Lambda(choice, **how) if how else choice, noise=level, **settings
+    ).estimate(y, DT)
 
 
-def on_lines(**settings):
+def on_lines(**how):
     f = np.linspace(5, 40, 30)
     Y, level = noisy(MODEL.frf(f) @ np.array([2.0, 1 - 1j]))
     given = Spectra(f, Y, noise=level * np.sqrt(2))
-    return lambda choice: FrequencyInversion(MODEL, choice=choice, neighbours=5, **settings).estimate(given)
+    return lambda choice: FrequencyInversion(MODEL, choice=Lambda(choice, neighbours=5, **how)).estimate(given)
 
 
 def on_one_line():
@@ -76,10 +80,10 @@ def at_rest(**settings):
 
 
 FAMILIES = {
-    "deconvolution, dense": lambda: in_time(Deconvolution, path="dense"),
-    "deconvolution, state space": lambda: in_time(Deconvolution, path="statespace"),
-    "deconvolution, spectrum": lambda: in_time(Deconvolution, path="fft"),
-    "deconvolution, truncated": lambda: in_time(Deconvolution, path="dense", method="tsvd"),
+    "deconvolution, dense": lambda: in_time(Deconvolution, {"path": "dense"}),
+    "deconvolution, state space": lambda: in_time(Deconvolution, {"path": "statespace"}),
+    "deconvolution, spectrum": lambda: in_time(Deconvolution, {"path": "fft"}),
+    "deconvolution, truncated": lambda: in_time(Deconvolution, {"path": "dense", "method": "tsvd"}),
     "deconvolution, pushing": lambda: in_time(Deconvolution, constraints=[NonNegative()]),
     "field": lambda: in_time(FieldDeconvolution),
     "sparse": lambda: in_time(SparseDeconvolution),
@@ -169,7 +173,7 @@ def test_a_penalty_of_the_user(monkeypatch):
     loadid.register_penalty("jerk", 3)
     y, level = record()
     found = {
-        path: Deconvolution(MODEL, penalty="jerk", choice=1e-4, noise=level, path=path).estimate(y, DT).load
+        path: Deconvolution(MODEL, penalty="jerk", choice=Lambda(1e-4, path=path), noise=level).estimate(y, DT).load
         for path in ("dense", "statespace")
     }
     assert found["dense"] == pytest.approx(found["statespace"], abs=1e-6 * np.abs(found["dense"]).max())

@@ -683,9 +683,9 @@ def gel(**settings: Any) -> Answer:
 
 add("tactile/pad/given", lambda: pressed(choice=LAM))
 add("tactile/pad/default", pressed)
-add("tactile/_pad in the plane, laplacian/given", lambda: pressed("XY", penalty="laplacian", choice=LAM))
-add("tactile/_pad, no pull/given", lambda: pressed(choice=LAM, contact=ContactLaw(no_pull=True)))
-add("tactile/_pad, friction/given", lambda: pressed(choice=LAM, contact=ContactLaw(friction=0.5)))
+add("tactile/pad in the plane, laplacian/given", lambda: pressed("XY", penalty="laplacian", choice=LAM))
+add("tactile/pad, no pull/given", lambda: pressed(choice=LAM, contact=ContactLaw(no_pull=True)))
+add("tactile/pad, friction/given", lambda: pressed(choice=LAM, contact=ContactLaw(friction=0.5)))
 add("tactile/stiffness product", slim)
 add("tactile/point forces/least squares", lambda: gel(choice=0, penalty=None))
 add("tactile/point forces/discrepancy", lambda: gel(choice="discrepancy"))
