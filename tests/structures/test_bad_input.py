@@ -162,9 +162,10 @@ def test_stocky_but_possible():
 
 
 ROOMS = (
-    "model", "channels", "errors", "units", "system/structure", "system/checks", "system/damping", "system/factor",
-    "system/fields", "system/sensors", "system/loads", "elements/members", "elements/beams", "elements/chains",
-    "elements/plates", "models/reduction", "models/discretise", "models/forward", "models/statespace", "models/arrays",
+    "_model", "_channels", "errors", "units", "_system/structure", "_system/checks", "_system/damping",
+    "_system/factor", "_system/fields", "_system/sensors", "_system/loads", "_elements/members", "_elements/beams",
+    "_elements/chains", "_elements/plates", "_models/reduction", "_models/discretise", "_models/forward",
+    "_models/statespace", "_models/arrays",
 )  # fmt: skip
 
 
