@@ -292,7 +292,7 @@ def at_rest(family: StaticInversion) -> StaticProblem:
     rows = rows_of(family.sensors, family.model)
     channels = tuple(family.model.sensors[i] for i in rows)
     told = None if family.calibration is None else family.calibration.level
-    stated = not (family.noise is None and told is None and family.model.noise is None)
+    stated = family.noise.stated or told is not None or family.model.noise is not None
     # readings of zero are in the range of any noise; without a noise level they would have no scale
     values = np.zeros((1, len(rows))) if stated else np.ones((1, len(rows)))
     posed = family.pose(Readings(values, rows, channels, None, "none", ""), told)
