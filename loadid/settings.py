@@ -223,7 +223,7 @@ class Lambda(Setting):
     Parameters
     ----------
     choice : str, callable, float, Absolute or None
-        Rule, or relative lambda; None chooses as `loadid._inverse.choice.choose` says.
+        Rule, or relative lambda; None chooses as `loadid.paths.choose` says.
     method : {"tikhonov", "tsvd"}
     path : {"auto", "dense", "statespace", "toeplitz", "windows", "fft"}
         Solver of `Deconvolution`; ``auto`` takes what fits the length, the model and the other settings
@@ -365,7 +365,7 @@ class Signal(Setting):
     kind : {"stationary", "transient"}, optional
         Averaged into cross spectra, or transformed once, zero-padded, into a load history.
     window, segment, overlap
-        Of averaged records, as in `structures._testing.welch.cross_spectra`.
+        Of averaged records, as in `structures.cross_spectra`.
 
     Raises
     ------
@@ -511,7 +511,7 @@ class ModelErrors(Setting):
         Std that a sample adds to each state of the structure.
     ambient : Ambient, optional
         Other loads, unknown and white, that disturb structure and sensors alike: the noises are then correlated
-        (`loadid._inverse.gaussian.augment.Ambient`).
+        (`loadid.Ambient`).
 
     Raises
     ------

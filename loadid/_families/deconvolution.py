@@ -59,7 +59,7 @@ class Deconvolution:
         beside it, what else holds the load: `loadid.Penalty`.
     choice : str, callable, float, None or Lambda
         Rule by name or itself (`loadid.register_rule`), or relative lambda; None chooses as
-        `loadid._inverse.choice.choose` says. Truncation in place of Tikhonov and the solver: `loadid.Lambda`.
+        `loadid.paths.choose` says. Truncation in place of Tikhonov and the solver: `loadid.Lambda`.
     initial : ``"rest"``, ``"unknown"`` or array (states,)
         State of the model at the first sample: at rest, an unknown of the data, or known. State-space path only.
     constraints : sequence of NonNegative

@@ -49,7 +49,7 @@ class HarmonicInversion:
     length : float, optional
         Length of the spatial prior (m).
     choice : str, callable, float, None or Lambda
-        Rule by name or itself, or relative lambda; None chooses as `loadid._inverse.choice.choose` says.
+        Rule by name or itself, or relative lambda; None chooses as `loadid.paths.choose` says.
     noise : float, array (sensors,) or Noise, optional
         Standard deviation of the complex amplitudes, ``sqrt(mean |error|^2)``.
     sensors, allow, progress

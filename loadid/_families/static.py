@@ -50,7 +50,7 @@ class StaticInversion:
         model knows no places); ``first_difference``, ``second_difference`` in the order of the loads; a matrix
         (rows, loads); or None for plain least squares, refused where the data do not determine the load.
     choice : str, callable, float, Absolute, None or Lambda
-        Rule by name or itself, or relative lambda; None chooses as `loadid._inverse.choice.choose` says.
+        Rule by name or itself, or relative lambda; None chooses as `loadid.paths.choose` says.
         Truncation in place of Tikhonov: ``Lambda(method="tsvd")``.
     constraints : sequence
         From `loadid.constraints`: non-negativity, bounds, support, resultants, friction cones.
