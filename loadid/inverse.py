@@ -4,6 +4,7 @@ import sys
 import warnings
 
 from . import constraints, priors
+from ._inverse.gaussian import augment
 
 warnings.warn(
     "loadid.inverse is private now: import from loadid.constraints and loadid.priors", DeprecationWarning, stacklevel=2
@@ -12,7 +13,8 @@ kalman = sys.modules[__name__]
 sys.modules |= {
     f"{__name__}.constraints": constraints,
     f"{__name__}.kalman": kalman,
+    f"{__name__}.kalman.augment": augment,
     f"{__name__}.kalman.priors": priors,
 }
 
-__all__ = ["constraints", "kalman", "priors"]
+__all__ = ["augment", "constraints", "kalman", "priors"]

@@ -211,8 +211,11 @@ def test_priors_come_from_where_release_0_1_has_them() -> None:
         "with warnings.catch_warnings(record=True) as said:\n"
         "    warnings.simplefilter('always')\n"
         "    from loadid.inverse.constraints import NonNegative\n"
+        "    from loadid.inverse.kalman.augment import Ambient\n"
         "    from loadid.inverse.kalman.priors import Matern32\n"
+        "import loadid\n"
         "from loadid import constraints, priors\n"
+        "assert Ambient is loadid.Ambient\n"
         "assert NonNegative is constraints.NonNegative and Matern32 is priors.Matern32\n"
         "assert [w.category for w in said] == [DeprecationWarning]\n"
     )
