@@ -1,0 +1,30 @@
+"""`python -m tests.campaigns static|impacts [--problems N] [--seed S] [--error KIND]`: the table of one campaign."""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+
+from . import impacts, static
+from .scores import Scored, counts, table
+
+
+CAMPAIGNS = {"static": static, "impacts": impacts}
+
+
+def main() -> None:
+    """Run one campaign and print its table."""
+    parser = argparse.ArgumentParser(prog="python -m tests.campaigns")
+    parser.add_argument("campaign", choices=sorted(CAMPAIGNS))
+    parser.add_argument("--problems", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--error", default="none", help="one of those that the campaign knows")
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    found = list(CAMPAIGNS[given.campaign].run(given.problems, given.seed, given.error))
+    table([s for s in found if isinstance(s, Scored)])
+    print("refused:", counts(s for s in found if isinstance(s, str)))
+
+
+if __name__ == "__main__":
+    main()
