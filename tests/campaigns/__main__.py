@@ -8,7 +8,6 @@ import warnings
 from . import impacts, static
 from .scores import Scored, counts, table
 
-
 CAMPAIGNS = {"static": static, "impacts": impacts}
 
 

@@ -24,8 +24,8 @@ from .scores import Array, Scored, deviations
 
 FINER = 10
 ERRORS = (
-    "none", "same model", "gain", "correlated", "frequency", "damping", "place", "late", "clipped", "offset", "overlong",
-    "slow", "harmonic", "random",
+    "none", "same model", "gain", "correlated", "frequency", "damping", "place", "late", "clipped", "offset",
+    "overlong", "slow", "harmonic", "random",
 )  # fmt: skip
 KINDS = ("acceleration", "strain", "displacement", "mixed")
 

@@ -64,7 +64,7 @@ def line(name: str, found: Sequence[Scored]) -> str:
     """One row of the table."""
     if not found:
         return f"{name:28s}  none"
-    z, inside, total = (np.abs(np.concatenate(a)) for a in zip(*((s.z_all, s.z, s.z_resultants) for s in found)))
+    z, inside, total = (np.abs(np.concatenate([getattr(s, a) for s in found])) for a in ("z_all", "z", "z_resultants"))
     ratio = np.array([s.error / s.best for s in found if np.isfinite(s.best)])
     return (
         f"{name:28s} {len(found):4d}   {np.mean(z <= Z95):5.0%}  {np.mean(inside <= Z95):5.0%}"

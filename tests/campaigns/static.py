@@ -124,10 +124,9 @@ def _plate(rng: np.random.Generator, waviness: float) -> _Built:
     steel = beams.materials.steel
     stiffer = beams.materials.Material(E=steel.E * (1 + waviness * rng.standard_normal()), rho=steel.rho, nu=steel.nu)
     given: dict[str, Any] = {"lengths": (a, b), "thickness": thick, "edges": edges}
-    return _Built(
-        plates.plate(material=steel, elements=(12, 10), **given), plates.plate(material=stiffer, elements=(30, 25), **given),
-        (a, b), thick / 2, f"plate, {edges}",
-    )  # fmt: skip
+    coarse = plates.plate(material=steel, elements=(12, 10), **given)
+    fine = plates.plate(material=stiffer, elements=(30, 25), **given)
+    return _Built(coarse, fine, (a, b), thick / 2, f"plate, {edges}")
 
 
 # -- problems --------------------------------------------------------------------------------------------------------
