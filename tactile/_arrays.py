@@ -23,18 +23,8 @@ def shaped(
 ) -> Array:
     """Real numbers in one of some shapes, any if none is named, as a new array; None stands for any length.
 
-    Parameters
-    ----------
-    values : array_like
-        An empty list is an array of no rows.
-    where, what, hint : str
-        Of the error.
-    fewest : int
-        Rows.
-    lost : bool
-        NaN may be among them.
-
-    Raises `InputError`: No numbers, another shape, too few rows, infinity, or NaN that may not be.
+    An empty list is an array of no rows. There must be `fewest` rows; NaN may be among them where some are `lost`,
+    infinity never.
     """
     found = reals(values, where=where, hint=hint)
     if found.shape == (0,) and shapes and shapes[0][:1] == (None,):

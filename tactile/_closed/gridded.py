@@ -31,32 +31,12 @@ BATCH = 200_000  # pairs of point and node at a time
 def influence(
     ground: Layer | HalfSpace, points: ArrayLike, nodes: ArrayLike, pitch: float, shape: str = "patch"
 ) -> Array:
-    """Motion of points per traction at the nodes of a grid (m/Pa).
+    """Motion of points per traction at the nodes of a grid (m/Pa), (3 m, 3 n), rows and columns point-major.
 
-    Parameters
-    ----------
-    ground : Layer or HalfSpace
-        The body.
-    points : array_like, (m, 2) or (m, 3)
-        Points on the surface, or anywhere in the body with their heights (m).
-    nodes : array_like, (n, 2)
-        Nodes on the surface (m).
-    pitch : float
-        Side of a cell (m).
-    shape : {"patch", "hat"}
-        Unit traction over the square cell about its node, or falling linearly to zero at the next nodes.
-
-    Returns
-    -------
-    ndarray, (3 m, 3 n)
-        Rows and columns point-major (X, Y, Z of the first, ...).
-
-    Raises `InputError`: if an argument is not possible.
-
-    Notes
-    -----
-    Patches are exact to rounding on a half-space and to 3e-7 of the largest entry on the surface of a layer, hats to
-    1e-5.
+    Points (m, 2) lie on the surface, (m, 3) anywhere in the body; nodes are (n, 2) at a `pitch`, all in m. A unit
+    traction covers the square cell about its node (``"patch"``), or falls linearly to zero at the next nodes
+    (``"hat"``). Patches are exact to rounding on a half-space and to 3e-7 of the largest entry on the surface of a
+    layer, hats to 1e-5.
     """
     points = shaped(
         np.atleast_2d(reals(points, where="points")),

@@ -36,22 +36,10 @@ DEFAULT = ", by default,"
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """Force maps of an input, and how they came about.
+    """Force maps (frames, 3 P) of an input, and how they came about.
 
-    Parameters
-    ----------
-    map : ForceMap
-        (frames, 3 P).
-    source : MarkerSource
-        Markers, their noise, and which frames are the rest.
-    lost : list of int
-        Markers lost in each frame.
-    lam : str
-        Lambda and its rule, in words.
-    normal : str
-        Where the normal motion comes from, in words.
-    rate : float
-        Frames a second, from image (or motion) to map; reading files is left out.
+    Markers `lost` in each frame; lambda with its rule, and where the normal motion comes from, in words; frames a
+    second from image (or motion) to map, the reading of files left out.
     """
 
     map: ForceMap
@@ -83,31 +71,11 @@ def reconstruct(
     allow: Iterable[str] = (),
     progress: Callable[[float, str], None] | None = None,
 ) -> Reconstruction:
-    """Force maps of images, or of marker motions.
+    """Force maps of images (folder, NPY or NPZ stack, video) or marker motions (CSV, NPY), by the command's options.
 
-    Parameters
-    ----------
-    source : path
-        Folder of images, NPY or NPZ stack, video, or marker motions (CSV, NPY).
-    pad_file : path
-        As `tactile._pad.padfile` reads it.
-    depth : path, optional
-        Depth maps, one per frame of the source.
-    unloaded : str, optional
-        Number of frames that the source begins with, or a path, of the unloaded pad.
-    sensor : {"multilayer", "gelslim"}
-    friction, no_pull, lam
-        Override those of the file.
-    frames : (first, last), optional
-        Frames to invert, from 1, both included; all are tracked up to the last.
-    rate : float, optional
-        Frames a second of the camera: the axis is then time.
-    allow : iterable of str
-        Guard codes whose refusal is overridden.
-    progress : callable, optional
-        Called as ``progress(fraction, text)``.
-
-    Raises `InputError, NotIdentifiable`: From the files, the guards, and the sensor.
+    `unloaded` is the number of frames that the source begins with, or a path, of the unloaded pad; `friction`,
+    `no_pull` and `lam` override those of the pad file; of `frames` (first, last), from 1 and both included, all are
+    tracked up to the last; with a `rate` (Hz) the axis is time; ``progress(fraction, text)`` is called.
     """
     tell = progress or (lambda fraction, text: None)
     settings = padfile.read(pad_file)
@@ -200,10 +168,7 @@ def _tracked(
 
 
 def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None, source: str) -> str:
-    """Lambda on the strongest frames together, frozen; in words.
-
-    Without a rule of the user as `tactile._sensors.posing`, from one factorisation.
-    """
+    """Lambda on the strongest frames together, frozen, in words; where no rule is set, as the sensors choose it."""
     readings, used = _strongest(built, tracked, maps)
     family, ruled = built.family, built.family.choice
     family.choice = ruled or RULES[0]

@@ -35,12 +35,7 @@ BLUR, GREY = 1.0, 2.0  # px, grey levels
 class Demonstration:
     """What the demonstration found, and what was true.
 
-    Parameters
-    ----------
-    rows : list of (str, str, str)
-        Name, estimate and truth of what was compared, in the strongest frame.
-    numbers : dict
-        The same as ratios and errors.
+    `rows` are name, estimate and truth of what was compared, in the strongest frame; `numbers` as ratios and errors.
     """
 
     reconstruction: Reconstruction
@@ -62,19 +57,10 @@ def presses() -> list[Press]:
 def demo(
     folder: str | Path = "tactile-demo", *, seed: int = 0, progress: Callable[[float, str], None] | None = None
 ) -> Demonstration:
-    """Simulate, rebuild and compare; leave images, depth maps, pad file, map, picture, report and video.
+    """Simulate, rebuild and compare; leave images, depth maps, pad file, map, picture, report and video in a folder.
 
-    The truth comes from the kernels of the bonded layer, the maps from the images and from depth maps with noise: the
-    inversion knows neither the presses nor their shape.
-
-    Parameters
-    ----------
-    folder : path
-        Made where it is not there.
-    seed : int
-        Of the noise.
-
-    Raises `InputError`: if the folder cannot be made or written.
+    The truth comes from the kernels of the bonded layer, the maps from the images and from depth maps with noise (of
+    `seed`): the inversion knows neither the presses nor their shape.
     """
     tell = progress or (lambda fraction, text: None)
     files = _files(Path(folder))

@@ -104,13 +104,7 @@ def write_all(
     """Write the result file and, where named, the report, the picture and the video; the paths written.
 
     Report, picture and video are made before the first file is written, so that a fault in them leaves nothing behind.
-
-    Parameters
-    ----------
-    truth : array (frames, P, 3), optional
-        Known tractions (Pa).
-    wrenches : array (frames, 6), optional
-        Known force and torque.
+    Known tractions (frames, P, 3) in Pa and wrenches (frames, 6) are drawn with them.
     """
     ready = []
     if report is not None:

@@ -28,23 +28,10 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class PadMesh:
-    """A mesh in the frame of the pad: base at z = 0, surface towards +Z, origin at the centre.
+    """A mesh in the frame of the pad: base at z = 0, surface towards +Z, origin at the centre; m.
 
-    Parameters
-    ----------
-    nodes : array (nodes, 3)
-        m.
-    cells : int array (cells, 8 or 10)
-    kind : str
-        "C3D8" or "C3D10".
-    base : int array
-        Bonded nodes.
-    top : int array (faces, corners)
-        Faces of the loaded surface.
-    source : str
-        File.
-    says : str
-        What was assumed: unit, axis, which end is bonded.
+    Nodes (nodes, 3), cells (cells, 8 or 10) of a `kind` ("C3D8", "C3D10"), the bonded nodes (`base`), the faces of the
+    loaded surface (`top`), its file, and what was assumed of it: unit, axis, which end is bonded.
     """
 
     nodes: Array
@@ -65,10 +52,7 @@ class PadMesh:
         return {"size": (float(a), float(b)), "thickness": float(h), "elements": None}
 
     def built(self, material: Material, element: str, allow: Sequence[str]) -> Body:
-        """Structure and loaded surface.
-
-        Raises `InputError`: As `structures._elements.solids.mesh`.
-        """
+        """Structure and loaded surface."""
         structure = solids.mesh(
             self.nodes,
             self.cells,
@@ -110,9 +94,6 @@ def placed(
         boundary that look along the axis, tilted by less than 60 degrees.
     allow : sequence of str
         ``("E110",)`` takes a solid with holes or tunnels.
-
-    Raises `InputError`: if the mesh is none, unit, axis or sets do not fit, there is no base or no surface; code
-    LID-E110 if Euler's formula says that the boundary is no simply connected surface.
     """
     cell = CELLS[file.kind]
     _used(file)
@@ -157,10 +138,7 @@ def placed(
 
 
 def rebuilt(mesh: PadMesh, pitch: float, layers: int, material: Material, element: str, allow: Sequence[str]) -> Body:
-    """The same body by columns of bricks: its base as outline, its height over each node.
-
-    Raises `InputError`: if the base has no outline of one piece, or as `structures._elements.solids.mesh`.
-    """
+    """The same body by columns of bricks: its base, of one piece, as outline, its height over each node."""
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
     step = positive("the pitch", pitch, where="Pad.from_mesh", unit="m")

@@ -23,19 +23,8 @@ MISSING: Any = object()
 
 
 class TomlTable:
-    """The values of one table.
+    """The values of one table, as TOML gives them; without a name those of the whole file.
 
-    Parameters
-    ----------
-    file : Path
-        Named in errors.
-    name : str
-        Of the table; empty for the whole file.
-    values : mapping
-        As TOML gives it.
-
-    Notes
-    -----
     Every method takes the key and a default; without a default the key must be there. `end` refuses what nobody asked
     for.
     """
@@ -70,10 +59,7 @@ class TomlTable:
             raise InputError(error.what, where=where, **parts) from None
 
     def end(self) -> None:
-        """Refuse keys that nobody asked for.
-
-        Raises `InputError`: With the nearest key that is known.
-        """
+        """Refuse keys that nobody asked for, with the nearest key that is known."""
         unknown = sorted(set(self.values) - self._asked)
         if not unknown:
             return

@@ -60,18 +60,7 @@ def overlay(
 ) -> Figure:
     """Image with the dots found in it, numbered where they are few; of a `MarkerMotion` arrows, and lost ones crossed.
 
-    Parameters
-    ----------
-    image : array, shape (H, W) or (H, W, 3)
-        The frame, grey or colour.
-    found : Detected or MarkerMotion
-        What was found in it.
-    title : str
-        Printed above, with the numbers of dots.
-    scale : float, optional
-        Length of the arrows over the motion; default 1, or 10 where the largest motion is below 3 % of the image.
-    axes : Axes, optional
-        Where to draw instead of a new figure.
+    The arrows are `scale` times the motion; by default 1, or 10 where the largest motion is below 3 % of the image.
     """
     seen = grey(image)
     if axes is None:
@@ -150,17 +139,7 @@ DPI = 100
 
 
 def pictures(force: ForceMap, *, truth: ArrayLike | None = None, progress: Any = None) -> Iterator[NDArray[np.uint8]]:
-    """A picture (H, W, 3) of every frame.
-
-    Parameters
-    ----------
-    force : ForceMap
-        A sequence.
-    truth : array (frames, P, 3), optional
-        Known tractions (Pa), drawn beside.
-
-    Raises `InputError`: A single frame, a truth that does not fit.
-    """
+    """A picture (H, W, 3) of every frame of a sequence, known tractions (frames, P, 3) in Pa beside the map."""
     if force.single:
         raise InputError("a video takes frames", where="film", found="one force map", expected="a sequence")
     t = force.traction()
@@ -238,10 +217,7 @@ FPS = 10.0
 
 
 def require_video(path: str | os.PathLike[str]) -> str:
-    """Suffix of a video that can be written here.
-
-    Raises `InputError`: Another suffix; one that needs OpenCV where it is not installed.
-    """
+    """Suffix of a video that can be written here: one that needs OpenCV is refused where that is not installed."""
     suffix = as_path(path).suffix.lower()
     if suffix == GIF:
         return suffix
@@ -255,19 +231,10 @@ def require_video(path: str | os.PathLike[str]) -> str:
 
 
 def write_video(path: str | os.PathLike[str], images: Iterable[NDArray[np.uint8]], *, fps: float = FPS) -> int:
-    """Write pictures as a video, and return their number.
+    """Write pictures (H, W, 3), uint8, red first, all of one size, as a video, and return their number.
 
-    Parameters
-    ----------
-    path : path
-        ``.mp4``, ``.avi`` (both need OpenCV) or ``.gif``.
-    images : iterable of arrays (H, W, 3), uint8
-        Red first, all of one size.
-    fps : float
-        Pictures a second.
-
-    Raises `InputError`: No pictures, pictures of different sizes, a suffix that names no video, a file that cannot
-    be written. The old file is untouched then.
+    ``.mp4``, ``.avi`` (both need OpenCV) or ``.gif``, at `fps` pictures a second. The old file is untouched by an
+    error.
     """
     target = as_path(path)
     content, count = encoded(images, require_video(path), fps=fps, where=str(target))
@@ -295,15 +262,7 @@ def film(
     fps: float = FPS,
     progress: Any = None,
 ) -> int:
-    """Write the maps of a sequence as a video; see `write_video` and `tactile._results.film`.
-
-    Parameters
-    ----------
-    truth : array (frames, P, 3), optional
-        Known tractions (Pa), shown beside the maps.
-    progress : callable, optional
-        Called as ``progress(fraction, text)``.
-    """
+    """Write the maps of a sequence as a video, as `pictures` and `write_video`."""
     return write_video(path, pictures(force, truth=truth, progress=progress), fps=fps)
 
 

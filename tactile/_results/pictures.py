@@ -45,18 +45,9 @@ def map_figure(
     figure: Figure | None = None,
     narrow: bool = False,
 ) -> Figure:
-    """Pressure with arrows of shear, a known map beside it on the same scale, and the std of the pressure.
+    """Pressure with arrows of shear, a known map (tractions in Pa) beside it on its scale, and std of the pressure.
 
-    Parameters
-    ----------
-    truth : array (P, 3) or (frames, P, 3), optional
-        Known tractions (Pa) at the nodes.
-    frame : int, optional
-        Of a sequence, from 0; default that of the largest force.
-    narrow : bool
-        For a phone: panels below each other, without the std.
-
-    Raises `InputError`: A truth that does not fit.
+    Of a sequence the frame of the largest force, or one from 0; `narrow`, for a phone: panels below each other, no std.
     """
     one, known, title = taken(force, truth, frame)
     figure = figure or new_figure()
@@ -78,14 +69,9 @@ def sequence_figure(
     figure: Figure | None = None,
     narrow: bool = False,
 ) -> Figure:
-    """The map of one frame above, forces and torques of all frames with their bands below.
+    """The map of one frame as `map_figure`, forces and torques of all frames with their bands below.
 
-    Parameters
-    ----------
-    truth : array (P, 3) or (frames, P, 3), optional
-        As `map_figure`.
-    wrenches : array (frames, 6), optional
-        Known force (N) and torque (N m).
+    `wrenches` (frames, 6) are known forces (N) and torques (N m), drawn with them.
     """
     if force.single or len(force.load) < 2:
         return map_figure(force, truth=truth, frame=frame, figure=figure, narrow=narrow)
@@ -119,10 +105,7 @@ def _halves(figure: Figure, above: float, below: float) -> tuple[Any, Any]:
 
 
 def taken(force: ForceMap, truth: ArrayLike | None, frame: int | None) -> tuple[ForceMap, Array | None, str]:
-    """One frame of a map, the truth of that frame, and its name.
-
-    Raises `InputError`: A truth that does not fit, a frame that is not there.
-    """
+    """One frame of a map, the truth of that frame, and its name."""
     k = force.chosen(frame)
     one, name = (force, "") if force.single else (force.frame(k), force.frame_name(k))
     if truth is None:

@@ -31,13 +31,7 @@ HOW = {
 
 
 def numbers(one: ForceMap) -> list[tuple[str, str, str]]:
-    """Name, value and remark of what one frame says: force, torque, pressure, contact.
-
-    Parameters
-    ----------
-    one : ForceMap
-        A single frame.
-    """
+    """Name, value and remark of what a single frame says: force, torque, pressure, contact."""
     force, torque, contact = one.resultant(), one.torque(), one.contact()
     rows = [_vector("force on the pad", force.value, force.std, "N", "(x, y, z), the pad is pressed along -z")]
     rows.append(_vector("torque", 1e3 * torque.value, 1e3 * torque.std, "N mm", "about the centre of the surface"))
@@ -80,10 +74,7 @@ def write_report(
     about: Iterable[tuple[str, str]] = (),
     compared: Iterable[tuple[str, ...]] = (),
 ) -> None:
-    """Write the page, whole or not at all; the settings are those of `page`.
-
-    Raises `InputError`: if the file cannot be written, or the truth does not fit.
-    """
+    """Write the page, whole or not at all; the settings are those of `page`."""
     target = as_path(path)
     if not target.resolve().parent.is_dir():  # said before the pictures are drawn
         raise InputError("the folder does not exist", where=str(target), found=str(target.resolve().parent),
@@ -101,18 +92,9 @@ def page(
     about: Iterable[tuple[str, str]] = (),
     compared: Iterable[tuple[str, ...]] = (),
 ) -> str:
-    """The page as text.
+    """The page as text, of one frame or of a sequence, pictured as `tactile._results.pictures.sequence_figure`.
 
-    Parameters
-    ----------
-    force : ForceMap
-        One frame, or a sequence.
-    truth, wrenches, frame
-        As `tactile._results.pictures.sequence_figure`.
-    about : iterable of (str, str)
-        How the map came about: names and texts.
-    compared : iterable of (str, str, str)
-        What was compared with the truth: name, estimate, truth.
+    `about` tells how the map came about, names and texts; `compared` name, estimate and truth of what was compared.
     """
     k = force.chosen(frame)
     one = force if force.single else force.frame(k)

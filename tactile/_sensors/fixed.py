@@ -33,14 +33,7 @@ NORMAL = 1.4826  # standard deviation over median absolute value of a normal law
 
 @dataclass(eq=False)
 class Consistency:
-    """Leave-one-out errors of the markers of a frozen inverse.
-
-    Parameters
-    ----------
-    inverse : Inverse
-        Readings of markers first, `axes` each.
-    places : array (markers, 2)
-    """
+    """Leave-one-out errors of the markers (N, 2) of a frozen inverse; their readings come first, `axes` for each."""
 
     inverse: Inverse
     places: Array
@@ -142,25 +135,11 @@ class FrameAnswer:
 
 @dataclass(eq=False)
 class QuickMap:
-    """The frozen inverse of a sensor, with what it keeps from frame to frame.
+    """The frozen inverse of a sensor at a calibrated or given lambda, with what it keeps from frame to frame.
 
-    Parameters
-    ----------
-    family : StaticInversion
-        At a calibrated or given lambda.
-    resultant : array (6, n)
-    places : array (n / 3, 3)
-        Nodes that may be loaded (m).
-    neighbours : sparse (n / 3, n / 3)
-        Which of them share a cell.
-    markers : array (N, 2)
-        Their places (m); their readings come first.
-    axes : int
-        Readings of each marker.
-    reach : float
-        Radius (m) of the press whose recovery is told.
-    about : array (3,)
-        Middle of the surface.
+    `resultant` is (6, n); `places` (n / 3, 3) are the nodes that may be loaded, `neighbours` sparse which of them share
+    a cell, `markers` (N, 2), whose readings come first, `axes` for each; `reach` is the radius of the press whose
+    recovery is told, `about` the middle of the surface (3,); all in m.
     """
 
     family: StaticInversion
@@ -214,11 +193,7 @@ class QuickMap:
         return FrameAnswer(load, std, covariance, facts, flags)
 
     def pressed(self, y: Array, wrench: Wrench | None = None, answer: Answer | None = None) -> Pressed:
-        """The map that only presses, looked for where the unconstrained answer does.
-
-        Raises `InputError`: For penalties that couple loads; a resultant that no contact of this friction
-        carries.
-        """
+        """The map that only presses, where the unconstrained answer does; not for penalties that couple loads."""
         if wrench is not None:
             carried(wrench, self.contact.friction)
         answer = self.inverse(y) if answer is None else answer

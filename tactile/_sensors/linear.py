@@ -52,24 +52,11 @@ FEWEST = 3  # markers of a frame
 
 @dataclass(frozen=True, eq=False)
 class PressedBody:
-    """What is pressed, and how loads on it move its markers.
+    """What is pressed (a pad, layer or half-space), and how loads on it move its markers.
 
-    Parameters
-    ----------
-    body : Pad, Layer or HalfSpace
-        Its E.
-    thickness : float or None
-        m; None for a half-space.
-    transfer : callable
-        Takes points (n, 2 or 3) and a function that combines rows of their motion; returns the rows (rows, loads).
-    geometry : mapping
-        As `tactile._sensors.posing` makes it.
-    basis : Basis, optional
-        For penalties between neighbours.
-    flags : sequence of Flag
-        What was found of the body.
-    about : mapping
-        What goes into the provenance.
+    `transfer` takes points (n, 2 or 3) and a function that combines rows of their motion, and returns the rows (rows,
+    loads); `geometry` is as `tactile._sensors.posing` makes it; thickness in m, None for a half-space; `basis` is for
+    penalties between neighbours, `flags` what was found of the body, `about` goes into the provenance.
     """
 
     body: Any

@@ -113,10 +113,7 @@ class MarkedSensor:
 
 
 def observed(markers: Markers | ArrayLike | None, eye: Eye | None) -> Markers:
-    """Markers as a user gave them, or as an eye sees them.
-
-    Raises `InputError`: if neither gives them, or their noise.
-    """
+    """Markers as a user gave them, or as an eye sees them; refused where neither gives them, or their noise."""
     if isinstance(markers, Markers):
         return markers
     if eye is None:

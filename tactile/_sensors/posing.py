@@ -168,13 +168,7 @@ def calibrated(family: StaticInversion, records: Sequence[Any]) -> Calibration:
 
 
 def chosen(choice: Choice, count: int) -> str:
-    """Which rule to take of those that were asked.
-
-    Parameters
-    ----------
-    choice : Choice
-        Over `count` data of known noise.
-    """
+    """Which rule to take of those that were asked, over `count` data of known noise."""
     asked = {rule.rule: rule for rule in choice.rules if rule.lam is not None}
     lam = {name: float(rule.lam or 0.0) for name, rule in asked.items()}
     if RULES[0] not in lam:

@@ -32,15 +32,9 @@ MEDIAN = np.pi / 2  # variance of a median over that of a mean
 
 @dataclass(frozen=True, eq=False)
 class RigidMotion:
-    """A shift (m) and a turn (rad) about a point (m), and what makes them more than chance.
+    """A shift (2,) m and a turn (rad) about a point (2,) m, and what makes them more than chance.
 
-    Parameters
-    ----------
-    shift, about : array (2,)
-    ratio, threshold : float
-        F statistic, and what chance exceeds once in a million frames.
-    cells : int
-        Cells of far markers that it stands on.
+    The F statistic, what chance exceeds once in a million frames, and the number of cells of far markers it stands on.
     """
 
     shift: Array
@@ -77,20 +71,9 @@ def away(
 ) -> RigidMotion | None:  # fmt: skip
     """Rigid motion of the markers that the contact does not reach; None where it is chance, or cannot be told.
 
-    Parameters
-    ----------
-    motion : array (N, 2)
-        In-plane motion of the markers (m), NaN where one is lost.
-    explained : callable
-        Takes a mask of nodes (P,) and returns the motion (N, 2) that their loads explain.
-    touched : array of bool (P,)
-        Nodes that are pressed.
-    nodes, markers : array (P, 2), (N, 2)
-        Places (m).
-    noise : array (N, 2)
-        Std of the motion (m).
-    thickness : float
-        Of the gel (m).
+    `motion` (N, 2) in m is NaN where a marker is lost, `noise` (N, 2) its std; `explained` gives the motion (N, 2) by
+    the loads of a mask of nodes (P,), of which those `touched` are pressed; nodes, markers and thickness of the gel in
+    m.
     """
     far, loaded = np.isfinite(motion).all(axis=1), np.zeros_like(motion)
     if touched.any():
@@ -149,25 +132,11 @@ def whole_motion(
     alone: Callable[[Callable[[Array], Array]], Array], explained: Callable[[Array], Array], resultant: Array,
     pixel: float | None,
 ) -> Flag | None:  # fmt: skip
-    """W611 of a frame.
+    """W611 of a frame: the in-plane motion (N, 2) of the markers (m), NaN where lost, load and std (3 P,) found of it.
 
-    Parameters
-    ----------
-    motion : array (N, 2)
-        In-plane motion of the markers (m), NaN where one is lost.
-    load, std : array (3 P,)
-        What was found of it.
-    nodes : array (P, 2)
-        Places of the loads (m).
-    thickness : float
-        Of the gel (m).
-    alone : callable
-        Takes a motion in the plane as a function of places (n, 2); the load (3 P,) that the map makes of it alone.
-    explained : callable
-        Takes a load (3 P,); the in-plane motion (N, 2) of the markers under it.
-    resultant : array (6, 3 P)
-    pixel : float or None
-        Side of a pixel on the pad (m).
+    `alone` takes a motion in the plane as a function of places (n, 2) and gives the load (3 P,) that the map makes of
+    it alone, `explained` takes a load and gives the in-plane motion of the markers under it; nodes (P, 2), thickness of
+    the gel and side of a pixel on the pad in m.
     """
     places, noise = markers.points[:, :2], markers.noise[:, :2]
     shift = typical(motion, noise)

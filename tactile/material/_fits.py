@@ -18,20 +18,10 @@ DIFFERENCE, STEPS = 1e-6, 60
 
 @dataclass(frozen=True)
 class CurveFit:
-    """What one curve says.
+    """What one curve says: E of the linear law over the range used (Pa), and its std from its own noise alone.
 
-    Parameters
-    ----------
-    rate : float
-        Strain rate (1/s).
-    E, std : float
-        Modulus of the linear law over the range used (Pa), and its std from the noise of this curve alone.
-    bend, bend_std : float
-        Departure from the linear law: secant modulus at the end of the range over the modulus at its start, minus one.
-    strain : float
-        Range used.
-    noise : float
-        Std of the residuals (N), about the bent law.
+    `bend` is the departure from that law: secant modulus at the end of the range over the modulus at its start, minus
+    one. `rate` in 1/s; `noise` is the std of the residuals (N) about the bent law.
     """
 
     name: str
@@ -45,19 +35,11 @@ class CurveFit:
 
 
 def fit(curve: Curve, nu: float | None) -> CurveFit:
-    """Fit force = E (1 + c x/range) g(x - x0), with c = 0 for the modulus and free for the bend.
+    """Fit force = E (1 + c x/range) g(x - x0), with c = 0 for the modulus and free for the bend; tension needs no nu.
 
-    Parameters
-    ----------
-    nu : float or None
-        Poisson's ratio; a tensile test needs none.
-
-    Raises `InputError`: A curve without stiffness: force that does not grow with the motion.
-
-    Notes
-    -----
     Residuals that follow one another (a filtered record, slack, hysteresis) hold fewer independent points: variances
-    grow by (1 + r)/(1 - r) where the correlation r of neighbours is beyond its own noise.
+    grow by (1 + r)/(1 - r) where the correlation r of neighbours is beyond its own noise. Refused: force that does not
+    grow.
     """
     straight, _ = _solved(curve, nu, bent=False)
     bent, residual = _solved(curve, nu, bent=True)
@@ -189,16 +171,10 @@ SMALLEST = 1e-9  # std of a noise-free number, so that its weight stays finite
 
 @dataclass(frozen=True)
 class Pooled:
-    """Weighted least squares over curves.
+    """Weighted least squares over curves: coefficients (p,) and their std, widened by the scatter between curves.
 
-    Parameters
-    ----------
-    value, std : array (p,)
-        Coefficients and their std, widened by the scatter between curves where that exceeds the noise of each.
-    dof : int
-        Curves minus coefficients; 0 leaves the scatter between runs unseen.
-    excess : float
-        Scatter between curves over what their own noise explains.
+    `dof` is curves minus coefficients, 0 leaves the scatter between runs unseen; `excess` is that scatter over what the
+    noise of each curve explains.
     """
 
     value: Array
@@ -222,13 +198,7 @@ class Pooled:
 
 
 def pool(values: ArrayLike, stds: ArrayLike, design: ArrayLike) -> Pooled:
-    """Fit values = design @ coefficients with weights 1/std^2; the Birge ratio, where above one, widens the std.
-
-    Parameters
-    ----------
-    values, stds : array (n,)
-    design : array (n, p)
-    """
+    """Fit values (n,) = design (n, p) @ coefficients, weighted; the Birge ratio, above one, widens the std."""
     y, s, X = np.asarray(values, float), np.maximum(np.asarray(stds, float), SMALLEST), np.asarray(design, float)
     A, b = X / s[:, None], y / s
     q, r = np.linalg.qr(A)
@@ -289,10 +259,7 @@ class Verdict:
 
 
 def rate_independence(fits: Sequence[CurveFit], tolerance: float = RATE) -> Verdict:
-    """Analysis of covariance: slope of log E over the logarithm of the strain rate, over all curves.
-
-    The effect is the change of E from the slowest to the fastest test.
-    """
+    """Analysis of covariance: slope of log E over log rate, for all curves; the change from slowest to fastest."""
     rates = np.log10([f.rate for f in fits])
     span = float(np.ptp(rates))
     if span < np.log10(SPAN):

@@ -144,18 +144,9 @@ class Detector:
 
 @dataclass(frozen=True)
 class DotResponse:
-    """The image in which every dot is one smooth maximum.
+    """The image in which every dot is one smooth maximum: grey levels above the local mean, binned by `bins` px.
 
-    Parameters
-    ----------
-    image : array, shape (h, w)
-        Grey levels above the local mean, binned.
-    bins : int
-        Pixels of the camera along one of its pixels.
-    sigma : float
-        Standard deviation of the smoothing in its pixels.
-    noise : float
-        Standard deviation of its noise in grey levels.
+    `sigma` is the std of the smoothing in its pixels, `noise` that of its noise in grey levels.
     """
 
     image: Image
@@ -304,10 +295,7 @@ def size_of_dots(
 
 
 def best_radius(image: Any, *, dark: bool = True, backend: str | None = None) -> float:
-    """Radius in px of the dots that stand out most.
-
-    Raises `InputError`: if nothing stands out of the noise.
-    """
+    """Radius in px of the dots that stand out most."""
     picture = grey(image)
     largest = max(LARGEST * min(picture.shape), 2 * SMALLEST)
     radii = SMALLEST * STEPS ** np.arange(np.ceil(np.log(largest / SMALLEST) / np.log(STEPS)) + 1)

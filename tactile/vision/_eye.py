@@ -55,16 +55,9 @@ class Plane(Protocol):
 
 @dataclass(frozen=True)
 class Pinhole:
-    """A camera without distortion behind a window.
+    """A camera without distortion behind a window: focal length and pixel (x, y) of the axis in px.
 
-    Parameters
-    ----------
-    focal : float
-        Focal length in px.
-    centre : (float, float)
-        Pixel of the optical axis, x and y.
-    rotation : array, shape (3, 3)
-        Rows: right, down and forward of the camera in the frame of the pad.
+    Rows of `rotation`: right, down and forward of the camera in the frame of the pad.
     """
 
     focal: float

@@ -25,21 +25,10 @@ FLAT = 1e-4  # smallest over largest pivot, below which the markers do not deter
 
 
 def fitted_weights(markers: Array, nodes: Array) -> tuple[Index, NDArray[Any]]:
-    """The nearest markers of each node, and the weights with which their values make the fitted value there.
+    """The nearest markers (n, k) of each node, and their weights (n, k) in the fitted value there; rows sum to 1.
 
     A quadratic is fitted to the nearest twelve markers, those nearby weighted more (moving least squares, Lancaster and
     Salkauskas 1981); an affine function where there are fewer, or where they stand on two lines; their mean on one.
-
-    Parameters
-    ----------
-    markers : array, shape (N, 2)
-    nodes : array, shape (n, 2)
-
-    Returns
-    -------
-    index : array of int, shape (n, k)
-    weights : array, shape (n, k)
-        Rows sum to 1.
     """
     from scipy.spatial import cKDTree
 
