@@ -28,14 +28,12 @@ from .._closed.contact import Indenter
 from .._pad.stiffness import Completion, surface_stiffness
 from .._results.forcemap import ForceFacts, ForceMap
 from ..vision._interpolation import Interpolation
-from .fixed import CLEAR, TOUCH
+from .fixed import CLEAR, TOUCH, whole_motion
 from .inversion import Answer, RegionSolver, fused
-from .marked import MarkedSensor, not_built_for_depth
-from .multilayer import windows
+from .linear import windows
+from .marked import ContactLaw, MarkedSensor, not_built_for_depth, spelled_before
 from .observation import DepthMap, Markers, Wrench
 from .posing import StrainWatch, channels, neighbours, of_pad
-from .rigid import whole_motion
-from .settings import ContactLaw, spelled_before
 
 if TYPE_CHECKING:
     from .._pad.pad import Pad

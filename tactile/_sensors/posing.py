@@ -26,8 +26,8 @@ from structures.errors import InputError, plain
 
 from .._arrays import Array, Index
 from .._guards import large_strain
+from .marked import ContactLaw
 from .observation import Wrench
-from .settings import ContactLaw
 
 if TYPE_CHECKING:
     from collections.abc import Callable
