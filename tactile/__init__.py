@@ -46,8 +46,9 @@ _PARTS = {
     "outline": "tactile._pad.body",
     "vision": "tactile.vision",
 }
+_UNLISTED = {"Interpolation", "Mindlin", "halfspace", "press_and_slide"}  # imported as in release 0.1
 
-__all__ = sorted([*_PUBLIC, *_PARTS])
+__all__ = sorted({*_PUBLIC, *_PARTS} - _UNLISTED)
 
 logging.getLogger("tactile").addHandler(logging.NullHandler())
 
