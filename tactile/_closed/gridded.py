@@ -16,9 +16,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, NotIdentifiable, integer, number, positive, reals
+from structures.errors import InputError, NotIdentifiable, integer, number, one_of, positive, reals
 
-from .._arrays import PLANE, SPACE, Array, Mask, one_of, shaped
+from .._arrays import PLANE, SPACE, Array, Mask, shaped
 from .halfspace import point_forces, rectangle
 from .layer import HalfSpace, Layer
 from .presses import matrices, unit_point
@@ -38,21 +38,12 @@ def influence(
     (``"hat"``). Patches are exact to rounding on a half-space and to 3e-7 of the largest entry on the surface of a
     layer, hats to 1e-5.
     """
-    points = shaped(
-        np.atleast_2d(reals(points, where="points")),
-        PLANE,
-        SPACE,
-        where="points",
-        what="points must be finite rows of coordinates",
-    )
-    nodes = shaped(
-        np.atleast_2d(reals(nodes, where="nodes")),
-        PLANE,
-        where="nodes",
-        what="nodes must be finite rows of coordinates",
+    points, nodes = (
+        shaped(np.atleast_2d(reals(x, where=n)), *shapes, where=n, what=f"{n} must be finite rows of coordinates")
+        for n, x, shapes in (("points", points, (PLANE, SPACE)), ("nodes", nodes, (PLANE,)))
     )
     pitch = positive("pitch", pitch, where="influence", unit="m")
-    one_of(shape, SHAPES, where="shape", what="no shape of a traction")
+    one_of("no shape of a traction", shape, SHAPES, where="shape")
     heights = points[:, 2] if points.shape[1] == 3 else np.full(len(points), ground.top)
     found = np.empty((len(points), 3, len(nodes), 3))
     step = max(1, BATCH // max(1, len(nodes)))
@@ -167,7 +158,7 @@ class LayerGrid:
         ny, nx = (integer("nodes", n, where="LayerGrid", limit=LIMIT) for n in self.shape)
         object.__setattr__(self, "shape", (ny, nx))
         object.__setattr__(self, "pitch", positive("pitch", self.pitch, where="LayerGrid", unit="m"))
-        one_of(self.load, SHAPES, where="load", what="no load of a grid")
+        one_of("no load of a grid", self.load, SHAPES, where="load")
 
     @cached_property
     def nodes(self) -> Array:

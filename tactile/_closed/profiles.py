@@ -17,9 +17,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from structures.errors import InputError
+from structures.errors import InputError, one_of
 
-from .._arrays import Array, one_of, shaped
+from .._arrays import Array, shaped
 
 
 @lru_cache(maxsize=64)
@@ -95,7 +95,7 @@ class Profile:
 def profile(name: str) -> Profile:
     """The profile of a name, ``"hertz"`` or ``"uniform"``; another name is refused."""
     hint = '"hertz" for a sphere or for partial slip, "uniform" for a flat patch'
-    return PROFILES[one_of(name, PROFILES, where="profile", what="no profile of a press", hint=hint)]
+    return PROFILES[one_of("no profile of a press", name, PROFILES, where="profile", hint=hint)]
 
 
 def _hertz_shape(r: Array) -> Array:

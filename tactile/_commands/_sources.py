@@ -16,7 +16,6 @@ from structures._flags import Flag
 from structures.errors import InputError
 
 from .._arrays import Array
-from .._guards import vanished
 from .._pad.padfile import DepthKind, SensorFile
 from .._sensors.observation import DepthMap, Markers
 from ..vision._eye import Eye, View
@@ -220,11 +219,7 @@ class PlaceTracker:
     def step(self, places: Array) -> MarkerMotion:
         """Motion of the markers in a frame."""
         self._frame += 1
-        moved = places - self.points
-        lost = np.asarray(np.isnan(moved).any(axis=1))
-        gone = vanished(len(lost), int(lost.sum()), 0, 0)
-        flags = () if gone is None else (gone,)
-        return MarkerMotion(self.points, moved, lost, np.zeros_like(lost), 0, self._frame, flags)
+        return MarkerMotion.of(self.points, places, self._frame)
 
 
 def _pixels(

@@ -49,13 +49,10 @@ def map_figure(
 
     Of a sequence the frame of the largest force, or one from 0; `narrow`, for a phone: panels below each other, no std.
     """
-    one, known, title = taken(force, truth, frame)
+    one, known, title, kinds, shape, size = _panels(force, truth, frame, narrow)
     figure = figure or new_figure()
-    kinds = ["estimate", *(["truth"] if known is not None else []), *([] if narrow else ["std"])]
-    across = 1 if narrow else len(kinds)
-    figure.set_size_inches(*_size(one, across, len(kinds) // across))
-    axes = figure.subplots(len(kinds) // across, across, squeeze=False).ravel()
-    draw_maps(list(axes), one, known, kinds, title)
+    figure.set_size_inches(*size)
+    draw_maps(list(figure.subplots(*shape, squeeze=False).ravel()), one, known, kinds, title)
     mark(figure, force)
     return figure
 
@@ -75,20 +72,12 @@ def sequence_figure(
     """
     if force.single or len(force.load) < 2:
         return map_figure(force, truth=truth, frame=frame, figure=figure, narrow=narrow)
-    one, known, title = taken(force, truth, frame)
-    figure = figure or new_figure()
-    kinds = ["estimate", *(["truth"] if known is not None else []), *([] if narrow else ["std"])]
-    if narrow:
-        wide, high = _size(one, 1, len(kinds))
-        figure.set_size_inches(wide, high + 5.0)
-        above, below = _halves(figure, high, 5.0)
-        maps, lines = above.subplots(len(kinds), 1, squeeze=False), below.subplots(2, 1, squeeze=False)
-    else:
-        wide, high = _size(one, len(kinds), 1)
-        figure.set_size_inches(wide, high + 2.6)
-        above, below = _halves(figure, high, 2.6)
-        maps, lines = above.subplots(1, len(kinds), squeeze=False), below.subplots(1, 2, squeeze=False)
-    draw_maps(list(maps.ravel()), one, known, kinds, title)
+    one, known, title, kinds, shape, (wide, high) = _panels(force, truth, frame, narrow)
+    figure, room = figure or new_figure(), 5.0 if narrow else 2.6
+    figure.set_size_inches(wide, high + room)
+    parts: Any = figure.subfigures(2, 1, height_ratios=(high, room))
+    draw_maps(list(parts[0].subplots(*shape, squeeze=False).ravel()), one, known, kinds, title)
+    lines = parts[1].subplots(*((2, 1) if narrow else (1, 2)), squeeze=False)
     if wrenches is not None:
         what, hint = "the known wrenches do not fit", "Fx, Fy, Fz in N, Mx, My, Mz in N m"
         wrenches = shaped(wrenches, (len(force.load), 6), where="wrenches", what=what, hint=hint)
@@ -99,9 +88,14 @@ def sequence_figure(
     return figure
 
 
-def _halves(figure: Figure, above: float, below: float) -> tuple[Any, Any]:
-    parts: Any = figure.subfigures(2, 1, height_ratios=(above, below))
-    return parts[0], parts[1]
+def _panels(
+    force: ForceMap, truth: ArrayLike | None, frame: int | None, narrow: bool
+) -> tuple[ForceMap, Array | None, str, list[str], tuple[int, int], tuple[float, float]]:
+    """One frame, its truth and name; what its panels show, their rows and columns, and their size in inches."""
+    one, known, title = taken(force, truth, frame)
+    kinds = ["estimate", *(["truth"] if known is not None else []), *([] if narrow else ["std"])]
+    rows, across = (len(kinds), 1) if narrow else (1, len(kinds))
+    return one, known, title, kinds, (rows, across), _size(one, across, rows)
 
 
 def taken(force: ForceMap, truth: ArrayLike | None, frame: int | None) -> tuple[ForceMap, Array | None, str]:
@@ -216,15 +210,10 @@ def dress(ax: Axes, *, label: bool = True) -> None:
     ax.grid(False)
 
 
-def nice(value: float) -> float:
-    """A round number not above a value: 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(m for m in (1.0, 2.0, 5.0) if m * power <= value * (1 + 1e-9)) * power)
-
-
 def arrow_key(ax: Axes, arrows: Quiver, shear: float, at: float) -> None:
-    """What an arrow of a round length means, above the panel."""
-    length = nice(shear)
+    """What an arrow of a round length (1, 2 or 5 times a power of ten) means, above the panel."""
+    power = 10.0 ** np.floor(np.log10(shear))
+    length = float(max(m for m in (1.0, 2.0, 5.0) if m * power <= shear * (1 + 1e-9)) * power)
     ax.quiverkey(arrows, at, 1.035, length, f"shear {length:g} kPa", labelpos="E", coordinates="axes",
                  fontproperties={"size": 8}, labelsep=0.06)  # fmt: skip
 

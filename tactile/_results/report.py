@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterable
 from functools import partial
 from html import escape
-from importlib.resources import files
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,8 +13,6 @@ from numpy.typing import ArrayLike
 
 from loadid._results import report as parts
 from loadid._results.summary import plus_minus
-from structures.errors import InputError
-from structures.files._storage import as_path, replace
 
 if TYPE_CHECKING:
     from .forcemap import ForceMap
@@ -75,12 +72,9 @@ def write_report(
     compared: Iterable[tuple[str, ...]] = (),
 ) -> None:
     """Write the page, whole or not at all; the settings are those of `page`."""
-    target = as_path(path)
-    if not target.resolve().parent.is_dir():  # said before the pictures are drawn
-        raise InputError("the folder does not exist", where=str(target), found=str(target.resolve().parent),
-                         hint="make the folder first, or write elsewhere")  # fmt: skip
-    text = page(force, truth=truth, wrenches=wrenches, frame=frame, about=about, compared=compared)
-    replace(target, text.encode())
+    parts.write_page(
+        path, lambda: page(force, truth=truth, wrenches=wrenches, frame=frame, about=about, compared=compared)
+    )
 
 
 def page(
@@ -107,30 +101,7 @@ def page(
         ("Verification", parts.verification(force)),
         ("Provenance", parts.provenance_table(force)),
     ]
-    body = "\n".join(f"<section>\n<h2>{escape(title)}</h2>\n{text}\n</section>" for title, text in sections if text)
-    said = " · ".join(escape(str(x)) for x in (force.provenance.get("family"), force.provenance.get("created")) if x)
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
-<title>Contact force map</title>
-<style>
-{files("loadid").joinpath("report.css").read_text(encoding="utf-8")}</style>
-</head>
-<body>
-<header>
-<h1>Contact force map</h1>
-<p class="quiet">{said}</p>
-{parts.notices(force)}
-</header>
-<main>
-{body}
-</main>
-</body>
-</html>
-"""
+    return parts.html_page(force, "Contact force map", sections)
 
 
 def _result(one: ForceMap) -> str:

@@ -163,12 +163,7 @@ class GelSlim(MarkedSensor):
         return self._interpolations[key]
 
     def _normal(
-        self,
-        motion: Array,
-        seen: Mask,
-        field: Interpolation,
-        deep: Array | None,
-        indenter: Indenter | None,
+        self, motion: Array, seen: Mask, field: Interpolation, deep: Array | None, indenter: Indenter | None
     ) -> tuple[Array, str]:
         """Normal motion at the nodes (P,), NaN where it is not given, and where it comes from."""
         if deep is not None:
@@ -237,13 +232,7 @@ class GelSlim(MarkedSensor):
         return self._completions[key]
 
     def _answer(
-        self,
-        known: Mask,
-        U: Array,
-        completion: Completion,
-        field: Interpolation,
-        seen: Mask,
-        how: str,
+        self, known: Mask, U: Array, completion: Completion, field: Interpolation, seen: Mask, how: str
     ) -> Answer:
         """Forces with their std: the noise of the markers is carried through interpolation and stiffness."""
         half = sparse.csr_array(self._half(field, seen, how)[known.ravel()])

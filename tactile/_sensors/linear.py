@@ -305,10 +305,7 @@ class LinearSensor(MarkedSensor):
             "labels": self._labels,
             "units": self._units,
             "flags": collect([*found.flags, *flags, moved, *self._own(load, facts)]),
-            "geometry": {
-                **self.geometry,
-                "resultant_covariance": covariance,
-            },
+            "geometry": {**self.geometry, "resultant_covariance": covariance},
             "facts": facts,
         }
         return ForceMap(**{**kept, **own})

@@ -13,9 +13,9 @@ from scipy import sparse
 
 from structures._advice import Advice, Spelling
 from structures._channels import Channel
-from structures.errors import InputError, plain, positive
+from structures.errors import InputError, one_of, plain, positive
 
-from .._arrays import PLANE, SPACE, Array, Index, Mask, one_of, shaped
+from .._arrays import PLANE, SPACE, Array, Index, Mask, shaped
 
 HALF = 0.5  # share of a window's pixels that must be there
 
@@ -195,7 +195,7 @@ class Markers:
         points = shaped(
             self.points, PLANE, SPACE, where="markers", what="no markers, or too few markers", fewest=FEWEST, hint=hint
         )
-        one_of(self.axes, ("XY", "XYZ"), where="axes", what="no axes of a motion")
+        one_of("no axes of a motion", self.axes, ("XY", "XYZ"), where="axes")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "noise", self._spread(points))
         if self.slope is not None:

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from structures.errors import InputError, number, plain, positive
+from structures.errors import InputError, number, one_of, plain, positive
 
-from .._arrays import Array, Index, Mask, one_of, shaped
+from .._arrays import Array, Index, Mask, shaped
 
 if TYPE_CHECKING:
     from loadid.validate import Known
@@ -103,7 +103,7 @@ def means(press: Any, nodes: Array, pitch: float | tuple[float, float], shape: s
         Another shape, or a pitch that is not positive.
     """
     hint = "nodal forces of finite elements are means over hats"
-    one_of(shape, ("hat", "patch"), where="metrics.means", what="unknown shape", hint=hint)
+    one_of("unknown shape", shape, ("hat", "patch"), where="metrics.means", hint=hint)
     d = np.array([positive("pitch", p, where="metrics.means", unit="m") for p in np.broadcast_to(pitch, 2)])
     near = np.all(np.abs(nodes - np.asarray(press.at)) <= press.radius + d, axis=1)
     found = np.zeros((len(nodes), 3))

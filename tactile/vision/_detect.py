@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures._advice import Advice, Spelling
-from structures.errors import InputError, positive
+from structures.errors import InputError, one_of, positive
 
-from .._arrays import Array, Index, Mask, one_of
+from .._arrays import Array, Index, Mask
 from ._images import Backend, Grey, Image, backend, grey
 
 BLUR = 0.8  # standard deviation of the smoothing over the radius of a dot
@@ -99,7 +99,7 @@ class Detector:
                 "the dots overlap", where="Detector", found=f"radius {self.radius:g} px, pitch {self.pitch:g} px",
                 expected="a pitch of at least two radii",
             )  # fmt: skip
-        one_of(self.method, COARSEST, where="method", what="unknown method of detection")
+        one_of("unknown method of detection", self.method, COARSEST, where="method")
         backend(self.backend)
 
     def __call__(self, image: Any) -> Detected:

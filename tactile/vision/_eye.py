@@ -19,21 +19,11 @@ from structures.errors import InputError, number, pair, positive, reals
 
 from .._arrays import Array, shaped
 from .._guards import RAYS, not_tangential, tangential
-from ._rays import Homography, Parallel, Window, bend, fitted, projection_shift
+from ._rays import Homography, Parallel, Window, bend, fitted
 from ._tracker import MarkerTracker
 
 if TYPE_CHECKING:
     from .._sensors.observation import DepthMap
-
-
-__all__ = [
-    "Homography",
-    "Parallel",
-    "Pinhole",
-    "View",
-    "Window",
-    "projection_shift",
-]
 
 
 class Rays(Protocol):

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, as_array, number, plain, positive
+from structures.errors import InputError, as_array, number, one_of, plain, positive
 
-from .._arrays import PLANE, SPACE, Array, Shape, one_of, shaped
+from .._arrays import PLANE, SPACE, Array, Shape, shaped
 
 if TYPE_CHECKING:
     from ._eye import View
@@ -92,7 +92,7 @@ def backend(name: str | None = None) -> Backend:
     """The backend of this name, refused where it is not installed; by default OpenCV where it is, else scipy."""
     if name is None:
         return _opencv() if installed() else _scipy()
-    one_of(name, NAMES, where="backend", what="unknown image backend")
+    one_of("unknown image backend", name, NAMES, where="backend")
     if name == "cv2" and not installed():
         raise InputError(
             "OpenCV is not installed", where="backend", found="backend='cv2'",

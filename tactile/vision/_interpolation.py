@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures._flags import Flag
-from structures.errors import InputError, plain, reals
+from structures.errors import InputError, one_of, plain, reals
 
-from .._arrays import PLANE, Array, Index, Mask, one_of, shaped
+from .._arrays import PLANE, Array, Index, Mask, shaped
 from .._guards import interpolation_noise
 
 NEAREST = 12
@@ -106,7 +106,7 @@ class Interpolation:
         from scipy.sparse import csr_array
 
         markers, nodes = _plane(self.markers, "markers"), _plane(self.nodes, "nodes")
-        one_of(self.kind, KINDS, where="kind", what="unknown interpolation")
+        one_of("unknown interpolation", self.kind, KINDS, where="kind")
         used = np.all(np.isfinite(markers), axis=1)
         if used.sum() < FEWEST:
             raise InputError(
