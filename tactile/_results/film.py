@@ -33,6 +33,7 @@ from .pictures import (
     colours,
     draw_resultants,
     dress,
+    scale,
     spread_evenly,
     surface,
 )
@@ -75,17 +76,13 @@ def overlay(
     if isinstance(found, MarkerMotion):
         words = _draw_motion(axes, found, seen.shape[1], scale)
     else:
-        words = _draw_dots(axes, found.points, found.radius)
+        words = f"{len(found.points)} dots"
+        _rings(axes, found.points, found.radius)
+        _numbers(axes, found.points, found.radius)
     axes.set_title(f"{text(title)}: {words}" if title else words, fontsize=9, loc="left")
     drawn = axes.get_figure()
     assert isinstance(drawn, Figure)
     return drawn
-
-
-def _draw_dots(axes: Axes, points: Array, radius: float) -> str:
-    _rings(axes, points, radius)
-    _numbers(axes, points, radius)
-    return f"{len(points)} dots"
 
 
 def _draw_motion(axes: Axes, motion: MarkerMotion, width: int, scale: float | None) -> str:
@@ -95,15 +92,8 @@ def _draw_motion(axes: Axes, motion: MarkerMotion, width: int, scale: float | No
     factor = scale or (ENLARGED if largest < 0.03 * width else 1.0)
     pitch = _pitch(motion.points)
     _rings(axes, places[seen], 0.25 * pitch)
-    axes.quiver(
-        *motion.points[seen].T,
-        *(factor * moved[seen]).T,
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        color=SKY,
-        width=0.003,
-    )
+    arrows = (*motion.points[seen].T, *(factor * moved[seen]).T)
+    axes.quiver(*arrows, angles="xy", scale_units="xy", scale=1, color=SKY, width=0.003)
     for gone, sign in ((motion.lost, "x"), (motion.rejected, "P")):
         axes.plot(*motion.points[gone].T, sign, color=ORANGE, markersize=8, markeredgewidth=1.5)
     _numbers(axes, motion.points, 0.25 * pitch)
@@ -153,10 +143,8 @@ def _drawn(force: ForceMap, t: Array, known: Array | None, progress: Any) -> Ite
     figure = Figure(figsize=(4.3 * len(shown) + 4.2, 4.3), dpi=DPI, layout="constrained")
     canvas: Any = FigureCanvasAgg(figure)
     axes = figure.subplots(1, len(shown) + 1, width_ratios=[1.0] * len(shown) + [0.95])
-    top = max(max(float(np.abs(x[..., 2]).max()) for _, x in shown) * KPA, 1e-300)
-    low = -max(float(x[..., 2].max()) for _, x in shown) * KPA
-    shear = max(float(np.hypot(x[..., 0], x[..., 1]).max()) for _, x in shown) * KPA
-    panels = [_Panel(ax, force.frame(0), name, (low, top, shear)) for ax, (name, _) in zip(axes, shown, strict=False)]
+    span = scale([x for _, x in shown])
+    panels = [_Panel(ax, force.frame(0), name, span) for ax, (name, _) in zip(axes, shown, strict=False)]
     draw_resultants(axes[-1], force)
     assert force.axis is not None
     at, values = force.axis.values, force.resultant().value

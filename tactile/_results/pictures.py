@@ -115,10 +115,7 @@ def taken(force: ForceMap, truth: ArrayLike | None, frame: int | None) -> tuple[
 def draw_maps(axes: list[Axes], one: ForceMap, truth: Array | None, kinds: list[str], title: str = "") -> None:
     """One panel for each kind; estimate and truth share the scale of their colours and arrows."""
     t, std = one.traction(), one.pressure_std()
-    both = [t, *([truth] if truth is not None else [])]
-    top = max(max(float(np.abs(x[:, 2]).max()) for x in both), 1e-300) * KPA
-    pulled = max(float(x[:, 2].max()) for x in both) * KPA
-    shear = max(float(np.hypot(x[:, 0], x[:, 1]).max()) for x in both) * KPA
+    low, top, shear = scale([t, *([truth] if truth is not None else [])])
     for k, (ax, kind) in enumerate(zip(axes, kinds, strict=True)):
         if kind == "std":
             image = surface(ax, one, std * KPA, cmap="viridis", vmin=0.0, vmax=max(float(std.max()) * KPA, 1e-300))
@@ -127,7 +124,7 @@ def draw_maps(axes: list[Axes], one: ForceMap, truth: Array | None, kinds: list[
         else:
             values = t if kind == "estimate" else truth
             assert values is not None
-            image = surface(ax, one, -values[:, 2] * KPA, **colours(-pulled, top))
+            image = surface(ax, one, -values[:, 2] * KPA, **colours(low, top))
             arrows = draw_shear(ax, one, values, shear, top)
             if arrows is not None:
                 arrow_key(ax, arrows, shear, 0.66)
@@ -137,6 +134,13 @@ def draw_maps(axes: list[Axes], one: ForceMap, truth: Array | None, kinds: list[
             if kind == "estimate":
                 draw_contact(ax, one)
         dress(ax, label=k == 0)
+
+
+def scale(maps: Sequence[Array]) -> tuple[float, float, float]:
+    """Lowest pressure, largest traction along the normal and largest shear of some maps (..., 3), kPa."""
+    top = max(max(float(np.abs(x[..., 2]).max()) for x in maps) * KPA, 1e-300)
+    low = -max(float(x[..., 2].max()) for x in maps) * KPA
+    return low, top, max(float(np.hypot(x[..., 0], x[..., 1]).max()) for x in maps) * KPA
 
 
 def surface(ax: Axes, one: ForceMap, values: Array, **style: Any) -> Any:

@@ -261,13 +261,9 @@ class GelSlim(MarkedSensor):
             inside = sparse.diags_array(self._may.astype(float))
             order = inside @ neighbours(self.geometry["cells"], self.geometry["coordinates"]).astype(float) @ inside
             n = 3 * self.pad.points
-            self._solver = RegionSolver(
-                self.pad.compliance / spread,
-                np.full(n, 1e-6 * self._scale / spread),
-                self.geometry["resultant"],
-                order,
-                self.contact.friction,
-            )
+            prior = np.full(n, 1e-6 * float(np.linalg.norm(self.pad.compliance, ord=1)) / spread)
+            H, resultant = self.pad.compliance / spread, self.geometry["resultant"]
+            self._solver = RegionSolver(H, prior, resultant, order, self.contact.friction)
         pressure, std = -answer.load[2::3], answer.std[2::3]
         touched = (pressure > TOUCH * pressure.max()) & (pressure > CLEAR * std) & self._may
         found = self._solver.solve(completion.displacements(U) / spread, touched, wrench, answer)
@@ -306,10 +302,6 @@ class GelSlim(MarkedSensor):
     def _fingerprint(self) -> str:
         K = self.pad.structure.K_free
         return digest("pad", K.data, self.pad.nodes2d)
-
-    @property
-    def _scale(self) -> float:
-        return float(np.linalg.norm(self.pad.compliance, ord=1))
 
     def _map(
         self, answer: Answer, U: Array, completion: Completion, flags: list[Flag | None], seen: Mask,
