@@ -436,10 +436,10 @@ def linearity(fits: Sequence[CurveFit], tolerance: float = BEND) -> Verdict:
         text = f"strain to {max(f.strain for f in fits):.2%} only; {STRAIN:.0%} or more tests it"
         return Verdict("linearity", "not tested", None, None, None, tolerance, None, text)
     found = pool([f.bend for f in usable], [f.bend_std for f in usable], np.ones((len(usable), 1)))
-    effect, half = float(found.value[0]), found.half_width()
+    effect, half, reach = float(found.value[0]), found.half_width(), max(f.strain for f in usable)
     return Verdict(
         "linearity", judged(effect - half, effect + half, tolerance), effect, effect - half, effect + half, tolerance,
-        found.p_value(0), f"{len(usable)} curves, strain to {max(f.strain for f in usable):.1%}; beyond it nothing is shown",
+        found.p_value(0), f"{len(usable)} curves, strain to {reach:.1%}; beyond it nothing is shown",
     )  # fmt: skip
 
 
