@@ -12,10 +12,10 @@ import logging
 from typing import Any
 
 _PUBLIC = {
-    "ContactLaw": "tactile._sensors.settings",
+    "ContactLaw": "tactile._sensors.marked",
     "Cylinder": "tactile._closed.contact",
     "DepthMap": "tactile._sensors.observation",
-    "Extent": "tactile._sensors.settings",
+    "Extent": "tactile._sensors.marked",
     "Eye": "tactile.vision._eye",
     "ForceMap": "tactile._results.forcemap",
     "GelForce": "tactile._sensors.gelforce",
@@ -29,7 +29,7 @@ _PUBLIC = {
     "MarkerTracker": "tactile.vision._tracker",
     "Markers": "tactile._sensors.observation",
     "Mindlin": "tactile._closed.contact",
-    "MultilayerPad": "tactile._sensors.multilayer",
+    "MultilayerPad": "tactile._sensors.linear",
     "Pad": "tactile._pad.pad",
     "Press": "tactile._closed.presses",
     "Sphere": "tactile._closed.contact",
@@ -46,8 +46,9 @@ _PARTS = {
     "outline": "tactile._pad.body",
     "vision": "tactile.vision",
 }
+_UNLISTED = {"Interpolation", "Mindlin", "halfspace", "press_and_slide"}  # imported as in release 0.1
 
-__all__ = sorted([*_PUBLIC, *_PARTS])
+__all__ = sorted({*_PUBLIC, *_PARTS} - _UNLISTED)
 
 logging.getLogger("tactile").addHandler(logging.NullHandler())
 

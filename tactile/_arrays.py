@@ -1,14 +1,13 @@
-"""Arrays and words as users give them, settled or refused: what every room of this package asks for."""
+"""Arrays as users give them, settled or refused: what every room of this package asks for."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.errors import InputError, reals, shown
+from structures.errors import InputError, reals
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -23,18 +22,8 @@ def shaped(
 ) -> Array:
     """Real numbers in one of some shapes, any if none is named, as a new array; None stands for any length.
 
-    Parameters
-    ----------
-    values : array_like
-        An empty list is an array of no rows.
-    where, what, hint : str
-        Of the error.
-    fewest : int
-        Rows.
-    lost : bool
-        NaN may be among them.
-
-    Raises `InputError`: No numbers, another shape, too few rows, infinity, or NaN that may not be.
+    An empty list is an array of no rows. There must be `fewest` rows; NaN may be among them where some are `lost`,
+    infinity never.
     """
     found = reals(values, where=where, hint=hint)
     if found.shape == (0,) and shapes and shapes[0][:1] == (None,):
@@ -51,18 +40,3 @@ def shaped(
         what or "an array that does not fit", where=where, found=f"shape {found.shape}{bad}",
         expected=f"{'' if lost else 'finite '}{words}" + (f", n at least {fewest}" if fewest else ""), hint=hint,
     )  # fmt: skip
-
-
-def _alike(wanted: int | None, length: int) -> bool:
-    return wanted is None or wanted == length
-
-
-def one_of(value: Any, choices: Iterable[str], *, where: str, what: str = "unknown word", hint: str = "") -> str:
-    """One of some words.
-
-    Raises `InputError`: Another one.
-    """
-    listed = list(choices)
-    if not isinstance(value, str) or value not in listed:
-        raise InputError(what, where=where, found=shown(value), expected=" or ".join(map(repr, listed)), hint=hint)
-    return value

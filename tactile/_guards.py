@@ -33,25 +33,10 @@ MAP_ERROR = {1: (0.54, 2.6, 6.2), 2: (0.13, 0.64, 1.6)}
 def counts(
     cells: int, nodes: int, *, layers: int = 1, boundary_edges: int | None = None, where: str = "mesh counts"
 ) -> None:
-    """E110: element and node counts that no conforming mesh of hexahedral layers can have.
+    """E110: element and node counts of a whole pad that no conforming mesh of hexahedral layers can have.
 
-    Parameters
-    ----------
-    cells, nodes : int
-        Hexahedra and nodes of the whole pad.
-    layers : int
-        Layers of cells through the thickness.
-    boundary_edges : int, optional
-        Edges of the outline of one layer; without it every outline is tried.
-    where : str
-        Named in the error.
-
-    Raises `InputError`: Code LID-E110.
-
-    Notes
-    -----
-    Euler's formula for a simply connected surface of Q quadrilaterals with B boundary edges: V = Q + B/2 + 1 nodes. The
-    outline has 4 to 2 Q + 2 edges, an even number.
+    By Euler's formula for a simply connected surface of Q quadrilaterals with B boundary edges: V = Q + B/2 + 1 nodes.
+    The outline of one layer has 4 to 2 Q + 2 edges, an even number; every one of them is tried where it is not given.
     """
     quads, rest = divmod(cells, layers)
     if rest:
@@ -67,10 +52,7 @@ def counts(
 
 
 def published(pair: Any, layers: Any) -> None:
-    """E110 for the counts (cells, nodes) that a publication gives for its mesh, and the layers of the pad.
-
-    Raises `InputError`: if they are no two positive integers; code LID-E110 as `counts`.
-    """
+    """E110 for the counts (cells, nodes) that a publication gives for its mesh, two positive integers, as `counts`."""
     found = list(pair) if isinstance(pair, tuple | list) else []
     if len(found) != 2:
         raise InputError("counts of a mesh are two", where="Pad, counts", found=repr(pair), expected="(cells, nodes)")
@@ -199,19 +181,7 @@ def misfit(ratio: float) -> Flag | None:
 
 
 def tangential(optics_known: bool, normal_known: bool, *, allow: Sequence[str] = ()) -> Flag | None:
-    """E603: tangential motion or load claimed while the shift of projection is unknown.
-
-    Parameters
-    ----------
-    optics_known : bool
-        Whether viewing angle and index are known (`View.knows_rays`).
-    normal_known : bool
-        Whether the normal motion of the markers is given.
-    allow : sequence of str
-        ``("E603",)`` turns the refusal into a flag.
-
-    Raises `InputError`: With code ``LID-E603``, where it is not allowed.
-    """
+    """E603: tangential motion or load claimed while the shift of projection is unknown; `allow` makes it a flag."""
     if optics_known and normal_known:
         return None
     missing = [words for words, known in ((RAYS, optics_known), ("normal motion", normal_known)) if not known]
@@ -279,14 +249,7 @@ def strays(count: int) -> Flag | None:
 def interpolation_noise(nodes: int, effective: float, rank: int) -> Flag | None:
     """W605: interpolation onto nodes correlates the noise (W203 on the marker field).
 
-    Parameters
-    ----------
-    nodes : int
-        Nodes that carry an interpolated value.
-    effective : float
-        Effective number of values, (tr C)^2 / tr(C^2) of the correlation matrix C of their noise.
-    rank : int
-        Rank of C.
+    With C the correlation matrix of the noise at the nodes, `effective` is (tr C)^2 / tr(C^2), `rank` that of C.
     """
     from loadid._guards.measurement import CORRELATED  # the command line reads pad files without scipy
 
@@ -372,18 +335,10 @@ def no_map(numbers: int) -> Flag:
 def slipped(
     shift: Array, turn: float, ratio: float, threshold: float, force: Array, pixel: float | None
 ) -> Flag | None:
-    """W611: markers that no contact reaches moved together.
+    """W611: markers that no contact reaches moved together, by `shift` (2,) m and `turn` rad.
 
-    Parameters
-    ----------
-    shift, turn : array (2,), float
-        Their rigid motion (m, rad), as `tactile._sensors.rigid` fits it.
-    ratio, threshold : float
-        F statistic of that motion, and what chance exceeds once in a million frames.
-    force : array (3,)
-        What the map makes of this motion alone (N).
-    pixel : float or None
-        Side of a pixel on the pad (m).
+    `ratio` is the F statistic of that motion, `threshold` what chance exceeds once in a million frames, `force` (3,)
+    what the map makes of it alone (N), and `pixel` the side of a pixel on the pad (m).
     """
     x, y = 1e6 * shift
     px = "" if pixel is None else f" ({float(np.hypot(x, y)) * 1e-6 / pixel:.2g} px)"
@@ -407,13 +362,7 @@ PERIOD = 30.0  # days
 
 
 def drift(offset: float, expected: float, calibrated: datetime) -> Flag | None:
-    """W607: markers of the unloaded gel do not lie where they lay when it was zeroed.
-
-    Parameters
-    ----------
-    offset, expected : float
-        Rms offset of the unloaded markers, and what the noise explains of it (m).
-    """
+    """W607: rms offset (m) of markers of the unloaded gel since it was zeroed, beyond what noise explains."""
     return above(
         "W607", "rms offset of the unloaded markers in m", offset, DRIFT * expected,
         f"calibration of {calibrated:%Y-%m-%d}; unloaded offset {1e6 * offset:.3g} um, where noise explains "
@@ -442,22 +391,9 @@ def change(gain: float, correlation: float, share: float, significance: float) -
 
 
 def gain_or_shape(gain: float, correlation: float, share: float, significance: float) -> Flag | None:
-    """W705: the same presses give another gain (E), or another shape (thickness, boundary, nu).
+    """W705: the same presses give another gain (E), or another shape (thickness, boundary, nu); as `GelCheck`.
 
-    Parameters
-    ----------
-    gain : float
-        Scale of the maps now over the reference.
-    correlation : float
-        Of the two, noise included.
-    share : float
-        Share of the map that no gain explains, with the noise taken out. A layer 15 % thinner keeps a correlation of
-        0.996: this share is what tells it from a gain.
-    significance : float
-        By how many sd of the noise the share stands out.
-
-    Notes
-    -----
+    A layer 15 % thinner keeps a correlation of 0.996: the share that no gain explains is what tells it from a gain.
     Holds for displacements, and for force maps that are unregularised or have lambda relative to sigma_1.
     """
     found = change(gain, correlation, share, significance)

@@ -60,6 +60,11 @@ def write_report(estimate: LoadEstimate, path: str | os.PathLike[str], *, truth:
     InputError
         If the file cannot be written.
     """
+    write_page(path, lambda: page(estimate, truth=truth))
+
+
+def write_page(path: str | os.PathLike[str], made: Callable[[], str]) -> None:
+    """Write a page, whole or not at all."""
     from structures.files._storage import as_path, replace
 
     target = as_path(path)
@@ -68,7 +73,7 @@ def write_report(estimate: LoadEstimate, path: str | os.PathLike[str], *, truth:
             "the folder does not exist", where=str(target), found=str(target.resolve().parent),
             hint="make the folder first, or write elsewhere",
         )  # fmt: skip
-    replace(target, page(estimate, truth=truth).encode())
+    replace(target, made().encode())
 
 
 def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:
@@ -85,6 +90,11 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:
         ("Verification", verification(estimate)),
         ("Provenance", provenance_table(estimate)),
     ]
+    return html_page(estimate, title, sections)
+
+
+def html_page(estimate: LoadEstimate, title: str, sections: Iterable[tuple[str, str]]) -> str:
+    """A whole page of sections that are not empty, with what must be known first above them."""
     body = "\n".join(f"<section>\n<h2>{escape(name)}</h2>\n{text}\n</section>" for name, text in sections if text)
     created = estimate.provenance.get("created")
     line = " · ".join(escape(str(x)) for x in (estimate.provenance.get("family"), created) if x)

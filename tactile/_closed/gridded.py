@@ -16,9 +16,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, NotIdentifiable, integer, number, positive, reals
+from structures.errors import InputError, NotIdentifiable, integer, number, one_of, positive, reals
 
-from .._arrays import PLANE, SPACE, Array, Mask, one_of, shaped
+from .._arrays import PLANE, SPACE, Array, Mask, shaped
 from .halfspace import point_forces, rectangle
 from .layer import HalfSpace, Layer
 from .presses import matrices, unit_point
@@ -31,48 +31,19 @@ BATCH = 200_000  # pairs of point and node at a time
 def influence(
     ground: Layer | HalfSpace, points: ArrayLike, nodes: ArrayLike, pitch: float, shape: str = "patch"
 ) -> Array:
-    """Motion of points per traction at the nodes of a grid (m/Pa).
+    """Motion of points per traction at the nodes of a grid (m/Pa), (3 m, 3 n), rows and columns point-major.
 
-    Parameters
-    ----------
-    ground : Layer or HalfSpace
-        The body.
-    points : array_like, (m, 2) or (m, 3)
-        Points on the surface, or anywhere in the body with their heights (m).
-    nodes : array_like, (n, 2)
-        Nodes on the surface (m).
-    pitch : float
-        Side of a cell (m).
-    shape : {"patch", "hat"}
-        Unit traction over the square cell about its node, or falling linearly to zero at the next nodes.
-
-    Returns
-    -------
-    ndarray, (3 m, 3 n)
-        Rows and columns point-major (X, Y, Z of the first, ...).
-
-    Raises `InputError`: if an argument is not possible.
-
-    Notes
-    -----
-    Patches are exact to rounding on a half-space and to 3e-7 of the largest entry on the surface of a layer, hats to
-    1e-5.
+    Points (m, 2) lie on the surface, (m, 3) anywhere in the body; nodes are (n, 2) at a `pitch`, all in m. A unit
+    traction covers the square cell about its node (``"patch"``), or falls linearly to zero at the next nodes
+    (``"hat"``). Patches are exact to rounding on a half-space and to 3e-7 of the largest entry on the surface of a
+    layer, hats to 1e-5.
     """
-    points = shaped(
-        np.atleast_2d(reals(points, where="points")),
-        PLANE,
-        SPACE,
-        where="points",
-        what="points must be finite rows of coordinates",
-    )
-    nodes = shaped(
-        np.atleast_2d(reals(nodes, where="nodes")),
-        PLANE,
-        where="nodes",
-        what="nodes must be finite rows of coordinates",
+    points, nodes = (
+        shaped(np.atleast_2d(reals(x, where=n)), *shapes, where=n, what=f"{n} must be finite rows of coordinates")
+        for n, x, shapes in (("points", points, (PLANE, SPACE)), ("nodes", nodes, (PLANE,)))
     )
     pitch = positive("pitch", pitch, where="influence", unit="m")
-    one_of(shape, SHAPES, where="shape", what="no shape of a traction")
+    one_of("no shape of a traction", shape, SHAPES, where="shape")
     heights = points[:, 2] if points.shape[1] == 3 else np.full(len(points), ground.top)
     found = np.empty((len(points), 3, len(nodes), 3))
     step = max(1, BATCH // max(1, len(nodes)))
@@ -187,7 +158,7 @@ class LayerGrid:
         ny, nx = (integer("nodes", n, where="LayerGrid", limit=LIMIT) for n in self.shape)
         object.__setattr__(self, "shape", (ny, nx))
         object.__setattr__(self, "pitch", positive("pitch", self.pitch, where="LayerGrid", unit="m"))
-        one_of(self.load, SHAPES, where="load", what="no load of a grid")
+        one_of("no load of a grid", self.load, SHAPES, where="load")
 
     @cached_property
     def nodes(self) -> Array:

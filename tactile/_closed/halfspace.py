@@ -16,25 +16,11 @@ from .presses import Press
 
 
 def point_forces(ground: HalfSpace, offsets: ArrayLike) -> Array:
-    """Displacement per unit point force on the surface (m/N).
+    """Motion X, Y, Z per unit point force X, Y, Z on the surface (m/N), (..., 3, 3), both outward.
 
-    Parameters
-    ----------
-    ground : HalfSpace
-        The body, at z <= 0.
-    offsets : array_like, (..., 2) or (..., 3)
-        Point minus point of the force (m); without a height, on the surface.
-
-    Returns
-    -------
-    ndarray, (..., 3, 3)
-        Motion X, Y, Z per force X, Y, Z, both outward.
-
-    Raises `InputError`: At the force itself, where the motion has no bound, and above the surface.
-
-    Notes
-    -----
-    Boussinesq (1885) and Cerruti (1882), as in Johnson, Contact Mechanics, ch. 3.
+    The offsets, point minus point of the force (m), are (..., 2), or (..., 3) with heights z <= 0. Boussinesq (1885)
+    and Cerruti (1882), as in Johnson, Contact Mechanics, ch. 3. Refused at the force itself, where the motion has no
+    bound.
     """
     x, y, d = split(offsets)
     r = np.sqrt(x**2 + y**2 + d**2)
@@ -56,10 +42,7 @@ def point_forces(ground: HalfSpace, offsets: ArrayLike) -> Array:
 
 
 def split(offsets: ArrayLike) -> tuple[Array, Array, Array]:
-    """Offsets (..., 2) or (..., 3) as x, y and the depth below the surface.
-
-    Raises `InputError`: if they are no finite offsets, or above the surface.
-    """
+    """Finite offsets (..., 2) or (..., 3) as x, y and the depth below the surface."""
     found = reals(offsets, where="offsets")
     if found.ndim == 0 or found.shape[-1] not in (2, 3) or not np.isfinite(found).all():
         raise InputError(
@@ -73,28 +56,10 @@ def split(offsets: ArrayLike) -> tuple[Array, Array, Array]:
 
 
 def rectangle(ground: HalfSpace, offsets: ArrayLike, sides: tuple[float, float]) -> Array:
-    """Displacement per uniform traction on a rectangle (m/Pa).
+    """Motion X, Y, Z per uniform traction X, Y, Z (m/Pa) on a rectangle of two sides along X and Y (m), (..., 3, 3).
 
-    Parameters
-    ----------
-    ground : HalfSpace
-        The body, at z <= 0.
-    offsets : array_like, (..., 2) or (..., 3)
-        Point minus centre of the rectangle (m); without a height, on the surface.
-    sides : tuple of two floats
-        Lengths along X and Y (m).
-
-    Returns
-    -------
-    ndarray, (..., 3, 3)
-        Motion X, Y, Z per traction X, Y, Z.
-
-    Raises `InputError`: if offsets or sides are not possible.
-
-    Notes
-    -----
-    Corner sums of the antiderivatives of the kernels of `tactile._closed.halfspace`; on the surface those of Love
-    (1929).
+    Offsets, from its centre, as `point_forces`. Corner sums of the antiderivatives of those kernels; on the surface
+    those of Love (1929).
     """
     a, b = (positive("sides", side, where="rectangle", unit="m") / 2 for side in sides)
     scale = max(a, b)
@@ -149,15 +114,7 @@ EDGE = 4.0  # thicknesses to the edge of the pad
 
 
 def too_soft(ratio: float, nu: float) -> float:
-    """Per cent of the depth of a half-space at the middle of a Hertz press that a bonded layer does not have.
-
-    Parameters
-    ----------
-    ratio : float
-        Contact radius over thickness.
-    nu : float
-        Poisson's ratio.
-    """
+    """Per cent of the depth of a half-space at the middle of a Hertz press that a bonded layer lacks, by a/t and nu."""
     layer, press = Layer(h=1.0, E=1.0, nu=nu), Press(radius=positive("a/t", ratio, where="too_soft"))
     ours, theirs = (press.displacement(ground, [[0.0, 0.0]])[0, 2] for ground in (layer, layer.half_space))
     return float(100 * (1 - ours / theirs))
@@ -166,22 +123,9 @@ def too_soft(ratio: float, nu: float) -> float:
 def thin_pad(
     radius: float, thickness: float, nu: float, *, what: str = "half-space", allow: Iterable[str] = ()
 ) -> Flag | None:
-    """W601 above a contact of 0.1 thicknesses; E602 above 0.3.
+    """W601 above a contact radius of 0.1 thicknesses (both m); E602 above 0.3, refused unless `allow` names it.
 
-    Parameters
-    ----------
-    radius : float
-        Contact radius a (m).
-    thickness : float
-        Thickness t of the bonded pad (m).
-    nu : float
-        Poisson's ratio of the pad.
-    what : str
-        The formula, as the message names it.
-    allow : iterable of str
-        ``("E602",)`` turns the refusal into a flag.
-
-    Raises `NotIdentifiable`: Code LID-E602, with the number, unless it is allowed.
+    `what` is the formula, as the message names it.
     """
     ratio = positive("radius", radius, where=what, unit="m") / positive("thickness", thickness, where=what, unit="m")
     if not ratio > WARN:
@@ -203,15 +147,7 @@ def thin_pad(
 
 
 def near_edge(distance: float, thickness: float) -> Flag | None:
-    """W601 for an infinite layer or a half-space: a load nearer to the edge of the pad than four thicknesses.
-
-    Parameters
-    ----------
-    distance : float
-        From the rim of the contact to the edge of the pad (m).
-    thickness : float
-        Thickness of the pad (m).
-    """
+    """W601 for an infinite layer or a half-space: a contact rim nearer to the edge (m) than four thicknesses."""
     ratio = distance / positive("thickness", thickness, where="near_edge", unit="m")
     if ratio >= EDGE:
         return None

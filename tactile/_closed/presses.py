@@ -32,22 +32,8 @@ def radial(ground: Layer | HalfSpace, shape: str, radius: float, r: ArrayLike, z
     """Five radial functions of a round load of unit resultant (m/N), (points, 5).
 
     With f_m[X] = (1/2 pi) int X(k) g(k a) J_m(k r) k dk and the five functions of `tactile._closed.layer.Components`:
-    f_0[zz], f_1[kz], f_1[zk], f_0[(kk + tt)/2], f_2[(kk - tt)/2]. `moved` makes displacements of them.
-
-    Parameters
-    ----------
-    ground : Layer or HalfSpace
-        What is pressed.
-    shape : str
-        ``"hertz"``: sqrt(1 - r^2/a^2), or ``"uniform"``.
-    radius : float
-        Radius a of the load (m).
-    r : array_like, (points,)
-        Distances from its axis (m).
-    z : array_like, (points,), optional
-        Heights (m), as `Layer` and `HalfSpace` count them; None: on the surface.
-
-    Raises `InputError`: if distances or heights are no finite numbers or lie outside the body.
+    f_0[zz], f_1[kz], f_1[zk], f_0[(kk + tt)/2], f_2[(kk - tt)/2]. `moved` makes displacements of them. Distances r from
+    the axis and heights z (None: on the surface) are (points,) in m, as `Layer` and `HalfSpace` count them.
     """
     form, a = profile(shape), positive("radius", radius, where="radial", unit="m")
     r, z = _places(ground, r, z)

@@ -17,9 +17,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from structures.errors import InputError
+from structures.errors import InputError, one_of
 
-from .._arrays import Array, one_of, shaped
+from .._arrays import Array, shaped
 
 
 @lru_cache(maxsize=64)
@@ -44,22 +44,11 @@ SHALLOW = 0.05  # d/a below which the rules need more points
 
 @dataclass(frozen=True)
 class Profile:
-    """A round traction of unit radius and unit resultant.
+    """A round traction of unit radius and unit resultant, by functions of r/a and of s = k a.
 
-    Parameters
-    ----------
-    name : str
-        ``"hertz"`` or ``"uniform"``.
-    shape : callable
-        Traction at r/a, times a^2.
-    within : callable
-        Share of the resultant inside r/a.
-    transform : callable
-        Hankel transform at s = k a; 1 at s = 0.
-    surface : callable
-        H0_0, H0_1, H0_2 at r/a on the surface, times a; (n, 3).
-    weight : callable
-        Weight of cos(s t), 0 <= t <= 1, in the transform.
+    `shape` is the traction times a^2, `within` the share of the resultant inside r/a, `transform` the Hankel transform
+    (1 at s = 0), `surface` H0_0, H0_1, H0_2 on the surface times a (n, 3), `weight` that of cos(s t), 0 <= t <= 1, in
+    the transform.
     """
 
     name: str
@@ -104,12 +93,9 @@ class Profile:
 
 
 def profile(name: str) -> Profile:
-    """The profile of a name.
-
-    Raises `InputError`: if there is none.
-    """
+    """The profile of a name, ``"hertz"`` or ``"uniform"``; another name is refused."""
     hint = '"hertz" for a sphere or for partial slip, "uniform" for a flat patch'
-    return PROFILES[one_of(name, PROFILES, where="profile", what="no profile of a press", hint=hint)]
+    return PROFILES[one_of("no profile of a press", name, PROFILES, where="profile", hint=hint)]
 
 
 def _hertz_shape(r: Array) -> Array:
@@ -186,23 +172,8 @@ NODES = 16  # a side of each crossing; the square root of the traction at r = 1 
 
 
 def polygon_means(profile: Profile, corners: Array) -> Array:
-    """Mean over each polygon of a round traction of unit radius about the origin.
+    """Mean over polygons (n, corners, 2), counter-clockwise, of a round traction of unit radius about the origin, (n,).
 
-    Parameters
-    ----------
-    profile : Profile
-        The traction.
-    corners : ndarray, (polygons, corners, 2)
-        Corners in turn, counter-clockwise.
-
-    Returns
-    -------
-    ndarray, (polygons,)
-
-    Raises `InputError`: if the corners are no polygons with an area.
-
-    Notes
-    -----
     By Green's theorem the integral is the sum over the edges of int F(r) dphi, 2 pi F(r) being the share of the
     resultant within r: outside the contact an angle, inside a smooth integrand.
     """

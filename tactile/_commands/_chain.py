@@ -1,4 +1,4 @@
-"""From an input and a pad file to the force maps of its frames."""
+"""From an input and a pad file to the force maps of its frames; what they say on the terminal, and what is written."""
 
 from __future__ import annotations
 
@@ -9,24 +9,32 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from loadid._families.frozen import Calibration
+from loadid._plots import rendered
+from loadid._results.summary import sort
 from loadid.codes import GUARDS, collect
 from structures._flags import Flag
 from structures.errors import InputError
+from structures.files._storage import replace as write
 
 from .._arrays import Array
 from .._pad import padfile
 from .._pad.pad import Pad
 from .._results.forcemap import ForceMap, record
+from .._results.report import HOW, numbers, page
 from .._sensors.gelslim import GelSlim
-from .._sensors.multilayer import MultilayerPad
+from .._sensors.linear import MultilayerPad
+from .._sensors.marked import ContactLaw
 from .._sensors.posing import RULES, chosen
-from .._sensors.settings import ContactLaw
 from ._sources import DepthMaps, MarkerSource, depth_maps, look
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
 
 STRONGEST = 3  # frames on which lambda is chosen
 HALF = 0.5  # of the largest motion, that a frame must show to be asked
@@ -36,22 +44,10 @@ DEFAULT = ", by default,"
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """Force maps of an input, and how they came about.
+    """Force maps (frames, 3 P) of an input, and how they came about.
 
-    Parameters
-    ----------
-    map : ForceMap
-        (frames, 3 P).
-    source : MarkerSource
-        Markers, their noise, and which frames are the rest.
-    lost : list of int
-        Markers lost in each frame.
-    lam : str
-        Lambda and its rule, in words.
-    normal : str
-        Where the normal motion comes from, in words.
-    rate : float
-        Frames a second, from image (or motion) to map; reading files is left out.
+    Markers `lost` in each frame; lambda with its rule, and where the normal motion comes from, in words; frames a
+    second from image (or motion) to map, the reading of files left out.
     """
 
     map: ForceMap
@@ -83,31 +79,11 @@ def reconstruct(
     allow: Iterable[str] = (),
     progress: Callable[[float, str], None] | None = None,
 ) -> Reconstruction:
-    """Force maps of images, or of marker motions.
+    """Force maps of images (folder, NPY or NPZ stack, video) or marker motions (CSV, NPY), by the command's options.
 
-    Parameters
-    ----------
-    source : path
-        Folder of images, NPY or NPZ stack, video, or marker motions (CSV, NPY).
-    pad_file : path
-        As `tactile._pad.padfile` reads it.
-    depth : path, optional
-        Depth maps, one per frame of the source.
-    unloaded : str, optional
-        Number of frames that the source begins with, or a path, of the unloaded pad.
-    sensor : {"multilayer", "gelslim"}
-    friction, no_pull, lam
-        Override those of the file.
-    frames : (first, last), optional
-        Frames to invert, from 1, both included; all are tracked up to the last.
-    rate : float, optional
-        Frames a second of the camera: the axis is then time.
-    allow : iterable of str
-        Guard codes whose refusal is overridden.
-    progress : callable, optional
-        Called as ``progress(fraction, text)``.
-
-    Raises `InputError, NotIdentifiable`: From the files, the guards, and the sensor.
+    `unloaded` is the number of frames that the source begins with, or a path, of the unloaded pad; `friction`,
+    `no_pull` and `lam` override those of the pad file; of `frames` (first, last), from 1 and both included, all are
+    tracked up to the last; with a `rate` (Hz) the axis is time; ``progress(fraction, text)`` is called.
     """
     tell = progress or (lambda fraction, text: None)
     settings = padfile.read(pad_file)
@@ -200,10 +176,7 @@ def _tracked(
 
 
 def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None, source: str) -> str:
-    """Lambda on the strongest frames together, frozen; in words.
-
-    Without a rule of the user as `tactile._sensors.posing`, from one factorisation.
-    """
+    """Lambda on the strongest frames together, frozen, in words; where no rule is set, as the sensors choose it."""
     readings, used = _strongest(built, tracked, maps)
     family, ruled = built.family, built.family.choice
     family.choice = ruled or RULES[0]
@@ -274,8 +247,6 @@ def _maps(
 
 def _traced(found: Reconstruction, paths: list[Path]) -> Reconstruction:
     """The same with the digests of what was read and how the maps came about in their provenance."""
-    from ._output import about
-
     inputs = {str(path): _digest(path) for path in paths}
     notes = [f"{name}: {said}" for name, said in about(found)]
     whole = replace(found.map, provenance={**found.map.provenance, "inputs": inputs, "notes": notes})
@@ -290,3 +261,111 @@ def _digest(path: Path) -> str:
             while block := content.read(1 << 20):
                 digest.update(block)
     return digest.hexdigest()
+
+
+# -- what it says, and what is written --------------------------------------------------------------------------------
+def about(found: Reconstruction) -> list[tuple[str, str]]:
+    """How the maps came about: names and texts."""
+    seen = found.source
+    return [
+        ("pad", f"{str(found.pad)[4:-1]}, {found.pad.points} nodes"),
+        ("reference", seen.reference),
+        ("markers", markers(found)),
+        ("noise of a marker", seen.noise_words),
+        ("normal motion", HOW[found.normal]),
+        ("lambda", found.lam),
+        ("speed", f"{found.rate:.3g} frames a second, from image to map, on this machine"),
+        *(("note", note) for note in seen.notes),
+    ]
+
+
+def markers(found: Reconstruction) -> str:
+    """How many markers there are, and how many were lost."""
+    total, most = len(found.source.markers), max(found.lost)
+    if most == 0:
+        return f"{total} found, none lost in {len(found.lost)} frames"
+    assert found.map.axis is not None
+    frame = found.lost.index(most)
+    mean = sum(found.lost) / len(found.lost)
+    return f"{total} found; lost: {mean:.3g} on average, {most} at most ({found.map.frame_name(frame)})"
+
+
+def text(found: Reconstruction) -> str:
+    """All that a user must know, as lines."""
+    rows = about(found)
+    strongest = found.map.frame(found.strongest)
+    width = max(len(name) for name, _ in rows)
+    lines = [f"{name:{width}s}  {said}" for name, said in rows]
+    lines.append(f"strongest of {len(found.map.load)} frames ({found.map.frame_name(found.strongest)}):")
+    lines += [f"  {name:{width - 2}s}  {value}  [{remark}]" for name, value, remark in numbers(strongest)]
+    lines.append(f"flags: {len(found.map.flags) or 'none'}")
+    lines += [f"  {flag.command}" for flag in sort(found.map.flags)]
+    return "\n".join(lines)
+
+
+def data(found: Reconstruction) -> dict[str, Any]:
+    """The same as numbers, for JSON."""
+    force, one = found.map, found.map.frame(found.strongest)
+    assert force.axis is not None
+    resultant, torque, contact = one.resultant(), one.torque(), one.contact()
+    return {
+        "pad": repr(found.pad),
+        "nodes": found.pad.points,
+        "frames": len(force.load),
+        "axis": {"name": force.axis.name, "unit": force.axis.unit, "values": force.axis.values},
+        "reference": found.source.reference,
+        "markers": len(found.source.markers),
+        "lost": found.lost,
+        "noise": found.source.noise_words,
+        "provided": dict(force.provided),
+        "lambda": force.facts.lam,
+        "lambda_words": found.lam,
+        "frames_per_second": found.rate,
+        "resultants": force.resultant().value,
+        "strongest": {
+            "frame": force.axis.values[found.strongest],
+            "force": resultant.value, "force_std": resultant.std,
+            "torque": torque.value, "torque_std": torque.std,
+            "peak_pressure": contact.peak, "contact_radius": contact.radius, "contact_area": contact.area,
+            "centre": contact.centre,
+        },
+        "flags": [flag.to_dict() for flag in sort(force.flags)],
+        "notes": found.source.notes,
+    }  # fmt: skip
+
+
+def write_all(
+    found: Reconstruction,
+    result: str | Path,
+    *,
+    report: str | Path | None = None,
+    plot: str | Path | None = None,
+    video: str | Path | None = None,
+    truth: ArrayLike | None = None,
+    wrenches: ArrayLike | None = None,
+    compared: Iterable[tuple[str, ...]] = (),
+    fps: float | None = None,
+    progress: Any = None,
+) -> list[str]:
+    """Write the result file and, where named, the report, the picture and the video; the paths written.
+
+    Report, picture and video are made before the first file is written, so that a fault in them leaves nothing behind.
+    Known tractions (frames, P, 3) in Pa and wrenches (frames, 6) are drawn with them.
+    """
+    ready = []
+    if report is not None:
+        text = page(found.map, truth=truth, wrenches=wrenches, about=about(found), compared=compared)
+        ready.append((Path(report), text.encode()))
+    if plot is not None:
+        from .._results.pictures import sequence_figure
+
+        ready.append((Path(plot), rendered(sequence_figure(found.map, truth=truth, wrenches=wrenches), plot)))
+    if video is not None:
+        from .._results.film import FPS, encoded, pictures, require_video
+
+        coming = pictures(found.map, truth=truth, progress=progress)
+        ready.append((Path(video), encoded(coming, require_video(video), fps=fps or FPS, where=str(video))[0]))
+    found.map.save(result)
+    for path, content in ready:
+        write(path, content)
+    return [str(path) for path in (result, report, plot, video) if path is not None]

@@ -15,15 +15,14 @@ from loadid._commands._outputs import require_outputs
 from structures.errors import InputError
 from structures.files._storage import replace
 
-from .. import metrics
 from .._arrays import Array
 from .._closed.presses import Press, press_and_slide
 from .._pad import padfile
 from .._pad.pad import Pad
+from ..metrics._measures import cosine as cosine_of
 from ..vision._images import Scene, grid, installed
-from ._chain import Reconstruction, reconstruct
-from ._output import data, write_all
-from ._output import text as in_words
+from ._chain import Reconstruction, data, reconstruct, write_all
+from ._chain import text as in_words
 
 FORCE, SHEAR, RADIUS, TRAVEL = 0.25, 0.08, 3e-3, 1e-3  # N, N, m, m: strains stay below 10 %
 UNLOADED, LOADED = 6, 18  # frames
@@ -35,12 +34,7 @@ BLUR, GREY = 1.0, 2.0  # px, grey levels
 class Demonstration:
     """What the demonstration found, and what was true.
 
-    Parameters
-    ----------
-    rows : list of (str, str, str)
-        Name, estimate and truth of what was compared, in the strongest frame.
-    numbers : dict
-        The same as ratios and errors.
+    `rows` are name, estimate and truth of what was compared, in the strongest frame; `numbers` as ratios and errors.
     """
 
     reconstruction: Reconstruction
@@ -62,19 +56,10 @@ def presses() -> list[Press]:
 def demo(
     folder: str | Path = "tactile-demo", *, seed: int = 0, progress: Callable[[float, str], None] | None = None
 ) -> Demonstration:
-    """Simulate, rebuild and compare; leave images, depth maps, pad file, map, picture, report and video.
+    """Simulate, rebuild and compare; leave images, depth maps, pad file, map, picture, report and video in a folder.
 
-    The truth comes from the kernels of the bonded layer, the maps from the images and from depth maps with noise: the
-    inversion knows neither the presses nor their shape.
-
-    Parameters
-    ----------
-    folder : path
-        Made where it is not there.
-    seed : int
-        Of the noise.
-
-    Raises `InputError`: if the folder cannot be made or written.
+    The truth comes from the kernels of the bonded layer, the maps from the images and from depth maps with noise (of
+    `seed`): the inversion knows neither the presses nor their shape.
     """
     tell = progress or (lambda fraction, text: None)
     files = _files(Path(folder))
@@ -178,7 +163,7 @@ def compared(found: Reconstruction, press: Press) -> tuple[list[tuple[str, str, 
     one = found.map.frame(found.strongest)
     resultant, contact, vector = one.resultant(), one.contact(), np.array(press.vector)
     error = float(np.linalg.norm(resultant.value - vector) / np.linalg.norm(vector))
-    cosine = metrics.cosine(one.traction(), press.traction(found.pad.nodes2d), one.areas)
+    cosine = cosine_of(one.traction(), press.traction(found.pad.nodes2d), one.areas)
     true = ", ".join(f"{x + 0.0:.4g}" for x in vector)
     rows = [
         ("force on the pad", f"{resultant}", f"({true}) N: error {error:.1%}"),

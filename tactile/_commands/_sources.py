@@ -16,7 +16,6 @@ from structures._flags import Flag
 from structures.errors import InputError
 
 from .._arrays import Array
-from .._guards import vanished
 from .._pad.padfile import DepthKind, SensorFile
 from .._sensors.observation import DepthMap, Markers
 from ..vision._eye import Eye, View
@@ -31,10 +30,7 @@ ARRAYS = (".npy", ".npz")
 
 
 def is_motion(path: Path) -> bool:
-    """Whether a file holds marker motions (T, N, 2 or 3) and no images.
-
-    Raises `InputError`: There is no such file or folder.
-    """
+    """Whether a file, which must exist, holds marker motions (T, N, 2 or 3) and no images."""
     if not path.exists():
         raise InputError("there is no such file or folder", where=str(path),
                          expected="a folder of images, an NPY or NPZ stack, a video, or marker motions (CSV, NPY)",
@@ -49,14 +45,9 @@ def is_motion(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class DepthMaps:
-    """Depth maps of frames, read one at a time.
+    """Depth maps of frames, read one at a time: `load` gives the numbers in the file of a frame, from 0.
 
-    Parameters
-    ----------
-    load : callable
-        Takes the number of a frame, from 0, and gives the numbers in the file.
-    zero : array or float
-        What the unloaded pad shows (m).
+    `zero` is what the unloaded pad shows (m).
     """
 
     load: Callable[[int], NDArray[Any]]
@@ -79,10 +70,7 @@ class DepthMaps:
         return (self[k] for k in range(self.count))
 
     def zeroed(self, unloaded: int) -> DepthMaps:
-        """The same maps with the mean of the first `unloaded` ones as zero, where the file says they are absolute.
-
-        Raises `InputError`: if none of them is unloaded.
-        """
+        """The same maps with the mean of the first `unloaded` ones as zero, where the file says they are absolute."""
         if not self.kind.absolute:
             return self
         if unloaded < 1:
@@ -93,10 +81,7 @@ class DepthMaps:
 
 
 def depth_maps(path: Path, kind: DepthKind | None, pad_file: Path) -> DepthMaps:
-    """Depth maps of an NPY or NPZ stack (T, H, W), or of a folder of NPY files or 16-bit images, in natural order.
-
-    Raises `InputError`: No such maps, or the pad file has no table [depth].
-    """
+    """Depth maps of an NPY or NPZ stack (T, H, W), or of a folder of NPY files or 16-bit images, in natural order."""
     if kind is None:
         raise InputError("the depth maps are not described", where=str(pad_file), found="no table [depth]",
                          expected="[depth] with pixel, noise, and the unit of the numbers")  # fmt: skip
@@ -127,17 +112,7 @@ def _folder(folder: Path, kind: DepthKind) -> DepthMaps:
 
 @dataclass(frozen=True)
 class Unloaded:
-    """Frames of the unloaded pad.
-
-    Parameters
-    ----------
-    frames : list
-        Images, or places of the markers (N, 2).
-    words : str
-        Which they are.
-    inside : int
-        How many of them the input begins with.
-    """
+    """Frames of the unloaded pad (images, or places (N, 2)), which they are, how many the input begins with."""
 
     frames: list[Any]
     words: str
@@ -153,20 +128,10 @@ MOVED = 5.0  # stds of a mean motion that unloaded frames may show
 
 @dataclass(frozen=True)
 class MarkerSource:
-    """Marker motion, frame by frame, and what is known of it.
+    """Marker motion by frames: ``read(frame, depth) -> (motion (N, 2 or 3) in m, flags)``, and what is known of it.
 
-    Parameters
-    ----------
-    frames : iterable
-        Of what `read` takes.
-    read : callable
-        ``read(frame, depth) -> (motion (N, 2 or 3) in m, flags)``.
-    reference, noise_size : str
-        Which frames are the rest; the noise in px and um, where there is an image.
-    inside : int
-        Unloaded frames that the input begins with.
-    count : int or None
-        Frames, where known.
+    `reference` says which frames are the rest, `noise_size` the noise in px and um where there is an image, `inside`
+    how many unloaded frames the input begins with, `count` how many frames it has, where known.
     """
 
     frames: Iterator[Any]
@@ -189,13 +154,8 @@ class MarkerSource:
 def look(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, allow: tuple[str, ...]) -> MarkerSource:
     """Motion of the markers of an input.
 
-    Parameters
-    ----------
-    unloaded : str, optional
-        Number of frames that the input begins with, or a path; default the first frame where the noise is stated, else
-        the first five.
-
-    Raises `InputError`: No frames, no camera, no noise, fewer than three markers.
+    `unloaded` is the number of frames that it begins with, or a path; default the first frame where the noise is
+    stated, else the first five.
     """
     if not is_motion(source):
         return _images(source, settings, pad, unloaded, allow)
@@ -250,13 +210,7 @@ def _moved(eye: Eye, frames: list[Any]) -> list[str]:
 
 # -- places that somebody else tracked --------------------------------------------------------------------------------
 class PlaceTracker:
-    """A tracker whose markers come told apart: takes their places (N, 2) in px, NaN where one is lost.
-
-    Parameters
-    ----------
-    points : array (N, 2)
-        Places at rest, px.
-    """
+    """A tracker whose markers come told apart: takes their places (N, 2) in px, NaN where one is lost."""
 
     def __init__(self, points: Array) -> None:
         self.points = points
@@ -265,11 +219,7 @@ class PlaceTracker:
     def step(self, places: Array) -> MarkerMotion:
         """Motion of the markers in a frame."""
         self._frame += 1
-        moved = places - self.points
-        lost = np.asarray(np.isnan(moved).any(axis=1))
-        gone = vanished(len(lost), int(lost.sum()), 0, 0)
-        flags = () if gone is None else (gone,)
-        return MarkerMotion(self.points, moved, lost, np.zeros_like(lost), 0, self._frame, flags)
+        return MarkerMotion.of(self.points, places, self._frame)
 
 
 def _pixels(

@@ -104,8 +104,7 @@ def _map(args: Namespace) -> int:
         from .._results.film import require_video
 
         require_video(args.video)
-    from ._chain import reconstruct
-    from ._output import data, text, write_all
+    from ._chain import data, reconstruct, text, write_all
 
     with Bar() as bar:
         found = reconstruct(

@@ -50,11 +50,7 @@ class PadOutline:
     radius: float | None = None
 
     def on(self, size: tuple[float, float], counts: tuple[int, int]) -> tuple[Array, Index]:
-        """Nodes (V, 2) and quadrilaterals (Q, 4) of the part of a rectangle of cells that stays.
-
-        Raises `InputError`: if nothing or less than one piece is left, or the outline does not fit the
-        rectangle.
-        """
+        """Nodes (V, 2) and quadrilaterals (Q, 4) of the one piece that stays of a rectangle of cells."""
         (a, b), (nx, ny) = size, counts
         x, y = np.linspace(-a / 2, a / 2, nx + 1), np.linspace(-b / 2, b / 2, ny + 1)
         places = np.column_stack([m.ravel() for m in np.meshgrid(x, y)])
@@ -225,16 +221,10 @@ CELLS = 2_000  # along a side
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Structure and loaded surface of a pad, its dimensions, and what its guards found.
+    """Structure and loaded surface of a pad, its settled settings (`dimensions`), and what its guards found.
 
-    Parameters
-    ----------
-    dimensions : dict
-        Settled settings of the pad.
-    layered : bool
-        Whether it is made of layers of bricks, so that few of them are too few.
-    levels : int array (nodes,), optional
-        Level of each node from the base up.
+    `layered` where it is made of layers of bricks, so that few of them are too few; `levels` (nodes,) counts from the
+    base.
     """
 
     structure: Structure
@@ -251,19 +241,13 @@ def locking_allowed(allow: Sequence[str]) -> list[str]:
 
 
 def sides(size: Any) -> tuple[float, float]:
-    """Both sides, checked.
-
-    Raises `InputError`: if they are not two positive numbers.
-    """
+    """Both sides, two positive numbers."""
     a, b = pair("size", size, where="Pad", unit="m")
     return positive("a side", a, where="Pad, size", unit="m"), positive("a side", b, where="Pad, size", unit="m")
 
 
 def divisions(size: tuple[float, float], thickness: float, pitch: Any, elements: Any) -> tuple[int, int]:
-    """Cells along x and y from the pitch or from their number.
-
-    Raises `InputError`: if both are given, or neither is possible.
-    """
+    """Cells along x and y from the pitch or from their number, not from both."""
     if pitch is not None and elements is not None:
         raise InputError(
             "two divisions of one pad", where="Pad", found=f"pitch={pitch!r} and elements={elements!r}",
@@ -289,10 +273,7 @@ def divisions(size: tuple[float, float], thickness: float, pitch: Any, elements:
 
 
 def rectangle(pad: Pad, material: Material) -> Body:
-    """Rectangle of equal bricks as the settings of a pad have it, base bonded, centred on the origin.
-
-    Raises `InputError`: if a value is not possible.
-    """
+    """Rectangle of equal bricks as the settings of a pad have it, base bonded, centred on the origin."""
     size, thickness = sides(pad.size), positive("the thickness", pad.thickness, where="Pad", unit="m")
     nx, ny = divisions(size, thickness, pad.pitch, pad.elements)
     nz = integer("layers", pad.layers, where="Pad, layers", limit=CELLS)
@@ -332,8 +313,6 @@ def extruded(
     """Layers of hexahedra over quadrilaterals (Q, 4) between nodes (V, 2), base bonded.
 
     The surface lies at ``thickness * height``, one height for all nodes or for each.
-
-    Raises `InputError`: As `structures._elements.solids.mesh`.
     """
     count = len(places)
     z = np.multiply.outer(np.linspace(0.0, thickness, layers + 1), np.broadcast_to(height, count)).ravel()

@@ -28,23 +28,10 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class PadMesh:
-    """A mesh in the frame of the pad: base at z = 0, surface towards +Z, origin at the centre.
+    """A mesh in the frame of the pad: base at z = 0, surface towards +Z, origin at the centre; m.
 
-    Parameters
-    ----------
-    nodes : array (nodes, 3)
-        m.
-    cells : int array (cells, 8 or 10)
-    kind : str
-        "C3D8" or "C3D10".
-    base : int array
-        Bonded nodes.
-    top : int array (faces, corners)
-        Faces of the loaded surface.
-    source : str
-        File.
-    says : str
-        What was assumed: unit, axis, which end is bonded.
+    Nodes (nodes, 3), cells (cells, 8 or 10) of a `kind` ("C3D8", "C3D10"), the bonded nodes (`base`), the faces of the
+    loaded surface (`top`), its file, and what was assumed of it: unit, axis, which end is bonded.
     """
 
     nodes: Array
@@ -65,10 +52,7 @@ class PadMesh:
         return {"size": (float(a), float(b)), "thickness": float(h), "elements": None}
 
     def built(self, material: Material, element: str, allow: Sequence[str]) -> Body:
-        """Structure and loaded surface.
-
-        Raises `InputError`: As `structures._elements.solids.mesh`.
-        """
+        """Structure and loaded surface."""
         structure = solids.mesh(
             self.nodes,
             self.cells,
@@ -110,15 +94,15 @@ def placed(
         boundary that look along the axis, tilted by less than 60 degrees.
     allow : sequence of str
         ``("E110",)`` takes a solid with holes or tunnels.
-
-    Raises `InputError`: if the mesh is none, unit, axis or sets do not fit, there is no base or no surface; code
-    LID-E110 if Euler's formula says that the boundary is no simply connected surface.
     """
     cell = CELLS[file.kind]
     _used(file)
     field = MeshField(file.nodes, file.cells, cell)
     upright(cell, file.nodes[file.cells], where=file.path)
-    _euler(field, file, allow)
+    _closed(
+        field.boundary[:, : cell.corners], 2, "the boundary of the mesh is no closed surface without holes", file.path,
+        "look for seams of double nodes, cells that touch at an edge, tunnels; allow=('E110',) takes it", allow,
+    )  # fmt: skip
     scale, unit_said = _scale(file, unit)
     end, axis_said = _end(field, axis, file.path)
     turn = _turn(end)
@@ -148,7 +132,10 @@ def placed(
             expected="faces that look along the axis, or all of whose nodes are in the set",
             hint="name the node set of the whole surface, sides and corners included",
         )  # fmt: skip
-    _disc(faces, file.path, allow)
+    _closed(
+        faces, 1, "the loaded surface is not one piece without holes", file.path,
+        "name its node set with top=, or take it with allow=('E110',)", allow,
+    )  # fmt: skip
     lower, upper = nodes[held].min(axis=0), nodes[held].max(axis=0)
     origin = np.array([(lower[0] + upper[0]) / 2, (lower[1] + upper[1]) / 2, nodes[:, 2].min()])
     says = f"{unit_said}; {axis_said}"
@@ -157,10 +144,7 @@ def placed(
 
 
 def rebuilt(mesh: PadMesh, pitch: float, layers: int, material: Material, element: str, allow: Sequence[str]) -> Body:
-    """The same body by columns of bricks: its base as outline, its height over each node.
-
-    Raises `InputError`: if the base has no outline of one piece, or as `structures._elements.solids.mesh`.
-    """
+    """The same body by columns of bricks: its base, of one piece, as outline, its height over each node."""
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
     step = positive("the pitch", pitch, where="Pad.from_mesh", unit="m")
@@ -190,34 +174,15 @@ def _used(file: MeshFile) -> None:
         )
 
 
-def _euler(field: MeshField, file: MeshFile, allow: Sequence[str]) -> None:
-    """E110: the boundary of a simply connected solid has V - E + F = 2."""
-    faces = field.boundary[:, : field.cell.corners]
-    found = _characteristic(faces)
-    if found != 2 and "LID-E110" not in {canonical(code) for code in allow}:
+def _closed(faces: Index, want: int, what: str, path: str, hint: str, allow: Sequence[str]) -> None:
+    """E110: V - E + F is 2 over the boundary of a solid without holes, 1 over a surface in one piece without holes."""
+    corners = len(np.unique(faces))
+    found = corners - len(edges(faces)[0]) + len(faces)
+    if found != want and "LID-E110" not in {canonical(code) for code in allow}:
         raise InputError(
-            "the boundary of the mesh is no closed surface without holes",
-            where=file.path,
-            found=f"vertices - edges + faces = {found} ({len(np.unique(faces))} vertices, {len(faces)} faces)",
-            expected="2 (Euler's formula)",
-            hint="look for seams of double nodes, cells that touch at an edge, tunnels; allow=('E110',) takes it",
-            code="LID-E110",
-        )
-
-
-def _disc(faces: Index, path: str, allow: Sequence[str]) -> None:
-    """E110: a loaded surface in one piece without holes has V - E + F = 1."""
-    found = _characteristic(faces)
-    if found != 1 and "LID-E110" not in {canonical(code) for code in allow}:
-        raise InputError(
-            "the loaded surface is not one piece without holes", where=path,
-            found=f"vertices - edges + faces = {found} over {len(faces)} faces", expected="1 (Euler's formula)",
-            hint="name its node set with top=, or take it with allow=('E110',)", code="LID-E110",
+            what, where=path, found=f"vertices - edges + faces = {found} ({corners} vertices, {len(faces)} faces)",
+            expected=f"{want} (Euler's formula)", hint=hint, code="LID-E110",
         )  # fmt: skip
-
-
-def _characteristic(faces: Index) -> int:
-    return len(np.unique(faces)) - len(edges(faces)[0]) + len(faces)
 
 
 def _scale(file: MeshFile, unit: str | None) -> tuple[float, str]:

@@ -26,18 +26,8 @@ ALIASES = {"C3D8R": "C3D8", "C3D8I": "C3D8", "C3D8H": "C3D8", "C3D10M": "C3D10",
 class MeshFile:
     """What a file says: nothing turned, scaled or guessed.
 
-    Parameters
-    ----------
-    nodes : array (nodes, 3)
-        In the file's unit.
-    cells : int array (cells, 8 or 10)
-        Indices of nodes from 0.
-    kind : str
-        "C3D8" or "C3D10".
-    names : int array (nodes,)
-        Numbers of the nodes in the file.
-    sets : dict of str to int array
-        Node sets by name in capitals, as indices from 0.
+    Nodes (nodes, 3) in the file's unit, with their numbers there (`names`); cells (cells, 8 or 10) of a `kind`, "C3D8"
+    or "C3D10", and node sets by name in capitals, as indices from 0.
     """
 
     path: str
@@ -48,10 +38,7 @@ class MeshFile:
     sets: dict[str, Index] = field(default_factory=dict)
 
     def named(self, name: str) -> Index:
-        """A node set.
-
-        Raises `InputError`: if there is none of this name.
-        """
+        """A node set; a name that is not there is refused."""
         found = self.sets.get(str(name).upper())
         if found is None:
             raise InputError(
@@ -63,16 +50,10 @@ class MeshFile:
 
 
 def read(path: str | os.PathLike[str]) -> MeshFile:
-    """Mesh of a file.
+    """Mesh of a file; the line of what is none of these, or holds no solid cells or several kinds of them, is named.
 
-    Parameters
-    ----------
-    path : path
-        ``.inp`` or ``.inp.gz`` with C3D8 or C3D10 cells; ``.npz``, ``.h5`` or ``.hdf5`` with the arrays ``nodes``
-        (nodes, 3) and ``cells`` (cells, 8 or 10), indices from 0 in the order of Abaqus.
-
-    Raises `InputError`: if the file cannot be read, is none of these, holds no solid cells or several kinds of
-    them; the line is named.
+    ``.inp`` or ``.inp.gz`` with C3D8 or C3D10 cells; ``.npz``, ``.h5`` or ``.hdf5`` with the arrays ``nodes`` (nodes,
+    3) and ``cells`` (cells, 8 or 10), indices from 0 in the order of Abaqus.
     """
     place = Path(os.fspath(path))
     if not place.is_file():
@@ -131,10 +112,7 @@ class _Inp:
         self.sets: dict[str, list[int]] = {}
 
     def read(self, text: str) -> MeshFile:
-        """The mesh.
-
-        Raises `InputError`: if there is none, or a line is none.
-        """
+        """The mesh; refused where there is none, or a line is none."""
         for at, keyword, options, lines in _sections(text):
             if keyword == "NODE":
                 self._nodes(lines, options)
@@ -254,17 +232,9 @@ def _sections(text: str) -> Iterator[tuple[int, str, dict[str, str], list[tuple[
 def elastic(path: str | os.PathLike[str], name: str | None = None) -> dict[str, Any]:
     """Elastic constants of an Abaqus or CalculiX input file: ``{"name", "E", "nu", "source"}``, E in the file's unit.
 
-    Parameters
-    ----------
-    name : str, optional
-        Of the material; the first that has constants otherwise.
-
-    Raises `InputError`: if it holds no such material.
-
-    Notes
-    -----
-    ``*ELASTIC`` gives E and nu. ``*HYPERELASTIC, NEO HOOKE`` gives C10 and D1: mu = 2 C10, bulk modulus 2 / D1, and at
-    small strain E0 = 9 K mu / (3 K + mu), which is 6 C10 for an incompressible one (D1 = 0); nu is then None.
+    Those of the material of a name, or of the first that has any. ``*ELASTIC`` gives E and nu. ``*HYPERELASTIC, NEO
+    HOOKE`` gives C10 and D1: mu = 2 C10, bulk modulus 2 / D1, and at small strain E0 = 9 K mu / (3 K + mu), which is 6
+    C10 for an incompressible one (D1 = 0); nu is then None.
     """
     current, found = "", []
     for at, keyword, options, lines in _sections(_text(Path(os.fspath(path)))):

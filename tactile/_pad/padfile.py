@@ -79,18 +79,10 @@ ELEMENTS = ("bbar", "standard", "incompatible")
 
 @dataclass(frozen=True)
 class DepthKind:
-    """What the depth maps of a sensor are.
+    """What the depth maps of a sensor are: size of a pixel and std of one (m), centre on the pad (m).
 
-    Parameters
-    ----------
-    pixel, noise : float
-        Size of a pixel and std of one (m).
-    centre : (x, y)
-        Of the map on the pad (m).
-    factor : float
-        Number in a file times this = motion in m, outward positive.
-    absolute : bool
-        The maps of the unloaded pad are not zero.
+    A number in a file times `factor` is motion in m, outward positive; `absolute` maps of the unloaded pad are not
+    zero.
     """
 
     pixel: float
@@ -110,22 +102,9 @@ class DepthKind:
 class SensorFile:
     """A sensor as its file describes it.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    body : mapping
-        Settings of `tactile._pad.pad.Pad`, for `Pad.from_settings`.
-    view : View or None
-        How the camera sees the markers.
-    tracking : mapping
-        Settings of `tactile.vision.MarkerTracker`.
-    noise : (float, str) or None
-        Std of the place of a marker, in ``"px"`` or ``"m"``.
-    unit : str or float
-        Of marker motions in a file: ``"px"``, or metres of one unit.
-    contact : mapping
-        Settings of the inversion: ``no_pull, friction, lam, penalty``.
+    `body` are settings of `Pad`, for `Pad.from_settings`, `tracking` those of `tactile.vision.MarkerTracker`, `contact`
+    those of the inversion (``no_pull, friction, lam, penalty``); `noise` is the std of the place of a marker with its
+    unit, ``"px"`` or ``"m"``; `unit` that of marker motions in a file: ``"px"``, or metres of one unit.
     """
 
     path: Path
@@ -139,11 +118,7 @@ class SensorFile:
 
 
 def read(path: str | os.PathLike[str]) -> SensorFile:
-    """Sensor of a TOML file.
-
-    Raises `InputError`: A file that is none; a table or key that is not known, or is missing; a value without its
-    unit, or with a unit of something else. The message names the file, the table and the key.
-    """
+    """Sensor of a TOML file; what is not known, missing or without its unit is refused with file, table and key."""
     place = Path(os.fspath(path))
     tables = _tables(place)
     markers = TomlTable(place, "markers", tables.get("markers", {}))

@@ -30,16 +30,8 @@ if TYPE_CHECKING:
 class Completion:
     """The surface of a pad of which some displacements are given: ``F = K U``, the others condensed as free of load.
 
-    Parameters
-    ----------
-    known : int array (k,)
-        DOFs of the surface, 3 * node + component, whose displacement is given.
-    stiffness : sparse or array (k, k)
-        Forces on them from their displacements.
-    others : int array (3 P - k,)
-        The DOFs that carry no load.
-    follow : array (3 P - k, k) or None
-        How those move with the known ones.
+    `known` (k,) are the DOFs of the surface, 3 * node + component, whose displacement is given, `stiffness` (k, k) the
+    forces on them, `others` (3 P - k,) those without load, `follow` (3 P - k, k) how these move with the known ones.
     """
 
     known: Index

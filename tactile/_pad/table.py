@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,19 +23,8 @@ MISSING: Any = object()
 
 
 class TomlTable:
-    """The values of one table.
+    """The values of one table, as TOML gives them; without a name those of the whole file.
 
-    Parameters
-    ----------
-    file : Path
-        Named in errors.
-    name : str
-        Of the table; empty for the whole file.
-    values : mapping
-        As TOML gives it.
-
-    Notes
-    -----
     Every method takes the key and a default; without a default the key must be there. `end` refuses what nobody asked
     for.
     """
@@ -70,10 +59,7 @@ class TomlTable:
             raise InputError(error.what, where=where, **parts) from None
 
     def end(self) -> None:
-        """Refuse keys that nobody asked for.
-
-        Raises `InputError`: With the nearest key that is known.
-        """
+        """Refuse keys that nobody asked for, with the nearest key that is known."""
         unknown = sorted(set(self.values) - self._asked)
         if not unknown:
             return
@@ -86,66 +72,51 @@ class TomlTable:
     def number(self, key: str, default: Any = MISSING) -> Any:
         """A number without a unit."""
         value = self._take(key, default)
-        if value is default:
-            return default
-        return self._number(key, value)
+        return default if value is default else self._number(key, value)
 
     def count(self, key: str, default: Any = MISSING) -> Any:
         """A whole number > 0."""
-        value = self._take(key, default)
-        if value is default:
-            return default
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise self.refused(key, "no whole number > 0", shown(value), f"{key} = 4, for example")
-        return value
+        return self._checked(key, default, _whole, "no whole number > 0", f"{key} = 4, for example")
 
     def counts(self, key: str, many: int, default: Any = MISSING) -> Any:
         """Several whole numbers > 0."""
-        value = self._take(key, default)
-        if value is default:
-            return default
-        good = isinstance(value, list) and all(isinstance(v, int) and not isinstance(v, bool) and v > 0 for v in value)
-        if not good or len(value) != many:
-            raise self.refused(key, f"no {many} whole numbers > 0", shown(value), f"{key} = [24, 24], for example")
-        return tuple(value)
+        value = self._checked(
+            key, default, lambda v: isinstance(v, list) and len(v) == many and all(map(_whole, v)),
+            f"no {many} whole numbers > 0", f"{key} = [24, 24], for example",
+        )  # fmt: skip
+        return default if value is default else tuple(value)
 
     def flag(self, key: str, default: Any = MISSING) -> Any:
         """True or false."""
-        value = self._take(key, default)
-        if value is not default and not isinstance(value, bool):
-            raise self.refused(key, "neither true nor false", shown(value), "true or false, without quotes")
-        return value
+        expected = "true or false, without quotes"
+        return self._checked(key, default, lambda v: isinstance(v, bool), "neither true nor false", expected)
 
     def text(self, key: str, default: Any = MISSING) -> Any:
         """A text that is not empty."""
-        value = self._take(key, default)
-        if value is not default and not (isinstance(value, str) and value.strip()):
-            raise self.refused(key, "no text", shown(value), "a text in quotes")
-        return value
+        return self._checked(
+            key, default, lambda v: isinstance(v, str) and bool(v.strip()), "no text", "a text in quotes"
+        )
 
     def word(self, key: str, choices: Sequence[str], default: Any = MISSING) -> Any:
         """One of some words."""
-        value = self._take(key, default)
-        if value is not default and value not in choices:
-            raise self.refused(key, "unknown word", shown(value), " or ".join(f'"{c}"' for c in choices))
-        return value
+        expected = " or ".join(f'"{c}"' for c in choices)
+        return self._checked(key, default, lambda v: v in choices, "unknown word", expected)
 
     def words(self, key: str, default: Any = MISSING) -> Any:
         """A list of texts."""
-        value = self._take(key, default)
-        if value is default:
-            return default
-        if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-            raise self.refused(key, "no list of texts", shown(value), f'{key} = ["W115"], for example')
-        return tuple(value)
+        value = self._checked(
+            key, default, lambda v: isinstance(v, list) and all(isinstance(one, str) for one in v),
+            "no list of texts", f'{key} = ["W115"], for example',
+        )  # fmt: skip
+        return default if value is default else tuple(value)
 
     def matrix(self, key: str) -> Array:
         """Three rows of three numbers."""
-        value = self._take(key, MISSING)
-        rows: list[Any] = value if isinstance(value, list) and len(value) == 3 else [None]
-        if not all(isinstance(row, list) and len(row) == 3 for row in rows):
-            raise self.refused(key, "no 3 x 3 matrix", shown(value), "three rows of three numbers")
-        return np.array([[self._number(key, x) for x in row] for row in rows])
+        value = self._checked(
+            key, MISSING, lambda v: isinstance(v, list) and len(v) == 3 and all(_listed(row, 3) for row in v),
+            "no 3 x 3 matrix", "three rows of three numbers",
+        )  # fmt: skip
+        return np.array([[self._number(key, x) for x in row] for row in value])
 
     def beside(self, name: str) -> Path:
         """A file that is named relative to this one."""
@@ -177,21 +148,20 @@ class TomlTable:
 
     def quantities(self, key: str, quantity: str, many: int, default: Any = MISSING) -> Any:
         """Several numbers with units, in SI."""
-        value = self._take(key, default)
-        if value is default:
-            return default
-        if not isinstance(value, list) or len(value) != many:
-            example = ", ".join([f'"{EXAMPLES[quantity]}"'] * many)
-            raise self.refused(key, f"no list of {many} values", shown(value), f"{key} = [{example}], for example")
-        return tuple(self._si(key, v, quantity) for v in value)
+        example = ", ".join([f'"{EXAMPLES[quantity]}"'] * many)
+        value = self._checked(
+            key, default, lambda v: _listed(v, many), f"no list of {many} values", f"{key} = [{example}], for example"
+        )
+        return default if value is default else tuple(self._si(key, v, quantity) for v in value)
 
     def places(self, key: str, quantity: str, default: Any = MISSING) -> Any:
         """Points (n, 2) in SI, or in px."""
-        value = self._take(key, default)
+        value = self._checked(
+            key, default, lambda v: isinstance(v, list) and all(_listed(point, 2) for point in v),
+            "no list of points", f"{key} = [[x, y], [x, y], ...]",
+        )  # fmt: skip
         if value is default:
             return default
-        if not isinstance(value, list) or not all(isinstance(p, list) and len(p) == 2 for p in value):
-            raise self.refused(key, "no list of points", shown(value), f"{key} = [[x, y], [x, y], ...]")
         return np.array([[self._si(key, x, quantity) for x in point] for point in value]).reshape(-1, 2)
 
     def pixels(self, key: str, default: Any = MISSING) -> Any:
@@ -239,6 +209,13 @@ class TomlTable:
                                f"is it {near[0]}, misspelt?" if near else "")  # fmt: skip
         return default
 
+    def _checked(self, key: str, default: Any, good: Callable[[Any], bool], what: str, expected: str) -> Any:
+        """The value of a key if it is good, or the default."""
+        value = self._take(key, default)
+        if value is not default and not good(value):
+            raise self.refused(key, what, shown(value), expected)
+        return value
+
     def _number(self, key: str, value: Any) -> float:
         found = real(value)
         if found is None:
@@ -250,15 +227,13 @@ class TomlTable:
             number = self._number(key, value)
             bare = 1.0 if quantity == "px" else self._bare.get(quantity)
             if bare is None:
-                raise self.refused(key, "a number without its unit", shown(value),
-                                   f'{WORDS[quantity]} such as {key} = "{EXAMPLES[quantity]}"')  # fmt: skip
+                raise self._bare_refused(key, value, quantity)
             return number * bare
         split = NUMBER.fullmatch(value)
         if split is None:
             raise self.refused(key, "no number with a unit", shown(value), f'"{EXAMPLES[quantity]}", for example')
         if split[2] is None:
-            raise self.refused(key, "a number without its unit", shown(value),
-                               f'{WORDS[quantity]} such as {key} = "{EXAMPLES[quantity]}"')  # fmt: skip
+            raise self._bare_refused(key, value, quantity)
         return float(split[1]) * self._factor(key, split[2], quantity)
 
     def _factor(self, key: str, unit: str, quantity: str) -> float:
@@ -270,3 +245,15 @@ class TomlTable:
                 return found.factor
         raise self.refused(key, f"no unit of {WORDS[quantity].removeprefix('a ').removeprefix('an ')}", shown(unit),
                            f'{WORDS[quantity]} such as "{EXAMPLES[quantity]}"')  # fmt: skip
+
+    def _bare_refused(self, key: str, value: Any, quantity: str) -> InputError:
+        expected = f'{WORDS[quantity]} such as {key} = "{EXAMPLES[quantity]}"'
+        return self.refused(key, "a number without its unit", shown(value), expected)
+
+
+def _whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value > 0
+
+
+def _listed(value: Any, many: int) -> bool:
+    return isinstance(value, list) and len(value) == many

@@ -33,6 +33,7 @@ from .pictures import (
     colours,
     draw_resultants,
     dress,
+    scale,
     spread_evenly,
     surface,
 )
@@ -60,18 +61,7 @@ def overlay(
 ) -> Figure:
     """Image with the dots found in it, numbered where they are few; of a `MarkerMotion` arrows, and lost ones crossed.
 
-    Parameters
-    ----------
-    image : array, shape (H, W) or (H, W, 3)
-        The frame, grey or colour.
-    found : Detected or MarkerMotion
-        What was found in it.
-    title : str
-        Printed above, with the numbers of dots.
-    scale : float, optional
-        Length of the arrows over the motion; default 1, or 10 where the largest motion is below 3 % of the image.
-    axes : Axes, optional
-        Where to draw instead of a new figure.
+    The arrows are `scale` times the motion; by default 1, or 10 where the largest motion is below 3 % of the image.
     """
     seen = grey(image)
     if axes is None:
@@ -86,17 +76,13 @@ def overlay(
     if isinstance(found, MarkerMotion):
         words = _draw_motion(axes, found, seen.shape[1], scale)
     else:
-        words = _draw_dots(axes, found.points, found.radius)
+        words = f"{len(found.points)} dots"
+        _rings(axes, found.points, found.radius)
+        _numbers(axes, found.points, found.radius)
     axes.set_title(f"{text(title)}: {words}" if title else words, fontsize=9, loc="left")
     drawn = axes.get_figure()
     assert isinstance(drawn, Figure)
     return drawn
-
-
-def _draw_dots(axes: Axes, points: Array, radius: float) -> str:
-    _rings(axes, points, radius)
-    _numbers(axes, points, radius)
-    return f"{len(points)} dots"
 
 
 def _draw_motion(axes: Axes, motion: MarkerMotion, width: int, scale: float | None) -> str:
@@ -106,15 +92,8 @@ def _draw_motion(axes: Axes, motion: MarkerMotion, width: int, scale: float | No
     factor = scale or (ENLARGED if largest < 0.03 * width else 1.0)
     pitch = _pitch(motion.points)
     _rings(axes, places[seen], 0.25 * pitch)
-    axes.quiver(
-        *motion.points[seen].T,
-        *(factor * moved[seen]).T,
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        color=SKY,
-        width=0.003,
-    )
+    arrows = (*motion.points[seen].T, *(factor * moved[seen]).T)
+    axes.quiver(*arrows, angles="xy", scale_units="xy", scale=1, color=SKY, width=0.003)
     for gone, sign in ((motion.lost, "x"), (motion.rejected, "P")):
         axes.plot(*motion.points[gone].T, sign, color=ORANGE, markersize=8, markeredgewidth=1.5)
     _numbers(axes, motion.points, 0.25 * pitch)
@@ -150,17 +129,7 @@ DPI = 100
 
 
 def pictures(force: ForceMap, *, truth: ArrayLike | None = None, progress: Any = None) -> Iterator[NDArray[np.uint8]]:
-    """A picture (H, W, 3) of every frame.
-
-    Parameters
-    ----------
-    force : ForceMap
-        A sequence.
-    truth : array (frames, P, 3), optional
-        Known tractions (Pa), drawn beside.
-
-    Raises `InputError`: A single frame, a truth that does not fit.
-    """
+    """A picture (H, W, 3) of every frame of a sequence, known tractions (frames, P, 3) in Pa beside the map."""
     if force.single:
         raise InputError("a video takes frames", where="film", found="one force map", expected="a sequence")
     t = force.traction()
@@ -174,10 +143,8 @@ def _drawn(force: ForceMap, t: Array, known: Array | None, progress: Any) -> Ite
     figure = Figure(figsize=(4.3 * len(shown) + 4.2, 4.3), dpi=DPI, layout="constrained")
     canvas: Any = FigureCanvasAgg(figure)
     axes = figure.subplots(1, len(shown) + 1, width_ratios=[1.0] * len(shown) + [0.95])
-    top = max(max(float(np.abs(x[..., 2]).max()) for _, x in shown) * KPA, 1e-300)
-    low = -max(float(x[..., 2].max()) for _, x in shown) * KPA
-    shear = max(float(np.hypot(x[..., 0], x[..., 1]).max()) for _, x in shown) * KPA
-    panels = [_Panel(ax, force.frame(0), name, (low, top, shear)) for ax, (name, _) in zip(axes, shown, strict=False)]
+    span = scale([x for _, x in shown])
+    panels = [_Panel(ax, force.frame(0), name, span) for ax, (name, _) in zip(axes, shown, strict=False)]
     draw_resultants(axes[-1], force)
     assert force.axis is not None
     at, values = force.axis.values, force.resultant().value
@@ -238,10 +205,7 @@ FPS = 10.0
 
 
 def require_video(path: str | os.PathLike[str]) -> str:
-    """Suffix of a video that can be written here.
-
-    Raises `InputError`: Another suffix; one that needs OpenCV where it is not installed.
-    """
+    """Suffix of a video that can be written here: one that needs OpenCV is refused where that is not installed."""
     suffix = as_path(path).suffix.lower()
     if suffix == GIF:
         return suffix
@@ -255,19 +219,10 @@ def require_video(path: str | os.PathLike[str]) -> str:
 
 
 def write_video(path: str | os.PathLike[str], images: Iterable[NDArray[np.uint8]], *, fps: float = FPS) -> int:
-    """Write pictures as a video, and return their number.
+    """Write pictures (H, W, 3), uint8, red first, all of one size, as a video, and return their number.
 
-    Parameters
-    ----------
-    path : path
-        ``.mp4``, ``.avi`` (both need OpenCV) or ``.gif``.
-    images : iterable of arrays (H, W, 3), uint8
-        Red first, all of one size.
-    fps : float
-        Pictures a second.
-
-    Raises `InputError`: No pictures, pictures of different sizes, a suffix that names no video, a file that cannot
-    be written. The old file is untouched then.
+    ``.mp4``, ``.avi`` (both need OpenCV) or ``.gif``, at `fps` pictures a second. The old file is untouched by an
+    error.
     """
     target = as_path(path)
     content, count = encoded(images, require_video(path), fps=fps, where=str(target))
@@ -295,15 +250,7 @@ def film(
     fps: float = FPS,
     progress: Any = None,
 ) -> int:
-    """Write the maps of a sequence as a video; see `write_video` and `tactile._results.film`.
-
-    Parameters
-    ----------
-    truth : array (frames, P, 3), optional
-        Known tractions (Pa), shown beside the maps.
-    progress : callable, optional
-        Called as ``progress(fraction, text)``.
-    """
+    """Write the maps of a sequence as a video, as `pictures` and `write_video`."""
     return write_video(path, pictures(force, truth=truth, progress=progress), fps=fps)
 
 

@@ -85,20 +85,8 @@ class Contact:
 class ForceFacts(Facts):
     """Facts of a force map; in a record of several frames, what differs between them is a tuple of all.
 
-    Parameters
-    ----------
-    lost : int
-        Readings that are not there.
-    strays : int
-        Markers that contradict the others.
-    misfit : float
-        Residual of the markers over their noise.
-    lambda_rule : str
-        How lambda was chosen.
-    free_of_load, outside_hull : int
-        Nodes that carry no load, and nodes outside the hull of the markers.
-    provided : mapping
-        Component -> where its motion came from, as `ForceMap.provided`.
+    Readings that are `lost`; `strays`, markers that contradict the others; `misfit`, the residual of the markers over
+    their noise; nodes `free_of_load` and `outside_hull` of the markers; `provided`, as `ForceMap.provided`.
     """
 
     lost: int | tuple[int, ...] | None = fact()
@@ -350,25 +338,11 @@ def _spread(covariance: Array, values: Array) -> Array:
 def record(
     maps: Iterable[ForceMap], *, numbers: Sequence[int] | None = None, times: ArrayLike | None = None
 ) -> ForceMap:
-    """One force map of the frames of a sensor.
+    """One force map of the single frames of a sensor, in their order; ``load`` and ``std`` are (frames, 3 P).
 
-    Parameters
-    ----------
-    maps : iterable of ForceMap
-        Single frames on one surface, in their order.
-    numbers : sequence of int, optional
-        Of the frames; from 1 where not given.
-    times : array, optional
-        Seconds of the frames, ascending: the axis is then time.
-
-    Returns
-    -------
-    ForceMap
-        ``load`` and ``std`` (frames, 3 P). What differs between frames in ``facts`` is a list; of a finding that
-        several frames share the strongest is kept, with their number. Posterior and residuals stay with the frames.
-
-    Raises `InputError`: No frames, sequences among them, frames of different sensors, numbers or times that do not
-    fit.
+    The axis counts the frames by `numbers` (from 1), or is time by `times` (s), ascending. What differs between frames
+    in ``facts`` is a list; of a finding that several frames share the strongest is kept, with their number. Posterior
+    and residuals stay with the frames. Refused: no frames, sequences among them, frames of different sensors.
     """
     frames = list(maps)
     if not frames:
@@ -397,15 +371,7 @@ def record(
 
 
 def shared(flags: Sequence[Iterable[Flag]], numbers: Sequence[int]) -> tuple[Flag, ...]:
-    """Every code once: the finding with the largest number, and in which frames.
-
-    Parameters
-    ----------
-    flags : sequence of sequences of Flag
-        Of each frame.
-    numbers : sequence of int
-        Of the frames.
-    """
+    """Every code of the flags of numbered frames once: the finding with the largest number, and in which frames."""
     found: dict[str, list[tuple[int, Flag]]] = {}
     for number, of_frame in zip(numbers, flags, strict=True):
         for flag in of_frame:

@@ -45,26 +45,14 @@ def map_figure(
     figure: Figure | None = None,
     narrow: bool = False,
 ) -> Figure:
-    """Pressure with arrows of shear, a known map beside it on the same scale, and the std of the pressure.
+    """Pressure with arrows of shear, a known map (tractions in Pa) beside it on its scale, and std of the pressure.
 
-    Parameters
-    ----------
-    truth : array (P, 3) or (frames, P, 3), optional
-        Known tractions (Pa) at the nodes.
-    frame : int, optional
-        Of a sequence, from 0; default that of the largest force.
-    narrow : bool
-        For a phone: panels below each other, without the std.
-
-    Raises `InputError`: A truth that does not fit.
+    Of a sequence the frame of the largest force, or one from 0; `narrow`, for a phone: panels below each other, no std.
     """
-    one, known, title = taken(force, truth, frame)
+    one, known, title, kinds, shape, size = _panels(force, truth, frame, narrow)
     figure = figure or new_figure()
-    kinds = ["estimate", *(["truth"] if known is not None else []), *([] if narrow else ["std"])]
-    across = 1 if narrow else len(kinds)
-    figure.set_size_inches(*_size(one, across, len(kinds) // across))
-    axes = figure.subplots(len(kinds) // across, across, squeeze=False).ravel()
-    draw_maps(list(axes), one, known, kinds, title)
+    figure.set_size_inches(*size)
+    draw_maps(list(figure.subplots(*shape, squeeze=False).ravel()), one, known, kinds, title)
     mark(figure, force)
     return figure
 
@@ -78,31 +66,18 @@ def sequence_figure(
     figure: Figure | None = None,
     narrow: bool = False,
 ) -> Figure:
-    """The map of one frame above, forces and torques of all frames with their bands below.
+    """The map of one frame as `map_figure`, forces and torques of all frames with their bands below.
 
-    Parameters
-    ----------
-    truth : array (P, 3) or (frames, P, 3), optional
-        As `map_figure`.
-    wrenches : array (frames, 6), optional
-        Known force (N) and torque (N m).
+    `wrenches` (frames, 6) are known forces (N) and torques (N m), drawn with them.
     """
     if force.single or len(force.load) < 2:
         return map_figure(force, truth=truth, frame=frame, figure=figure, narrow=narrow)
-    one, known, title = taken(force, truth, frame)
-    figure = figure or new_figure()
-    kinds = ["estimate", *(["truth"] if known is not None else []), *([] if narrow else ["std"])]
-    if narrow:
-        wide, high = _size(one, 1, len(kinds))
-        figure.set_size_inches(wide, high + 5.0)
-        above, below = _halves(figure, high, 5.0)
-        maps, lines = above.subplots(len(kinds), 1, squeeze=False), below.subplots(2, 1, squeeze=False)
-    else:
-        wide, high = _size(one, len(kinds), 1)
-        figure.set_size_inches(wide, high + 2.6)
-        above, below = _halves(figure, high, 2.6)
-        maps, lines = above.subplots(1, len(kinds), squeeze=False), below.subplots(1, 2, squeeze=False)
-    draw_maps(list(maps.ravel()), one, known, kinds, title)
+    one, known, title, kinds, shape, (wide, high) = _panels(force, truth, frame, narrow)
+    figure, room = figure or new_figure(), 5.0 if narrow else 2.6
+    figure.set_size_inches(wide, high + room)
+    parts: Any = figure.subfigures(2, 1, height_ratios=(high, room))
+    draw_maps(list(parts[0].subplots(*shape, squeeze=False).ravel()), one, known, kinds, title)
+    lines = parts[1].subplots(*((2, 1) if narrow else (1, 2)), squeeze=False)
     if wrenches is not None:
         what, hint = "the known wrenches do not fit", "Fx, Fy, Fz in N, Mx, My, Mz in N m"
         wrenches = shaped(wrenches, (len(force.load), 6), where="wrenches", what=what, hint=hint)
@@ -113,16 +88,18 @@ def sequence_figure(
     return figure
 
 
-def _halves(figure: Figure, above: float, below: float) -> tuple[Any, Any]:
-    parts: Any = figure.subfigures(2, 1, height_ratios=(above, below))
-    return parts[0], parts[1]
+def _panels(
+    force: ForceMap, truth: ArrayLike | None, frame: int | None, narrow: bool
+) -> tuple[ForceMap, Array | None, str, list[str], tuple[int, int], tuple[float, float]]:
+    """One frame, its truth and name; what its panels show, their rows and columns, and their size in inches."""
+    one, known, title = taken(force, truth, frame)
+    kinds = ["estimate", *(["truth"] if known is not None else []), *([] if narrow else ["std"])]
+    rows, across = (len(kinds), 1) if narrow else (1, len(kinds))
+    return one, known, title, kinds, (rows, across), _size(one, across, rows)
 
 
 def taken(force: ForceMap, truth: ArrayLike | None, frame: int | None) -> tuple[ForceMap, Array | None, str]:
-    """One frame of a map, the truth of that frame, and its name.
-
-    Raises `InputError`: A truth that does not fit, a frame that is not there.
-    """
+    """One frame of a map, the truth of that frame, and its name."""
     k = force.chosen(frame)
     one, name = (force, "") if force.single else (force.frame(k), force.frame_name(k))
     if truth is None:
@@ -138,10 +115,7 @@ def taken(force: ForceMap, truth: ArrayLike | None, frame: int | None) -> tuple[
 def draw_maps(axes: list[Axes], one: ForceMap, truth: Array | None, kinds: list[str], title: str = "") -> None:
     """One panel for each kind; estimate and truth share the scale of their colours and arrows."""
     t, std = one.traction(), one.pressure_std()
-    both = [t, *([truth] if truth is not None else [])]
-    top = max(max(float(np.abs(x[:, 2]).max()) for x in both), 1e-300) * KPA
-    pulled = max(float(x[:, 2].max()) for x in both) * KPA
-    shear = max(float(np.hypot(x[:, 0], x[:, 1]).max()) for x in both) * KPA
+    low, top, shear = scale([t, *([truth] if truth is not None else [])])
     for k, (ax, kind) in enumerate(zip(axes, kinds, strict=True)):
         if kind == "std":
             image = surface(ax, one, std * KPA, cmap="viridis", vmin=0.0, vmax=max(float(std.max()) * KPA, 1e-300))
@@ -150,7 +124,7 @@ def draw_maps(axes: list[Axes], one: ForceMap, truth: Array | None, kinds: list[
         else:
             values = t if kind == "estimate" else truth
             assert values is not None
-            image = surface(ax, one, -values[:, 2] * KPA, **colours(-pulled, top))
+            image = surface(ax, one, -values[:, 2] * KPA, **colours(low, top))
             arrows = draw_shear(ax, one, values, shear, top)
             if arrows is not None:
                 arrow_key(ax, arrows, shear, 0.66)
@@ -160,6 +134,13 @@ def draw_maps(axes: list[Axes], one: ForceMap, truth: Array | None, kinds: list[
             if kind == "estimate":
                 draw_contact(ax, one)
         dress(ax, label=k == 0)
+
+
+def scale(maps: Sequence[Array]) -> tuple[float, float, float]:
+    """Lowest pressure, largest traction along the normal and largest shear of some maps (..., 3), kPa."""
+    top = max(max(float(np.abs(x[..., 2]).max()) for x in maps) * KPA, 1e-300)
+    low = -max(float(x[..., 2].max()) for x in maps) * KPA
+    return low, top, max(float(np.hypot(x[..., 0], x[..., 1]).max()) for x in maps) * KPA
 
 
 def surface(ax: Axes, one: ForceMap, values: Array, **style: Any) -> Any:
@@ -233,15 +214,10 @@ def dress(ax: Axes, *, label: bool = True) -> None:
     ax.grid(False)
 
 
-def nice(value: float) -> float:
-    """A round number not above a value: 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(m for m in (1.0, 2.0, 5.0) if m * power <= value * (1 + 1e-9)) * power)
-
-
 def arrow_key(ax: Axes, arrows: Quiver, shear: float, at: float) -> None:
-    """What an arrow of a round length means, above the panel."""
-    length = nice(shear)
+    """What an arrow of a round length (1, 2 or 5 times a power of ten) means, above the panel."""
+    power = 10.0 ** np.floor(np.log10(shear))
+    length = float(max(m for m in (1.0, 2.0, 5.0) if m * power <= shear * (1 + 1e-9)) * power)
     ax.quiverkey(arrows, at, 1.035, length, f"shear {length:g} kPa", labelpos="E", coordinates="axes",
                  fontproperties={"size": 8}, labelsep=0.06)  # fmt: skip
 

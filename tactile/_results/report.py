@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterable
 from functools import partial
 from html import escape
-from importlib.resources import files
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,8 +13,6 @@ from numpy.typing import ArrayLike
 
 from loadid._results import report as parts
 from loadid._results.summary import plus_minus
-from structures.errors import InputError
-from structures.files._storage import as_path, replace
 
 if TYPE_CHECKING:
     from .forcemap import ForceMap
@@ -31,13 +28,7 @@ HOW = {
 
 
 def numbers(one: ForceMap) -> list[tuple[str, str, str]]:
-    """Name, value and remark of what one frame says: force, torque, pressure, contact.
-
-    Parameters
-    ----------
-    one : ForceMap
-        A single frame.
-    """
+    """Name, value and remark of what a single frame says: force, torque, pressure, contact."""
     force, torque, contact = one.resultant(), one.torque(), one.contact()
     rows = [_vector("force on the pad", force.value, force.std, "N", "(x, y, z), the pad is pressed along -z")]
     rows.append(_vector("torque", 1e3 * torque.value, 1e3 * torque.std, "N mm", "about the centre of the surface"))
@@ -80,16 +71,10 @@ def write_report(
     about: Iterable[tuple[str, str]] = (),
     compared: Iterable[tuple[str, ...]] = (),
 ) -> None:
-    """Write the page, whole or not at all; the settings are those of `page`.
-
-    Raises `InputError`: if the file cannot be written, or the truth does not fit.
-    """
-    target = as_path(path)
-    if not target.resolve().parent.is_dir():  # said before the pictures are drawn
-        raise InputError("the folder does not exist", where=str(target), found=str(target.resolve().parent),
-                         hint="make the folder first, or write elsewhere")  # fmt: skip
-    text = page(force, truth=truth, wrenches=wrenches, frame=frame, about=about, compared=compared)
-    replace(target, text.encode())
+    """Write the page, whole or not at all; the settings are those of `page`."""
+    parts.write_page(
+        path, lambda: page(force, truth=truth, wrenches=wrenches, frame=frame, about=about, compared=compared)
+    )
 
 
 def page(
@@ -101,18 +86,9 @@ def page(
     about: Iterable[tuple[str, str]] = (),
     compared: Iterable[tuple[str, ...]] = (),
 ) -> str:
-    """The page as text.
+    """The page as text, of one frame or of a sequence, pictured as `tactile._results.pictures.sequence_figure`.
 
-    Parameters
-    ----------
-    force : ForceMap
-        One frame, or a sequence.
-    truth, wrenches, frame
-        As `tactile._results.pictures.sequence_figure`.
-    about : iterable of (str, str)
-        How the map came about: names and texts.
-    compared : iterable of (str, str, str)
-        What was compared with the truth: name, estimate, truth.
+    `about` tells how the map came about, names and texts; `compared` name, estimate and truth of what was compared.
     """
     k = force.chosen(frame)
     one = force if force.single else force.frame(k)
@@ -125,30 +101,7 @@ def page(
         ("Verification", parts.verification(force)),
         ("Provenance", parts.provenance_table(force)),
     ]
-    body = "\n".join(f"<section>\n<h2>{escape(title)}</h2>\n{text}\n</section>" for title, text in sections if text)
-    said = " · ".join(escape(str(x)) for x in (force.provenance.get("family"), force.provenance.get("created")) if x)
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
-<title>Contact force map</title>
-<style>
-{files("loadid").joinpath("report.css").read_text(encoding="utf-8")}</style>
-</head>
-<body>
-<header>
-<h1>Contact force map</h1>
-<p class="quiet">{said}</p>
-{parts.notices(force)}
-</header>
-<main>
-{body}
-</main>
-</body>
-</html>
-"""
+    return parts.html_page(force, "Contact force map", sections)
 
 
 def _result(one: ForceMap) -> str:

@@ -25,10 +25,9 @@ from .._closed.layer import HalfSpace, Layer
 from .._closed.presses import matrices, unit_point
 from .inversion import Inverse, prepare
 from .linear import LinearSensor, PressedBody
-from .marked import observed
+from .marked import Extent, InversionSettings, observed, spelled_before
 from .observation import Markers
 from .posing import of_points
-from .settings import Extent, InversionSettings, spelled_before
 
 TOUCHED = 0.2  # of the largest force, from which a point counts as touched
 
@@ -49,7 +48,7 @@ class GelForce(LinearSensor):
     extent : Extent, optional
         Of the pad, for the guards of a ground that knows no base (W601, E602) or no edge (W601).
     penalty, choice, noise_source, contact, allow
-        See `tactile._sensors.settings.InversionSettings`. ``choice=0`` is the publication's pseudo-inverse, by SVD.
+        See `tactile._sensors.marked.InversionSettings`. ``choice=0`` is the publication's pseudo-inverse, by SVD.
 
     Raises
     ------

@@ -28,14 +28,12 @@ from .._closed.contact import Indenter
 from .._pad.stiffness import Completion, surface_stiffness
 from .._results.forcemap import ForceFacts, ForceMap
 from ..vision._interpolation import Interpolation
-from .fixed import CLEAR, TOUCH
+from .fixed import CLEAR, TOUCH, whole_motion
 from .inversion import Answer, RegionSolver, fused
-from .marked import MarkedSensor, not_built_for_depth
-from .multilayer import windows
+from .linear import windows
+from .marked import ContactLaw, MarkedSensor, not_built_for_depth, spelled_before
 from .observation import DepthMap, Markers, Wrench
 from .posing import StrainWatch, channels, neighbours, of_pad
-from .rigid import whole_motion
-from .settings import ContactLaw, spelled_before
 
 if TYPE_CHECKING:
     from .._pad.pad import Pad
@@ -165,12 +163,7 @@ class GelSlim(MarkedSensor):
         return self._interpolations[key]
 
     def _normal(
-        self,
-        motion: Array,
-        seen: Mask,
-        field: Interpolation,
-        deep: Array | None,
-        indenter: Indenter | None,
+        self, motion: Array, seen: Mask, field: Interpolation, deep: Array | None, indenter: Indenter | None
     ) -> tuple[Array, str]:
         """Normal motion at the nodes (P,), NaN where it is not given, and where it comes from."""
         if deep is not None:
@@ -239,13 +232,7 @@ class GelSlim(MarkedSensor):
         return self._completions[key]
 
     def _answer(
-        self,
-        known: Mask,
-        U: Array,
-        completion: Completion,
-        field: Interpolation,
-        seen: Mask,
-        how: str,
+        self, known: Mask, U: Array, completion: Completion, field: Interpolation, seen: Mask, how: str
     ) -> Answer:
         """Forces with their std: the noise of the markers is carried through interpolation and stiffness."""
         half = sparse.csr_array(self._half(field, seen, how)[known.ravel()])
@@ -274,13 +261,9 @@ class GelSlim(MarkedSensor):
             inside = sparse.diags_array(self._may.astype(float))
             order = inside @ neighbours(self.geometry["cells"], self.geometry["coordinates"]).astype(float) @ inside
             n = 3 * self.pad.points
-            self._solver = RegionSolver(
-                self.pad.compliance / spread,
-                np.full(n, 1e-6 * self._scale / spread),
-                self.geometry["resultant"],
-                order,
-                self.contact.friction,
-            )
+            prior = np.full(n, 1e-6 * float(np.linalg.norm(self.pad.compliance, ord=1)) / spread)
+            H, resultant = self.pad.compliance / spread, self.geometry["resultant"]
+            self._solver = RegionSolver(H, prior, resultant, order, self.contact.friction)
         pressure, std = -answer.load[2::3], answer.std[2::3]
         touched = (pressure > TOUCH * pressure.max()) & (pressure > CLEAR * std) & self._may
         found = self._solver.solve(completion.displacements(U) / spread, touched, wrench, answer)
@@ -319,10 +302,6 @@ class GelSlim(MarkedSensor):
     def _fingerprint(self) -> str:
         K = self.pad.structure.K_free
         return digest("pad", K.data, self.pad.nodes2d)
-
-    @property
-    def _scale(self) -> float:
-        return float(np.linalg.norm(self.pad.compliance, ord=1))
 
     def _map(
         self, answer: Answer, U: Array, completion: Completion, flags: list[Flag | None], seen: Mask,

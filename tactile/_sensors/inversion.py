@@ -47,28 +47,12 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Inverse:
-    """Regularised inverse at one lambda, in whitened readings.
+    """Regularised inverse at one lambda (relative, times `scale`, by `rule`), in readings whitened by `noise` (m,).
 
-    Parameters
-    ----------
-    matrix : array (n, m)
-        G: loads per whitened reading; single precision where it is large.
-    influence : array (m, m)
-        A = H G: what is predicted at a reading per unit of another.
-    noise : array (m,)
-        Std of each reading: what whitens it.
-    std : array (n,)
-        Posterior std of the loads.
-    resultant : array (6, n)
-        Force and moment of unit loads.
-    reach : array (n, 6)
-        C R^T: covariance of the loads with their resultant.
-    loss : array (6, n)
-        ``R (G H - I)``: what regularisation takes from the resultant of a load.
-    lam, scale : float
-        Relative lambda and what makes it absolute.
-    rule : str
-        Who chose it.
+    `matrix` G (n, m) gives loads per whitened reading, in single precision where it is large; `influence` A = H G (m,
+    m) what is predicted at a reading per unit of another; `std` (n,) is posterior; `resultant` R (6, n) force and
+    moment of unit loads; `reach` C R^T (n, 6); `loss` R (G H - I) (6, n) what regularisation takes from the resultant
+    of a load.
     """
 
     matrix: NDArray[np.floating[Any]]
@@ -88,10 +72,7 @@ class Inverse:
         return self.matrix.shape
 
     def __call__(self, y: Array, wrench: Wrench | None = None) -> Answer:
-        """Load of readings (m,) in their own units; NaN where one is lost.
-
-        Raises `InputError`: if no reading is left.
-        """
+        """Load of readings (m,) in their own units; NaN where one is lost, refused where none is left."""
         z, lost = self.filled(y)
         plain = Answer(self._times(z), self.std, self.resultant @ self.reach, self.reach) if lost.size == 0 else None
         answer = self._widened(z, lost) if plain is None else plain
@@ -165,14 +146,7 @@ def _gain(S: Array, P: Array) -> Array:
 
 
 def prepare(family: StaticInversion, resultant: Array, lam: float, rule: str = "given") -> Inverse:
-    """Inverse of a static family at relative `lam`; its constraints are left to others.
-
-    Parameters
-    ----------
-    family : StaticInversion
-        Its noise is known.
-    resultant : array (6, n)
-    """
+    """Inverse of a static family of known noise at relative `lam`; its constraints are left to others."""
     posed = family.at_rest()
     base = posed.base
     known = base.solution(lam, 1.0).posterior
@@ -212,10 +186,7 @@ class Pressed:
 
 
 def carried(wrench: Wrench, friction: float | None) -> None:
-    """Refuse a resultant that no contact can carry that only presses, with this friction.
-
-    Raises `InputError`: An exact resultant that pulls, or shears more than friction allows.
-    """
+    """Refuse an exact resultant that pulls, or shears more than this friction allows a contact that only presses."""
     pull, shear = float(wrench.force[2]), float(np.hypot(*wrench.force[:2]))
     if wrench.std is None and (pull > 0 or (friction is not None and shear > -friction * pull)):
         raise InputError(
@@ -268,19 +239,10 @@ class _Region:
 
 
 class RegionSolver:
-    """Constrained maps on the region of contact.
+    """Constrained maps on the region of contact; a friction of None only forbids pulling.
 
-    Parameters
-    ----------
-    H : array (m, n)
-        Whitened transfer matrix.
-    prior : array (n,)
-        Weight of each load in the penalty, absolute lambda included.
-    resultant : array (6, n)
-    neighbours : sparse (P, P)
-        Which nodes share a cell.
-    friction : float or None
-        Coefficient of friction; None only forbids pulling.
+    From the whitened transfer matrix H (m, n), the weight of each load in the penalty, absolute lambda included (n,),
+    the resultants (6, n) of unit loads, and which nodes share a cell, sparse (P, P).
     """
 
     def __init__(

@@ -5,29 +5,32 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import sparse
 
 from loadid._families.static import StaticInversion
 from loadid._guards import collect
-from loadid._inverse.noise_source import NoiseSourceLike
+from loadid._inverse.noise_source import NoiseSource, NoiseSourceLike
 from loadid._results.estimate import LoadEstimate
 from loadid._results.facts import provenance
 from loadid.settings import Noise
+from structures import bases
 from structures._flags import Flag, codes
 from structures.errors import InputError
 
 from .. import _guards as guards
 from .._arrays import Array, Mask
 from .._results.forcemap import ForceFacts, ForceMap
-from .fixed import QuickMap
+from .fixed import QuickMap, whole_motion
 from .inversion import Inverse, Pressed, prepare
-from .marked import MarkedSensor
+from .marked import ContactLaw, InversionSettings, MarkedSensor, observed, spelled_before
 from .observation import DepthMap, Depths, Markers, Wrench, stacked
 from .posing import (
     PadModel,
+    StrainWatch,
     calibrated,
     channels,
     constrained,
@@ -36,14 +39,14 @@ from .posing import (
     estimated,
     fewer,
     neighbours,
+    of_pad,
     resultant_covariance,
 )
-from .rigid import whole_motion
-from .settings import ContactLaw, spelled_before
 
 if TYPE_CHECKING:
     from loadid._families.frozen import Calibration
 
+    from .._pad.pad import Pad
     from ..vision._eye import Eye
 
 
@@ -52,24 +55,11 @@ FEWEST = 3  # markers of a frame
 
 @dataclass(frozen=True, eq=False)
 class PressedBody:
-    """What is pressed, and how loads on it move its markers.
+    """What is pressed (a pad, layer or half-space), and how loads on it move its markers.
 
-    Parameters
-    ----------
-    body : Pad, Layer or HalfSpace
-        Its E.
-    thickness : float or None
-        m; None for a half-space.
-    transfer : callable
-        Takes points (n, 2 or 3) and a function that combines rows of their motion; returns the rows (rows, loads).
-    geometry : mapping
-        As `tactile._sensors.posing` makes it.
-    basis : Basis, optional
-        For penalties between neighbours.
-    flags : sequence of Flag
-        What was found of the body.
-    about : mapping
-        What goes into the provenance.
+    `transfer` takes points (n, 2 or 3) and a function that combines rows of their motion, and returns the rows (rows,
+    loads); `geometry` is as `tactile._sensors.posing` makes it; thickness in m, None for a half-space; `basis` is for
+    penalties between neighbours, `flags` what was found of the body, `about` goes into the provenance.
     """
 
     body: Any
@@ -92,7 +82,7 @@ class LinearSensor(MarkedSensor):
     markers, eye, depth
         As `MarkedSensor`.
     penalty, choice, noise_source, contact, allow
-        See `tactile._sensors.settings.InversionSettings`.
+        See `tactile._sensors.marked.InversionSettings`.
     """
 
     @spelled_before("markers", "contact")
@@ -315,10 +305,7 @@ class LinearSensor(MarkedSensor):
             "labels": self._labels,
             "units": self._units,
             "flags": collect([*found.flags, *flags, moved, *self._own(load, facts)]),
-            "geometry": {
-                **self.geometry,
-                "resultant_covariance": covariance,
-            },
+            "geometry": {**self.geometry, "resultant_covariance": covariance},
             "facts": facts,
         }
         return ForceMap(**{**kept, **own})
@@ -390,3 +377,71 @@ class LinearSensor(MarkedSensor):
             model=self.model.fingerprint,
             prior="white prior on the load of every node" if family.L is None else "smooth load",
         )
+
+
+class MultilayerPad(LinearSensor):
+    """Force maps from the motion of markers on a pad of several layers of finite elements.
+
+    The interior carries no load and is condensed; unknowns are the tractions at the nodes of the surface (bilinear
+    between them), with a ridge or smoothness on them: ``min |R^(-1/2) (H t - y)|^2 + lambda^2 |L t|^2``. In the style
+    of Zhao, Liu & Ma, IEEE Trans. Robotics (2025), whose formulas are not reproduced here.
+
+    Parameters
+    ----------
+    pad : Pad
+    markers : Markers, optional
+        Places at rest (N, 2) or (N, 3), noise and axes of their motion; those of the `eye` where not given.
+    depth : DepthMap, optional
+        A map of the kind that will be measured: its pixel and noise count, its values do not.
+    depth_width : float, optional
+        Side of the windows about the surface nodes over which depth is averaged (m); the pitch of the mesh.
+    eye : Eye, optional
+        Turns images into motion.
+    penalty, choice, noise_source, contact, allow
+        See `tactile._sensors.marked.InversionSettings`.
+
+    Raises
+    ------
+    InputError
+        Fewer than three markers, markers outside the pad, settings that do not fit.
+    """
+
+    name = "multilayer pad"
+
+    @spelled_before("markers", "contact")
+    def __init__(
+        self,
+        pad: Pad,
+        markers: Markers | ArrayLike | None = None,
+        *,
+        depth: DepthMap | None = None,
+        depth_width: float | None = None,
+        eye: Eye | None = None,
+        **settings: Unpack[InversionSettings],
+    ) -> None:
+        self.pad, self._strain = pad, StrainWatch(pad)
+        if eye is not None:
+            settings.setdefault("noise_source", NoiseSource("quiet", "unloaded frames"))
+        mass = sparse.kron(pad.surface.mass, sparse.eye_array(3)).tocsr()
+
+        def transfer(points: Array, pick: Callable[[Any], Any]) -> Array:
+            per_force = pick(pad.from_surface(points)) @ pad.compliance
+            return np.asarray((mass.T @ per_force.T).T)
+
+        basis = bases.hats(pad.structure, region=pad.surface, components=("+X", "+Y", "+Z"))
+        given = observed(markers, eye)
+        super().__init__(
+            PressedBody(pad, pad.thickness, transfer, of_pad(pad), basis, pad.flags,
+                        {"pad": repr(pad), "markers": len(given)}),
+            given, eye=eye, depth=None if depth is None else windows(pad, depth, depth_width), **settings,
+        )  # fmt: skip
+
+    def _checked(self, load: Array) -> list[Flag | None]:
+        return [self._strain.check(self.pad.surface.mass @ load.reshape(-1, 3))]
+
+
+def windows(pad: Pad, depth: DepthMap, width: float | None) -> Depths:
+    """Windows of a depth map about the nodes of the surface, off its rim."""
+    inner = pad.nodes2d[~pad.edge]
+    pitch = float(np.sqrt(np.median(pad.surface.areas[~pad.edge])))
+    return Depths(depth, inner, pitch if width is None else float(width))

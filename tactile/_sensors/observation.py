@@ -13,9 +13,9 @@ from scipy import sparse
 
 from structures._advice import Advice, Spelling
 from structures._channels import Channel
-from structures.errors import InputError, plain, positive
+from structures.errors import InputError, one_of, plain, positive
 
-from .._arrays import PLANE, SPACE, Array, Index, Mask, one_of, shaped
+from .._arrays import PLANE, SPACE, Array, Index, Mask, shaped
 
 HALF = 0.5  # share of a window's pixels that must be there
 
@@ -70,12 +70,8 @@ class DepthMap:
 class Averaging:
     """Means of a depth map over square windows about points: built once, one sparse product per frame.
 
-    Parameters
-    ----------
-    weights : sparse (n, H W)
-        Share of each pixel in each window, by the area that they have in common: rows sum to one.
-    covered : array (n,)
-        Share of each window that the map covers.
+    `weights` (n, H W) are the share of each pixel in each window, by the area in common, rows sum to one; `covered`
+    (n,) is the share of each window that the map covers.
     """
 
     weights: sparse.csr_array
@@ -199,7 +195,7 @@ class Markers:
         points = shaped(
             self.points, PLANE, SPACE, where="markers", what="no markers, or too few markers", fewest=FEWEST, hint=hint
         )
-        one_of(self.axes, ("XY", "XYZ"), where="axes", what="no axes of a motion")
+        one_of("no axes of a motion", self.axes, ("XY", "XYZ"), where="axes")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "noise", self._spread(points))
         if self.slope is not None:
@@ -272,21 +268,10 @@ class Markers:
 
 @dataclass(frozen=True, eq=False)
 class Depths:
-    """A depth map as readings: the mean normal motion in a window about each of some points.
+    """A depth map as readings: the mean normal motion in a window of side `width` about each of points (n, 2), m.
 
-    Parameters
-    ----------
-    template : DepthMap
-        A map of the size, pixel and noise of those to come; its values do not matter.
-    points : array (n, 2)
-        Centres of the windows (m); those that the map does not cover are dropped.
-    width : float
-        Side of the windows (m).
-
-    Attributes
-    ----------
-    inside : array of bool
-        Which of the points that were given are covered.
+    Of maps of the size, pixel and noise of the `template`, whose values do not matter. Points that it does not cover
+    are dropped: `inside` says which of those that were given stay.
     """
 
     template: DepthMap
@@ -338,10 +323,7 @@ class Depths:
         return mean @ z
 
     def readings(self, depth: DepthMap) -> Array:
-        """Mean motion in every window (n,); NaN where pixels are missing.
-
-        Raises `InputError`: if the map is of another size or scale than the template.
-        """
+        """Mean motion in every window (n,), NaN where pixels are missing, of a map of the template's size and scale."""
         t = self.template
         same = isinstance(depth, DepthMap) and depth.values.shape == t.values.shape
         if not same or depth.pixel != t.pixel or tuple(depth.centre) != tuple(t.centre):

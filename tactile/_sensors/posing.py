@@ -26,8 +26,8 @@ from structures.errors import InputError, plain
 
 from .._arrays import Array, Index
 from .._guards import large_strain
+from .marked import ContactLaw
 from .observation import Wrench
-from .settings import ContactLaw
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,33 +50,27 @@ def of_pad(pad: Pad, kind: str = "hats") -> dict[str, Any]:
     whole = wrenches(surface.coordinates, pad.top)
     if kind == "hats":
         whole = np.asarray((sparse.kron(mass, sparse.eye_array(3)).T @ whole.T).T)
-    return {
-        "coordinates": surface.coordinates,
-        "cells": surface.cells,
-        "components": ["+X", "+Y", "+Z"],
-        "kind": kind,
-        "extents": None,
-        "measures": surface.areas,
-        "resultant": whole,
-        "resultant_labels": list(RESULTANTS),
-        "traction": None,
-        "about": np.asarray(pad.top, float),
-        "mass_data": mass.data,
-        "mass_indices": mass.indices,
-        "mass_indptr": mass.indptr,
-    }
+    mass_arrays = {"mass_data": mass.data, "mass_indices": mass.indices, "mass_indptr": mass.indptr}
+    return _geometry(surface.coordinates, surface.cells, kind, surface.areas, whole, pad.top) | mass_arrays
 
 
 def of_points(places: Array, area: float, about: Any) -> dict[str, Any]:
     """Geometry of point forces on a grid, each with its share of the area."""
+    areas = np.full(len(places), float(area))
+    return _geometry(places, None, "nodal", areas, wrenches(places, about), about)
+
+
+def _geometry(
+    places: Array, cells: Index | None, kind: str, areas: Array, resultant: Array, about: Any
+) -> dict[str, Any]:
     return {
         "coordinates": places,
-        "cells": None,
+        "cells": cells,
         "components": ["+X", "+Y", "+Z"],
-        "kind": "nodal",
+        "kind": kind,
         "extents": None,
-        "measures": np.full(len(places), float(area)),
-        "resultant": wrenches(places, about),
+        "measures": areas,
+        "resultant": resultant,
         "resultant_labels": list(RESULTANTS),
         "traction": None,
         "about": np.asarray(plain(about), float),
@@ -168,13 +162,7 @@ def calibrated(family: StaticInversion, records: Sequence[Any]) -> Calibration:
 
 
 def chosen(choice: Choice, count: int) -> str:
-    """Which rule to take of those that were asked.
-
-    Parameters
-    ----------
-    choice : Choice
-        Over `count` data of known noise.
-    """
+    """Which rule to take of those that were asked, over `count` data of known noise."""
     asked = {rule.rule: rule for rule in choice.rules if rule.lam is not None}
     lam = {name: float(rule.lam or 0.0) for name, rule in asked.items()}
     if RULES[0] not in lam:

@@ -2,18 +2,8 @@
 
 from __future__ import annotations
 
-from ._evaluation import SkinComparison, SkinDesign, compare, skin
-from ._modes import Skin, effective_markers
-from ._resolution import largest_strain, locking, strains
+from ._evaluation import SkinComparison, SkinDesign, compare, skin  # noqa: F401
+from ._modes import Skin, effective_markers  # noqa: F401
+from ._resolution import largest_strain, locking, strains  # noqa: F401
 
-__all__ = [
-    "Skin",
-    "SkinComparison",
-    "SkinDesign",
-    "compare",
-    "effective_markers",
-    "largest_strain",
-    "locking",
-    "skin",
-    "strains",
-]
+__all__ = ["Skin", "compare", "largest_strain", "locking", "skin"]

@@ -117,8 +117,7 @@ REACH = 8.0  # correlation lengths summed over
 def common(skin: Skin, kx: ArrayLike, ky: ArrayLike) -> Array:
     """Noise of a wave's amplitude over that of independent markers: 1 - s + s f(kx) f(ky), f a sum over the lattice.
 
-    The sum is exact for an endless square lattice, from independent markers (pitch beyond the correlation length) to a
-    continuum.
+    Exact for an endless square lattice, from independent markers (pitch beyond the correlation length) to a continuum.
     """
     x, y = np.broadcast_arrays(reals(kx, where="kx"), reals(ky, where="ky"))
     if skin.correlated == 0:
@@ -153,19 +152,12 @@ TINY = 1e-13  # share of the largest singular value below which a wave is not se
 
 @dataclass(frozen=True, eq=False)
 class SkinModes:
-    """All waves that a grid of patches can hold.
+    """All waves that a grid of patches can hold, by wave number (n,) in rad/m.
 
-    Parameters
-    ----------
-    k : array (n,)
-        Wave numbers (rad/m).
-    signal : array (n, 3)
-        Singular values of each wave's three components of traction, as signal over noise: the displacement of a wave of
-        the expected amplitude over the noise of that wave. Zero where markers cannot tell the wave from a longer one.
-    posterior : array (3,)
-        Std of the mean traction X, Y, Z on a patch after the reading (Pa), with the expected load as prior.
-    unregularised : array (3,) or None
-        The same without a prior; None where a wave is not seen.
+    `signal` (n, 3) are the singular values of each wave's three components of traction: the displacement of a wave of
+    the expected amplitude over the noise of that wave, zero where markers cannot tell the wave from a longer one.
+    `posterior` (3,) is the std of the mean traction X, Y, Z on a patch after the reading (Pa), with the expected load
+    as prior; `unregularised` the same without a prior, None where a wave is not seen.
     """
 
     k: Array
@@ -198,12 +190,10 @@ class SkinModes:
 def modes(skin: Skin) -> SkinModes:
     """Waves of a periodic pad whose tractions are constant on patches; each is a 3 x 3 problem of its own.
 
-    Notes
-    -----
     What markers of a lattice read of such loads is exact, aliases included, where the marker pitch divides the patch
     once, twice or three times; other pitches take the nearest of these lattices and their own density. Markers further
     apart than patches tell no wave beyond their own limit, and what those waves add to the longer ones is left out. So
-    are the edges of the pad.
+    are the edges.
     """
     counts = [max(4, round(s / skin.patch)) for s in skin.size]
     lines = [2 * np.pi * np.fft.fftfreq(n, s / n) for n, s in zip(counts, skin.size, strict=True)]
@@ -259,16 +249,10 @@ def _over_noise(skin: Skin, G: NDArray[np.complex128], kx: Array, ky: Array) -> 
 
 @dataclass(frozen=True, eq=False)
 class SkinSpectrum:
-    """What is learnt of waves of growing wave number, along one direction.
+    """What is learnt of waves of growing wave number k (n,) in rad/m, along one direction.
 
-    Parameters
-    ----------
-    k : array (n,)
-        Wave number (rad/m).
-    pressure, shear : array (n,)
-        Share of the expected variance that a reading removes: 1 known, 0 not seen; shear is the worse of its two kinds.
-    singular : array (n, 3)
-        Signal over noise.
+    `pressure` and `shear` (n,) are the share of the expected variance that a reading removes, 1 known, 0 not seen,
+    shear being the worse of its two kinds; `singular` (n, 3) is signal over noise.
     """
 
     k: Array

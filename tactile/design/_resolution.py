@@ -25,16 +25,9 @@ NAMES = {"zz": "pressure", "kk": "shear along the wave", "tt": "shear across the
 
 @dataclass(frozen=True)
 class CompliancePeak:
-    """The wave that moves the surface most.
+    """The wave that moves the surface most: its compliance (m/Pa) and wavelength (m), infinite for uniform traction.
 
-    Parameters
-    ----------
-    compliance : float
-        Motion per traction (m/Pa).
-    wavelength : float
-        Of that wave (m); infinite where uniform traction moves the surface most.
-    uniform : float
-        Compliance under uniform traction over that of the peak: 0 means that the layer does not see it.
+    `uniform` is the compliance under uniform traction over that of the peak: 0 means that the layer does not see it.
     """
 
     compliance: float
@@ -43,17 +36,7 @@ class CompliancePeak:
 
 
 def peak(layer: Layer, component: str = "zz") -> CompliancePeak:
-    """The strongest wave of a layer.
-
-    Parameters
-    ----------
-    layer : Layer
-        The layer.
-    component : {"zz", "kk", "tt"}
-        Pressure, shear along the wave, shear across it.
-
-    Raises `InputError`: if there is no such component.
-    """
+    """The strongest wave of a layer under pressure (zz), shear along the wave (kk), or shear across it (tt)."""
     from scipy.optimize import minimize_scalar
 
     h = layer.h
@@ -74,19 +57,7 @@ def peak(layer: Layer, component: str = "zz") -> CompliancePeak:
 
 
 def cutoff(layer: Layer, component: str = "zz", share: float = 0.1) -> float:
-    """The wavelength (m) below which a component moves the surface less than `share` of its strongest wave.
-
-    Parameters
-    ----------
-    layer : Layer
-        The layer.
-    component : {"zz", "kk", "tt"}
-        As in `peak`.
-    share : float
-        Above 0 and below 1; noise over signal, for example.
-
-    Raises `InputError`: if an argument is not possible.
-    """
+    """The wavelength (m) below which a component moves the surface less than `share` of its strongest wave."""
     from scipy.optimize import brentq
 
     share = positive("share", share, where="cutoff")
@@ -137,25 +108,10 @@ def noise_std(
 ) -> tuple[float, float]:
     """Noise of an unregularised traction map on a square grid: std of one shear component and of the pressure (Pa).
 
-    Parameters
-    ----------
-    layer : Layer
-        The layer.
-    pitch : float
-        Distance of the nodes (m).
-    sigma_u, sigma_z : float
-        Std of the motion of a node in the plane and along the normal (m), independent from node to node.
-    coupled : bool
-        Shear and pressure are inverted together; else each by its own compliance, as if the other were absent.
-    nodes : int
-        Nodes along each side of the grid.
-
-    Raises `InputError`: if a value is not possible.
-
-    Notes
-    -----
-    Noise goes as 1/pitch: each wave costs its stiffness, which grows with k. For pitches well below h and uncoupled it
-    is mu k_rms times sigma_u (1/2 + 1/2 (1 - nu)^-2)^(1/2), and sigma_z / (1 - nu), k_rms = (2/3)^(1/2) pi / pitch.
+    From stds `sigma_u`, `sigma_z` of the motion of a node in the plane and along the normal (m); `coupled` inverts
+    shear and pressure together, else each by its own compliance, as if the other were absent. Noise goes as 1/pitch:
+    each wave costs its stiffness, which grows with k. For pitches well below h and uncoupled it is mu k_rms times
+    sigma_u (1/2 + 1/2 (1 - nu)^-2)^(1/2), and sigma_z / (1 - nu), k_rms = (2/3)^(1/2) pi / pitch.
     """
     pitch = positive("pitch", pitch, where="noise_std", unit="m")
     spread = [number(name, s, where="noise_std", unit="m") for name, s in (("sigma_u", sigma_u), ("sigma_z", sigma_z))]

@@ -1,37 +1,187 @@
-"""Curves to moduli, one or pooled, and the verdicts: is the material rate-independent, and is it linear?"""
+"""Tests of a material as they are recorded, and curves to moduli: is it rate-independent, and is it linear?"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from structures.errors import InputError
+from structures.errors import InputError, one_of, positive, reals
 
 from .._arrays import Array
-from ._curves import Curve, Tensile
+from .._closed.contact import WIDEST, flat_stiffness, sphere_law, sphere_limit
+from .._closed.layer import Layer
+
+DEEPEST = 5.5  # depth times radius of a sphere over thickness squared: contact of some 3.5 thicknesses
+FEWEST = 5  # points of a curve: modulus, offset, curvature, and something left to see the noise
+
+
+@dataclass(frozen=True, eq=False)
+class Tensile:
+    """Tensile test at one speed.
+
+    Parameters
+    ----------
+    elongation, force : array (n,)
+        Elongation of the gauge length (m) and force (N), positive in tension.
+    length, area : float
+        Gauge length (m) and cross-section (m^2) at rest.
+    speed : float
+        Of the elongation (m/s).
+    contraction : array (n,), optional
+        Shortening of the width (m), positive in tension: gives Poisson's ratio.
+    width : float, optional
+        Width at rest (m), with `contraction`.
+    name : str
+
+    Raises
+    ------
+    InputError
+        Arrays that do not fit, fewer than five points, NaN, sizes that are not positive.
+    """
+
+    elongation: Any
+    force: Any
+    length: float
+    area: float
+    speed: float
+    contraction: Any = None
+    width: float | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _settle(self, ("elongation", "force"), ("length", "area", "speed"))
+        if (self.contraction is None) != (self.width is None):
+            raise InputError(
+                "lateral strain needs contraction and width", where=f"Tensile {self.name}", found="one of them",
+                expected="both, or none", hint="width= is the width at rest, in m",
+            )  # fmt: skip
+        if self.contraction is not None:
+            _settle(self, ("elongation", "contraction"), ("width",))
+
+    @property
+    def motion(self) -> Array:
+        """Abscissa of the curve (m)."""
+        return np.asarray(self.elongation)
+
+    @property
+    def rate(self) -> float:
+        """Strain rate (1/s)."""
+        return self.speed / self.length
+
+    @property
+    def strain(self) -> float:
+        """Largest strain of the test."""
+        return float(np.ptp(self.elongation)) / self.length
+
+    def shape(self, motion: Array, nu: float | None) -> Array:
+        """Force over modulus (m^2) at elongations (m)."""
+        return self.area / self.length * motion
+
+
+@dataclass(frozen=True, eq=False)
+class Indentation:
+    """Indentation of a bonded layer at one speed.
+
+    Parameters
+    ----------
+    depth, force : array (n,)
+        Depth (m) and force (N), positive when pressed. Where the depth is zero does not matter: the contact point is
+        fitted.
+    radius : float
+        Of the sphere, or of the flat-ended cylinder (m).
+    thickness : float
+        Of the layer (m).
+    speed : float
+        Of the indenter (m/s).
+    indenter : {"sphere", "flat"}
+    name : str
+
+    Raises
+    ------
+    InputError
+        Arrays that do not fit, fewer than five points, NaN, sizes that are not positive, another indenter.
+    """
+
+    depth: Any
+    force: Any
+    radius: float
+    thickness: float
+    speed: float
+    indenter: str = "sphere"
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _settle(self, ("depth", "force"), ("radius", "thickness", "speed"))
+        hint = "a flat-ended cylinder is flat"
+        one_of("unknown indenter", self.indenter, ("sphere", "flat"), where=f"Indentation {self.name}", hint=hint)
+        flat = self.indenter == "flat"
+        reach = self.radius / self.thickness if flat else np.ptp(self.depth) * self.radius / self.thickness**2
+        if reach > (WIDEST if flat else DEEPEST):
+            raise InputError(
+                "contact too wide for this layer", where=f"Indentation {self.name}".strip(),
+                found=f"{'radius over thickness' if flat else 'depth times radius over thickness squared'} {reach:.3g}",
+                expected=f"at most {WIDEST if flat else DEEPEST:g}", hint="depth, radius and thickness in m",
+            )  # fmt: skip
+
+    @property
+    def motion(self) -> Array:
+        """Abscissa of the curve (m)."""
+        return np.asarray(self.depth)
+
+    @property
+    def rate(self) -> float:
+        """Speed over thickness (1/s)."""
+        return self.speed / self.thickness
+
+    @property
+    def strain(self) -> float:
+        """Depth over thickness: an order of magnitude of the strain."""
+        return float(np.ptp(self.depth)) / self.thickness
+
+    def shape(self, motion: Array, nu: float | None) -> Array:
+        """Force over modulus (m^2) at depths (m) below the contact point."""
+        assert nu is not None
+        if self.indenter == "flat":
+            return flat_stiffness(Layer(h=self.thickness, E=1.0, nu=nu), self.radius) * motion
+        x = motion * self.radius / self.thickness**2  # a search may look deeper than the record: not beyond the law
+        return sphere_law(nu)(np.minimum(x, sphere_limit(nu))) * self.thickness**3 / self.radius
+
+
+Curve = Tensile | Indentation
+
+
+def _settle(curve: Any, arrays: tuple[str, str], sizes: tuple[str, ...]) -> None:
+    """Arrays copied and checked, sizes to floats."""
+    where = f"{type(curve).__name__} {curve.name}".strip()
+    for name in sizes:
+        object.__setattr__(curve, name, positive(name, getattr(curve, name), where=where))
+    x, y = (reals(getattr(curve, name), where=f"{where}, {name}") for name in arrays)
+    if x.ndim != 1 or x.shape != y.shape or len(x) < FEWEST or not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise InputError(
+            "no curve", where=where, found=f"{arrays[0]} {x.shape}, {arrays[1]} {y.shape}",
+            expected=f"two finite arrays of the same length, at least {FEWEST} points", hint="cut off what is missing",
+        )  # fmt: skip
+    if np.ptp(x) == 0:
+        raise InputError(f"{arrays[0]} does not move", where=where, found=f"{x[0]:.4g} at every point",
+                         expected="a loading curve", hint="pass motion first, then force")  # fmt: skip
+    for name, array in zip(arrays, (x, y), strict=True):
+        array.setflags(write=False)
+        object.__setattr__(curve, name, array)
+
 
 DIFFERENCE, STEPS = 1e-6, 60
 
 
 @dataclass(frozen=True)
 class CurveFit:
-    """What one curve says.
+    """What one curve says: E of the linear law over the range used (Pa), and its std from its own noise alone.
 
-    Parameters
-    ----------
-    rate : float
-        Strain rate (1/s).
-    E, std : float
-        Modulus of the linear law over the range used (Pa), and its std from the noise of this curve alone.
-    bend, bend_std : float
-        Departure from the linear law: secant modulus at the end of the range over the modulus at its start, minus one.
-    strain : float
-        Range used.
-    noise : float
-        Std of the residuals (N), about the bent law.
+    `bend` is the departure from that law: secant modulus at the end of the range over the modulus at its start, minus
+    one. `rate` in 1/s; `noise` is the std of the residuals (N) about the bent law.
     """
 
     name: str
@@ -45,34 +195,18 @@ class CurveFit:
 
 
 def fit(curve: Curve, nu: float | None) -> CurveFit:
-    """Fit force = E (1 + c x/range) g(x - x0), with c = 0 for the modulus and free for the bend.
+    """Fit force = E (1 + c x/range) g(x - x0), with c = 0 for the modulus and free for the bend; tension needs no nu.
 
-    Parameters
-    ----------
-    nu : float or None
-        Poisson's ratio; a tensile test needs none.
-
-    Raises `InputError`: A curve without stiffness: force that does not grow with the motion.
-
-    Notes
-    -----
     Residuals that follow one another (a filtered record, slack, hysteresis) hold fewer independent points: variances
-    grow by (1 + r)/(1 - r) where the correlation r of neighbours is beyond its own noise.
+    grow by (1 + r)/(1 - r) where the correlation r of neighbours is beyond its own noise. Refused: force that does not
+    grow.
     """
     straight, _ = _solved(curve, nu, bent=False)
     bent, residual = _solved(curve, nu, bent=True)
     noise = float(np.sqrt(residual @ residual / (len(residual) - 3)))
     inflated = noise * np.sqrt(_fewer(residual))
-    return CurveFit(
-        curve.name,
-        curve.rate,
-        straight.E,
-        straight.E * inflated * straight.spread[0],
-        float(bent.c),
-        float(inflated * bent.spread[2]),
-        curve.strain,
-        noise,
-    )
+    std, bend_std = straight.E * inflated * straight.spread[0], float(inflated * bent.spread[2])
+    return CurveFit(curve.name, curve.rate, straight.E, std, float(bent.c), bend_std, curve.strain, noise)
 
 
 def modulus(curve: Curve, nu: float | None) -> float:
@@ -189,16 +323,10 @@ SMALLEST = 1e-9  # std of a noise-free number, so that its weight stays finite
 
 @dataclass(frozen=True)
 class Pooled:
-    """Weighted least squares over curves.
+    """Weighted least squares over curves: coefficients (p,) and their std, widened by the scatter between curves.
 
-    Parameters
-    ----------
-    value, std : array (p,)
-        Coefficients and their std, widened by the scatter between curves where that exceeds the noise of each.
-    dof : int
-        Curves minus coefficients; 0 leaves the scatter between runs unseen.
-    excess : float
-        Scatter between curves over what their own noise explains.
+    `dof` is curves minus coefficients, 0 leaves the scatter between runs unseen; `excess` is that scatter over what the
+    noise of each curve explains.
     """
 
     value: Array
@@ -210,8 +338,8 @@ class Pooled:
         """Half of the interval of coefficient i, by Student's t."""
         from scipy.special import ndtri, stdtrit
 
-        q = 0.5 + level / 2
-        return float((stdtrit(self.dof, q) if self.dof > 0 else ndtri(q)) * self.std[i])
+        upper = 0.5 + level / 2
+        return float((stdtrit(self.dof, upper) if self.dof > 0 else ndtri(upper)) * self.std[i])
 
     def p_value(self, i: int) -> float:
         """Probability of a coefficient at least that large where it is zero."""
@@ -222,13 +350,7 @@ class Pooled:
 
 
 def pool(values: ArrayLike, stds: ArrayLike, design: ArrayLike) -> Pooled:
-    """Fit values = design @ coefficients with weights 1/std^2; the Birge ratio, where above one, widens the std.
-
-    Parameters
-    ----------
-    values, stds : array (n,)
-    design : array (n, p)
-    """
+    """Fit values (n,) = design (n, p) @ coefficients, weighted; the Birge ratio, above one, widens the std."""
     y, s, X = np.asarray(values, float), np.maximum(np.asarray(stds, float), SMALLEST), np.asarray(design, float)
     A, b = X / s[:, None], y / s
     q, r = np.linalg.qr(A)
@@ -289,20 +411,14 @@ class Verdict:
 
 
 def rate_independence(fits: Sequence[CurveFit], tolerance: float = RATE) -> Verdict:
-    """Analysis of covariance: slope of log E over the logarithm of the strain rate, over all curves.
-
-    The effect is the change of E from the slowest to the fastest test.
-    """
+    """Analysis of covariance: slope of log E over log rate, for all curves; the change from slowest to fastest."""
     rates = np.log10([f.rate for f in fits])
     span = float(np.ptp(rates))
     if span < np.log10(SPAN):
         text = f"rates span a factor of {10**span:.3g}; a factor of {SPAN:g} or more tests it"
         return Verdict("rate independence", "not tested", None, None, None, tolerance, None, text)
-    found = pool(
-        np.log([f.E for f in fits]),
-        [f.std / f.E for f in fits],
-        np.stack([np.ones(len(rates)), (rates - rates.mean()) / span], axis=1),
-    )
+    design = np.stack([np.ones(len(rates)), (rates - rates.mean()) / span], axis=1)
+    found = pool(np.log([f.E for f in fits]), [f.std / f.E for f in fits], design)
     change, half = float(found.value[1]), found.half_width(1)
     effect, low, high = (float(np.expm1(v)) for v in (change, change - half, change + half))
     text = f"{len(fits)} curves, rates over a factor of {10**span:.3g}"
@@ -320,8 +436,7 @@ def linearity(fits: Sequence[CurveFit], tolerance: float = BEND) -> Verdict:
         text = f"strain to {max(f.strain for f in fits):.2%} only; {STRAIN:.0%} or more tests it"
         return Verdict("linearity", "not tested", None, None, None, tolerance, None, text)
     found = pool([f.bend for f in usable], [f.bend_std for f in usable], np.ones((len(usable), 1)))
-    effect, half = float(found.value[0]), found.half_width()
-    reach = max(f.strain for f in usable)
+    effect, half, reach = float(found.value[0]), found.half_width(), max(f.strain for f in usable)
     return Verdict(
         "linearity", judged(effect - half, effect + half, tolerance), effect, effect - half, effect + half, tolerance,
         found.p_value(0), f"{len(usable)} curves, strain to {reach:.1%}; beyond it nothing is shown",

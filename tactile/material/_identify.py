@@ -14,8 +14,21 @@ from structures.errors import InputError, NotIdentifiable, number, positive, rea
 
 from .._arrays import Array, shaped
 from .._guards import modulus, one_of_two
-from ._curves import Curve, Indentation, Tensile
-from ._fits import BEND, RATE, CurveFit, Pooled, Verdict, fit, linearity, poisson_of_curves, pool, rate_independence
+from ._fits import (
+    BEND,
+    RATE,
+    Curve,
+    CurveFit,
+    Indentation,
+    Pooled,
+    Tensile,
+    Verdict,
+    fit,
+    linearity,
+    poisson_of_curves,
+    pool,
+    rate_independence,
+)
 from ._fits import modulus as of_curve
 
 if TYPE_CHECKING:

@@ -31,13 +31,7 @@ NEIGHBOURS, SHIFT_STEP = 40, 0.02  # neighbours that carry a derivative; its dif
 def tangents(points: ArrayLike, maps: Array) -> Array:
     """Derivatives of maps (presses, N, C) along X and Y, (presses, N, C, 2), by cubic radial functions.
 
-    Parameters
-    ----------
-    points : array (N, 2 or 3)
-        Places (m), on a grid or not.
-    maps : array (presses, N, C)
-
-    Raises `InputError`: Places that do not fit the maps, or fewer than six.
+    The places (N, 2 or 3) in m may lie on a grid or not; at least six.
     """
     from scipy.interpolate import RBFInterpolator
     from scipy.spatial import cKDTree
@@ -98,10 +92,7 @@ class Cause:
 def attributed(
     moved: Array, sigma: float, layer: Layer, presses: Sequence[Press], points: ArrayLike
 ) -> tuple[Cause, ...]:
-    """Causes, the best one first, for a change of displacements (presses, N, C) in m of noise std `sigma`.
-
-    Raises `InputError`: Presses or points that do not fit the maps.
-    """
+    """Causes, the best one first, for a change of displacements (presses, N, C) in m of noise std `sigma`."""
     kept = np.isfinite(moved)
     moved = np.where(kept, moved, 0.0)
 

@@ -38,10 +38,7 @@ def resultant(forces: Any, points: ArrayLike, about: ArrayLike | None = None) ->
     about : array (2 or 3,), optional
         Point of the moments (m), default the origin.
     """
-    f = finite(forces, "forces")
-    if f.ndim < 2 or f.shape[-1] != 3:
-        raise InputError("no nodal forces", where="metrics.resultant", found=f"shape {f.shape}",
-                         expected="(..., points, 3)", hint="reshape a flat vector with .reshape(-1, 3)")  # fmt: skip
+    f = _nodal(forces, "metrics.resultant")
     x = places(points, f.shape[-2])
     o = np.zeros(x.shape[1]) if about is None else finite(about, "about")
     if o.shape != (x.shape[1],):
@@ -50,6 +47,14 @@ def resultant(forces: Any, points: ArrayLike, about: ArrayLike | None = None) ->
     arm = np.zeros((len(x), 3))
     arm[:, : x.shape[1]] = x - o
     return np.concatenate([f.sum(axis=-2), np.cross(arm, f).sum(axis=-2)], axis=-1)
+
+
+def _nodal(forces: Any, where: str) -> Array:
+    f = finite(forces, "forces")
+    if f.ndim < 2 or f.shape[-1] != 3:
+        raise InputError("no nodal forces", where=where, found=f"shape {f.shape}", expected="(..., points, 3)",
+                         hint="reshape a flat vector with .reshape(-1, 3)")  # fmt: skip
+    return f
 
 
 @dataclass(frozen=True)
@@ -371,10 +376,7 @@ def to_cells(forces: Any, points: ArrayLike, size: tuple[float, float], shape: t
     InputError
         A node outside the grid.
     """
-    f = finite(forces, "forces")
-    if f.ndim < 2 or f.shape[-1] != 3:
-        raise InputError("no nodal forces", where="metrics.to_cells", found=f"shape {f.shape}",
-                         expected="(..., points, 3)", hint="reshape a flat vector with .reshape(-1, 3)")  # fmt: skip
+    f = _nodal(forces, "metrics.to_cells")
     x = places(points, f.shape[-2])[:, :2]
     half = np.array(size, float) / 2
     out = np.abs(x) > half * (1 + 1e-9)

@@ -13,19 +13,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from structures.errors import InputError, number, plain, positive
+from structures.errors import InputError, number, one_of, plain, positive
 
-from .._arrays import Array, Index, Mask, one_of, shaped
+from .._arrays import Array, Index, Mask, shaped
 
 if TYPE_CHECKING:
     from loadid.validate import Known
 
 
 def finite(values: Any, name: str, *, where: str = "metrics") -> Array:
-    """A finite real array.
-
-    Raises `InputError`: Texts, complex numbers, NaN or infinity.
-    """
+    """A finite real array."""
     return shaped(
         values, where=f"{where}, {name}", what=f"{name}: values are NaN or infinite",
         hint="leave out the points that the map does not reach, from the truth too",
@@ -33,10 +30,7 @@ def finite(values: Any, name: str, *, where: str = "metrics") -> Array:
 
 
 def field(values: Any, name: str) -> Array:
-    """A map (points, components): three components, or fewer of a map that has no others.
-
-    Raises `InputError`: Another shape, or values that are not finite.
-    """
+    """A map (points, components): three components, or fewer of a map that has no others."""
     array = finite(values, name)
     array = array[:, None] if array.ndim == 1 else array
     if array.ndim != 2 or not array.size or array.shape[1] > 3:
@@ -49,10 +43,7 @@ def field(values: Any, name: str) -> Array:
 
 
 def pair(found: Any, truth: Any) -> tuple[Array, Array]:
-    """An estimate and its truth on the same points.
-
-    Raises `InputError`: Shapes that differ, or a truth without any load: nothing relative is defined there.
-    """
+    """An estimate and its truth on the same points, the truth loaded: nothing relative is defined without."""
     a, b = field(found, "found"), field(truth, "truth")
     if a.shape != b.shape:
         raise InputError(
@@ -68,10 +59,7 @@ def pair(found: Any, truth: Any) -> tuple[Array, Array]:
 
 
 def weights(areas: ArrayLike | None, points: int) -> Array:
-    """Tributary areas (points,), equal ones where none are given; their sum is one.
-
-    Raises `InputError`: Another number of areas, or one that is not positive.
-    """
+    """Positive tributary areas (points,), equal ones where none are given; their sum is one."""
     if areas is None:
         return np.full(points, 1 / points)
     hint = "pass surface.areas, or nothing on a regular grid"
@@ -83,10 +71,7 @@ def weights(areas: ArrayLike | None, points: int) -> Array:
 
 
 def places(points: ArrayLike, count: int) -> Array:
-    """Places of the map's points (points, dim).
-
-    Raises `InputError`: Another number of places.
-    """
+    """Places of the map's points (points, dim)."""
     hint = "one place for each point of the map"
     return shaped(points, (count, 2), (count, 3), where="metrics, points", what="places do not fit the map", hint=hint)
 
@@ -118,7 +103,7 @@ def means(press: Any, nodes: Array, pitch: float | tuple[float, float], shape: s
         Another shape, or a pitch that is not positive.
     """
     hint = "nodal forces of finite elements are means over hats"
-    one_of(shape, ("hat", "patch"), where="metrics.means", what="unknown shape", hint=hint)
+    one_of("unknown shape", shape, ("hat", "patch"), where="metrics.means", hint=hint)
     d = np.array([positive("pitch", p, where="metrics.means", unit="m") for p in np.broadcast_to(pitch, 2)])
     near = np.all(np.abs(nodes - np.asarray(press.at)) <= press.radius + d, axis=1)
     found = np.zeros((len(nodes), 3))

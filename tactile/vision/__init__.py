@@ -2,23 +2,9 @@
 
 from __future__ import annotations
 
-from ._detect import Detected, Detector, detect, size_of_dots
-from ._frames import Frames, frames
-from ._motion import Jitter, MarkerMotion, MarkerMotions, jitter, read_motions
-from ._tracker import MarkerTracker, match
+from ._detect import Detected, Detector, detect, size_of_dots  # noqa: F401
+from ._frames import Frames, frames  # noqa: F401
+from ._motion import Jitter, MarkerMotion, MarkerMotions, jitter, read_motions  # noqa: F401
+from ._tracker import MarkerTracker, match  # noqa: F401
 
-__all__ = [
-    "Detected",
-    "Detector",
-    "Frames",
-    "Jitter",
-    "MarkerMotion",
-    "MarkerMotions",
-    "MarkerTracker",
-    "detect",
-    "frames",
-    "jitter",
-    "match",
-    "read_motions",
-    "size_of_dots",
-]
+__all__ = ["Detector", "MarkerTracker", "detect", "frames", "jitter", "read_motions"]

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures._advice import Advice, Spelling
-from structures.errors import InputError, positive
+from structures.errors import InputError, one_of, positive
 
-from .._arrays import Array, Index, Mask, one_of
+from .._arrays import Array, Index, Mask
 from ._images import Backend, Grey, Image, backend, grey
 
 BLUR = 0.8  # standard deviation of the smoothing over the radius of a dot
@@ -99,7 +99,7 @@ class Detector:
                 "the dots overlap", where="Detector", found=f"radius {self.radius:g} px, pitch {self.pitch:g} px",
                 expected="a pitch of at least two radii",
             )  # fmt: skip
-        one_of(self.method, COARSEST, where="method", what="unknown method of detection")
+        one_of("unknown method of detection", self.method, COARSEST, where="method")
         backend(self.backend)
 
     def __call__(self, image: Any) -> Detected:
@@ -144,18 +144,9 @@ class Detector:
 
 @dataclass(frozen=True)
 class DotResponse:
-    """The image in which every dot is one smooth maximum.
+    """The image in which every dot is one smooth maximum: grey levels above the local mean, binned by `bins` px.
 
-    Parameters
-    ----------
-    image : array, shape (h, w)
-        Grey levels above the local mean, binned.
-    bins : int
-        Pixels of the camera along one of its pixels.
-    sigma : float
-        Standard deviation of the smoothing in its pixels.
-    noise : float
-        Standard deviation of its noise in grey levels.
+    `sigma` is the std of the smoothing in its pixels, `noise` that of its noise in grey levels.
     """
 
     image: Image
@@ -304,10 +295,7 @@ def size_of_dots(
 
 
 def best_radius(image: Any, *, dark: bool = True, backend: str | None = None) -> float:
-    """Radius in px of the dots that stand out most.
-
-    Raises `InputError`: if nothing stands out of the noise.
-    """
+    """Radius in px of the dots that stand out most."""
     picture = grey(image)
     largest = max(LARGEST * min(picture.shape), 2 * SMALLEST)
     radii = SMALLEST * STEPS ** np.arange(np.ceil(np.log(largest / SMALLEST) / np.log(STEPS)) + 1)

@@ -19,21 +19,11 @@ from structures.errors import InputError, number, pair, positive, reals
 
 from .._arrays import Array, shaped
 from .._guards import RAYS, not_tangential, tangential
-from ._rays import Homography, Parallel, Window, bend, fitted, projection_shift
+from ._rays import Homography, Parallel, Window, bend, fitted
 from ._tracker import MarkerTracker
 
 if TYPE_CHECKING:
     from .._sensors.observation import DepthMap
-
-
-__all__ = [
-    "Homography",
-    "Parallel",
-    "Pinhole",
-    "View",
-    "Window",
-    "projection_shift",
-]
 
 
 class Rays(Protocol):
@@ -55,16 +45,9 @@ class Plane(Protocol):
 
 @dataclass(frozen=True)
 class Pinhole:
-    """A camera without distortion behind a window.
+    """A camera without distortion behind a window: focal length and pixel (x, y) of the axis in px.
 
-    Parameters
-    ----------
-    focal : float
-        Focal length in px.
-    centre : (float, float)
-        Pixel of the optical axis, x and y.
-    rotation : array, shape (3, 3)
-        Rows: right, down and forward of the camera in the frame of the pad.
+    Rows of `rotation`: right, down and forward of the camera in the frame of the pad.
     """
 
     focal: float

@@ -23,10 +23,7 @@ SMALLEST = 8  # px along an axis, below which an array is no image
 
 
 def read_stack(path: Path, key: str | None = None) -> np.ndarray:
-    """Array of images of an NPY file (mapped, not loaded) or of an NPZ file.
-
-    Raises `InputError`: Damaged; Python objects inside; no array, or several, that could be images.
-    """
+    """Array of images of an NPY file (mapped, not loaded) or of an NPZ file, without Python objects inside."""
     try:
         if path.suffix.lower() == ".npy":
             return _checked(np.load(path, mmap_mode="r", allow_pickle=False), path)
@@ -80,7 +77,7 @@ LOSSLESS = ("FFV1", "HFYU", "FFVH", "DIB ", "RGBA", "I420", "YV12", "Y800", "GRE
 def open_video(path: Path) -> tuple[Iterator[np.ndarray], int | None, tuple[Flag, ...]]:
     """Frames (H, W, 3) with red first, their number where the file states it, and W406 for a lossy codec.
 
-    Raises `InputError`: OpenCV is not installed; no video, or damaged; while iterating, a video that ends early.
+    While iterating, a video that ends early is refused.
     """
     if not installed():
         raise InputError(
@@ -263,10 +260,7 @@ def _from_stack(array: np.ndarray, name: str) -> Frames:
 
 
 def read_image(path: Path) -> np.ndarray:
-    """Pixels of one image file, (H, W) or (H, W, 3).
-
-    Raises `InputError`: Damaged, or no image.
-    """
+    """Pixels of one image file, (H, W) or (H, W, 3)."""
     from PIL import Image
 
     try:

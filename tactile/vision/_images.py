@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import InputError, as_array, number, plain, positive
+from structures.errors import InputError, as_array, number, one_of, plain, positive
 
-from .._arrays import PLANE, SPACE, Array, Shape, one_of, shaped
+from .._arrays import PLANE, SPACE, Array, Shape, shaped
 
 if TYPE_CHECKING:
     from ._eye import View
@@ -32,16 +32,10 @@ LUMA = np.array([77, 150, 29], np.uint16)  # of 256: weights of red, green and b
 
 
 def grey(image: Any, *, where: str = "image") -> Grey:
-    """One image as grey uint8, shape (H, W).
+    """One image as grey uint8, (H, W), of (H, W) or (H, W, 1, 3 or 4): grey, RGB or RGBA.
 
-    Parameters
-    ----------
-    image : array, shape (H, W) or (H, W, 1, 3 or 4)
-        Grey, RGB or RGBA; uint8, uint16, truth values, or real numbers from 0 to 1 or from 0 to 255.
-    where : str
-        What an error names: the file or the frame.
-
-    Raises `InputError`: No array of this kind, NaN or infinity in it, values out of range.
+    Of uint8, uint16, truth values, or real numbers from 0 to 1 or from 0 to 255; `where` is the file or frame in an
+    error.
     """
     array = as_array(image, where=where)
     if array.dtype.kind not in "uifb":
@@ -84,16 +78,9 @@ NAMES = ("cv2", "scipy")
 
 @dataclass(frozen=True)
 class Backend:
-    """Two filters on float32 images with a border that is continued.
+    """Two filters on float32 images with a border that is continued, by ``"cv2"`` or ``"scipy"``.
 
-    Parameters
-    ----------
-    name : str
-        ``"cv2"`` or ``"scipy"``.
-    smooth : callable (image, sigma) -> image
-        Gaussian of standard deviation sigma px, cut at three of them.
-    box : callable (image, width) -> image
-        Mean over a square of `width` px, an odd number.
+    `smooth` is the Gaussian of some px, cut at three of them; `box` the mean over a square of an odd number of px.
     """
 
     name: str
@@ -102,13 +89,10 @@ class Backend:
 
 
 def backend(name: str | None = None) -> Backend:
-    """The backend of this name; by default OpenCV where it is installed, else scipy.
-
-    Raises `InputError`: Unknown name; ``"cv2"`` asked for and not installed.
-    """
+    """The backend of this name, refused where it is not installed; by default OpenCV where it is, else scipy."""
     if name is None:
         return _opencv() if installed() else _scipy()
-    one_of(name, NAMES, where="backend", what="unknown image backend")
+    one_of("unknown image backend", name, NAMES, where="backend")
     if name == "cv2" and not installed():
         raise InputError(
             "OpenCV is not installed", where="backend", found="backend='cv2'",
@@ -175,20 +159,9 @@ EDGE = 3.0  # standard deviations of the blur beyond the rim of a dot that are d
 class Scene:
     """How the images look.
 
-    Parameters
-    ----------
-    size : (int, int)
-        Rows and columns of an image.
-    radius : float
-        Radius of a dot: px in `draw`, m in `photograph`.
-    blur : float
-        Standard deviation of the optical blur, px.
-    noise : float
-        Standard deviation of the noise, grey levels.
-    background, dot : float
-        Grey levels of the gel and of a dot.
-    shading : float
-        Grey levels by which the gel is darker at the corners than at the centre.
+    `size` in rows and columns; the radius of a dot in px for `draw`, in m for `photograph`; std of the optical blur in
+    px; std of the noise, levels of the gel and of a dot in grey levels; `shading`, by how many the gel is darker at the
+    corners.
     """
 
     size: tuple[int, int] = (480, 640)
@@ -206,15 +179,7 @@ class Scene:
             raise InputError("noise must not be negative", where="Scene", found=self.noise)
 
     def draw(self, centres: ArrayLike, *, seed: int | np.random.Generator = 0) -> NDArray[np.uint8]:
-        """Image of round dots at given places.
-
-        Parameters
-        ----------
-        centres : array, shape (N, 2)
-            Places in px, x to the right and y down; NaN draws none.
-        seed : int or Generator
-            Of the noise.
-        """
+        """Image of round dots at places (N, 2) in px, x to the right and y down; NaN draws none."""
         places = _finite(centres, PLANE)
         rows, columns, xy = self._windows(places, np.full(len(places), self.radius))
         distance = np.hypot(*np.moveaxis(xy - places[:, None, None], -1, 0))
@@ -223,14 +188,7 @@ class Scene:
     def photograph(self, view: View, markers: ArrayLike, *, seed: int | np.random.Generator = 0) -> NDArray[np.uint8]:
         """Image of dots printed on a pad, through a view.
 
-        Parameters
-        ----------
-        view : View
-            Camera or homography.
-        markers : array, shape (N, 2 or 3)
-            Where the centres of the dots are now, m; the third column is the height above the plane at rest.
-        seed : int or Generator
-            Of the noise.
+        Their centres (N, 2 or 3) are in m; the third column is the height above the plane at rest.
         """
         places = _finite(markers, PLANE, SPACE)
         centres = view.to_pixels(places)

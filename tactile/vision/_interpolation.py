@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures._flags import Flag
-from structures.errors import InputError, plain, reals
+from structures.errors import InputError, one_of, plain, reals
 
-from .._arrays import PLANE, Array, Index, Mask, one_of, shaped
+from .._arrays import PLANE, Array, Index, Mask, shaped
 from .._guards import interpolation_noise
 
 NEAREST = 12
@@ -25,21 +25,10 @@ FLAT = 1e-4  # smallest over largest pivot, below which the markers do not deter
 
 
 def fitted_weights(markers: Array, nodes: Array) -> tuple[Index, NDArray[Any]]:
-    """The nearest markers of each node, and the weights with which their values make the fitted value there.
+    """The nearest markers (n, k) of each node, and their weights (n, k) in the fitted value there; rows sum to 1.
 
     A quadratic is fitted to the nearest twelve markers, those nearby weighted more (moving least squares, Lancaster and
     Salkauskas 1981); an affine function where there are fewer, or where they stand on two lines; their mean on one.
-
-    Parameters
-    ----------
-    markers : array, shape (N, 2)
-    nodes : array, shape (n, 2)
-
-    Returns
-    -------
-    index : array of int, shape (n, k)
-    weights : array, shape (n, k)
-        Rows sum to 1.
     """
     from scipy.spatial import cKDTree
 
@@ -117,7 +106,7 @@ class Interpolation:
         from scipy.sparse import csr_array
 
         markers, nodes = _plane(self.markers, "markers"), _plane(self.nodes, "nodes")
-        one_of(self.kind, KINDS, where="kind", what="unknown interpolation")
+        one_of("unknown interpolation", self.kind, KINDS, where="kind")
         used = np.all(np.isfinite(markers), axis=1)
         if used.sum() < FEWEST:
             raise InputError(

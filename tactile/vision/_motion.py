@@ -50,6 +50,14 @@ class MarkerMotion:
     frame: int = 0
     flags: tuple[Flag, ...] = ()
 
+    @classmethod
+    def of(cls, points: Array, places: Array, frame: int) -> MarkerMotion:
+        """Motion of markers that come told apart, to places (N, 2) in px; NaN where one is lost."""
+        moved = places - points
+        lost = np.asarray(np.isnan(moved).any(axis=1))
+        gone = vanished(len(lost), int(lost.sum()), 0, 0)
+        return cls(points, moved, lost, np.zeros_like(lost), 0, frame, () if gone is None else (gone,))
+
     @property
     def tracked(self) -> Mask:
         """Markers whose motion is known, shape (N,)."""
@@ -102,11 +110,7 @@ class MarkerMotions:
         return self.places - self.points
 
     def __getitem__(self, k: int) -> MarkerMotion:
-        moved = self.places[k] - self.points
-        lost = np.isnan(moved).any(axis=1)
-        gone = vanished(len(lost), int(lost.sum()), 0, 0)
-        number = self.numbers[k] if self.numbers else k + 1
-        return MarkerMotion(self.points, moved, lost, np.zeros_like(lost), 0, number, (gone,) if gone else ())
+        return MarkerMotion.of(self.points, self.places[k], self.numbers[k] if self.numbers else k + 1)
 
 
 def read_motions(source: str | Path | ArrayLike, *, rest: int = 0) -> MarkerMotions:
@@ -161,15 +165,7 @@ def _generic(table: Array, rest: int, where: str) -> MarkerMotions:
     numbers, k = np.unique(frame, return_inverse=True)
     ids, i = np.unique(marker, return_inverse=True)
     found = _from_array(_spread(k, i, table[:, 2:], where), rest, where)
-    flag = missing_frames(missing_numbers([str(n) for n in numbers]), Path(where).name)
-    return MarkerMotions(
-        found.points,
-        found.places,
-        found.heights,
-        tuple(map(int, numbers)),
-        (flag,) if flag else (),
-        (f"{len(ids)} ids",),
-    )
+    return replace(found, numbers=tuple(map(int, numbers)), flags=_gaps(numbers, where), notes=(f"{len(ids)} ids",))
 
 
 def _gsrobotics(table: Array, where: str) -> MarkerMotions:
@@ -182,13 +178,17 @@ def _gsrobotics(table: Array, where: str) -> MarkerMotions:
     points = np.full((len(pairs), 2), np.nan)
     points[i.reshape(-1)] = table[:, 3:5]
     _enough(int(np.isfinite(points[:, 0]).sum()), where)
-    flag = missing_frames(missing_numbers([str(n) for n in numbers]), Path(where).name)
     notes = [
         "whole pixels: rounding alone is a noise of 0.29 px per axis",
         "dots out of view are inferred by that tracker and cannot be told from those that were seen",
     ]
     notes += [f"{int(outside.sum())} places left of or above the image are taken as lost"] if outside.any() else []
-    return MarkerMotions(points, places, None, tuple(map(int, numbers)), (flag,) if flag else (), tuple(notes))
+    return MarkerMotions(points, places, None, tuple(map(int, numbers)), _gaps(numbers, where), tuple(notes))
+
+
+def _gaps(numbers: NDArray[Any], where: str) -> tuple[Flag, ...]:
+    flag = missing_frames(missing_numbers([str(n) for n in numbers]), Path(where).name)
+    return () if flag is None else (flag,)
 
 
 def _spread(k: NDArray[Any], i: NDArray[Any], values: Array, where: str) -> Array:

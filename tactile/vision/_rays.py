@@ -57,14 +57,9 @@ class Homography:
 
 
 def fitted(points: ArrayLike, pixels: ArrayLike) -> Homography:
-    """Homography of corresponding points, by the normalised direct linear transform (Hartley 1997).
+    """Homography of corresponding points (n, 2), by the normalised direct linear transform (Hartley 1997).
 
-    Parameters
-    ----------
-    points, pixels : array, shape (n, 2)
-        At least four, no three of them on a line.
-
-    Raises `InputError`: Fewer, different numbers, NaN, or points that leave the map open.
+    At least four, no three of them on a line; points that leave the map open are refused.
     """
     what = "no corresponding points"
     p = shaped(points, PLANE, where="homography", what=what, fewest=FEWEST)
@@ -113,14 +108,8 @@ def bend(alpha: ArrayLike, gamma: float) -> Array:
 def projection_shift(d: ArrayLike, alpha: ArrayLike, gamma: float) -> Array:
     """In-plane shift that a normal motion d seems to be: d tan(beta), sin(beta) = sin(alpha) / gamma (Ma et al. 2019).
 
-    Parameters
-    ----------
-    d : array
-        Normal motion; the shift has its unit.
-    alpha : array
-        Viewing angle in rad, from the normal of the window.
-    gamma : float
-        Index of refraction of gel and window over that outside, at least 1.
+    It has the unit of d; alpha is the viewing angle in rad from the normal of the window, gamma >= 1 the index of
+    refraction of gel and window over that outside.
     """
     return reals(d, where="d") * np.tan(bend(alpha, gamma))
 
@@ -151,16 +140,8 @@ class Parallel:
     def from_press(cls, apparent: ArrayLike, normal: ArrayLike, gamma: float) -> Parallel:
         """Rays that explain the apparent motion of a flat press without shear, by least squares: angle and sign.
 
-        Parameters
-        ----------
-        apparent : array, shape (N, 2)
-            Motion that the image shows (m); NaN = lost.
-        normal : float or array, shape (N,)
-            Normal motion of the same markers (m), negative where pressed.
-        gamma : float
-            Relative index of refraction.
-
-        Raises `InputError`: No normal motion, or an apparent one that no ray shows.
+        `apparent` (N, 2) is the motion that the image shows (m), NaN where lost; `normal` that along the normal (m),
+        negative where pressed. Refused: no normal motion, or an apparent one that no ray shows.
         """
         seen = reals(apparent, where="apparent motion")
         height = np.broadcast_to(reals(normal, where="normal motion"), seen.shape[:1])

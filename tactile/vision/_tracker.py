@@ -48,13 +48,7 @@ def match(predicted: ArrayLike, found: ArrayLike, *, gate: float) -> Index:
 
 
 class Dots:
-    """Dots of one frame, ready to be asked for the nearest of them.
-
-    Parameters
-    ----------
-    points : array, shape (k, 2)
-        Finite places.
-    """
+    """Dots of one frame (k, 2), all finite, ready to be asked for the nearest of them."""
 
     def __init__(self, points: Array) -> None:
         from scipy.spatial import cKDTree
@@ -94,28 +88,14 @@ class Dots:
 
 
 def places(points: ArrayLike, name: str) -> Array:
-    """Points of a plane, shape (n, 2); an empty list is none.
-
-    Raises `InputError`: Another shape.
-    """
+    """Points of a plane (n, 2); an empty list is none."""
     found = reals(points, where=name)
     found = found.reshape(0, 2) if found.size == 0 else found
     return shaped(found, PLANE, where=name, what="no points of a plane", lost=True)
 
 
 class Neighbourhood:
-    """The neighbours of every marker of a pattern at rest.
-
-    Parameters
-    ----------
-    points : array, shape (N, 2)
-        Markers at rest.
-
-    Attributes
-    ----------
-    pitch : float
-        Median distance to the nearest neighbour.
-    """
+    """The neighbours of every marker (N, 2) of a pattern at rest; `pitch` is their median distance."""
 
     def __init__(self, points: ArrayLike) -> None:
         from scipy.spatial import cKDTree
@@ -128,13 +108,7 @@ class Neighbourhood:
         self._near = index[:, 1 : NEIGHBOURS + 1]
 
     def median(self, values: Array) -> Array:
-        """Median over the neighbours of each marker, per component; NaN where fewer than three are known.
-
-        Parameters
-        ----------
-        values : array, shape (N, components)
-            NaN = not known.
-        """
+        """Median over the neighbours of each marker of values (N, components), NaN where fewer than three are known."""
         middle = _median(values[self._near])
         alone = np.flatnonzero(np.isnan(middle).any(axis=1))
         if len(alone):
