@@ -20,7 +20,7 @@ from .._inverse.gaussian.lag import fixed_lag
 from .._inverse.gaussian.model import words as near_rest_in_words
 from .._inverse.gaussian.observe import Observability, observability
 from .._inverse.gaussian.steady import SteadyFilter, steady
-from .._inverse.noise_source import NoiseSource
+from .._inverse.problem import NoiseSource
 from .._record import Record
 from ..priors import OU, Matern32, Matern52
 from ..settings import Guards, ModelErrors, Noise, Online, Priors, takes

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from structures._advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 
-from .arrays import Array
+from . import Array
 from .path import FactoredPath, Solution
 from .posterior import DensePosterior
 from .problem import LinearProblem

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from loadid._families.static import StaticInversion
 from loadid._guards import collect
-from loadid._inverse.noise_source import NoiseSourceLike
+from loadid._inverse.problem import NoiseSourceLike
 from loadid._results.estimate import LoadEstimate
 from loadid._results.facts import provenance
 from loadid.settings import Noise

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from loadid._inverse.noise_source import NoiseSource
+from loadid._inverse.problem import NoiseSource
 from structures import bases
 from structures._flags import Flag
 

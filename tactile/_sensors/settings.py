@@ -12,7 +12,7 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loadid._inverse.noise_source import NoiseSourceLike
+from loadid._inverse.problem import NoiseSourceLike
 from structures.errors import InputError, plain, positive
 
 from .._arrays import Index

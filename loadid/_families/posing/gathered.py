@@ -16,7 +16,7 @@ from structures._testing.spectra import padded_length
 from structures._testing.welch import CrossSpectra, cross_spectra
 from structures.errors import InputError, digest, plain, reals
 
-from ..._inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
+from ..._inverse.problem import NOT_KNOWN, STATED, NoiseSource
 from ..._record import Record, Spectra
 from ...settings import SIGNALS, Noise, Signal
 from .. import noise as noises

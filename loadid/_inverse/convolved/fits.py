@@ -15,7 +15,8 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..convolution import Convolution, PenalizedConvolution, toeplitz
+from ..convolution import Convolution, PenalizedConvolution
+from ..problem import toeplitz
 from .pcg import Circulant, Sides, solve
 
 T = TypeVar("T")

@@ -19,9 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, plain, reals
 
-from .model import FilterModel, Present, present
+from .model import FilterModel, Present, SquareRoot, present
 from .roots import Array
-from .squareroot import SquareRoot
 from .steady import SteadyFilter
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")

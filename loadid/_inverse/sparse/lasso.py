@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..arrays import Array, Flags, Indices
+from .. import Array, Flags, Indices
 from .atoms import Atoms
 
 
