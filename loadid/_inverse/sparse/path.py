@@ -277,6 +277,7 @@ def _factor(atoms: Atoms, y: Array, support: Indices) -> tuple[Array, Array]:
         return _sound(R), Q.T @ y
     from scipy.linalg import cholesky, solve_triangular
 
+    # the columns do not fit: `SWEEPS` refinements by the operator keep all digits up to a condition number of 1e5
     G, ridge = atoms.gram(support, support), RIDGE
     while True:
         try:
