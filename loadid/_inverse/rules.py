@@ -141,14 +141,14 @@ def gcv_function(path: Counted, p: PathPoint) -> Array:
     return np.asarray(path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2)
 
 
-def robust_gcv_function(path: Counted, p: PathPoint, gamma: float = 0.1) -> Array:
-    """[gamma + (1 - gamma) tr A^2 / m] G, Lukas (2006)."""
-    return (gamma + (1 - gamma) * need(p, "edf2", "robust_gcv") / path.m) * gcv_function(path, p)
+def robust_gcv_function(path: Counted, p: PathPoint) -> Array:
+    """[gamma + (1 - gamma) tr A^2 / m] G with gamma = 0.1, Lukas (2006)."""
+    return (0.1 + 0.9 * need(p, "edf2", "robust_gcv") / path.m) * gcv_function(path, p)
 
 
-def modified_gcv_function(path: Counted, p: PathPoint, a: float = 1.4) -> Array:
-    """G with a edf in place of edf, only where m > a edf."""
-    left = path.m - a * need(p, "edf", "modified_gcv")
+def modified_gcv_function(path: Counted, p: PathPoint) -> Array:
+    """G with 1.4 edf in place of edf, only where m > 1.4 edf."""
+    left = path.m - 1.4 * need(p, "edf", "modified_gcv")
     return np.asarray(path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2)
 
 
