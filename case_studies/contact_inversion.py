@@ -151,7 +151,7 @@ def table(t: float, profile: str = "bumps", layout: str = "every node", seeds: i
 
 def conditioning(t: float) -> dict[str, tuple[float, int, int]]:
     """Condition number of the visible part, rank and nullity of each layout."""
-    from loadid._inverse.diagnosis.diagnose import layout as judged
+    from loadid._inverse.diagnosis.identifiability import layout as judged
 
     return {name: judged(np.linalg.svd(model(t, name).H, compute_uv=False), NODES) for name in LAYOUTS}
 

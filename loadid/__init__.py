@@ -24,7 +24,7 @@ _PUBLIC = {
     "LocationSearch": "loadid._families.location",
     "ModelErrors": "loadid.settings",
     "Noise": "loadid.settings",
-    "NoiseSource": "loadid._inverse.noise_source",
+    "NoiseSource": "loadid._inverse.problem",
     "NotIdentifiable": "structures.errors",
     "Online": "loadid.settings",
     "Penalty": "loadid.settings",

@@ -17,7 +17,7 @@ from structures._advice import Advice, Spelling
 from structures._flags import Evidence, Flag
 from structures.errors import InputError, plain
 
-from ._inverse.noise_source import NoiseSource
+from ._inverse.problem import NoiseSource
 
 if TYPE_CHECKING:
     from ._record import Record

@@ -19,7 +19,7 @@ from structures._flags import Flag
 from structures.errors import InputError, plain, reals
 
 from . import _quality as quality
-from ._inverse.noise_source import NoiseSource, NoiseSourceLike
+from ._inverse.problem import NoiseSource, NoiseSourceLike
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from structures.errors import InputError, as_array, reals
 
-from ._inverse.arrays import Array, Indices
+from ._inverse import Array, Indices
 
 __all__ = ["Bounds", "Constraint", "FrictionCone", "NonNegative", "Resultant", "Support"]
 

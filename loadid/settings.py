@@ -21,9 +21,8 @@ from numpy.typing import ArrayLike
 
 from structures.errors import InputError, number, positive, real, reals, shown
 
-from ._inverse.noise_source import NoiseSource, NoiseSourceLike
 from ._inverse.penalties import order
-from ._inverse.problem import Cholesky
+from ._inverse.problem import Cholesky, NoiseSource, NoiseSourceLike
 from ._inverse.sparse.path import TOLERANCE
 from .codes import allowed
 

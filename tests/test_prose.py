@@ -27,7 +27,7 @@ from loadid import (
     cli,
 )
 from loadid._families.tracking.fit import pack, unpack
-from loadid._inverse.noise_source import KINDS, WRITTEN
+from loadid._inverse.problem import KINDS, WRITTEN
 from loadid._results import archive
 from loadid.constraints import Resultant
 from loadid.paths import Refusal, RuleResult

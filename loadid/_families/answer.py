@@ -19,7 +19,7 @@ from structures.errors import NotIdentifiable
 from .. import _guards as guards
 from .._guards.inversion import windows_apart
 from .._inverse.choice import Choice, residual_level, unexplained, ungraded
-from .._inverse.diagnosis import diagnose
+from .._inverse.diagnosis import identifiability
 from .._inverse.path import RegularizationPath, Solution
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts, provenance
@@ -136,7 +136,7 @@ def of_path(
         flags = guards.collect([windows_apart(own["window_bound"])])
     return SolvedLoad(
         load=load, std=std, axis=axis, response=response, residual=residual, facts=Facts.of({**own, **facts}),
-        bias=None if hidden_by is None else diagnose.hidden(hidden_by, choice.lam, load, std, axis=along),
+        bias=None if hidden_by is None else identifiability.hidden(hidden_by, choice.lam, load, std, axis=along),
         posterior=solution.posterior, excess=beyond_noise(float(point.residual2), path.m, noise), flags=flags,
     )  # fmt: skip
 

@@ -18,7 +18,7 @@ from .. import _guards as guards
 from .._guards import families as told
 from .._inverse.choice import Choice, checked, choose, given, named
 from .._inverse.constrained.nonnegative import NonNegativeSolution
-from .._inverse.diagnosis import diagnose
+from .._inverse.diagnosis import identifiability
 from .._inverse.gaussian.coarse import confirm
 from .._inverse.penalties import order
 from .._results.estimate import LoadEstimate
@@ -163,7 +163,7 @@ class Deconvolution:
         path, solution = posed.path, posed.path.solution(choice.lam, sigma)
         load = solution.load if pushed is None else pushed.load
         response, residual = posed.compare(load, choice.lam, None if pushed is None else pushed.start)
-        width, lost = diagnose.resolution(path, choice.lam, load)
+        width, lost = identifiability.resolution(path, choice.lam, load)
         facts = {
             "path": posed.name, "n": posed.unknowns, "resolution": width * data.dt, "resolution_unit": "s",
             "peak_bias": lost, **({"missing": data.gaps} if data.gaps else {}),

@@ -14,9 +14,8 @@ from structures.errors import InputError, plain, positive
 
 from .. import _guards as guards
 from .._inverse.choice import checked, choose, named
-from .._inverse.diagnosis import diagnose
-from .._inverse.noise_source import NOT_KNOWN, STATED
-from .._inverse.problem import LinearProblem
+from .._inverse.diagnosis import identifiability
+from .._inverse.problem import NOT_KNOWN, STATED, LinearProblem
 from .._inverse.svd import SVDPath
 from .._results.estimate import Axis, LoadEstimate
 from ..settings import ChoiceLike, Guards, Lambda, Noise, takes
@@ -121,7 +120,7 @@ class HarmonicInversion:
         solution = path.solution(choice.lam, sigma)
         rest = Y - self.H @ (solution.load[0] + 1j * solution.load[1])
         facts = {"path": "dense SVD, real and imaginary parts", "frequency": self.frequency}
-        layout = diagnose.layout(path.singular_values, self.unknowns)
+        layout = identifiability.layout(path.singular_values, self.unknowns)
         self._progress(1.0, "done")
         found = of_path(
             path, choice, solution, sigma, noise, layout=layout, axis=Axis("part", "", np.arange(2.0)),

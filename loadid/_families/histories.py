@@ -18,7 +18,7 @@ from .. import _guards as guards
 from .._inverse import penalties
 from .._inverse.choice import Choice
 from .._inverse.constrained.nonnegative import CONVERGED, NonNegativeSolution, discrepancy
-from .._inverse.diagnosis.histories import apart, start
+from .._inverse.diagnosis.identifiability import apart, start
 from .._inverse.problem import Noise, whitener
 from .._inverse.sweep import RuleResult
 from .._quality import OFFSET, quiet_part

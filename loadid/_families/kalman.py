@@ -19,8 +19,9 @@ from .._guards import tracking as told
 from .._inverse.gaussian.lag import fixed_lag
 from .._inverse.gaussian.model import words as near_rest_in_words
 from .._inverse.gaussian.observe import Observability, observability
+from .._inverse.gaussian.roots import solve_lower
 from .._inverse.gaussian.steady import SteadyFilter, steady
-from .._inverse.noise_source import NoiseSource
+from .._inverse.problem import NoiseSource
 from .._record import Record
 from ..priors import OU, Matern32, Matern52
 from ..settings import Guards, ModelErrors, Noise, Online, Priors, takes
@@ -323,15 +324,13 @@ class LoadTracker:
 
 def _nis(settled: SteadyFilter | None, e: Array) -> NDArray[np.float64]:
     """Normalised squares of the samples; of complete ones by the covariance of the innovation."""
-    own = np.nansum(e**2, axis=1)
+    own = np.asarray(np.nansum(e**2, axis=1))
     if settled is None:
         return own
-    from .._inverse.gaussian.roots import solve_lower
-
     whole = np.isfinite(e).all(axis=1)
     white = solve_lower(settled.Se_root, (e[whole] * settled.innovation_std).T)
     own[whole] = np.sum(white**2, axis=0)
-    return np.asarray(own)
+    return own
 
 
 def _left_out(model: Any, data: Data, first: int) -> list[float | None]:

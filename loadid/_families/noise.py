@@ -13,9 +13,8 @@ from structures._model import Model
 from structures.errors import InputError
 
 from .._inverse.choice import Choice, residual_level
-from .._inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
 from .._inverse.path import RegularizationPath
-from .._inverse.problem import Cholesky
+from .._inverse.problem import NOT_KNOWN, STATED, Cholesky, NoiseSource
 from .._quality import noise_std
 from ..settings import Noise
 from .data import Data, Readings

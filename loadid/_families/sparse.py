@@ -16,10 +16,9 @@ from structures.errors import InputError, as_array, real
 from .._guards import families as told
 from .._inverse.choice import Choice, PathCurve, is_rule, named
 from .._inverse.convolution import Convolution
-from .._inverse.noise_source import NoiseSource
+from .._inverse.problem import NoiseSource
 from .._inverse.rules import name_of
-from .._inverse.sparse.path import TOLERANCE
-from .._inverse.sparse.support import SupportPosterior
+from .._inverse.sparse.path import TOLERANCE, SupportPosterior
 from .._inverse.sweep import RuleResult
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts

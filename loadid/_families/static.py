@@ -17,7 +17,7 @@ from structures.errors import InputError, NotIdentifiable
 
 from .. import _guards as guards
 from .._inverse.choice import Choice, checked, choose, named
-from .._inverse.diagnosis import diagnose
+from .._inverse.diagnosis import diagnose, identifiability
 from .._results.estimate import LoadEstimate
 from .._results.facts import STATIC, Facts
 from ..settings import Absolute, ChoiceLike, Guards, Lambda, Noise, Penalty, takes
@@ -294,7 +294,7 @@ class StaticInversion:
         if self.L is not None or (basis is not None and basis.kind == "polynomials") or diagnosis.n < MANY:
             return None
         parts = {} if basis is None else {"components": len(basis.components), "edges": basis.edges}
-        return guards.refined(diagnose.against_half(posed.base.problem.H, diagnosis.eta, **parts))
+        return guards.refined(identifiability.against_half(posed.base.problem.H, diagnosis.eta, **parts))
 
     def _settings(self, posed: StaticProblem) -> dict[str, Any]:
         return {

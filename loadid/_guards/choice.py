@@ -10,20 +10,19 @@ from structures._advice import Advice, Option, Spelling
 from structures._flags import Evidence, Flag
 from structures.errors import InputError
 
-from .._inverse.arrays import Array
+from .._inverse import Array
 from .._inverse.choice import BELOW, Choice
 from .._inverse.constrained.nonnegative import NonNegativeSolution
 from .._inverse.constrained.solver import ConstrainedSolution
-from .._inverse.noise_source import MEASURED
 from .._inverse.path import RegularizationPath
-from .._inverse.rules import discrepancy
+from .._inverse.problem import MEASURED
+from .._inverse.rules import FOR_WHITE_NOISE, discrepancy
 from .._inverse.sweep import ALARM, TESTABLE, Sweep
 from ..codes import collect
 from ..constraints import Constraint, Resultant
 
 DECADE = 1.0  # spread of the rules, decades
 SIGMA_RULES = ("discrepancy", "dof_discrepancy", "upre", "predicted_error", "evidence")
-GCV_RULES = ("gcv", "robust_gcv", "modified_gcv", "predicted_error")
 FLAT = 1.05  # GCV: highest over lowest within half a decade
 
 
@@ -80,7 +79,7 @@ def gcv_minimum(choice: Choice) -> Flag | None:
 
 def _from_gcv(choice: Choice) -> bool:
     """Whether the residual alone told what is noise, as if it were white."""
-    return choice.rule in GCV_RULES and not (choice.rule == "predicted_error" and choice.sigma is not None)
+    return choice.rule in FOR_WHITE_NOISE and not (choice.rule == "predicted_error" and choice.sigma is not None)
 
 
 def correlated_noise(choice: Choice) -> Flag | None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from structures._flags import Evidence, Flag
 from structures.errors import NotIdentifiable
 
-from .._inverse.noise_source import NoiseSource
+from .._inverse.problem import NoiseSource
 from .._results.functionals import LoadSpectrum, in_words
 
 ENDS = 0.01  # share of the peak that may be left at the ends of a transient

@@ -12,8 +12,7 @@ from structures._advice import Advice, Option
 from structures._flags import Evidence, Flag
 from structures.errors import InputError, NotIdentifiable
 
-from .._inverse.diagnosis.histories import Start
-from .._inverse.diagnosis.resolution import Refinement
+from .._inverse.diagnosis.identifiability import Refinement, Start
 
 PRESSURES = {"Pa", "kPa", "MPa", "GPa", "bar", "mbar", "psi", "N/m^2", "N/m²", "N/mm^2", "N/mm²"}
 FEW = 3.0  # effective degrees of freedom below which even a resultant is biased

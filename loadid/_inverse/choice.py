@@ -11,10 +11,9 @@ import numpy as np
 from structures._advice import Advice, Spelling
 from structures.errors import InputError, real, shown
 
-from . import rules
-from .arrays import Array
-from .noise_source import NOT_KNOWN, NoiseSource, NoiseSourceLike
+from . import Array, rules
 from .path import RegularizationPath
+from .problem import NOT_KNOWN, NoiseSource, NoiseSourceLike
 from .rules import Rule, answered, in_words
 from .sweep import ALARM, LARGEST, TESTABLE, Refusal, RuleResult, Sweep, plateau_test, residual_test, smallest_seen
 

@@ -17,6 +17,7 @@ from structures._testing.spectra import padded_length
 from structures.errors import InputError
 
 from . import penalties
+from .problem import toeplitz
 from .svd import Factors, paired, plain
 
 if TYPE_CHECKING:
@@ -251,17 +252,3 @@ def differences_adjoint(d: Array, order: int) -> Array:
         np.subtract(d[..., :-1], d[..., 1:], out=wider[..., 1:-1])
         d = wider
     return d
-
-
-def toeplitz(h: Array) -> Array:
-    """Lower block triangular Toeplitz operator of impulse responses (samples, sensors, loads).
-
-    Returns
-    -------
-    array, shape (samples, sensors, samples * loads)
-    """
-    N, m, p = h.shape
-    padded = np.concatenate([np.zeros((N - 1, m, p)), h])
-    # row t holds h[t], h[t-1], ... h[t-N+1]: windows of the padded history, read backwards
-    windows = np.lib.stride_tricks.sliding_window_view(padded, N, axis=0)[..., ::-1]  # (N, m, p, N)
-    return np.ascontiguousarray(windows.transpose(0, 1, 3, 2)).reshape(N, m, N * p)

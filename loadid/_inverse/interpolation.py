@@ -20,7 +20,7 @@ from math import comb
 
 import numpy as np
 
-from .arrays import Array
+from . import Array
 
 ROUNDED = 1e-15  # part of the modes that rounding leaves
 TINY = np.finfo(float).tiny

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from structures._advice import Advice, Option
 from structures.errors import InputError
 
-from .arrays import Array
+from . import Array
 from .posterior import Posterior
 
 ALL = slice(None)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from structures.errors import InputError, plain, reals, shown
 
-from .arrays import Array, Flags, Indices
+from . import Array, Flags, Indices
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -11,7 +11,7 @@ import numpy as np
 from structures._testing.spectra import multiplicity
 from structures.errors import InputError
 
-from .arrays import Array, Numbers
+from . import Array, Numbers
 
 
 @runtime_checkable
@@ -196,7 +196,7 @@ ELSEWHERE = {  # kind -> module and class that reads it
     "mapped": (".gaussian.posterior", "MappedPosterior"),
     "statespace": (".gaussian.posterior", "StateSpacePosterior"),
     "statespace, sized": (".gaussian.sized", "SizedPosterior"),
-    "support": (".sparse.support", "SupportPosterior"),
+    "support": (".sparse.path", "SupportPosterior"),
 }
 
 

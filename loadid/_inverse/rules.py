@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from structures.errors import InputError, shown
 
-from .arrays import Array
+from . import Array
 from .path import PathPoint
 from .sweep import (
     NULL_SPACE,
@@ -54,6 +54,7 @@ __all__ = [
     "lines",
     "name_of",
     "ncp_statistic",
+    "need",
     "register_rule",
     "run",
 ]
@@ -140,14 +141,14 @@ def gcv_function(path: Counted, p: PathPoint) -> Array:
     return np.asarray(path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2)
 
 
-def robust_gcv_function(path: Counted, p: PathPoint, gamma: float = 0.1) -> Array:
-    """[gamma + (1 - gamma) tr A^2 / m] G, Lukas (2006)."""
-    return (gamma + (1 - gamma) * need(p, "edf2", "robust_gcv") / path.m) * gcv_function(path, p)
+def robust_gcv_function(path: Counted, p: PathPoint) -> Array:
+    """[gamma + (1 - gamma) tr A^2 / m] G with gamma = 0.1, Lukas (2006)."""
+    return (0.1 + 0.9 * need(p, "edf2", "robust_gcv") / path.m) * gcv_function(path, p)
 
 
-def modified_gcv_function(path: Counted, p: PathPoint, a: float = 1.4) -> Array:
-    """G with a edf in place of edf, only where m > a edf."""
-    left = path.m - a * need(p, "edf", "modified_gcv")
+def modified_gcv_function(path: Counted, p: PathPoint) -> Array:
+    """G with 1.4 edf in place of edf, only where m > 1.4 edf."""
+    left = path.m - 1.4 * need(p, "edf", "modified_gcv")
     return np.asarray(path.m * p.residual2 / np.where(left > 0, left, np.nan) ** 2)
 
 
@@ -449,7 +450,11 @@ RULES: dict[str, Rule] = {
 }
 
 
-def register_rule(function: Rule, name: str | None = None) -> Rule:
+# rules that read off the residual alone what is noise, as if it were white; `register_rule` adds those that say so
+FOR_WHITE_NOISE = {"gcv", "robust_gcv", "modified_gcv", "predicted_error"}
+
+
+def register_rule(function: Rule, name: str | None = None, *, for_white_noise: bool = False) -> Rule:
     """Add a rule of your own to those that every family takes as ``choice=``.
 
     Parameters
@@ -459,6 +464,9 @@ def register_rule(function: Rule, name: str | None = None) -> Rule:
         scalars, which then serves frequency lines too.
     name : str, optional
         Its name; default that of the function.
+    for_white_noise : bool
+        It takes the noise to be white, as GCV does: its lambda is flagged where GCV has no minimum (LID-W402) and where
+        too few data are left to test the noise (LID-W405).
 
     Returns
     -------
@@ -477,6 +485,8 @@ def register_rule(function: Rule, name: str | None = None) -> Rule:
         raise InputError("a rule needs a name of its own", where="register_rule", found=shown(name),
                          expected=f"none of {', '.join(RULES)}")  # fmt: skip
     RULES[name] = function
+    if for_white_noise:
+        FOR_WHITE_NOISE.add(name)
     return function
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
-from .arrays import Array, Flags, Numbers
+from . import Array, Flags, Numbers
 from .path import FactoredPath
 
 

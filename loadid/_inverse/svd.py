@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from structures._advice import Advice, Option
 from structures.errors import InputError, NotIdentifiable
 
-from .arrays import Array
+from . import Array
 from .path import FactoredPath, Solution
 from .posterior import DensePosterior
 from .problem import LinearProblem
@@ -129,12 +129,12 @@ def pad(x: Array, n: int) -> Array:
     return x if len(x) >= n else np.concatenate([x, np.zeros((n - len(x), *x.shape[1:]), x.dtype)])
 
 
-def norm2(A: Array, steps: int = 30) -> float:
+def norm2(A: Array) -> float:
     """Spectral norm, to a few per cent, from power iterations."""
     top = float(np.abs(A).max(initial=0.0))
     x: Array = np.random.default_rng(0).standard_normal((A.shape[1],))
     size = 0.0
-    for _ in range(steps if top > 0 else 0):
+    for _ in range(30 if top > 0 else 0):
         x = x / np.linalg.norm(x)
         y = A @ x / top  # squares stay within the range of numbers
         size = float(np.linalg.norm(y))
@@ -170,13 +170,13 @@ def _smallest(R: Array, n: int, labels: Sequence[str] | None) -> float:
     return float(values[-1])
 
 
-def _inverse_iteration(R: Array, steps: int = 8) -> float:
+def _inverse_iteration(R: Array) -> float:
     """Smallest singular value of a regular triangle, from above: the cost is a few triangular solves."""
     from scipy.linalg import solve_triangular
 
     x = np.linalg.qr(np.random.default_rng(0).standard_normal((len(R), min(4, len(R)))))[0]
     growth = 0.0
-    for _ in range(steps):
+    for _ in range(8):
         z = solve_triangular(R, x, trans="T", check_finite=False)
         growth = float(np.linalg.norm(z, 2))
         x = solve_triangular(R, z / growth, check_finite=False)
@@ -184,7 +184,7 @@ def _inverse_iteration(R: Array, steps: int = 8) -> float:
     return 1 / growth
 
 
-def names(directions: Array, labels: Sequence[str] | None = None, most: int = 5) -> str:
+def names(directions: Array, labels: Sequence[str] | None = None) -> str:
     """Load patterns in words: constant, linear in the order of the loads, or the loads with the largest entries.
 
     Parameters
@@ -205,7 +205,7 @@ def names(directions: Array, labels: Sequence[str] | None = None, most: int = 5)
         found.append("linear in the order of the loads")
     if rest.shape[1]:
         size = np.linalg.norm(rest, axis=1)
-        largest = [k for k in np.argsort(-size, kind="stable")[:most] if size[k] > 0.01 * size.max()]
+        largest = [k for k in np.argsort(-size, kind="stable")[:5] if size[k] > 0.01 * size.max()]
         who = [str(k) if labels is None else labels[k] for k in largest]
         found.append(f"largest at {'unknowns' if labels is None else 'loads'} [{', '.join(who)}]")
     return "; ".join(found)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from structures.errors import InputError, plain
 
-from .arrays import Array, Flags, Indices
+from . import Array, Flags, Indices
 from .path import PathPoint, RegularizationPath
 
 LARGEST = 1e3  # relative lambda that leaves of the load, to six digits, only what the penalty does not see

@@ -16,8 +16,8 @@ from structures.files import _storage as storage
 
 from .._inverse.choice import Choice, PathCurve
 from .._inverse.diagnosis.diagnose import Diagnosis
-from .._inverse.noise_source import NOT_KNOWN, NoiseSource
 from .._inverse.posterior import from_arrays
+from .._inverse.problem import NOT_KNOWN, NoiseSource
 from .._inverse.sweep import RuleResult
 from ..validate._checks import Validation
 from .functionals import LoadSpectrum

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid._inverse.noise_source import NoiseSource
+from loadid._inverse.problem import NoiseSource
 from structures._flags import Flag
 from structures.errors import InputError
 

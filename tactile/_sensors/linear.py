@@ -13,7 +13,7 @@ from scipy import sparse
 
 from loadid._families.static import StaticInversion
 from loadid._guards import collect
-from loadid._inverse.noise_source import NoiseSource, NoiseSourceLike
+from loadid._inverse.problem import NoiseSource, NoiseSourceLike
 from loadid._results.estimate import LoadEstimate
 from loadid._results.facts import provenance
 from loadid.settings import Noise

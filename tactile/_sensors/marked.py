@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loadid._inverse.noise_source import NoiseSourceLike
+from loadid._inverse.problem import NoiseSourceLike
 from structures._flags import Flag
 from structures.errors import InputError, plain, positive
 

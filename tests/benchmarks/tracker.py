@@ -19,8 +19,7 @@ from scipy.linalg import solve_discrete_are
 
 from loadid._inverse.gaussian.lag import LagLine, fixed_lag
 from loadid._inverse.gaussian.loop import Loop, PeriodicLoop
-from loadid._inverse.gaussian.model import FilterModel
-from loadid._inverse.gaussian.squareroot import SquareRoot
+from loadid._inverse.gaussian.model import FilterModel, SquareRoot
 from loadid._inverse.gaussian.steady import SteadyFilter, periodic, steady
 
 SIZES, SENSORS, LAG, DT = (20, 60, 200), 10, 20, 0.01

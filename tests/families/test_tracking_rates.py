@@ -12,8 +12,8 @@ from loadid._families.tracking.filters import rescaled
 from loadid._families.tracking.fit import TrackerFit
 from loadid._families.tracking.likelihood import Listener, Patchy
 from loadid._families.tracking.tracker import Tracker
+from loadid._inverse.gaussian.model import SquareRoot
 from loadid._inverse.gaussian.records import filter_record as recursive
-from loadid._inverse.gaussian.squareroot import SquareRoot
 from tests.tracked import Tracked, bm2
 
 DISP = 3

@@ -251,6 +251,20 @@ def test_w405_counts_the_noise_modes() -> None:
     assert guards.not_testable(choose(smooth()[0])) is None
 
 
+def test_a_registered_rule_says_itself_that_it_needs_white_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rules, "RULES", dict(rules.RULES))
+    H, g = PROBLEMS["gravity"](24)
+    y = H @ g + 1e-3 * np.random.default_rng(0).standard_normal(24)
+    path = SVDPath(LinearProblem.whitened(H, y))
+    rules.register_rule(rules.modified_gcv, "silent")
+    rules.register_rule(rules.modified_gcv, "stricter", for_white_noise=True)
+    silent, flag = (guards.not_testable(choose(path, name)) for name in ("silent", "stricter"))
+    rules.FOR_WHITE_NOISE.remove("stricter")
+    assert silent is None
+    assert flag is not None
+    assert flag.code == "LID-W405"
+
+
 def in_the_null_space(sigma: float = 1e-3) -> tuple[SVDPath, np.ndarray, float]:
     """A linear load under a second difference: the best lambda is infinite."""
     H, g = PROBLEMS["foxgood"](64)

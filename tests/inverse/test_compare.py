@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from loadid._inverse import rules
-from loadid._inverse.compare import compare
-from loadid.paths import LinearProblem, SVDPath, choose
+from loadid.paths import LinearProblem, SVDPath, choose, compare
 from tests.benchmarks.fredholm import NOISES, PROBLEMS
 
 

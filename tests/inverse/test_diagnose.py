@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 
 from loadid._inverse.convolved.padded import SpectralPath
-from loadid._inverse.diagnosis import diagnose
+from loadid._inverse.diagnosis import diagnose, identifiability
 from loadid.paths import LinearProblem, SVDPath, toeplitz
 from structures._testing.spectra import padded_length
 from structures.errors import InputError, NotIdentifiable
@@ -18,23 +18,23 @@ FWHM = 2 * np.sqrt(2 * np.log(2))
 def test_width_of_a_gaussian(std: float, centre: int) -> None:
     t = np.arange(100)
     spread = -3 * np.exp(-0.5 * ((t - centre) / std) ** 2)
-    assert diagnose.width(spread, centre) == pytest.approx(FWHM * std, rel=0.06)  # linear between samples
+    assert identifiability.width(spread, centre) == pytest.approx(FWHM * std, rel=0.06)  # linear between samples
 
 
 def test_width_is_local_at_least_one_sample_and_at_most_what_is_there() -> None:
     spike = np.zeros(20)
     spike[7] = 2.0
-    assert diagnose.width(spike, 7) == 1.0
+    assert identifiability.width(spike, 7) == 1.0
     two = spike.copy()
     two[15] = 2.0  # a second peak far away does not widen the first
-    assert diagnose.width(two, 7) == 1.0
-    assert diagnose.width(np.ones(20), 7) == 21.0
+    assert identifiability.width(two, 7) == 1.0
+    assert identifiability.width(np.ones(20), 7) == 21.0
 
 
 def test_layout_tells_lost_modes_from_a_better_condition() -> None:
     s = np.array([10.0, 5.0, 1e-3])
-    assert diagnose.layout(s, 3) == (pytest.approx(1e4), 3, 0)
-    kappa, rank, nullity = diagnose.layout(np.array([10.0, 5.0, 1e-17]), 4)  # kappa fell because a mode was lost
+    assert identifiability.layout(s, 3) == (pytest.approx(1e4), 3, 0)
+    kappa, rank, nullity = identifiability.layout(np.array([10.0, 5.0, 1e-17]), 4)  # kappa fell because a mode was lost
     assert (kappa, rank, nullity) == (pytest.approx(2.0), 2, 2)
 
 
@@ -47,13 +47,13 @@ def test_resolution_follows_the_blur_and_the_noise() -> None:
     load = np.zeros((80, 1))
     load[33] = 1.0
     path = SVDPath(LinearProblem.whitened(gaussian(80, 3.0), gaussian(80, 3.0) @ load[:, 0], shape=(80, 1)))
-    widths, losses = zip(*(diagnose.resolution(path, lam, load) for lam in (1e-6, 1e-3, 0.1, 0.9)), strict=True)
+    widths, losses = zip(*(identifiability.resolution(path, lam, load) for lam in (1e-6, 1e-3, 0.1, 0.9)), strict=True)
     assert list(widths) == sorted(widths)
     assert list(losses) == sorted(losses)
     assert widths[-1] == pytest.approx(np.sqrt(2) * 3.0 * FWHM, rel=0.15)  # large lambda: the blur twice
     assert 0 <= losses[0] < losses[-1] < 1
     sharp = SVDPath(LinearProblem.whitened(np.eye(80), load[:, 0], shape=(80, 1)))
-    assert diagnose.resolution(sharp, 1e-6, load) == (1.0, pytest.approx(0, abs=1e-9))
+    assert identifiability.resolution(sharp, 1e-6, load) == (1.0, pytest.approx(0, abs=1e-9))
 
 
 def test_resolution_is_the_same_on_both_paths() -> None:
@@ -66,8 +66,8 @@ def test_resolution_is_the_same_on_both_paths() -> None:
     dense = SVDPath(LinearProblem.whitened(toeplitz(h), y, shape=(n, 1)))
     fast = SpectralPath(np.fft.rfft(h, padded, axis=0), y, np.full((padded // 2 + 1, 1), float(n)))
     for lam in (0.01, 0.2):
-        a = diagnose.resolution(dense, lam, load)
-        b = diagnose.resolution(fast, lam * float(dense.scale / fast.scale), load)
+        a = identifiability.resolution(dense, lam, load)
+        b = identifiability.resolution(fast, lam * float(dense.scale / fast.scale), load)
         np.testing.assert_allclose(b, a, rtol=0.01)
 
 
@@ -77,8 +77,8 @@ def test_resolution_of_two_loads_looks_at_the_larger() -> None:
     load = np.zeros((15, 2))
     load[7] = [1.0, 0.5]
     path = SVDPath(LinearProblem.whitened(H, H @ load.ravel(), shape=(15, 2)))
-    assert diagnose.resolution(path, 0.05, load)[0] == pytest.approx(1.0)
-    assert diagnose.resolution(path, 0.05, load[:, ::-1])[0] > 2.0
+    assert identifiability.resolution(path, 0.05, load)[0] == pytest.approx(1.0)
+    assert identifiability.resolution(path, 0.05, load[:, ::-1])[0] > 2.0
 
 
 # -- the whole diagnosis ----------------------------------------------------------------------------------------------
@@ -135,7 +135,7 @@ def test_large_problems_keep_selected_columns() -> None:
     R = path.resolution(0.05)
     np.testing.assert_allclose(d.heights, np.diag(R), atol=1e-10)
     np.testing.assert_allclose(d.point_spreads, R[:, d.shown], atol=1e-10)
-    assert d.width == pytest.approx(diagnose.width(R[:, 101], 101))
+    assert d.width == pytest.approx(identifiability.width(R[:, 101], 101))
 
 
 def test_share_of_a_load_that_no_sensor_sees() -> None:
@@ -236,21 +236,21 @@ def blurred(loads: int, sensors: int = 60) -> np.ndarray:
 
 def test_refining_adds_modes_until_the_noise_is_reached() -> None:
     eta = 1e-3
-    early = diagnose.refinement(blurred(4), blurred(8), eta)
+    early = identifiability.refinement(blurred(4), blurred(8), eta)
     assert early.gained > 0
-    late = diagnose.refinement(blurred(40), blurred(80), eta)
+    late = identifiability.refinement(blurred(40), blurred(80), eta)
     assert (late.coarse, late.fine, late.gained) == (40, 80, 0)
     assert late.after == np.sum(np.linalg.svd(blurred(80))[1] > eta * np.linalg.svd(blurred(80))[1][0])
-    halved = diagnose.against_half(blurred(80), eta)
+    halved = identifiability.against_half(blurred(80), eta)
     assert (halved.coarse, halved.fine, halved.before, halved.after) == (40, 80, late.before, late.after)
 
 
 def test_merging_follows_the_neighbours_that_are_given() -> None:
     H = np.eye(6)
-    pairs = diagnose.against_half(H, 0.5, edges=[[0, 3], [1, 4], [2, 5]])
+    pairs = identifiability.against_half(H, 0.5, edges=[[0, 3], [1, 4], [2, 5]])
     assert (pairs.coarse, pairs.before, pairs.after) == (3, 3, 6)
-    assert diagnose.against_half(np.eye(6), 0.5, components=2).coarse == 4  # points 0 and 1 merge, 2 stays
+    assert identifiability.against_half(np.eye(6), 0.5, components=2).coarse == 4  # points 0 and 1 merge, 2 stays
     with pytest.raises(InputError, match="no relative noise"):
-        diagnose.against_half(H, 2.0)
+        identifiability.against_half(H, 2.0)
     with pytest.raises(InputError, match="not finer"):
-        diagnose.refinement(H, H, 0.1)
+        identifiability.refinement(H, H, 0.1)

@@ -8,7 +8,7 @@ import pytest
 from loadid._inverse import rules
 from loadid._inverse.sparse import dictionaries, groups, lasso
 from loadid._inverse.sparse import lasso as workingset
-from loadid._inverse.sparse import support as debias
+from loadid._inverse.sparse import path as debias
 from loadid._inverse.sparse.atoms import DenseAtoms, MatrixAtoms, ShiftedAtoms
 from loadid._inverse.sparse.path import SparsePath, log_supports
 from structures import InputError
@@ -296,7 +296,7 @@ def test_amplitudes_are_least_squares_with_their_covariance(monkeypatch):
     np.testing.assert_allclose(found.x, expected, rtol=1e-9)
     covariance = np.linalg.solve(A.T @ A, np.eye(4))
     np.testing.assert_allclose(found.std, np.sqrt(np.diag(covariance)), rtol=1e-6)
-    monkeypatch.setattr(debias, "DENSE", 0)  # as if the columns did not fit in memory
+    monkeypatch.setattr(debias, "FACTORISED", 0)  # as if the columns did not fit in memory
     again = debias.fit(atoms, y, support)
     np.testing.assert_allclose(again.x, expected, rtol=1e-8)
     np.testing.assert_allclose(again.std, found.std, rtol=1e-4)

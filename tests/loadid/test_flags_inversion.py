@@ -3,7 +3,7 @@
 import pytest
 
 from loadid import _guards as flags
-from loadid._inverse.diagnosis.resolution import Refinement
+from loadid._inverse.diagnosis.identifiability import Refinement
 
 
 def test_nodal_forces_are_no_pressure():

@@ -14,9 +14,8 @@ from structures.errors import InputError
 
 from ..._inverse import penalties
 from ..._inverse.constrained.nonnegative import NonNegativeRecord
-from ..._inverse.convolution import toeplitz
-from ..._inverse.diagnosis import diagnose
-from ..._inverse.problem import LinearProblem, whiten
+from ..._inverse.diagnosis import identifiability
+from ..._inverse.problem import LinearProblem, toeplitz, whiten
 from ..._inverse.svd import SVDPath
 from .. import noise as noises
 from ..data import Data
@@ -130,12 +129,12 @@ def dense(h: Array, values: Array, noise: noises.NoiseLevel, data: Data, setting
     full = None
     if len(data.rows) < h.shape[1]:
         scale = np.sqrt(np.mean(h**2, axis=(0, 2)))
-        full = diagnose.layout(np.linalg.svd(toeplitz(h / scale[:, None]).reshape(-1, n), compute_uv=False), n)
+        full = identifiability.layout(np.linalg.svd(toeplitz(h / scale[:, None]).reshape(-1, n), compute_uv=False), n)
 
     def predict(g: Array) -> Array:
         return (T.reshape(-1, n) @ g.reshape(-1)).reshape(values.shape)
 
-    kappa, _, _ = diagnose.layout(path.singular_values, n)
+    kappa, _, _ = identifiability.layout(path.singular_values, n)
     layout = kappa, path.rank, max(n - path.rank, 0)
     penalty = settings.penalty.L
 

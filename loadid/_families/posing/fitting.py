@@ -14,7 +14,7 @@ from structures.errors import InputError, NotIdentifiable, real, reals
 from ..._inverse import choice as choosing
 from ..._inverse import rules
 from ..._inverse.choice import Choice, PathCurve, is_rule
-from ..._inverse.noise_source import NoiseSource
+from ..._inverse.problem import NoiseSource
 from ..._inverse.rules import MEANING
 from ..._inverse.spectral import (
     Compressed,
@@ -273,7 +273,7 @@ def _lambda(path: LinesPath, rule: LineRule, known: bool) -> NDArray[np.float64]
     if not is_rule(rule.choice):
         given = real(rule.choice) or 0.0
         if rule.over == "band":  # one absolute lambda
-            return given * path.scale.max() / np.maximum(path.scale, 1e-300)
+            return np.asarray(given * path.scale.max() / np.maximum(path.scale, 1e-300))
         return np.full(lines, given)
     if rule.over == "band":
         joined = path.joined()

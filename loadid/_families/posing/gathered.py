@@ -16,7 +16,7 @@ from structures._testing.spectra import padded_length
 from structures._testing.welch import CrossSpectra, cross_spectra
 from structures.errors import InputError, digest, plain, reals
 
-from ..._inverse.noise_source import NOT_KNOWN, STATED, NoiseSource
+from ..._inverse.problem import NOT_KNOWN, STATED, NoiseSource
 from ..._record import Record, Spectra
 from ...settings import SIGNALS, Noise, Signal
 from .. import noise as noises
@@ -141,11 +141,11 @@ def _of_spectra(found: Spectra, model: Model, rows: Array, s: LineSettings) -> L
     )  # fmt: skip
 
 
-def _of_cross(found: CrossSpectra, model: Model, rows: Array, s: LineSettings, name: str = "cross spectra") -> LineData:
+def _of_cross(found: CrossSpectra, model: Model, rows: Array, s: LineSettings) -> LineData:
     labels = [model.sensors[i].label for i in rows]
     f, keep = _inside(found.frequencies, s.band)
     f, keep = _known_lines(model, f, keep)
-    columns = _columns(labels, found.labels, len(found.channels), len(model.sensors), rows, name)
+    columns = _columns(labels, found.labels, len(found.channels), len(model.sensors), rows, "cross spectra")
     S = found.matrix[keep][:, columns][:, :, columns]
     noise = None if not s.noise.stated else _levels(s.noise.std, len(rows))
     X = _snapshots(S)
@@ -155,7 +155,7 @@ def _of_cross(found: CrossSpectra, model: Model, rows: Array, s: LineSettings, n
     facts = {"averages": found.averages, "bandwidth": found.bandwidth, "window": found.window}
     return LineData(
         f, X, power, known, source, found.averages, "cross spectra", rows, tuple(model.sensors[i] for i in rows),
-        {name: digest(found.frequencies, found.matrix)}, findings=found.flags, facts=facts,
+        {"cross spectra": digest(found.frequencies, found.matrix)}, findings=found.flags, facts=facts,
     )  # fmt: skip
 
 

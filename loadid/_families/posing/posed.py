@@ -19,9 +19,9 @@ from ... import _guards as guards
 from ..._inverse import penalties
 from ..._inverse.constrained.nonnegative import NonNegativeRecord
 from ..._inverse.convolved.padded import SpectralPath
-from ..._inverse.diagnosis import diagnose
-from ..._inverse.noise_source import NoiseSource
+from ..._inverse.diagnosis import identifiability
 from ..._inverse.path import RegularizationPath
+from ..._inverse.problem import NoiseSource
 from ...settings import Lambda, Noise, Penalty, one_of
 from .. import noise as noises
 from ..data import AS_RECORDED, Data
@@ -359,13 +359,13 @@ def _lines(
     full = None
     if len(data.rows) < H.shape[1]:
         scale = np.sqrt(np.mean(np.abs(H) ** 2, axis=(0, 2)))
-        full = diagnose.layout(np.linalg.svd(H / scale[:, None], compute_uv=False).ravel(), len(H) * H.shape[2])
+        full = identifiability.layout(np.linalg.svd(H / scale[:, None], compute_uv=False).ravel(), len(H) * H.shape[2])
 
     def predict(g: Array) -> Array:
         G = np.fft.rfft(g, path.padded, axis=0)
         return np.fft.irfft(np.einsum("ksl,kl->ks", used, G), path.padded, axis=0)[: len(values)]
 
-    kappa, _, _ = diagnose.layout(path.c, path.unknowns)
+    kappa, _, _ = identifiability.layout(path.c, path.unknowns)
     layout = kappa, path.rank, max(path.unknowns - path.rank, 0)
     compare = by_prediction(values, predict)
     return Posed(path, noise.noise, compare, values, PADDED, h[:, data.rows], layout, full, path.unknowns, path)

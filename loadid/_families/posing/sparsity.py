@@ -20,8 +20,7 @@ from ..._inverse.sparse import dictionaries, path
 from ..._inverse.sparse.atoms import MatrixAtoms, ShiftedAtoms
 from ..._inverse.sparse.groups import Groups
 from ..._inverse.sparse.lasso import SparseSolution
-from ..._inverse.sparse.path import SparsePath
-from ..._inverse.sparse.support import SupportFit, fit
+from ..._inverse.sparse.path import SparsePath, SupportFit, fit
 from ..._inverse.sweep import RuleResult, Sweep
 from ...settings import Sparsity
 from .. import noise as noises

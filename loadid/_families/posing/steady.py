@@ -19,10 +19,9 @@ from ..._inverse import sweep as whiteness
 from ..._inverse.choice import Choice, choose
 from ..._inverse.constrained.path import ConstrainedPath
 from ..._inverse.constrained.solver import soft
-from ..._inverse.diagnosis import diagnose
-from ..._inverse.noise_source import NOT_KNOWN
+from ..._inverse.diagnosis import diagnose, identifiability
 from ..._inverse.path import Solution
-from ..._inverse.problem import LinearProblem, whiten
+from ..._inverse.problem import NOT_KNOWN, LinearProblem, whiten
 from ..._inverse.svd import SVDPath
 from ...constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from ...settings import Noise
@@ -73,7 +72,7 @@ class StaticProblem:
     @property
     def layout(self) -> tuple[float, int, int]:
         """Condition number of the visible part, rank and nullity."""
-        return diagnose.layout(self.base.singular_values, self.H.shape[1])
+        return identifiability.layout(self.base.singular_values, self.H.shape[1])
 
     @property
     def solved_by(self) -> str:
@@ -193,7 +192,7 @@ def pose(
     if len(rows) < len(H):
         scale = np.sqrt(np.mean(H**2, axis=1))
         seen = H[scale > 0] / scale[scale > 0, None]
-        full = diagnose.layout(np.linalg.svd(seen, compute_uv=False), H.shape[1])
+        full = identifiability.layout(np.linalg.svd(seen, compute_uv=False), H.shape[1])
     return StaticProblem(rows, base, path, level, full, given.channels)
 
 

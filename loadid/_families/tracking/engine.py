@@ -16,9 +16,8 @@ from structures.errors import InputError, reals
 
 from ..._inverse.gaussian.lag import Delayed, FixedLag, LagLine, delayed, resumed
 from ..._inverse.gaussian.loop import Loop, PeriodicLoop
-from ..._inverse.gaussian.model import FilterModel
+from ..._inverse.gaussian.model import FilterModel, FilterState, Innovation, SquareRoot
 from ..._inverse.gaussian.roots import Array
-from ..._inverse.gaussian.squareroot import FilterState, Innovation, SquareRoot
 from ..._inverse.gaussian.steady import SteadyFilter
 from .gate import recent
 from .judging import GATE, PATIENCE, Heard, Judge, arrays, state_of, wider

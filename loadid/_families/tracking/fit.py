@@ -27,7 +27,7 @@ from ..._inverse.gaussian.augment import augment
 from ..._inverse.gaussian.model import FilterModel, Present
 from ..._inverse.gaussian.roots import Array
 from ..._inverse.gaussian.steady import SteadyFilter, steady
-from ..._inverse.noise_source import NOT_KNOWN, NoiseSource
+from ..._inverse.problem import NOT_KNOWN, NoiseSource
 from .certificate import TrackCertificate
 from .filters import SPREAD, WEIGHT, rescaled, restricted
 

@@ -29,9 +29,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._inverse.gaussian.model import FilterModel
+from ..._inverse.gaussian.model import FilterModel, FilterState, Innovation
 from ..._inverse.gaussian.roots import Array, lower, solve_lower
-from ..._inverse.gaussian.squareroot import FilterState, Innovation
 from ..._inverse.gaussian.steady import SteadyFilter
 
 RARE = float(np.log(1000.0))  # a channel that is wrong, and an event: one sample of a thousand

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._guards.tracking import FAR
-from ..._inverse.gaussian.model import FilterModel
+from ..._inverse.gaussian.model import FilterModel, FilterState, Innovation, SquareRoot
 from ..._inverse.gaussian.roots import Array
-from ..._inverse.gaussian.squareroot import FilterState, Innovation, SquareRoot
 from .gate import CALM, DOUBLINGS, OVER, RARE, Plain, missed, onset, plain_of, reach, usual, weighed
 
 GATE = 6.0  # std of an innovation beyond which a sample is looked at

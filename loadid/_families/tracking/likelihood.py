@@ -27,9 +27,8 @@ from numpy.typing import NDArray
 from structures.errors import InputError, NotIdentifiable
 
 from ..._inverse.gaussian.loop import PeriodicLoop
-from ..._inverse.gaussian.model import FilterModel
+from ..._inverse.gaussian.model import FilterModel, FilterState, SquareRoot
 from ..._inverse.gaussian.roots import Array, solve_lower
-from ..._inverse.gaussian.squareroot import FilterState, SquareRoot
 from ..._inverse.gaussian.steady import SteadyFilter, periodic
 
 LONGEST = 128  # samples of a period

@@ -18,7 +18,7 @@ from structures._flags import Flag
 from structures.errors import InputError, plain, reals
 
 from ..._guards.tracking import beyond_the_fit, kept_out, moved_off
-from ..._inverse.gaussian.exports import Peer
+from ..._inverse.gaussian.exports import FilterpyEngine
 from ..._inverse.gaussian.lag import fixed_lag
 from ..._inverse.gaussian.roots import Array
 from ..._inverse.gaussian.steady import SteadyFilter
@@ -202,7 +202,7 @@ class Running:
         f = self.fitted
         if self.engine == "own":
             return Engine(f.model, f.settled, self.gate, self._width())
-        return Peer(f.model)
+        return FilterpyEngine(f.model)
 
     def compile(self) -> None:
         """Load the compiler of the settled gains now, so that no sample waits for it."""

@@ -131,7 +131,7 @@ class Feasible:
         return worst / size
 
 
-def compile_(constraints: Sequence[Constraint], n: int, labels: Sequence[str] | None = None) -> Feasible:
+def compile_(constraints: Sequence[Constraint], n: int) -> Feasible:
     """One feasible set from constraints on `n` loads.
 
     Raises
@@ -325,9 +325,9 @@ def _resultants(constraints: Sequence[Constraint], n: int, keep: Index, groups: 
     return _independent(every, np.linalg.norm(np.concatenate(rows), axis=1))
 
 
-def _independent(rows: Rows, before: Array, tol: float = 1e-10) -> Rows:
+def _independent(rows: Rows, before: Array) -> Rows:
     """Rows of unit length without those that follow from others; a contradiction is named."""
-    size = np.abs(rows.value).max() if rows.value.size else 0.0
+    size, tol = np.abs(rows.value).max() if rows.value.size else 0.0, 1e-10
     kept: list[int] = []
     for i in range(len(rows)):
         if rows.norm[i] <= tol * before[i] or before[i] == 0:

@@ -17,8 +17,7 @@ from ..path import Coefficients, PathPoint, RegularizationPath, Solution
 from ..posterior import FacePosterior, FramesPosterior, Posterior
 from ..svd import SVDPath
 from . import activeset
-from .activeset import ActivePoint
-from .conic import refuse_empty
+from .activeset import ActivePoint, refuse_empty
 from .feasible import Feasible, compile_
 from .quadratic import ActiveFace
 from .solver import ConstrainedSolution, ConstrainedSolver, grams, resultants_of, soft, soft_values, whitening

@@ -15,7 +15,8 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..convolution import Convolution, PenalizedConvolution, toeplitz
+from ..convolution import Convolution, PenalizedConvolution
+from ..problem import toeplitz
 from .pcg import Circulant, Sides, solve
 
 T = TypeVar("T")
@@ -79,7 +80,7 @@ def difference(h: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(1 - cosine**2, 0.0)))
 
 
-def groups(h: Array, near: Mask | None = None, tolerance: float = ALIKE) -> tuple[tuple[int, ...], ...]:
+def groups(h: Array, near: Mask | None = None) -> tuple[tuple[int, ...], ...]:
     """Groups of candidates at different places that leave the same data.
 
     Parameters
@@ -88,9 +89,8 @@ def groups(h: Array, near: Mask | None = None, tolerance: float = ALIKE) -> tupl
     near : array of bool, shape (loads, loads), optional
         Which candidates are neighbours: on a fine grid these are alike because they are one place, and such a patch
         alone is no group.
-    tolerance : float
     """
-    alike = difference(h) <= tolerance
+    alike = difference(h) <= ALIKE
     together, apart = _components(alike), _components(alike if near is None else alike & near)
     found = []
     for label in np.unique(together):

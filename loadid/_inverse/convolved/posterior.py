@@ -236,7 +236,7 @@ def traces(operator: PenalizedConvolution, lam: float, tolerance: float) -> tupl
     return part, float(z[0].size) - part, float(np.sum(w * found.x[count:])) / count
 
 
-def variances(operator: PenalizedConvolution, lam: float, tolerance: float = 1e-6) -> Array:
+def variances(operator: PenalizedConvolution, lam: float) -> Array:
     """Diagonal of B, (loads, samples), by one comb for each load and each of `TEETH` places."""
     rng = np.random.default_rng(0)
     p, N = operator.loads, operator.samples
@@ -248,7 +248,7 @@ def variances(operator: PenalizedConvolution, lam: float, tolerance: float = 1e-
         b = np.zeros((len(some), p, N))
         for i, (j, k) in enumerate(some):
             b[i, j, k::teeth] = sign[j, k::teeth]
-        x = solve(operator, circulant, Sides(b=b), tolerance).x
+        x = solve(operator, circulant, Sides(b=b), 1e-6).x
         for i, (j, k) in enumerate(some):
             out[j, k::teeth] = x[i, j, k::teeth] * sign[j, k::teeth]
     return np.maximum(out, 1e-3 * np.median(out))

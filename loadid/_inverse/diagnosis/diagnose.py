@@ -9,22 +9,152 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures.errors import NotIdentifiable, plain
+from structures.errors import InputError, NotIdentifiable, plain
 
-from ..arrays import Array
-from ..path import RegularizationPath
+from .. import Array
 from ..svd import SVDPath
+from .identifiability import layout, width
 from .picard import Decay, Plateau, decay, plateau
-from .resolution import LoadLayout, Refinement, against_half, refinement, spreads, width
-
-__all__ = [
-    "Decay", "Diagnosis", "LoadLayout", "Plateau", "Refinement", "against_half", "decay", "diagnose", "hidden",
-    "layout", "plateau", "refinement", "resolution", "spreads", "width",
-]  # fmt: skip
 
 WHOLE = 400  # loads up to which the resolution matrix is kept
 LOUD = 4.0  # times the noise level: a plateau above that is none
 SAMPLED = 200  # of its columns that are measured where there are more loads
+
+
+@dataclass(frozen=True)
+class LoadLayout:
+    """Where loads are: in a row, on a line, or on a surface. Load index = point * components + component.
+
+    Parameters
+    ----------
+    points, components : int
+    places : array, shape (points, d), or None
+        In m, in the 1, 2 or 3 directions in which they differ; None: in the order of their index.
+    measures : array, shape (points,)
+        Length or area of each; in samples without places.
+    """
+
+    points: int
+    components: int = 1
+    places: Array | None = None
+    measures: Array | None = None
+
+    @classmethod
+    def of(cls, n: int, components: int = 1, geometry: Mapping[str, Any] | None = None) -> LoadLayout:
+        """LoadLayout of `n` loads, with the geometry of a load basis where there is one.
+
+        Raises
+        ------
+        InputError
+            If the geometry is one of another number of loads.
+        """
+        found = None if geometry is None or geometry.get("kind") == "polynomials" else geometry.get("coordinates")
+        if found is None:
+            return cls(n // components, components)
+        x = np.asarray(found, float)
+        x = x[:, None] if x.ndim == 1 else x
+        components = len(geometry.get("components") or ()) or components  # type: ignore[union-attr]
+        if len(x) * components != n:
+            raise InputError("the places are not those of the loads", where="geometry",
+                             found=f"{len(x)} places, {components} components", expected=f"{n} loads")  # fmt: skip
+        measures = geometry.get("measures")  # type: ignore[union-attr]
+        flat = _flattened(x)
+        if flat.shape[1] == 0:
+            return cls(len(x), components)
+        return cls(len(x), components, flat, _cells(flat) if measures is None else np.asarray(measures, float))
+
+    @property
+    def dimension(self) -> int:
+        """1 along a line, 2 over a surface, 3 in a body."""
+        return 1 if self.places is None else self.places.shape[1]
+
+    @property
+    def unit(self) -> str:
+        """Unit of a width."""
+        return "loads" if self.places is None else "m"
+
+    def width(self, spread: Array, load: int) -> float:
+        """Full width at half maximum of a point spread (n,), among the loads of its own direction.
+
+        On a line interpolated; on a surface the diameter of a disc (of a ball) as large as all that is above the half.
+        """
+        x = np.abs(spread.reshape(self.points, self.components)[:, load % self.components])
+        own = load // self.components
+        if x[own] <= 0:
+            return float(self.points) if self.places is None else float(np.linalg.norm(np.ptp(self.places, axis=0)))
+        if self.places is None:
+            return width(x, own)
+        assert self.measures is not None
+        if self.dimension == 1:
+            return max(_crossings(self.places[:, 0], x / x[own], own), float(self.measures[own]))
+        size = float(np.sum(self.measures[x >= 0.5 * x[own]]))
+        # nodes of a surface carry its area; those of a body are taken for points of a surface in it
+        return 2 * float(np.sqrt(size / np.pi))
+
+    def cross_talk(self, spread: Array, load: int, reach: float) -> float:
+        """Largest response beyond `reach` of a load, or in another direction, over that at the load itself.
+
+        Infinite where the load itself is shown nowhere in place.
+        """
+        x, own = np.abs(spread.reshape(self.points, self.components)), load // self.components
+        at = np.arange(self.points)[:, None] if self.places is None else self.places
+        away = np.linalg.norm(at - at[own], axis=1) > reach
+        mine = x[own, load % self.components]
+        others = np.delete(x, load % self.components, axis=1)
+        largest = max(float(x[away, load % self.components].max(initial=0.0)), float(others.max(initial=0.0)))
+        return largest / float(mine) if mine > 0 else (np.inf if largest > 0 else 0.0)
+
+
+def _flattened(x: Array) -> Array:
+    """Coordinates along the directions in which the places differ."""
+    centred = x - x.mean(axis=0)
+    if not np.any(centred):
+        return np.asarray(centred[:, :0])
+    span, axes = np.linalg.svd(centred, full_matrices=False)[1:]
+    return np.asarray(centred @ axes[span > 1e-6 * span[0]].T)
+
+
+def _cells(x: Array) -> Array:
+    """Tributary length on a line; an equal share of the box elsewhere."""
+    if x.shape[1] > 1:
+        return np.full(len(x), float(np.prod(np.sort(np.ptp(x, axis=0))[-2:])) / len(x))
+    order = np.argsort(x[:, 0])
+    cells = np.empty(len(x))
+    cells[order] = np.abs(np.gradient(x[order, 0]))
+    return cells
+
+
+def _crossings(x: Array, y: Array, own: int) -> float:
+    """Distance between the places left and right of a peak of height 1 where it has fallen to a half."""
+    order = np.argsort(x)
+    x, y, k = x[order], y[order], int(np.flatnonzero(order == own)[0])
+
+    def reach(a: Array, b: Array) -> float:
+        below = np.flatnonzero(b < 0.5)
+        if len(below) == 0:
+            return abs(float(a[-1] - a[0]))
+        j = int(below[0])
+        part = (b[j - 1] - 0.5) / (b[j - 1] - b[j])
+        return abs(float(a[j - 1] + part * (a[j] - a[j - 1]) - a[0]))
+
+    return reach(x[k:], y[k:]) + reach(x[k::-1], y[k::-1])
+
+
+@dataclass(frozen=True)
+class Spreads:
+    """Height, width and cross-talk of some columns of a resolution matrix; arrays (columns,)."""
+
+    loads: NDArray[np.int64]
+    widths: Array
+    cross_talk: Array
+
+
+def spreads(columns: ArrayLike, loads: NDArray[np.int64], layout: LoadLayout) -> Spreads:
+    """Measure columns (n, k) of a resolution matrix that belong to `loads` (k,)."""
+    columns = np.asarray(columns, float)
+    widths = np.array([layout.width(column, int(j)) for column, j in zip(columns.T, loads, strict=True)])
+    talk = [layout.cross_talk(c, int(j), w) for c, j, w in zip(columns.T, loads, widths, strict=True)]
+    return Spreads(np.asarray(loads, int), widths, np.array(talk, float))
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,34 +388,3 @@ def _modes(path: SVDPath, lam: float) -> _Modes:
 def _columns(path: SVDPath, lam: float, loads: NDArray[np.int64]) -> Array:
     """Columns of the resolution matrix, (n, k)."""
     return (path.X * path.filter_factors(lam)) @ path.Y[loads].T
-
-
-def layout(singular_values: ArrayLike, n: int) -> tuple[float, int, int]:
-    """Conditioning of the observed subspace with its rank and nullity: (kappa, rank, nullity)."""
-    s = np.sort(np.asarray(plain(singular_values), float))[::-1]
-    tol = max(len(s), n) * np.finfo(float).eps * s[0]
-    rank = int(np.sum(s > tol))
-    return float(s[0] / s[rank - 1]), rank, max(n - rank, 0)
-
-
-def resolution(path: RegularizationPath, lam: float, load: Array) -> tuple[float, float]:
-    """Width in samples of the answer to a single-sample load at the peak, and the share of its height that is lost."""
-    sample, j = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
-    unit = np.zeros(load.shape)
-    unit[sample, j] = 1.0
-    spread = path.resolve(unit, lam)[:, j]
-    if spread[sample] <= 0:
-        return float(len(load)), 1.0
-    return width(spread, int(sample)), float(1 - spread[sample])
-
-
-def hidden(path: RegularizationPath, lam: float, load: Array, std: Array, *, axis: int = 0) -> Array:
-    """What regularisation is expected to hide, (R - I) g for the part of the estimate that stands out of its noise.
-
-    The estimate itself has lost it already (low frequencies that accelerometers do not see come back as a slow
-    undershoot); its clear part, above three standard deviations and a tenth of the peak, still holds it. Zero for an
-    estimate that is all noise. `axis` is that along which there is one peak: time of a history, the loads of a frame.
-    """
-    size = np.abs(load)
-    clear = np.where(size > np.maximum(3 * std, 0.1 * size.max(axis=axis, keepdims=True)), load, 0.0)
-    return path.resolve(clear, lam) - clear

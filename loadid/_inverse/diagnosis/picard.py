@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from structures.errors import InputError, as_array
 
-from ..arrays import Array, Indices
+from .. import Array, Indices
 
 # how signals fall with the index of the mode; each has a rate that is fitted
 LAWS: dict[str, Callable[[Array], Array]] = {

@@ -7,7 +7,7 @@ One system, ``x_{k+1} = F x_k + G w_k, y_k = C x_k + D w_k + v_k`` with Gaussian
 =================  =========================================  ======================================================
 model              `record.WhitenedRecord`: w of std 1/lam,   `model.FilterModel`: roots LQ, LR and S of the
                    v of std 1, states that start free         covariances, start x0, L0
-recursion          `gains`: information of later samples,     `squareroot`: covariance after earlier samples, forward;
+recursion          `gains`: information of later samples,     `model.SquareRoot`: covariance, forward;
                    backward; one QR a sample, compiled        one QR a sample, LAPACK, for any channels missing
 settled            `compiled.settled`: by its own change      `steady`: the fixed point by doubling, then QR; a sample
                    and decay, exact for a finite record       is at it by the relative distance of its variances

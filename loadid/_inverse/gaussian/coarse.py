@@ -17,8 +17,8 @@ from structures.errors import InputError, NotIdentifiable
 
 from .. import rules
 from ..choice import ORDERS, Choice, ChoiceLike, decide, is_rule
-from ..noise_source import NoiseSource
 from ..path import RegularizationPath, Solution
+from ..problem import NoiseSource
 from ..sweep import LARGEST, RuleResult, Sweep
 from .gains import Gains, gains
 from .passes import Solved, solve

@@ -19,9 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, plain, reals
 
-from .model import FilterModel, Present, present
+from .model import FilterModel, Present, SquareRoot, present
 from .roots import Array
-from .squareroot import SquareRoot
 from .steady import SteadyFilter
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
@@ -184,7 +183,7 @@ class Tracked:
 
 
 class FilterpyEngine:
-    """filterpy's filter run sample by sample on our model.
+    """filterpy's filter on our model, asked as `Engine` is; it believes every number and has no settled gain.
 
     Parameters
     ----------
@@ -196,41 +195,50 @@ class FilterpyEngine:
         With the state of the last sample.
     """
 
+    loop = innovation = rival = None
+
     def __init__(self, model: FilterModel) -> None:
-        self.model, self.kf = model, to_filterpy(model)
+        self.model, self.core, self.kf = model, SquareRoot(model), to_filterpy(model)
         self._parts: dict[bytes, Present] = {}
         self._last: tuple[Present, Array] | None = None
         self.normalised = np.full(model.m, np.nan)  # innovation of the last sample over its std, NaN where missing
+        self.phase, self.taken = "warm-up", np.zeros(model.m)
+        self.counts: Counter[str] = Counter()
 
-    def step(self, sample: ArrayLike) -> tuple[Array, Array]:
+    def step(self, y: ArrayLike) -> tuple[Array, Array]:
         """Loads (p,) and their std after a sample (m,); NaN marks a missing channel.
 
         Raises
         ------
         InputError
-            A sample of another width, or infinite.
+            No sample of this width, or infinite: it is not counted.
         """
-        y = np.asarray(plain(sample), float)
-        if y.shape != (self.model.m,) or np.any(np.isinf(y)):
-            raise InputError(
-                "the sample does not fit the model", where="sample", found=f"shape {y.shape}, or infinity in it",
-                expected=f"({self.model.m},), NaN where a channel is missing",
-            )  # fmt: skip
+        sample = self.core.sample(reals(y, where="sample", what="a sample that is no row of real numbers"))
         if self._last is not None:
             before, told = self._last
             Q = before.LQ @ before.LQ.T
             self.kf.predict(u=None if before.T is None else told, B=before.T, F=before.F, Q=Q)
-        part = self._part(np.isfinite(y))
-        y = y[part.mask]
+        part = self._part(np.isfinite(sample))
+        heard = sample[part.mask]
         self.normalised = np.full(self.model.m, np.nan)
-        if len(y):
-            self.kf.update(y, R=part.LR @ part.LR.T, H=part.H)
+        if len(heard):
+            self.kf.update(heard, R=part.LR @ part.LR.T, H=part.H)
             self.normalised[part.mask] = self.kf.y / np.sqrt(np.diag(self.kf.S))
         else:
             self.kf.update(None)
-        self._last = (part, y)
+        self._last = (part, heard)
+        self.phase, self.taken = "transient", sample
+        self.counts["samples"] += 1
+        self.counts["missing"] += self.model.m - len(heard)
         P = self.model.Cp @ self.kf.P @ self.model.Cp.T
         return self.model.Cp @ self.kf.x, np.sqrt(np.maximum(np.diag(P), 0))
+
+    def block(self, Y: Array, load: Array, std: Array, e: Array | None = None, taken_as: Array | None = None) -> None:
+        """Fill loads and std (samples, p) of a block (samples, m); normalised innovations where `e` is given."""
+        for k, y in enumerate(Y):
+            load[k], std[k] = self.step(y)
+            if e is not None:
+                e[k] = self.normalised
 
     def track(self, Y: ArrayLike, progress: Callable[[float, str], None] | None = None) -> Tracked:
         """Every sample of a record (samples, m).
@@ -252,14 +260,17 @@ class FilterpyEngine:
         return Tracked(load, std, nis, loglik)
 
     def to_tree(self) -> dict[str, Any]:
-        """Everything that changes, as plain arrays."""
+        """Everything that changes, as plain arrays and numbers."""
         last = None if self._last is None else {"mask": self._last[0].mask, "y": self._last[1]}
-        return {"x": np.array(self.kf.x), "P": np.array(self.kf.P), "last": last}
+        inner = {"x": np.array(self.kf.x), "P": np.array(self.kf.P), "last": last}
+        return {"phase": self.phase, "counts": dict(self.counts), "inner": inner}
 
     def restore(self, tree: dict[str, Any]) -> None:
         """Go on from what `to_tree` gave."""
-        self.kf.x, self.kf.P = np.array(tree["x"], float), np.array(tree["P"], float)
-        last = tree["last"]
+        self.phase, inner = str(tree["phase"]), tree["inner"]
+        self.counts = Counter({str(k): int(v) for k, v in tree["counts"].items()})
+        self.kf.x, self.kf.P = np.array(inner["x"], float), np.array(inner["P"], float)
+        last = inner["last"]
         self._last = None if last is None else (self._part(np.array(last["mask"], bool)), np.array(last["y"], float))
 
     def _said(self) -> tuple[float, float]:
@@ -356,53 +367,3 @@ def _cholesky(R: Array) -> Array:
     except np.linalg.LinAlgError:
         raise InputError("no covariance of sensors", where="R", found="a singular or indefinite matrix",
                          expected="positive definite", hint="every channel has some noise") from None  # fmt: skip
-
-
-class Peer:
-    """Steps and blocks as those of `Engine`; it believes every number and has no settled gain.
-
-    Parameters
-    ----------
-    model : FilterModel
-    """
-
-    loop = innovation = None
-    rival = None
-
-    def __init__(self, model: FilterModel) -> None:
-        self.model, self.core, self.inner = model, SquareRoot(model), FilterpyEngine(model)
-        self.phase = "warm-up"
-        self.counts: Counter[str] = Counter()
-        self.taken = np.zeros(model.m)
-
-    def step(self, y: ArrayLike) -> tuple[Array, Array]:
-        """Loads and their std (p,) of one sample (m,), NaN where a channel is missing.
-
-        Raises
-        ------
-        InputError
-            No sample of this width, or infinite: it is not counted.
-        """
-        sample = self.core.sample(reals(y, where="sample", what="a sample that is no row of real numbers"))
-        found = self.inner.step(sample)
-        self.phase, self.taken = "transient", sample
-        self.counts["samples"] += 1
-        self.counts["missing"] += int(np.sum(~np.isfinite(sample)))
-        return found
-
-    def block(self, Y: Array, load: Array, std: Array, e: Array | None = None, taken_as: Array | None = None) -> None:
-        """Fill loads and std (samples, p) of a block (samples, m); normalised innovations where `e` is given."""
-        for k, y in enumerate(Y):
-            load[k], std[k] = self.step(y)
-            if e is not None:
-                e[k] = self.inner.normalised
-
-    def to_tree(self) -> dict[str, Any]:
-        """Everything that changes, as plain arrays and numbers."""
-        return {"phase": self.phase, "counts": dict(self.counts), "inner": self.inner.to_tree()}
-
-    def restore(self, tree: dict[str, Any]) -> None:
-        """Go on from what `to_tree` gave."""
-        self.phase = str(tree["phase"])
-        self.counts = Counter({str(k): int(v) for k, v in tree["counts"].items()})
-        self.inner.restore(tree["inner"])

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 from structures.errors import InputError
 
+from .model import FilterState, Innovation, SquareRoot
 from .roots import Array, solve_lower, solve_lower_transposed
-from .squareroot import FilterState, Innovation, SquareRoot
 from .steady import SteadyFilter
 
 

@@ -21,9 +21,8 @@ from structures.errors import InputError, plain
 
 from . import passes as blocks
 from .loop import Loop
-from .model import FilterModel
+from .model import FilterModel, FilterState, Innovation, SquareRoot
 from .roots import Array, lower, solve_lower, solve_lower_transposed
-from .squareroot import FilterState, Innovation, SquareRoot
 from .steady import SteadyFilter
 
 NEAR = 1e-10  # of the variances: where gains count as steady

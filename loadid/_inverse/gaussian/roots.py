@@ -187,12 +187,12 @@ def composed(first: Riccati, second: Riccati) -> tuple[Riccati, Array]:
     return Riccati(second.F @ through, lower(added, second.L), lower(first.M, first.F.T @ told)), added
 
 
-def fixed_point(step: Riccati, doublings: int = DOUBLINGS) -> tuple[Array, int, bool]:
+def fixed_point(step: Riccati) -> tuple[Array, int, bool]:
     """Root of the covariance that the map reaches from zero; doublings taken, and whether it settled.
 
     The root after k doublings is that after 2^k samples: a variance without bound shows itself by growing on.
     """
-    for k in range(1, doublings + 1):
+    for k in range(1, DOUBLINGS + 1):
         with np.errstate(all="ignore"):  # what grows on without bound ends as inf
             step, added = composed(step, step)
         if not np.all(np.isfinite(step.L)):
@@ -200,7 +200,7 @@ def fixed_point(step: Riccati, doublings: int = DOUBLINGS) -> tuple[Array, int, 
         total = np.sum(step.L**2, axis=1)
         if np.all(np.sum(added**2, axis=1) <= SETTLED * total):
             return step.L, k, True
-    return step.L, doublings, False
+    return step.L, DOUBLINGS, False
 
 
 def joined_maps(first: Riccati, second: Riccati) -> Riccati:

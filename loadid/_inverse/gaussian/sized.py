@@ -30,7 +30,7 @@ class SizedPath(StateSpacePath):
     record : WhitenedRecord
     size : array, shape (p,)
         Diagonal of S, positive: weight of the size of each load beside its differences.
-    quick, scale
+    quick
         As there.
 
     Raises
@@ -39,14 +39,14 @@ class SizedPath(StateSpacePath):
         Sizes that are not positive or do not fit.
     """
 
-    def __init__(self, record: WhitenedRecord, size: Array, *, quick: bool = False, scale: float | None = None) -> None:
+    def __init__(self, record: WhitenedRecord, size: Array, *, quick: bool = False) -> None:
         size = np.asarray(size, float)
         if size.shape != (record.p,) or not np.all(np.isfinite(size)) or np.any(size <= 0):
             raise InputError("the sizes do not fit the loads", where="size", found=f"shape {size.shape}, or not > 0",
                              expected=f"({record.p},), positive numbers")  # fmt: skip
         self.size = size
         self._data = np.hstack([record.y, np.zeros((record.samples, record.p))])
-        super().__init__(record, quick=quick, scale=_largest(record, size) if scale is None else scale)
+        super().__init__(record, quick=quick, scale=_largest(record, size))
         self.null = 0
 
     @property

@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable, reals
 
-from .model import FilterModel, Present
+from .model import LOG2PI, FilterModel, Present, SquareRoot
 from .roots import Array, Riccati, fixed_point, joined_maps, solve_lower, solve_lower_transposed
-from .squareroot import LOG2PI, SquareRoot
 
 POLISH = 6  # samples of QR after the doubling, and two periods, at least: the gains are theirs
 RESIDUAL = 1e-6  # of the Riccati equation, relative to the variances

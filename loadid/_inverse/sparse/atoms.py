@@ -8,7 +8,7 @@ import numpy as np
 
 from structures.errors import InputError
 
-from ..arrays import Array, Flags, Indices
+from .. import Array, Flags, Indices
 from ..convolution import Convolution
 from .dictionaries import Dictionary
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from structures.errors import InputError
 
-from ..arrays import Array
+from .. import Array
 
 KNOTS = (1, 2, 4, 8, 16)  # spacings that are scanned, in samples
 MOMENTS = 4  # vanishing moments of the wavelets

@@ -8,7 +8,7 @@ import numpy as np
 
 from structures.errors import InputError
 
-from ..arrays import Array, Indices
+from .. import Array, Indices
 from .atoms import Atoms
 from .lasso import SparseSolution, gap
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..arrays import Array, Flags, Indices
+from .. import Array, Flags, Indices
 from .atoms import Atoms
 
 
@@ -112,6 +112,7 @@ class _WorkingSet:
 
     atoms: Atoms
     which: Indices = field(default_factory=lambda: np.zeros(0, int))
+    # it directs the Newton steps; amplitudes come from least squares on the support (`sparse.path.fit`)
     gram: Array = field(default_factory=lambda: np.zeros((0, 0)))
     x: Array = field(default_factory=lambda: np.zeros(0))
 

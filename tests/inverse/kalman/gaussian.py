@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 
-from loadid._inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.model import FilterModel, SquareRoot
 from loadid._inverse.gaussian.records import Filtered
 from loadid._inverse.gaussian.roots import lower, solve_lower_transposed
-from loadid._inverse.gaussian.squareroot import SquareRoot
 
 
 def conditioned(model: FilterModel, Y: NDArray, given: int, at: int) -> tuple[NDArray, NDArray]:

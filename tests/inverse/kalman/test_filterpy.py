@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from loadid._inverse.gaussian.exports import FilterpyEngine, from_filterpy, to_filterpy
-from loadid._inverse.gaussian.model import FilterModel
-from loadid._inverse.gaussian.squareroot import SquareRoot
+from loadid._inverse.gaussian.model import FilterModel, SquareRoot
 from structures import InputError
 from tests.tracked import ar1, bm2, bm3, filter_model, matern32, reference, walk
 

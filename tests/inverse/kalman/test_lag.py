@@ -10,9 +10,8 @@ import pytest
 from loadid._inverse.gaussian import records
 from loadid._inverse.gaussian.lag import LagLine, delayed, fixed_lag, phased, resumed
 from loadid._inverse.gaussian.loop import Loop
-from loadid._inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.model import FilterModel, FilterState, SquareRoot
 from loadid._inverse.gaussian.roots import lower
-from loadid._inverse.gaussian.squareroot import FilterState, SquareRoot
 from loadid._inverse.gaussian.steady import SteadyFilter, periodic, steady
 from structures.errors import InputError
 

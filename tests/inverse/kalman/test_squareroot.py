@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from loadid._inverse.gaussian import records
-from loadid._inverse.gaussian.model import FilterModel
+from loadid._inverse.gaussian.model import FilterModel, SquareRoot
 from loadid._inverse.gaussian.roots import joined, lower, square
-from loadid._inverse.gaussian.squareroot import SquareRoot
 from structures.errors import InputError
 
 from .gaussian import building, conditioned, drawn, gillijns_de_moor, joseph, long_double, small

@@ -15,8 +15,7 @@ from scipy.linalg import solve_discrete_are
 
 from loadid._inverse.gaussian import records
 from loadid._inverse.gaussian.loop import Loop, PeriodicLoop
-from loadid._inverse.gaussian.model import FilterModel
-from loadid._inverse.gaussian.squareroot import SquareRoot
+from loadid._inverse.gaussian.model import FilterModel, SquareRoot
 from loadid._inverse.gaussian.steady import SteadyFilter, periodic, steady
 from structures.errors import InputError, NotIdentifiable
 
