@@ -227,7 +227,7 @@ class StaticInversion:
         # a residual above the stated noise is model error: the band must not be narrower than what is seen
         sigma = noise_level(path, choice, posed.noise)
         chosen = self.searching
-        solution = posed.solution(choice.lam, sigma, chosen=chosen)
+        solution = posed.solution(choice, sigma, chosen=chosen)
         response = given.values[0] if given.axis is None else given.values
         frame = np.atleast_2d(solution.load)[-1]
         diagnosis = diagnose.diagnose(posed.base, choice.lam, sigma, load=frame, geometry=self.geometry)

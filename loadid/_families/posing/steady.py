@@ -85,13 +85,17 @@ class StaticProblem:
         first = "SVD" if self.base.problem.L is None else "generalised SVD"
         return f"{first}, then constraints by active sets" if self.constrained else first
 
-    def solution(self, lam: float, sigma: float, *, chosen: bool) -> Solution:
-        """Load at `lam` with its posterior: over all lambdas by their evidence where it was `chosen` from the readings.
+    def level(self, choice: Choice, sigma: float) -> float | None:
+        """The noise level `sigma` where somebody stated it and the readings do not contradict."""
+        return sigma if self.noise.known and choice.shown is None else None
+
+    def solution(self, choice: Choice, sigma: float, *, chosen: bool) -> Solution:
+        """Load with its posterior: over all lambdas by their evidence where it was `chosen` from the readings.
 
         Under constraints the band is that of draws, where these are no more than a few seconds' work.
         """
+        lam, level = choice.lam, self.level(choice, sigma)
         found = self.path.solution(lam, sigma)
-        level = sigma if self.noise.known else None
         if self.drawn:
             draws = marginal.draws(self.path, level, DRAWS, seed=0, lam=None if chosen else lam)
             return replace(found, posterior=marginal.about(found.load, draws))
@@ -253,8 +257,8 @@ def drawn(
     """
     if isinstance(draws, bool) or not isinstance(draws, int | np.integer) or draws < 1:
         raise InputError("no number of draws", where="sample", found=repr(draws)[:40], expected="a positive integer")
-    given, level = None if chosen else choice.lam, sigma if posed.noise.known else None
-    return marginal.draws(posed.path, level, int(draws), seed=seed, lam=given)
+    given = None if chosen else choice.lam
+    return marginal.draws(posed.path, posed.level(choice, sigma), int(draws), seed=seed, lam=given)
 
 
 def _noise_share(posterior: Any, load: NDArray[np.float64]) -> float | None:
