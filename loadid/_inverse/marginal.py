@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .arrays import Array
-from .posterior import DensePosterior
+from .posterior import DensePosterior, from_arrays
 
 if TYPE_CHECKING:
     from .constrained.path import ConstrainedPath
@@ -50,11 +50,9 @@ class LambdaWeights:
     freedom: float
 
     @classmethod
-    def of(cls, path: SVDPath, sigma: float | None, given: float | None = None) -> LambdaWeights:
-        """Weights on a path, all on a `given` lambda; `sigma` None: nobody stated the noise level."""
+    def of(cls, path: SVDPath, sigma: float | None) -> LambdaWeights:
+        """Weights on a path; `sigma` None: nobody stated the noise level."""
         freedom = np.inf if sigma is not None else float(max(path.m - path.null, 1))
-        if given is not None:
-            return cls(np.array([given]), np.ones(1), _evidence(path, sigma, np.array([given]))[1], freedom)
         low, high = path.range[0], max(LARGEST, path.range[0])
         first = np.geomspace(low, high, COARSE)
         chance = _evidence(path, sigma, first)[0]
@@ -138,15 +136,42 @@ class MarginalPosterior(DensePosterior):
 
 
 class DrawnPosterior(DensePosterior):
-    """Second moment of draws about the chosen load: they meet the constraints, and so does what the band is made of."""
+    """Second moment of draws about the chosen load: they meet the constraints, and so does what the band is made of.
+
+    Parameters
+    ----------
+    factor, shape
+        As in `DensePosterior`.
+    face : Posterior
+        On the active face, which says what of it is noise.
+    """
 
     kind = "drawn"
     approximation = "draws by randomise-then-optimise"
 
+    def __init__(self, factor: Array, shape: tuple[int, ...], face: Any) -> None:
+        super().__init__(factor, shape)
+        self.face = face
+
+    @property
+    def noise_std(self) -> Array | None:
+        """Standard deviation from the noise alone, on the active face."""
+        found: Array | None = self.face.noise_std
+        return found
+
+    def noise_variance(self, w: Array) -> Array | None:
+        """Variance of ``sum(w * load)`` from the noise alone, on the active face."""
+        found: Array | None = self.face.noise_variance(w)
+        return found
+
+    def to_arrays(self) -> dict[str, object]:
+        """Plain arrays, for a result file."""
+        return super().to_arrays() | {"face": self.face.to_arrays()}
+
     @classmethod
     def from_arrays(cls, tree: dict[str, Any]) -> DrawnPosterior:
         """Inverse of `to_arrays`."""
-        return cls(np.asarray(tree["factor"]), tuple(tree["shape"]))
+        return cls(np.asarray(tree["factor"]), tuple(tree["shape"]), from_arrays(tree["face"]))
 
 
 def posterior(path: SVDPath, lam: float, sigma: float | None) -> MarginalPosterior:
@@ -186,7 +211,7 @@ def draws(
     """Loads drawn from the posterior, (count,) + the shape of the load: lambda and noise level by their evidence.
 
     Under constraints the evidence is that without them, and draws are by randomise-then-optimise
-    (`ConstrainedPath.sample`). A given `lam` is kept.
+    (`ConstrainedPath.sample`). Where `lam` is given, both are kept.
 
     Parameters
     ----------
@@ -194,8 +219,10 @@ def draws(
     sigma : float or None
         Noise level of the whitened data; None where nobody stated it.
     """
+    if lam is not None and sigma is not None:
+        return path.sample(lam, sigma, count, seed=seed)
     rng = np.random.default_rng(seed)
-    over = LambdaWeights.of(path.unconstrained, sigma, lam)
+    over = LambdaWeights.of(path.unconstrained, sigma)
     picked = np.searchsorted(np.cumsum(over.weight)[:-1], (rng.random() + np.arange(count)) / count)
     found = []
     for k in np.unique(picked)[::-1]:  # from large to small: each start is warm
@@ -207,7 +234,7 @@ def draws(
     return np.concatenate(found)
 
 
-def about(load: Array, drawn: Array) -> DrawnPosterior:
-    """Second moment of draws, (count,) + the shape of the load, about a load."""
+def about(load: Array, drawn: Array, face: Any) -> DrawnPosterior:
+    """Second moment of draws, (count,) + the shape of the load, about a load with its posterior on the active face."""
     off = (drawn - load).reshape(len(drawn), -1)
-    return DrawnPosterior(off.T / np.sqrt(len(drawn)), load.shape)
+    return DrawnPosterior(off.T / np.sqrt(len(drawn)), load.shape, face)

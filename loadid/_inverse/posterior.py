@@ -53,6 +53,7 @@ class DensePosterior:
     """
 
     kind = "dense"
+    approximation: str | None = None  # what it approximates
 
     def __init__(
         self,
@@ -258,7 +259,7 @@ class FramesPosterior:
     @property
     def approximation(self) -> str | None:
         """What it approximates; None where the frames are Gaussian as they stand."""
-        return next((p.approximation for p in self.each if isinstance(p, FacePosterior)), None)
+        return next((p.approximation for p in self.each if p.approximation), None)
 
     @property
     def std(self) -> Array:

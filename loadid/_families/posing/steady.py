@@ -97,8 +97,8 @@ class StaticProblem:
         lam, level = choice.lam, self.level(choice, sigma)
         found = self.path.solution(lam, sigma)
         if self.drawn:
-            draws = marginal.draws(self.path, level, DRAWS, seed=0, lam=None if chosen else lam)
-            return replace(found, posterior=marginal.about(found.load, draws))
+            draws = marginal.draws(self.path, level if chosen else sigma, DRAWS, seed=0, lam=None if chosen else lam)
+            return replace(found, posterior=marginal.about(found.load, draws, found.posterior))
         if self.constrained or not (chosen and self.base.smooth and sigma > 0):
             return found
         return replace(found, posterior=marginal.posterior(self.base, lam, level))
@@ -257,8 +257,9 @@ def drawn(
     """
     if isinstance(draws, bool) or not isinstance(draws, int | np.integer) or draws < 1:
         raise InputError("no number of draws", where="sample", found=repr(draws)[:40], expected="a positive integer")
-    given = None if chosen else choice.lam
-    return marginal.draws(posed.path, posed.level(choice, sigma), int(draws), seed=seed, lam=given)
+    if chosen:
+        return marginal.draws(posed.path, posed.level(choice, sigma), int(draws), seed=seed)
+    return marginal.draws(posed.path, sigma, int(draws), seed=seed, lam=choice.lam)
 
 
 def _noise_share(posterior: Any, load: NDArray[np.float64]) -> float | None:
