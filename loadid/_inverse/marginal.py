@@ -237,4 +237,4 @@ def draws(
 def about(load: Array, drawn: Array, face: Any) -> DrawnPosterior:
     """Second moment of draws, (count,) + the shape of the load, about a load with its posterior on the active face."""
     off = (drawn - load).reshape(len(drawn), -1)
-    return DrawnPosterior(off.T / np.sqrt(len(drawn)), load.shape, face)
+    return DrawnPosterior(np.ascontiguousarray(off.T) / np.sqrt(len(drawn)), load.shape, face)
