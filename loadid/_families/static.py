@@ -180,14 +180,14 @@ class StaticInversion:
     def sample(self, found: Any, draws: int = 200, *, seed: int = 0) -> NDArray[np.float64]:
         """Loads drawn from the posterior, (draws, loads) or (draws, frames, loads).
 
-        Without constraints these are draws of the Gaussian posterior; under constraints each draw is a solution for
-        perturbed data and prior, which meets them (randomise-then-optimise, an approximation; see
-        `ConstrainedPath.sample`): bands made of them are one-sided where they must be.
+        Lambda, where a rule chose it, and a noise level that nobody stated are drawn too, by their evidence. Under
+        constraints each draw is a solution for perturbed data and prior, which meets them (randomise-then-optimise, an
+        approximation; see `ConstrainedPath.sample`): bands made of them are one-sided where they must be.
         """
         posed = self.pose(readings(found, self.model, self.sensors))
         self._refuse_undetermined(posed)
         choice = self.choose(posed)
-        return drawn(posed, choice, noise_level(posed.path, choice, posed.noise), draws, seed)
+        return drawn(posed, choice, noise_level(posed.path, choice, posed.noise), draws, seed, chosen=self.searching)
 
     # -- steps ----------------------------------------------------------------------------------------------------
     def pose(self, given: Readings, told: Any = None) -> StaticProblem:
@@ -216,18 +216,24 @@ class StaticInversion:
         """Without regularisation."""
         return self.penalty is None or self.choice == 0
 
+    @property
+    def searching(self) -> bool:
+        """Lambda is chosen from the readings themselves."""
+        return self.calibration is None and not isinstance(self.choice, float | Absolute)
+
     def answer(self, given: Readings, posed: StaticProblem, choice: Choice) -> LoadEstimate:
         """Estimate of a problem at the lambda of a choice."""
         path = posed.path
         # a residual above the stated noise is model error: the band must not be narrower than what is seen
         sigma = noise_level(path, choice, posed.noise)
-        solution = path.solution(choice.lam, sigma)
+        chosen = self.searching
+        solution = posed.solution(choice, sigma, chosen=chosen)
         response = given.values[0] if given.axis is None else given.values
         frame = np.atleast_2d(solution.load)[-1]
         diagnosis = diagnose.diagnose(posed.base, choice.lam, sigma, load=frame, geometry=self.geometry)
         found = of_path(
             path, choice, solution, sigma, posed.noise, layout=posed.layout, axis=given.axis, response=response,
-            residual=response - solution.load @ posed.H.T, facts=posed.facts(solution, diagnosis),
+            residual=response - solution.load @ posed.H.T, facts=posed.facts(solution, diagnosis, chosen=chosen),
             hidden_by=None if posed.constrained else posed.base, along=-1,
         )  # fmt: skip
         self._progress(1.0, "done")

@@ -120,6 +120,7 @@ BELOW = 0.7  # decades by which a whiteness rule lies below quasi-optimality whe
 CHANCE, CLEARLY = 1e-2, 1.3  # of a residual so far above the stated noise; and how far at least
 EXCESS = 1e-3  # chance of a residual so far above the noise that the load does not explain its data
 CORNER = 1.5  # decades by which the corner of the L-curve lies below the lambda in use where it has a voice
+FACTOR, LARGER = 30.0, 100.0  # Bayes factor that counts as strong; largest noise level that is tried, over the stated
 SPARE = 0.2  # share of the data that a fit leaves for the test of the stated noise level
 CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
 
@@ -139,7 +140,8 @@ def choose(
         L-curve. Noise level known and more than a fifth of the data spent: UPRE, if it is not more than a decade below.
         Noise level not known and the noise shows itself as correlated (`whiteness_of`): quasi-optimality, which does
         not ask for white noise. A noise level that the data contradict (`contradicted`) is set aside, and robust GCV
-        decides: a level far below the true one would let the noise through.
+        decides: a level far below the true one would let the noise through. One that the evidence makes implausible
+        (`implausible`) is not used either: lambda is then chosen as if nobody had stated it.
     sigma : float, optional
         Noise level of the whitened data.
     source : NoiseSource or str, optional
@@ -196,6 +198,10 @@ def decide(
     if is_rule(choice) and wanted not in asked:
         asked[str(wanted)] = rules.run(choice, sweep)
     shown = contradicted(sweep, asked, origin) if wanted is None else None
+    if wanted is None and shown is None and (level := implausible(sweep, origin)) is not None:
+        free = replace(sweep, sigma=None)
+        found = decide(free, None, {name: rules.run(name, free) for name in DEFAULT_RULES}, refine=refine)
+        return replace(found, sigma=sigma, source=origin, shown=level)
     lam, rule = _pick(path, "robust_gcv" if shown is not None else wanted, asked, sigma, refine)
     evidence = whiteness_of(path, asked, lam)
     correlated = is_correlated(evidence)
@@ -271,6 +277,30 @@ def contradicted(sweep: Sweep, asked: dict[str, RuleResult], source: NoiseSource
     level = float(np.sqrt(sweep.point.residual2[k] / freedom))
     margin = max(CLEARLY, float(np.sqrt(2 * gammaincinv(freedom / 2, 1 - CHANCE) / freedom)))
     return level if level > margin * sigma else None
+
+
+def implausible(sweep: Sweep, source: NoiseSource) -> float | None:
+    """Noise level that the evidence asks for, where it makes the stated one implausible.
+
+    Says what `contradicted` cannot where a few data are all spent by the fit: a larger level, log-uniform up to
+    `LARGER` times the stated one, over every lambda against the stated one over every lambda (a Bayes factor above
+    `FACTOR`; Kass & Raftery, J. Am. Stat. Assoc. 90 (1995) 773). None where the path does not give its evidence.
+    """
+    point, sigma = sweep.point, sweep.sigma
+    if sigma is None or point.objective is None or point.log_ratio is None or source.kind == "residual":
+        return None
+    if sweep.path.stacked or not sweep.whole:
+        return None
+    from scipy.special import logsumexp
+
+    inside = sweep.lam <= 1.0
+    levels = sigma * np.geomspace(1.0, LARGER, 60)
+    fit = point.objective[inside, None] / levels**2
+    log = -0.5 * (point.log_ratio[inside, None] + fit) - (sweep.path.m - sweep.path.null) * np.log(levels)
+    each = logsumexp(log, axis=0)
+    level = float(levels[np.argmax(each)])
+    factor = logsumexp(each) - np.log(len(levels)) - each[0]
+    return level if factor > np.log(FACTOR) and level > CLEARLY * sigma else None
 
 
 def whiteness_of(path: RegularizationPath, asked: dict[str, RuleResult], lam: float) -> dict[str, float]:

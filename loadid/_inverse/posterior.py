@@ -53,6 +53,7 @@ class DensePosterior:
     """
 
     kind = "dense"
+    approximation: str | None = None  # what it approximates
 
     def __init__(
         self,
@@ -65,6 +66,7 @@ class DensePosterior:
         frames: int | None = None,
     ) -> None:
         self.factor, self.passed, self.dual, self.orthogonal = factor, passed, dual, orthogonal
+        self.resolved = passed  # filter factors of the estimate
         self.frame_shape = tuple(int(i) for i in shape)
         self.frames = None if frames is None else int(frames)
         self.shape = self.frame_shape if frames is None else (int(frames), *self.frame_shape)
@@ -95,13 +97,13 @@ class DensePosterior:
         stays below a limit, below the limit times their norm. None where the resolution R is not known.
         """
         full = self.factor.shape[0] == self.factor.shape[1]
-        if self.passed is None or not (full or self.orthogonal or self.dual is not None):
+        if self.resolved is None or not (full or self.orthogonal or self.dual is not None):
             return None
         modal, _ = self._modal(w)
         if full:
-            lost = -self._undo(modal * (1 - self.passed))
+            lost = -self._undo(modal * (1 - self.resolved))
         else:
-            lost = self._undo(modal * self.passed) - np.asarray(w, float).reshape(*modal.shape[:-1], -1)
+            lost = self._undo(modal * self.resolved) - np.asarray(w, float).reshape(*modal.shape[:-1], -1)
         return lost.reshape(np.shape(w))
 
     def to_arrays(self) -> dict[str, object]:
@@ -193,6 +195,8 @@ class SpectralPosterior:
 
 ELSEWHERE = {  # kind -> module and class that reads it
     "convolved": (".convolved.posterior", "ConvolvedPosterior"),
+    "drawn": (".marginal", "DrawnPosterior"),
+    "marginal": (".marginal", "MarginalPosterior"),
     "mapped": (".gaussian.posterior", "MappedPosterior"),
     "statespace": (".gaussian.posterior", "StateSpacePosterior"),
     "statespace, sized": (".gaussian.sized", "SizedPosterior"),
@@ -255,7 +259,7 @@ class FramesPosterior:
     @property
     def approximation(self) -> str | None:
         """What it approximates; None where the frames are Gaussian as they stand."""
-        return next((p.approximation for p in self.each if isinstance(p, FacePosterior)), None)
+        return next((p.approximation for p in self.each if p.approximation), None)
 
     @property
     def std(self) -> Array:
@@ -297,7 +301,8 @@ class FramesPosterior:
     @classmethod
     def from_arrays(cls, tree: dict[str, Any]) -> FramesPosterior:
         """Inverse of `to_arrays`."""
-        return cls([dense(tree["frames"][str(i)]) for i in range(len(tree["frames"]))])
+        each = [from_arrays(tree["frames"][str(i)]) for i in range(len(tree["frames"]))]
+        return cls([p for p in each if isinstance(p, DensePosterior)])
 
 
 def dense(tree: dict[str, Any]) -> DensePosterior:

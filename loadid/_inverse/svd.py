@@ -303,6 +303,16 @@ class SVDPath(FactoredPath):
         other._take(replace(self.problem, y=y, layout=layout), not self.smooth)
         return other
 
+    @property
+    def orthonormal(self) -> bool:
+        """Whether the modes are loads of unit length, at right angles."""
+        return self._orthonormal
+
+    @property
+    def unconstrained(self) -> SVDPath:
+        """The path itself: it has no constraints."""
+        return self
+
     # -- what an operator does at one lambda --------------------------------------------------------------------------
     @property
     def rank(self) -> int:
@@ -395,6 +405,18 @@ class SVDPath(FactoredPath):
         """Load, (n,) or (frames, n), and with the noise level `sigma` of the whitened data its posterior."""
         load = self._load(float(lam)).T.reshape(self.problem.load_shape)
         return Solution(load, None if sigma is None else self._posterior(lam, sigma))
+
+    def sample(self, lam: float, sigma: ArrayLike, draws: int = 200, *, seed: int = 0) -> Array:
+        """Loads drawn from the Gaussian posterior at one lambda, (draws,) + the shape of the load.
+
+        `sigma` is the noise level of the whitened data, one for all or one for each draw.
+        """
+        known, rng = self._posterior(lam, 1.0), np.random.default_rng(seed)
+        lead = () if self.problem.frames is None else (self.problem.frames,)
+        unit = rng.standard_normal((draws, *lead, known.factor.shape[1])) @ known.factor.T
+        level = np.broadcast_to(np.asarray(sigma, float), draws)
+        load = self._load(float(lam)).T
+        return np.asarray((load + level.reshape(-1, *[1] * load.ndim) * unit).reshape(draws, *self.problem.load_shape))
 
     def _load(self, lam: float) -> Array:
         """Load (n,) or (n, frames): from the modes, or at a very small lambda from a QR, which keeps more digits."""

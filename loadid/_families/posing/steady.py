@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from structures._model import Model
 from structures.errors import InputError
 
 from ... import _guards as guards
+from ..._inverse import marginal
 from ..._inverse import sweep as whiteness
 from ..._inverse.choice import Choice, choose
 from ..._inverse.constrained.path import ConstrainedPath
@@ -31,6 +32,9 @@ from ..noise import noise_level
 
 if TYPE_CHECKING:
     pass
+
+DRAWS = 200  # loads of which a band under constraints is made
+MOST_DRAWN = 400  # values beyond which they would take too long
 
 
 @dataclass(frozen=True)
@@ -80,9 +84,35 @@ class StaticProblem:
         first = "SVD" if self.base.problem.L is None else "generalised SVD"
         return f"{first}, then constraints by active sets" if self.constrained else first
 
+    def level(self, choice: Choice, sigma: float) -> float | None:
+        """The noise level `sigma` where somebody stated it and the readings do not contradict."""
+        return sigma if self.noise.known and choice.shown is None else None
+
+    def solution(self, choice: Choice, sigma: float, *, chosen: bool) -> Solution:
+        """Load with its posterior: over all lambdas by their evidence where it was `chosen` from the readings.
+
+        Under constraints the band is that of draws, where these are no more than a few seconds' work.
+        """
+        lam, level = choice.lam, self.level(choice, sigma)
+        found = self.path.solution(lam, sigma)
+        if self.drawn:
+            draws = marginal.draws(self.path, level if chosen else sigma, DRAWS, seed=0, lam=None if chosen else lam)
+            return replace(found, posterior=marginal.about(found.load, draws, found.posterior))
+        if self.constrained or not (chosen and self.base.smooth and sigma > 0):
+            return found
+        return replace(found, posterior=marginal.posterior(self.base, lam, level))
+
     @property
-    def band(self) -> str:
+    def drawn(self) -> bool:
+        """Whether the band is that of draws under the constraints."""
+        return self.constrained and self.path.problem.H.shape[1] * (self.path.problem.frames or 1) <= MOST_DRAWN
+
+    def band(self, chosen: bool) -> str:
         """What the band holds, in words."""
+        if self.drawn:
+            return (
+                "noise and prior under the constraints, from draws; a load that does not fit the prior may lie outside"
+            )
         if self.constrained:
             return (
                 "noise and prior on the active face of the constraints: an active-set approximation; a load that a "
@@ -90,7 +120,8 @@ class StaticProblem:
             )
         if not self.base.smooth:
             return "noise only: what the cut-off leaves out is not in the band"
-        return "noise and Gaussian prior; a load that does not fit the prior may lie outside"
+        over = " at every lambda, by its evidence" if chosen else ""
+        return f"noise and Gaussian prior{over}; a load that does not fit the prior may lie outside"
 
     @property
     def soft(self) -> bool:
@@ -107,11 +138,11 @@ class StaticProblem:
         found = whiteness.effective_number(np.eye(len(R)), R / size / size[:, None])
         return guards.interpolated(found.nominal, found.effective, found.rank, self.base.problem.dropped)
 
-    def facts(self, solution: Solution, diagnosis: diagnose.Diagnosis) -> dict[str, Any]:
+    def facts(self, solution: Solution, diagnosis: diagnose.Diagnosis, *, chosen: bool) -> dict[str, Any]:
         """What is known of a solution beyond what its path tells."""
         load = solution.load
         return {
-            "path": self.solved_by, "m": len(self.H), "n": self.H.shape[1], "band": self.band,
+            "path": self.solved_by, "m": len(self.H), "n": self.H.shape[1], "band": self.band(chosen),
             "frames": 1 if load.ndim == 1 else len(load), "noise_share": _noise_share(solution.posterior, load),
             "resolution": diagnosis.width, "resolution_unit": diagnosis.width_unit, "peak_bias": diagnosis.peak_bias,
         }  # fmt: skip
@@ -213,7 +244,9 @@ def _refuse_silent(H: NDArray[np.float64], channels: Sequence[Channel]) -> None:
         )  # fmt: skip
 
 
-def drawn(posed: StaticProblem, choice: Choice, sigma: float, draws: int, seed: int) -> NDArray[np.float64]:
+def drawn(
+    posed: StaticProblem, choice: Choice, sigma: float, draws: int, seed: int, *, chosen: bool
+) -> NDArray[np.float64]:
     """See `StaticInversion.sample`.
 
     Raises
@@ -223,12 +256,9 @@ def drawn(posed: StaticProblem, choice: Choice, sigma: float, draws: int, seed: 
     """
     if isinstance(draws, bool) or not isinstance(draws, int | np.integer) or draws < 1:
         raise InputError("no number of draws", where="sample", found=repr(draws)[:40], expected="a positive integer")
-    if posed.constrained:
-        return np.asarray(posed.path.sample(choice.lam, sigma, int(draws), seed=seed))
-    solution, rng = posed.base.solution(choice.lam, sigma), np.random.default_rng(seed)
-    factor = solution.posterior.factor  # type: ignore[union-attr]
-    lead = solution.load.shape[:-1]
-    return np.asarray(solution.load + rng.standard_normal((int(draws), *lead, factor.shape[1])) @ factor.T)
+    if chosen:
+        return marginal.draws(posed.path, posed.level(choice, sigma), int(draws), seed=seed)
+    return marginal.draws(posed.path, sigma, int(draws), seed=seed, lam=choice.lam)
 
 
 def _noise_share(posterior: Any, load: NDArray[np.float64]) -> float | None:

@@ -157,6 +157,11 @@ class ConstrainedPath(RegularizationPath):
         self._solvers: OrderedDict[float, ConstrainedSolver] = OrderedDict()
         self._known: dict[float, Array] = {}  # scalars: several rules and guards sweep the same lambdas
 
+    @property
+    def unconstrained(self) -> SVDPath:
+        """The path without constraints, soft resultants among its data."""
+        return self.base
+
     # -- the contract -------------------------------------------------------------------------------------------------
     @property
     def problem(self) -> object:
@@ -226,13 +231,14 @@ class ConstrainedPath(RegularizationPath):
         """Solver at relative `lam` for other whitened data, one after another: ``.solve(y, warm=previous)``."""
         return self._solver(lam)
 
-    def sample(self, lam: float, sigma: float, draws: int = 200, *, seed: int = 0) -> Array:
+    def sample(self, lam: float, sigma: ArrayLike, draws: int = 200, *, seed: int = 0) -> Array:
         """Loads drawn by randomise-then-optimise: noise and prior are perturbed, the problem is solved anew, warm.
 
         Every draw meets the constraints, so that bands from it are one-sided where they must be. Without active
         constraints the draws are exactly those of the Gaussian posterior; with them they are an approximation
         (Bardsley, Solonen, Haario & Laine, SIAM J. Sci. Comput. 36 (2014) A1895; Bardsley & Hansen, Computational
-        Uncertainty Quantification for Inverse Problems, SIAM 2018, for bounds).
+        Uncertainty Quantification for Inverse Problems, SIAM 2018, for bounds). `sigma` is one level, or one for each
+        draw.
 
         Returns
         -------
@@ -243,7 +249,7 @@ class ConstrainedPath(RegularizationPath):
         for k, (column, point) in enumerate(zip(self._columns.T, self._solved(lam), strict=True)):
             b = prepared.compress(column)[0]
             inside = self._sets[min(k, len(self._sets) - 1)]
-            drawn = [b + sigma * rng.standard_normal(len(b)) for _ in range(draws)]
+            drawn = [b + level * rng.standard_normal(len(b)) for level in np.broadcast_to(sigma, draws)]
             out.append([self._load(activeset.solve(prepared.quadratic, x, inside, point)) for x in drawn])
         return np.swapaxes(np.array(out), 0, 1).reshape(draws, *self.path.problem.load_shape)
 
