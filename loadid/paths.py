@@ -4,17 +4,16 @@ A rule is a function ``Sweep -> RuleResult`` (`loadid.register_rule`, or ``choic
 `RegularizationPath`; ``choose(SVDPath(LinearProblem.whitened(H, y, noise)))`` asks every rule of a matrix and data.
 """
 
-from ._inverse.choice import Choice, choose
+from ._inverse.choice import Choice as Choice
+from ._inverse.choice import choose
 from ._inverse.compare import compare
 from ._inverse.convolution import toeplitz
 from ._inverse.path import PathPoint, RegularizationPath, Solution
 from ._inverse.problem import LinearProblem
-from ._inverse.rules import need
 from ._inverse.svd import SVDPath
-from ._inverse.sweep import Refusal, RuleResult, Sweep, crossing, minimum
+from ._inverse.sweep import Refusal, RuleResult, Sweep, crossing, minimum, need
 
 __all__ = [
-    "Choice",
     "LinearProblem",
     "PathPoint",
     "Refusal",

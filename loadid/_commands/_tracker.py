@@ -107,7 +107,8 @@ def _fitted(args: Namespace, progress: Any) -> Tracker:
     from .._families.kalman import LoadTracker
     from .._families.tracking.tracker import Tracker
     from .._readers import read
-    from ..settings import Noise, folded
+    from .._spellings import folded
+    from ..settings import Noise
 
     made = _made(args)
     model = load_model(args.model)

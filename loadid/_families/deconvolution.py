@@ -22,7 +22,8 @@ from .._inverse.diagnosis import diagnose
 from .._inverse.gaussian.coarse import confirm
 from .._inverse.penalties import order
 from .._results.estimate import LoadEstimate
-from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, takes
+from .._spellings import takes
+from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import histories
 from .answer import SolvedLoad, answer, beyond_noise, of_path, over_time, undetermined
 from .data import Data, gather

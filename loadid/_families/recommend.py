@@ -27,7 +27,8 @@ from .._inverse.gaussian.records import filter_record
 from .._inverse.sparse import dictionaries
 from .._record import Record
 from .._results.estimate import LoadEstimate
-from ..settings import Lambda, Noise, Penalty, takes
+from .._spellings import takes
+from ..settings import Lambda, Noise, Penalty
 from .data import Data, gather
 from .deconvolution import Deconvolution
 from .histories import half_width, kurtosis

@@ -18,12 +18,13 @@ from .._inverse.choice import Choice, PathCurve, is_rule, named
 from .._inverse.convolution import Convolution
 from .._inverse.noise_source import NoiseSource
 from .._inverse.rules import name_of
-from .._inverse.sparse.path import TOLERANCE
+from .._inverse.sparse import TOLERANCE
 from .._inverse.sparse.support import SupportPosterior
 from .._inverse.sweep import RuleResult
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
-from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, Sparsity, takes
+from .._spellings import takes
+from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, Sparsity
 from . import histories
 from .answer import SolvedLoad, answer, beyond_noise, over_time
 from .data import Data, gather

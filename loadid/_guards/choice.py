@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from structures._advice import Advice, Option, Spelling
-from structures._flags import Evidence, Flag
+from structures._flags import Evidence, Flag, collect
 from structures.errors import InputError
 
 from .._inverse.arrays import Array
@@ -18,7 +18,6 @@ from .._inverse.noise_source import MEASURED
 from .._inverse.path import RegularizationPath
 from .._inverse.rules import discrepancy
 from .._inverse.sweep import ALARM, TESTABLE, Sweep
-from ..codes import collect
 from ..constraints import Constraint, Resultant
 
 DECADE = 1.0  # spread of the rules, decades

@@ -67,7 +67,7 @@ def _calm(residual: NDArray[Any], few: int) -> NDArray[np.float64]:
     """Noise of each channel where the residual is calm: what leaks stands in a part of it and is no noise."""
     few = min(few, len(residual))
     parts = residual[: len(residual) // few * few].reshape(-1, few, residual.shape[1])
-    return np.sqrt(np.quantile(np.mean(parts**2, axis=1), 0.25, axis=0))
+    return np.asarray(np.sqrt(np.quantile(np.mean(parts**2, axis=1), 0.25, axis=0)))
 
 
 def too_coarse(bandwidth: float, decay_rate: float | None) -> Flag | None:
@@ -130,11 +130,11 @@ def harmonics(load: NDArray[Any]) -> NDArray[np.bool_]:
     """Lines on which the loads (lines, loads) stand out of those around them; of a few lines all."""
     power = np.sum(np.abs(load) ** 2, axis=1)
     if len(power) < FEW:
-        return power > 0
+        return np.asarray(power > 0)
     from scipy.ndimage import median_filter
 
     around = median_filter(power, size=min(len(power) // 2 * 2 - 1, 41), mode="reflect")
-    return power > TONES * np.maximum(around, np.finfo(float).tiny)
+    return np.asarray(power > TONES * np.maximum(around, np.finfo(float).tiny))
 
 
 def contradicted(excess: float, source: NoiseSource) -> Flag | None:

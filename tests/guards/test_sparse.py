@@ -10,7 +10,7 @@ import numpy as np
 from loadid import Deconvolution, Noise, SparseDeconvolution
 from loadid._guards import families as sparsity
 from loadid._inverse.sparse import lasso as workingset
-from loadid.settings import folded
+from loadid._spellings import folded
 from structures import Flag, ForwardModel, ImpulseModel, loads, sensors
 from tests import halfsine
 

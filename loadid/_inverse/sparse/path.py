@@ -12,6 +12,7 @@ from .. import rules
 from ..arrays import Array
 from ..path import PathPoint, RegularizationPath
 from ..sweep import Sweep
+from . import TOLERANCE
 from . import groups as grouped
 from . import lasso as workingset
 from .atoms import Atoms
@@ -19,7 +20,6 @@ from .groups import Groups
 from .lasso import L1, SparseSolution, largest
 from .support import SupportFit, fit
 
-TOLERANCE = 1e-6  # duality gap of an answer, over 1/2 |y|^2
 COARSE = 1e-4  # of a step of a sweep
 GRID = np.geomspace(0.7, 1e-4, 28)  # relative mu of a sweep
 PATIENCE = 6  # points of the sweep without a better criterion after which it ends
