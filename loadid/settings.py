@@ -51,7 +51,7 @@ PARAMETERS = ("stiffness", "mass", "damping")
 MOST = 1000  # samples of a lag
 
 
-def one_of(name: str, value: object, known: Sequence[object]) -> None:
+def one_of(name: str, value: object, known: Sequence[object], *, what: str = "") -> None:
     """Nothing, where a setting has one of the values that it may have.
 
     Raises
@@ -60,7 +60,7 @@ def one_of(name: str, value: object, known: Sequence[object]) -> None:
         If it has another.
     """
     if not isinstance(value, str | bool | None) or value not in known:
-        raise InputError(f"unknown {name}", where=name, found=repr(value)[:80],
+        raise InputError(what or f"unknown {name}", where=name, found=repr(value)[:80],
                          expected=f"one of {', '.join(map(repr, known))}")  # fmt: skip
 
 
@@ -338,9 +338,7 @@ class Guards(Setting):
 
     def __post_init__(self) -> None:
         self._put("allow", allowed(self.allow))
-        if self.load_class is not None and (not isinstance(self.load_class, str) or self.load_class not in CLASSES):
-            raise InputError("unknown class of load", where="load_class", found=repr(self.load_class)[:80],
-                             expected=" or ".join(map(repr, CLASSES)))  # fmt: skip
+        one_of("load_class", self.load_class, (*CLASSES, None), what="unknown class of load")
 
     @property
     def codes(self) -> tuple[str, ...]:
@@ -375,9 +373,7 @@ class Signal(Setting):
     overlap: float = 0.5
 
     def __post_init__(self) -> None:
-        if self.kind is not None and (not isinstance(self.kind, str) or self.kind not in SIGNALS):
-            raise InputError("no such kind of record", where="signal", found=repr(self.kind)[:80],
-                             expected=" or ".join(map(repr, SIGNALS)))  # fmt: skip
+        one_of("signal", self.kind, (*SIGNALS, None), what="no such kind of record")
 
 
 @dataclass(frozen=True, repr=False, eq=False)

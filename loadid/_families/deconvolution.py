@@ -15,7 +15,7 @@ from structures._model import Model, as_model
 from structures.errors import InputError
 
 from .. import _guards as guards
-from .._guards import families as told
+from .._guards import choice as told
 from .._inverse.choice import Choice, checked, choose, given, named
 from .._inverse.constrained.nonnegative import NonNegativeSolution
 from .._inverse.diagnosis import diagnose

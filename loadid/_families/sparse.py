@@ -14,6 +14,7 @@ from structures._model import Model, as_model
 from structures.errors import InputError, as_array, real
 
 from .._guards import families as told
+from .._guards.choice import declared_class
 from .._inverse.choice import Choice, PathCurve, is_rule, named
 from .._inverse.convolution import Convolution
 from .._inverse.noise_source import NoiseSource
@@ -242,7 +243,7 @@ class SparseDeconvolution:
         label = "" if share is None else model.loads[chosen.loads[share[1]]].label
         return [
             *histories.layout(model, data, chosen.problem.raw, None),
-            told.declared_class(self.load_class, "sparse"),
+            declared_class(self.load_class, "sparse"),
             told.dense_support(len(chosen.fit.x), chosen.atoms.n),
             wrong,
             None if residual is None or wrong is not None else told.unexplained(residual, self._prior(chosen)),

@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterable
 from functools import partial
 from html import escape
-from importlib.resources import files
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -125,30 +124,7 @@ def page(
         ("Verification", parts.verification(force)),
         ("Provenance", parts.provenance_table(force)),
     ]
-    body = "\n".join(f"<section>\n<h2>{escape(title)}</h2>\n{text}\n</section>" for title, text in sections if text)
-    said = " · ".join(escape(str(x)) for x in (force.provenance.get("family"), force.provenance.get("created")) if x)
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
-<title>Contact force map</title>
-<style>
-{files("loadid").joinpath("report.css").read_text(encoding="utf-8")}</style>
-</head>
-<body>
-<header>
-<h1>Contact force map</h1>
-<p class="quiet">{said}</p>
-{parts.notices(force)}
-</header>
-<main>
-{body}
-</main>
-</body>
-</html>
-"""
+    return parts.document("Contact force map", force, sections)
 
 
 def _result(one: ForceMap) -> str:
