@@ -23,6 +23,7 @@ _PUBLIC = {
     "LocationSearch": "loadid._families.location",
     "ModelErrors": "loadid.settings",
     "Noise": "loadid.settings",
+    "NoiseSource": "loadid._inverse.noise_source",
     "NotIdentifiable": "structures.errors",
     "Online": "loadid.settings",
     "Penalty": "loadid.settings",
@@ -45,8 +46,7 @@ _PUBLIC = {
     "register_penalty": "loadid._inverse.penalties",
     "register_rule": "loadid._inverse.rules",
 }
-# what families make or take of themselves: to import for a type, not to be made by hand
-_ALSO = {"LocationResult": "loadid._results.location", "NoiseSource": "loadid._inverse.noise_source"}
+_ALSO = {"LocationResult": "loadid._results.location"}  # to import for a type; nobody makes one by hand
 
 __all__ = sorted([*_PUBLIC, "__version__"])
 
