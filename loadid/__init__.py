@@ -20,7 +20,6 @@ _PUBLIC = {
     "Lambda": "loadid.settings",
     "LoadEstimate": "loadid._results.estimate",
     "LoadTracker": "loadid._families.kalman",
-    "LocationResult": "loadid._results.location",
     "LocationSearch": "loadid._families.location",
     "ModelErrors": "loadid.settings",
     "Noise": "loadid.settings",
@@ -47,6 +46,7 @@ _PUBLIC = {
     "register_penalty": "loadid._inverse.penalties",
     "register_rule": "loadid._inverse.rules",
 }
+_ALSO = {"LocationResult": "loadid._results.location"}  # to import for a type; nobody makes one by hand
 
 __all__ = sorted([*_PUBLIC, "__version__"])
 
@@ -54,8 +54,9 @@ logging.getLogger("loadid").addHandler(logging.NullHandler())
 
 
 def __getattr__(name: str) -> Any:
-    if name in _PUBLIC:
-        return getattr(importlib.import_module(_PUBLIC[name]), name)
+    home = _PUBLIC.get(name) or _ALSO.get(name)
+    if home is not None:
+        return getattr(importlib.import_module(home), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -295,7 +295,7 @@ def _cut(y: Vector, run: tuple[int, int], top: float, tolerance: float) -> bool:
     if reach < 5 or a - 1 - reach < 0 or b + reach >= len(y):
         return False
     near, far = (min(y[a - 1 - k], y[b + k]) - top for k in (0, reach))
-    return near + (near - far) * half**2 / ((half + reach) ** 2 - half**2) > 1.5 * tolerance
+    return bool(near + (near - far) * half**2 / ((half + reach) ** 2 - half**2) > 1.5 * tolerance)
 
 
 def _leaps(y: Vector, runs: Runs, top: float, step: float) -> bool:

@@ -16,8 +16,7 @@ from structures._advice import on_command_line
 from structures.errors import InputError, NotIdentifiable
 
 from . import __version__
-from ._commands import Command
-from ._commands._arguments import UsageError
+from ._commands import Command, UsageError
 
 __all__ = ["commands", "main"]
 
@@ -57,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = _parser().parse_args(argv)
         with _Log(args.log_level):
-            return args.run(args)
+            return int(args.run(args))
     except UsageError as error:
         return _fail(as_json, USAGE, {"what": str(error)}, str(error))
     except SystemExit as error:  # --help

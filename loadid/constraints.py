@@ -13,7 +13,7 @@ from structures.errors import InputError, as_array, reals
 
 from ._inverse import Array, Indices
 
-__all__ = ["Bounds", "Constraint", "FrictionCone", "NonNegative", "Resultant", "Support"]
+__all__ = ["Bounds", "FrictionCone", "NonNegative", "Resultant", "Support"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,10 @@ from ._inverse import rules
 from ._inverse.choice import Choice, choose, decide
 from ._inverse.path import PathPoint, RegularizationPath, Solution
 from ._inverse.problem import LinearProblem, NoiseSource, NoiseSourceLike, toeplitz
-from ._inverse.rules import need
 from ._inverse.svd import SVDPath
-from ._inverse.sweep import Refusal, RuleResult, Sweep, crossing, minimum
+from ._inverse.sweep import Refusal, RuleResult, Sweep, crossing, minimum, need
 
 __all__ = [
-    "Choice",
     "LinearProblem",
     "PathPoint",
     "Refusal",

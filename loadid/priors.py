@@ -40,7 +40,7 @@ from structures.errors import InputError, positive, shown
 
 from ._inverse.gaussian.roots import Array, step
 
-__all__ = ["OU", "Continuous", "Discrete", "Matern32", "Matern52", "Periodic", "Prior", "RandomWalk", "Sum", "White"]
+__all__ = ["OU", "Continuous", "Discrete", "Matern32", "Matern52", "Periodic", "RandomWalk", "Sum", "White"]
 
 WIDE = 1e4  # seconds^(1/2) of a walk before the first sample: three years; wider costs digits of what follows
 MISSING = 1e-6  # share of the variance that may lie beyond the harmonics that are kept

@@ -1,30 +1,26 @@
 """Settings that belong together: a family takes the first of them alone, or all of them as one small class.
 
 ``noise=0.1`` and ``noise=Noise(0.1, source="datasheet")`` are the same argument; the second says more. The classes are
-immutable, check what they hold where they are made, and print as they can be pasted. Release 0.1 had an argument for
-each of their fields: `takes` lets families take those too, and says in a warning how they are written now.
+immutable, check what they hold where they are made, and print as they can be pasted.
 """
 
 from __future__ import annotations
 
 import inspect
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
-from functools import wraps
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from structures._flags import allowed
 from structures.errors import InputError, number, positive, real, reals, shown
 
 from ._inverse.penalties import order
 from ._inverse.problem import Cholesky, NoiseSource, NoiseSourceLike
-from ._inverse.sparse.path import TOLERANCE
-from .codes import allowed
+from ._inverse.sparse import TOLERANCE
 
 if TYPE_CHECKING:
     from ._inverse.path import RegularizationPath
@@ -54,7 +50,7 @@ PARAMETERS = ("stiffness", "mass", "damping")
 MOST = 1000  # samples of a lag
 
 
-def one_of(name: str, value: object, known: Sequence[object]) -> None:
+def one_of(name: str, value: object, known: Sequence[object], *, what: str = "") -> None:
     """Nothing, where a setting has one of the values that it may have.
 
     Raises
@@ -63,7 +59,7 @@ def one_of(name: str, value: object, known: Sequence[object]) -> None:
         If it has another.
     """
     if not isinstance(value, str | bool | None) or value not in known:
-        raise InputError(f"unknown {name}", where=name, found=repr(value)[:80],
+        raise InputError(what or f"unknown {name}", where=name, found=repr(value)[:80],
                          expected=f"one of {', '.join(map(repr, known))}")  # fmt: skip
 
 
@@ -116,7 +112,7 @@ class Setting:
 
     def __repr__(self) -> str:
         first = fields(self)[0].name
-        parts = (_pasted(value) if name == first else f"{name}={_pasted(value)}" for name, value in self.said())
+        parts = (pasted(value) if name == first else f"{name}={pasted(value)}" for name, value in self.said())
         return f"{type(self).__name__}({', '.join(parts)})"
 
     def __eq__(self, other: object) -> bool:
@@ -152,7 +148,7 @@ def _same(a: Any, b: Any) -> bool:
     return a is b or bool(np.all(a == b))
 
 
-def _pasted(value: Any) -> str:
+def pasted(value: Any) -> str:
     """A value as it is written in Python."""
     if isinstance(value, np.ndarray | np.generic):
         return repr(value.tolist())
@@ -341,9 +337,7 @@ class Guards(Setting):
 
     def __post_init__(self) -> None:
         self._put("allow", allowed(self.allow))
-        if self.load_class is not None and (not isinstance(self.load_class, str) or self.load_class not in CLASSES):
-            raise InputError("unknown class of load", where="load_class", found=repr(self.load_class)[:80],
-                             expected=" or ".join(map(repr, CLASSES)))  # fmt: skip
+        one_of("load_class", self.load_class, (*CLASSES, None), what="unknown class of load")
 
     @property
     def codes(self) -> tuple[str, ...]:
@@ -378,9 +372,7 @@ class Signal(Setting):
     overlap: float = 0.5
 
     def __post_init__(self) -> None:
-        if self.kind is not None and (not isinstance(self.kind, str) or self.kind not in SIGNALS):
-            raise InputError("no such kind of record", where="signal", found=repr(self.kind)[:80],
-                             expected=" or ".join(map(repr, SIGNALS)))  # fmt: skip
+        one_of("signal", self.kind, (*SIGNALS, None), what="no such kind of record")
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -578,161 +570,3 @@ class Online(Setting):
         if self.replay is not None:
             whole("replay", self.replay, 0, MOST, what="no count of samples")
         one_of("engine", self.engine, ENGINES)
-
-
-# -- the spellings of release 0.1 --------------------------------------------------------------------------------------
-F = TypeVar("F", bound=Callable[..., Any])
-FORMER = {"source": "noise_source"}  # field -> argument of release 0.1, where the names differ
-ARGUMENTS: dict[str, Arguments] = {}  # of every family
-
-
-@dataclass(frozen=True)
-class Arguments:
-    """How the settings of a family are written, and how they were.
-
-    Parameters
-    ----------
-    family : str
-    defaults : dict
-        Argument -> default.
-    kinds : dict
-        Argument -> its class and the fields, beyond the first, that this family knows.
-    codes : dict
-        Argument of release 0.1 that is a guard code now -> that code.
-    open : bool
-        Whether other arguments are passed on.
-    """
-
-    family: str
-    defaults: Mapping[str, Any]
-    kinds: Mapping[str, tuple[type[Setting], tuple[str, ...]]]
-    codes: Mapping[str, str]
-    open: bool
-
-    @property
-    def former(self) -> dict[str, tuple[str, str]]:
-        """Argument of release 0.1 -> the argument that holds it now, and its field there."""
-        moved = {FORMER.get(f, f): (name, f) for name, (_, known) in self.kinds.items() for f in known}
-        return {old: home for old, home in moved.items() if old not in self.defaults}
-
-    def folded(self, given: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-        """The arguments with the former ones put where they belong, and those that were moved in their new writing.
-
-        Raises
-        ------
-        InputError
-            One setting in both spellings, or one that this family does not know.
-        TypeError
-            A name that is none.
-        """
-        taken, former = dict(given), self.former
-        parts: dict[str, dict[str, Any]] = {}
-        codes: list[str] = []
-        for old in [name for name in given if name not in self.defaults]:
-            if old in self.codes:
-                parts.setdefault("allow", {})
-                codes += [self.codes[old]] if taken.pop(old) else []
-            elif old in former:
-                argument, name = former[old]
-                parts.setdefault(argument, {})[name] = taken.pop(old)
-            elif not self.open:
-                raise TypeError(self._unknown(old))
-        for argument, values in parts.items():
-            kind, _ = self.kinds[argument]
-            first = taken.get(argument, self.defaults.get(argument))
-            if isinstance(first, kind) and argument in given:
-                raise InputError("one setting in two spellings", where=self.family, found=f"{argument}={first!r} with "
-                                 + ", ".join(f"{n}=" for n in given if former.get(n, self.codes.get(n)) is not None),
-                                 expected=f"{argument}={kind.__name__}(...) alone")  # fmt: skip
-            made = replace(kind.of(first), **values)
-            taken[argument] = Guards.of(made).allowing(codes) if argument == "allow" else made
-        for argument, (kind, known) in self.kinds.items():
-            one = taken.get(argument)
-            for name, value in one.said() if isinstance(one, kind) else ():
-                if name not in known and name != fields(kind)[0].name:
-                    first = fields(kind)[0].name
-                    raise InputError(f"{self.family} does not know this setting", where=argument,
-                                     found=f"{name}={_pasted(value)}"[:80],
-                                     expected=f"{kind.__name__}({', '.join((first, *known))})")  # fmt: skip
-        return taken, [f"{argument}={_short(taken[argument], values)}" for argument, values in parts.items()]
-
-    def current(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """The arguments as the constructor takes them, with a warning where some are former ones."""
-        taken, moved = self.folded(given)
-        if moved:
-            old = ", ".join(f"{n}=" for n in given if n not in self.defaults and (n in self.codes or n in self.former))
-            warnings.warn(f"{self.family}({old}) is the spelling of release 0.1: write {', '.join(moved)}",
-                          DeprecationWarning, stacklevel=3)  # fmt: skip
-        return taken
-
-    def _unknown(self, name: str) -> str:
-        former = self.former
-        near = get_close_matches(name, [*self.defaults, *former, *self.codes], n=1)
-        text = f"{self.family} has no setting {name!r}"
-        if not near:
-            return f"{text}; it has {', '.join(self.defaults)}"
-        if near[0] in self.codes:
-            return f"{text}; did you mean allow=[{self.codes[near[0]]!r}]?"
-        if near[0] in former:
-            argument, field = former[near[0]]
-            return f"{text}; did you mean {argument}={self.kinds[argument][0].__name__}({field}=...)?"
-        return f"{text}; did you mean {near[0]!r}?"
-
-
-def _short(made: Setting, values: Mapping[str, Any]) -> str:
-    """A setting as it is written, long values left out."""
-    text = repr(made)
-    return text if len(text) <= 200 else f"{type(made).__name__}(..., {', '.join(f'{n}=...' for n in values)})"
-
-
-def takes(codes: Mapping[str, str] | None = None, **kinds: tuple[type[Setting], str]) -> Callable[[F], F]:
-    """Constructor whose arguments may be spelled as in release 0.1.
-
-    Parameters
-    ----------
-    codes : mapping, optional
-        Former argument -> guard code that says it now.
-    **kinds
-        Argument -> its class, and the names of the fields beyond the first that the family knows.
-    """
-
-    def decorate(made: F) -> F:
-        parameters = [p for p in inspect.signature(made).parameters.values() if p.name != "self"]
-        name = made.__qualname__.split(".")[0]
-        written = Arguments(
-            name,
-            {p.name: p.default for p in parameters if p.kind is not p.VAR_KEYWORD},
-            {argument: (kind, tuple(known.split())) for argument, (kind, known) in kinds.items()},
-            codes or {},
-            any(p.kind is p.VAR_KEYWORD for p in parameters),
-        )
-        ARGUMENTS[name] = written
-
-        @wraps(made)
-        def constructor(*args: Any, **given: Any) -> Any:
-            return made(*args, **written.current(given))
-
-        return constructor  # type: ignore[return-value]
-
-    return decorate
-
-
-def folded(family: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings by their single names, as the command line has them, put together as a family takes them.
-
-    Parameters
-    ----------
-    family : callable
-        As `loadid.Deconvolution`, or `loadid.recommend`.
-    given : mapping
-        ``{"noise": 0.1, "noise_source": "datasheet", "path": "dense"}``, say.
-
-    Raises
-    ------
-    InputError
-        A setting that the family does not know, or one in two spellings.
-    TypeError
-        A name that is none.
-    """
-    names = [one.__name__ for one in inspect.getmro(family)] if inspect.isclass(family) else [family.__name__]
-    return next(ARGUMENTS[name] for name in names if name in ARGUMENTS).folded(given)[0]

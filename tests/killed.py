@@ -16,8 +16,8 @@ import numpy as np
 
 from loadid import LoadTracker
 from loadid._families.tracking.tracker import Tracker
+from loadid._spellings import folded
 from loadid.priors import Matern32
-from loadid.settings import folded
 
 from .tracked import bm2
 

@@ -28,7 +28,7 @@ PRODUCTS = {"dot", "matmul", "vdot"}
 UNSAFE_MODULES = ("pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal")
 UNSAFE_CALLS = {"eval", "exec"}
 YAML = {"load", "load_all", "unsafe_load", "unsafe_load_all", "full_load", "full_load_all"}
-MAY_PRINT = ("loadid.cli", "loadid._commands", "loadid._commands._outputs")  # the terminal's own modules
+MAY_PRINT = ("loadid.cli", "loadid._commands")  # the terminal's own modules
 
 
 # -- the rules -------------------------------------------------------------------------------------------------------

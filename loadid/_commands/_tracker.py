@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from structures.errors import InputError
 
-from . import _arguments as arguments
-from . import names
-from ._arguments import UsageError, add_log_options, load_model, one_record, settings
+from . import NONE, UsageError, add_log_options, load_model, names, one_record, positive, settings
 
 if TYPE_CHECKING:
     from .._families.tracking.tracker import Tracker
@@ -107,7 +105,8 @@ def _fitted(args: Namespace, progress: Any) -> Tracker:
     from .._families.kalman import LoadTracker
     from .._families.tracking.tracker import Tracker
     from .._readers import read
-    from ..settings import Noise, folded
+    from .._spellings import folded
+    from ..settings import Noise
 
     made = _made(args)
     model = load_model(args.model)
@@ -238,7 +237,7 @@ def _samples(text: str, more: str = "") -> int:
 
 def _gate(text: str) -> float:
     """Stds; 0 stands for no gate."""
-    return 0.0 if text == arguments.NONE else arguments.positive(text)
+    return 0.0 if text == NONE else positive(text)
 
 
 def _errors(text: str) -> dict[str, float]:
@@ -247,7 +246,7 @@ def _errors(text: str) -> dict[str, float]:
         name, sign, value = part.partition("=")
         if not sign:
             raise ArgumentTypeError(f"{part!r} is not NAME=STD, as stiffness=0.02")
-        found[name.strip()] = arguments.positive(value)
+        found[name.strip()] = positive(value)
     return found
 
 
@@ -262,7 +261,7 @@ def _noise(text: str, sensors: list[str]) -> list[float]:
     values = []
     for _, _, value in sorted(pairs, key=lambda p: sensors.index(p[0])) if named else pairs:
         try:
-            values.append(arguments.positive(value))
+            values.append(positive(value))
         except ArgumentTypeError as error:
             raise InputError("no noise std", where="--noise", found=value, expected="a number > 0") from error
     if not named and len(values) == 1:

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from structures.errors import InputError
 
-from . import Command, emit, table
-from ._arguments import add_log_options, channels, read_records, resolved, settings
-from ._outputs import require_outputs
+from . import Command, add_log_options, channels, emit, read_records, require_outputs, resolved, settings, table
 
 if TYPE_CHECKING:
     from structures._models.measured import MeasuredModel

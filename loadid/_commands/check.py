@@ -13,8 +13,7 @@ from structures.errors import InputError, NotIdentifiable
 
 from .._results.summary import number
 from ..codes import GUARDS
-from . import Command, emit
-from ._arguments import UsageError, add_log_options, channels, load_model, read_records, settings
+from . import Command, UsageError, add_log_options, channels, emit, load_model, read_records, settings
 from .identify import responses_of
 
 if TYPE_CHECKING:

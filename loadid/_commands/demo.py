@@ -11,9 +11,8 @@ from structures._channels import Channel
 from structures.errors import InputError
 
 from .._results.summary import against, comparison, summary
-from . import Command, emit
-from ._arguments import seed as _seed
-from ._outputs import Bar, require_outputs
+from . import Bar, Command, emit, require_outputs
+from . import seed as _seed
 from .identify import identify, write_all
 
 if TYPE_CHECKING:
@@ -44,9 +43,9 @@ class Simulated:
 
 def model(elements: int = 30, modes: int = 14) -> ForwardModel:
     """Steel beam with three accelerometers and one force: what the inversion knows."""
-    from structures import ForwardModel
     from structures._elements import beams
     from structures._elements.members import Material, Section
+    from structures._models.forward import ForwardModel
     from structures._system import loads, sensors
     from structures._system.damping import Modal
 

@@ -8,16 +8,34 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from structures._advice import Advice
+from structures._flags import known_codes
 from structures.errors import InputError
 from structures.files import _storage as storage
 
 from .._results.summary import against, comparison, summary
-from ..codes import known_codes
 from ..constraints import NonNegative
-from . import Command, emit, names
-from . import _arguments as arguments
-from ._arguments import add_log_options, load_model, one_record, resolved, settings
-from ._outputs import Bar, require_outputs
+from . import (
+    DICTIONARIES,
+    NONE,
+    STARTS,
+    Bar,
+    Command,
+    add_log_options,
+    band,
+    channels,
+    choice,
+    count,
+    emit,
+    leak,
+    load_model,
+    names,
+    one_record,
+    penalty,
+    positive,
+    require_outputs,
+    resolved,
+    settings,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -82,7 +100,7 @@ def identify(
     chosen = getattr(import_module(module), name)
     given = _given(options, chosen)
     try:
-        estimate = chosen(known, **given).estimate(responses_of(found, known, responses))
+        estimate: LoadEstimate = chosen(known, **given).estimate(responses_of(found, known, responses))
     except InputError as error:
         raise _with_contradiction(error, found) from error
     return (
@@ -98,7 +116,7 @@ def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
     InputError
         One that it does not take.
     """
-    from ..settings import ARGUMENTS, folded
+    from .._spellings import ARGUMENTS, folded
 
     written = ARGUMENTS[family.__name__]
     given = {key: value for key, value in options.items() if value is not None}
@@ -110,7 +128,7 @@ def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
     if unknown:
         raise InputError(f"{family.__name__} has no such setting", where="identify", found=", ".join(unknown),
                          expected=f"some of {', '.join(taken)}")  # fmt: skip
-    if given.get("penalty") == arguments.NONE:
+    if given.get("penalty") == NONE:
         given["penalty"] = None
     return folded(family, given)
 
@@ -203,63 +221,59 @@ def known_load(record: Record, model: Model, channel: str) -> NDArray[Any]:
 
 
 def _configure(parser: ArgumentParser) -> None:
+    from ..settings import METHODS, OVER, PATHS, SIGNALS
+
     parser.add_argument("log", metavar="LOG", help="log with the responses")
     parser.add_argument("--model", required=True, metavar="MODEL.h5", help="model file, from calibrate for example")
     parser.add_argument("-o", "--output", required=True, metavar="RESULT.h5", help="result file to write")
     parser.add_argument("--family", choices=sorted(FAMILIES), default="deconvolution")
-    parser.add_argument("--method", choices=arguments.METHODS, help="default tikhonov")
+    parser.add_argument("--method", choices=METHODS, help="default tikhonov")
     parser.add_argument(
         "--penalty",
-        type=arguments.penalty,
+        type=penalty,
         metavar="NAME",
         help="identity (default), first_difference, second_difference; none is plain least squares",
     )
     parser.add_argument(
         "--choice",
-        type=arguments.choice,
+        type=choice,
         metavar="RULE",
         help="rule (discrepancy, upre, gcv, robust_gcv, l_curve, evidence, ...), or a relative lambda",
     )
     parser.add_argument(
-        "--path", choices=arguments.PATHS, help="solver; default auto, which the result names: by length and model"
+        "--path", choices=PATHS, help="solver; default auto, which the result names: by length and model"
     )
-    parser.add_argument(
-        "--initial", choices=arguments.STARTS, help="state of the structure at the first sample; default rest"
-    )
+    parser.add_argument("--initial", choices=STARTS, help="state of the structure at the first sample; default rest")
     parser.add_argument(
         "--leak",
-        type=arguments.leak,
+        type=leak,
         metavar="PHI",
         help="with first_difference: a load that returns to zero by itself, for sensors that see no constant",
     )
     parser.add_argument(
         "--dictionary",
-        choices=arguments.DICTIONARIES,
+        choices=DICTIONARIES,
         help="waveforms of the sparse family: spikes (default), splines for longer pulses, wavelets",
     )
     parser.add_argument(
         "--signal",
-        choices=arguments.SIGNALS,
+        choices=SIGNALS,
         help="frequency family: averaged into spectra of the loads, or transformed once into their history",
     )
+    parser.add_argument("--over", choices=OVER, help="frequency family: who decides on lambda; default neighbours")
     parser.add_argument(
-        "--over", choices=arguments.OVER, help="frequency family: who decides on lambda; default neighbours"
+        "--level", type=positive, metavar="SHARE", help="frequency family: predicted error to flag, as 0.1"
     )
+    parser.add_argument("--band", type=band, metavar="LOW:HIGH", help="frequency family: lines that are inverted, Hz")
     parser.add_argument(
-        "--level", type=arguments.positive, metavar="SHARE", help="frequency family: predicted error to flag, as 0.1"
-    )
-    parser.add_argument(
-        "--band", type=arguments.band, metavar="LOW:HIGH", help="frequency family: lines that are inverted, Hz"
-    )
-    parser.add_argument(
-        "--segment", type=arguments.count, metavar="SAMPLES", help="frequency family: length of the averaged segments"
+        "--segment", type=count, metavar="SAMPLES", help="frequency family: length of the averaged segments"
     )
     parser.add_argument("--nonnegative", action="store_true", help="loads that push and never pull")
     parser.add_argument(
         "--allow", type=names, metavar="CODE,...", help="refusals to override (E306, ...); printed on every picture"
     )
     parser.add_argument(
-        "--response", type=arguments.channels, metavar="CH,...", help="channels, in the order of the model's sensors"
+        "--response", type=channels, metavar="CH,...", help="channels, in the order of the model's sensors"
     )
     parser.add_argument(
         "--truth", metavar="CH", help="channel of the log that holds the measured load, to compare with"

@@ -10,8 +10,7 @@ from typing import Any
 from structures.files import _storage as storage
 
 from .._results.summary import quantity, summary
-from . import Command, emit, table
-from ._arguments import add_log_options, read_records, settings
+from . import Command, add_log_options, emit, read_records, settings, table
 from .calibrate import describe as describe_hits
 from .calibrate import show as show_hits
 

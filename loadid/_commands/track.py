@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from . import Command, emit
-from ._arguments import count, seconds, units
-from ._outputs import Bar, require_outputs
+from . import Bar, Command, count, emit, require_outputs, seconds, units
 from ._tracker import add_fit_options, require_fit_options, started
 
 if TYPE_CHECKING:

@@ -15,14 +15,15 @@ from structures._model import Model, as_model
 from structures.errors import InputError
 
 from .. import _guards as guards
-from .._guards import families as told
+from .._guards import choice as told
 from .._inverse.choice import Choice, checked, choose, given, named
 from .._inverse.constrained.nonnegative import NonNegativeSolution
 from .._inverse.diagnosis import identifiability
 from .._inverse.gaussian.coarse import confirm
 from .._inverse.penalties import order
 from .._results.estimate import LoadEstimate
-from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, takes
+from .._spellings import takes
+from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import histories
 from .answer import SolvedLoad, answer, beyond_noise, of_path, over_time, undetermined
 from .data import Data, gather

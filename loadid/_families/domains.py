@@ -13,7 +13,8 @@ from structures._model import Model, as_model
 from structures.errors import InputError, as_array
 
 from .._results.estimate import LoadEstimate
-from ..settings import Lambda, Noise, takes
+from .._spellings import takes
+from ..settings import Lambda, Noise
 from .deconvolution import Deconvolution
 from .frequency import FrequencyInversion
 from .posing.posed import PADDED

@@ -20,7 +20,8 @@ from .._inverse.gaussian.posterior import MappedPosterior
 from .._inverse.penalties import names
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
-from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, takes
+from .._spellings import takes
+from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import smoothness as spatial
 from .data import Data, gather
 from .deconvolution import Deconvolution

@@ -20,7 +20,8 @@ from .._inverse.posterior import SpectralPosterior
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts
 from .._results.functionals import LEVEL, LoadSpectrum, nearest_zeros
-from ..settings import ChoiceLike, Guards, Lambda, Noise, Signal, takes
+from .._spellings import takes
+from ..settings import ChoiceLike, Guards, Lambda, Noise, Signal
 from .answer import SolvedLoad, answer, over_time
 from .data import rows_of
 from .posing.fitting import LineFit, LineRule, fit, judged

@@ -18,7 +18,8 @@ from .._inverse.diagnosis import identifiability
 from .._inverse.problem import NOT_KNOWN, STATED, LinearProblem
 from .._inverse.svd import SVDPath
 from .._results.estimate import Axis, LoadEstimate
-from ..settings import ChoiceLike, Guards, Lambda, Noise, takes
+from .._spellings import takes
+from ..settings import ChoiceLike, Guards, Lambda, Noise
 from . import smoothness as spatial
 from .answer import Amplitudes, answer, of_path, undetermined
 from .data import rows_of

@@ -23,8 +23,9 @@ from .._inverse.gaussian.roots import solve_lower
 from .._inverse.gaussian.steady import SteadyFilter, steady
 from .._inverse.problem import NoiseSource
 from .._record import Record
+from .._spellings import takes
 from ..priors import OU, Matern32, Matern52
-from ..settings import Guards, ModelErrors, Noise, Online, Priors, takes
+from ..settings import Guards, ModelErrors, Noise, Online, Priors
 from . import noise as noises
 from .data import Data, gather, health
 from .tracking.certificate import TrackCertificate, banded, certify

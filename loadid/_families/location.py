@@ -21,8 +21,9 @@ from .._inverse.problem import whiten
 from .._results.estimate import LoadEstimate
 from .._results.facts import provenance
 from .._results.location import LocationFacts, LocationResult, Rival
+from .._spellings import takes
 from ..design._candidates import of_model
-from ..settings import Guards, Lambda, Noise, Search, takes
+from ..settings import Guards, Lambda, Noise, Search
 from . import noise as noises
 from .data import Data, gather
 from .deconvolution import Deconvolution

@@ -22,12 +22,14 @@ from structures._model import Model
 from structures.errors import InputError, NotIdentifiable
 
 from .._guards import families as told
+from .._guards.choice import IMPULSIVE
 from .._inverse import rules
 from .._inverse.gaussian.records import filter_record
 from .._inverse.sparse import dictionaries
 from .._record import Record
 from .._results.estimate import LoadEstimate
-from ..settings import Lambda, Noise, Penalty, takes
+from .._spellings import takes
+from ..settings import Lambda, Noise, Penalty
 from .data import Data, gather
 from .deconvolution import Deconvolution
 from .histories import half_width, kurtosis
@@ -244,7 +246,7 @@ def recommend(
     samples = first.samples + len(data.values) - problem.samples
     processes = compared(model, data, samples, settings, lambda f, t: say(0.1 + 0.4 * f, t))
     criteria = {"tikhonov" if name == "white" else name: one.criterion for name, one in processes.items()}
-    if seen.kurtosis < told.IMPULSIVE and load_class != "impact":
+    if seen.kurtosis < IMPULSIVE and load_class != "impact":
         return asked.process(criteria, {})
     scores, shares = _compared(first, lambda f, t: say(0.2 + f, t))
     best = min(scores, key=lambda k: scores[k])
@@ -272,10 +274,8 @@ class _Seen:
     shown: float
 
     def __str__(self) -> str:
-        if self.kurtosis < told.IMPULSIVE:
-            return (
-                f"the load acts all the time (kurtosis {self.kurtosis:.3g}, impacts have more than {told.IMPULSIVE:g})"
-            )
+        if self.kurtosis < IMPULSIVE:
+            return f"the load acts all the time (kurtosis {self.kurtosis:.3g}, impacts have more than {IMPULSIVE:g})"
         return f"the load looks impulsive (kurtosis {self.kurtosis:.3g})"
 
 

@@ -14,15 +14,18 @@ from structures._model import Model, as_model
 from structures.errors import InputError, as_array, real
 
 from .._guards import families as told
+from .._guards.choice import declared_class
 from .._inverse.choice import Choice, PathCurve, is_rule, named
 from .._inverse.convolution import Convolution
 from .._inverse.problem import NoiseSource
 from .._inverse.rules import name_of
-from .._inverse.sparse.path import TOLERANCE, SupportPosterior
+from .._inverse.sparse import TOLERANCE
+from .._inverse.sparse.path import SupportPosterior
 from .._inverse.sweep import RuleResult
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
-from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, Sparsity, takes
+from .._spellings import takes
+from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, Sparsity
 from . import histories
 from .answer import SolvedLoad, answer, beyond_noise, over_time
 from .data import Data, gather
@@ -240,7 +243,7 @@ class SparseDeconvolution:
         label = "" if share is None else model.loads[chosen.loads[share[1]]].label
         return [
             *histories.layout(model, data, chosen.problem.raw, None),
-            told.declared_class(self.load_class, "sparse"),
+            declared_class(self.load_class, "sparse"),
             told.dense_support(len(chosen.fit.x), chosen.atoms.n),
             wrong,
             None if residual is None or wrong is not None else told.unexplained(residual, self._prior(chosen)),

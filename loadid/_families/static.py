@@ -20,7 +20,8 @@ from .._inverse.choice import Choice, checked, choose, named
 from .._inverse.diagnosis import diagnose, identifiability
 from .._results.estimate import LoadEstimate
 from .._results.facts import STATIC, Facts
-from ..settings import Absolute, ChoiceLike, Guards, Lambda, Noise, Penalty, takes
+from .._spellings import takes
+from ..settings import Absolute, ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import smoothness
 from .answer import answer, of_path, undetermined
 from .data import Readings, readings

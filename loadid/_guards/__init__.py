@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from ..codes import allowed, collect
+from structures._flags import allowed, collect
+
 from .choice import (
     absolute_lambda,
     at_the_end,

@@ -1,4 +1,4 @@
-"""Guards of single families: frequency lines, the search for a place, impacts under a smooth prior."""
+"""Guards of single families: frequency lines, the search for a place, sparse loads."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _calm(residual: NDArray[Any], few: int) -> NDArray[np.float64]:
     """Noise of each channel where the residual is calm: what leaks stands in a part of it and is no noise."""
     few = min(few, len(residual))
     parts = residual[: len(residual) // few * few].reshape(-1, few, residual.shape[1])
-    return np.sqrt(np.quantile(np.mean(parts**2, axis=1), 0.25, axis=0))
+    return np.asarray(np.sqrt(np.quantile(np.mean(parts**2, axis=1), 0.25, axis=0)))
 
 
 def too_coarse(bandwidth: float, decay_rate: float | None) -> Flag | None:
@@ -130,11 +130,11 @@ def harmonics(load: NDArray[Any]) -> NDArray[np.bool_]:
     """Lines on which the loads (lines, loads) stand out of those around them; of a few lines all."""
     power = np.sum(np.abs(load) ** 2, axis=1)
     if len(power) < FEW:
-        return power > 0
+        return np.asarray(power > 0)
     from scipy.ndimage import median_filter
 
     around = median_filter(power, size=min(len(power) // 2 * 2 - 1, 41), mode="reflect")
-    return power > TONES * np.maximum(around, np.finfo(float).tiny)
+    return np.asarray(power > TONES * np.maximum(around, np.finfo(float).tiny))
 
 
 def contradicted(excess: float, source: NoiseSource) -> Flag | None:
@@ -283,72 +283,11 @@ def _listed(groups: Sequence[Sequence[str]]) -> str:
     return "; ".join(shown) + (f"; and {len(groups) - 4} more groups" if len(groups) > 4 else "")
 
 
-PEAKED = 20.0  # kurtosis of a load above which it is made of impacts
-IMPULSIVE = 8.0  # kurtosis above which impacts are looked for; a fifth of the time in pulses has 7.5
-NARROW = 2.0  # width of the largest pulse over the resolution below which the pulse may be narrower than it looks
-LOST = 0.5  # share of a single-sample peak that the prior takes away, above which that lowers the peak
 DENSE = 0.3  # share of the dictionary in use above which a load is not sparse
 CLEARLY = 10.0  # difference of the information criterion that counts as strong evidence
 UNSURE = 0.25  # std of an amplitude over the amplitude above which it is not determined
 MISFIT = 1.3  # residual over noise above which a dictionary does not hold the load
 SOLVED = 1e-5  # relative duality gap above which an l1 solution is none
-CLASSES = {"impact": ("sparse",), "service": ("tikhonov",)}
-
-
-def impulsive(kurtosis: float, prior: str) -> Flag | None:
-    """W311 under a smooth prior, of a load that was declared: what came out is made of impacts.
-
-    It is asked only where a class of load was declared. A high kurtosis alone does not show that the prior is wrong: a
-    pulse that the data resolve is as high and as wide as it should be, and has that kurtosis too. `smeared` is asked
-    always.
-
-    Parameters
-    ----------
-    kurtosis : float
-        Fourth moment over the square of the second, of the load about zero (3 for a Gaussian one).
-    prior : str
-        In words.
-    """
-    if not kurtosis > PEAKED:
-        return None
-    return Flag(
-        "W311",
-        Evidence("kurtosis of the load", float(kurtosis), PEAKED),
-        f"the load looks impulsive (kurtosis {kurtosis:.3g}); the prior used was {prior}: it smears and lowers peaks",
-    )
-
-
-def smeared(kurtosis: float, pulse: float, resolution: float, lost: float, prior: str) -> Flag | None:
-    """W311 under a smooth prior: the largest pulse is about as narrow as anything can be shown, and far too low.
-
-    Three signs together: a load of impacts, its largest pulse hardly wider than the answer to a single sample, and a
-    prior that takes more than half of the height of such an answer. Calibrated by ``python -m
-    tests.benchmarks.smeared``: raised on 95 of 96 records whose pulses came out at a tenth to four fifths of their
-    height; silent on 144 whose pulses were resolved (0.72 to 1.03 of their height) and on 24 of random loads.
-
-    Parameters
-    ----------
-    kurtosis : float
-        As in `impulsive`.
-    pulse, resolution : float
-        Width of the largest pulse at half its height, and of the answer to a single-sample load at its place, in
-        samples.
-    lost : float
-        Share of the height of that load that the answer lacks.
-    prior : str
-        In words.
-    """
-    if not (kurtosis > IMPULSIVE and pulse < NARROW * resolution and lost > LOST):
-        return None
-    return Flag(
-        "W311",
-        Evidence("width of the largest pulse over the resolution", float(pulse / resolution), NARROW),
-        f"the load looks impulsive (kurtosis {kurtosis:.3g}), and its largest pulse is no wider than what is resolved "
-        f"({pulse:.3g} and {resolution:.3g} samples): the prior ({prior}) smears it, and a single-sample peak is shown "
-        f"at {1 - lost:.0%} of its height",
-        "compare SparseDeconvolution(dictionary='bspline'), or let the load only push; recommend() says which fits; an "
-        "accelerometer near the load resolves more",
-    )
 
 
 def dense_support(count: int, atoms: int) -> Flag | None:
@@ -421,26 +360,6 @@ def unsure_amplitudes(share: float, label: str) -> Flag | None:
         f"largest ({label}) is known to ± {share:.0%} only; under Tikhonov it would be smeared and too low instead",
         "read places and impulses (functional('impulse', window=...)), not peaks; an accelerometer near the load, or "
         "less noise, tells single samples apart",
-    )
-
-
-def declared_class(declared: str | None, prior: str) -> Flag | None:
-    """W510: the load was declared as one that the prior does not fit, before any data.
-
-    Parameters
-    ----------
-    declared : {"impact", "service"} or None
-        Hammer blows and shocks; loads that act all the time.
-    prior : {"sparse", "tikhonov"}
-    """
-    if declared is None or prior in CLASSES[declared]:
-        return None
-    other = "SparseDeconvolution, or a load that only pushes" if declared == "impact" else "Deconvolution (Tikhonov)"
-    return Flag(
-        "W510",
-        Evidence("prior", prior, f"one that fits {declared} loads"),
-        f"the prior is {prior}, the load class says {declared}",
-        f"switch the family: {other}",
     )
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .arrays import Array
+from . import Array
 from .posterior import DensePosterior, from_arrays
 
 if TYPE_CHECKING:

@@ -15,26 +15,7 @@ from .choosing import gcv, lcurve, path_figure
 from .diagnosis import columns, filter_factors, modes, picard, resolution
 from .fields import field, spacetime, zones
 from .loads import draw_load, lines_figure, load_figure, response_figure, spectrum_figure
-from .style import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    NARROW,
-    ORANGE,
-    PALE,
-    PANELS,
-    PURPLE,
-    SKY,
-    known_load,
-    mark,
-    new_figure,
-    picture_format,
-    rendered,
-    save,
-    text,
-    unit,
-)
+from .style import finished, known_load, new_figure, picture_format, rendered
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,10 +24,9 @@ if TYPE_CHECKING:
 
 
 __all__ = [
-    "BLUE", "GREEN", "GREY", "INK", "NARROW", "ORANGE", "PALE", "PANELS", "PURPLE", "SKY", "columns", "draw_load",
-    "field", "filter_factors", "gcv", "lcurve", "lines_figure", "load_figure", "mark", "modes", "path_figure", "picard",
-    "picture_format", "plot", "rendered", "resolution", "response_figure", "save", "spacetime", "spectrum_figure",
-    "text", "unit", "zones",
+    "columns", "field", "filter_factors", "gcv", "lcurve", "lines_figure", "load_figure", "modes", "path_figure",
+    "picard", "picture_format", "plot", "rendered", "resolution", "response_figure", "spacetime", "spectrum_figure",
+    "zones",
 ]  # fmt: skip
 
 # a known load can stand beside
@@ -90,8 +70,4 @@ def plot(
         _OF_LOADS[kind](estimate, truth=truth, figure=figure)
     else:
         _OTHERS[kind](estimate, figure=figure)
-    if path is not None:
-        save(figure, path)
-    if show:
-        figure.canvas.manager.show()  # type: ignore[union-attr]
-    return figure
+    return finished(figure, path, show)

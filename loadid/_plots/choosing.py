@@ -23,9 +23,9 @@ from .style import (
     PURPLE,
     SKY,
     few_labels,
+    finished,
     mark,
     new_figure,
-    save,
     sized,
     text,
     tidy,
@@ -211,11 +211,7 @@ def draw(
     words = ["ambiguous: " + ", ".join(warned) if warned else "one place stands out"]
     words.append(f"runner-up / best {result.ratio:.3f}")
     figure.suptitle("  |  ".join(words), fontsize=8, color=ORANGE if warned else INK, x=0.01, ha="left")
-    if path is not None:
-        save(figure, path)
-    if show:
-        figure.canvas.manager.show()  # type: ignore[union-attr]
-    return figure
+    return finished(figure, path, show)
 
 
 def draw_map(ax: Axes, result: LocationResult, *, load: int = 0, truth: ArrayLike | None = None) -> None:

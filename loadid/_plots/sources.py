@@ -27,10 +27,10 @@ from .style import (
     PURPLE,
     SKY,
     few_labels,
+    finished,
     legend_above,
     mark,
     new_figure,
-    save,
     text,
     tidy,
     titled,
@@ -374,8 +374,4 @@ def _finished(
     estimate = getattr(c, "estimate", None)
     if estimate is not None:
         mark(figure, estimate)
-    if path is not None:
-        save(figure, path)
-    if show:
-        figure.canvas.manager.show()  # type: ignore[union-attr]
-    return figure
+    return finished(figure, path, show)

@@ -172,6 +172,15 @@ def legend_above(ax: Axes) -> None:
     ax.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, fontsize=8, frameon=False, borderaxespad=0.1)
 
 
+def finished(figure: Figure, path: str | os.PathLike[str] | None, show: bool) -> Figure:
+    """The figure, saved where a path is given and shown where that is asked for."""
+    if path is not None:
+        save(figure, path)
+    if show:
+        figure.canvas.manager.show()  # type: ignore[union-attr]
+    return figure
+
+
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure to a file whose suffix names the format; the old file stays where that fails."""
     from structures.files._storage import as_path, replace

@@ -12,8 +12,8 @@ step, units and errors are then treated as in every other format::
         return [Table(values, name="run 1", columns=("F", "a"), units=("N", "g"), dt=1e-3)]
 
 A reader compares what a file declares with what it delivers (`truncated` gives the flag), asks `source.allow(bytes)`
-before it unpacks, and never evaluates or unpickles anything. `rows_of` (`numbers.py`) turns lines of text into numbers
-and names the line and the cell that is none. Whatever else a reader raises leaves `read` as an InputError.
+before it unpacks, and never evaluates or unpickles anything. `rows_of` (`csv_table.py`) turns lines of text into
+numbers and names the line and the cell that is none. Whatever else a reader raises leaves `read` as an InputError.
 With ``native=True`` it runs in a child process, as a C library must that a damaged file can crash.
 """
 
@@ -23,9 +23,9 @@ import importlib
 import os
 import pkgutil
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
@@ -54,6 +54,8 @@ __all__ = [
     "Format", "NotStated", "Options", "RecordOutline", "Source", "Table", "formats", "outline", "read", "read_all",
     "register", "scan", "truncated",
 ]  # fmt: skip
+
+T = TypeVar("T")
 
 for _module in pkgutil.iter_modules(__path__):  # a format is found because its file lies here
     importlib.import_module(f".{_module.name}", __name__)
@@ -251,7 +253,7 @@ def _settle(table: Table, source: Source, options: Options, found: list[Table]) 
     return settle(table, source, options)
 
 
-def guarded(source: Source, action: Any, form: str = "a record") -> Any:
+def guarded(source: Source, action: Callable[[], T], form: str = "a record") -> T:
     """Run a reader; damage that it did not foresee is still bad input, and says where."""
     try:
         with warnings.catch_warnings():

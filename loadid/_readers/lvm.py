@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from structures._flags import Flag
 
-from .numbers import rows_of
+from .csv_table import rows_of
 from .settle import distinct
 from .source import COLUMNS, Options, Source, Table, register, truncated
 

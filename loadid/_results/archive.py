@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from .functionals import LoadSpectrum
 if TYPE_CHECKING:
     from .estimate import LoadEstimate
 
+T = TypeVar("T")
 KIND = "load estimate"
 # first words of the constraints in files of release 0.1, and their kinds
 _WRITTEN = {
@@ -33,15 +34,15 @@ _WRITTEN = {
 }  # fmt: skip
 
 
-def read(path: str | os.PathLike[str], of_tree: Callable[[dict[str, Any]], LoadEstimate]) -> LoadEstimate:
-    """Read a result file, whose tree `of_tree` makes an estimate of.
+def read(path: str | os.PathLike[str], of_tree: Callable[[dict[str, Any]], T], kind: str = KIND) -> T:
+    """Read a result file, whose tree `of_tree` makes a result of.
 
     Raises
     ------
     InputError
         If the file is missing, of another kind, or damaged.
     """
-    tree = storage.read(path, KIND)
+    tree = storage.read(path, kind)
     try:
         return of_tree(tree)
     except InputError:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures._flags import Flag, canonical, codes
-from structures.errors import InputError
 
 from .estimate import LoadEstimate
 from .facts import Facts, fact
@@ -265,20 +264,17 @@ class LocationResult:
         InputError
             If the file is missing, of another kind, or damaged.
         """
-        from structures.files import _storage as storage
+        from . import archive
 
-        tree = storage.read(path, KIND)
-        try:
-            if tree["estimate"] is not None:
-                tree["estimate"] = LoadEstimate.from_tree(tree["estimate"])
-            tree["flags"] = [Flag.from_dict(f) for f in tree["flags"]]
-            tree["rivals"] = [Rival(**(r | {"place": tuple(r["place"])})) for r in tree["rivals"]]
-            return cls(**tree)
-        except (KeyError, TypeError) as error:
-            raise InputError(
-                "its content is not what this release expects", where=str(path),
-                found=f"{type(error).__name__}: {error}", hint="read it with the release that wrote it",
-            ) from error  # fmt: skip
+        return archive.read(path, cls._of_tree, KIND)
+
+    @classmethod
+    def _of_tree(cls, tree: dict[str, Any]) -> LocationResult:
+        if tree["estimate"] is not None:
+            tree["estimate"] = LoadEstimate.from_tree(tree["estimate"])
+        tree["flags"] = [Flag.from_dict(f) for f in tree["flags"]]
+        tree["rivals"] = [Rival(**(r | {"place": tuple(r["place"])})) for r in tree["rivals"]]
+        return cls(**tree)
 
 
 def _tree(r: LocationResult) -> dict[str, Any]:

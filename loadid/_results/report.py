@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from html import escape
 from importlib.resources import files
@@ -90,14 +90,14 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:
         ("Verification", verification(estimate)),
         ("Provenance", provenance_table(estimate)),
     ]
-    return html_page(estimate, title, sections)
+    return document(title, estimate, sections)
 
 
-def html_page(estimate: LoadEstimate, title: str, sections: Iterable[tuple[str, str]]) -> str:
-    """A whole page of sections that are not empty, with what must be known first above them."""
+def document(title: str, result: LoadEstimate, sections: Sequence[tuple[str, str]]) -> str:
+    """A page of titled sections, below the family, the time and the notices of a result; empty ones are left out."""
     body = "\n".join(f"<section>\n<h2>{escape(name)}</h2>\n{text}\n</section>" for name, text in sections if text)
-    created = estimate.provenance.get("created")
-    line = " · ".join(escape(str(x)) for x in (estimate.provenance.get("family"), created) if x)
+    known = (result.provenance.get("family"), result.provenance.get("created"))
+    line = " · ".join(escape(str(x)) for x in known if x)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -112,7 +112,7 @@ def html_page(estimate: LoadEstimate, title: str, sections: Iterable[tuple[str, 
 <header>
 <h1>{escape(title)}</h1>
 <p class="quiet">{line}</p>
-{notices(estimate)}
+{notices(result)}
 </header>
 <main>
 {body}

@@ -290,7 +290,7 @@ def _holds(path: Path, place: dict[str, Any]) -> bool:
         return False
     with path.open("rb") as file:
         file.seek(max(at - TAIL, 0))
-        return _digest(file.read(min(at, TAIL))) == place["tail"]
+        return bool(_digest(file.read(min(at, TAIL))) == place["tail"])
 
 
 def _require_same(where: str, place: dict[str, Any]) -> None:

@@ -1,9 +1,12 @@
-"""Sensor layouts judged and chosen before anything is measured."""
+"""Sensor layouts judged and chosen before anything is measured.
 
-from __future__ import annotations
+The classes of the answers can be imported for types; nobody makes them by hand.
+"""
 
-from ._comparison import LayoutComparison, compare
-from ._layout import Judged
-from ._placement import Placement, place
+from ._comparison import LayoutComparison as LayoutComparison
+from ._comparison import compare
+from ._layout import Judged as Judged
+from ._placement import Placement as Placement
+from ._placement import place
 
-__all__ = ["Judged", "LayoutComparison", "Placement", "compare", "place"]
+__all__ = ["compare", "place"]

@@ -223,12 +223,12 @@ class RowSet:
     @property
     def leverage(self) -> Array:
         """Squared length of every row in posterior coordinates: predicted variance over noise variance."""
-        return np.einsum("ij,ij->i", self.B, self.B)
+        return np.asarray(np.einsum("ij,ij->i", self.B, self.B))
 
     @property
     def variance(self) -> Array:
         """Posterior variance of every load over its prior variance."""
-        return np.einsum("ij,ij->i", self.T, self.T)
+        return np.asarray(np.einsum("ij,ij->i", self.T, self.T))
 
     def change(self, row: int, sign: int) -> None:
         """Add (+1) or remove (-1) a row."""
@@ -274,11 +274,11 @@ def _log_norm(variance: Array, p: float) -> Array:
     """Logarithm of the p-norm over the first axis, without overflow."""
     top = np.maximum(variance.max(axis=0), np.finfo(float).tiny)
     if p == WORST:
-        return np.log(top)
+        return np.asarray(np.log(top))
     share = np.maximum(variance, 0.0) / top
     for _ in range(int(np.log2(p))):  # p is a power of two: squares are ten times as fast as powers
         np.square(share, out=share)
-    return np.log(top) + np.log(np.maximum(np.sum(share, axis=0), 1.0)) / p
+    return np.asarray(np.log(top) + np.log(np.maximum(np.sum(share, axis=0), 1.0)) / p)
 
 
 def canonical(A: Array) -> NDArray[np.intp]:

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from .._plots.style import finished
 from ._layout import Judged
 
 if TYPE_CHECKING:
@@ -73,13 +74,7 @@ def draw(
         )
     for panel in panels[len(layouts) :]:
         panel.set_visible(False)
-    if path is not None:
-        from .._plots import save
-
-        save(figure, path)
-    if show:
-        figure.canvas.manager.show()  # type: ignore[union-attr]
-    return figure
+    return finished(figure, path, show)
 
 
 def _figure(show: bool) -> Figure:

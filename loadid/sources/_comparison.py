@@ -91,7 +91,7 @@ class ResponseComparison:
     def overall(self) -> Real:
         """Overall level, synthesised over measured, dB per sensor; without 0 Hz."""
         m, s = (np.sum(x, axis=0) for x in self._line_powers())
-        return levels.decibels(s[None], m[None])[0]
+        return np.asarray(levels.decibels(s[None], m[None])[0])
 
     @property
     def correlation(self) -> Real | None:

@@ -44,7 +44,7 @@ def mac(shapes: ArrayLike, others: ArrayLike | None = None, *, weights: ArrayLik
     if weights is not None:
         root = np.sqrt(_weights(weights, len(a)))[:, None]
         a, b = a * root, b * root
-    return np.minimum(np.abs(_unit(a, "mac").conj().T @ _unit(b, "mac")) ** 2, 1.0)
+    return np.asarray(np.minimum(np.abs(_unit(a, "mac").conj().T @ _unit(b, "mac")) ** 2, 1.0))
 
 
 def frac(responses: ArrayLike, others: ArrayLike) -> Array:
@@ -172,7 +172,7 @@ def lac(responses: ArrayLike, others: ArrayLike) -> Array:
     a, b = _pair(responses, others, "lac")
     small, large = np.minimum(np.abs(a), np.abs(b)), np.maximum(np.abs(a), np.abs(b))
     ratio = np.divide(small, large, out=np.ones_like(large), where=large > 0)
-    return 2 * ratio / (1 + ratio**2)
+    return np.asarray(2 * ratio / (1 + ratio**2))
 
 
 # -- helpers -----------------------------------------------------------------------------------------------------------
@@ -215,16 +215,16 @@ def _scaled(a: NDArray[Any], where: str) -> NDArray[Any]:
             "zero throughout: nothing can be correlated", where=where, found=f"{int(np.sum(top == 0))} of {top.size}",
             expected="responses that are not zero", hint="leave these channels or lines out",
         )  # fmt: skip
-    return a / top
+    return np.asarray(a / top)
 
 
 def _unit(a: NDArray[Any], where: str) -> NDArray[Any]:
     scaled = _scaled(a, where)
-    return scaled / np.linalg.norm(scaled, axis=0)
+    return np.asarray(scaled / np.linalg.norm(scaled, axis=0))
 
 
 def _cosine2(a: NDArray[Any], b: NDArray[Any], where: str) -> Array:
-    return np.minimum(np.abs(np.sum(_unit(a, where) * _unit(b, where).conj(), axis=0)) ** 2, 1.0)
+    return np.asarray(np.minimum(np.abs(np.sum(_unit(a, where) * _unit(b, where).conj(), axis=0)) ** 2, 1.0))
 
 
 def _amplitude(a: NDArray[Any], b: NDArray[Any], where: str) -> Array:
@@ -232,7 +232,7 @@ def _amplitude(a: NDArray[Any], b: NDArray[Any], where: str) -> Array:
     if np.any(top == 0):
         _scaled(np.where(top > 0, a, 0), where)
     a, b = a / top, b / top
-    return 2 * np.abs(np.sum(a * b.conj(), axis=0)) / np.sum(np.abs(a) ** 2 + np.abs(b) ** 2, axis=0)
+    return np.asarray(2 * np.abs(np.sum(a * b.conj(), axis=0)) / np.sum(np.abs(a) ** 2 + np.abs(b) ** 2, axis=0))
 
 
 def _misfit(where: str, found: object, other: object, expected: str) -> InputError:

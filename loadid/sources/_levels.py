@@ -308,7 +308,7 @@ def running_rms(values: ArrayLike, dt: float, window: float) -> Array:
     half = min(half, len(x) - 1)
     at = np.arange(len(x))
     count = np.minimum(at + half + 1, len(x)) - np.maximum(at - half, 0)
-    return np.sqrt(_moving_sum(x**2, half) / count.reshape(-1, *[1] * (x.ndim - 1)))
+    return np.asarray(np.sqrt(_moving_sum(x**2, half) / count.reshape(-1, *[1] * (x.ndim - 1))))
 
 
 def time_weighted(values: ArrayLike, dt: float, weighting: str | float = "fast") -> Array:
@@ -337,7 +337,7 @@ def time_weighted(values: ArrayLike, dt: float, weighting: str | float = "fast")
         )  # fmt: skip
     constant = WEIGHTINGS[weighting] if isinstance(weighting, str) else weighting
     decay = np.exp(-dt / positive("the time constant", constant, where="time_weighted", unit="s"))
-    return np.sqrt(np.maximum(lfilter([1 - decay], [1, -decay], x**2, axis=0), 0))
+    return np.asarray(np.sqrt(np.maximum(lfilter([1 - decay], [1, -decay], x**2, axis=0), 0)))
 
 
 def running_level(measured: ArrayLike, synthesised: ArrayLike, dt: float, window: str | float = "fast") -> RunningLevel:

@@ -339,14 +339,14 @@ def _amplitude_variance(p: Paths) -> Real:
         found = np.einsum("lij,ljk,lik->li", p.H, p.errors, p.H.conj()).real
     if p.variance is not None:
         found = found + np.einsum("lij,lj->li", p.variance, np.abs(p.load) ** 2)
-    return np.maximum(found, 0.0)
+    return np.asarray(np.maximum(found, 0.0))
 
 
 def _density_variance(p: Paths, seen: NDArray[Any]) -> Real:
     found = np.einsum("lij,lj->li", np.abs(p.H) ** 4, p.std**2)
     if p.variance is not None:  # dS = 2 Re(dh S h^H), dh circular
         found = found + 2 * np.einsum("lij,lij->li", p.variance, np.abs(seen) ** 2)
-    return found
+    return np.asarray(found)
 
 
 def _matrices(given: Any, shape: tuple[int, ...], where: str) -> NDArray[np.complex128]:

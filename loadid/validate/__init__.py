@@ -1,13 +1,16 @@
-"""What was validated, and at which level: held-out sensors, resultants, distributions, and coverage of the bands."""
+"""What was validated, and at which level: held-out sensors, resultants, distributions, and coverage of the bands.
 
-from __future__ import annotations
+The classes of the answers can be imported for types; nobody makes them by hand.
+"""
 
-from ._checks import DistributionCheck, ResultantCheck, SensorCheck, Validation
-from ._coverage import Coverage, coverage
+from ._checks import DistributionCheck as DistributionCheck
+from ._checks import ResultantCheck as ResultantCheck
+from ._checks import SensorCheck as SensorCheck
+from ._checks import Validation as Validation
+from ._coverage import Coverage as Coverage
+from ._coverage import coverage
 from ._references import Known, PressureMat, ReferenceWrench
-from ._validation import HeldOut, held_out, validate
+from ._validation import HeldOut as HeldOut
+from ._validation import held_out, validate
 
-__all__ = [
-    "Coverage", "DistributionCheck", "HeldOut", "Known", "PressureMat", "ReferenceWrench", "ResultantCheck",
-    "SensorCheck", "Validation", "coverage", "held_out", "validate",
-]  # fmt: skip
+__all__ = ["Known", "PressureMat", "ReferenceWrench", "coverage", "held_out", "validate"]

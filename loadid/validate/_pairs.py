@@ -64,7 +64,7 @@ def areas_of(e: LoadEstimate, columns: NDArray[np.intp], tractions: bool) -> Arr
     if measures is None or kind == "polynomials" or (kind == "nodal" and not tractions):
         return np.ones(len(columns))
     weights = np.asarray(measures, float)[columns // len(geometry.get("components", ("",)))]
-    return weights / weights.mean()
+    return np.asarray(weights / weights.mean())
 
 
 def resultants_of(e: LoadEstimate, wrench: ReferenceWrench) -> tuple[Array, list[str], list[str]]:
@@ -113,7 +113,7 @@ def row_std(e: LoadEstimate, rows: Array) -> Array | None:
                 weights[:, k] = rows[i : i + step]
                 variance[k, i : i + step] = e.posterior.variance(weights)
     std = np.sqrt(np.maximum(variance, 0.0))
-    return std if e.bias is None else np.maximum(std, np.abs(np.atleast_2d(e.bias) @ rows.T))
+    return np.asarray(std if e.bias is None else np.maximum(std, np.abs(np.atleast_2d(e.bias) @ rows.T)))
 
 
 FEW = 4  # averages below which a mat knows no more than a force and its moments
@@ -260,7 +260,7 @@ def _field(e: LoadEstimate, known: Known, columns: NDArray[np.intp]) -> Array:
     if values.shape[1] == count:
         return values[at, which][None]
     if values.shape[1] == 1 and len(set(which.tolist())) == 1:
-        return values[at, 0][None]
+        return np.asarray(values[at, 0][None])
     raise InputError(
         "components of the reference do not fit", where="validate", found=f"{values.shape[1]} components",
         expected=f"{count}: {list(geometry.get('components', ()))}",
@@ -351,7 +351,7 @@ def _one_unit(e: LoadEstimate, columns: NDArray[np.intp], what: str) -> str:
             f"{what} averages loads of different units", where="PressureMat", found=found, expected="one unit",
             hint="loads= names those that it feels",
         )  # fmt: skip
-    return found[0]
+    return str(found[0])
 
 
 def _total(std: Array | None, error: Array | None) -> Array | None:

@@ -240,7 +240,7 @@ def _averaged(function: Callable[[Array], ArrayLike], boxes: Array) -> Array:
     at = (middle[:, None] + half[:, None] * local).reshape(-1, dim)
     found = _asked(function, at[:, 0] if dim == 1 else at)
     means = np.einsum("pqc,q->pc", found.reshape(len(boxes), len(shares), -1), shares)
-    return means[:, 0] if found.ndim == 1 else means
+    return np.asarray(means[:, 0] if found.ndim == 1 else means)
 
 
 def _asked(function: Callable[[Array], ArrayLike], x: Array) -> Array:

@@ -270,8 +270,6 @@ def _settled(reference: Any) -> Known | PressureMat | ReferenceWrench | HeldOut:
 
 
 def _wrench(constraint: Any) -> ReferenceWrench:
-    import numpy as np
-
     covariance = getattr(constraint, "covariance", None)
     std = None if covariance is None else np.sqrt(np.diagonal(np.atleast_2d(np.asarray(covariance, float))))
     return ReferenceWrench(constraint.value, std, tuple(getattr(constraint, "labels", ())), constraint.C)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid._commands._outputs import require_outputs
+from loadid._commands import require_outputs
 from structures.errors import InputError
 from structures.files._storage import replace
 

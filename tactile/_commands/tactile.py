@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, ArgumentTypeError, Namespace, RawDescriptionHelpFormatter
 
-from loadid._commands import Command, emit, names
-from loadid._commands._arguments import UsageError, choice, positive, seed
+from loadid._commands import Bar, Command, UsageError, choice, emit, names, positive, require_outputs, seed
 
 DEMO = "demo"
 SENSORS = ("multilayer", "gelslim")
@@ -73,8 +72,6 @@ def _run(args: Namespace) -> int:
 
 def _demo(args: Namespace) -> int:
     """The demonstration; options of a map would be silently without effect."""
-    from loadid._commands._outputs import Bar
-
     given = [name for name in _options(args) if name not in ONLY_DEMO]
     if given:
         raise UsageError(f"the demo takes --out and --seed only, not {', '.join(_spelled(n) for n in given)}")
@@ -88,8 +85,7 @@ def _demo(args: Namespace) -> int:
 
 
 def _map(args: Namespace) -> int:
-    from loadid._commands._outputs import Bar, require_outputs
-    from loadid.codes import known_codes
+    from structures._flags import known_codes
 
     missing = [words for name, words in REQUIRED if getattr(args, name) is None]
     if missing:

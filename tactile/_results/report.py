@@ -101,7 +101,7 @@ def page(
         ("Verification", parts.verification(force)),
         ("Provenance", parts.provenance_table(force)),
     ]
-    return parts.html_page(force, "Contact force map", sections)
+    return parts.document("Contact force map", force, sections)
 
 
 def _result(one: ForceMap) -> str:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, Lambda, Noise, Record
-from loadid.settings import folded
+from loadid._spellings import folded
 from structures import (
     Channel,
     ForwardModel,

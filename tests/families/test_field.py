@@ -13,9 +13,9 @@ from loadid._inverse import penalties
 from loadid._inverse.gaussian.posterior import MappedPosterior
 from loadid._inverse.posterior import from_arrays
 from loadid._results.estimate import Axis
+from loadid._spellings import folded
 from loadid._zones import harmonic_power, mean_power
 from loadid.paths import toeplitz
-from loadid.settings import folded
 from structures import ForwardModel, ImpulseModel, bases, beams, damping, sensors
 from structures._models.mapped import mapped
 from structures._models.motion import harmonic_motion

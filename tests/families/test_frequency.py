@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, FrequencyInversion, Record, Spectra
-from loadid.settings import Signal, folded
+from loadid._spellings import folded
+from loadid.settings import Signal
 from structures import (
     CrossSpectra,
     ForwardModel,

@@ -18,8 +18,8 @@ from loadid._inverse.convolved import fits as alike
 from loadid._inverse.convolved import fits as scan
 from loadid._inverse.convolved import places as several
 from loadid._inverse.convolved.places import refine
+from loadid._spellings import folded
 from loadid.paths import toeplitz
-from loadid.settings import folded
 from structures import Channel, ForwardModel, ImpulseModel, InputError, MatrixModel, beams, damping, loads, sensors
 
 CLEAR = (5, 17, 29)

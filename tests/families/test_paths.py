@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, Guards, Lambda, Penalty
+from loadid._spellings import folded
 from loadid.constraints import Bounds, NonNegative
-from loadid.settings import folded
 from structures import ForwardModel, ImpulseModel, InputError, StateSpace, beams, damping, loads, sensors
 
 DT, N = 1 / 2000, 300

@@ -28,7 +28,7 @@ from loadid import (
     Sparsity,
     StaticInversion,
 )
-from loadid.settings import ARGUMENTS, folded
+from loadid._spellings import ARGUMENTS, folded
 from structures import ImpulseModel
 
 EVERY = [

@@ -10,7 +10,8 @@ import pytest
 from loadid import Deconvolution, LoadEstimate, SparseDeconvolution, Sparsity, recommend
 from loadid._families import recommend as advice
 from loadid._families.posing import sparsity
-from loadid.settings import Noise, folded
+from loadid._spellings import folded
+from loadid.settings import Noise
 from structures import ForwardModel, ImpulseModel, InputError, NotIdentifiable, beams, damping, loads, sensors
 from tests import halfsine
 

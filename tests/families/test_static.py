@@ -7,8 +7,8 @@ import pytest
 
 from loadid import Absolute, InputError, Noise, NotIdentifiable, Record, StaticInversion, load
 from loadid._families.frozen import Frozen
+from loadid._spellings import folded
 from loadid.constraints import NonNegative, Resultant, Support
-from loadid.settings import folded
 from structures import Channel, ForwardModel, MatrixModel, bases, beams, loads, sensors
 from structures._flags import codes
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loadid import LoadTracker, Record, priors
-from loadid.settings import folded
+from loadid._spellings import folded
 from structures import Channel, ForwardModel, InputError, NotIdentifiable, StateSpace, chains, damping, loads, sensors
 from structures._models.mapped import mapped
 from tests.tracked import Score, Tracked, bm2, matern32, score

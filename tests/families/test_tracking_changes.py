@@ -11,7 +11,7 @@ import pytest
 from loadid import LoadTracker, Online, priors
 from loadid._families.tracking.fit import TrackerFit
 from loadid._families.tracking.tracker import Tracker
-from loadid.settings import folded
+from loadid._spellings import folded
 from structures import ForwardModel, InputError, chains, damping, loads, sensors
 from tests.tracked import Tracked, bm2
 

@@ -8,7 +8,8 @@ import pytest
 from loadid import InputError, LoadTracker, ModelErrors, Online
 from loadid._inverse.gaussian.records import filter_record as filtered
 from loadid._inverse.gaussian.records import smooth_record as smooth
-from loadid.settings import Noise, folded
+from loadid._spellings import folded
+from loadid.settings import Noise
 from tests import tracked
 
 

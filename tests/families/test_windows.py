@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, calibrate, read
-from loadid.settings import folded
+from loadid._spellings import folded
 from structures import ImpulseModel
 
 from ..data import measured

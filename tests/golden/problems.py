@@ -34,9 +34,10 @@ from loadid import (
     read,
     recommend,
 )
+from loadid._spellings import folded
 from loadid.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
 from loadid.priors import OU, Matern32, Matern52, Periodic, RandomWalk, White
-from loadid.settings import Noise, Search, folded
+from loadid.settings import Noise, Search
 from structures import (
     Channel,
     ForwardModel,

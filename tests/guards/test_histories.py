@@ -11,7 +11,8 @@ import pytest
 
 from loadid import Deconvolution, Guards, Record, read
 from loadid._commands.check import check
-from loadid.settings import Noise, folded
+from loadid._spellings import folded
+from loadid.settings import Noise
 from loadid.validate import Coverage, held_out
 from structures import (
     Channel,

@@ -8,7 +8,7 @@ import numpy as np
 
 from case_studies.impact_location import DT, NODES, SAMPLES, beam, half_sine, noisy, plate, plate_grid, recorded
 from loadid import Lambda, LocationSearch, Search
-from loadid.settings import folded
+from loadid._spellings import folded
 from structures import Flag, ForwardModel, sensors
 
 from .cases import Case, refused

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from loadid import FieldDeconvolution
-from loadid.settings import folded
+from loadid._spellings import folded
 from structures import ForwardModel, bases, beams, sensors
 
 from .cases import Case, refused

@@ -9,8 +9,9 @@ import numpy as np
 
 from loadid import Deconvolution, Noise, SparseDeconvolution
 from loadid._guards import families as sparsity
+from loadid._guards.choice import impulsive
 from loadid._inverse.sparse import lasso as workingset
-from loadid.settings import folded
+from loadid._spellings import folded
 from structures import Flag, ForwardModel, ImpulseModel, loads, sensors
 from tests import halfsine
 
@@ -107,8 +108,8 @@ CASES = [
     ),
     Case(
         "W311",
-        lambda: found(sparsity.impulsive(25.0, "white noise")),
-        lambda: found(sparsity.impulsive(3.0, "white noise")),
+        lambda: found(impulsive(25.0, "white noise")),
+        lambda: found(impulsive(3.0, "white noise")),
         "kurtosis 25",
         "smooth prior",
     ),

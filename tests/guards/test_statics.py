@@ -9,9 +9,9 @@ from loadid import Absolute, Noise, NoiseSource, StaticInversion
 from loadid import _guards as guards
 from loadid._inverse.constrained.path import ConstrainedPath
 from loadid._inverse.constrained.solver import ConstrainedSolution
+from loadid._spellings import folded
 from loadid.constraints import Bounds, NonNegative, Resultant
 from loadid.paths import LinearProblem, SVDPath
-from loadid.settings import folded
 from loadid.validate import Known, ReferenceWrench, validate
 from structures import Channel, Flag, ForwardModel, MatrixModel, beams, loads, sensors, solids
 from tests.inverse.test_choice import coloured, in_the_null_space

@@ -11,10 +11,9 @@ import pytest
 
 from loadid import LoadEstimate, Record, calibrate, cli, identify
 from loadid import _commands as commands
+from loadid._commands import Bar, units
 from loadid._commands import check as checking
 from loadid._commands import demo as demonstration
-from loadid._commands._arguments import units
-from loadid._commands._outputs import Bar
 from loadid._results.summary import against
 from loadid.settings import Lambda, Penalty, Sparsity
 from structures import Channel

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from loadid import cli
-from loadid._commands._outputs import require_outputs
+from loadid._commands import require_outputs
 from structures.errors import InputError
 from tests.loadid.test_cli import installed, logs, model, run
 
@@ -96,9 +96,7 @@ def test_a_run_that_is_stopped_leaves_no_partial_result(run, logs, model, tmp_pa
         if where == "while it writes" or args[1] >= 0.5:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(
-        *("os.fsync", stop) if where == "while it writes" else ("loadid._commands._outputs.Bar.__call__", stop)
-    )
+    monkeypatch.setattr(*("os.fsync", stop) if where == "while it writes" else ("loadid._commands.Bar.__call__", stop))
     code, out, err = run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5")
     assert (code, out) == (130, "")
     assert "interrupted" in err

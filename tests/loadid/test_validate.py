@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, Noise, Record
-from loadid.settings import folded
+from loadid._spellings import folded
 from loadid.validate import Coverage, coverage, held_out
 from structures import Channel, ImpulseModel, InputError, MatrixModel, MeasuredModel
 from tests.structures.impacts import blow, hits

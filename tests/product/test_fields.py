@@ -9,8 +9,8 @@ import pytest
 
 from loadid import FieldDeconvolution
 from loadid._inverse import penalties
+from loadid._spellings import folded
 from loadid.constraints import NonNegative
-from loadid.settings import folded
 from structures import ForwardModel, InputError, bases, sensors
 
 from . import histories, reference

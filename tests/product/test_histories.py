@@ -17,7 +17,7 @@ import pytest
 from loadid import Deconvolution, Lambda, NotIdentifiable
 from loadid._inverse import penalties, rules
 from loadid._inverse.convolved import windows
-from loadid.settings import folded
+from loadid._spellings import folded
 from structures import ImpulseModel, InputError
 
 from . import histories, reference

@@ -9,7 +9,7 @@ import pytest
 
 from loadid import FrequencyInversion, HarmonicInversion, Spectra
 from loadid._inverse import rules
-from loadid.settings import folded
+from loadid._spellings import folded
 from structures import ForwardModel, InputError, bases, loads, sensors
 from structures._testing.spectra import padded_length
 

@@ -9,7 +9,7 @@ import pytest
 
 from loadid import InputError, SparseDeconvolution
 from loadid._inverse import rules
-from loadid.settings import folded
+from loadid._spellings import folded
 
 from . import histories, reference
 from .histories import DT, N

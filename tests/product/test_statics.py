@@ -9,8 +9,8 @@ import pytest
 
 from loadid import Absolute, StaticInversion
 from loadid._inverse import penalties, rules
+from loadid._spellings import folded
 from loadid.constraints import Bounds, NonNegative, Resultant, Support
-from loadid.settings import folded
 from structures import ForwardModel, InputError, MatrixModel, bases, beams, sensors
 
 from . import reference

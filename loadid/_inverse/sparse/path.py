@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike
 from .. import Array, Indices, rules
 from ..path import PathPoint, RegularizationPath
 from ..sweep import Sweep
+from . import TOLERANCE
 from . import groups as grouped
 from . import lasso as workingset
 from .atoms import Atoms
 from .groups import Groups
 from .lasso import L1, SparseSolution, largest
 
-TOLERANCE = 1e-6  # duality gap of an answer, over 1/2 |y|^2
 COARSE = 1e-4  # of a step of a sweep
 GRID = np.geomspace(0.7, 1e-4, 28)  # relative mu of a sweep
 PATIENCE = 6  # points of the sweep without a better criterion after which it ends
