@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from structures._codes import table
-from structures._flags import Flag, canonical
+from structures._flags import Flag, canonical, table
 from structures.errors import InputError
 
 __all__ = ["GUARDS", "allowed", "collect", "explained", "known_codes"]
