@@ -29,24 +29,26 @@ _MODULES = {
     "bases": "bases",
     "beams": "_elements.beams",
     "chains": "_elements.chains",
-    "circular": "_elements.circular",
     "damping": "_system.damping",
-    "dofs": "_channels",
-    "factor": "_system.factor",
     "files": "files",
-    "flags": "_flags",
     "frames": "_elements.frames",
     "loads": "_system.loads",
-    "modelfile": "files._modelfile",
     "motion": "_models.motion",
     "plates": "_elements.plates",
-    "reduction": "_models.reduction",
-    "risers": "_elements.beams",
     "sensors": "_system.sensors",
     "solids": "_elements.solids",
+    "units": "units",
+}
+_UNLISTED = {  # parts that release 0.1 names here too
+    "circular": "_elements.circular",
+    "dofs": "_channels",
+    "factor": "_system.factor",
+    "flags": "_flags",
+    "modelfile": "files._modelfile",
+    "reduction": "_models.reduction",
+    "risers": "_elements.beams",
     "storage": "files._storage",
     "surfaces": "_elements.surfaces",
-    "units": "units",
     "virtual": "_models.mapped",
 }
 
@@ -56,8 +58,8 @@ __all__ = sorted([*_PUBLIC, *_MODULES])
 def __getattr__(name: str) -> Any:
     if name in _PUBLIC:
         return getattr(importlib.import_module(f".{_PUBLIC[name]}", __name__), name)
-    if name in _MODULES:
-        return importlib.import_module(f".{_MODULES[name]}", __name__)
+    if (place := _MODULES.get(name) or _UNLISTED.get(name)) is not None:
+        return importlib.import_module(f".{place}", __name__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import operator
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .errors import InputError
+from .errors import InputError, positive, whole
 
 TWIST = 7
 _NAMES = ("S", "X", "Y", "Z", "RX", "RY", "RZ", "XY")
@@ -40,7 +38,7 @@ def direction_code(direction: int | str) -> int:
         if code is not None:
             return -code if direction.startswith("-") else code
     else:
-        number = _integer(direction)
+        number = whole(direction)
         if number is not None and abs(number) <= TWIST:
             return number
     raise InputError(
@@ -55,16 +53,6 @@ def direction_code(direction: int | str) -> int:
 def direction_label(code: int) -> str:
     """Signed name of a direction code: 3 gives ``"+Z"``, -5 gives ``"-RY"``."""
     return ("-" if code < 0 else "+") + _NAMES[abs(code)]
-
-
-def _integer(value: Any) -> int | None:
-    """The integer that `value` is (Python or NumPy), or None; a bool is none."""
-    if isinstance(value, bool):
-        return None
-    try:
-        return operator.index(value)
-    except TypeError:
-        return None
 
 
 @dataclass(frozen=True, order=True)
@@ -90,7 +78,7 @@ class Dof:
     direction: int
 
     def __post_init__(self) -> None:
-        node = _integer(self.node)
+        node = whole(self.node)
         if node is None or node < 0:
             raise InputError(
                 "no node number",
@@ -206,16 +194,11 @@ class Channel:
                 expected="a text that is not empty",
                 hint='pass label="a1"',
             )
-        for name, unit in (("noise", "in the unit of the channel"), ("highpass", "in Hz"), ("measure", "in m or m^2")):
+        for name, unit in (("noise", "the unit of the channel"), ("highpass", "Hz"), ("measure", "m or m^2")):
             value = getattr(self, name)
-            if value is not None and not positive(value):
-                raise InputError(
-                    f"{name} must be positive",
-                    where=f"channel {self.label}",
-                    found=repr(value),
-                    expected=f"one number > 0, {unit}",
-                    hint=f"leave {name} out where it is not known",
-                )
+            if value is not None:
+                hint = f"leave {name} out where it is not known"
+                positive(name, value, where=f"channel {self.label}", unit=unit, hint=hint)
         if (self.quantity, self.unit) not in _USUAL and not self.quantity == self.unit == ARBITRARY:
             _check_unit(self)
 
@@ -237,14 +220,6 @@ def named(given: Sequence[Any] | None, number: int, prefix: str, where: str) -> 
             hint="one text or Channel each",
         )
     return out
-
-
-def positive(value: object) -> bool:
-    """Whether a value is one finite, positive number."""
-    try:
-        return not isinstance(value, bool | str) and math.isfinite(value) and value > 0  # type: ignore[arg-type, operator]
-    except (TypeError, ValueError):
-        return False
 
 
 def _check_unit(channel: Channel) -> None:

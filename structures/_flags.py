@@ -1,14 +1,66 @@
-"""Flags: what a user must know before a number is trusted. A guard returns one, or nothing."""
+"""Flags: what a user must know before a number is trusted; and ``guards.toml``, the table of their codes."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from ._advice import Advice, Spelling, on_command_line
-from ._codes import LEVELS, table
 from .errors import InputError
+
+LEVELS = {"E": "refused", "W": "warning", "N": "note"}
+STAGES = ("forward model", "measurement", "inversion", "parameter choice", "dynamics", "tactile", "validation")
+
+
+@dataclass(frozen=True)
+class Guard:
+    """One row of the table.
+
+    Parameters
+    ----------
+    code : str
+        ``"W407"``: its letter is the level, its first digit the stage.
+    title, condition : str
+        What it is about; when it is raised.
+    advice : str
+        What a flag says where the guard function knows nothing better (`structures._advice.Advice` where Python and the
+        command line differ).
+    """
+
+    code: str
+    title: str
+    condition: str
+    advice: str
+
+    @property
+    def level(self) -> str:
+        """``"refused"``, ``"warning"`` or ``"note"``."""
+        return LEVELS[self.code[0]]
+
+    @property
+    def stage(self) -> str:
+        """The step of the way at which it is asked, ``"parameter choice"``."""
+        return STAGES[int(self.code[1]) - 1]
+
+    @property
+    def docs(self) -> str:
+        """Where the documentation explains it."""
+        return f"docs/guards.md#{self.code.lower()}"
+
+
+@cache
+def table() -> Mapping[str, Guard]:
+    """Every guard by its short code, in the order of the stages."""
+    rows = tomllib.loads(Path(__file__).with_name("guards.toml").read_text("utf-8"))
+    return {code: _row(code, **row) for code, row in rows.items()}
+
+
+def _row(code: str, title: str, condition: str, advice: str, command: str | None = None) -> Guard:
+    return Guard(code, title, condition, advice if command is None else Advice(Spelling(advice, command)))
 
 
 def canonical(code: str) -> str:
@@ -62,7 +114,7 @@ class Flag:
         What was found.
     advice : str, optional
         What to do next (`structures._advice.Advice` where Python and the command line differ), where it is not what the
-        table of codes says (`structures._codes`).
+        table of codes says (`table`).
     """
 
     code: str

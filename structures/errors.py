@@ -43,14 +43,8 @@ class InputError(ValueError):
         hint: str = "",
         code: str = "",
     ) -> None:
-        self.what, self.where, self.found, self.expected, self.hint, self.code = (
-            what,
-            where,
-            found,
-            expected,
-            hint,
-            code,
-        )
+        self.what, self.where, self.hint, self.code = what, where, hint, code
+        self.found, self.expected = found, expected
         super().__init__(self._told(str))
 
     @property
@@ -224,6 +218,29 @@ def shown(value: Any) -> str:
     return "nothing" if value is None else text if len(text) <= 60 else text[:57] + "..."
 
 
+def finite(values: NDArray[Any], what: str = "NaN or infinity", *, where: str, expected: str = "finite numbers",
+           hint: str = "") -> None:  # fmt: skip
+    """Refuse an array with entries that are not finite.
+
+    Raises
+    ------
+    InputError
+        `what`, with the number of such entries.
+    """
+    good = np.isfinite(values)
+    if not np.all(good):
+        found = f"{np.sum(~good)} of {good.size} entries"
+        raise InputError(what, where=where, found=found, expected=expected, hint=hint)
+
+
+def whole(value: Any) -> int | None:
+    """The integer that `value` is (Python or NumPy), or None; a truth value is none."""
+    try:
+        return None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        return None
+
+
 def number(name: str, value: Any, *, where: str, unit: str = "", hint: str = "") -> float:
     """One finite number.
 
@@ -293,10 +310,7 @@ def integer(name: str, value: Any, *, where: str, limit: int) -> int:
     InputError
         If it is none.
     """
-    try:
-        found = 0 if isinstance(value, bool) else operator.index(value)
-    except TypeError:
-        found = 0
+    found = whole(value) or 0
     if not 1 <= found <= limit:
         raise InputError(
             f"no number of {name}",
@@ -319,14 +333,7 @@ def frozen(values: ArrayLike, name: str) -> NDArray[np.float64]:
         raise InputError(
             "not a real array", where=name, found=str(error), expected="numbers", hint="pass an array of numbers"
         ) from None
-    if not np.all(np.isfinite(array)):
-        raise InputError(
-            "NaN or infinity",
-            where=name,
-            found=f"{np.sum(~np.isfinite(array))} of {array.size} entries",
-            expected="finite",
-            hint="repair or leave out what is missing",
-        )
+    finite(array, where=name, expected="finite", hint="repair or leave out what is missing")
     array.flags.writeable = False
     return array
 
@@ -347,7 +354,8 @@ def lines(frequencies: ArrayLike, nyquist: float = np.inf) -> NDArray[np.float64
 
 def count(samples: int) -> int:
     """A number of samples, checked."""
-    if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or samples < 1:
+    found = whole(samples) or 0
+    if found < 1:
         raise InputError(
             "no number of samples",
             where="samples",
@@ -355,7 +363,7 @@ def count(samples: int) -> int:
             expected="an integer >= 1",
             hint="samples = duration / dt",
         )
-    return int(samples)
+    return found
 
 
 def digest(*parts: Any) -> str:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from ._advice import Advice, either
 from .errors import InputError, plain
 
-__all__ = ["Unit", "assignments", "check", "from_si", "known", "parse", "to_si"]
+__all__ = ["from_si", "parse", "to_si"]
 
 STANDARD_GRAVITY = 9.80665
 ARBITRARY = "arbitrary"

@@ -12,7 +12,7 @@ from .._channels import Dof, direction_code, direction_label
 from .._system.damping import Damping, settled
 from .._system.fields import Lumped
 from .._system.structure import Structure
-from ..errors import InputError, one_of, plain, shown
+from ..errors import InputError, numbers, one_of, shown
 
 ENDS = ("fixed", "free")
 
@@ -125,11 +125,8 @@ def oscillator(
 
 def _values(name: str, values: ArrayLike, count: int | None, zero: bool = False) -> NDArray[np.float64]:
     """Finite positive values; a scalar is repeated `count` times."""
-    try:
-        x = np.asarray(plain(values), float)
-    except (TypeError, ValueError):
-        x = np.empty((0, 0))
-    if isinstance(values, str) or x.ndim == 2:
+    x = numbers(values)
+    if isinstance(values, str) or x.ndim == 2 or (x.size == 0 and np.iterable(values) and len(list(values)) > 0):
         raise InputError(
             f"{name} are no numbers",
             where="chain",

@@ -29,7 +29,7 @@ from .._system.sensors import fixed_quantity
 from .._system.structure import Structure
 from ..errors import InputError, integer, one_of, pair, positive, real, shown
 from .circularfield import CircularField
-from .members import Material, a_material
+from .members import Material, a_material, thin
 
 __all__ = ["EDGES", "CircularField", "Pressure", "plate"]
 
@@ -186,14 +186,7 @@ def plate(
     held = [(0, _edge("inner edge", hole))] if inner is not None else []
     count = integer("elements", elements, where="circular plate", limit=RINGS)
     held.append((count, _edge("edge", edge)))
-    if positive("thickness", thickness, where="circular plate", unit="m") > (a - b) / 3:
-        raise InputError(
-            "the plate is too thick to be a plate: it would shear, not bend",
-            where="circular plate",
-            found=f"thickness {thickness:g} m, radius {a:g} m, hole {b:g} m",
-            expected="a thickness of at most a third of the width; a twentieth is usual",
-            hint="check the units of thickness (m); Kirchhoff theory has no shear",
-        )
+    thin(thickness, (a - b) / 3, "circular plate", f"radius {a:g} m, hole {b:g} m", "width")
     a_material(material, "circular plate")
     line = Line(a - b, count, b, "r")
     top = integer("harmonics", harmonics, where="circular plate", limit=HARMONICS)

@@ -15,7 +15,7 @@ from .._channels import Dof, direction_code
 from .._system.fields import Line, Span, assembled, field_of_kind
 from .._system.loads import Load
 from .._system.sensors import fixed_quantity
-from ..errors import InputError, number, one_of, real, shown
+from ..errors import InputError, number, one_of, real, shown, whole
 from ..errors import span as span_of
 from .framefield import FrameField, Piece
 from .members import Element, Material, Section
@@ -251,7 +251,7 @@ class LineLoad(Load):
 
     def __post_init__(self) -> None:
         fixed_quantity(self, "line_load")
-        if isinstance(self.member, bool) or not isinstance(self.member, int | np.integer) or self.member < 0:
+        if (index := whole(self.member)) is None or index < 0:
             raise InputError(
                 "no member",
                 where="LineLoad",

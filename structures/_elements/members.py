@@ -83,6 +83,26 @@ def a_material(material: Any, where: str) -> Material:
     return material
 
 
+def thin(thickness: Any, most: float, where: str, sides: str, of: str) -> float:
+    """Thickness of a plate (m), at most `most`.
+
+    Raises
+    ------
+    InputError
+        If it is none, or too thick for Kirchhoff theory.
+    """
+    found = positive("thickness", thickness, where=where, unit="m")
+    if found > most:
+        raise InputError(
+            "the plate is too thick to be a plate: it would shear, not bend",
+            where=where,
+            found=f"thickness {found:g} m, {sides}",
+            expected=f"a thickness of at most a third of the {of}; a twentieth is usual",
+            hint="check the units of thickness (m); Kirchhoff theory has no shear",
+        )
+    return found
+
+
 @dataclass(frozen=True)
 class Section:
     """A cross-section with the principal axes y (width) and z (height).

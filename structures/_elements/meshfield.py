@@ -60,6 +60,28 @@ def motions(structure: Structure, points: ArrayLike, *, reach: float | None = No
     return out
 
 
+def in_space(given: ArrayLike, what: str, *, where: str, hint: str) -> Array:
+    """Places (N, 3) in m of the nodes or points of a solid; the first that is not finite is named.
+
+    Raises
+    ------
+    InputError
+        If they are none.
+    """
+    places = reals(given, where=where, hint=f"an array ({what}, 3) in m")
+    flat = places.ndim == 2 and places.shape[1] == 3
+    bad = np.flatnonzero(~np.isfinite(places).all(axis=1)) if flat else np.empty(0, int)
+    if not flat or len(bad):
+        raise InputError(
+            f"no {what} of a solid",
+            where=where + (f", {what.removesuffix('s')} {bad[0]}" if len(bad) else ""),
+            found="NaN or infinity" if len(bad) else f"shape {places.shape}",
+            expected=f"finite (x, y, z) in m, shape ({what}, 3)",
+            hint=hint,
+        )
+    return places
+
+
 def interpolants(structure: Structure, points: ArrayLike, *, reach: float | None = None) -> tuple[Index, Array]:
     """Nodes (N, m) whose motion makes that of each point, and their weights (N, m), which sum to one.
 
@@ -68,16 +90,7 @@ def interpolants(structure: Structure, points: ArrayLike, *, reach: float | None
     InputError
         As `motions`.
     """
-    places = reals(points, where="points of a solid", hint="an array (N, 3) in m")
-    if places.ndim != 2 or places.shape[1] != 3 or not np.all(np.isfinite(places)):
-        bad = np.flatnonzero(~np.isfinite(places).all(axis=1)) if places.ndim == 2 else np.empty(0, int)
-        raise InputError(
-            "no points of a solid",
-            where=f"point {bad[0]}" if len(bad) else "points",
-            found="NaN or infinity" if len(bad) else f"shape {places.shape}",
-            expected="finite (x, y, z) in m, shape (N, 3)",
-            hint="leave lost markers out",
-        )
+    places = in_space(points, "points", where="points of a solid", hint="leave lost markers out")
     field: Any = field_of(structure, "points of a solid")
     held: tuple[Index, Array] = field.interpolants(places) if reach is None else field.interpolants(places, reach)
     return held

@@ -26,9 +26,9 @@ from .._system import fields
 from .._system.damping import Damping, settled
 from .._system.fields import Line, Span, curvature_matrix, mass_matrix, mixed_matrix, slope_matrix
 from .._system.structure import Structure
-from ..errors import InputError, integer, pair, positive, shown
+from ..errors import InputError, integer, pair, shown
 from . import circular as circular
-from .members import Material, a_material
+from .members import Material, a_material, thin
 
 # plates.circular.plate
 
@@ -197,14 +197,7 @@ def plate(
     stress = pair("prestress", prestress, where="plate", unit="N/m")
     nx, ny = _cells(elements)
     x, y = Line(a, nx, x0, "x"), Line(b, ny, y0, "y")
-    if positive("thickness", thickness, where="plate", unit="m") > min(a, b) / 3:
-        raise InputError(
-            "the plate is too thick to be a plate: it would shear, not bend",
-            where="plate",
-            found=f"thickness {thickness:g} m, sides {a:g} m and {b:g} m",
-            expected="a thickness of at most a third of the shorter side; a twentieth is usual",
-            hint="check the units of thickness (m); Kirchhoff theory has no shear",
-        )
+    thin(thickness, min(a, b) / 3, "plate", f"sides {a:g} m and {b:g} m", "shorter side")
     a_material(material, "plate")
     field = PlateField(x, y, thickness / 2)
     stiffness = material.E * thickness**3 / 12 / (1 - material.nu**2)

@@ -19,11 +19,11 @@ from .._flags import Flag
 from .._system.damping import Damping, settled
 from .._system.fields import Line, assembled
 from .._system.structure import Structure
-from ..errors import InputError, as_array, integer, number, one_of, plain, positive, reals, shown
+from ..errors import InputError, as_array, integer, number, one_of, plain, positive, shown
 from .cells import CELLS, ELEMENTS, Brick, Cell, mass_matrix, masses, stiffnesses, upright
 from .hexfield import WARN, HexField, codes_of, known_face, locking, of_a_pad, too_stiff
 from .members import Material, a_material
-from .meshfield import MeshField
+from .meshfield import MeshField, in_space
 from .surfaces import FacePatch
 
 __all__ = [
@@ -117,16 +117,8 @@ def _kind(kind: Any, element: Any, where: str) -> Cell:
 
 def _checked(nodes: Any, cells: Any, cell: Cell, where: str) -> tuple[Array, Index]:
     """Nodes and cells as arrays, every index in range, every node used."""
-    places = reals(nodes, where=f"{where}, nodes", hint="an array (nodes, 3) in m")
+    places = in_space(nodes, "nodes", where=f"{where}, nodes", hint="an array (nodes, 3) in m")
     table = as_array(cells, where=f"{where}, cells")
-    if places.ndim != 2 or places.shape[1] != 3 or not np.all(np.isfinite(places)):
-        bad = np.flatnonzero(~np.isfinite(places).all(axis=1)) if places.ndim == 2 else np.empty(0, int)
-        raise InputError(
-            "no nodes of a solid",
-            where=f"{where}, nodes" + (f", node {bad[0]}" if len(bad) else ""),
-            found="NaN or infinity" if len(bad) else f"shape {places.shape}",
-            expected="finite (x, y, z), shape (nodes, 3)",
-        )
     if table.ndim != 2 or table.shape[-1:] != (cell.nodes,) or table.dtype.kind not in "iu" or not len(table):
         raise InputError(
             f"no cells of kind {cell.name}",

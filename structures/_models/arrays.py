@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._channels import named
 from .._model import Model
 from ..errors import InputError, count, digest, frozen, lines
-from .discretise import check
+from .discretise import check, own
 
 TAIL = 0.1  # share of the impulse response, at its end, that tells whether it has decayed
 DECAYED = 1e-3  # largest value of that tail over the peak, for every sensor and load
@@ -166,17 +166,8 @@ class ImpulseModel(Model):
         InputError
             At another step or hold than its own, or beyond its end where it has not decayed.
         """
-        if not (np.ndim(dt) == 0 and np.isfinite(dt) and abs(dt - self.dt) <= 1e-9 * self.dt) or hold not in (
-            None,
-            self.hold,
-        ):
-            raise InputError(
-                "an impulse response exists at one step and one hold only",
-                where="ImpulseModel",
-                found=f"dt={dt!r}, hold={hold!r}",
-                expected=f"dt={self.dt:g}, hold={self.hold!r}",
-                hint="resample the record, or give an impulse response at its step",
-            )
+        what = "an impulse response exists at one step and one hold only"
+        own(self, dt, hold, what, "resample the record, or give an impulse response at its step")
         if count(samples) > len(self.h):
             self._need_decay(f"{samples} samples were asked and it has {len(self.h)}")
             return np.concatenate([self.h, np.zeros((samples - len(self.h), *self.h.shape[1:]))])

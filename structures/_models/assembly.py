@@ -15,7 +15,7 @@ from .._system.damping import Damping, loss_factor
 from .._system.loads import Load, sparse_matrix
 from .._system.structure import Structure
 from ..bases._basis import Basis
-from ..errors import InputError, one_of, positive
+from ..errors import InputError, finite, one_of, positive, whole
 from . import krylov
 from .reduction import DENSE, Modes, ReducedModel, modal_damping, modes, static_residual
 
@@ -112,14 +112,8 @@ def arrays(matrix: Any) -> tuple[NDArray[Any], ...]:
 
 def _finite(values: NDArray[Any]) -> None:
     """A row or a column that holds NaN is named at once, not found in a result."""
-    if not np.all(np.isfinite(values)):
-        raise InputError(
-            "a sensor row or a load column holds NaN or infinity",
-            where="ForwardModel",
-            found="NaN or infinity",
-            expected="finite numbers",
-            hint="check the places and the fibres of sensors and loads",
-        )
+    what = "a sensor row or a load column holds NaN or infinity"
+    finite(values, what, where="ForwardModel", hint="check the places and the fibres of sensors and loads")
 
 
 DEFAULT_MODES = 60  # of a large structure
@@ -137,9 +131,7 @@ def settled(structure: Structure, count: Any, residual: Any, band: Any, reductio
         If one is none, or a Krylov basis lacks its band.
     """
     size = structure.free.size
-    if count is not None and not (
-        isinstance(count, int | np.integer) and not isinstance(count, bool) and 1 <= count <= size
-    ):
+    if count is not None and not 1 <= (whole(count) or 0) <= size:
         raise InputError(
             "no such number of modes",
             where="modes",

@@ -8,7 +8,7 @@ all digits for small ``omega h``.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from scipy import linalg
 
 from ..errors import InputError, real, shown
 from .reduction import FLOATS, ReducedModel
+
+if TYPE_CHECKING:
+    from .._model import Model
 
 HOLDS = ("foh", "zoh")
 
@@ -70,6 +73,19 @@ def check(dt: float, hold: str) -> None:
             found=repr(hold),
             expected="'foh' (the load is linear between samples) or 'zoh' (it is constant over a sample)",
             hint="'foh' fits a sampled smooth load",
+        )
+
+
+def own(model: Model, dt: float, hold: str | None, what: str, hint: str) -> None:
+    """Refuse (`what`, `hint`) another step or hold than those at which a model exists; no hold means its own."""
+    same = np.ndim(dt) == 0 and np.isfinite(dt) and model.dt is not None and abs(dt - model.dt) <= 1e-9 * model.dt
+    if not same or hold not in (None, model.default_hold):
+        raise InputError(
+            what,
+            where=type(model).__name__,
+            found=f"dt={dt!r}, hold={hold!r}",
+            expected=f"dt={model.dt:g}, hold={model.default_hold!r}",
+            hint=hint,
         )
 
 

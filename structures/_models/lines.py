@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._channels import Channel
 from .._flags import Evidence, Flag
-from ..errors import InputError, lines, plain
+from ..errors import InputError, finite, lines, plain
 
 ON_A_LINE = 1e-6  # of the spacing: how near a frequency must be to a line to be that line
 BETWEEN = "spacing of the lines, Hz"
@@ -142,14 +142,7 @@ def checked(name: str, values: ArrayLike, shape: tuple[int, ...], *, where: str,
             expected=f"{axes} = {shape}",
             hint="lines come first, then sensors, then loads",
         )
-    if not np.all(np.isfinite(found)):
-        raise InputError(
-            "NaN or infinity",
-            where=where,
-            found=f"{int(np.sum(~np.isfinite(found)))} of {found.size}",
-            expected="finite numbers",
-            hint="leave out the lines that are not known",
-        )
+    finite(found, where=where, hint="leave out the lines that are not known")
     if kind is float and (np.any(found < 0) or (name == "coherence" and np.any(found > 1 + 1e-9))):
         raise InputError(
             "a coherence outside 0 to 1" if name == "coherence" else "a negative power",

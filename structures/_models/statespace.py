@@ -15,7 +15,7 @@ from .._model import Model
 from .._system.factor import MECHANISM
 from ..errors import InputError, NotIdentifiable, count, digest, frozen, lines
 from ..files import _storage as storage
-from .discretise import check
+from .discretise import check, own
 
 FILE = "state space"  # what its file calls itself
 BLOCK = 64  # Markov parameters per matrix product
@@ -298,15 +298,8 @@ class StateSpace(Model):
         storage.write(path, {**matrices, "dt": self.dt, "hold": self.hold, **self._as_stored()}, FILE)
 
     def _own(self, dt: float, hold: str | None, method: str) -> None:
-        same = np.ndim(dt) == 0 and np.isfinite(dt) and abs(dt - self.dt) <= 1e-9 * self.dt
-        if not same or hold not in (None, self.hold):
-            raise InputError(
-                f"a state space exists at one step and one hold only: {method}() cannot change them",
-                where="StateSpace",
-                found=f"dt={dt!r}, hold={hold!r}",
-                expected=f"dt={self.dt:g}, hold={self.hold!r}",
-                hint="resample the record, or discretise the model again",
-            )
+        what = f"a state space exists at one step and one hold only: {method}() cannot change them"
+        own(self, dt, hold, what, "resample the record, or discretise the model again")
 
     def _refuse_unstable(self, method: str) -> None:
         if self.radius > STABLE:

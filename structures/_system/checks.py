@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from .._channels import Dof, direction_label
-from ..errors import InputError, numbers, plain
+from ..errors import InputError, finite, numbers, plain
 from .damping import Modal, Rayleigh
 
 if TYPE_CHECKING:
@@ -70,14 +70,7 @@ def matrix(name: str, value: Any, size: int | None = None) -> sparse.csr_array:
         )
     A = sparse.csr_array(value, dtype=float, copy=True)
     A.sum_duplicates()
-    if not np.all(np.isfinite(A.data)):
-        raise InputError(
-            "NaN or infinity",
-            where=where,
-            found=f"{np.sum(~np.isfinite(A.data))} entries",
-            expected="finite numbers",
-            hint="check how it was assembled or read",
-        )
+    finite(A.data, where=where, hint="check how it was assembled or read")
     skew, largest = abs(A - A.T), np.abs(A.data).max(initial=0.0)
     if skew.nnz and skew.max() > SYMMETRY * largest:
         coo = skew.tocoo()
@@ -137,14 +130,8 @@ def places(coordinates: Any, nodes: int) -> NDArray[np.float64] | None:
             expected=f"({nodes}, 1 to 3)",
             hint="one row per node, in ascending order of the node numbers",
         )
-    if not np.all(np.isfinite(x)):
-        raise InputError(
-            "NaN or infinity",
-            where="coordinates",
-            found=f"{np.sum(~np.isfinite(x))} entries",
-            expected="finite numbers in m",
-            hint="leave coordinates out where they are not known",
-        )
+    hint = "leave coordinates out where they are not known"
+    finite(x, where="coordinates", expected="finite numbers in m", hint=hint)
     x.flags.writeable = False
     return x
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from ..errors import InputError, number, plain, real, shown
+from ..errors import InputError, number, numbers, plain, real, shown
 
 
 @dataclass(frozen=True)
@@ -148,10 +148,7 @@ class Modal:
     ratios: float | Sequence[float]
 
     def __post_init__(self) -> None:
-        try:
-            values = tuple(np.atleast_1d(np.asarray(plain(self.ratios), float)).ravel().tolist())
-        except (TypeError, ValueError):
-            values = ()
+        values = tuple(numbers(self.ratios).ravel().tolist())
         if not values or isinstance(self.ratios, str | bytes) or np.ndim(self.ratios) > 1:
             raise InputError(
                 "no damping ratio",

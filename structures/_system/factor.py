@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from ..errors import InputError, NotIdentifiable
+from ..errors import InputError, NotIdentifiable, finite
 
 BLOCK = 256  # right-hand sides per call: wide enough for the cache, small enough for the memory
 REFINE_ABOVE = 1e-8  # relative residual above which one step of refinement is taken
@@ -254,14 +254,8 @@ class Factor:
 
     def _block(self, B: Any) -> NDArray[Any]:
         B = B.toarray() if sparse.issparse(B) else np.ascontiguousarray(B)
-        if not np.all(np.isfinite(B)):
-            raise InputError(
-                "the right-hand side holds NaN or infinity",
-                where="Factor.solve",
-                found=f"{np.sum(~np.isfinite(B))} entries",
-                expected="finite numbers",
-                hint="look where the load became so",
-            )
+        what, hint = "the right-hand side holds NaN or infinity", "look where the load became so"
+        finite(B, what, where="Factor.solve", hint=hint)
         self.solves += B.shape[1]
         B = B.astype(np.result_type(self.K.dtype, B.dtype, float))
         X = self._apply(B)
@@ -368,14 +362,7 @@ def _check(K: Any) -> None:
             expected="(n, n), n > 0",
             hint="a structure needs a free DOF",
         )
-    if not np.all(np.isfinite(K.data)):
-        raise InputError(
-            "the matrix holds NaN or infinity",
-            where="Factor",
-            found=f"{np.sum(~np.isfinite(K.data))} entries",
-            expected="finite numbers",
-            hint="check how it was assembled",
-        )
+    finite(K.data, "the matrix holds NaN or infinity", where="Factor", hint="check how it was assembled")
     skew = abs(K - K.T).max() if K.nnz else 0.0
     if skew > 1e-9 * (abs(K).max() if K.nnz else 1.0):
         raise InputError(

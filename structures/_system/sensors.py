@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._channels import ARBITRARY, TWIST, Channel, Dof, direction_code, direction_label
-from ..errors import InputError, number, numbers, pair, plain, positive, real, shown
+from ..errors import InputError, number, numbers, pair, positive, real, shown
 from .fields import field_of, one_place
 
 if TYPE_CHECKING:
@@ -37,10 +37,7 @@ def fixed_quantity(channel: Channel, quantity: str) -> None:
 
 def settled(who: str, at: Any) -> Place:
     """A place as a number or a tuple of numbers, checked to be finite."""
-    try:
-        values = np.asarray(plain(at), float)
-    except (TypeError, ValueError):
-        values = np.array(np.nan)
+    values = numbers(at)
     if values.size not in (1, 2, 3) or not np.all(np.isfinite(values)):
         raise InputError(
             "no place",

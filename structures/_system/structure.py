@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from .._channels import Dof
-from ..errors import InputError, one_of, plain, positive
+from ..errors import InputError, finite, one_of, plain, positive
 from . import checks
 from .damping import Damping, Rayleigh, settled
 from .fields import field_of, one_place
@@ -237,14 +237,9 @@ class Structure:
                 expected=f"({self.n}, ...)",
                 hint="expand() completes the motion of the free DOFs",
             )
-        if not (np.all(np.isfinite(u)) and np.all(np.isfinite(f))):
-            raise InputError(
-                "NaN or infinity",
-                where="reactions",
-                found="in u or load",
-                expected="finite numbers",
-                hint="look where the static response became so: an unsupported structure has none",
-            )
+        for name, values in (("u", u), ("load", f)):
+            hint = "look where the static response became so: an unsupported structure has none"
+            finite(values, where=f"reactions, {name}", hint=hint)
         return np.asarray((self.K @ u - f)[self.supported])
 
     def rigid_body_motions(self) -> tuple[RigidBodyMotion, ...]:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._channels import Channel, named
 from .._flags import Flag
-from ..errors import InputError, as_array, frozen, own_step, plain
+from ..errors import InputError, as_array, finite, frozen, own_step, plain, whole
 from ..errors import lines as checked_lines
 from .spectra import leakage, multiplicity, transforms
 
@@ -330,16 +330,16 @@ def _segment(segment: int | None, tables: Sequence[NDArray[Any]]) -> int:
     shortest, total = min(map(len, tables)), sum(map(len, tables))
     if segment is None:
         segment = min(1 << max(int(np.log2(max(total / SEGMENTS, 1))), 0), shortest)
-    whole = isinstance(segment, int | np.integer) and not isinstance(segment, bool)
-    if not whole or not 4 <= segment <= shortest:
+    found = whole(segment)
+    if found is None or not 4 <= found <= shortest:
         raise InputError(
             "no length of a segment",
             where="segment",
             found=f"{segment!r} samples",
             expected=f"an integer from 4 to {shortest}, the samples of the shortest record",
-            hint="leave out short records, or take shorter segments" if whole and segment > shortest else "",
+            hint="leave out short records, or take shorter segments" if found is not None and found > shortest else "",
         )
-    return int(segment)
+    return found
 
 
 def _overlap(overlap: float, n: int) -> int:
@@ -356,14 +356,7 @@ def _finite(matrix: Any) -> NDArray[np.complex128]:
         raise InputError(
             "no numbers", where="CrossSpectra", found=str(error)[:200], expected="complex numbers"
         ) from None
-    if not np.all(np.isfinite(S)):
-        raise InputError(
-            "NaN or infinity",
-            where="CrossSpectra",
-            found=f"{int(np.sum(~np.isfinite(S)))} of {S.size}",
-            expected="finite numbers",
-            hint="leave out the lines or channels that are not known",
-        )
+    finite(S, where="CrossSpectra", hint="leave out the lines or channels that are not known")
     return S
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from ._basis import Basis, BasisLoad
+from ._basis import Basis
+from ._basis import BasisLoad as BasisLoad
 from ._builders import hats, patches, polynomials
 from ._nodes import nodal
 
-__all__ = ["Basis", "BasisLoad", "hats", "nodal", "patches", "polynomials"]
+__all__ = ["Basis", "hats", "nodal", "patches", "polynomials"]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from ..errors import InputError, numbers, plain, shown
+from ..errors import InputError, numbers, plain, shown, whole
 
 Array = NDArray[np.float64]
 SNAP = 1e-9  # of the region's side: breaks closer than this are one
@@ -43,9 +43,10 @@ def breaks(grid: Any, window: Array, names: Sequence[str], where: str) -> list[A
 
 def _axis(one: Any, span: Array, name: str, where: str) -> Array:
     if not isinstance(one, Sequence | np.ndarray) or isinstance(one, str):
-        if isinstance(one, bool) or not isinstance(one, int | np.integer) or not 1 <= one <= LIMIT:
+        count = whole(one) or 0
+        if not 1 <= count <= LIMIT:
             raise _no_grid(one, (name,), where)
-        return np.linspace(span[0], span[1], int(one) + 1)
+        return np.linspace(span[0], span[1], count + 1)
     x = numbers(one)
     slack = SNAP * (span[1] - span[0])
     rising = x.ndim == 1 and len(x) >= 2 and bool(np.all(np.isfinite(x)) and np.all(np.diff(x) > slack))

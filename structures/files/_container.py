@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ..errors import InputError
+from ..errors import InputError, finite
 
 BUDGET = 4 * 2**30  # bytes that one array, or all of an archive, may take in memory
 ROWS = 20_000_000  # DOFs of a matrix
+FAILED = "export it again: a solver that failed leaves such entries"
 SPELLINGS = {"K": ("stiffness", "stiff"), "M": ("mass",), "C": ("damping", "damp")}
 _PARTS = {"data", "indices", "indptr", "row", "col", "ir", "jc", "shape", "format"}
 
@@ -160,20 +161,8 @@ def numbers(values: NDArray[Any], where: str, *, square: bool = False) -> NDArra
             expected="(n, n), n > 0",
             hint="supports stay in the matrices; name them with supports=",
         )
-    finite(values, where)
+    finite(values, where=where, hint=FAILED)
     return values
-
-
-def finite(values: NDArray[Any], where: str) -> None:
-    """Refuse NaN and infinity."""
-    if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
-        raise InputError(
-            "NaN or infinity",
-            where=where,
-            found=f"{int(np.sum(~np.isfinite(values)))} entries",
-            expected="finite numbers",
-            hint="export it again: a solver that failed leaves such entries",
-        )
 
 
 def assembled(parts: dict[str, NDArray[Any]], form: str, rows: int | None, where: str) -> Any:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from .._channels import Dof
-from ..errors import InputError
-from ._container import BUDGET, ROWS, finite
+from ..errors import InputError, finite
+from ._container import BUDGET, FAILED, ROWS
 
 LONGEST = 500  # characters of a line
 
@@ -290,7 +290,7 @@ def _table(text: str, columns: int, where: str) -> NDArray[np.float64]:
         _refuse_matrix("an entry is no number", where, str(error)[:160], "one entry per line: row column value")
     if values.shape[1] != columns:
         _refuse_matrix("entries of another length", where, f"{values.shape[1]} numbers per line", f"{columns}")
-    finite(values, where)
+    finite(values, where=where, hint=FAILED)
     return values
 
 

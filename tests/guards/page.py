@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from structures._advice import Advice
-from structures._codes import STAGES, Guard, table
+from structures._flags import STAGES, Guard, table
 
 from ..sources import ROOT
 

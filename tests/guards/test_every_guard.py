@@ -15,8 +15,7 @@ import pytest
 from loadid._commands.check import NAMES
 from loadid.codes import GUARDS, explained
 from structures import Flag
-from structures._codes import table
-from structures._flags import Evidence
+from structures._flags import Evidence, table
 
 from ..sources import PACKAGES, called, modules, parsed
 from . import (

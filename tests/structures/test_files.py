@@ -337,7 +337,7 @@ WRONG = {
     "K wide": (npz(K=np.ones((2, 3))), "not a square matrix"),
     "K text": (npz(K=np.array([["a", "b"], ["c", "d"]])), "no real numbers"),
     "K complex": (npz(K=K * (1 + 0.1j)), "no real numbers.*damping=0.02"),
-    "K nan": (npz(K=np.where(K.max() == K, np.nan, K)), "NaN or infinity.*3 entries"),
+    "K nan": (npz(K=np.where(K.max() == K, np.nan, K)), "NaN or infinity.*3 of 100 entries"),
     "K asymmetric": (npz(K=K + np.triu(K, 1) * 0.1), "m.npz: matrix K: not symmetric"),
     "K negative": (npz(K=-K), r"m.npz: matrix K, 2\+S: negative stiffness"),
     "M size": (npz(K=K, M=np.eye(3)), "wrong size"),
