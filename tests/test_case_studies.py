@@ -116,6 +116,11 @@ def ridge(H: np.ndarray, y: np.ndarray, lam: float) -> np.ndarray:
     return np.linalg.lstsq(augmented, np.r_[y, np.zeros(H.shape[1])], rcond=None)[0]
 
 
+@pytest.fixture(scope="module")
+def contact():
+    return contact_inversion.table(0.1, "bumps", "every node", seeds=3)
+
+
 class TestContactText:
     """The worked example of the theory: 48 nodes, Lorentzian kernel, two bumps."""
 
@@ -163,8 +168,8 @@ class TestContactText:
         family = StaticInversion(H, sensors=[int(i) for i in np.flatnonzero(keep)], choice=1e-3, noise=1.0)
         assert "W202" in family.estimate((H @ self.p)[keep]).codes
 
-    def test_constraints_sharpen_the_map(self):
-        rows = {r.method: r for r in contact_inversion.table(0.1, "bumps", "every node", seeds=3)}
+    def test_constraints_sharpen_the_map(self, contact):
+        rows = {r.method: r for r in contact}
         assert rows["least squares"].map > 10  # worthless
         plain = rows["Tikhonov, L = I"]
         assert plain.map < 0.12
@@ -174,9 +179,8 @@ class TestContactText:
         assert rows["L = I, resultant"].resultant < 1e-9
         assert all(r.resultant < r.map for name, r in rows.items() if name != "least squares")
 
-    def test_picture(self, tmp_path):
-        rows = contact_inversion.table(0.1, seeds=1)
-        contact_inversion.figure(rows, contact_inversion.truth(contact_inversion.bumps), tmp_path / "x.png")
+    def test_picture(self, contact, tmp_path):
+        contact_inversion.figure(contact, contact_inversion.truth(contact_inversion.bumps), tmp_path / "x.png")
         assert (tmp_path / "x.png").stat().st_size > 10_000
 
 

@@ -341,12 +341,13 @@ def test_posterior_covers_loads_drawn_from_the_prior():
     rng = np.random.default_rng(3)
     h = model.impulse_response(DT, 150)
     sigma, inside = 0.2 * np.abs(h).max(), []
+    scale = Deconvolution(model, noise=sigma, choice=1.0).estimate(np.ones((150, 3)), dt=DT).choice.scale
+    solve = Deconvolution(model, noise=sigma, choice=1.0 / scale)
     for _ in range(40):
         g = rng.standard_normal((150, 1))
         y = model.predict(g, DT) + sigma * rng.standard_normal((150, 3))
-        solve = Deconvolution(model, noise=sigma, choice=1.0)
-        scale = solve.estimate(y, dt=DT).choice.scale
-        estimate = Deconvolution(model, noise=sigma, choice=1.0 / scale).estimate(y, dt=DT)
+        estimate = solve.estimate(y, dt=DT)
+        assert estimate.choice.scale == pytest.approx(scale)
         inside.append(np.mean(np.abs(estimate.load - g) < 1.96 * estimate.std))
     assert np.mean(inside) == pytest.approx(0.95, abs=0.01)
 
