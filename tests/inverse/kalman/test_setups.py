@@ -129,7 +129,8 @@ def test_a_white_prior_without_bound_is_the_unbiased_filter() -> None:
     """The distance falls as one over the prior's variance; 7.8e-4 and 7.9e-6 of the load are printed for one draw."""
     case = bm1(samples=1500)
     free = unbiased(case).load
-    far = [np.abs(reference(filter_model(case, white(np.sqrt(q))), case.y, settle=1e-12).load - free).max() / 5 for q in (1e6, 1e8)]
+    models = [filter_model(case, white(np.sqrt(q))) for q in (1e6, 1e8)]
+    far = [np.abs(reference(model, case.y, settle=1e-12).load - free).max() / 5 for model in models]
     assert 2e-5 < far[0] < 4e-3
     assert far[1] == pytest.approx(far[0] / 100, rel=0.1)
 
