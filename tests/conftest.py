@@ -1,6 +1,14 @@
-"""One thread for the linear algebra of the tests: their matrices are small, and waiting threads only cost time."""
+"""One thread for the linear algebra of the tests: their matrices are small, and waiting threads only cost time.
+
+Bytecode is kept even where the environment says otherwise: every process that a test starts would compile the packages
+again, and every run rewrite the assertions of all tests.
+"""
 
 import os
+import sys
 
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .sources import PACKAGES, ROOT, imported, modules, parsed, within
+from .sources import PACKAGES, ROOT, imported, modules, parsed, walked, within
 
 MOST_FILES, MOST_PARAMETERS = 20, 10
 PUBLIC = (
@@ -124,7 +124,7 @@ def public_names() -> int:
 
 def repeated_classes() -> dict[str, int]:
     """Class names that are defined more than once."""
-    count = Counter(n.name for tree in trees().values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef))
+    count = Counter(n.name for tree in trees().values() for n in walked(tree) if isinstance(n, ast.ClassDef))
     return {name: n for name, n in count.most_common() if n > 1}
 
 
@@ -133,7 +133,7 @@ def kinds(*roots: str) -> frozenset[str]:
     """Classes of the house that derive from some classes, by their names; without these."""
     bases: dict[str, set[str]] = {}
     for tree in trees().values():
-        for node in ast.walk(tree):
+        for node in walked(tree):
             if isinstance(node, ast.ClassDef):
                 bases.setdefault(node.name, set()).update(b for x in node.bases if (b := _last(x)))
     found: set[str] = set()
@@ -149,9 +149,9 @@ def probed(tree: ast.Module) -> Iterator[int]:
     whatever the thing is called; and a method compared with that of `Model`. Whether a thing is a `Model` at all may
     be asked.
     """
-    own = {node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
+    own = {node.name for node in walked(tree) if isinstance(node, ast.ClassDef)}
     special = kinds("Model", "RegularizationPath") - own
-    for node in ast.walk(tree):
+    for node in walked(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.args:
             asked = node.func.id in ("getattr", "hasattr") and _last(node.args[0]) in ("model", "path")
             named = node.args[1:] if node.func.id == "isinstance" else []
@@ -165,7 +165,7 @@ def probed(tree: ast.Module) -> Iterator[int]:
 
 def trespassed(tree: ast.Module) -> Iterator[int]:
     """Lines that use a private attribute which is not one of `self` or `cls`, nor of a class of this module."""
-    nodes = list(ast.walk(tree))
+    nodes = list(walked(tree))
     own = {n.attr for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store)}
     for one in (x for n in nodes if isinstance(n, ast.ClassDef) for x in n.body):
         if isinstance(one, ast.FunctionDef):
@@ -188,7 +188,7 @@ def long_constructors() -> dict[str, int]:
     """Public classes whose constructor takes more than `MOST_PARAMETERS`."""
     found = {}
     for tree in trees().values():
-        for node in ast.walk(tree):
+        for node in walked(tree):
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 for made in node.body:
                     if isinstance(made, ast.FunctionDef) and made.name == "__init__":
@@ -273,7 +273,7 @@ def _simulated():  # type: ignore[no-untyped-def]
 
 
 def _functions(tree: ast.Module) -> Iterator[ast.AST]:
-    for node in ast.walk(tree):
+    for node in walked(tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             yield node
 

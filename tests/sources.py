@@ -26,13 +26,19 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text("utf-8"))
 
 
-def imports(source: str, module: str) -> set[str]:
+@cache
+def walked(tree: ast.AST) -> tuple[ast.AST, ...]:
+    """Every node of a tree, as `ast.walk` gives them: walked once for all rules that ask."""
+    return tuple(ast.walk(tree))
+
+
+def imports(source: str | ast.Module, module: str) -> set[str]:
     """Dotted names that a module may load, wherever in its text: also inside functions, for types, and by name.
 
     ``from a import b`` gives ``a`` and ``a.b``, since `b` may be a module. A package is named ``a.__init__``.
     """
     found: set[str] = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in walked(ast.parse(source) if isinstance(source, str) else source):
         for base, *asked in imported(node, module):
             found |= {base} | {f"{base}.{one}" for one in asked}
     return found

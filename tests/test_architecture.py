@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from .house import PUBLIC, circles, graph, places, probed, trespassed
-from .sources import PACKAGES, imported, imports, modules, parsed, within
+from .sources import PACKAGES, imported, imports, modules, parsed, walked, within
 
 # package -> what nothing in it may import, at module level, inside a function, for a type or by name
 FORBIDDEN = {
@@ -34,7 +34,7 @@ FORBIDDEN = {
 DOORS = ("loadid.__init__", "loadid.cli", "loadid._commands", "loadid.lab", "loadid.batch", "loadid._stream")
 
 
-def offences(module: str, source: str) -> list[str]:
+def offences(module: str, source: str | ast.Module) -> list[str]:
     """What a module imports and may not."""
     loaded = sorted(imports(source, module))
     bad = [
@@ -73,7 +73,7 @@ def private(name: str) -> bool:
 @pytest.mark.parametrize(("module", "path"), list(modules("case_studies")))
 def test_case_studies_import_what_is_public(module: str, path: Path) -> None:
     tree = parsed(path)
-    taken = {found[0] for node in ast.walk(tree) for found in imported(node, module) if private(found[0])}
+    taken = {found[0] for node in walked(tree) for found in imported(node, module) if private(found[0])}
     assert taken == INSIDE.get(path.stem, set())
 
 
@@ -86,7 +86,7 @@ def test_a_public_module_says_what_it_offers(name: str) -> None:
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_imports_run_one_way(package: str) -> None:
-    found = [offence for module, path in modules(package) for offence in offences(module, path.read_text("utf-8"))]
+    found = [offence for module, path in modules(package) for offence in offences(module, parsed(path))]
     assert not found, "\n".join(found)
 
 

@@ -48,13 +48,13 @@ class TestFiveHits:
 
 class TestOtherPriors:
     def test_few_short_pulses_win_on_the_hits(self, hits):
-        others = hammer_log.under_other_priors((1, 2), signs=False)
-        found = [few for few, _ in others]
-        assert np.mean([h.error() for h in found]) <= 0.05
-        assert all(few.error() < plain.error() for few, plain in zip(found, hits[:2], strict=True))
-        assert max(h.error(slice(80)) for h in found) <= 0.03
-        assert all(h.estimate.facts["gap"] <= 1e-6 for h in found)
-        assert "few B-splines" in hammer_log.priors(hits[:2], others)
+        others = hammer_log.under_other_priors((2,), signs=False)
+        (few, _), plain = others[0], hits[1]
+        assert few.error() <= 0.05
+        assert few.error() < plain.error()
+        assert few.error(slice(80)) <= 0.03
+        assert few.estimate.facts["gap"] <= 1e-6
+        assert "few B-splines" in hammer_log.priors([plain], others)
 
 
 class TestTwoHits:
@@ -116,6 +116,11 @@ def ridge(H: np.ndarray, y: np.ndarray, lam: float) -> np.ndarray:
     return np.linalg.lstsq(augmented, np.r_[y, np.zeros(H.shape[1])], rcond=None)[0]
 
 
+@pytest.fixture(scope="module")
+def contact():
+    return contact_inversion.table(0.1, "bumps", "every node", seeds=3)
+
+
 class TestContactText:
     """The worked example of the theory: 48 nodes, Lorentzian kernel, two bumps."""
 
@@ -163,8 +168,8 @@ class TestContactText:
         family = StaticInversion(H, sensors=[int(i) for i in np.flatnonzero(keep)], choice=1e-3, noise=1.0)
         assert "W202" in family.estimate((H @ self.p)[keep]).codes
 
-    def test_constraints_sharpen_the_map(self):
-        rows = {r.method: r for r in contact_inversion.table(0.1, "bumps", "every node", seeds=3)}
+    def test_constraints_sharpen_the_map(self, contact):
+        rows = {r.method: r for r in contact}
         assert rows["least squares"].map > 10  # worthless
         plain = rows["Tikhonov, L = I"]
         assert plain.map < 0.12
@@ -174,9 +179,8 @@ class TestContactText:
         assert rows["L = I, resultant"].resultant < 1e-9
         assert all(r.resultant < r.map for name, r in rows.items() if name != "least squares")
 
-    def test_picture(self, tmp_path):
-        rows = contact_inversion.table(0.1, seeds=1)
-        contact_inversion.figure(rows, contact_inversion.truth(contact_inversion.bumps), tmp_path / "x.png")
+    def test_picture(self, contact, tmp_path):
+        contact_inversion.figure(contact, contact_inversion.truth(contact_inversion.bumps), tmp_path / "x.png")
         assert (tmp_path / "x.png").stat().st_size > 10_000
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 import json
 import os
@@ -11,7 +10,7 @@ import sys
 
 import pytest
 
-from .sources import PACKAGES, ROOT, imported, modules, parsed
+from .sources import PACKAGES, ROOT, imported, modules, parsed, walked
 
 HEAVY = ("scipy", "matplotlib", "casadi", "filterpy", "h5py", "skfem", "clarabel", "numba")
 QUIET = (
@@ -94,7 +93,7 @@ def test_the_default_install_has_what_the_packages_import() -> None:
     outside = {
         (name, base.split(".")[0])
         for name, path in modules(*PACKAGES)
-        for node in ast.walk(parsed(path))
+        for node in walked(parsed(path))
         for base, *_ in imported(node, name)
         if base.split(".")[0] not in allowed
     }

@@ -45,7 +45,7 @@ def test_the_python_example(tmp_path, monkeypatch, capsys):
         elements=80,
     )
     truth = ForwardModel(beam, [sensors.Accelerometer("24+Z")], [loads.Point("62+Z")], modes=20)
-    dt, finer, samples = 1 / 20e3, 4, 10_000
+    dt, finer, samples = 1 / 20e3, 4, 1200
     t = np.arange(samples * finer) * dt / finer
     force = np.where((t > 0.02) & (t < 0.0215), 200 * np.sin(np.pi * (t - 0.02) / 0.0015), 0.0)
     clean = truth.predict(force, dt / finer)[::finer, 0]
@@ -61,7 +61,7 @@ def test_the_python_example(tmp_path, monkeypatch, capsys):
     assert abs(peak.value - 200) < 3 * peak.std
     assert "forward model not verified" in capsys.readouterr().out
     assert Path("impact.html").stat().st_size > 10_000
-    short = table[:1200]  # the same example on the first 60 ms
+    short = table[300:700]  # the same example on 20 ms around the hit
     np.savetxt("log.csv", short, delimiter=",", header="time [s],12+Z [m/s^2]", comments="", fmt="%.10g")
     exec(compile(EXAMPLES[1], "README.md", "exec"), scope)
     for name in ("push", "hits"):

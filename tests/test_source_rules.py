@@ -18,7 +18,7 @@ from loadid._inverse.spectral import LinesPath, compress, factor, posterior
 from loadid.paths import LinearProblem, SVDPath
 from structures._testing.spectra import padded_length
 
-from .sources import PACKAGES, called, imports, modules, parsed, within
+from .sources import PACKAGES, called, imports, modules, parsed, walked, within
 
 Found = Iterator[tuple[int, str]]
 Rule = Callable[[ast.Module, str], Found]
@@ -34,7 +34,7 @@ MAY_PRINT = ("loadid.cli", "loadid._commands")  # the terminal's own modules
 # -- the rules -------------------------------------------------------------------------------------------------------
 def explicit_inverses(tree: ast.Module, module: str) -> Found:
     """E103: ``inv(A)``, ``np.linalg.pinv(A)``, ``A**-1`` of matrices, ``from scipy.linalg import inv``."""
-    for node in ast.walk(tree):
+    for node in walked(tree):
         if isinstance(node, ast.Call) and called(node) in INVERSES:
             yield node.lineno, f"explicit inverse {called(node)}(): factor once and solve"
         elif isinstance(node, ast.Call) and called(node) == "matrix_power" and _negative(node.args[-1]):
@@ -45,7 +45,7 @@ def explicit_inverses(tree: ast.Module, module: str) -> Found:
 
 def normal_equations(tree: ast.Module, module: str) -> Found:
     """E103: ``A.T @ A`` in any spelling; the condition number is squared."""
-    for node in ast.walk(tree):
+    for node in walked(tree):
         for left, right in _products(node):
             inside = _transposed(left)
             if inside is not None and ast.dump(inside) == ast.dump(right):
@@ -55,14 +55,14 @@ def normal_equations(tree: ast.Module, module: str) -> Found:
 
 def unsafe(tree: ast.Module, module: str) -> Found:
     """Nothing unpickles, evaluates text or loads YAML objects."""
-    for node in ast.walk(tree):
+    for node in walked(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in UNSAFE_CALLS:
             yield node.lineno, f"{node.func.id}() runs text"
         elif isinstance(node, ast.Attribute) and _name(node.value) == "yaml" and node.attr in YAML:
             yield node.lineno, f"yaml.{node.attr} builds objects: use safe_load"
         elif isinstance(node, ast.keyword) and node.arg == "allow_pickle" and not _is(node.value, False):
             yield node.value.lineno, "allow_pickle unpickles"
-    for name in sorted(imports(ast.unparse(tree), module)):
+    for name in sorted(imports(tree, module)):
         if any(within(name, m) for m in UNSAFE_MODULES) or name in {f"yaml.{y}" for y in YAML}:
             yield 1, f"imports {name}"
 
@@ -71,7 +71,7 @@ def prints(tree: ast.Module, module: str) -> Found:
     """The library logs; only the command line prints."""
     if any(within(module, door) for door in MAY_PRINT):
         return
-    for node in ast.walk(tree):
+    for node in walked(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("print", "pprint"):
             yield node.lineno, f"{node.func.id}() in a library: log instead"
         elif isinstance(node, ast.Attribute) and node.attr in ("stdout", "stderr") and _name(node.value) == "sys":

@@ -94,12 +94,12 @@ class Setup:
     def respond(self, load: Array, fine: int = 1, hold: str = "zoh") -> Array:
         """Response (samples, sensors) to a load history (samples * fine, loads) at dt / fine, from rest."""
         A, B0, B1 = self.held(self.Sp, self.dt / fine)
-        u = load if hold == "foh" else None
+        ahead = np.vstack([load[1:], load[-1:]]) if hold == "foh" else load
+        inputs = load @ B0.T + ahead @ B1.T
         x, states = np.zeros(self.nx), np.empty((len(load), self.nx))
-        for k, p in enumerate(load):
+        for k, u in enumerate(inputs):
             states[k] = x
-            ahead = p if u is None else u[min(k + 1, len(u) - 1)]
-            x = A @ x + B0 @ p + B1 @ ahead
+            x = A @ x + u
         return (states @ self.G.T + load @ self.J.T)[::fine]
 
 
@@ -389,27 +389,20 @@ def reference(model: FilterModel, y: Array, settle: float = 0.0) -> Track:
     load, std = np.empty((len(y), model.p)), np.empty((len(y), model.p))
     nis, loglik, count = np.zeros(len(y)), np.zeros(len(y)), np.zeros(len(y), int)
     normal = np.full(y.shape, np.nan)
-    cached: tuple[Array, ...] | None = None
     for k, sample in enumerate(y):
         ok = np.isfinite(sample)
         H, Rk, yk = model.H[ok], R[np.ix_(ok, ok)], sample[ok]
-        if cached is None:
-            Se = H @ P @ H.T + Rk
-            c = cholesky(Se, lower=True)
-            gain = cho_solve((c, True), H @ P).T
-            I_KH = one - gain @ H
-            Pf = I_KH @ P @ I_KH.T + gain @ Rk @ gain.T
-            Sk = np.zeros((model.n, len(yk))) if model.S is None else model.S[:, ok]
-            T = np.linalg.solve(Rk, Sk.T).T if len(yk) else Sk
-            F, Qk = model.F - T @ H, Q - T @ Sk.T
-            P_next = F @ Pf @ F.T + Qk
-            P_next = (P_next + P_next.T) / 2
-            sd = np.sqrt(np.maximum(np.diag(model.Cp @ Pf @ model.Cp.T), 0))
-            size = np.sqrt(np.maximum(np.diag(P_next), 1e-300))
-            if settle and np.max(np.abs(P_next - P) / np.outer(size, size)) < settle:
-                cached = (c, gain, T, F, sd)
-        else:
-            c, gain, T, F, sd = cached
+        Se = H @ P @ H.T + Rk
+        c = cholesky(Se, lower=True)
+        gain = cho_solve((c, True), H @ P).T
+        I_KH = one - gain @ H
+        Pf = I_KH @ P @ I_KH.T + gain @ Rk @ gain.T
+        Sk = np.zeros((model.n, len(yk))) if model.S is None else model.S[:, ok]
+        T = np.linalg.solve(Rk, Sk.T).T if len(yk) else Sk
+        F, Qk = model.F - T @ H, Q - T @ Sk.T
+        P_next = F @ Pf @ F.T + Qk
+        P_next = (P_next + P_next.T) / 2
+        sd = np.sqrt(np.maximum(np.diag(model.Cp @ Pf @ model.Cp.T), 0))
         e = yk - H @ x
         x = x + gain @ e
         whitened = np.linalg.solve(c, e)
@@ -418,7 +411,21 @@ def reference(model: FilterModel, y: Array, settle: float = 0.0) -> Track:
         loglik[k] = -0.5 * (nis[k] + 2 * np.log(np.diag(c)).sum() + len(yk) * np.log(2 * np.pi))
         load[k], std[k] = model.Cp @ x, sd
         last, x = x, F @ x + T @ yk
+        size = np.sqrt(np.maximum(np.diag(P_next), 1e-300))
+        settled = bool(settle) and np.max(np.abs(P_next - P) / np.outer(size, size)) < settle
         P = P_next
+        if settled and k + 1 < len(y):  # from here on every sample is the same two products
+            rest, states = slice(k + 1, None), np.empty((len(y) - k - 1, model.n))
+            error = np.empty((len(states), len(R)))
+            for i, yk in enumerate(y[rest]):
+                error[i] = e = yk - H @ x
+                states[i] = last = x + gain @ e
+                x = F @ last + T @ yk
+            nis[rest], count[rest] = np.sum(np.linalg.solve(c, error.T) ** 2, axis=0), len(R)
+            normal[rest] = error / np.linalg.norm(c, axis=1)
+            loglik[rest] = -0.5 * (nis[rest] + 2 * np.log(np.diag(c)).sum() + len(R) * np.log(2 * np.pi))
+            load[rest], std[rest] = states @ model.Cp.T, sd
+            break
     return Track(load, std, nis, loglik, count, normal, last, Pf)
 
 
@@ -443,8 +450,9 @@ def unbiased(case: Tracked, use_S: bool = True) -> Track:
             P_next = (P_next + P_next.T) / 2
             fixed = bool(np.max(np.abs(P_next - P)) < 1e-13 * np.max(np.abs(P)))
             P = P_next
+            sd = np.sqrt(np.diag(D))
         e = y - G @ x
-        load[k], std[k] = Mgain @ e, np.sqrt(np.diag(D))
+        load[k], std[k] = Mgain @ e, sd
         x = A @ x + K @ e
     none = np.zeros(len(load))
     return Track(load, std, none, none, none.astype(int), case.y * np.nan, x, P)

@@ -19,7 +19,9 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -154,13 +156,25 @@ def judged(setup: str, layout: str, samples: int, seed: int, stated: bool) -> Ju
     clean, rng = respond(p.model, p.dt, p.load)[-len(path.record.y) :] / p.sigma, np.random.default_rng(seed)
     others = [clean + rng.standard_normal(clean.shape) for _ in range(DRAWS)]
     chosen = found.choice.lam  # relative: whitening by the noise of like sensors changes it little
-    grid = np.log10(chosen) + np.arange(-2.0, 1.01, 0.1)
-    table = np.array([errors(path, float(10**k), p, others) for k in grid if 1e-7 < 10**k < 1])
-    mean = np.sqrt(np.mean(table[:, 1:] ** 2, axis=1))
+    grid = np.log10(chosen) + np.arange(-20, 11) / 10
+    grid = grid[(grid > -7) & (grid < 0)]
+
+    @cache
+    def at(i: int) -> tuple[float, float]:
+        made = errors(path, float(10 ** grid[i]), p, others)
+        return float(made[0]), float(np.sqrt(np.mean(made[1:] ** 2)))
+
+    best, mean = (smallest(lambda i, of=of: at(i)[of], len(grid)) for of in (0, 1))
     own = np.sqrt(np.mean(errors(path, chosen, p, others)[1:] ** 2))
     words = f"{found.choice.rule} {found.choice.lam:.2g}, {found.choice.verdict}"
     mine = error(found.load[:, 0], p.load)
-    return Judged(mine, min(mine, float(table[:, 0].min())), float(own / min(own, mean.min())), words, spent)
+    return Judged(mine, min(mine, best), float(own / min(own, mean)), words, spent)
+
+
+def smallest(value: Callable[[int], float], count: int) -> float:
+    """Smallest of `count` values that fall to a minimum and rise: every fourth, then those around the best."""
+    first = min(range(0, count, 4), key=value)
+    return min(value(i) for i in range(max(first - 3, 0), min(first + 4, count)))
 
 
 def main() -> None:

@@ -1,5 +1,7 @@
 """Deconvolution: exactness, invariances, offsets, refusals."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -72,19 +74,37 @@ def test_equals_augmented_least_squares():
     assert np.linalg.norm(estimate.load - expected) < 1e-8 * np.linalg.norm(expected)
 
 
-@pytest.mark.parametrize("factor", [1e-6, 1e6])
-@pytest.mark.parametrize("samples", [200, 3000])
-@pytest.mark.parametrize("choice", [None, "gcv", "l_curve", 1e-3])
-def test_scale_invariance(factor, samples, choice):
-    """The load does not change when model and data are multiplied by a constant, on the dense and on the FFT path."""
+@pytest.fixture(scope="module")
+def unscaled():
+    """Load of one record by path and choice, which records in other units are held against."""
+
+    @cache
+    def load(samples: int, path: str, choice: str | float | None):
+        return scaled(1.0, samples, path, choice)
+
+    return load
+
+
+def scaled(factor: float, samples: int, path: str, choice: str | float | None):
+    """Load behind a response in units that make both, model and data, so many times as large."""
     h = make_model(zeta=0.05).impulse_response(DT, samples)
-    g = pulse(samples)
-    y = noisy(ImpulseModel(h, DT, kind="held").predict(g, DT), 0.02)
-    loads_ = [
-        Deconvolution(ImpulseModel(c * h, DT, kind="held"), choice=choice).estimate(c * y, dt=DT).load
-        for c in (1.0, factor)
-    ]
-    assert np.linalg.norm(loads_[0] - loads_[1]) < 1e-9 * np.linalg.norm(loads_[0])
+    y = noisy(ImpulseModel(h, DT, kind="held").predict(pulse(samples), DT), 0.02)
+    solve = Deconvolution(ImpulseModel(factor * h, DT, kind="held"), choice=Lambda(choice, path=path))
+    return solve.estimate(factor * y, dt=DT).load
+
+
+WAYS = [(200, "auto"), (400, "toeplitz"), (400, "fft")]
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+@pytest.mark.parametrize(
+    ("samples", "path", "choice"),
+    [(*way, choice) for way in WAYS for choice in (None, "gcv", "l_curve", 1e-3)] + [(3000, "auto", 1e-3)],
+)
+def test_scale_invariance(factor, samples, path, choice, unscaled):
+    """The load does not change when model and data are multiplied by a constant, whichever path it takes."""
+    one = unscaled(samples, path, choice)
+    assert np.linalg.norm(scaled(factor, samples, path, choice) - one) < 1e-9 * np.linalg.norm(one)
 
 
 def test_superposition():
@@ -321,12 +341,13 @@ def test_posterior_covers_loads_drawn_from_the_prior():
     rng = np.random.default_rng(3)
     h = model.impulse_response(DT, 150)
     sigma, inside = 0.2 * np.abs(h).max(), []
+    scale = Deconvolution(model, noise=sigma, choice=1.0).estimate(np.ones((150, 3)), dt=DT).choice.scale
+    solve = Deconvolution(model, noise=sigma, choice=1.0 / scale)
     for _ in range(40):
         g = rng.standard_normal((150, 1))
         y = model.predict(g, DT) + sigma * rng.standard_normal((150, 3))
-        solve = Deconvolution(model, noise=sigma, choice=1.0)
-        scale = solve.estimate(y, dt=DT).choice.scale
-        estimate = Deconvolution(model, noise=sigma, choice=1.0 / scale).estimate(y, dt=DT)
+        estimate = solve.estimate(y, dt=DT)
+        assert estimate.choice.scale == pytest.approx(scale)
         inside.append(np.mean(np.abs(estimate.load - g) < 1.96 * estimate.std))
     assert np.mean(inside) == pytest.approx(0.95, abs=0.01)
 

@@ -17,7 +17,7 @@ from loadid.codes import GUARDS, explained
 from structures import Flag
 from structures._flags import Evidence, table
 
-from ..sources import PACKAGES, called, modules, parsed
+from ..sources import PACKAGES, called, modules, parsed, walked
 from . import (
     page,
     test_frequency,
@@ -74,7 +74,7 @@ def _is_code(node: ast.AST) -> bool:
 
 def asked() -> set[str]:
     """Names that the packages use, besides those of a definition, an import or a text."""
-    nodes = [node for _, path in modules(*PACKAGES) for node in ast.walk(parsed(path))]
+    nodes = [node for _, path in modules(*PACKAGES) for node in walked(parsed(path))]
     used = {node.id for node in nodes if isinstance(node, ast.Name)}
     return used | {node.attr for node in nodes if isinstance(node, ast.Attribute)}
 
@@ -119,7 +119,7 @@ def test_a_flag_does_not_repeat_the_advice_of_the_table():
         f"{path.name}:{call.lineno}"
         for _, path in modules("structures", "loadid")
         if path.name != "choice.py"
-        for call in ast.walk(parsed(path))
+        for call in walked(parsed(path))
         if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Flag"
         and len(call.args) == 4 and isinstance(call.args[0], ast.Constant) and isinstance(call.args[3], ast.Constant)
         and call.args[3].value == table()[call.args[0].value].advice

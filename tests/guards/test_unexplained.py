@@ -21,7 +21,7 @@ from structures import ForwardModel, beams, damping, loads, sensors
 
 from .cases import Case
 
-DT, SAMPLES = 2e-4, 600
+DT, SAMPLES = 2e-4, 300
 CODE = "LID-W412"
 
 
@@ -51,7 +51,7 @@ def noisy(clean: NDArray, seed: int = 0) -> tuple[NDArray, NDArray]:
 def pulse() -> NDArray[np.float64]:
     """One half sine (samples, 1)."""
     load = np.zeros((SAMPLES, 1))
-    load[150:200, 0] = np.sin(np.pi * (np.arange(50) + 0.5) / 50)
+    load[75:125, 0] = np.sin(np.pi * (np.arange(50) + 0.5) / 50)
     return load
 
 

@@ -14,7 +14,7 @@ from structures.errors import InputError
 
 from .test_convolved import ringing
 
-N, FIRST = 9000, 2048
+N, FIRST = 6000, 2048
 
 
 @pytest.fixture(autouse=True)
@@ -47,7 +47,7 @@ def test_scalars_and_loads_are_those_of_one_piece(penalty, lam):
         a, b = whole.at(asked), windows.at(asked)
         for name in ("residual2", "penalty2", "edf", "left", "sensitivity", "objective", "bend"):
             assert getattr(b, name) == pytest.approx(getattr(a, name), rel=close), name
-    clear = np.exp(-0.5 * ((np.arange(N) - 5000) / 20) ** 2)[:, None]
+    clear = np.exp(-0.5 * ((np.arange(N) - 3500) / 20) ** 2)[:, None]
     assert windows.resolve(clear, lam) == pytest.approx(whole.resolve(clear, lam), abs=2e-4)
 
 
@@ -82,7 +82,7 @@ def test_lambda_is_sought_at_the_beginning_and_confirmed_on_the_whole():
 def test_a_quiet_beginning_does_not_stand_for_the_record():
     h, y, _ = record(quiet=FIRST + 1000, samples=4 * FIRST)
     assert beginning_of(WindowedPath(h, y)).samples == 2 * FIRST
-    h, y, _ = record(quiet=2 * FIRST + 1000)
+    h, y, _ = record(quiet=2 * FIRST + 1000, samples=9000)
     assert beginning_of(WindowedPath(h, y)) is None
 
 

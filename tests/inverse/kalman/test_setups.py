@@ -117,11 +117,20 @@ def test_the_reference_is_conditioning_by_brute_force(correlated: bool) -> None:
     assert track.count.sum() == np.isfinite(y).sum()
 
 
+def test_a_settled_reference_goes_on_as_before() -> None:
+    case = bm1(samples=600)
+    model = filter_model(case, white(5.0))
+    whole, settled = (reference(model, case.y, settle=settle) for settle in (0.0, 1e-12))
+    for name in ("load", "std", "nis", "loglik", "count", "e", "x", "P"):
+        np.testing.assert_allclose(getattr(settled, name), getattr(whole, name), rtol=1e-7, atol=1e-9, err_msg=name)
+
+
 def test_a_white_prior_without_bound_is_the_unbiased_filter() -> None:
     """The distance falls as one over the prior's variance; 7.8e-4 and 7.9e-6 of the load are printed for one draw."""
     case = bm1(samples=1500)
     free = unbiased(case).load
-    far = [np.abs(reference(filter_model(case, white(np.sqrt(q))), case.y).load - free).max() / 5 for q in (1e6, 1e8)]
+    models = [filter_model(case, white(np.sqrt(q))) for q in (1e6, 1e8)]
+    far = [np.abs(reference(model, case.y, settle=1e-12).load - free).max() / 5 for model in models]
     assert 2e-5 < far[0] < 4e-3
     assert far[1] == pytest.approx(far[0] / 100, rel=0.1)
 
@@ -135,7 +144,7 @@ def test_bm1() -> None:
     assert 0.974 <= found.cover <= 0.991
     assert 0.6 <= found.nees <= 0.8
     short = bm1(samples=2500)
-    walked = reference(filter_model(short, walk(1e4, 1.0)), short.y).load
+    walked = reference(filter_model(short, walk(1e4, 1.0)), short.y, settle=1e-12).load
     assert np.abs(walked - unbiased(short).load)[200:].max() < 1e-3 * 5
     long = bm1(samples=8000)
     assert judged(dual(long, 1e4), long).cover < 0.1
@@ -232,7 +241,7 @@ def test_bm3_without_its_correlation(beam_under_ambient_loads) -> None:
 )
 def test_d2(kind, disp, Qx, q, error, cover, nis) -> None:
     case = d2(kind, disp=disp, Qx=Qx)
-    found = judged(reference(filter_model(case, walk(q)), case.y), case, skip=400, width=2.0)
+    found = judged(reference(filter_model(case, walk(q)), case.y, settle=1e-12), case, skip=400, width=2.0)
     assert found.error == pytest.approx(error, abs=0.0006)
     assert found.cover == pytest.approx(cover, abs=0.006)
     assert found.nis == pytest.approx(nis, rel=0.01)
@@ -241,7 +250,7 @@ def test_d2(kind, disp, Qx, q, error, cover, nis) -> None:
 @pytest.mark.parametrize(("disp", "mean"), [(False, 513.0), (True, 0.44)])
 def test_d2_under_a_bias(disp: bool, mean: float) -> None:
     case = d2(disp=disp, Qx=1e-14, bias=0.05)
-    track = reference(filter_model(case, walk(1.0)), case.y)
+    track = reference(filter_model(case, walk(1.0)), case.y, settle=1e-12)
     assert np.mean((track.load - case.load)[-1000:]) == pytest.approx(mean, rel=0.01)
 
 
@@ -249,5 +258,5 @@ def test_d2_under_a_bias(disp: bool, mean: float) -> None:
 def test_d2b(Qv: float, error: float) -> None:
     case = d2b(Qv)
     assert np.linalg.norm(case.setup.matrices()[1]) == pytest.approx(1.0e-3, rel=0.01)
-    found = judged(reference(filter_model(case, walk(1e-2, 1e-2)), case.y), case, skip=100)
+    found = judged(reference(filter_model(case, walk(1e-2, 1e-2)), case.y, settle=1e-12), case, skip=100)
     assert found.error == pytest.approx(error, abs=0.005)
