@@ -2,16 +2,14 @@
 
     xi_{k+1} = F xi_k + G w_k,   y_k = C xi_k + D w_k + e_k,   g_k = E xi_k + w_k,   w_jk ~ N(0, v_jk)
 
-For given variances this is the record of `record.WhitenedRecord` with another prior: one covariance recursion forward,
-one backward pass, exact, gaps and unknown starts included. With ``e = S^-1 nu - K' r`` and ``r_ = C' e + F' r``
-(the disturbance smoother of de Jong, Biometrika 76 (1989) 85) the score of every variance is a by-product:
+For given variances this is the record of `record.WhitenedRecord` under another prior: one covariance recursion forward,
+one backward pass, exact, gaps and unknown starts included. With ``e = S^-1 nu - K' r`` and ``r_ = C' e + F' r`` (the
+disturbance smoother of P. de Jong, Biometrika 76 (1989) 85) the score of every variance is a by-product:
 
-    d ll / d v_jk = (rho^2 - Q)/2,   rho = D' e + G' r,   Q = diag D' S^-1 D + (G - K D)' N (G - K D)
+    d ll / d v_jk = (rho^2 - Q) / 2,   rho = D' e + G' r,   Q = diag [D' S^-1 D + (G - K D)' N (G - K D)]
 
-and ``v <- v (sum phi rho^2 / sum phi Q)^s`` climbs: with s = 1/2 never down (it is MacKay's and Neal's relevance
-update in the parametrization of Wipf & Nagarajan, IEEE J. Sel. Top. Signal Process. 4 (2010) 317), with s = .8 faster.
-The variances of the noise, of an unknown start and of what the model misses in proportion to the response are updated
-by the same rule, each from its own pair of sums.
+and those of the noise and of the start likewise. `loadid._inverse.local_prior` learns the variances by it. Rows of K',
+T' and G' lie together in memory, so that every inner loop is a sum of rows; F goes by its entries, few in modal form.
 """
 
 from __future__ import annotations
@@ -22,12 +20,13 @@ from typing import Any
 
 import numpy as np
 
+from structures.errors import InputError
+
 from .compiled import Compiled, multiply, multiply_by_transposed
 from .record import WhitenedRecord
 from .roots import Array
 
 
-# -- the smoother of given variances -----------------------------------------------------------------------------------
 @Compiled
 def _times(rows: Array, columns: Array, values: Array, X: Array, out: Array) -> None:
     """Put F X into `out`, F by its entries."""
@@ -252,16 +251,53 @@ def _information(
                 variance[k, c] -= _dot(told[0], reads[k, c]) + 2.0 * v[k, c] * _dot(cross, reads[k, c])
 
 
+@Compiled
+def _prior_of(
+    F: Array, G: Array, C: Array, D: Array, E: Array, kind: Array, v: Array, start: Array, w: Array, load: Array,
+    response: Array,
+) -> None:  # fmt: skip
+    """Fill prior covariance times weights w: of the loads, and of the responses with them."""
+    n, p, m = F.shape[1], G.shape[2], C.shape[1]
+    r, moved, u = np.zeros(n), np.empty(n), np.empty((len(kind), p))
+    for k in range(len(kind) - 1, -1, -1):
+        j = kind[k]
+        for c in range(p):
+            u[k, c] = w[k, c]
+            for i in range(n):
+                u[k, c] += G[j, i, c] * r[i]
+            u[k, c] *= v[k, c]
+        moved[:] = 0.0
+        for i in range(n):
+            for b in range(n):
+                moved[b] += F[j, i, b] * r[i]
+            for c in range(p):
+                moved[i] += E[c, i] * w[k, c]
+        r[:] = moved
+    moved[:] = 0.0
+    for i in range(n):
+        moved[i] = _dot(start[i], r)
+    r[:] = moved
+    for k in range(len(kind)):
+        j = kind[k]
+        for c in range(p):
+            load[k, c] = u[k, c] + _dot(E[c], r)
+        for a in range(m):
+            response[k, a] = _dot(C[j, a], r) + _dot(D[j, a], u[k])
+        for i in range(n):
+            moved[i] = _dot(F[j, i], r) + _dot(G[j, i], u[k])
+        r[:] = moved
+
+
 @dataclass(frozen=True, eq=False)
 class Variances:
-    """What a fit believes before the data.
+    """What is believed before the data.
 
     Parameters
     ----------
     load : array, shape (samples, p)
-        Of the white inputs.
+        Of the white inputs w.
     noise : array, shape (samples, m)
-        Of the whitened data.
+        Of the whitened data; 1 where nothing was measured.
     start : array, shape (n, n)
         Covariance of the first state.
     """
@@ -280,31 +316,33 @@ class Smoothed:
     evidence : float
         Log likelihood of the whitened data.
     load : array, shape (samples, p)
-    rho, spread : array, shape (samples, p)
-        ``d evidence / d v = (rho^2 - spread) / 2``.
-    e, known : array, shape (samples, m)
-        The same of the noise; the smoothed noise is ``R e``.
-    pull, told : array, shapes (n,), (n, n)
-        The same of the start.
+    rho, rho_variance : array, shape (samples, p)
+        ``d evidence / d v = (rho^2 - rho_variance) / 2``.
+    e, e_variance : array, shape (samples, m)
+        The same of the noise; the smoothed noise is its variance times e.
+    start, start_information : array, shapes (n,), (n, n)
+        The same of the first state.
     """
 
     evidence: float
     load: Array
     rho: Array
-    spread: Array
+    rho_variance: Array
     e: Array
-    known: Array
-    pull: Array
-    told: Array
+    e_variance: Array
+    start: Array
+    start_information: Array
 
 
 class Smoother:
-    """The exact smoother of a record with given variances; other data cost one pass each.
+    """The exact smoother of a record with given variances: one covariance pass, then two passes for any data.
 
     Parameters
     ----------
     record : WhitenedRecord
     given : Variances
+    loads : bool
+        Whether loads with a memory are asked for, and not only the score.
     """
 
     def __init__(self, record: WhitenedRecord, given: Variances, loads: bool = True) -> None:
@@ -323,297 +361,104 @@ class Smoother:
         )  # fmt: skip
 
     def means(self, y: Array) -> tuple[float, Array, Array, Array, Array]:
-        """``sum nu' S^-1 nu``, loads, rho, e and the pull on the start, of data (samples, m)."""
+        """``sum nu' S^-1 nu``, loads, rho, e, and r of the first state, of whitened data (samples, m)."""
         r = self.record
-        e, rho, load, pull = np.empty((r.samples, r.m)), np.empty(self._v.shape), np.empty(self._v.shape), np.empty(r.n)
+        e, rho, load, first = np.empty((r.samples, r.m)), np.empty(self._v.shape), np.empty(self._v.shape), np.empty(r.n)
         squares = _means(
             *self._system, self._E, r.kind, np.ascontiguousarray(y), self._v, self._gains, self._inverses,
-            self._reads, e, rho, load, pull,
+            self._reads, e, rho, load, first,
         )  # fmt: skip
-        return float(squares), load, rho, e, pull
-
-    def evidence(self, squares: float) -> float:
-        """Log likelihood of data with this ``sum nu' S^-1 nu``."""
-        return -0.5 * (self._logdet + squares + self.record.data * np.log(2 * np.pi))
-
-    def information(self, variance: Array | None = None) -> tuple[Array, Array, Array]:
-        """Variances of rho and e, and the information on the start; fills those of the loads where asked."""
-        r = self.record
-        spread, known, N = np.empty(self._v.shape), np.empty((r.samples, r.m)), np.zeros((r.n, r.n))
-        if variance is not None:
-            variance[:] = np.einsum("kci,ci->kc", self._reads, self._E) if len(self._E) else 0.0
-        _information(
-            *self._system, r.kind, self._v, self._gains, self._inverses, self._reads, spread, known,
-            self._v[:0] if variance is None else variance, N,
-        )  # fmt: skip
-        return spread, known, N
+        return float(squares), load, rho, e, first
 
     def smooth(self) -> Smoothed:
-        """Everything that an update asks."""
-        total, load, rho, e, pull = self.means(self.record.y)
-        Q, known, N = self.information()
-        return Smoothed(self.evidence(total), load, rho, Q, e, known, pull, N)
+        """Everything that an update of the variances asks."""
+        squares, load, rho, e, first = self.means(self.record.y)
+        evidence = -0.5 * (self._logdet + squares + self.record.data * np.log(2 * np.pi))
+        rho_variance, e_variance, information = self._information(self._v[:0])
+        return Smoothed(evidence, load, rho, rho_variance, e, e_variance, first, information)
 
     @cached_property
     def variance(self) -> Array:
         """Of the loads (samples, p)."""
-        out = np.empty(self._v.shape)
-        self.information(out)
+        out = np.einsum("kci,ci->kc", self._reads, self._E) if len(self._E) else np.zeros(self._v.shape)
+        self._information(out)
         return np.maximum(out, 0.0)
 
+    def first_state(self) -> Array:
+        """Mean of the first state (n,)."""
+        return self.given.start @ self.means(self.record.y)[-1]
 
-# -- the variances by evidence -----------------------------------------------------------------------------------------
-HALF, STRIDE = 8, 4  # samples: half-width of a bump, distance of two
-POWER = 0.8  # of the multiplicative update
-MOST, GAIN = 60, 0.1  # updates; ln evidence of one below which it is the last
-ENERGY = 16  # samples over which the energy of the response is averaged for what the model misses
-LEAST = 1e-14  # of the largest variance that is kept
+    def covariance_times(self, w: Array) -> Array:
+        """Posterior covariance of the loads times weights (samples, p)."""
+        r = self.record
+        load, response = np.empty(self._v.shape), np.empty((r.samples, r.m))
+        _prior_of(
+            r.F, r.G, r.C, r.D, np.ascontiguousarray(r.E), r.kind, self._v, np.ascontiguousarray(self.given.start),
+            np.ascontiguousarray(w, float), load, response,
+        )  # fmt: skip
+        return load - self.means(response)[1]
+
+    def _information(self, variance: Array) -> tuple[Array, Array, Array]:
+        """Variances of rho and e, and the information on the first state; adds to those of the loads where asked."""
+        r = self.record
+        rho, e, N = np.empty(self._v.shape), np.empty((r.samples, r.m)), np.zeros((r.n, r.n))
+        _information(
+            *self._system, r.kind, self._v, self._gains, self._inverses, self._reads, rho, e, variance, N
+        )  # fmt: skip
+        return rho, e, N
 
 
-@dataclass(frozen=True, eq=False)
-class LocalVariance:
-    """A load whose variance changes with time, learned from the data.
+class LocalVariancePosterior:
+    """Covariance of a load whose prior variance changes with time, never formed.
 
     Parameters
     ----------
-    v : array, shape (samples, p)
-        Variance of the white inputs.
-    noise : array, shape (m,)
-        Variances of the noise of the whitened channels.
-    misfit : float
-        Error of the model, in parts of the response.
-    length : float
-        Memory of the load in samples, 0 if none.
-    evidence, stationary : float
-        Log likelihood with this prior and with the best of a constant variance, both without `misfit`.
-    bumps : int
-        Numbers that the prior has beyond the stationary one.
-    updates : int
-    smoother : Smoother
-        With the final variances, on the final record.
-    smoothed : Smoothed
+    record : WhitenedRecord
+        Its data are not used.
+    given : Variances
+    load : array, shape (samples, p)
+        Estimate, of which `gain` is a part.
+    gain : float
+        Relative std of the gain of model and sensors, common to the whole record: a tolerance, not learned.
     """
 
-    v: Array
-    noise: Array
-    misfit: float
-    length: float
-    evidence: float
-    stationary: float
-    bumps: int
-    updates: int
-    smoother: Smoother
-    smoothed: Smoothed
+    kind = "local variance"
 
-    @property
-    def load(self) -> Array:
-        """Mean (samples, p)."""
-        return self.smoothed.load
+    def __init__(self, record: WhitenedRecord, given: Variances, load: Array, gain: float = 0.0) -> None:
+        self._smoother = Smoother(replace(record, y=np.zeros_like(record.y)), given)
+        self.load, self.gain, self.shape = np.asarray(load, float), float(gain), (record.samples, record.p)
 
-    @property
-    def variance(self) -> Array:
-        """Of the loads (samples, p)."""
-        return self.smoother.variance
+    @cached_property
+    def std(self) -> Array:
+        """Standard deviation, shape (samples, loads)."""
+        return np.sqrt(self._smoother.variance + (self.gain * self.load) ** 2)
 
-    @property
-    def participation(self) -> Array:
-        """Share of the record over which the variance of each load is spread, (p,)."""
-        total = self.v.sum(axis=0)
-        return total**2 / (len(self.v) * np.maximum(np.sum(self.v**2, axis=0), np.finfo(float).tiny))
+    def variance(self, w: Array) -> Array:
+        """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
+        w = np.asarray(w, float)
+        if w.shape[-2:] != self.shape or w.ndim > 3:
+            raise InputError("the weights do not fit the load", where="w", found=f"shape {w.shape}",
+                             expected=f"shape {self.shape}, or a stack of such")  # fmt: skip
+        if w.ndim == 3:
+            return np.array([self.variance(one) for one in w])
+        own = float(np.sum(w * self._smoother.covariance_times(w)))
+        return np.asarray(max(own, 0.0) + (self.gain * float(np.sum(w * self.load))) ** 2)
 
-    @property
-    def gain(self) -> float:
-        """Gain of the log evidence over the stationary prior, for each bump."""
-        return (self.evidence - self.stationary) / self.bumps
+    def to_arrays(self) -> dict[str, object]:
+        """Plain arrays, for a result file."""
+        r, given = self._smoother.record, self._smoother.given
+        return {
+            "kind": self.kind, "F": r.F, "G": r.G, "C": r.C, "D": r.D, "E": r.E, "samples": r.kind, "free": r.free,
+            "data": r.data, "v": given.load, "noise": given.noise, "start": given.start, "load": self.load,
+            "gain": self.gain,
+        }  # fmt: skip
 
-
-def with_memory(record: WhitenedRecord, length: float) -> WhitenedRecord:
-    """Record of a load ``g_k = 2 a g_{k-1} - a^2 g_{k-2} + w_k``, ``a = exp(-sqrt(3) / length)``, Matern-3/2 sampled."""
-    if not length:
-        return record
-    n, p, kinds = record.n, record.p, len(record.F)
-    a = float(np.exp(-np.sqrt(3) / length))
-    E = np.hstack([2 * a * np.eye(p), -(a**2) * np.eye(p)])
-    low = np.vstack([E, np.eye(p, 2 * p)])
-    F = np.zeros((kinds, n + 2 * p, n + 2 * p))
-    F[:, :n, :n], F[:, :n, n:], F[:, n:, n:] = record.F, record.G @ E, low
-    G = np.concatenate([record.G, np.broadcast_to(np.eye(2 * p, p), (kinds, 2 * p, p))], axis=1)
-    C = np.concatenate([record.C, record.D @ E], axis=2)
-    return replace(record, F=F, G=np.ascontiguousarray(G), C=np.ascontiguousarray(C),
-                   E=np.hstack([np.zeros((p, n)), E]))  # fmt: skip
-
-
-def bumps(samples: int, half: int = HALF, stride: int = STRIDE) -> Any:
-    """Triangles (samples, count), sparse."""
-    from scipy.sparse import csr_array
-
-    centres = np.arange(0, samples + stride - 1, stride)
-    offsets = np.arange(-half + 1, half)
-    at = centres[None, :] + offsets[:, None]
-    height = np.broadcast_to(1 - np.abs(offsets[:, None]) / half, at.shape)
-    column = np.broadcast_to(np.arange(len(centres)), at.shape)
-    inside = (at >= 0) & (at < samples)
-    return csr_array((height[inside], (at[inside], column[inside])), shape=(samples, len(centres)))
-
-
-class _Fit:
-    """The numbers of the prior while they are learned."""
-
-    def __init__(self, record: WhitenedRecord, stated: bool) -> None:
-        self.record, self.stated = record, stated
-        shown = np.any(record.C != 0, axis=2) | np.any(record.D != 0, axis=2)
-        self.there = shown[record.kind]
-        self.phi = bumps(record.samples)
-        self.columns = np.ascontiguousarray(self.phi.sum(axis=0))
-        self.a = np.zeros((self.phi.shape[1], record.p))
-        self.b, self.r = np.ones(record.p), np.ones(record.m)
-        self.eps2, self.power = 0.0, np.zeros((record.samples, record.m))
-        self.p0 = np.zeros(record.n)
-        self.passes, self.value = 0, -np.inf
-
-    def variances(self) -> Variances:
-        v = self.phi @ self.a + self.b
-        noise = np.where(self.there, self.r + self.eps2 * self.power, 1.0)
-        return Variances(v, noise, np.diag(self.p0))
-
-    def pass_(self) -> Smoothed:
-        return Smoother(self.record, self.variances(), loads=False).smooth()
-
-    def update(self, s: Smoothed, power: float) -> None:
-        rho2 = s.rho**2
-        self.a *= _ratio(self.phi.T @ rho2, self.phi.T @ s.spread, power)
-        self.b *= _ratio(rho2.sum(axis=0), s.spread.sum(axis=0), power)
-        top = float((self.a.max(axis=0) + self.b).max())
-        self.a[self.a < LEAST * top] = 0.0
-        self.b = np.maximum(self.b, LEAST * top)
-        e2, known = np.where(self.there, s.e**2, 0.0), np.where(self.there, s.known, 0.0)
-        if self.eps2 > 0.0:
-            self.eps2 *= float(_ratio(np.sum(self.power * e2), np.sum(self.power * known), power))
-        if not self.stated:
-            self.r *= _ratio(e2.sum(axis=0), known.sum(axis=0), power)
-        self.p0 *= _ratio(s.pull**2, np.diag(s.told), power)
-
-    def missed(self, s: Smoothed) -> None:
-        """Energy of the response as it is now."""
-        response = np.where(self.there, self.record.y - self.variances().noise * s.e, 0.0)
-        window = np.ones(2 * ENERGY + 1) / (2 * ENERGY + 1)
-        self.power = np.maximum(np.apply_along_axis(np.convolve, 0, response**2, window, "same"), 0.0)
-
-    def climb(self, most: int, power: float = POWER, missing: bool = False, gain: float = GAIN) -> Smoothed:
-        """Update until the evidence gains no more; what it was at the end."""
-        best = -np.inf
-        for step in range(most + 1):
-            s = self.pass_()
-            self.passes += 1
-            if step == most or (s.evidence - best < gain and step > 2):
-                break
-            best = s.evidence
-            if missing:
-                self.missed(s)
-            self.update(s, power)
-        self.value = s.evidence
-        return s
-
-
-def _ratio(up: Any, down: Any, power: float) -> Any:
-    return (np.maximum(up, 0.0) / np.maximum(down, np.finfo(float).tiny)) ** power
-
-
-def _sizes(record: WhitenedRecord) -> tuple[Array, Array]:
-    """Energy of the responses (m, p) to unit white loads, mean over the record, and its state covariance diagonal."""
-    full = int(np.argmax(np.abs(record.C).sum(axis=(1, 2)) + np.abs(record.D).sum(axis=(1, 2))))
-    F, C, D = record.F[full], record.C[full], record.D[full]
-    out, diagonal = np.empty((record.m, record.p)), np.zeros(record.n)
-    for j in range(record.p):
-        g = record.G[full][:, j : j + 1]
-        X, step, length = g @ g.T, F, 1
-        while length < record.samples:
-            X, step, length = X + step @ X @ step.T, step @ step, 2 * length
-        out[:, j] = np.einsum("mi,ik,mk->m", C, X, C) + D[:, j] ** 2
-        diagonal += np.diag(X)
-    return out, diagonal
-
-
-TRIED = 12  # updates after which lengths are compared
-
-
-def _input(length: float) -> float:
-    """Variance of the white input of a load of variance one."""
-    a2 = float(np.exp(-2 * np.sqrt(3) / length)) if length else 0.0
-    return (1 - a2) ** 3 / (1 + a2)
-
-
-def _constant(record: WhitenedRecord, stated: bool, length: float) -> _Fit:
-    """Best constant variances of a load with this memory, from two guesses of the noise."""
-    whole = with_memory(record, length)
-    sizes, states = _sizes(whole)
-    best = None
-    for share in (1.0,) if stated else (0.1, 1e-3):
-        one = _Fit(whole, stated)
-        power = np.sum(record.y**2, axis=0) / np.maximum(one.there.sum(axis=0), 1)
-        one.b = np.maximum(np.mean(power[:, None] / np.maximum(sizes, 1e-300), axis=0) / record.p, 1e-300)
-        one.p0[record.free] = states[record.free] * one.b.mean()
-        one.r = np.ones(record.m) if stated else share * power
-        one.climb(MOST, 1.0)
-        best = one if best is None or one.value > best.value else best
-    assert best is not None
-    return best
-
-
-def _moved(old: _Fit, record: WhitenedRecord, before: float, length: float) -> _Fit:
-    """The same prior with another memory."""
-    new = _Fit(with_memory(record, length), old.stated)
-    part = _input(length) / _input(before)
-    new.a, new.b, new.r, new.eps2 = old.a * part, old.b * part, old.r.copy(), old.eps2
-    new.p0[: record.n] = old.p0[: record.n]
-    return new
-
-
-MEMORIES = (0.0, 2.0, 3.5, 6.0, 12.0, 30.0)  # samples; those beyond SHORT are asked of the stationary prior alone
-SHORT = 3
-
-
-def _searched(first: _Fit, record: WhitenedRecord, at: int, last: int, **how: Any) -> dict[int, _Fit]:
-    """Fits of the memories from `at` on, downhill in both directions until the evidence falls."""
-    fits = {at: first}
-    for step in (-1, 1):
-        i = at + step
-        while 0 <= i <= last:
-            before = fits[i - step]
-            fits[i] = _moved(before, record, MEMORIES[i - step], MEMORIES[i])
-            fits[i].climb(**how)
-            if fits[i].value < before.value:
-                break
-            i += step
-        if max(fits.values(), key=lambda one: one.value) is not first:
-            break
-    return fits
-
-
-def fit(record: WhitenedRecord, *, stated: bool = False, misfit: bool = True, verbose: bool = False) -> LocalVariance:
-    still = _searched(_constant(record, stated, MEMORIES[SHORT]), record, SHORT, len(MEMORIES) - 1, most=MOST, power=1.0)
-    top = max(still, key=lambda i: still[i].value)
-    at = min(top, SHORT)
-    seed = _moved(still[at], record, MEMORIES[at], MEMORIES[at])
-    seed.a[:], seed.b = 0.45 * seed.b, 0.1 * seed.b
-    seed.climb(TRIED)
-    local = _searched(seed, record, at, SHORT, most=TRIED)
-    best = max(local, key=lambda i: local[i].value)
-    chosen = local[best]
-    s = chosen.climb(MOST)
-    value, passes = chosen.value, [sum(f.passes for f in still.values()), sum(f.passes for f in local.values())]
-    if misfit:
-        chosen.eps2 = 1e-4
-        chosen.missed(s)
-        chosen.climb(MOST, missing=True)
-    passes.append(sum(f.passes for f in local.values())-passes[-1])
-    if verbose:
-        print("  ",{MEMORIES[i]: round(still[i].value,1) for i in still},{MEMORIES[i]: round(local[i].value,1) for i in local},passes)
-    smoother = Smoother(chosen.record, chosen.variances())
-    out = LocalVariance(
-        smoother.given.load, chosen.r, float(np.sqrt(chosen.eps2)), MEMORIES[best], value, still[top].value,
-        chosen.a.size, sum(passes), smoother, smoother.smooth(),
-    )  # fmt: skip
-    sm = Smoother(still[top].record, still[top].variances())
-    object.__setattr__(out, "stat", (still[top].value, MEMORIES[top], still[top], sm.smooth(), sm))
-    return out
+    @classmethod
+    def from_arrays(cls, tree: dict[str, Any]) -> LocalVariancePosterior:
+        """From what `to_arrays` gave."""
+        F, G, C, D, E = (np.asarray(tree[name], float) for name in "FGCDE")
+        kind = np.asarray(tree["samples"]).astype(np.int32)
+        free = np.asarray(tree["free"]).astype(int).reshape(-1)
+        record = WhitenedRecord(F, G, C, D, E, kind, np.zeros((len(kind), C.shape[1])), free, int(tree["data"]))
+        given = Variances(*(np.asarray(tree[name], float) for name in ("v", "noise", "start")))
+        return cls(record, given, np.asarray(tree["load"], float), float(tree["gain"]))
