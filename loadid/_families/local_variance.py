@@ -9,9 +9,7 @@ import numpy as np
 from structures.errors import InputError
 
 from .._inverse.choice import Choice
-from .._inverse.gaussian.local_variance import Smoother
-from .._inverse.gaussian.path import StateSpacePath
-from .._inverse.local_prior import LocalPrior, local_prior, posterior
+from .._inverse.local_prior import LocalPrior, freedom, local_prior, posterior, resolved
 from .._results.facts import Facts
 from .answer import SolvedLoad
 from .histories import half_width
@@ -45,12 +43,12 @@ def learned(posed: Posed, variance: str) -> Learned | None:
     """
     if variance == "constant":
         return None
-    if type(posed.path) is not StateSpacePath:
+    if posed.record is None:
         if variance == "auto":
             return None
         raise InputError("a local variance is learned over the states of a model", where="variance", found=posed.name,
                          expected="a model with state_space()")  # fmt: skip
-    prior = local_prior(posed.path.record, stated=posed.noise.known)
+    prior = local_prior(posed.record, stated=posed.noise.known)
     return Learned(prior, variance == "local" or prior.asked_for)
 
 
@@ -64,27 +62,26 @@ def words(learned: Learned | None) -> str:
 
 def replaced(found: SolvedLoad, learned: Learned, posed: Posed, choice: Choice, dt: float) -> SolvedLoad:
     """The answer with the load of the local prior, where that is used; the facts name both priors in any case."""
-    prior, path = learned.prior, posed.path
+    prior = learned.prior
     facts = {
         **found.facts,
         "log_evidence_local": prior.evidence,
         "log_evidence_stationary": prior.stationary.evidence,
         "gain_for_each_bump": prior.gain,
+        "local_asked_for": prior.asked_for,
     }
     if not learned.asked_for:
         return replace(found, facts=Facts.of(facts))
     load, band, start = posterior(prior)
-    smoother = Smoother(prior.record, prior.given)
     response, residual = posed.compare(load, choice.lam, start)
     at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
     one = np.zeros_like(load)
     one[at] = 1.0
-    seen = smoother.means(path.response(one))[1][:, at[1]]
-    own = smoother.smooth()
+    seen = resolved(prior, one)[:, at[1]]
     facts |= {
         "resolution": half_width(seen) * dt,
         "peak_bias": float(np.clip(1 - seen[at[0]], 0.0, 1.0)),
-        "edf": float(np.sum(prior.given.load * own.rho_variance)),
+        "edf": freedom(prior),
         "model_misfit": prior.misfit,
     }
     flags = tuple(flag for flag in found.flags if not flag.code.endswith(SMEARED))

@@ -14,12 +14,17 @@ it is compared with has a memory too, up to 30 samples, and its gain is counted 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from .gaussian.local_variance import LocalVariancePosterior, Smoothed, Smoother, Variances
+from structures.errors import InputError
+
+from .gaussian.gains import feedback
+from .gaussian.local_variance import Smoothed, Smoother, Variances
+from .gaussian.passes import forward
 from .gaussian.record import WhitenedRecord
 from .gaussian.roots import Array
 
@@ -30,8 +35,8 @@ GAIN = 0.1  # ln evidence of an update below which it is the last
 ENERGY = 16  # samples to each side over which the energy of the response is averaged
 LEAST = 1e-14  # of the largest variance that is kept
 MEMORIES = (0.0, 2.0, 3.5, 6.0, 12.0, 30.0)  # samples
-FIRST, SHORT = 3, 4  # which of them is tried first, and which is the longest that an impact has
-ASKED = 3.0  # gain of ln evidence for each bump in use from which the local prior is the one to use
+FIRST = 3  # which of them is tried first
+ASKED = {0.0: 2.2, 2.0: 2.2, 3.5: 2.2, 6.0: 2.2, 12.0: 6.0}  # memory -> gain for each bump in use that is no chance
 TINY = np.finfo(float).tiny
 
 
@@ -85,7 +90,7 @@ class LocalPrior(StationaryPrior):
     def participation(self) -> Array:
         """Share of the record over which the variance of each load is spread, (p,)."""
         v = self.given.load / np.maximum(self.given.load.max(axis=0), TINY)
-        return v.sum(axis=0) ** 2 / (len(v) * np.maximum(np.sum(v**2, axis=0), TINY))
+        return np.asarray(v.sum(axis=0) ** 2 / (len(v) * np.maximum(np.sum(v**2, axis=0), TINY)))
 
     @property
     def gain(self) -> float:
@@ -95,7 +100,7 @@ class LocalPrior(StationaryPrior):
     @property
     def asked_for(self) -> bool:
         """Whether the data ask for it: the gain is no chance, and the load has no memory beyond a pulse."""
-        return self.gain > ASKED and self.memory <= MEMORIES[SHORT]
+        return self.gain > ASKED.get(self.memory, np.inf)
 
 
 def posterior(prior: StationaryPrior, gain: float = 0.0) -> tuple[Array, LocalVariancePosterior, Array]:
@@ -107,9 +112,20 @@ def posterior(prior: StationaryPrior, gain: float = 0.0) -> tuple[Array, LocalVa
     gain : float
         Relative std of an error of the gain, as stated or found from repeats.
     """
-    smoother = Smoother(prior.record, prior.given)
-    _, load, _, _, first = smoother.means(prior.record.y)
+    _, load, _, _, first = Smoother(prior.record, prior.given).means(prior.record.y)
     return load, LocalVariancePosterior(prior.record, prior.given, load, gain), prior.given.start @ first
+
+
+def resolved(prior: StationaryPrior, load: Array) -> Array:
+    """What would be estimated from the noise-free response of a load (samples, p)."""
+    r = prior.record
+    response = forward(r, feedback(r, r.E), np.ascontiguousarray(load, float), np.zeros(r.n))[2]
+    return Smoother(r, prior.given).means(response)[1]
+
+
+def freedom(prior: StationaryPrior) -> float:
+    """Effective degrees of freedom of the load."""
+    return float(np.sum(prior.given.load * Smoother(prior.record, prior.given, loads=False).smooth().rho_variance))
 
 
 def local_prior(record: WhitenedRecord, *, stated: bool = False, misfit: bool = True) -> LocalPrior:
@@ -138,11 +154,69 @@ def local_prior(record: WhitenedRecord, *, stated: bool = False, misfit: bool = 
         chosen.misfit2 = 1e-4
         chosen.weigh(last)
         chosen.climb(MOST, missing=True)
-    constant = StationaryPrior(still[top].evidence, MEMORIES[top], still[top].record, still[top].variances(), still[top].r)
+    constant = StationaryPrior(
+        still[top].evidence, MEMORIES[top], still[top].record, still[top].variances(), still[top].r
+    )
     return LocalPrior(
         evidence, MEMORIES[best], chosen.record, chosen.variances(), chosen.r, constant, float(np.sqrt(chosen.misfit2)),
         chosen.b.size, sum(one.updates for one in (*still.values(), *local.values())),
     )  # fmt: skip
+
+
+class LocalVariancePosterior:
+    """Covariance of a load whose prior variance changes with time, never formed.
+
+    Parameters
+    ----------
+    record : WhitenedRecord
+        Its data are not used.
+    given : Variances
+    load : array, shape (samples, p)
+        Estimate, of which `gain` is a part.
+    gain : float
+        Relative std of the gain of model and sensors, common to the whole record: a tolerance, not learned.
+    """
+
+    kind = "local variance"
+
+    def __init__(self, record: WhitenedRecord, given: Variances, load: Array, gain: float = 0.0) -> None:
+        self._smoother = Smoother(replace(record, y=np.zeros_like(record.y)), given)
+        self.load, self.gain, self.shape = np.asarray(load, float), float(gain), (record.samples, record.p)
+
+    @cached_property
+    def std(self) -> Array:
+        """Standard deviation, shape (samples, loads)."""
+        return np.sqrt(self._smoother.variance + (self.gain * self.load) ** 2)
+
+    def variance(self, w: Array) -> Array:
+        """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
+        w = np.asarray(w, float)
+        if w.shape[-2:] != self.shape or w.ndim > 3:
+            raise InputError("the weights do not fit the load", where="w", found=f"shape {w.shape}",
+                             expected=f"shape {self.shape}, or a stack of such")  # fmt: skip
+        if w.ndim == 3:
+            return np.array([self.variance(one) for one in w])
+        own = float(np.sum(w * self._smoother.covariance_times(w)))
+        return np.asarray(max(own, 0.0) + (self.gain * float(np.sum(w * self.load))) ** 2)
+
+    def to_arrays(self) -> dict[str, object]:
+        """Plain arrays, for a result file."""
+        r, given = self._smoother.record, self._smoother.given
+        return {
+            "kind": self.kind, "F": r.F, "G": r.G, "C": r.C, "D": r.D, "E": r.E, "samples": r.kind, "free": r.free,
+            "data": r.data, "v": given.load, "noise": given.noise, "start": given.start, "load": self.load,
+            "gain": self.gain,
+        }  # fmt: skip
+
+    @classmethod
+    def from_arrays(cls, tree: dict[str, Any]) -> LocalVariancePosterior:
+        """From what `to_arrays` gave."""
+        F, G, C, D, E = (np.asarray(tree[name], float) for name in "FGCDE")
+        kind = np.asarray(tree["samples"]).astype(np.int32)
+        free = np.asarray(tree["free"]).astype(int).reshape(-1)
+        record = WhitenedRecord(F, G, C, D, E, kind, np.zeros((len(kind), C.shape[1])), free, int(tree["data"]))
+        given = Variances(*(np.asarray(tree[name], float) for name in ("v", "noise", "start")))
+        return cls(record, given, np.asarray(tree["load"], float), float(tree["gain"]))
 
 
 # -- inside ------------------------------------------------------------------------------------------------------------
@@ -277,7 +351,7 @@ def _constant(record: WhitenedRecord, stated: bool) -> Fit:
     for share in (1.0,) if stated else (0.1, 1e-3):
         one = Fit(whole, stated)
         power = np.sum(record.y**2, axis=0) / np.maximum(one.there.sum(axis=0), 1)
-        one.floor = np.maximum(np.mean(power[:, None] / np.maximum(sizes, TINY), axis=0) / record.p, TINY)
+        one.floor = np.maximum(power.sum() / np.maximum(sizes.sum(axis=0), TINY) / record.p, TINY)
         one.start[record.free] = states[record.free] * one.floor.mean()
         one.r = np.ones(record.m) if stated else np.maximum(share * power, TINY)
         one.climb(MOST, 1.0)

@@ -193,7 +193,7 @@ class SpectralPosterior:
 
 ELSEWHERE = {  # kind -> module and class that reads it
     "convolved": (".convolved.posterior", "ConvolvedPosterior"),
-    "local variance": (".gaussian.local_variance", "LocalVariancePosterior"),
+    "local variance": (".local_prior", "LocalVariancePosterior"),
     "mapped": (".gaussian.posterior", "MappedPosterior"),
     "statespace": (".gaussian.posterior", "StateSpacePosterior"),
     "statespace, sized": (".gaussian.sized", "SizedPosterior"),

@@ -20,6 +20,7 @@ from ..._inverse import penalties
 from ..._inverse.constrained.nonnegative import NonNegativeRecord
 from ..._inverse.convolved.padded import SpectralPath
 from ..._inverse.diagnosis import diagnose
+from ..._inverse.gaussian.record import WhitenedRecord
 from ..._inverse.noise_source import NoiseSource
 from ..._inverse.path import RegularizationPath
 from ...settings import Lambda, Noise, Penalty, one_of
@@ -79,8 +80,8 @@ class PosingSettings:
         beside = self.penalty.size is not None or self.penalty.leak is not None or self.penalty.from_zero
         if not plain or beside or self.truncated or self.signed is not False:
             raise InputError("a variance that changes with time stands for the penalty", where="variance",
-                             found="another penalty, truncation or signs beside it",
-                             expected="penalty=Penalty('identity', variance='local'), Tikhonov, no constraints")  # fmt: skip
+                             found="another penalty, truncation or signs beside it", hint="leave one of them out",
+                             expected="Penalty('identity', variance='local'), Tikhonov, no constraints")  # fmt: skip
 
     @property
     def free(self) -> bool:
@@ -170,6 +171,8 @@ class Posed:
         What the rules are asked on: the path itself, or the windows of a long record.
     pushing : callable, optional
         Numbers of the loads that only push (None: all) -> the same problem under signs.
+    record : WhitenedRecord, optional
+        The data over the states of the model, where the problem is posed on them.
     """
 
     path: RegularizationPath
@@ -183,6 +186,7 @@ class Posed:
     unknowns: int
     judged: RegularizationPath
     pushing: Callable[[ArrayLike | None], NonNegativeRecord] | None = None
+    record: WhitenedRecord | None = None
 
     @property
     def rank(self) -> int:

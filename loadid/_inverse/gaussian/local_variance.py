@@ -14,13 +14,10 @@ T' and G' lie together in memory, so that every inner loop is a sum of rows; F g
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-
-from structures.errors import InputError
 
 from .compiled import Compiled, multiply, multiply_by_transposed
 from .record import WhitenedRecord
@@ -200,7 +197,7 @@ def _information(
     rows: Array, columns: Array, values: Array, Gt: Array, C: Array, D: Array, kind: Array, v: Array, gains: Array,
     inverses: Array, reads: Array, Q: Array, noise: Array, variance: Array, N: Array,
 ) -> None:  # fmt: skip
-    """Fill the variances of rho and e, and those of the loads, begun with E P E', where asked for; N ends at the start."""
+    """Fill variances of rho, e and, begun with E P E', of the loads where asked for; N ends as that of the start."""
     n, p, m, q = len(N), Gt.shape[1], C.shape[1], reads.shape[1]
     W, NW, NK, U, Z = np.empty((p, n)), np.empty((p, n)), np.empty((m, n)), np.empty((m, n)), np.empty((m, m))
     half, turned, moved = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
@@ -363,7 +360,12 @@ class Smoother:
     def means(self, y: Array) -> tuple[float, Array, Array, Array, Array]:
         """``sum nu' S^-1 nu``, loads, rho, e, and r of the first state, of whitened data (samples, m)."""
         r = self.record
-        e, rho, load, first = np.empty((r.samples, r.m)), np.empty(self._v.shape), np.empty(self._v.shape), np.empty(r.n)
+        e, rho, load, first = (
+            np.empty((r.samples, r.m)),
+            np.empty(self._v.shape),
+            np.empty(self._v.shape),
+            np.empty(r.n),
+        )
         squares = _means(
             *self._system, self._E, r.kind, np.ascontiguousarray(y), self._v, self._gains, self._inverses,
             self._reads, e, rho, load, first,
@@ -384,10 +386,6 @@ class Smoother:
         self._information(out)
         return np.maximum(out, 0.0)
 
-    def first_state(self) -> Array:
-        """Mean of the first state (n,)."""
-        return self.given.start @ self.means(self.record.y)[-1]
-
     def covariance_times(self, w: Array) -> Array:
         """Posterior covariance of the loads times weights (samples, p)."""
         r = self.record
@@ -406,59 +404,3 @@ class Smoother:
             *self._system, r.kind, self._v, self._gains, self._inverses, self._reads, rho, e, variance, N
         )  # fmt: skip
         return rho, e, N
-
-
-class LocalVariancePosterior:
-    """Covariance of a load whose prior variance changes with time, never formed.
-
-    Parameters
-    ----------
-    record : WhitenedRecord
-        Its data are not used.
-    given : Variances
-    load : array, shape (samples, p)
-        Estimate, of which `gain` is a part.
-    gain : float
-        Relative std of the gain of model and sensors, common to the whole record: a tolerance, not learned.
-    """
-
-    kind = "local variance"
-
-    def __init__(self, record: WhitenedRecord, given: Variances, load: Array, gain: float = 0.0) -> None:
-        self._smoother = Smoother(replace(record, y=np.zeros_like(record.y)), given)
-        self.load, self.gain, self.shape = np.asarray(load, float), float(gain), (record.samples, record.p)
-
-    @cached_property
-    def std(self) -> Array:
-        """Standard deviation, shape (samples, loads)."""
-        return np.sqrt(self._smoother.variance + (self.gain * self.load) ** 2)
-
-    def variance(self, w: Array) -> Array:
-        """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
-        w = np.asarray(w, float)
-        if w.shape[-2:] != self.shape or w.ndim > 3:
-            raise InputError("the weights do not fit the load", where="w", found=f"shape {w.shape}",
-                             expected=f"shape {self.shape}, or a stack of such")  # fmt: skip
-        if w.ndim == 3:
-            return np.array([self.variance(one) for one in w])
-        own = float(np.sum(w * self._smoother.covariance_times(w)))
-        return np.asarray(max(own, 0.0) + (self.gain * float(np.sum(w * self.load))) ** 2)
-
-    def to_arrays(self) -> dict[str, object]:
-        """Plain arrays, for a result file."""
-        r, given = self._smoother.record, self._smoother.given
-        return {
-            "kind": self.kind, "F": r.F, "G": r.G, "C": r.C, "D": r.D, "E": r.E, "samples": r.kind, "free": r.free,
-            "data": r.data, "v": given.load, "noise": given.noise, "start": given.start, "load": self.load,
-            "gain": self.gain,
-        }  # fmt: skip
-
-    @classmethod
-    def from_arrays(cls, tree: dict[str, Any]) -> LocalVariancePosterior:
-        """From what `to_arrays` gave."""
-        F, G, C, D, E = (np.asarray(tree[name], float) for name in "FGCDE")
-        kind = np.asarray(tree["samples"]).astype(np.int32)
-        free = np.asarray(tree["free"]).astype(int).reshape(-1)
-        record = WhitenedRecord(F, G, C, D, E, kind, np.zeros((len(kind), C.shape[1])), free, int(tree["data"]))
-        given = Variances(*(np.asarray(tree[name], float) for name in ("v", "noise", "start")))
-        return cls(record, given, np.asarray(tree["load"], float), float(tree["gain"]))
