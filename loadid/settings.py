@@ -39,6 +39,7 @@ __all__ = [
     "Sparsity",
 ]
 
+VARIANCES = ("constant", "local", "auto")
 METHODS = ("tikhonov", "tsvd")
 PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
 OVER = ("neighbours", "line", "band")
@@ -286,6 +287,9 @@ class Penalty(Setting):
         not see a constant. State-space path only.
     from_zero : bool
         The load is zero before the record, and a difference penalty counts its first step. State-space path only.
+    variance : {"constant", "local", "auto"}
+        Of the load over the record: the same at every sample, as a penalty has it; learned from the data at every
+        sample, for impacts (`Deconvolution`, identity, a model with states); or whichever the data ask for.
 
     Raises
     ------
@@ -297,10 +301,12 @@ class Penalty(Setting):
     size: ArrayLike | None = None
     leak: float | None = None
     from_zero: bool = False
+    variance: str = "constant"
 
     def __post_init__(self) -> None:
         if isinstance(self.L, str):
             order(self.L)
+        one_of("variance", self.variance, VARIANCES)
         one_of("from_zero", self.from_zero, (False, True))
         if self.leak is not None:
             self._put("leak", number("leak", self.leak, where="leak"))

@@ -24,7 +24,7 @@ from .._inverse.penalties import order
 from .._results.estimate import LoadEstimate
 from .._spellings import takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty
-from . import histories
+from . import histories, local_variance
 from .answer import SolvedLoad, answer, beyond_noise, of_path, over_time, undetermined
 from .data import Data, gather
 from .histories import facts as pushing_facts
@@ -57,7 +57,7 @@ class Deconvolution:
     penalty : str, array, None or Penalty
         ``identity, first_difference, second_difference`` (``gradient``, ``laplacian``), a matrix of shape
         (rows, samples * loads), or None for plain least squares, refused where the data do not determine the load;
-        beside it, what else holds the load: `loadid.Penalty`.
+        beside it, what else holds the load, and a variance that changes with time, for impacts: `loadid.Penalty`.
     choice : str, callable, float, None or Lambda
         Rule by name or itself (`loadid.register_rule`), or relative lambda; None chooses as
         `loadid.paths.choose` says. Truncation in place of Tikhonov and the solver: `loadid.Lambda`.
@@ -83,7 +83,7 @@ class Deconvolution:
     name = "deconvolution"
 
     @takes(
-        penalty=(Penalty, "size leak from_zero"),
+        penalty=(Penalty, "size leak from_zero variance"),
         choice=(Lambda, "method path"),
         noise=(Noise, "source"),
         allow=(Guards, "coverage load_class"),
@@ -150,11 +150,15 @@ class Deconvolution:
             keep = self.choice is not None
             pushed, choice = push(posed, choice, sigma, signed, keep, lambda f, t: self._progress(0.7 + 0.2 * f, t))
         found = self._found(posed, choice, sigma, data, pushed)
+        local = local_variance.learned(posed, self.settings.penalty.variance)
+        if local is not None:
+            found = local_variance.replaced(found, local, posed, choice, data.dt)
         self._progress(1.0, "done")
         return answer(
             self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),
-            prior=_prior(self.settings) + ("" if pushed is None else "; it only pushes"),
+            prior=local_variance.words(local) or _prior(self.settings) + ("" if pushed is None else "; it only pushes"),
             flags=self._flags(posed, choice, data, found), searched=posed.judged, full=posed.full, free=self._free,
+            judged=local is None or not local.asked_for,
         )  # fmt: skip
 
     def _found(
@@ -245,6 +249,7 @@ class Deconvolution:
             "penalty": s.penalty.L if isinstance(s.penalty.L, str | None) else "matrix",
             "size": None if s.penalty.size is None else np.asarray(s.penalty.size, float).tolist(),
             "choice": named(self.choice),
+            **({} if s.penalty.variance == "constant" else {"variance": s.penalty.variance}),
             "hold": s.hold,
             "path": posed.name,
             "noise_source": posed.noise.source.text,

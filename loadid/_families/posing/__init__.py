@@ -88,7 +88,8 @@ def _kind(model: Model, data: Data, settings: PosingSettings) -> tuple[str, Stat
         return settings.lam.path, system
     if settings.truncated:
         return ("dense" if unknowns <= DENSE else "fft"), None
-    if not settings.named or settings.free or (unknowns <= SMALL and not (gaps or floating or settings.special)):
+    by_states = settings.special or (settings.penalty.variance == "auto" and model.gives("state_space"))
+    if not settings.named or settings.free or (unknowns <= SMALL and not (gaps or floating or by_states)):
         return "dense", None
     system = state_space_of(model, data.dt, settings.hold)
     if system is not None and (len(system.A) <= MOST or settings.special or settings.penalty.size is not None):

@@ -124,7 +124,7 @@ def states(system: StateSpace, h: Array, late: int, noise: NoiseLevel, data: Dat
         return NonNegativeRecord(own, signed)
 
     name, visible = "state space, O(N)", layout(own)
-    return Posed(path, noise, compare, values, name, h[:, rows], visible, full, path.unknowns, judged, pushing)
+    return Posed(path, noise, compare, values, name, h[:, rows], visible, full, path.unknowns, judged, pushing, own)
 
 
 def _constants(data: Data, sensors: int) -> NDArray[np.float64]:

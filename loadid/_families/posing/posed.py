@@ -20,6 +20,7 @@ from ..._inverse import penalties
 from ..._inverse.constrained.nonnegative import NonNegativeRecord
 from ..._inverse.convolved.padded import SpectralPath
 from ..._inverse.diagnosis import identifiability
+from ..._inverse.gaussian.record import WhitenedRecord
 from ..._inverse.path import RegularizationPath
 from ..._inverse.problem import NoiseSource
 from ...settings import Lambda, Noise, Penalty, one_of
@@ -58,6 +59,8 @@ class PosingSettings:
                 found="'tsvd'" if self.truncated else "signs" if self.signed is not False else "a matrix or None",
                 expected="penalty=Penalty('first_difference', size=...) or another name, Tikhonov, no constraints",
             )  # fmt: skip
+        if self.penalty.variance != "constant":
+            self._check_local()
         if isinstance(self.initial, str):
             one_of("initial", self.initial, ("rest", "unknown"))
         else:
@@ -71,6 +74,14 @@ class PosingSettings:
         if self.signed is not False:
             raise InputError("a truncated SVD takes no constraints", where="method", found="'tsvd'",
                              expected="method='tikhonov'")  # fmt: skip
+
+    def _check_local(self) -> None:
+        plain = self.penalty.L == "identity" if isinstance(self.penalty.L, str) else False
+        beside = self.penalty.size is not None or self.penalty.leak is not None or self.penalty.from_zero
+        if not plain or beside or self.truncated or self.signed is not False:
+            raise InputError("a variance that changes with time stands for the penalty", where="variance",
+                             found="another penalty, truncation or signs beside it", hint="leave one of them out",
+                             expected="Penalty('identity', variance='local'), Tikhonov, no constraints")  # fmt: skip
 
     @property
     def free(self) -> bool:
@@ -95,7 +106,8 @@ class PosingSettings:
     @property
     def special(self) -> bool:
         """Asks for what only the state-space path gives."""
-        return not self.resting or self.penalty.leak is not None or self.penalty.from_zero
+        local = self.penalty.variance == "local"
+        return not self.resting or self.penalty.leak is not None or self.penalty.from_zero or local
 
     def sizes(self, loads: int) -> NDArray[np.float64] | None:
         """Weight of the size of each load beside its differences.
@@ -123,7 +135,7 @@ class PosingSettings:
         """
         if self.special or (self.penalty.size is not None and path != "dense"):
             name = "leak" if self.penalty.leak is not None else "from_zero" if self.penalty.from_zero else "size"
-            name = name if self.resting else "initial"
+            name = "variance" if self.penalty.variance == "local" else name if self.resting else "initial"
             raise InputError(
                 f"the {path} path does not know this setting", where=name,
                 found=repr(self.penalty if self.resting else self.initial)[:60],
@@ -159,6 +171,8 @@ class Posed:
         What the rules are asked on: the path itself, or the windows of a long record.
     pushing : callable, optional
         Numbers of the loads that only push (None: all) -> the same problem under signs.
+    record : WhitenedRecord, optional
+        The data over the states of the model, where the problem is posed on them.
     """
 
     path: RegularizationPath
@@ -172,6 +186,7 @@ class Posed:
     unknowns: int
     judged: RegularizationPath
     pushing: Callable[[ArrayLike | None], NonNegativeRecord] | None = None
+    record: WhitenedRecord | None = None
 
     @property
     def rank(self) -> int:

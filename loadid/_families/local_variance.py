@@ -1,0 +1,89 @@
+"""The load under a prior whose variance changes with time, in place of that of one lambda."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from structures.errors import InputError
+
+from .._inverse.choice import Choice
+from .._inverse.local_prior import LocalPrior, freedom, local_prior, posterior, resolved
+from .._results.facts import Facts
+from .answer import SolvedLoad
+from .histories import half_width
+from .posing import Posed
+
+SMEARED = "W311"
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """Both priors, and whether the local one is used.
+
+    Parameters
+    ----------
+    prior : LocalPrior
+    asked_for : bool
+        By the user, or by the data.
+    """
+
+    prior: LocalPrior
+    asked_for: bool
+
+
+def learned(posed: Posed, variance: str) -> Learned | None:
+    """Both priors of a problem; None where none is to be learned, or where there are no states to learn it from.
+
+    Raises
+    ------
+    InputError
+        Asked for by name, on another path.
+    """
+    if variance == "constant":
+        return None
+    if posed.record is None:
+        if variance == "auto":
+            return None
+        raise InputError("a local variance is learned over the states of a model", where="variance", found=posed.name,
+                         expected="a model with state_space()")  # fmt: skip
+    prior = local_prior(posed.record, stated=posed.noise.known)
+    return Learned(prior, variance == "local" or prior.asked_for)
+
+
+def words(learned: Learned | None) -> str:
+    """The prior in words; "" where it is that of the penalty."""
+    if learned is None or not learned.asked_for:
+        return ""
+    memory = "white" if not learned.prior.memory else f"smooth over {learned.prior.memory:g} samples"
+    return f"a load of zero mean whose variance changes with time, {memory}"
+
+
+def replaced(found: SolvedLoad, learned: Learned, posed: Posed, choice: Choice, dt: float) -> SolvedLoad:
+    """The answer with the load of the local prior, where that is used; the facts name both priors in any case."""
+    prior = learned.prior
+    facts = {
+        **found.facts,
+        "log_evidence_local": prior.evidence,
+        "log_evidence_stationary": prior.stationary.evidence,
+        "gain_for_each_bump": prior.gain,
+        "local_asked_for": prior.asked_for,
+    }
+    if not learned.asked_for:
+        return replace(found, facts=Facts.of(facts))
+    load, band, start = posterior(prior)
+    response, residual = posed.compare(load, choice.lam, start)
+    at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
+    one = np.zeros_like(load)
+    one[at] = 1.0
+    seen = resolved(prior, one)[:, at[1]]
+    facts |= {
+        "resolution": half_width(seen) * dt,
+        "peak_bias": float(np.clip(1 - seen[at[0]], 0.0, 1.0)),
+        "edf": freedom(prior),
+        "model_misfit": prior.misfit,
+    }
+    flags = tuple(flag for flag in found.flags if not flag.code.endswith(SMEARED))
+    return replace(found, load=load, std=band.std, posterior=band, bias=None, response=response, residual=residual,
+                   facts=Facts.of(facts), flags=flags)  # fmt: skip

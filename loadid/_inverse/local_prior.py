@@ -1,0 +1,385 @@
+"""A load prior of local variance, learned by evidence, beside the best stationary one; and which of the two to use.
+
+    g = 2 a g(-1) - a^2 g(-2) + w,   a = exp(-sqrt(3) / memory),   w ~ N(0, v),   v = Phi b + floor
+
+Phi holds triangular bumps; memory 0 is a white load. Variances climb by ``v <- v (sum phi rho^2 / sum phi Q)^s``, from
+the two halves of their score (`gaussian.local_variance`): D. MacKay's rule, Neural Comput. 4 (1992) 415, at s = 1;
+never down at s = 1/2 (D. Wipf & S. Nagarajan, IEEE J. Sel. Top. Signal Process. 4 (2010) 317); .8 for bumps. The
+variances of the noise, of an unknown start, and of an error of the model in proportion to the energy of the response,
+``R_k = r + misfit^2 p_k``, are learned by the same rule.
+
+Raw evidence prefers the local prior on nearly all records, as it has hundreds of numbers more. The stationary one that
+it is compared with has a memory too, up to 30 samples, and its gain is counted for each bump that is in use.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from structures.errors import InputError
+
+from .gaussian.gains import feedback
+from .gaussian.local_variance import Smoothed, Smoother, Variances
+from .gaussian.passes import forward
+from .gaussian.record import WhitenedRecord
+from .gaussian.roots import Array
+
+HALF, STRIDE = 8, 4  # samples: half-width of a bump, distance of two
+POWER = 0.8  # of the update of bumps
+MOST, TRIED = 60, 12  # updates, and those after which memories are compared
+GAIN = 0.1  # ln evidence of an update below which it is the last
+ENERGY = 16  # samples to each side over which the energy of the response is averaged
+LEAST = 1e-14  # of the largest variance that is kept
+MEMORIES = (0.0, 2.0, 3.5, 6.0, 12.0, 30.0)  # samples
+FIRST = 3  # which of them is tried first
+ASKED = {0.0: 2.2, 2.0: 2.2, 3.5: 2.2, 6.0: 2.2, 12.0: 6.0}  # memory -> gain for each bump in use that is no chance
+TINY = np.finfo(float).tiny
+
+
+@dataclass(frozen=True, eq=False)
+class StationaryPrior:
+    """The best load of constant variance.
+
+    Parameters
+    ----------
+    evidence : float
+        Log likelihood of the whitened data.
+    memory : float
+        In samples.
+    record : WhitenedRecord
+        With the memory as states.
+    given : Variances
+    noise : array, shape (m,)
+        Variances of the noise of the whitened channels.
+    """
+
+    evidence: float
+    memory: float
+    record: WhitenedRecord
+    given: Variances
+    noise: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LocalPrior(StationaryPrior):
+    """A load whose variance changes with time, learned from the data.
+
+    Parameters
+    ----------
+    evidence, memory, record, given, noise
+        As in `StationaryPrior`; the evidence is that without `misfit`, to be compared.
+    stationary : StationaryPrior
+    misfit : float
+        Error of the model in parts of the response.
+    bumps : int
+        Variances that were learned beyond the stationary ones.
+    updates : int
+        Smoother passes, all memories together.
+    """
+
+    stationary: StationaryPrior
+    misfit: float
+    bumps: int
+    updates: int
+
+    @property
+    def participation(self) -> Array:
+        """Share of the record over which the variance of each load is spread, (p,)."""
+        v = self.given.load / np.maximum(self.given.load.max(axis=0), TINY)
+        return np.asarray(v.sum(axis=0) ** 2 / (len(v) * np.maximum(np.sum(v**2, axis=0), TINY)))
+
+    @property
+    def gain(self) -> float:
+        """Log evidence beyond the stationary prior, for each bump in use."""
+        return (self.evidence - self.stationary.evidence) / (self.bumps * float(self.participation.mean()))
+
+    @property
+    def asked_for(self) -> bool:
+        """Whether the data ask for it: the gain is no chance, and the load has no memory beyond a pulse."""
+        return self.gain > ASKED.get(self.memory, np.inf)
+
+
+def posterior(prior: StationaryPrior, gain: float = 0.0) -> tuple[Array, LocalVariancePosterior, Array]:
+    """Mean of the load (samples, p), its posterior, and the mean of the first state.
+
+    Parameters
+    ----------
+    prior : LocalPrior or StationaryPrior
+    gain : float
+        Relative std of an error of the gain, as stated or found from repeats.
+    """
+    _, load, _, _, first = Smoother(prior.record, prior.given).means(prior.record.y)
+    return load, LocalVariancePosterior(prior.record, prior.given, load, gain), prior.given.start @ first
+
+
+def resolved(prior: StationaryPrior, load: Array) -> Array:
+    """What would be estimated from the noise-free response of a load (samples, p)."""
+    r = prior.record
+    response = forward(r, feedback(r, r.E), np.ascontiguousarray(load, float), np.zeros(r.n))[2]
+    return Smoother(r, prior.given).means(response)[1]
+
+
+def freedom(prior: StationaryPrior) -> float:
+    """Effective degrees of freedom of the load."""
+    return float(np.sum(prior.given.load * Smoother(prior.record, prior.given, loads=False).smooth().rho_variance))
+
+
+def local_prior(record: WhitenedRecord, *, stated: bool = False, misfit: bool = True) -> LocalPrior:
+    """Learn both priors from a record of a load without penalty (E = 0).
+
+    Parameters
+    ----------
+    record : WhitenedRecord
+        Its free states start with a variance each, which is learned.
+    stated : bool
+        The noise is stated: its whitened variance stays 1.
+    misfit : bool
+        Learn an error of the model in proportion to the response.
+    """
+    still = _searched(_constant(record, stated), record, FIRST, MOST, 1.0)
+    top = max(still, key=lambda i: still[i].evidence)
+    seed = _moved(still[top], record, MEMORIES[top], MEMORIES[top])
+    seed.b[:], seed.floor = 0.45 * seed.floor, 0.1 * seed.floor
+    seed.climb(TRIED)
+    local = _searched(seed, record, top, TRIED, POWER)
+    best = max(local, key=lambda i: local[i].evidence)
+    chosen = local[best]
+    last = chosen.climb(MOST)
+    evidence = chosen.evidence
+    if misfit:
+        chosen.misfit2 = 1e-4
+        chosen.weigh(last)
+        chosen.climb(MOST, missing=True)
+    constant = StationaryPrior(
+        still[top].evidence, MEMORIES[top], still[top].record, still[top].variances(), still[top].r
+    )
+    return LocalPrior(
+        evidence, MEMORIES[best], chosen.record, chosen.variances(), chosen.r, constant, float(np.sqrt(chosen.misfit2)),
+        chosen.b.size, sum(one.updates for one in (*still.values(), *local.values())),
+    )  # fmt: skip
+
+
+class LocalVariancePosterior:
+    """Covariance of a load whose prior variance changes with time, never formed.
+
+    Parameters
+    ----------
+    record : WhitenedRecord
+        Its data are not used.
+    given : Variances
+    load : array, shape (samples, p)
+        Estimate, of which `gain` is a part.
+    gain : float
+        Relative std of the gain of model and sensors, common to the whole record: a tolerance, not learned.
+    """
+
+    kind = "local variance"
+
+    def __init__(self, record: WhitenedRecord, given: Variances, load: Array, gain: float = 0.0) -> None:
+        self._smoother = Smoother(replace(record, y=np.zeros_like(record.y)), given)
+        self.load, self.gain, self.shape = np.asarray(load, float), float(gain), (record.samples, record.p)
+
+    @cached_property
+    def std(self) -> Array:
+        """Standard deviation, shape (samples, loads)."""
+        return np.sqrt(self._smoother.variance + (self.gain * self.load) ** 2)
+
+    def variance(self, w: Array) -> Array:
+        """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
+        w = np.asarray(w, float)
+        if w.shape[-2:] != self.shape or w.ndim > 3:
+            raise InputError("the weights do not fit the load", where="w", found=f"shape {w.shape}",
+                             expected=f"shape {self.shape}, or a stack of such")  # fmt: skip
+        if w.ndim == 3:
+            return np.array([self.variance(one) for one in w])
+        own = float(np.sum(w * self._smoother.covariance_times(w)))
+        return np.asarray(max(own, 0.0) + (self.gain * float(np.sum(w * self.load))) ** 2)
+
+    def to_arrays(self) -> dict[str, object]:
+        """Plain arrays, for a result file."""
+        r, given = self._smoother.record, self._smoother.given
+        return {
+            "kind": self.kind, "F": r.F, "G": r.G, "C": r.C, "D": r.D, "E": r.E, "samples": r.kind, "free": r.free,
+            "data": r.data, "v": given.load, "noise": given.noise, "start": given.start, "load": self.load,
+            "gain": self.gain,
+        }  # fmt: skip
+
+    @classmethod
+    def from_arrays(cls, tree: dict[str, Any]) -> LocalVariancePosterior:
+        """From what `to_arrays` gave."""
+        F, G, C, D, E = (np.asarray(tree[name], float) for name in "FGCDE")
+        kind = np.asarray(tree["samples"]).astype(np.int32)
+        free = np.asarray(tree["free"]).astype(int).reshape(-1)
+        record = WhitenedRecord(F, G, C, D, E, kind, np.zeros((len(kind), C.shape[1])), free, int(tree["data"]))
+        given = Variances(*(np.asarray(tree[name], float) for name in ("v", "noise", "start")))
+        return cls(record, given, np.asarray(tree["load"], float), float(tree["gain"]))
+
+
+# -- inside ------------------------------------------------------------------------------------------------------------
+def with_memory(record: WhitenedRecord, memory: float) -> WhitenedRecord:
+    """Record of a load with this memory in samples; of a white one as it is."""
+    if not memory:
+        return record
+    n, p, kinds = record.n, record.p, len(record.F)
+    a = float(np.exp(-np.sqrt(3) / memory))
+    E = np.hstack([2 * a * np.eye(p), -(a**2) * np.eye(p)])
+    F = np.zeros((kinds, n + 2 * p, n + 2 * p))
+    F[:, :n, :n], F[:, :n, n:], F[:, n:, n:] = record.F, record.G @ E, np.vstack([E, np.eye(p, 2 * p)])
+    G = np.concatenate([record.G, np.broadcast_to(np.eye(2 * p, p), (kinds, 2 * p, p))], axis=1)
+    return WhitenedRecord(
+        F, np.ascontiguousarray(G), np.concatenate([record.C, record.D @ E], axis=2), np.ascontiguousarray(record.D),
+        np.hstack([np.zeros((p, n)), E]), record.kind, record.y, record.free, record.data,
+    )  # fmt: skip
+
+
+def input_variance(memory: float) -> float:
+    """Variance of the white input of a load of variance one."""
+    a2 = float(np.exp(-2 * np.sqrt(3) / memory)) if memory else 0.0
+    return (1 - a2) ** 3 / (1 + a2)
+
+
+def bumps(samples: int) -> Any:
+    """Triangles (samples, count), sparse."""
+    from scipy.sparse import csr_array
+
+    centres, offsets = np.arange(-STRIDE, samples + STRIDE, STRIDE), np.arange(-HALF + 1, HALF)
+    at = centres + offsets[:, None]
+    height = np.broadcast_to(1 - np.abs(offsets[:, None]) / HALF, at.shape)
+    column = np.broadcast_to(np.arange(len(centres)), at.shape)
+    inside = (at >= 0) & (at < samples)
+    return csr_array((height[inside], (at[inside], column[inside])), shape=(samples, len(centres)))
+
+
+class Fit:
+    """The variances while they are learned.
+
+    Parameters
+    ----------
+    record : WhitenedRecord
+    stated : bool
+
+    Attributes
+    ----------
+    b, floor, r : array, shapes (bumps, p), (p,), (m,)
+    start : array, shape (n,)
+        Variances of the first state.
+    misfit2 : float
+    evidence : float
+        Of the last pass.
+    updates : int
+    """
+
+    def __init__(self, record: WhitenedRecord, stated: bool) -> None:
+        self.record, self.stated = record, stated
+        shown = np.any(record.C != 0, axis=2) | np.any(record.D != 0, axis=2)
+        self.there = shown[record.kind]
+        self.phi = bumps(record.samples)
+        self.b, self.floor = np.zeros((self.phi.shape[1], record.p)), np.ones(record.p)
+        self.r, self.start = np.ones(record.m), np.zeros(record.n)
+        self.misfit2, self.power = 0.0, np.zeros((record.samples, record.m))
+        self.updates, self.evidence = 0, -np.inf
+
+    def variances(self) -> Variances:
+        """As a smoother takes them."""
+        noise = np.where(self.there, self.r + self.misfit2 * self.power, 1.0)
+        return Variances(self.phi @ self.b + self.floor, noise, np.diag(self.start))
+
+    def climb(self, most: int, power: float = POWER, missing: bool = False) -> Smoothed:
+        """Update until the evidence gains no more; the last pass, whose variances are kept."""
+        before = -np.inf
+        for step in range(most + 1):
+            s = Smoother(self.record, self.variances(), loads=False).smooth()
+            self.evidence = s.evidence if np.isfinite(s.evidence) else -np.inf
+            if step == most or (not self.evidence - before >= GAIN and step > 2):
+                break
+            before = self.evidence
+            if missing:
+                self.weigh(s)
+            self._update(s, power)
+            self.updates += 1
+        return s
+
+    def weigh(self, s: Smoothed) -> None:
+        """Energy of the response as a pass has it."""
+        response = np.where(self.there, self.record.y - self.variances().noise * s.e, 0.0)
+        window = np.full(2 * ENERGY + 1, 1 / (2 * ENERGY + 1))
+        self.power = np.array([np.convolve(one, window)[ENERGY:-ENERGY] for one in (response**2).T]).T
+
+    def _update(self, s: Smoothed, power: float) -> None:
+        rho2, e2 = s.rho**2, np.where(self.there, s.e**2, 0.0)
+        known = np.where(self.there, s.e_variance, 0.0)
+        self.b *= _ratio(self.phi.T @ rho2, self.phi.T @ s.rho_variance, power)
+        self.floor *= _ratio(rho2.sum(axis=0), s.rho_variance.sum(axis=0), power)
+        least = LEAST * (self.b.max(axis=0) + self.floor)
+        self.b[self.b < least] = 0.0
+        self.floor = np.maximum(self.floor, least)
+        if self.misfit2 > 0.0:
+            self.misfit2 *= float(_ratio(np.sum(self.power * e2), np.sum(self.power * known), power))
+        if not self.stated:
+            self.r *= _ratio(e2.sum(axis=0), known.sum(axis=0), power)
+        self.start *= _ratio(s.start**2, np.diag(s.start_information), power)
+
+
+def _ratio(up: Any, down: Any, power: float) -> Any:
+    return (np.maximum(up, 0.0) / np.maximum(down, TINY)) ** power
+
+
+def _sizes(record: WhitenedRecord) -> tuple[Array, Array]:
+    """Energies of the responses (m, p) and of the states (n,) that unit white inputs reach over the record."""
+    kind = int(np.argmax(np.abs(record.C).sum(axis=(1, 2)) + np.abs(record.D).sum(axis=(1, 2))))
+    F, C, D = record.F[kind], record.C[kind], record.D[kind]
+    out, states = np.empty((record.m, record.p)), np.zeros(record.n)
+    for j in range(record.p):
+        g = record.G[kind][:, j : j + 1]
+        X, step, length = g @ g.T, F, 1
+        while length < record.samples:
+            X, step, length = X + step @ X @ step.T, step @ step, 2 * length
+        out[:, j] = np.einsum("mi,ik,mk->m", C, X, C) + D[:, j] ** 2
+        states += np.diag(X)
+    return out, states
+
+
+def _constant(record: WhitenedRecord, stated: bool) -> Fit:
+    """Best constant variances of a load with the first memory, from two guesses of the noise."""
+    whole = with_memory(record, MEMORIES[FIRST])
+    sizes, states = _sizes(whole)
+    fits = []
+    for share in (1.0,) if stated else (0.1, 1e-3):
+        one = Fit(whole, stated)
+        power = np.sum(record.y**2, axis=0) / np.maximum(one.there.sum(axis=0), 1)
+        one.floor = np.maximum(power.sum() / np.maximum(sizes.sum(axis=0), TINY) / record.p, TINY)
+        one.start[record.free] = states[record.free] * one.floor.mean()
+        one.r = np.ones(record.m) if stated else np.maximum(share * power, TINY)
+        one.climb(MOST, 1.0)
+        fits.append(one)
+    return max(fits, key=lambda one: one.evidence)
+
+
+def _moved(old: Fit, record: WhitenedRecord, before: float, memory: float) -> Fit:
+    """The same variances of the load with another memory."""
+    new = Fit(with_memory(record, memory), old.stated)
+    part = input_variance(memory) / input_variance(before)
+    new.b, new.floor, new.r = old.b * part, old.floor * part, old.r.copy()
+    new.start[: record.n] = old.start[: record.n]
+    return new
+
+
+def _searched(first: Fit, record: WhitenedRecord, at: int, most: int, power: float) -> dict[int, Fit]:
+    """Fits by number of their memory, from `at` on to the side on which the evidence rises, until it falls."""
+    fits = {at: first}
+    for step in (-1, 1):
+        i = at + step
+        while 0 <= i < len(MEMORIES):
+            before = fits[i - step]
+            fits[i] = _moved(before, record, MEMORIES[i - step], MEMORIES[i])
+            fits[i].climb(most, power)
+            if fits[i].evidence < before.evidence:
+                break
+            i += step
+        if max(fits.values(), key=lambda one: one.evidence) is not first:
+            break
+    return fits

@@ -1,0 +1,104 @@
+"""Deconvolution under a variance that changes with time: when it is used, what the answer holds, what is refused."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from loadid import Deconvolution, LoadEstimate, Penalty, Record
+from loadid.constraints import NonNegative
+from structures import ForwardModel, ImpulseModel, beams, damping, loads, sensors
+from structures.errors import InputError
+
+DT, SAMPLES = 1 / 2000, 300
+
+
+@lru_cache
+def model() -> ForwardModel:
+    """A cantilever with an accelerometer and a displacement."""
+    structure = beams.cantilever(elements=6, damping=damping.Modal(0.02), length=1.2, EI=800.0, mass_per_length=3.0)
+    seen = [sensors.Accelerometer("4+Z"), sensors.Displacement("5+Z")]
+    return ForwardModel(structure, seen, [loads.Point("6+Z", label="p")], modes=4)
+
+
+def data(kind: str) -> tuple[NDArray, NDArray]:
+    """A record with 2 % noise and the load behind it."""
+    rng, g = np.random.default_rng(4), np.zeros((SAMPLES, 1))
+    if kind == "impacts":
+        for start, width, height in ((60, 12, 300.0), (190, 8, 500.0)):
+            g[start : start + width, 0] = height * np.sin(np.pi * np.arange(width) / (width - 1))
+    else:
+        g[:, 0] = 100 * np.sin(0.21 * np.arange(SAMPLES)) + 40 * np.sin(0.5 * np.arange(SAMPLES))
+    y = model().predict(g, DT)
+    return y + 0.02 * np.sqrt(np.mean(y**2, axis=0)) * rng.standard_normal(y.shape), g
+
+
+@lru_cache
+def answer(kind: str, variance: str) -> LoadEstimate:
+    """With the settings that matter here."""
+    return Deconvolution(model(), penalty=Penalty("identity", variance=variance)).estimate(data(kind)[0], DT)
+
+
+def error(kind: str, variance: str) -> float:
+    """Relative."""
+    g = data(kind)[1]
+    return float(np.linalg.norm(answer(kind, variance).load - g) / np.linalg.norm(g))
+
+
+def test_impacts_are_asked_for_and_are_better() -> None:
+    found, (_, g) = answer("impacts", "auto"), data("impacts")
+    assert np.array_equal(found.load, answer("impacts", "local").load)
+    assert error("impacts", "auto") < 0.5 * error("impacts", "constant")
+    assert np.mean(np.abs(found.load - g)[g != 0] < 1.96 * found.std[g != 0]) > 0.85
+    assert found.std[g == 0].mean() < 0.2 * found.std[g != 0].mean()
+    assert found.facts["log_evidence_local"] > found.facts["log_evidence_stationary"]
+    assert "variance changes" in found.provenance["prior"]
+    assert "W407" not in found.codes
+
+
+def test_a_load_that_acts_throughout_keeps_its_prior() -> None:
+    # the default goes by a matrix at this length, the choice over states
+    assert answer("harmonic", "auto").load == pytest.approx(answer("harmonic", "constant").load, abs=2.0)
+    assert "variance changes" not in answer("harmonic", "auto").provenance["prior"]
+
+
+def test_the_response_is_that_of_the_load() -> None:
+    found, (y, _) = answer("impacts", "local"), data("impacts")
+    assert found.residual == pytest.approx(y - model().predict(found.load, DT), abs=1e-9 * np.abs(y).max())
+
+
+def test_sums_have_a_band_that_a_file_keeps(tmp_path: Path) -> None:
+    found, (_, g) = answer("impacts", "local"), data("impacts")
+    own = found.functional("impulse")
+    assert own.std is not None
+    assert abs(own.value - DT * g.sum()) < 3 * own.std < 0.2 * DT * g.sum()
+    found.save(tmp_path / "r.h5")
+    again = LoadEstimate.read(tmp_path / "r.h5")
+    assert again.functional("impulse").std == pytest.approx(own.std, rel=1e-9)
+    assert dict(again.facts) == dict(found.facts)
+
+
+def test_gaps_are_left_out() -> None:
+    y, g = data("impacts")
+    y[100:120] = np.nan
+    record = Record(y, DT, model().sensors)
+    found = Deconvolution(model(), penalty=Penalty("identity", variance="local")).estimate(record)
+    assert np.linalg.norm(found.load - g) < 0.3 * np.linalg.norm(g)
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    with pytest.raises(InputError, match="variance"):
+        Penalty("identity", variance="sometimes")
+    with pytest.raises(InputError, match="stands for the penalty"):
+        Deconvolution(model(), penalty=Penalty("first_difference", variance="local"))
+    with pytest.raises(InputError, match="stands for the penalty"):
+        Deconvolution(model(), penalty=Penalty("identity", variance="local"), constraints=[NonNegative()])
+    h = model().impulse_response(DT, 100)
+    alone = ImpulseModel(h, DT, kind="held")
+    with pytest.raises(InputError, match="does not know this setting"):
+        Deconvolution(alone, penalty=Penalty("identity", variance="local")).estimate(data("impacts")[0][:100], DT)
+    Deconvolution(alone, penalty=Penalty("identity", variance="auto")).estimate(data("impacts")[0][:100], DT)
