@@ -33,7 +33,7 @@ from ..noise import noise_level
 if TYPE_CHECKING:
     pass
 
-DRAWS = 200  # loads of which a band under constraints is made
+DRAWS = 100  # loads of which a band under constraints is made: its std is right to 7 %
 MOST_DRAWN = 400  # values beyond which they would take too long
 
 
