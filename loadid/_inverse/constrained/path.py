@@ -249,9 +249,15 @@ class ConstrainedPath(RegularizationPath):
         for k, (column, point) in enumerate(zip(self._columns.T, self._solved(lam), strict=True)):
             b = prepared.compress(column)[0]
             inside = self._sets[min(k, len(self._sets) - 1)]
-            drawn = [b + level * rng.standard_normal(len(b)) for level in np.broadcast_to(sigma, draws)]
+            drawn = [b + level * (rng.standard_normal(len(b)) @ self._turn) for level in np.broadcast_to(sigma, draws)]
             out.append([self._load(activeset.solve(prepared.quadratic, x, inside, point)) for x in drawn])
         return np.swapaxes(np.array(out), 0, 1).reshape(draws, *self.path.problem.load_shape)
+
+    @cached_property
+    def _turn(self) -> Array:
+        """Orthogonal matrix that turns with the modes, (loads, modes): draws do not depend on signs of an SVD."""
+        left, _, right = np.linalg.svd(self.base.Y)
+        return np.asarray(left @ right)
 
     def _solver(self, lam: float) -> ConstrainedSolver:
         lam = float(lam)
