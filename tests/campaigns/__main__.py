@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import warnings
 
+from loadid import Penalty
+
 from . import impacts, static
 from .scores import Scored, counts, table
 
@@ -18,9 +20,11 @@ def main() -> None:
     parser.add_argument("--problems", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--error", default="none", help="one of those that the campaign knows")
+    parser.add_argument("--variance", choices=["constant", "local", "auto"], help="of the load, for impacts")
     given = parser.parse_args()
+    settings = {"penalty": Penalty("identity", variance=given.variance)} if given.variance else {}
     warnings.simplefilter("ignore")
-    found = list(CAMPAIGNS[given.campaign].run(given.problems, given.seed, given.error))
+    found = list(CAMPAIGNS[given.campaign].run(given.problems, given.seed, given.error, **settings))
     table([s for s in found if isinstance(s, Scored)])
     print("refused:", counts(s for s in found if isinstance(s, str)))
 
