@@ -111,7 +111,7 @@ class StaticProblem:
         """What the band holds, in words."""
         if self.drawn:
             return (
-                "noise and prior under the constraints, from draws; a load that does not fit the prior may lie outside"
+                "noise and prior under the constraints, by draws; a load that does not fit the prior may lie outside"
             )
         if self.constrained:
             return (
