@@ -46,7 +46,9 @@ class Arguments:
     @property
     def former(self) -> dict[str, tuple[str, str]]:
         """Argument of release 0.1 -> the argument that holds it now, and its field there."""
-        moved = {FORMER.get(f, f): (name, f) for name, (_, known) in self.kinds.items() for f in known if f not in LATER}
+        moved = {
+            FORMER.get(f, f): (name, f) for name, (_, known) in self.kinds.items() for f in known if f not in LATER
+        }
         return {old: home for old, home in moved.items() if old not in self.defaults}
 
     def folded(self, given: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:

@@ -110,9 +110,7 @@ class StaticProblem:
     def band(self, chosen: bool) -> str:
         """What the band holds, in words."""
         if self.drawn:
-            return (
-                "noise and prior under the constraints, by draws; a load that does not fit the prior may lie outside"
-            )
+            return "noise and prior under the constraints, by draws; a load that does not fit the prior may lie outside"
         if self.constrained:
             return (
                 "noise and prior on the active face of the constraints: an active-set approximation; a load that a "
