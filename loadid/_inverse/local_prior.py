@@ -34,6 +34,7 @@ MOST, TRIED = 60, 12  # updates, and those after which memories are compared
 GAIN = 0.1  # ln evidence of an update below which it is the last
 ENERGY = 16  # samples to each side over which the energy of the response is averaged
 LEAST = 1e-14  # of the largest variance that is kept
+NOISELESS = 1e-8  # least variance of a learned noise, over the mean square of its channel: the filter's digits
 MEMORIES = (0.0, 2.0, 3.5, 6.0, 12.0, 30.0)  # samples
 FIRST = 3  # which of them is tried first
 ASKED = {0.0: 2.2, 2.0: 2.2, 3.5: 2.2, 6.0: 2.2, 12.0: 6.0}  # memory -> gain for each bump in use that is no chance
@@ -265,6 +266,8 @@ class Fit:
     Attributes
     ----------
     b, floor, r : array, shapes (bumps, p), (p,), (m,)
+    square : array, shape (m,)
+        Mean squares of the channels.
     start : array, shape (n,)
         Variances of the first state.
     misfit2 : float
@@ -280,6 +283,7 @@ class Fit:
         self.phi = bumps(record.samples)
         self.b, self.floor = np.zeros((self.phi.shape[1], record.p)), np.ones(record.p)
         self.r, self.start = np.ones(record.m), np.zeros(record.n)
+        self.square = np.sum(record.y**2, axis=0) / np.maximum(self.there.sum(axis=0), 1)
         self.misfit2, self.power = 0.0, np.zeros((record.samples, record.m))
         self.updates, self.evidence = 0, -np.inf
 
@@ -321,6 +325,7 @@ class Fit:
             self.misfit2 *= float(_ratio(np.sum(self.power * e2), np.sum(self.power * known), power))
         if not self.stated:
             self.r *= _ratio(e2.sum(axis=0), known.sum(axis=0), power)
+            self.r = np.maximum(self.r, np.maximum(NOISELESS * self.square, TINY))
         self.start *= _ratio(s.start**2, np.diag(s.start_information), power)
 
 
@@ -350,10 +355,9 @@ def _constant(record: WhitenedRecord, stated: bool) -> Fit:
     fits = []
     for share in (1.0,) if stated else (0.1, 1e-3):
         one = Fit(whole, stated)
-        power = np.sum(record.y**2, axis=0) / np.maximum(one.there.sum(axis=0), 1)
-        one.floor = np.maximum(power.sum() / np.maximum(sizes.sum(axis=0), TINY) / record.p, TINY)
+        one.floor = np.maximum(one.square.sum() / np.maximum(sizes.sum(axis=0), TINY) / record.p, TINY)
         one.start[record.free] = states[record.free] * one.floor.mean()
-        one.r = np.ones(record.m) if stated else np.maximum(share * power, TINY)
+        one.r = np.ones(record.m) if stated else np.maximum(share * one.square, TINY)
         one.climb(MOST, 1.0)
         fits.append(one)
     return max(fits, key=lambda one: one.evidence)

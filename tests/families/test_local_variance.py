@@ -60,6 +60,17 @@ def test_impacts_are_asked_for_and_are_better() -> None:
     assert "W407" not in found.codes
 
 
+@pytest.mark.parametrize("kind", [sensors.Accelerometer, sensors.Displacement])
+def test_a_record_without_noise_is_answered(kind: type) -> None:
+    beam = beams.cantilever(length=1.0, EI=100.0, mass_per_length=1.0, damping=damping.Modal(0.02))
+    exact = ForwardModel(beam, [kind(at=0.5), kind(at=0.9)], [loads.Point(at=0.7)], modes=4)
+    dt, g = 1 / (3 * exact.modes.frequencies[-1]), np.zeros((SAMPLES, 1))
+    g[100:112, 0] = np.sin(np.pi * np.arange(12) / 12)
+    found = Deconvolution(exact, penalty=Penalty("identity", variance="local")).estimate(exact.predict(g, dt), dt)
+    assert np.linalg.norm(found.load - g) < 1e-3 * np.linalg.norm(g)
+    assert np.all(np.isfinite(found.std))
+
+
 def test_a_load_that_acts_throughout_keeps_its_prior() -> None:
     # the default goes by a matrix at this length, the choice over states
     assert answer("harmonic", "auto").load == pytest.approx(answer("harmonic", "constant").load, abs=2.0)
