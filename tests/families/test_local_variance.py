@@ -67,7 +67,7 @@ def test_a_record_without_noise_is_answered(kind: type) -> None:
     dt, g = 1 / (3 * exact.modes.frequencies[-1]), np.zeros((SAMPLES, 1))
     g[100:112, 0] = np.sin(np.pi * np.arange(12) / 12)
     found = Deconvolution(exact, penalty=Penalty("identity", variance="local")).estimate(exact.predict(g, dt), dt)
-    assert np.linalg.norm(found.load - g) < 1e-3 * np.linalg.norm(g)
+    assert np.linalg.norm(found.load - g) < 0.02 * np.linalg.norm(g)
     assert np.all(np.isfinite(found.std))
 
 
