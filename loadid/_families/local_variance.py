@@ -52,6 +52,12 @@ def learned(posed: Posed, variance: str) -> Learned | None:
     return Learned(prior, variance == "local" or prior.asked_for)
 
 
+def unasked(choice: Choice) -> Choice:
+    """The choice of lambda where the load is not that of any lambda: its rules are no judgement of it."""
+    odds = "the variance of the load was learned by its evidence; lambda and its rules are those of a constant variance"
+    return replace(choice, verdict="not asked", odds=odds)
+
+
 def words(learned: Learned | None) -> str:
     """The prior in words; "" where it is that of the penalty."""
     if learned is None or not learned.asked_for:

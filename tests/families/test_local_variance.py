@@ -58,6 +58,7 @@ def test_impacts_are_asked_for_and_are_better() -> None:
     assert found.facts["log_evidence_local"] > found.facts["log_evidence_stationary"]
     assert "variance changes" in found.provenance["prior"]
     assert "W407" not in found.codes
+    assert found.choice.verdict == "not asked"  # the rules judged another load
 
 
 @pytest.mark.parametrize("kind", [sensors.Accelerometer, sensors.Displacement])
