@@ -117,10 +117,13 @@ def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
         One that it does not take.
     """
     from .._spellings import ARGUMENTS, folded
+    from ..settings import Penalty
 
     written = ARGUMENTS[family.__name__]
     given = {key: value for key, value in options.items() if value is not None}
     taken = [name for name in (*written.defaults, *written.former) if name != "model"]
+    known = dict(written.kinds).get("penalty", (Penalty, ()))[1]
+    taken += [name for name in ("variance",) if name in known]
     if given.get("nonnegative") and "nonnegative" not in taken and "constraints" in taken:
         del given["nonnegative"]
         given["constraints"] = [*given.get("constraints", ()), NonNegative()]
@@ -130,6 +133,8 @@ def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
                          expected=f"some of {', '.join(taken)}")  # fmt: skip
     if given.get("penalty") == NONE:
         given["penalty"] = None
+    if "variance" in given:
+        given["penalty"] = Penalty(given.get("penalty", "identity"), variance=given.pop("variance"))
     return folded(family, given)
 
 
@@ -221,7 +226,7 @@ def known_load(record: Record, model: Model, channel: str) -> NDArray[Any]:
 
 
 def _configure(parser: ArgumentParser) -> None:
-    from ..settings import METHODS, OVER, PATHS, SIGNALS
+    from ..settings import METHODS, OVER, PATHS, SIGNALS, VARIANCES
 
     parser.add_argument("log", metavar="LOG", help="log with the responses")
     parser.add_argument("--model", required=True, metavar="MODEL.h5", help="model file, from calibrate for example")
@@ -233,6 +238,9 @@ def _configure(parser: ArgumentParser) -> None:
         type=penalty,
         metavar="NAME",
         help="identity (default), first_difference, second_difference; none is plain least squares",
+    )
+    parser.add_argument(
+        "--variance", choices=VARIANCES, help="of the load: local learns from the record where it acts, for impacts"
     )
     parser.add_argument(
         "--choice",
@@ -293,8 +301,8 @@ def _run(args: Namespace) -> int:
     with Bar() as bar:
         estimate = identify(
             log, model, family=args.family, responses=args.response, method=args.method, penalty=args.penalty,
-            choice=args.choice, path=args.path, initial=args.initial, leak=args.leak, dictionary=args.dictionary,
-            nonnegative=args.nonnegative or None, signal=args.signal, over=args.over, level=args.level,
+            variance=args.variance, choice=args.choice, path=args.path, initial=args.initial, leak=args.leak,
+            dictionary=args.dictionary, nonnegative=args.nonnegative or None, signal=args.signal, over=args.over, level=args.level,
             band=args.band, segment=args.segment, allow=allow, progress=bar,
         )  # fmt: skip
     if truth is not None and (estimate.axis is None or estimate.axis.name != "time"):

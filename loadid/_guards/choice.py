@@ -382,8 +382,13 @@ def smeared(kurtosis: float, pulse: float, resolution: float, lost: float, prior
         f"the load looks impulsive (kurtosis {kurtosis:.3g}), and its largest pulse is no wider than what is resolved "
         f"({pulse:.3g} and {resolution:.3g} samples): the prior ({prior}) smears it, and a single-sample peak is shown "
         f"at {1 - lost:.0%} of its height",
-        "compare SparseDeconvolution(dictionary='bspline'), or let the load only push; recommend() says which fits; an "
-        "accelerometer near the load resolves more",
+        Advice(
+            "learn from the record where the load acts (",
+            Spelling("penalty=Penalty('identity', variance='local')", "--variance local"),
+            "), which models with states take; or compare ",
+            Spelling("SparseDeconvolution(dictionary='bspline')", "--family sparse --dictionary bspline"),
+            ", or let the load only push; an accelerometer near the load resolves more",
+        ),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loadid import Deconvolution, LoadEstimate, Penalty, Record
+from loadid import Deconvolution, LoadEstimate, Penalty, Record, identify
 from loadid.constraints import NonNegative
 from structures import ForwardModel, ImpulseModel, beams, damping, loads, sensors
 from structures.errors import InputError
@@ -114,3 +114,12 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(InputError, match="does not know this setting"):
         Deconvolution(alone, penalty=Penalty("identity", variance="local")).estimate(data("impacts")[0][:100], DT)
     Deconvolution(alone, penalty=Penalty("identity", variance="auto")).estimate(data("impacts")[0][:100], DT)
+
+
+def test_the_command_line_knows_it() -> None:
+    y, _ = data("impacts")
+    record = Record(y, DT, model().sensors)
+    found = identify(record, model(), variance="local")
+    assert np.array_equal(found.load, answer("impacts", "local").load)
+    with pytest.raises(InputError, match="variance"):
+        identify(record, model(), family="sparse", variance="local")
