@@ -302,8 +302,8 @@ def _run(args: Namespace) -> int:
         estimate = identify(
             log, model, family=args.family, responses=args.response, method=args.method, penalty=args.penalty,
             variance=args.variance, choice=args.choice, path=args.path, initial=args.initial, leak=args.leak,
-            dictionary=args.dictionary, nonnegative=args.nonnegative or None, signal=args.signal, over=args.over, level=args.level,
-            band=args.band, segment=args.segment, allow=allow, progress=bar,
+            dictionary=args.dictionary, nonnegative=args.nonnegative or None, signal=args.signal, over=args.over,
+            level=args.level, band=args.band, segment=args.segment, allow=allow, progress=bar,
         )  # fmt: skip
     if truth is not None and (estimate.axis is None or estimate.axis.name != "time"):
         raise InputError("a history cannot be compared with spectra", where="--truth", found="--signal stationary",
