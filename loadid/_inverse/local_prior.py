@@ -23,7 +23,7 @@ import numpy as np
 from structures.errors import InputError
 
 from .gaussian.gains import feedback
-from .gaussian.local_variance import Smoothed, Smoother, Variances
+from .gaussian.local_variance import Smoother, SmootherPass, Variances
 from .gaussian.passes import forward
 from .gaussian.record import WhitenedRecord
 from .gaussian.roots import Array
@@ -292,7 +292,7 @@ class Fit:
         noise = np.where(self.there, self.r + self.misfit2 * self.power, 1.0)
         return Variances(self.phi @ self.b + self.floor, noise, np.diag(self.start))
 
-    def climb(self, most: int, power: float = POWER, missing: bool = False) -> Smoothed:
+    def climb(self, most: int, power: float = POWER, missing: bool = False) -> SmootherPass:
         """Update until the evidence gains no more; the last pass, whose variances are kept."""
         before = -np.inf
         for step in range(most + 1):
@@ -307,13 +307,13 @@ class Fit:
             self.updates += 1
         return s
 
-    def weigh(self, s: Smoothed) -> None:
+    def weigh(self, s: SmootherPass) -> None:
         """Energy of the response as a pass has it."""
         response = np.where(self.there, self.record.y - self.variances().noise * s.e, 0.0)
         window = np.full(2 * ENERGY + 1, 1 / (2 * ENERGY + 1))
         self.power = np.array([np.convolve(one, window)[ENERGY:-ENERGY] for one in (response**2).T]).T
 
-    def _update(self, s: Smoothed, power: float) -> None:
+    def _update(self, s: SmootherPass, power: float) -> None:
         rho2, e2 = s.rho**2, np.where(self.there, s.e**2, 0.0)
         known = np.where(self.there, s.e_variance, 0.0)
         self.b *= _ratio(self.phi.T @ rho2, self.phi.T @ s.rho_variance, power)

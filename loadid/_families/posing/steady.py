@@ -94,7 +94,7 @@ class StaticProblem:
         Under constraints the band is that of draws, where these are no more than a few seconds' work.
         """
         lam, level = choice.lam, self.level(choice, sigma)
-        found = self.path.solution(lam, sigma)
+        found: Solution = self.path.solution(lam, sigma)
         if self.drawn:
             draws = marginal.draws(self.path, level if chosen else sigma, DRAWS, seed=0, lam=None if chosen else lam)
             return replace(found, posterior=marginal.about(found.load, draws, found.posterior))

@@ -305,7 +305,7 @@ class Variances:
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothed:
+class SmootherPass:
     """One pass with given variances: log likelihood, loads, and the two halves of the score of every variance.
 
     Parameters
@@ -372,12 +372,12 @@ class Smoother:
         )  # fmt: skip
         return float(squares), load, rho, e, first
 
-    def smooth(self) -> Smoothed:
+    def smooth(self) -> SmootherPass:
         """Everything that an update of the variances asks."""
         squares, load, rho, e, first = self.means(self.record.y)
         evidence = -0.5 * (self._logdet + squares + self.record.data * np.log(2 * np.pi))
         rho_variance, e_variance, information = self._information(self._v[:0])
-        return Smoothed(evidence, load, rho, rho_variance, e, e_variance, first, information)
+        return SmootherPass(evidence, load, rho, rho_variance, e, e_variance, first, information)
 
     @cached_property
     def variance(self) -> Array:
