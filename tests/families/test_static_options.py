@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loadid import Absolute, InputError, Noise, NotIdentifiable, Record, StaticInversion, load
+from loadid import Absolute, InputError, Lambda, Noise, NotIdentifiable, Record, StaticInversion, load
 from loadid._families.frozen import Frozen
 from loadid.constraints import Bounds, NonNegative, Resultant, Support
 from structures import Channel, ForwardModel, MatrixModel, bases, beams
@@ -216,6 +216,12 @@ def test_draws_reproduce_the_posterior() -> None:
     np.testing.assert_allclose(drawn.std(axis=0), estimate.posterior.std, rtol=0.1)
     frames = family.sample(np.stack([y, 2 * y]), 50)
     assert frames.shape == (50, 2, 24)
+
+
+def test_a_truncated_inverse_gives_draws_of_its_band() -> None:
+    model, y = readings()
+    family = StaticInversion(model, noise=1e-3, choice=Lambda("gcv", method="tsvd"))
+    np.testing.assert_allclose(family.sample(y, 4000).std(axis=0), family.estimate(y).posterior.std, rtol=0.1)
 
 
 def test_draws_meet_the_constraints_and_cover_more_than_the_face() -> None:

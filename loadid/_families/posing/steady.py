@@ -254,7 +254,7 @@ def drawn(
     """
     if isinstance(draws, bool) or not isinstance(draws, int | np.integer) or draws < 1:
         raise InputError("no number of draws", where="sample", found=repr(draws)[:40], expected="a positive integer")
-    if chosen:
+    if chosen and posed.base.smooth:
         return marginal.draws(posed.path, posed.level(choice, sigma), int(draws), seed=seed)
     return marginal.draws(posed.path, sigma, int(draws), seed=seed, lam=choice.lam)
 
