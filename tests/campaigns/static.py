@@ -1,10 +1,10 @@
-"""Static loads on beams, plates and portal frames.
+"""Static loads on beams and plates.
 
-Cantilevers, simply supported and clamped beams of 1 to 30 m, plates with five edge conditions, portal frames; 4 to 20
-displacement or strain sensors at random places; 10 to 60 patches; ten shapes of load. The truth has patches four to
-six times finer on a finer mesh; noise of 0.5 to 5 % of the rms, stated in every second problem; four penalties; a sign
-constraint or a known resultant on two fifths of the loads that only push. `error` adds what the model does not know:
-gains of the sensors, their places, the stiffness along the structure, each by some per cent.
+Cantilevers, simply supported and clamped beams of 1 to 30 m, plates with five edge conditions; 4 to 20 displacement or
+strain sensors at random places; 10 to 60 patches; ten shapes of load. The truth has patches four to six times finer on
+a finer mesh; noise of 0.5 to 5 % of the rms, stated in every second problem; four penalties; a sign constraint or a
+known resultant on two fifths of the loads that only push. `error` adds what the model does not know: gains of the
+sensors, their places, the stiffness along the structure, each by some per cent.
 """
 
 from __future__ import annotations
