@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
 from structures._advice import Advice, Spelling
 from structures.errors import InputError, real, shown
@@ -121,7 +122,8 @@ CHANCE, CLEARLY = 1e-2, 1.3  # of a residual so far above the stated noise; and 
 EXCESS = 1e-3  # chance of a residual so far above the noise that the load does not explain its data
 CORNER = 1.5  # decades by which the corner of the L-curve lies below the lambda in use where it has a voice
 FACTOR, LARGER = 30.0, 100.0  # Bayes factor that counts as strong; largest noise level that is tried, over the stated
-SPARE = 0.2  # share of the data that a fit leaves for the test of the stated noise level
+SPARE, TESTED = 0.2, 10  # share of the data, or number, that a fit leaves for the test of the stated noise level
+BELOW_BY = 3.0  # steps of lambda below a sweep over a part of the range
 CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
 
 
@@ -256,27 +258,58 @@ def named(choice: ChoiceLike) -> str | float | None:
 def contradicted(sweep: Sweep, asked: dict[str, RuleResult], source: NoiseSource) -> float | None:
     """Noise level that the data show, where chance cannot explain that it is above the stated one.
 
-    The fit may spend all data but `SPARE` of them, so that the residual which it leaves is noise, or what the model
-    cannot explain: a chi-square test at `CHANCE` with those degrees of freedom, and a factor of at least `CLEARLY`.
-    None where robust GCV, which would have to stand in, found no optimum or one that spends more (a fit that leaves
-    enough is then smoother than the load, and leaves some of it), and where the level itself was estimated from the
-    misfit of the model (kind ``residual``).
+    White noise above the stated level shows in the residual of every fit; a load that its penalty does not expect only
+    in those that smooth too much. So every lambda must contradict whose fit leaves `TESTED` data, or `SPARE` of them:
+    by a chi-square test at `CHANCE` with those degrees of freedom, and by a factor of at least `CLEARLY`. None where
+    robust GCV, which would have to stand in, found no optimum or one that spends more (a fit that leaves enough is then
+    smoother than the load, and leaves some of it), and where the level itself was estimated from the misfit of the
+    model (kind ``residual``).
     """
     path, sigma, found, left = sweep.path, sweep.sigma, asked["robust_gcv"], sweep.point.left
     if sigma is None or left is None or found.lam is None or found.edge or source.kind == "residual":
         return None
     enough = np.flatnonzero(left >= SPARE * path.m)
-    if not len(enough):
+    if not len(enough) or sweep.lam[enough[0]] > found.lam:
         return None
+    least = min(SPARE * path.m, TESTED)
+    level, margin = _levels(sweep, np.flatnonzero(left >= least))
+    if np.any(level <= margin * sigma) or _agrees_below(sweep, least):
+        return None
+    return float(level.min())
+
+
+def _agrees_below(sweep: Sweep, least: float) -> bool:
+    """Whether a lambda below those of a sweep over a part of the range agrees with the stated noise level."""
+    assert sweep.point.left is not None
+    assert sweep.sigma is not None
+    low, lam, left = sweep.path.range[0], float(sweep.lam[0]), float(sweep.point.left[0])
+    while left >= least and lam > low:
+        lam = max(lam / BELOW_BY, low)
+        lower = Sweep(sweep.path, np.array([lam]), sweep.path.at(np.array([lam])), sweep.sigma, whole=False)
+        assert lower.point.left is not None
+        left = float(lower.point.left[0])
+        level, margin = _levels(lower, np.flatnonzero(lower.point.left >= least))
+        if np.any(level <= margin * sweep.sigma):
+            return True
+    return False
+
+
+def _passed(sweep: Sweep) -> bool:
+    """Whether the stated noise level agrees with a residual of `TESTED` data or more."""
+    if sweep.point.left is None or sweep.sigma is None:
+        return False
+    level, margin = _levels(sweep, np.flatnonzero(sweep.point.left >= TESTED))
+    return bool(np.any(level <= margin * sweep.sigma))
+
+
+def _levels(sweep: Sweep, at: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Noise level that the residual shows at some lambdas of a sweep, and how far above the true one it may be."""
     from scipy.special import gammaincinv
 
-    k = int(enough[0])
-    if sweep.lam[k] > found.lam:
-        return None
-    freedom = float(left[k])
-    level = float(np.sqrt(sweep.point.residual2[k] / freedom))
-    margin = max(CLEARLY, float(np.sqrt(2 * gammaincinv(freedom / 2, 1 - CHANCE) / freedom)))
-    return level if level > margin * sigma else None
+    assert sweep.point.left is not None
+    freedom = sweep.point.left[at]
+    level = np.sqrt(sweep.point.residual2[at] / freedom)
+    return level, np.maximum(CLEARLY, np.sqrt(2 * gammaincinv(freedom / 2, 1 - CHANCE) / freedom))
 
 
 def implausible(sweep: Sweep, source: NoiseSource) -> float | None:
@@ -284,12 +317,13 @@ def implausible(sweep: Sweep, source: NoiseSource) -> float | None:
 
     Says what `contradicted` cannot where a few data are all spent by the fit: a larger level, log-uniform up to
     `LARGER` times the stated one, over every lambda against the stated one over every lambda (a Bayes factor above
-    `FACTOR`; Kass & Raftery, J. Am. Stat. Assoc. 90 (1995) 773). None where the path does not give its evidence.
+    `FACTOR`; Kass & Raftery, J. Am. Stat. Assoc. 90 (1995) 773). None where the path does not give its evidence, and
+    where the level passed a test with `TESTED` data left: the evidence of a load unlike its prior would be no more.
     """
     point, sigma = sweep.point, sweep.sigma
     if sigma is None or point.objective is None or point.log_ratio is None or source.kind == "residual":
         return None
-    if sweep.path.stacked or not sweep.whole:
+    if sweep.path.stacked or not sweep.whole or _passed(sweep):
         return None
     from scipy.special import logsumexp
 

@@ -1,4 +1,4 @@
-"""`python -m tests.campaigns static|impacts [--problems N] [--seed S] [--error KIND]`: the table of one campaign."""
+"""`python -m tests.campaigns static|impacts|long [--problems N] [--seed S] [--error KIND]`: the table of one."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import warnings
 
 from loadid import Penalty
 
-from . import impacts, static
+from . import impacts, long, static
 from .scores import Scored, counts, table
 
-CAMPAIGNS = {"static": static, "impacts": impacts}
+CAMPAIGNS = {"static": static, "impacts": impacts, "long": long}
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loadid import NoiseSource
+from loadid import Deconvolution, NoiseSource
 from loadid import _guards as guards
 from loadid._inverse import choice as choices
 from loadid._inverse import rules
@@ -15,6 +15,7 @@ from loadid._inverse.choice import DEFAULT_RULES, agreement
 from loadid.paths import LinearProblem, PathPoint, RegularizationPath, RuleResult, SVDPath, choose, toeplitz
 from structures.errors import InputError
 from tests.benchmarks.fredholm import NOISES, PROBLEMS
+from tests.campaigns import long
 
 from .reference import echo
 
@@ -306,6 +307,18 @@ def test_default_is_near_the_best_lambda_where_half_the_data_are_spent(known: bo
         ratio.append(np.linalg.norm(path.X @ path.gains(lam) - g) / min(error))
     assert np.median(ratio) < typical
     assert max(ratio) < typical + 0.2
+
+
+@pytest.mark.parametrize("seed", [700039, 700196])
+def test_a_load_unlike_its_prior_does_not_contradict_the_noise_level(seed: int) -> None:
+    """Impacts on one accelerometer: every fit that smooths much leaves them, and that says nothing of the noise."""
+    given = long.problem(seed, samples=(1000, 1600))
+    right, wrong = (
+        Deconvolution(given.model, noise=s).estimate(given.record, given.model.dt).choice.shown
+        for s in (given.sigma, given.sigma / 4)
+    )
+    assert right is None
+    assert 2.5 < wrong < 6
 
 
 @pytest.mark.parametrize("factor", [0.1, 0.25])
