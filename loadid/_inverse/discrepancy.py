@@ -63,11 +63,6 @@ class Discrepancy:
         """Relative std of an entry."""
         return float(np.sqrt(np.sum(self.sizes[:2])))
 
-    @property
-    def variance(self) -> Array:
-        """Of the entries, all parts together, like the FRF."""
-        return np.asarray(self.entries + np.abs(self.slope) ** 2)
-
 
 def learned(H: Numbers, X: Numbers, power: Array, f: Array, *, known: bool, neighbours: int) -> Discrepancy:
     """Errors of the largest evidence, from evenly chosen lines.
@@ -92,7 +87,7 @@ def learned(H: Numbers, X: Numbers, power: Array, f: Array, *, known: bool, neig
     sizes, v, noise = _fixed_point(H[pick], X[pick], slope[pick], known, max(neighbours // step, 2))
     at, every = np.arange(lines)[pick], np.arange(lines)
     load = np.exp(np.column_stack([np.interp(every, at, np.log(v[:, j])) for j in range(loads)]))
-    entries = sizes[0] * np.abs(H) ** 2 + sizes[1] * _filled(np.abs(H) ** 2, neighbours)
+    entries = sizes[0] * np.abs(H) ** 2 + sizes[1] * _filled(np.abs(H) ** 2)
     return Discrepancy(sizes, entries * root**2, np.sqrt(sizes[2]) * slope * root, load, noise)
 
 
@@ -103,11 +98,9 @@ def _slope(H: Numbers, f: Array) -> NDArray[np.complex128]:
     return np.asarray(np.gradient(H, np.log(np.maximum(f, f[f > 0][0] / 2)), axis=0))
 
 
-def _filled(size: Array, neighbours: int) -> Array:
-    """Squared entries as large as around the line, times what all sensors are on that line beside it."""
-    near, _ = window(len(size), neighbours)
-    around = np.maximum(near(size), TINY)
-    return np.asarray(around * np.mean(size / around, axis=1, keepdims=True))
+def _filled(size: Array) -> Array:
+    """Squared entries as large as those of all sensors, over their noise."""
+    return np.asarray(np.broadcast_to(np.mean(size, axis=1, keepdims=True), size.shape))
 
 
 def _fixed_point(H: Numbers, X: Numbers, D: Numbers, known: bool, neighbours: int) -> tuple[Array, Array, float]:
@@ -115,7 +108,7 @@ def _fixed_point(H: Numbers, X: Numbers, D: Numbers, known: bool, neighbours: in
     lines, sensors, loads = H.shape
     near, _ = window(lines, neighbours)
     size, i = np.abs(H) ** 2, np.arange(sensors)
-    filled = _filled(size, neighbours)
+    filled = _filled(size)
     energy, power = np.sum(size, axis=1), np.sum(np.abs(X) ** 2, axis=(1, 2))
     v = near(power[:, None] * energy) / np.maximum(near(energy**2), TINY) / loads + TINY
     theta, least = FLOORS, 1.0 if known else 1e-12 * float(np.mean(power)) + TINY

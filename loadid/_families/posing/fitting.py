@@ -176,7 +176,8 @@ def fit(
     found: Discrepancy | None = None
     if frequencies is not None and variance is None:
         found = learned(H, X, power, frequencies, known=known, neighbours=rule.neighbours)
-        errors, power = np.einsum("ksj,kj->ks", found.variance, found.load), power if known else power * found.noise
+        errors = np.einsum("ksj,kj->ks", found.entries, found.load)
+        power, known = power if known else power * found.noise, True
     rounds = 1 if variance is None else ROUNDS
     for k in range(rounds + (variance is not None)):
         total = power if errors is None else power + errors
@@ -210,7 +211,9 @@ def fit(
         part, more = _propagated(found, answer, answer.gain, lines, w, noise[:, None] * errors)
         frf_part = _diagonal(part)
         answer = replace(answer, covariance=answer.covariance + more)
-        naive_variance = naive_variance + _diagonal(_propagated(found, answer, told.inverse, lines, w, noise[:, None] * errors)[1])
+        naive_variance = naive_variance + _diagonal(
+            _propagated(found, answer, told.inverse, lines, w, noise[:, None] * errors)[1]
+        )
     elif errors is not None:
         frf_part = np.einsum("kjs,ks->kj", np.abs(_on_sensors(answer.gain, lines)) ** 2, errors * w**2)
     return LineFit(
