@@ -148,7 +148,7 @@ class FrequencyInversion:
         self._progress(0.2, "solving the lines")
         solved = fit(
             H[:, line.rows], line.X, line.power, known=line.known, rule=_spread(self.rule, line), variance=variance,
-            frequencies=line.frequencies if self.settings.noise.frf is None else None,
+            frequencies=line.frequencies if self.settings.noise.frf is None and line.data is None else None,
             averages=line.averages * line.fullness,
             progress=lambda s: self._progress(0.2 + 0.6 * s, "solving the lines"),
         )  # fmt: skip

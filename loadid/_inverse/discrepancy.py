@@ -28,8 +28,8 @@ from .spectral import window
 FLOOR = 0.05  # relative std of an entry of the FRF where the data tell nothing
 FLOORS = np.array([0.5 * FLOOR**2, 0.5 * FLOOR**2, (FLOOR / 10) ** 2])  # of the three parts
 GIVEN = 2.0  # data that show the floor
-DATA = 1200  # numbers that are asked
-STEPS = 14  # of the fixed point, which then moves by less than chance
+DATA = 900  # numbers that are asked
+STEPS = 10  # of the fixed point, which then moves by less than chance
 FEW = 8  # lines from which on sizes are learned
 TINY = 1e-300
 

@@ -208,14 +208,14 @@ def fit(
     frf_part = np.zeros(told.gain.shape)
     if found is not None:
         assert errors is not None
-        part, more = _propagated(found, answer, answer.gain, lines, w, noise[:, None] * errors)
-        frf_part = _diagonal(part)
-        answer = replace(answer, covariance=answer.covariance + more)
-        naive_variance = naive_variance + _diagonal(
-            _propagated(found, answer, told.inverse, lines, w, noise[:, None] * errors)[1]
-        )
+        made = _Propagated.of(found, answer, lines, w, noise[:, None] * errors)
+        naive_variance = naive_variance + made.variance(told.inverse, beyond=True)
+        frf_part = made.variance(answer.gain)
+        answer = replace(answer, covariance=answer.covariance + made.covariance(answer.gain))
     elif errors is not None:
-        frf_part = np.einsum("kjs,ks->kj", np.abs(_on_sensors(answer.gain, lines)) ** 2, errors * w**2)
+        assert lines.Q is not None
+        on_sensors = answer.gain @ lines.Q.conj().swapaxes(1, 2)
+        frf_part = np.einsum("kjs,ks->kj", np.abs(on_sensors) ** 2, errors * w**2)
     return LineFit(
         load=answer.load, covariance=answer.covariance, identifiable=told, expected=np.sqrt(guess.probable),
         noise=noise, total=total, errors=errors, lam=lam, edf=answer.edf, path=path, used=used, excess=guess.excess,
@@ -224,35 +224,45 @@ def fit(
     )  # fmt: skip
 
 
-def _propagated(
-    found: Discrepancy, answer: LinePosterior, gain: Array, lines: Compressed, w: Array, assumed: Array
-) -> tuple[Array, Array]:
-    """Covariance of the loads by errors of the FRF, and how much that is more than what weighed the data.
+@dataclass(frozen=True)
+class _Propagated:
+    """Errors of the FRF in the data of each line, now that its loads are known, over what the weights held for them.
+
+    Errors of entries are independent from sensor to sensor; that of a frequency moves all sensors together.
 
     Parameters
     ----------
-    gain : array, shape (lines, loads, rank)
-        The estimator.
-    assumed : array, shape (lines, sensors)
-        Variance of the data that stood for the errors; now the loads of each line are known. An error of a frequency
-        moves all sensors together.
+    reduced : array, shape (lines, rank, sensors)
+        From the data of the sensors to what is inverted.
+    moved : array, shape (lines, rank, snapshots)
+        One std of the frequencies.
+    made, assumed : array, shape (lines, sensors)
+        Variance by the entries, and by what weighed the data.
     """
-    size = _square(answer.load) + answer.variance
-    A = _on_sensors(gain, lines) * w[:, None, :]
-    made = np.einsum("ksj,kj->ks", found.entries, size)
-    U = A @ (found.slope @ answer.load)
-    both = (A * made[:, None, :]) @ A.conj().swapaxes(1, 2) + U @ U.conj().swapaxes(1, 2)
-    return both, both - (A * assumed[:, None, :]) @ A.conj().swapaxes(1, 2)
 
+    reduced: NDArray[np.complex128]
+    moved: NDArray[np.complex128]
+    made: NDArray[np.float64]
+    assumed: NDArray[np.float64]
 
-def _on_sensors(gain: Array, lines: Compressed) -> Array:
-    """An estimator over the whitened sensors."""
-    assert lines.Q is not None
-    return np.asarray(gain @ lines.Q.conj().swapaxes(1, 2))
+    @classmethod
+    def of(cls, found: Discrepancy, answer: LinePosterior, lines: Compressed, w: Array, assumed: Array) -> _Propagated:
+        assert lines.Q is not None
+        reduced = lines.Q.conj().swapaxes(1, 2) * w[:, None, :]
+        made = (found.entries @ (_square(answer.load) + answer.variance)[..., None])[..., 0]
+        return cls(reduced, reduced @ (found.slope @ answer.load), made, assumed)
 
+    def covariance(self, gain: Array) -> NDArray[np.complex128]:
+        """Of the loads by an estimator (lines, loads, rank), beyond what the weights held."""
+        A, U = gain @ self.reduced, gain @ self.moved
+        more = (A * (self.made - self.assumed)[:, None, :]) @ A.conj().swapaxes(1, 2)
+        return np.asarray(more + U @ U.conj().swapaxes(1, 2))
 
-def _diagonal(covariance: Array) -> NDArray[np.float64]:
-    return np.asarray(np.einsum("kjj->kj", covariance).real)
+    def variance(self, gain: Array, *, beyond: bool = False) -> NDArray[np.float64]:
+        """Of the loads, all of it or beyond what the weights held, (lines, loads)."""
+        data = self.made - self.assumed if beyond else self.made
+        A = gain @ self.reduced
+        return np.asarray(((A.real**2 + A.imag**2) @ data[..., None])[..., 0] + _square(gain @ self.moved))
 
 
 def _square(load: Array) -> NDArray[np.float64]:
