@@ -177,6 +177,9 @@ class Noise(Setting):
         The readings were interpolated from raw markers, y = W z; `std` is then that of the markers. `StaticInversion`.
     bias : float or array (sensors of the model,)
         Std that a second adds to the offset of a sensor; 0: it does not drift. `LoadTracker`.
+    frf : float, optional
+        Relative std of the entries of the FRF, 0 where it is exact; None: what the model states, else learned from the
+        lines. `FrequencyInversion`.
 
     Raises
     ------
@@ -188,8 +191,15 @@ class Noise(Setting):
     source: NoiseSourceLike = None
     interpolation: ArrayLike | None = None
     bias: ArrayLike = 0.0
+    frf: float | None = None
 
     def __post_init__(self) -> None:
+        if self.frf is not None:
+            level = real(self.frf)
+            if level is None or not 0 <= level < 1:
+                raise InputError("no relative error of an FRF", where="frf", found=repr(self.frf)[:80],
+                                 expected="a number from 0 to 1, such as 0.05")  # fmt: skip
+            self._put("frf", level)
         if self.std is not None and not isinstance(self.std, Cholesky):
             level = reals(self.std, what="the noise is no real number", where="noise")
             if not np.all(np.isfinite(level)):

@@ -80,7 +80,7 @@ class FrequencyInversion:
     @takes(
         choice=(Lambda, "method over neighbours count size"),
         signal=(Signal, "window segment overlap"),
-        noise=(Noise, "source"),
+        noise=(Noise, "source frf"),
         allow=(Guards, "coverage"),
     )
     def __init__(
@@ -144,10 +144,11 @@ class FrequencyInversion:
         count = len(self.rows)
         line, kept_out = everything.part(slice(None, count)), everything.part(slice(count, None))
         H = response(self.model, line)
-        variance = _variance(self.model, line)
+        variance = _variance(self.model, line, H, self.settings.noise.frf)
         self._progress(0.2, "solving the lines")
         solved = fit(
             H[:, line.rows], line.X, line.power, known=line.known, rule=_spread(self.rule, line), variance=variance,
+            frequencies=line.frequencies if self.settings.noise.frf is None and line.data is None else None,
             averages=line.averages * line.fullness,
             progress=lambda s: self._progress(0.2 + 0.6 * s, "solving the lines"),
         )  # fmt: skip
@@ -317,7 +318,10 @@ def _spread(rule: LineRule, line: LineData) -> LineRule:
     return replace(rule, neighbours=round(rule.neighbours / line.fullness))
 
 
-def _variance(model: Model, line: LineData) -> NDArray[np.float64] | None:
+def _variance(model: Model, line: LineData, H: NDArray[Any], stated: float | None) -> NDArray[np.float64] | None:
+    """Of the FRF, where the user or the model states one."""
+    if stated is not None:
+        return stated**2 * np.abs(H[:, line.rows]) ** 2 if stated else None
     found = model.frf_variance(line.frequencies)
     return None if found is None or not np.any(found) else found[:, line.rows]
 
@@ -328,14 +332,13 @@ def _spectrum(solved: LineFit, line: LineData, level: float) -> LoadSpectrum:
     naive = solved.identifiable.naive
     plain = naive[..., 0] if naive.shape[2] == 1 else np.sqrt(np.einsum("kjn,kjn->kj", naive.conj(), naive).real)
     gain = solved.identifiable.gain
-    deviation = np.sqrt(solved.noise)[:, None]
     return LoadSpectrum(
         frequencies=line.frequencies,
         load=mean,
         std=np.sqrt(solved.variance),
         covariance=solved.covariance,
         naive=plain,
-        naive_std=np.where(gain > 0, deviation / np.where(gain > 0, gain, 1.0), np.inf),
+        naive_std=solved.naive_std,
         expected=solved.expected,
         gain=gain,
         condition=solved.identifiable.condition,

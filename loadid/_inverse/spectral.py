@@ -35,12 +35,15 @@ class Compressed:
         Squared norm of the data outside the range of the FRF.
     left : int
         Data of a line beyond its loads.
+    Q : array, shape (lines, data, rank), optional
+        The reduction: ``H = Q R``.
     """
 
     R: NDArray[np.complex128]
     b: NDArray[np.complex128]
     outside: Array
     left: int
+    Q: NDArray[np.complex128] | None = None
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -78,7 +81,7 @@ def compress(H: Numbers, X: Numbers) -> Compressed:
     sensors, loads = H.shape[1:]
     if sensors <= loads:
         outside = np.zeros(len(H))  # rounding: the range is everything
-    return Compressed(R, b, outside, max(sensors - loads, 0))
+    return Compressed(R, b, outside, max(sensors - loads, 0), Q)
 
 
 def _power(x: Numbers) -> Array:
@@ -192,11 +195,14 @@ class Identifiable:
         Least-squares loads, of smallest norm where there are many.
     condition : array, shape (lines,)
         Largest over smallest singular value; infinite where the line loses rank.
+    inverse : array, shape (lines, loads, rank)
+        The least-squares estimator: naive = inverse b.
     """
 
     gain: Array
     naive: NDArray[np.complex128]
     condition: Array
+    inverse: NDArray[np.complex128]
 
 
 def factor(lines: Compressed, variance: Numbers) -> FactoredLines:
@@ -246,10 +252,12 @@ def identifiable(f: FactoredLines) -> Identifiable:
     inside = np.einsum("kjr,kr->kj", size, seen.astype(float))
     told = (inside > (1 - 1e-9) * f.root**2) & (spread > 0)
     full = seen.all(axis=1) & (f.s.shape[1] == f.root.shape[1])
+    solver = (f.V * inverse[:, None, :]) @ f.U.conj().swapaxes(1, 2)
     return Identifiable(
         gain=np.where(told, 1 / np.where(told, spread, 1.0), 0.0),
         naive=f.V @ (inverse[..., None] * f.beta),
         condition=np.where(full, f.s[:, 0] / np.where(full, f.s[:, -1], 1.0), np.inf),
+        inverse=solver,
     )
 
 

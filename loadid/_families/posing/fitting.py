@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from structures.errors import InputError, NotIdentifiable, real, reals
 from ..._inverse import choice as choosing
 from ..._inverse import rules
 from ..._inverse.choice import Choice, PathCurve, is_rule
+from ..._inverse.discrepancy import Discrepancy, learned
 from ..._inverse.problem import NoiseSource
 from ..._inverse.rules import MEANING
 from ..._inverse.spectral import (
@@ -100,12 +101,16 @@ class LineFit:
         Lambda in use on the joined path of these lines, absolute.
     excess : float
         Noise over the stated level where that is contradicted, else 1 (variances).
+    naive_std : array
+        Of the least-squares loads, by noise and errors of the FRF; infinite where a line does not determine the load.
     frf_part : array
         The part of `variance` that errors of the FRF make: no average reduces it.
     prior_part : array
         The part of `variance` that is the expected size of what the line does not tell: no average reduces it either.
     blind : array, shape (lines, loads, loads)
         What regularisation takes away from a load: one less the resolution.
+    discrepancy : Discrepancy or None
+        Errors of the FRF that nobody stated.
     """
 
     load: NDArray[np.complex128]
@@ -120,9 +125,11 @@ class LineFit:
     path: LinesPath
     used: float
     excess: float
+    naive_std: NDArray[np.float64]
     frf_part: NDArray[np.float64]
     prior_part: NDArray[np.float64]
     blind: NDArray[np.complex128]
+    discrepancy: Discrepancy | None = None
 
     @property
     def variance(self) -> NDArray[np.float64]:
@@ -138,6 +145,7 @@ def fit(
     known: bool,
     rule: LineRule,
     variance: Array | None = None,
+    frequencies: Array | None = None,
     averages: float = 1.0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> LineFit:
@@ -153,6 +161,9 @@ def fit(
         ``E|error|^2`` of H. An error of the FRF times the load is noise of the response: ``Y = H g + n - E g``. Given
         the loads, its variance is ``sum_j var H_ij |g_j|^2``, so that whitening and loads are settled in turn (errors
         in variables with known variances; Fuller, Measurement Error Models, 1987, ch. 3).
+    frequencies : array, shape (lines,), optional
+        Hz: errors of H that nobody states are learned from the lines, weigh the data and are in the band. None: H is
+        exact, but for `variance`.
     averages : float
         Behind the data.
 
@@ -162,6 +173,11 @@ def fit(
         Shapes that do not fit, a rule that cannot run.
     """
     errors: Array | None = None
+    found: Discrepancy | None = None
+    if frequencies is not None and variance is None:
+        found = learned(H, X, power, frequencies, known=known, neighbours=rule.neighbours)
+        errors = np.einsum("ksj,kj->ks", found.entries, found.load)
+        power, known = power if known else power * found.noise, True
     rounds = 1 if variance is None else ROUNDS
     for k in range(rounds + (variance is not None)):
         total = power if errors is None else power + errors
@@ -185,15 +201,72 @@ def fit(
         if not known:
             power, known = _alone(power * guess.noise[:, None], errors), True
     told = identifiable(f)
-    solved = _pooled(f, guess, first) if rule.pooled else _ruled(lines, f, guess, rule, known)
-    frf_part = np.zeros(told.gain.shape) if errors is None else _share(H * w[..., None], solved[0], errors * w**2)
-    answer, noise, lam, path, used = solved
+    answer, noise, lam, path, used = _pooled(f, guess, first) if rule.pooled else _ruled(lines, f, guess, rule, known)
+    prior_part = _beyond(answer, noise)
+    with np.errstate(divide="ignore"):
+        naive_variance = np.where(told.gain > 0, noise[:, None], np.inf) / np.where(told.gain > 0, told.gain, 1.0) ** 2
+    frf_part = np.zeros(told.gain.shape)
+    if found is not None:
+        assert errors is not None
+        made = _Propagated.of(found, answer, lines, w, noise[:, None] * errors)
+        naive_variance = naive_variance + made.variance(told.inverse, beyond=True)
+        frf_part = made.variance(answer.gain)
+        answer = replace(answer, covariance=answer.covariance + made.covariance(answer.gain))
+    elif errors is not None:
+        assert lines.Q is not None
+        on_sensors = answer.gain @ lines.Q.conj().swapaxes(1, 2)
+        frf_part = np.einsum("kjs,ks->kj", np.abs(on_sensors) ** 2, errors * w**2)
     return LineFit(
         load=answer.load, covariance=answer.covariance, identifiable=told, expected=np.sqrt(guess.probable),
         noise=noise, total=total, errors=errors, lam=lam, edf=answer.edf, path=path, used=used, excess=guess.excess,
-        frf_part=frf_part, prior_part=_beyond(answer, noise),
-        blind=np.eye(lines.shape[2]) - answer.gain @ lines.R,
+        naive_std=np.sqrt(np.maximum(naive_variance, 0.0)), frf_part=frf_part, prior_part=prior_part,
+        blind=np.eye(lines.shape[2]) - answer.gain @ lines.R, discrepancy=found,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Propagated:
+    """Errors of the FRF in the data of each line, now that its loads are known, over what the weights held for them.
+
+    Errors of entries are independent from sensor to sensor; that of a frequency moves all sensors together.
+
+    Parameters
+    ----------
+    reduced : array, shape (lines, rank, sensors)
+        From the data of the sensors to what is inverted.
+    moved : array, shape (lines, rank, snapshots)
+        One std of the frequencies.
+    made, assumed : array, shape (lines, sensors)
+        Variance by the entries, and by what weighed the data.
+    """
+
+    reduced: NDArray[np.complex128]
+    moved: NDArray[np.complex128]
+    made: NDArray[np.float64]
+    assumed: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, found: Discrepancy, answer: LinePosterior, lines: Compressed, w: Array, assumed: Array) -> _Propagated:
+        assert lines.Q is not None
+        reduced = lines.Q.conj().swapaxes(1, 2) * w[:, None, :]
+        made = (found.entries @ (_square(answer.load) + answer.variance)[..., None])[..., 0]
+        return cls(reduced, reduced @ (found.slope @ answer.load), made, assumed)
+
+    def covariance(self, gain: Array) -> NDArray[np.complex128]:
+        """Of the loads by an estimator (lines, loads, rank), beyond what the weights held."""
+        A, U = gain @ self.reduced, gain @ self.moved
+        more = (A * (self.made - self.assumed)[:, None, :]) @ A.conj().swapaxes(1, 2)
+        return np.asarray(more + U @ U.conj().swapaxes(1, 2))
+
+    def variance(self, gain: Array, *, beyond: bool = False) -> NDArray[np.float64]:
+        """Of the loads, all of it or beyond what the weights held, (lines, loads)."""
+        data = self.made - self.assumed if beyond else self.made
+        A = gain @ self.reduced
+        return np.asarray(((A.real**2 + A.imag**2) @ data[..., None])[..., 0] + _square(gain @ self.moved))
+
+
+def _square(load: Array) -> NDArray[np.float64]:
+    return np.asarray(np.einsum("kjn,kjn->kj", load.conj(), load).real)
 
 
 def calibrated(lines: Compressed, size: Array) -> tuple[Compressed, Callable[[Array], Array]]:
@@ -221,7 +294,7 @@ def calibrated(lines: Compressed, size: Array) -> tuple[Compressed, Callable[[Ar
         q = np.einsum("krj,kji,kri->kr", T, second, T.conj()).real
         return np.asarray(np.sum(kept * q, axis=1) / np.maximum(np.sum(q, axis=1), 1e-300))
 
-    return Compressed(R, lines.b, lines.outside, lines.left), share
+    return Compressed(R, lines.b, lines.outside, lines.left, lines.Q), share
 
 
 def _refuse_lost(lines: Compressed) -> None:
@@ -330,13 +403,6 @@ def _beyond(answer: LinePosterior, noise: Array) -> NDArray[np.float64]:
         return np.zeros(answer.variance.shape)
     made = noise[:, None] * np.sum(np.abs(answer.gain) ** 2, axis=2)
     return np.asarray(np.maximum(answer.variance - made, 0.0))
-
-
-def _share(H: Array, answer: LinePosterior, errors: Array) -> NDArray[np.float64]:
-    """Variance of the loads that FRF errors make, (lines, loads); errors are those of the whitened data."""
-    Q, _ = np.linalg.qr(H)
-    gain = answer.gain @ Q.conj().swapaxes(1, 2)
-    return np.asarray(np.einsum("kjs,ks->kj", np.abs(gain) ** 2, errors))
 
 
 ASKED = ("discrepancy", "upre", "gcv", "robust_gcv", "l_curve", "quasi_optimality", "evidence")

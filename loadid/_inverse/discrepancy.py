@@ -1,0 +1,140 @@
+"""What is wrong with the FRF of every line: how large it is, learned from the data.
+
+The FRF in use errs: ``Y = (H + E) g + n``. E is random, of a size that nobody states, and has three parts: of every entry
+in proportion to itself (gains, phases, calibration); in proportion to what its line and its sensor are beside their
+neighbours (shapes of modes, noise of a measured FRF), which fills antiresonances; and along the derivative of the FRF
+(natural frequencies, damping), which is largest at resonances. Given loads whose variances v change slowly over the
+lines, the data of a line are complex normal with covariance
+
+    S = H V H^H + nu N + sum_c theta_c C_c(v).
+
+Noise nu, sizes theta and variances v of the largest evidence are the fixed point of ratios,
+``theta_c <- theta_c sum a^H C_c a / sum tr S^-1 C_c`` with ``a = S^-1 Y`` (D. J. C. MacKay, Neural Computation 4 (1992)
+415). What spare sensors do not fit is in that evidence, and so is what loads of smooth size would never do in the
+directions that a line hardly sees. A few data that show the floor are added: sizes of which the lines say nothing stay
+there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import Array, Numbers
+from .spectral import window
+
+FLOOR = 0.05  # relative std of an entry of the FRF where the data tell nothing
+FLOORS = np.array([0.5 * FLOOR**2, 0.5 * FLOOR**2, (FLOOR / 10) ** 2])  # of the three parts
+GIVEN = 2.0  # data that show the floor
+DATA = 900  # numbers that are asked
+STEPS = 10  # of the fixed point, which then moves by less than chance
+FEW = 8  # lines from which on sizes are learned
+TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """Errors of an FRF.
+
+    Parameters
+    ----------
+    sizes : array (3,)
+        Relative variances: of entries, of lines and sensors, of the frequencies.
+    entries : array, shape (lines, sensors, loads)
+        Variance of the entries by the first two.
+    slope : array, shape (lines, sensors, loads)
+        Error of the entries for one std of the frequencies.
+    load : array, shape (lines, loads)
+        Variances of the loads around each line.
+    noise : float
+        Variance of the whitened noise.
+    """
+
+    sizes: Array
+    entries: Array
+    slope: NDArray[np.complex128]
+    load: Array
+    noise: float
+
+    @property
+    def entry(self) -> float:
+        """Relative std of an entry."""
+        return float(np.sqrt(np.sum(self.sizes[:2])))
+
+
+def learned(H: Numbers, X: Numbers, power: Array, f: Array, *, known: bool, neighbours: int) -> Discrepancy:
+    """Errors of the largest evidence, from evenly chosen lines.
+
+    Parameters
+    ----------
+    H : array, shape (lines, sensors, loads)
+    X : array, shape (lines, sensors, snapshots)
+    power : array, shape (lines, sensors)
+        Variance of the noise, or a scale where it is not `known`.
+    f : array, shape (lines,)
+        Hz, ascending.
+    neighbours : int
+        Lines to either side over which loads and sensors are as large as here.
+    """
+    lines, sensors, loads = H.shape
+    root = np.sqrt(power)[..., None]
+    H, X = H / root, X / root
+    slope = _slope(H, f)
+    step = max(1, -(-lines // max(DATA // sensors, 40)))
+    pick = slice(step // 2, None, step)
+    sizes, v, noise = _fixed_point(H[pick], X[pick], slope[pick], known, max(neighbours // step, 2))
+    at, every = np.arange(lines)[pick], np.arange(lines)
+    load = np.exp(np.column_stack([np.interp(every, at, np.log(v[:, j])) for j in range(loads)]))
+    entries = sizes[0] * np.abs(H) ** 2 + sizes[1] * _filled(np.abs(H) ** 2)
+    return Discrepancy(sizes, entries * root**2, np.sqrt(sizes[2]) * slope * root, load, noise)
+
+
+def _slope(H: Numbers, f: Array) -> NDArray[np.complex128]:
+    """Derivative over the logarithm of the frequency."""
+    if len(f) < 2 or f[-1] <= 0:
+        return np.zeros_like(H)
+    return np.asarray(np.gradient(H, np.log(np.maximum(f, f[f > 0][0] / 2)), axis=0))
+
+
+def _filled(size: Array) -> Array:
+    """Squared entries as large as those of all sensors, over their noise."""
+    return np.asarray(np.broadcast_to(np.mean(size, axis=1, keepdims=True), size.shape))
+
+
+def _fixed_point(H: Numbers, X: Numbers, D: Numbers, known: bool, neighbours: int) -> tuple[Array, Array, float]:
+    """Sizes (3,), variances of the loads (lines, loads), noise."""
+    lines, sensors, loads = H.shape
+    near, _ = window(lines, neighbours)
+    size, i = np.abs(H) ** 2, np.arange(sensors)
+    filled = _filled(size)
+    energy, power = np.sum(size, axis=1), np.sum(np.abs(X) ** 2, axis=(1, 2))
+    v = near(power[:, None] * energy) / np.maximum(near(energy**2), TINY) / loads + TINY
+    theta, least = FLOORS, 1.0 if known else 1e-12 * float(np.mean(power)) + TINY
+    noise = 1.0 if known else 1e-3 * float(np.mean(power)) / sensors + TINY
+    for _ in range(STEPS):
+        both = np.concatenate([H, np.sqrt(theta[2]) * D], axis=2)
+        scaled = both * np.sqrt(np.concatenate([v, v], axis=1))[:, None, :]
+        S = scaled @ scaled.conj().swapaxes(1, 2)
+        S[:, i, i] += noise + np.einsum("ksj,kj->ks", theta[0] * size + theta[1] * filled, v)
+        inverse = np.linalg.inv(S)
+        a = inverse @ X
+        shown, due = np.sum(np.abs(a) ** 2, axis=2), np.einsum("kss->ks", inverse).real
+        along = np.sum(np.abs(both.conj().swapaxes(1, 2) @ a) ** 2, axis=2)
+        told = np.einsum("ksj,ksj->kj", both.conj(), inverse @ both).real
+        # of each part and load: what the data show of its share of S, and what is due
+        parts = [
+            np.stack([*(t * np.einsum("ksj,ks->kj", c, of) for t, c in zip(theta, (size, filled), strict=False)),
+                      slope[:, loads:]])
+            for of, slope in ((shown, along), (due, told))
+        ]  # fmt: skip
+        v_next = near(v**2 * (along[:, :loads] + parts[0].sum(axis=0))) / np.maximum(
+            near(v * (told[:, :loads] + parts[1].sum(axis=0))), TINY
+        )
+        if lines >= FEW:
+            seen, expected = (np.sum(v * part, axis=(1, 2)) for part in parts)
+            theta = theta * np.clip((seen + GIVEN * FLOORS / theta) / (expected + GIVEN), 0.1, 10.0)
+        noise = max(noise * float(np.sum(shown) / np.sum(due)), least)
+        v = v_next + TINY
+    return theta, v, noise
