@@ -1,4 +1,4 @@
-"""`python -m tests.campaigns static|impacts|tracking [--problems N] [--seed S] [--error KIND]`: the table of one campaign."""
+"""`python -m tests.campaigns static|impacts|tracking [--problems N] [--seed S] [--error KIND]`: one campaign."""
 
 from __future__ import annotations
 

@@ -66,15 +66,16 @@ class Service:
         )
 
 
-def history(rng: np.random.Generator, kind: str, samples: int) -> Array:
-    """One load on the fine clock (FINER * samples,), of unit size, from rest."""
+def history(rng: np.random.Generator, kind: str, samples: int, machine: int) -> Array:
+    """One load on the fine clock (FINER * samples,), of unit size, from rest; a `machine` has its own frequencies."""
     t = np.arange(FINER * samples) / FINER
     start = 0.5 - 0.5 * np.cos(np.pi * np.clip(t / 40, 0, 1))
     if kind == "slow":
         waves = [(rng.uniform(0.3, 1), rng.uniform(100, 600), rng.uniform(0, 6)) for _ in range(3)]
         return np.asarray(start * sum(a * np.sin(2 * np.pi * t / long + at) for a, long, at in waves))
     if kind == "harmonic":
-        waves = [(rng.uniform(0.3, 1), rng.uniform(10, 100), rng.uniform(0, 6)) for _ in range(2)]
+        own = np.random.default_rng(machine)
+        waves = [(rng.uniform(0.8, 1) * own.uniform(0.4, 1), own.uniform(10, 100), rng.uniform(0, 6)) for _ in "ab"]
         return np.asarray(start * sum(a * np.sin(2 * np.pi * t / long + at) for a, long, at in waves))
     if kind == "random":
         knots = np.arange(0, samples + 4, 4)
@@ -136,7 +137,7 @@ def service(seed: int, error: str = "none") -> Service:
         true = ForwardModel(structure(True, true_ratio), rows, points, modes=2 * modes)
     acting = [LOADS[rng.integers(4)] for _ in range(p)]
     size = 10 ** rng.uniform(0, 3)
-    fine = [size * np.column_stack([history(rng, k, SAMPLES) for k in acting]) for _ in range(2)]
+    fine = [size * np.column_stack([history(rng, k, SAMPLES, draw + j) for j, k in enumerate(acting)]) for _ in "ab"]
     dt = 1 / (4.0 * float(model.modes.frequencies[-1]))
     stretch = np.sqrt(off) if error == "stiffness" else 1.0  # a slower clock is a softer structure
     inertia = np.array([1.0 if k == "acceleration" else stretch**-2 for k in kinds])  # static motion of a softer one
@@ -248,12 +249,12 @@ def followed(given: Service, **settings: Any) -> Followed:
 
 def alarms_of(run: Tracker) -> Array:
     """Alarm of each row."""
-    return np.zeros(0)
+    return run.row_alarms[:, 0]
 
 
 def named_in(run: Tracker) -> tuple[tuple[int, str, int], ...]:
     """Channels that were named, as what, and samples after `BEGIN`."""
-    return ()
+    return tuple((i, f.kind, f.sample - BEGIN) for f in run.faults for i in (f.channel, f.other) if i >= 0)
 
 
 def run(problems: int, seed: int, error: str = "none", **settings: Any) -> Iterator[Followed | str]:
