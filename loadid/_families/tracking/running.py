@@ -20,7 +20,6 @@ from structures.errors import InputError, plain, reals
 from ..._guards.tracking import beyond_the_fit, faulty, kept_out, moved_off, unlike_the_fit
 from ..._inverse.gaussian.exports import FilterpyEngine
 from ..._inverse.gaussian.lag import fixed_lag
-from ..._inverse.gaussian.model import FilterState
 from ..._inverse.gaussian.roots import Array
 from ..._inverse.gaussian.steady import SteadyFilter
 from .engine import Engine, Late
@@ -255,17 +254,14 @@ class Running:
         answer = self._placed(sample if watch.idle else watch.taken(self._engine.core.sample(sample)))
         self.row_alarms = watch.row
         watch.add_one(plain(sample))
-        self._moved()
+        if watch.filled == 0:
+            self._settled(watch)
         return answer
 
-    def _moved(self) -> None:
-        """Go on from the state that the watch knows, where it has taken a channel out."""
-        if self._watch is not None and self._watch.reseed is not None:
-            self._begin(self._watch.reseed)
-            self._watch.reseed = None
-
-    def _begin(self, ahead: FilterState) -> None:
-        if self._ring is None:  # else late samples could not be put in their place
+    def _settled(self, watch: Watch) -> None:
+        """Go on from the state that the watch knows, where it takes a channel out."""
+        ahead = watch.settle(self._engine.wrong > 0)
+        if ahead is not None and self._ring is None:  # else late samples could not be put in their place
             self._engine.begin(ahead)
             if self._late is not None:
                 self._late.succeed(self._late)
@@ -324,20 +320,26 @@ class Running:
         self, Y: Array, load: Array, std: Array, e: Array, progress: Callable[[float, str], None] | None
     ) -> None:
         """Fill loads, std and innovations of samples, without those of channels that the watch finds wrong."""
-        moves: list[tuple[int, FilterState]] = []
         self.row_alarms = np.zeros((len(Y), 2), int)
-        if self._watch is not None:
-            Y, self.row_alarms, moves = self._watch.feed(Y)
+        if self._watch is None:
+            self._placed_block(Y, load, std, e, progress)
+        start = 0
+        while self._watch is not None and start < len(Y):
+            taken, alarms = self._watch.feed(Y[start:])
+            part = slice(start, start + len(taken))
+            self.row_alarms[part] = alarms
+            self._placed_block(taken, load[part], std[part], e[part], progress)
+            if self._watch.filled == 0:
+                self._settled(self._watch)
+            start = part.stop
+        self._means.add(e)
+
+    def _placed_block(
+        self, Y: Array, load: Array, std: Array, e: Array, progress: Callable[[float, str], None] | None
+    ) -> None:
+        """Fill loads, std and innovations of samples, which are kept where late ones may come."""
         if self._ring is None:
-            start = 0
-            for stop in [k for k, _ in moves] + [len(Y)]:
-                part = slice(start, stop)
-                if stop > start:
-                    self._run(Y[part], load[part], std[part], e[part], progress)
-                if moves and moves[0][0] == stop:
-                    self._begin(moves.pop(0)[1])
-                start = stop
-            self._means.add(e)
+            self._run(Y, load, std, e, progress)
             return
         cuts = self._ring.cuts(len(Y))
         for start, stop in zip([0, *cuts], cuts, strict=False):
@@ -346,7 +348,6 @@ class Running:
                 self._ring.anchor(self._changing())
             self._run(Y[part], load[part], std[part], e[part], progress)
             self._ring.push(Y[part])
-        self._means.add(e)
 
     def _run(self, Y: Array, load: Array, std: Array, e: Array, progress: Callable[[float, str], None] | None) -> None:
         """Fill loads, std and innovations of a block."""

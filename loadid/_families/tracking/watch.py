@@ -276,6 +276,7 @@ class Watch:
         self._hops, self._level = np.array(WINDOWS), np.log(usual.squares)
         self._own = np.where(bank.out < 0, 0.0, 2 * np.log(bank.own) + 1)
         self.held: Fault | None = None
+        self.masked = False  # kept out by the watch; before, by the gate
         self.good, self.strange, self.next_swap = 0, 0, 2
         self.named: list[Fault] = []
         self.unlike, self.kept = 0, 0  # samples that do not fit, channel samples kept out
@@ -298,7 +299,7 @@ class Watch:
         if not self.acts:
             return Y
         Y = Y[..., self.order]
-        if self.held is not None:
+        if self.held is not None and self.masked:
             Y = np.array(Y)
             self.kept += int(np.isfinite(Y[..., self.held.channel]).sum())
             Y[..., self.held.channel] = np.nan
@@ -307,20 +308,35 @@ class Watch:
     def _told(self) -> None:
         """What the rows of the next hop are told, and whether their samples are taken as they are."""
         self.row = np.array([self.alarm])  # code and channel
-        self.idle = not self.acts or (self.held is None and bool(np.all(np.diff(self.order) > 0)))
+        self.idle = not self.acts or (not self.masked and bool(np.all(np.diff(self.order) > 0)))
 
-    def feed(self, Y: Array) -> tuple[Array, NDArray[np.int_], list[tuple[int, FilterState]]]:
-        """Samples (samples, m) as they are to be taken, alarms (samples, 2), and the states from which to go on."""
-        out, alarms, moves, k = np.empty(Y.shape), np.zeros((len(Y), 2), int), [], 0
-        while k < len(Y):
+    def feed(self, Y: Array) -> tuple[Array, NDArray[np.int_]]:
+        """Samples as they are to be taken, and their alarms (samples, 2), up to where there is something to decide."""
+        if not self.idle:
+            Y = Y[: HOP - self.filled]
+            taken, alarms = self.taken(Y), np.repeat(self.row, len(Y), axis=0)
+            self.add(Y)
+            return taken, alarms
+        rows, k, changed = [], 0, False
+        while k < len(Y) and not changed:
             part = slice(k, min(k + HOP - self.filled, len(Y)))
-            out[part], alarms[part] = self.taken(Y[part]), self.row
+            rows.append(np.repeat(self.row, part.stop - k, axis=0))
             self.add(Y[part])
-            k = part.stop
-            if self.reseed is not None:
-                moves.append((k, self.reseed))
-                self.reseed = None
-        return out, alarms, moves
+            k, changed = part.stop, self.filled == 0 and (self.held is not None or self.reseed is not None)
+        return Y[:k], np.concatenate(rows)
+
+    def settle(self, gated: Bits) -> FilterState | None:
+        """Keep the wrong channel out, unless the gate does already (m,): then the state from which to go on."""
+        fault, ahead = self.held, self.reseed
+        self.reseed = None
+        if fault is None or not self.acts or self.masked:
+            return ahead
+        if gated[fault.channel]:
+            return None
+        f = int(np.flatnonzero(self.bank.out == fault.channel)[0])
+        self.masked = True
+        self._told()
+        return FilterState(self.x[f].copy(), self.bank.ahead[f])
 
     def add(self, Y: Array) -> None:
         """Samples (samples, m) of one hop; at its end it is judged."""
@@ -394,17 +410,22 @@ class Watch:
             self._returned(self.held)
             return
         strange = loud > STRANGE * self.usual.loudest
-        self.unlike += HOP * strange
-        self.strange = self.strange + 1 if strange else max(self.strange - 1, 0) // 2
         over = ratios > SURE + MORE * self.usual.most
         if over.any():
             w = int(np.argmax(np.where(over, ratios, -np.inf).max(axis=1)))
             i = int(np.argmax(ratios[w]))
             others = np.delete(ratios[w], i)
             clear = bool(over[w, i]) and ratios[w, i] - others.max() > ALONE * ratios[w, i]
-            if clear and self._steady(i, w) and explained[i] < USUAL * self.usual.loudest:
-                self._hold(i)
-                return
+            if clear and explained[i] < USUAL * self.usual.loudest:
+                beyond = self._beyond(i, w)
+                if beyond.max() < SPREAD * beyond.sum():
+                    self._hold(i)
+                    return
+                if beyond[-1] >= SPREAD * beyond.sum() > 0:  # in this hop alone, until now
+                    self._forgive(i)
+                    strange = False
+        self.unlike += HOP * strange
+        self.strange = self.strange + 1 if strange else max(self.strange - 1, 0) // 2
         if strange and (i := self._silent()) is not None:
             self._hold(i)
             return
@@ -414,13 +435,16 @@ class Watch:
         elif not strange and self.strange == 0:
             self.next_swap = 2
 
-    def _steady(self, i: int, window: int) -> bool:
-        """Whether more than one hop speaks against a channel."""
+    def _forgive(self, i: int) -> None:
+        """Filters that took a few wrong samples of a channel go on from the one that did not."""
+        f = int(np.flatnonzero(self.bank.out == i)[0])
+        self.x[self.bank.out != i] = self.x[f]
+
+    def _beyond(self, i: int, window: int) -> Array:
+        """What the hops of a window have of a channel beyond chance, in squares of its prediction."""
         its = self.bank.out == i
-        apart = self.apart[-max(WINDOWS[window], 2) :, 2][:, its].min(axis=1)
-        number = self.apart[-max(WINDOWS[window], 2) :, 0][:, its].max(axis=1)
-        beyond = np.maximum(apart - 2 * number * self.usual.own[its].max(), 0)
-        return len(apart) > 1 and bool(beyond.max() <= SPREAD * beyond.sum())
+        some = self.apart[-max(WINDOWS[window], 2) :][:, :, its]
+        return np.asarray(np.maximum(some[:, 2] / self.usual.own[its] - some[:, 0], 0).min(axis=1))
 
     def _silent(self) -> int | None:
         """The one channel that has stopped to move: no other one need tell."""
@@ -438,10 +462,8 @@ class Watch:
     def _hold(self, i: int) -> None:
         """Keep a channel out from the next sample on; the filter without it, at usual loads, knows the state."""
         f = int(np.flatnonzero(self.bank.out == i)[0])
-        self.held, self.good = Fault(i, -1, self._kind(i, f), self.count), 0
+        self.held, self.good, self.masked = Fault(i, -1, self._kind(i, f), self.count), 0, False
         self.named.append(self.held)
-        if self.acts:
-            self.reseed = FilterState(self.x[f].copy(), self.bank.ahead[f])
 
     def _kind(self, i: int, f: int) -> str:
         """What a channel does, in a word."""
@@ -476,8 +498,8 @@ class Watch:
         number, total, squares, _ = self.apart[-BACK:, :, f].sum(axis=0)
         if total**2 / max(number, 1) > 9 * usual * WITHIN:  # it still has a mean
             return
-        self.held, self.good = None, 0
-        self.x[self.bank.out != fault.channel] = self.x[f]
+        self.held, self.good, self.masked = None, 0, False
+        self._forgive(fault.channel)
         self._forget()
 
     def _swap(self) -> None:
@@ -549,4 +571,4 @@ MIDDLE = np.arange(HOP) - (HOP - 1) / 2
 LOUD = 1e9  # -2 log of a ratio, at most
 TOP = 1e6  # normalised innovation, beyond which it is no larger
 ARRAYS = ("x", "buffer", "squares", "counts", "apart", "past", "before", "order")
-NUMBERS = ("count", "filled", "good", "strange", "next_swap", "unlike", "kept")
+NUMBERS = ("count", "filled", "good", "strange", "next_swap", "unlike", "kept", "masked")
