@@ -98,9 +98,10 @@ class Lifted:
     def whole(self) -> Lifted:
         """Those with all channels."""
         rows = np.flatnonzero(self.out < 0)
-        ahead = tuple(self.ahead[i] for i in rows)
-        return Lifted(*(getattr(self, name)[rows] for name in ("out", "M", "A", "B", "W")), self.H, self.constant[rows],
-                      self.own[rows], ahead, self.x0)  # fmt: skip
+        return replace(
+            self, out=self.out[rows], M=self.M[rows], A=self.A[rows], B=self.B[rows], W=self.W[rows],
+            constant=self.constant[rows], own=self.own[rows], ahead=tuple(self.ahead[i] for i in rows),
+        )  # fmt: skip
 
     def hop(self, x: Array, Y: Array) -> tuple[Array, Array]:
         """Normalised innovations (filters, HOP, m) of a hop Y (HOP, m), and the next predictions (filters, n)."""
@@ -326,12 +327,15 @@ class Watch:
         return Y[:k], np.concatenate(rows)
 
     def settle(self, gated: Bits) -> FilterState | None:
-        """Keep the wrong channel out, unless the gate does already (m,): then the state from which to go on."""
+        """Keep the wrong channel out, unless the gate does already (m,), or it was right in the last hop.
+
+        Then the state from which to go on.
+        """
         fault, ahead = self.held, self.reseed
         self.reseed = None
         if fault is None or not self.acts or self.masked:
             return ahead
-        if gated[fault.channel]:
+        if gated[fault.channel] or self.good:
             return None
         f = int(np.flatnonzero(self.bank.out == fault.channel)[0])
         self.masked = True
@@ -426,8 +430,8 @@ class Watch:
                     strange = False
         self.unlike += HOP * strange
         self.strange = self.strange + 1 if strange else max(self.strange - 1, 0) // 2
-        if strange and (i := self._silent()) is not None:
-            self._hold(i)
+        if strange and (silent := self._silent()) is not None:
+            self._hold(silent)
             return
         if strange and self.strange >= self.next_swap:
             self.next_swap = 2 * self.strange
