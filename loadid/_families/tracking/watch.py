@@ -407,13 +407,19 @@ class Watch:
         found[: len(hops)] = np.maximum(best[:, :1] - best[:, 1:], -LOUD)
         return found, float(explained[0]) if len(self.squares) > 1 else 0.0, explained[1:]
 
+    def _last(self) -> float:
+        """How loud the last hop is."""
+        level = self.squares[-1] / np.maximum(self.counts[-1] * self.usual.squares, 1)
+        return float(level[self.bank.out < 0].min())
+
     def decide(self) -> None:
         """Name a channel, or believe it again."""
         ratios, loud, explained = self.ratios()
         if self.held is not None:
             self._returned(self.held)
             return
-        strange = loud > STRANGE * self.usual.loudest
+        most = STRANGE * self.usual.loudest
+        strange = loud > most and self._last() > most  # a spike lies back
         over = ratios > SURE + MORE * self.usual.most
         if over.any():
             w = int(np.argmax(np.where(over, ratios, -np.inf).max(axis=1)))
@@ -428,8 +434,8 @@ class Watch:
                 if beyond[-1] >= SPREAD * beyond.sum() > 0:  # in this hop alone, until now
                     self._forgive(i)
                     strange = False
-        self.unlike += HOP * strange
         self.strange = self.strange + 1 if strange else max(self.strange - 1, 0) // 2
+        self.unlike += HOP * (self.strange > 1)
         if strange and (silent := self._silent()) is not None:
             self._hold(silent)
             return
