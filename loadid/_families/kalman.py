@@ -36,11 +36,14 @@ from .tracking.judging import GATE
 from .tracking.samples import ranges, within
 from .tracking.tracker import Tracker
 from .tracking.tuning import LONGEST, numbers_of
+from .tracking.watch import usual
 
 Array = NDArray[Any]
 
 FAR, NEARLY = 50, 1.05  # where a lag is judged, and how near to that is near enough
 JOINT = ("ou", "matern32", "matern52")
+NOTHING = 1.2  # by which a std may be too small: chance, in a record of some hundred samples
+LITTLE = 0.05  # of the variance of a load, that all sensors together take away one by one: they tell nothing of it
 INNOVATIONS = NoiseSource("residual", "likelihood of the innovations")
 UNKNOWN = 0.01  # of the rms of a channel: its noise, to begin with, where nobody states it
 
@@ -185,7 +188,7 @@ class LoadTracker:
         settled = self._settled(model, data.dt)
         bank = tuple((w, m, self._settled(m, data.dt)) for w, m in posing.bank(x, self.errors, scale))
         self._progress(0.9, "testing the innovations")
-        certificate, e = self._certified(model, settled, data)
+        certificate, e, wider = self._certified(model, settled, data)
         fitted = TrackerFit(
             model=model,
             settled=settled,
@@ -203,6 +206,8 @@ class LoadTracker:
             inputs={data.record.source or data.record.name or "record": data.record.sha256},
             limits=limits,
             recipe=self._recipe(posing, x, scale),
+            usual=usual(model, np.where(data.missing, np.nan, data.values)[:LONGEST]),
+            wider=wider,
         )
         self._progress(1.0, "done")
         tracker = Tracker(fitted, self.gate, self._lag(settled), replay=self.online.replay, engine=self.online.engine)
@@ -279,7 +284,9 @@ class LoadTracker:
                 return None
             raise
 
-    def _certified(self, model: Any, settled: SteadyFilter | None, data: Data) -> tuple[TrackCertificate, Array]:
+    def _certified(
+        self, model: Any, settled: SteadyFilter | None, data: Data
+    ) -> tuple[TrackCertificate, Array, Array | None]:
         Y = np.where(data.missing, np.nan, data.values)[:LONGEST]
         engine = Engine(model, settled, None)
         load, std, e = np.empty((len(Y), model.p)), np.empty((len(Y), model.p)), np.full(Y.shape, np.nan)
@@ -288,8 +295,9 @@ class LoadTracker:
         labels = [c.label for c in data.channels]
         constant = np.inf if settled is None else settled.time_constant
         nis = _nis(settled, e[first:])
-        found = certify(e[first:], nis, _left_out(model, data, first), labels, constant)
-        return banded(found, settled, [c.label for c in self.model.loads], data.dt), e[first:]
+        shares, wider = _left_out(model, data, first, settled, load)
+        found = certify(e[first:], nis, shares, labels, constant)
+        return banded(found, settled, [c.label for c in self.model.loads], data.dt), e[first:], wider
 
     def _flags(
         self, data: Data, seen: Observability, model: Any, settled: SteadyFilter | None, certificate: TrackCertificate,
@@ -307,6 +315,7 @@ class LoadTracker:
                 None if settled is None else told.slow(settled.time_constant, data.duration),
                 told.untuned(certificate.nis, tuned=tuned),
                 told.overconfident(certificate.nis, e, certificate.sensors),
+                told.contradicting(certificate.left_out, certificate.sensors),
                 told.believed(self.around["dummy"]),
                 *more,
                 guards.inverse_crime(data.record.simulated_by, self.model.fingerprint),
@@ -334,10 +343,18 @@ def _nis(settled: SteadyFilter | None, e: Array) -> NDArray[np.float64]:
     return own
 
 
-def _left_out(model: Any, data: Data, first: int) -> list[float | None]:
-    """Share of each channel inside the 95 % band that the others predict; None where they cannot."""
+def _left_out(
+    model: Any, data: Data, first: int, settled: SteadyFilter | None, load: Array
+) -> tuple[list[float | None], Array | None]:
+    """Share of each channel inside the 95 % band that the others predict; None where they cannot.
+
+    And by what the std of each load is too small: an optimal filter and the same with less data differ by a process of
+    variance V_less - V. What the record has of it, over that, with the share of V_less that the channel takes away as
+    weight; None where that is not more than `NOTHING`.
+    """
     Y = data.values[:LONGEST]
     found: list[float | None] = []
+    ratios, weights = np.zeros(model.p), np.zeros(model.p)
     for i in range(model.m):
         rest = np.delete(np.arange(model.m), i)
         if not len(rest) or data.missing.any():
@@ -352,7 +369,12 @@ def _left_out(model: Any, data: Data, first: int) -> list[float | None]:
         row = model.H[i]
         spread = float(np.sqrt(np.sum((row @ other.L) ** 2) + np.sum(model.LR[i] ** 2)))
         found.append(float(np.mean(np.abs(Y[first:, i] - x[first:] @ row) < 1.96 * spread)))
-    return found
+        if settled is not None:
+            more = np.maximum(other.std**2 - settled.std**2, 0.0)
+            ratios += np.mean((x @ model.Cp.T - load)[first:] ** 2, axis=0) / other.std**2
+            weights += more / other.std**2
+    wider = np.sqrt(np.divide(ratios, weights, out=np.ones(model.p), where=weights > LITTLE))
+    return found, np.maximum(wider, 1.0) if np.any(wider > NOTHING) else None
 
 
 def _states(filtered: SteadyFilter, Y: Array) -> NDArray[np.float64]:

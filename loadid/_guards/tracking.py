@@ -90,6 +90,7 @@ HIDING = 1.0  # noise sds that the state noise of one mode may be worth at a sen
 SHARE = 0.2  # of a record that the filter may take to settle
 FEW, OFTEN = 10, 2e-3  # channel samples beyond a gate before it is said, and their share
 MOST = 4  # channels that are named with them
+AGREE = 0.8  # least share of a channel inside the 95 % band that the others predict
 FAR = 100.0  # times the load of the fit (40 dB) of an event: tuned in the wind and then hit with a hammer is less
 SHIFTED = (
     8.0  # standard errors of a mean in service: asked at every block, so that 4 would come by chance in a long day
@@ -229,6 +230,40 @@ def moved_off(errors: Array, sensors: Sequence[str]) -> Flag | None:
     )
 
 
+def faulty(faults: Sequence[tuple[str, str | None, str, int]], acts: bool = True) -> Flag | None:
+    """W528: sensors that were found wrong in service.
+
+    Parameters
+    ----------
+    faults : sequence of (channel, the one that it is swapped with, what it does, samples before it was named)
+    acts : bool
+        It is kept out, two that are swapped are taken the other way round.
+    """
+    if not faults:
+        return None
+    listed = "; ".join(
+        f"{channel} ({kind}, sample {sample})" if other is None else f"{channel} and {other} (swapped, sample {sample})"
+        for channel, other, kind, sample in faults[-MOST:]
+    )
+    done = "kept out from there on, or taken the other way round" if acts else "believed all the same (gate=None)"
+    return Flag(
+        "W528", Evidence("channels named in service", float(len(faults)), 0.0), f"wrong in service: {listed}; {done}"
+    )
+
+
+def unlike_the_fit(samples: int, loudest: float) -> Flag | None:
+    """W529: samples in service that neither the model nor one wrong channel explains; `loudest` of the fit."""
+    if not samples:
+        return None
+    return Flag(
+        "W529",
+        Evidence("samples in service that do not fit", float(samples), 0.0),
+        f"for {samples} samples the innovations were several times larger than in any part of the record of the fit "
+        f"(there at most {loudest:.3g} times their mean), and no single channel explains it: the structure has "
+        "changed, several sensors are wrong, or a load acts that the model does not have",
+    )
+
+
 def other_model(before: str, now: str) -> Flag | None:
     """W522: a tracker goes on with another model than the one that it was certified with (fingerprints)."""
     if before == now:
@@ -344,6 +379,20 @@ def overconfident(nis: float, innovations: Array, sensors: Sequence[str]) -> Fla
     return Flag(
         "W504", found, what,
     )  # fmt: skip
+
+
+def contradicting(left_out: Sequence[float | None], sensors: Sequence[str]) -> Flag | None:
+    """W530: channels that are not where the others say, by the model: shares inside the 95 % band of it."""
+    wrong = sorted((s, name) for s, name in zip(left_out, sensors, strict=True) if s is not None and s < AGREE)
+    if not wrong:
+        return None
+    listed = ", ".join(f"{name} {share:.0%}" for share, name in wrong[:MOST])
+    return Flag(
+        "W530",
+        Evidence("share in the band that the other sensors predict", float(wrong[0][0]), AGREE),
+        f"the sensors contradict each other by this model (inside the 95 % band from the others: {listed}): the model "
+        "is wrong by more than the noise, and the band does not hold for sure",
+    )
 
 
 def biases(innovations: Array) -> Array:

@@ -86,8 +86,8 @@ def follow(
     source : str
         A file that grows, ``-``, or ``tcp://HOST:PORT``.
     out : str or binary file
-        Name of a file that is new, empty or that of the state, or an open pipe: a line a sample with time, loads and
-        stds.
+        Name of a file that is new, empty or that of the state, or an open pipe: a line a sample with time, loads,
+        stds, and the number of the guard that holds there with its channel (from 1), 0 where there is none.
     state : path or StateLock, optional
         File of the checkpoints; none are written where it is left out.
     stream : dict, optional
@@ -126,6 +126,7 @@ class _Run:
         f = tracker.fitted
         before = stream or {}
         self.resumed = "clock" in before  # else it says only which output it belongs to
+        self.alarms = bool(before.get("alarms", not self.resumed))  # outputs of 0.1 have no columns of them
         layout = before.get("layout")
         self.lines = Lines(f.sensors, None if layout is None else ColumnLayout.from_tree(layout), units)
         self.clock = Clock(f.dt, tracker.replay)
@@ -148,6 +149,7 @@ class _Run:
             "time [s]",
             *(f"{c.label} [{c.unit}]" for c in f.loads),
             *(f"std of {c.label} [{c.unit}]" for c in f.loads),
+            *(["alarm", "alarm channel"] if self.alarms else []),
         ]
         try:
             self.output = Output(out, head, before.get("output"))
@@ -216,6 +218,7 @@ class _Run:
             "waiting": self.waiting,
             "waits": dict(self.source.counts),
             "output": self.output.place(),
+            "alarms": self.alarms,
         }
         checkpoint.save(self.tracker, self.state, stream)
 
@@ -223,7 +226,7 @@ class _Run:
         """Before the first answer the state says which output is its own: what stands there is then known as such."""
         if not self.claimed:
             assert self.state is not None
-            checkpoint.save(self.tracker, self.state, {"output": self.output.place()})
+            checkpoint.save(self.tracker, self.state, {"output": self.output.place(), "alarms": self.alarms})
             self.claimed = True
 
     def _taken(self, stamps: Array | None, values: Array, watch: Watch) -> int:
@@ -240,25 +243,26 @@ class _Run:
 
     def _placed(self, stamps: Array | None, values: Array, watch: Watch) -> int:
         times, Y = self.clock.place(stamps, values)
-        load, std = self._tracked(Y, self.clock.behind)
+        load, std, alarms = self._tracked(Y, self.clock.behind)
         if len(Y):
             answers = self._answered(times, load, std)
-            self.output.write(*answers)
+            self.output.write(*answers, alarms[len(Y) - len(answers[0]) :] if self.alarms else None)
             if len(answers[0]):
                 watch(*answers)
         return len(Y)
 
-    def _tracked(self, Y: Array, behind: list[Behind]) -> tuple[Array, Array]:
-        """Loads and stds of samples, each late row put in its place when it comes: answers that are out stay."""
+    def _tracked(self, Y: Array, behind: list[Behind]) -> tuple[Array, Array, NDArray[np.int_]]:
+        """Loads, stds, alarms of samples, each late row put in its place when it comes: answers that are out stay."""
         p, k = len(self.tracker.fitted.loads), 0
-        load, std = np.empty((len(Y), p)), np.empty((len(Y), p))
+        load, std, alarms = np.empty((len(Y), p)), np.empty((len(Y), p)), np.zeros((len(Y), 2), int)
         for after, row, ago in [*behind, Behind(len(Y), np.empty(0), -1)]:
             if after > k:
                 load[k:after], std[k:after], _ = self.tracker.run(Y[k:after])
+                alarms[k:after] = self.tracker.row_alarms
             if ago >= 0:
                 self.tracker.insert(row, ago)
             k = after
-        return load, std
+        return load, std, alarms
 
     def _answered(self, times: Array, load: Array, std: Array) -> tuple[Array, Array, Array]:
         """Answers with their own times: a tracker with a lag speaks of samples that lie back, at first of none."""

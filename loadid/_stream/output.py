@@ -167,12 +167,14 @@ class Output:
             self._ahead.seek(self.at)
         self._file.seek(self.at)
 
-    def write(self, times: Array, load: Array, std: Array) -> None:
-        """One line a sample: time, loads, stds, with all their digits."""
+    def write(self, times: Array, load: Array, std: Array, alarms: NDArray[np.int_] | None = None) -> None:
+        """One line a sample: time, loads, stds, with all their digits; whole numbers of its alarm, where given."""
         if len(times):
             self._begin()
             table = np.column_stack([times, load, std]).tolist()
-            self._put("".join([",".join(map(repr, row)) + "\n" for row in table]).encode())
+            ends = [""] * len(table) if alarms is None else [f",{code},{channel}" for code, channel in alarms.tolist()]
+            rows = [",".join(map(repr, row)) + end + "\n" for row, end in zip(table, ends, strict=True)]
+            self._put("".join(rows).encode())
 
     def sync(self) -> None:
         """Everything is on the disk when this returns."""

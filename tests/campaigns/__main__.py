@@ -1,4 +1,4 @@
-"""`python -m tests.campaigns static|impacts|long [--problems N] [--seed S] [--error KIND]`: the table of one."""
+"""`python -m tests.campaigns NAME [--problems N] [--seed S] [--error KIND]`: the table of one campaign."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import warnings
 
 from loadid import Penalty
 
-from . import impacts, long, static
+from . import impacts, long, static, tracking
 from .scores import Scored, counts, table
 
-CAMPAIGNS = {"static": static, "impacts": impacts, "long": long}
+CAMPAIGNS = {"static": static, "impacts": impacts, "long": long, "tracking": tracking}
 
 
 def main() -> None:
@@ -25,7 +25,10 @@ def main() -> None:
     settings = {"penalty": Penalty("identity", variance=given.variance)} if given.variance else {}
     warnings.simplefilter("ignore")
     found = list(CAMPAIGNS[given.campaign].run(given.problems, given.seed, given.error, **settings))
-    table([s for s in found if isinstance(s, Scored)])
+    if given.campaign == "tracking":
+        tracking.table([s for s in found if isinstance(s, tracking.Followed)])
+    else:
+        table([s for s in found if isinstance(s, Scored)])
     print("refused:", counts(s for s in found if isinstance(s, str)))
 
 

@@ -87,13 +87,13 @@ def test_samples_and_blocks_of_any_split_are_one_track():
 
 
 def test_a_tracker_goes_on_from_its_state_within_doubt_and_gaps():
-    """Everything that changes is in the tree of the engine: also a rival, and channels that are kept out."""
+    """Everything that changes is in the tree: also a rival, and channels that are kept out."""
     y = disturbed()
     load, std, _ = tracked(y)
     for cut in (120, 331, 335, 425, 460, 620, 670):
         first, second = Tracker(fit(), 6.0), Tracker(fit(), 6.0)
         first.run(y[:cut])
-        second._engine.restore(first._engine.to_tree())
+        second.restore(first.to_tree())
         a, b, _ = second.run(y[cut:])
         assert np.array_equal(a[:, 0], load[cut:])
         assert np.array_equal(b[:, 0], std[cut:])

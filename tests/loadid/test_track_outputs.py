@@ -101,7 +101,7 @@ def test_what_others_wrote_to_an_output_stays(made, run, tmp_path):
     with (tmp_path / "out.csv").open("ab") as file:
         file.write(b"\n")
     assert run(600)[0] == 0
-    mark = before.split(b"\n")[-2].split(b",")[0] + b",nan,nan\n"
+    mark = before.split(b"\n")[-2].split(b",")[0] + b",nan,nan,nan,nan\n"
     assert (tmp_path / "out.csv").read_bytes() == before + b"a note\n" + mark + made[4][len(before) :]
 
 
@@ -208,12 +208,12 @@ def test_answers_whose_samples_do_not_come_again_stay_and_are_marked(made, tmp_p
     assert listened(tmp_path, model, b"".join([lines[0], *lines[421:]])) == 0
     found = (tmp_path / "out.csv").read_bytes().split(b"\n")
     assert found[:401] == kept
-    assert found[401] == kept[250].split(b",")[0] + b",nan,nan"
+    assert found[401] == kept[250].split(b",")[0] + b",nan,nan,nan,nan"
     behind = Y.copy()
     behind[250:420] = np.nan  # as far as the run that went on knows
     load, std, _ = Tracker.load(model).run(behind)
     rest = np.array([line.split(b",") for line in found[402:-1]], float)
-    assert np.array_equal(rest[:, 1:], np.column_stack([load, std])[250:])
+    assert np.array_equal(rest[:, 1:-2], np.column_stack([load, std])[250:])
     assert np.allclose(rest[:, 0], tracker.fitted.dt * np.arange(250, 600), atol=1e-9)
     once = (tmp_path / "out.csv").read_bytes()
     assert listened(tmp_path, model, lines[0]) == 0  # nothing new: nothing changes

@@ -140,6 +140,7 @@ def _frozen(form: Delayed) -> Delayed:
 
 
 ARRIVED = 1e-3  # of the variances, from which the settled gain takes over
+OFF = "transient"  # phase off the settled gain
 REPEATS = 1e-9  # of the variances, from which the gains of a rhythm do
 
 
@@ -367,6 +368,13 @@ class Engine(Judge):
         self.phase = "periodic"
 
     # -- to another filter --------------------------------------------------------------------------------------------
+
+    def begin(self, ahead: FilterState) -> None:
+        """Go on from the prediction of the next sample that another filter has made, without doubts."""
+        self.ready, self.state, self.phase = ahead, FilterState(ahead.x, ahead.L, np.full(self.model.m, np.nan)), OFF
+        self.rival = self.pair = self.plain = None
+        self.wrong[:], self.good[:] = 0, 0
+        self.listener.clear()
 
     def succeed(self, old: Engine, T: Array | None) -> None:
         """Go on where the engine of another model stands: states T times its own, or, without T, anywhere in reach."""

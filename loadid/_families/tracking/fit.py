@@ -30,6 +30,7 @@ from ..._inverse.gaussian.steady import SteadyFilter, steady
 from ..._inverse.problem import NOT_KNOWN, NoiseSource
 from .certificate import TrackCertificate
 from .filters import SPREAD, WEIGHT, rescaled, restricted
+from .watch import Usual
 
 PRIORS = (
     priors.RandomWalk, priors.White, priors.OU, priors.Matern32, priors.Matern52, priors.Periodic, priors.Sum,
@@ -194,6 +195,10 @@ class TrackerFit:
         How the filter was made of the model, for another one.
     stale : bool
         The certificate is that of another model.
+    usual : Usual, optional
+        What the record of the fit gave the watch over the sensors; without it there is none.
+    wider : array (loads,), optional
+        By which the std of each load is wider than that of the filter, as its sensors leave more between them.
     """
 
     model: FilterModel
@@ -213,6 +218,8 @@ class TrackerFit:
     limits: Array | None = None
     recipe: Recipe | None = None
     stale: bool = False
+    usual: Usual | None = None
+    wider: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "noise_source", NoiseSource.of(self.noise_source) or NOT_KNOWN)
@@ -221,6 +228,7 @@ class TrackerFit:
 TYPES: dict[str, type] = {
     **{kind.__name__: kind for kind in (Channel, Evidence, Flag, FilterModel, NoiseSource, Present, Recipe, *PRIORS)},
     "Certificate": TrackCertificate, "Fitted": TrackerFit, "Steady": SteadyFilter,
+    "Usual": Usual,
 }  # fmt: skip
 NAMES = {kind: name for name, kind in TYPES.items()}  # in files, as release 0.1 has them
 FIELDS = {"Certificate": {"robust_std": "spread"}}  # the same of their fields

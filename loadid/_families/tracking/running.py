@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from structures._flags import Flag
 from structures.errors import InputError, plain, reals
 
-from ..._guards.tracking import beyond_the_fit, kept_out, moved_off
+from ..._guards.tracking import beyond_the_fit, faulty, kept_out, moved_off, unlike_the_fit
 from ..._inverse.gaussian.exports import FilterpyEngine
 from ..._inverse.gaussian.lag import fixed_lag
 from ..._inverse.gaussian.roots import Array
@@ -25,6 +25,7 @@ from ..._inverse.gaussian.steady import SteadyFilter
 from .engine import Engine, Late
 from .fit import TrackerFit
 from .samples import Replay, inside
+from .watch import CONTRADICTING, Fault, Watch, lifted_of
 
 PIECES = 40  # at most, then half as many, twice as long
 SHORTEST = 10  # samples of a piece
@@ -166,6 +167,8 @@ class Running:
         as it had been set aside.
         """
         found = {name: self._engine.counts[name] for name in ENGINE_COUNTS}
+        if self._watch is not None:  # the engine takes them for missing
+            found["missing"], found["gated"] = found["missing"] - self._watch.kept, found["gated"] + self._watch.kept
         return found | {name: self._tally[name] for name in ("saturated", "replayed", "expired")}
 
     @property
@@ -179,15 +182,34 @@ class Running:
                      dict(zip(labels, beyond.tolist(), strict=True))),
             beyond_the_fit(getattr(engine, "largest", 0.0)),
             moved_off(self._means.errors(None if f.settled is None else constant(f.settled)), labels),
+            None if self._watch is None else faulty([(labels[x.channel], None if x.other < 0 else labels[x.other],
+                                                      x.kind, x.sample) for x in self._watch.named], self._watch.acts),
+            None if self._watch is None else unlike_the_fit(self._watch.unlike, self._watch.usual.loudest),
         )  # fmt: skip
         return tuple(flag for flag in found if flag is not None)
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Channels that were found wrong since the start, in the order in which they were named."""
+        return () if self._watch is None else tuple(self._watch.named)
 
     def reset(self) -> None:
         """Back before the first sample."""
         self._tally: Counter[str] = Counter()
         self._means = Means(self.fitted.model.m)
         self._ring = Replay(self.replay) if self.replay else None
+        self._watch = self._watching()
+        self.row_alarms = np.zeros((0, 2), int)
         self._made()
+
+    def _watching(self) -> Watch | None:
+        """Over the sensors, where the fit has told what is usual; what it finds is acted upon where there is a gate."""
+        f = self.fitted
+        bank = None if f.usual is None or self.engine != "own" else lifted_of(f.model)
+        if f.usual is None or bank is None or len(bank.out) != len(f.usual.squares):
+            return None
+        always = CONTRADICTING if any(flag.code == f"LID-W{CONTRADICTING}" for flag in f.flags) else 0
+        return Watch(f.model, bank, f.usual, self.gate is not None, always)
 
     def _made(self) -> None:
         """Engines of the fit, before their first sample."""
@@ -222,6 +244,29 @@ class Running:
         """
         if self.fitted.limits is not None:
             sample = self._believable(sample)
+        load, std = self._watched(sample)
+        return load, std if self.fitted.wider is None else std * self.fitted.wider
+
+    def _watched(self, sample: ArrayLike) -> tuple[Array, Array]:
+        if self._watch is None:
+            return self._placed(sample)
+        watch = self._watch
+        answer = self._placed(sample if watch.idle else watch.taken(self._engine.core.sample(sample)))
+        self.row_alarms = watch.row
+        watch.add_one(plain(sample))
+        if watch.filled == 0:
+            self._settled(watch)
+        return answer
+
+    def _settled(self, watch: Watch) -> None:
+        """Go on from the state that the watch knows, where it takes a channel out."""
+        ahead = watch.settle(self._engine.wrong > 0)
+        if ahead is not None and self._ring is None:  # else late samples could not be put in their place
+            self._engine.begin(ahead)
+            if self._late is not None:
+                self._late.succeed(self._late)
+
+    def _placed(self, sample: ArrayLike) -> tuple[Array, Array]:
         if self._ring is None:
             return self._one(sample)
         if self._ring.count % self.replay == 0 or not self._ring.anchors:
@@ -266,10 +311,36 @@ class Running:
         load, std, e = np.empty((len(Y), self._p)), np.empty((len(Y), self._p)), np.full(Y.shape, np.nan)
         if self.fitted.limits is not None:
             Y = self._believable(Y)
+        self._filtered(Y, load, std, e, progress)
+        if self.fitted.wider is not None:
+            std *= self.fitted.wider
+        return load, std, e
+
+    def _filtered(
+        self, Y: Array, load: Array, std: Array, e: Array, progress: Callable[[float, str], None] | None
+    ) -> None:
+        """Fill loads, std and innovations of samples, without those of channels that the watch finds wrong."""
+        self.row_alarms = np.zeros((len(Y), 2), int)
+        if self._watch is None:
+            self._placed_block(Y, load, std, e, progress)
+        start = 0
+        while self._watch is not None and start < len(Y):
+            taken, alarms = self._watch.feed(Y[start:])
+            part = slice(start, start + len(taken))
+            self.row_alarms[part] = alarms
+            self._placed_block(taken, load[part], std[part], e[part], progress)
+            if self._watch.filled == 0:
+                self._settled(self._watch)
+            start = part.stop
+        self._means.add(e)
+
+    def _placed_block(
+        self, Y: Array, load: Array, std: Array, e: Array, progress: Callable[[float, str], None] | None
+    ) -> None:
+        """Fill loads, std and innovations of samples, which are kept where late ones may come."""
         if self._ring is None:
             self._run(Y, load, std, e, progress)
-            self._means.add(e)
-            return load, std, e
+            return
         cuts = self._ring.cuts(len(Y))
         for start, stop in zip([0, *cuts], cuts, strict=False):
             part = slice(start, stop)
@@ -277,8 +348,6 @@ class Running:
                 self._ring.anchor(self._changing())
             self._run(Y[part], load[part], std[part], e[part], progress)
             self._ring.push(Y[part])
-        self._means.add(e)
-        return load, std, e
 
     def _run(self, Y: Array, load: Array, std: Array, e: Array, progress: Callable[[float, str], None] | None) -> None:
         """Fill loads, std and innovations of a block."""
@@ -329,11 +398,12 @@ class Running:
             self._tally["expired"] += 1
             return None
         row = self._believable(row)
+        row = row if self._watch is None else self._watch.taken(row)
         rows = self._ring.samples
         rows[place] = np.where(np.isfinite(rows[place]), rows[place], row)
         load, std = self._again(np.array(rows))
         self._tally["replayed"] += 1
-        return load[place:], std[place:]
+        return load[place:], std[place:] if self.fitted.wider is None else std[place:] * self.fitted.wider
 
     def _again(self, Y: Array) -> tuple[Array, Array]:
         """The kept samples once more, from the older anchor on."""
@@ -362,7 +432,8 @@ class Running:
     def to_tree(self) -> dict[str, Any]:
         """Everything that changes from sample to sample, as plain arrays and numbers."""
         ring = None if self._ring is None else self._ring.to_tree()
-        return self._changing() | {"ring": ring, "tally": dict(self._tally), "means": self._means.to_tree()}
+        return self._changing() | {"ring": ring, "tally": dict(self._tally), "means": self._means.to_tree(),
+                                   "watch": None if self._watch is None else self._watch.to_tree()}  # fmt: skip
 
     def restore(self, tree: dict[str, Any]) -> None:
         """Go on from what `to_tree` gave."""
@@ -370,6 +441,8 @@ class Running:
         self._tally = Counter({str(k): int(v) for k, v in tree["tally"].items()})
         if (means := tree.get("means")) is not None:  # files of 0.1 hold none
             self._means.restore(means)
+        if self._watch is not None and (watch := tree.get("watch")) is not None:
+            self._watch.restore(watch)
         if self._ring is not None:
             self._ring.restore(tree["ring"])
 

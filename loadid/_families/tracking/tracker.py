@@ -127,7 +127,8 @@ class Tracker(Running):
                              hint="smooth it in parts")  # fmt: skip
         filtered = filter_record(model, Y, settled, progress=lambda f, t: told(0.5 * f, t))
         found = smooth_record(filtered, progress=lambda f, t: told(0.5 + 0.5 * f, t))
-        return blocks.estimate(self.fitted, self.counts, found.load, found.std, Y, found.residual, inputs, 0, path,
+        std = found.std if self.fitted.wider is None else found.std * self.fitted.wider
+        return blocks.estimate(self.fitted, self.counts, found.load, std, Y, found.residual, inputs, 0, path,
                                self.flags)  # fmt: skip
 
     # -- another model ----------------------------------------------------------------------------------------------
@@ -155,6 +156,7 @@ class Tracker(Running):
         recipe.same_channels(f, model)
         T = recipe.carried(self._origin, model, f.model.nx)
         self.fitted, late = recipe.renewed(f, model), self._late
+        self._watch = self._watching()
         self._made()
         self._engine.succeed(old, T)
         if self._late is not None and late is not None:

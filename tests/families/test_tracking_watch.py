@@ -1,0 +1,110 @@
+"""Faults of sensors in service: named, kept out, said in every row; none on clean data; restart bit for bit."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from loadid._families.tracking.tracker import Tracker
+from loadid._families.tracking.watch import FAULT, MISFIT
+from tests.campaigns.tracking import BEGIN, FAULTS, SOON, followed, service
+
+DRAWN = 500_007  # a chain with four displacement sensors and one load
+
+
+@cache
+def fitted() -> Tracker:
+    return service(DRAWN).tracker()
+
+
+def followed_by(fault: str) -> Tracker:
+    tracker = Tracker(fitted().fitted, fitted().gate)
+    tracker.run(service(DRAWN, fault).record)
+    return tracker
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_channel_is_named_in_time_and_every_row_says_so(fault):
+    given, tracker = service(DRAWN, fault), followed_by(fault)
+    assert tracker.faults
+    assert {f.channel for f in tracker.faults} <= set(given.wrong)
+    assert BEGIN < tracker.faults[0].sample <= BEGIN + SOON
+    assert not tracker.row_alarms[:BEGIN].any()
+    code, channel = tracker.row_alarms[BEGIN + SOON :].T
+    if fault != "spikes":
+        assert np.all(code == FAULT)
+        assert set(channel - 1) <= set(given.wrong)
+        assert tracker.faults[0].kind == fault
+    assert "LID-W528" in {f.code for f in tracker.flags}
+
+
+def test_a_clean_record_names_nobody():
+    tracker = followed_by("none")
+    assert tracker.faults == ()
+    assert not tracker.row_alarms.any()
+    assert not {"LID-W528", "LID-W529"} & {f.code for f in tracker.flags}
+
+
+def test_the_loads_go_on_without_the_channel(monkeypatch):
+    given = service(DRAWN, "offset")
+    monkeypatch.setattr(type(given), "tracker", lambda self, **settings: fitted())
+    found = followed(given)
+    assert found.right
+    assert found.late < 2
+    assert found.gate < 0.2
+    assert found.covered.min() > 0.85
+
+
+def test_without_a_gate_it_is_said_and_believed():
+    given = service(DRAWN, "stuck")
+    deaf, bare = Tracker(fitted().fitted, None), Tracker(fitted().fitted, None)
+    bare._watch = None
+    assert np.array_equal(deaf.run(given.record)[0], bare.run(given.record)[0])
+    assert [f.kind for f in deaf.faults] == ["stuck"]
+
+
+@pytest.mark.parametrize("fault", ["offset", "swapped"])
+def test_rows_blocks_and_a_restart_give_the_same_bits(fault, tmp_path):
+    y = service(DRAWN, fault).record
+    whole = Tracker(fitted().fitted, fitted().gate)
+    load, std, _ = whole.run(y)
+    alarms = whole.row_alarms
+    for cut in (407, 490):
+        first = Tracker(fitted().fitted, fitted().gate)
+        for k in range(0, cut, 37):
+            first.run(y[k : min(k + 37, cut)])
+        first.save(tmp_path / "t.h5")
+        second = Tracker.load(tmp_path / "t.h5")
+        for k in range(cut, cut + 50):
+            a, b = second.step(y[k])
+            assert np.array_equal(a, load[k])
+            assert np.array_equal(b, std[k])
+            assert np.array_equal(second.row_alarms[0], alarms[k])
+        a, b, _ = second.run(y[cut + 50 :])
+        assert np.array_equal(a, load[cut + 50 :])
+        assert np.array_equal(b, std[cut + 50 :])
+        assert np.array_equal(second.row_alarms, alarms[cut + 50 :])
+        assert second.faults == whole.faults
+        assert second.counts == whole.counts
+
+
+def test_a_channel_is_believed_again_when_it_is_right_again():
+    y = service(DRAWN).record.copy()
+    y[BEGIN : BEGIN + 200, 0] += 2 * y[:, 0].std()
+    tracker = Tracker(fitted().fitted, fitted().gate)
+    tracker.run(y)
+    assert [f.channel for f in tracker.faults] == [0]
+    assert np.all(tracker.row_alarms[BEGIN + 60 : BEGIN + 200, 0] == FAULT)
+    assert not tracker.row_alarms[BEGIN + 400 :].any()
+    assert tracker.phase == "steady"
+
+
+def test_what_no_single_channel_explains_has_its_alarm_too():
+    y = service(DRAWN).record.copy()
+    y[BEGIN:] += 3 * y.std(axis=0) * np.random.default_rng(0).standard_normal(y[BEGIN:].shape)
+    tracker = Tracker(fitted().fitted, fitted().gate)
+    tracker.run(y)
+    assert np.mean(tracker.row_alarms[BEGIN + SOON :, 0] == MISFIT) > 0.8
+    assert "LID-W529" in {f.code for f in tracker.flags}
