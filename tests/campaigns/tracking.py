@@ -223,7 +223,9 @@ class Followed:
 def followed(given: Service, **settings: Any) -> Followed:
     """Fit, follow, compare."""
     fitted = given.tracker(**settings)
-    errors, results, runs = [], [], []
+    errors: list[Array] = []
+    results: list[tuple[Array, Array]] = []
+    runs: list[Tracker] = []
     for gate, record in ((fitted.gate, given.record), (fitted.gate, given.clean), (None, given.record)):
         if results and record is given.record and gate == fitted.gate:
             continue
