@@ -195,8 +195,9 @@ def memory(
     return Flag(
         "W505",
         Evidence("response left after the record", left, MEMORY),
-        f"the record is shorter than the memory: {left:.1%} of the response is left at its end, "
-        f"so start and end are contaminated{_periods(frequencies, duration)}",
+        f"the record is shorter than the memory: {left:.1%} of the response is left at its end, so "
+        f"{'start and end are contaminated' if periodic else 'any motion from before it would come out as load'}"
+        f"{_periods(frequencies, duration)}",
         f"record longer{_enough(decay_rate, duration)}, begin before the load, or take the start as unknown "
         '(initial="unknown", state-space models)',
         state=not periodic,

@@ -366,9 +366,7 @@ def agreement(
     return spread, GRADES[max(grade, 2) if correlated else grade]
 
 
-def voices(
-    asked: Mapping[str, RuleResult], used: float, path: RegularizationPath | None = None
-) -> list[float | None]:
+def voices(asked: Mapping[str, RuleResult], used: float, path: RegularizationPath | None = None) -> list[float | None]:
     """Lambda of each kind of rule, None where it has no voice, as `agreement` counts them."""
     found = [next((asked[name].lam for name in kind if asked[name].lam is not None), None) for kind in KINDS]
     if path is not None and _spends(path, used):

@@ -140,7 +140,9 @@ class StaticProblem:
     def facts(self, solution: Solution, diagnosis: diagnose.Diagnosis, *, chosen: bool) -> dict[str, Any]:
         """What is known of a solution beyond what its path tells."""
         load = solution.load
+        expected = getattr(solution.posterior, "expected", None)
         return {
+            **({} if expected is None else {"expected_error": expected}),
             "path": self.solved_by, "m": len(self.H), "n": self.H.shape[1], "band": self.band(chosen),
             "frames": 1 if load.ndim == 1 else len(load), "noise_share": _noise_share(solution.posterior, load),
             "resolution": diagnosis.width, "resolution_unit": diagnosis.width_unit, "peak_bias": diagnosis.peak_bias,
