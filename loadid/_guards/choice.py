@@ -26,7 +26,7 @@ SIGMA_RULES = ("discrepancy", "dof_discrepancy", "upre", "predicted_error", "evi
 FLAT = 1.05  # GCV: highest over lowest within half a decade
 
 
-MATTERS = 2.0  # change of the load over its std, as norms, from which a doubt about lambda is one about the load
+MATTERS = 3.0  # change of the load over its std, as norms, from which a doubt about lambda is one about the load
 HALF = 10**0.5  # half a decade
 
 
