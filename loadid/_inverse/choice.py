@@ -401,6 +401,8 @@ def _plausible(path: RegularizationPath, lam: float, choice: Choice) -> bool:
         return bool(point.residual2 < FAR**2 * max(float(own.residual2), path.m * (sigma or 0.0) ** 2))
 
     def log(p: PathPoint) -> float:
+        assert p.objective is not None
+        assert p.log_ratio is not None
         fit = float(p.objective) / sigma**2 if sigma else (path.m - path.null) * np.log(float(p.objective))
         return -0.5 * (float(p.log_ratio) + fit)
 

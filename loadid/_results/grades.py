@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 LETTERS = ("A", "B", "C", "D")
 MEANINGS = {
-    "A": "good to about a tenth",
-    "B": "good to about a third",
-    "C": "right in size and rough shape only",
+    "A": "good",
+    "B": "fair",
+    "C": "size and rough shape only",
     "D": "not determined: do not use the number",
 }
 CUTS = (0.10, 0.30, 0.90)  # expected relative error between the grades

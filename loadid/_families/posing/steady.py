@@ -173,7 +173,8 @@ class StaticProblem:
             own = choose(free)
             tenth = 0.1 * float(np.sqrt(np.mean(free.problem.y**2)))
             return min(choice.lam, EASED * own.lam), max(residual_level(free, own.lam) or 0.0, tenth)
-        lam = np.geomspace(*free.range, 40)
+        low, high = free.range
+        lam = np.geomspace(low, high, 40)
         good = lam[np.asarray(free.at(lam).residual2) <= sigma**2 * free.m]
         return min(choice.lam, EASED * float(good[-1]) if len(good) else choice.lam), sigma
 
