@@ -115,12 +115,18 @@ class Flag:
     advice : str, optional
         What to do next (`structures._advice.Advice` where Python and the command line differ), where it is not what the
         table of codes says (`table`).
+    state : bool
+        It tells how things were set up (model not checked, fewer sensors than loads), whatever the data say: a note.
+    effect : float, optional
+        Expected effect on the load, in its std, where the guard can tell.
     """
 
     code: str
     evidence: Evidence
     message: str
     advice: str = ""
+    state: bool = False
+    effect: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "code", canonical(self.code))
@@ -130,7 +136,7 @@ class Flag:
     @property
     def level(self) -> str:
         """``"refused"``, ``"warning"`` or ``"note"``."""
-        return LEVELS[self.code[4]]
+        return LEVELS["N" if self.state else self.code[4]]
 
     def __str__(self) -> str:
         return f"{self.code} {self.level}: {self.message} [{self.evidence}] -> {self.advice}"
@@ -155,6 +161,7 @@ class Flag:
             "message": str(self.message),
             "advice": str(self.advice),
             **spelt,
+            **({} if self.effect is None else {"effect": self.effect}),
         }
 
     @classmethod
@@ -163,7 +170,16 @@ class Flag:
         advice = data["advice"]
         if "command" in data:
             advice = Advice(Spelling(advice, data["command"]))
-        return cls(data["code"], Evidence(**data["evidence"]), data["message"], advice)
+        state = data["level"] == LEVELS["N"] and data["code"][4] != "N"
+        return cls(data["code"], Evidence(**data["evidence"]), data["message"], advice, state, data.get("effect"))
+
+
+def cautions(flags: Iterable[Flag]) -> list[Flag]:
+    """The flags that are no notes: refusals that were overridden, then by expected effect on the load, then by code."""
+    return sorted(
+        (flag for flag in flags if flag.level != LEVELS["N"]),
+        key=lambda f: (f.code[4] != "E", -(f.effect if f.effect is not None else 0.0), f.code),
+    )
 
 
 def codes(flags: Iterable[Flag]) -> set[str]:

@@ -209,7 +209,7 @@ class TestWing:
         row = wing["24 patches, gradient"]
         assert row.validation.level == "distribution"
         assert not row.validation.partial
-        assert "level: distribution" in row.estimate.summary()
+        assert "level: distribution" in row.estimate.summary(details=True)
         assert len(row.validation.table().splitlines()) == 3
 
     def test_picture(self, wing, tmp_path):

@@ -196,6 +196,11 @@ def add_log_options(parser: ArgumentParser, *, several: bool = False) -> None:
     )
 
 
+def add_details(parser: ArgumentParser) -> None:
+    """The option that asks for all that is known of an answer."""
+    parser.add_argument("--details", action="store_true", help="also print how the load was found, and every remark")
+
+
 def units(options: list[str]) -> dict[str, str]:
     """``["F=N"]`` as a dictionary.
 

@@ -11,7 +11,7 @@ from structures._channels import Channel
 from structures.errors import InputError
 
 from .._results.summary import against, comparison, summary
-from . import Bar, Command, emit, require_outputs
+from . import Bar, Command, add_details, emit, require_outputs
 from . import seed as _seed
 from .identify import identify, write_all
 
@@ -118,6 +118,7 @@ def _channel(label: str) -> Any:
 def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", default="loadid-demo", help="folder to write to (default: %(default)s)")
     parser.add_argument("--seed", type=_seed, default=0, help="of the noise (default: %(default)s)")
+    add_details(parser)
 
 
 def _run(args: Namespace) -> int:
@@ -126,15 +127,14 @@ def _run(args: Namespace) -> int:
     error = against(estimate, simulated.force)
     lines = [
         f"A simulated hit of {PEAK:g} N on a steel beam, three accelerometers, {NOISE:.1%} noise.",
-        summary(estimate, command=True),
+        summary(estimate, details=args.details, command=True),
         comparison(error),
-        f"flags: {', '.join(sorted(estimate.codes)) or 'none'}",
         f"written: {', '.join(written)}",
     ]
     answer = {
         "against_known": error,
         "flags": sorted(estimate.codes),
-        "summary": summary(estimate, command=True),
+        "summary": summary(estimate, details=args.details, command=True),
         "written": written,
     }
     emit(args, answer, "\n".join(lines))

@@ -20,6 +20,7 @@ from . import (
     STARTS,
     Bar,
     Command,
+    add_details,
     add_log_options,
     band,
     channels,
@@ -288,6 +289,7 @@ def _configure(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--json-full", action="store_true", help="as --json, with all arrays")
     parser.add_argument("--report", metavar="PAGE.html", help="also write a report")
+    add_details(parser)
     parser.add_argument("--plot", metavar="PICTURE", help="also write a picture (png, svg, pdf)")
     add_log_options(parser)
 
@@ -310,7 +312,8 @@ def _run(args: Namespace) -> int:
                          expected="a load over time", hint="leave --truth out")  # fmt: skip
     error = None if truth is None else against(estimate, truth)
     written = write_all(estimate, args.output, report=args.report, plot=args.plot, truth=truth)
-    lines = [summary(estimate, command=True), *([comparison(error)] if error else []), f"written: {', '.join(written)}"]
+    said = summary(estimate, details=args.details, command=True)
+    lines = [said, *([comparison(error)] if error else []), f"written: {', '.join(written)}"]
     answer = {**estimate.to_dict(arrays=args.json_full), "against_known": error, "written": written}
     emit(args, answer, "\n".join(lines))
     return 0

@@ -10,7 +10,7 @@ from typing import Any
 from structures.files import _storage as storage
 
 from .._results.summary import quantity, summary
-from . import Command, add_log_options, emit, read_records, settings, table
+from . import Command, add_details, add_log_options, emit, read_records, settings, table
 from .calibrate import describe as describe_hits
 from .calibrate import show as show_hits
 
@@ -45,7 +45,9 @@ def universal(path: str | Path) -> dict[str, Any] | None:
     return found
 
 
-def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = True, **reading: Any) -> dict[str, Any]:
+def info(
+    path: str | Path, records: list[str] | None = None, *, arrays: bool = True, details: bool = False, **reading: Any
+) -> dict[str, Any]:
     """What is in a log, a model file or a result file, as plain values.
 
     Parameters
@@ -55,6 +57,8 @@ def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = T
         Names of the records to describe; default all.
     arrays : bool
         Whether a result file is given with its arrays.
+    details : bool
+        Whether the summary of a result says how the load was found, too.
     **reading
         As for `loadid._readers.read`.
 
@@ -79,7 +83,7 @@ def info(path: str | Path, records: list[str] | None = None, *, arrays: bool = T
         from .._results.estimate import LoadEstimate
 
         estimate = LoadEstimate.read(path)
-        said = summary(estimate, command=True)
+        said = summary(estimate, details=details, command=True)
         return {"kind": kind, "file": str(path), "summary": said, **estimate.to_dict(arrays=arrays)}
     if kind == "measured model":
         return {"kind": kind, "file": str(path), **_model(path)}
@@ -218,11 +222,12 @@ def _lines(tree: Any, indent: str) -> list[str]:
 def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="log, model or result")
     parser.add_argument("--json-full", action="store_true", help="as --json, with the arrays of a result")
+    add_details(parser)
     add_log_options(parser, several=True)
 
 
 def _run(args: Namespace) -> int:
-    data = info(args.file, args.record, arrays=args.json_full, **settings(args))
+    data = info(args.file, args.record, arrays=args.json_full, details=args.details, **settings(args))
     emit(args, data, show(data))
     return 0
 

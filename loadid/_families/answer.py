@@ -177,7 +177,8 @@ def labelled(found: SolvedLoad, loads: Sequence[Channel], sensors: Sequence[Chan
 def answer(
     family: LoadFamily, measured: Measured, found: SolvedLoad, choice: Choice, *, known: bool, prior: str,
     settings: Mapping[str, Any], flags: Iterable[Flag | None], searched: RegularizationPath | None = None,
-    full: tuple[float, int, int] | None = None, free: bool = False, judged: bool = True,
+    solved: RegularizationPath | None = None, full: tuple[float, int, int] | None = None, free: bool = False,
+    judged: bool = True,
 ) -> LoadEstimate:  # fmt: skip
     """The estimate, with the guards that all families share.
 
@@ -193,6 +194,8 @@ def answer(
         What this family finds besides.
     searched : RegularizationPath, optional
         On which lambda was sought.
+    solved : RegularizationPath, optional
+        On which the load was solved for.
     full : (kappa, rank, nullity), optional
         Of all sensors of the model, where only some are used.
     free : bool
@@ -217,7 +220,7 @@ def answer(
             *flags,
             fewer,
             guards.mixed_kinds(measured.channels, known),
-            *(guards.parameter(choice, searched) if judged else ()),
+            *(guards.parameter(choice, searched, solved, relative_spread(found)) if judged else ()),
             guards.inverse_crime(measured.simulated_by, model.fingerprint),
             guards.no_coverage(family.coverage),
             guards.used_for_training("the record", measured.fingerprints & model.training),
@@ -231,6 +234,12 @@ def answer(
         found, model.loads, measured.channels, choice=choice, flags=raised, allowed=family.allow,
         certificate=model.certificate, provenance=history,
     )  # fmt: skip
+
+
+def relative_spread(found: SolvedLoad) -> float | None:
+    """Norm of the std over that of the load; None of no load."""
+    size = float(np.linalg.norm(found.load))
+    return float(np.linalg.norm(found.std)) / size if size > 0 else None
 
 
 def undetermined(rank: int, unknowns: str, source: str, advice: Advice | str) -> NotIdentifiable:

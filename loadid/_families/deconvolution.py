@@ -159,7 +159,7 @@ class Deconvolution:
             self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),
             prior=local_variance.words(local) or _prior(self.settings) + ("" if pushed is None else "; it only pushes"),
             flags=self._flags(posed, choice, data, found), searched=posed.judged, full=posed.full, free=self._free,
-            judged=local is None or not local.asked_for,
+            solved=None if pushed is not None else posed.path, judged=local is None or not local.asked_for,
         )  # fmt: skip
 
     def _found(
@@ -230,8 +230,12 @@ class Deconvolution:
     def _flags(self, posed: Posed, choice: Choice, data: Data, found: SolvedLoad) -> list[Flag | None]:
         s, facts = self.settings, found.facts
         bound = s.penalty.leak is not None or s.penalty.size is not None
-        layout = histories.layout(self.model, data, posed.h, s.penalty.L, bound)
-        cut = posed.path.zero_padded and "W505" not in codes(layout)  # what the padded transform cannot represent
+        layout = [
+            guards.cut_off(flag, found.load, found.std) if flag.code == "LID-W505" else flag
+            for flag in histories.layout(self.model, data, posed.h, s.penalty.L, bound, posed.path.zero_padded)
+        ]
+        # what the padded transform cannot represent
+        cut = posed.path.zero_padded and "W505" not in codes(f for f in layout if f)
         ratio = diagonal(posed.h) if "LID-E506" in s.allow else np.inf
         penalty = s.penalty.L if isinstance(s.penalty.L, str) else "user matrix"
         return [

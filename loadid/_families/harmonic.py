@@ -131,7 +131,7 @@ class HarmonicInversion:
         measured = Amplitudes([self.model.sensors[i] for i in self.rows], self.rows)
         return answer(
             self, measured, replace(found, geometry=None if self.basis is None else _geometry(self.basis)), choice,
-            known=noise.known, searched=path, free=self._free, settings=self._named_settings(noise),
+            known=noise.known, searched=path, solved=path, free=self._free, settings=self._named_settings(noise),
             prior=f"in space {spatial.spatial_words(self.space, self.length)}",
             flags=[guards.null_space(path.m, self.unknowns, path.rank)],
         )  # fmt: skip

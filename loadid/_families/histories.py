@@ -176,8 +176,9 @@ HEAD = 400  # samples of the impulse response that hold the free motions
 
 
 def layout(
-    model: Model, data: Data, h: Array, penalty: str | ArrayLike | None, bound: bool = False
-) -> tuple[Flag, ...]:
+    model: Model, data: Data, h: Array, penalty: str | ArrayLike | None, bound: bool = False,
+    periodic: bool = False,
+) -> tuple[Flag, ...]:  # fmt: skip
     """Guards that need no answer: AC coupling, gaps, drift, memory, aliasing.
 
     Parameters
@@ -188,6 +189,8 @@ def layout(
         As the family takes it.
     bound : bool
         The penalty holds constants too: a leaky difference, or a weight of the size.
+    periodic : bool
+        The record is inverted by transforms that need its response to end.
     """
     rows = [model.sensors[i] for i in data.rows]
     lost = np.mean(data.missing, axis=0)
@@ -196,7 +199,7 @@ def layout(
             guards.high_pass(rows, data.duration, data.channels),
             guards.gaps(lost.tolist(), [c.label for c in data.channels]),
             None if bound else _drift(model, data, h, penalty),
-            guards.memory(model.decay_rate, data.duration, h, model.natural_frequencies),
+            guards.memory(model.decay_rate, data.duration, h, model.natural_frequencies, periodic=periodic),
             guards.aliased(model.natural_frequencies, data.dt),
         ]
     )
@@ -209,7 +212,7 @@ def determined(model: Model, m: int, n: int, rank: int | None, h: Array) -> Flag
     named = guards.not_apart(ratio, combination.tolist(), [c.label for c in model.loads], h.shape[1])
     if lacking is None or named is None:
         return lacking or named
-    return replace(lacking, message=f"{lacking.message}; {named.message}", advice=named.advice)
+    return replace(lacking, message=f"{lacking.message}; {named.message}", advice=named.advice, state=False)
 
 
 def beginning(

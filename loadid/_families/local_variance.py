@@ -8,10 +8,12 @@ import numpy as np
 
 from structures.errors import InputError
 
+from .._inverse import Array
 from .._inverse.choice import Choice
 from .._inverse.local_prior import LocalPrior, freedom, local_prior, posterior, resolved
+from .._inverse.problem import whitener
 from .._results.facts import Facts
-from .answer import SolvedLoad
+from .answer import SolvedLoad, beyond_noise
 from .histories import half_width
 from .posing import Posed
 
@@ -92,4 +94,12 @@ def replaced(found: SolvedLoad, learned: Learned, posed: Posed, choice: Choice, 
     }
     flags = tuple(flag for flag in found.flags if not flag.code.endswith(SMEARED))
     return replace(found, load=load, std=band.std, posterior=band, bias=None, response=response, residual=residual,
-                   facts=Facts.of(facts), flags=flags)  # fmt: skip
+                   facts=Facts.of(facts), flags=flags,
+                   excess=_excess(posed, np.asarray(response), np.asarray(residual), prior.misfit))  # fmt: skip
+
+
+def _excess(posed: Posed, response: Array, residual: Array, misfit: float) -> float | None:
+    """Residual over the stated noise and the error of the model that was learned, where they never leave so much."""
+    white = whitener(posed.noise.level, residual.shape[1])
+    rest, seen = (float(np.sum(np.nan_to_num(white.apply(x, 1)) ** 2)) for x in (residual, response - residual))
+    return beyond_noise(rest / (1 + misfit**2 * seen / posed.path.m), posed.path.m, posed.noise)

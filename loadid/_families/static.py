@@ -18,6 +18,7 @@ from structures.errors import InputError, NotIdentifiable
 from .. import _guards as guards
 from .._inverse.choice import Choice, checked, choose, named
 from .._inverse.diagnosis import diagnose, identifiability
+from .._inverse.path import Solution
 from .._results.estimate import LoadEstimate
 from .._results.facts import STATIC, Facts
 from .._spellings import takes
@@ -240,8 +241,9 @@ class StaticInversion:
         self._progress(1.0, "done")
         return answer(
             self, given, replace(found, geometry=self.geometry, diagnosis=diagnosis), choice, known=posed.noise.known,
-            searched=path, full=posed.full, free=self.free, judged=not self.free, settings=self._settings(posed),
-            prior=smoothness.words(self.penalty, self.basis), flags=self._flags(posed, choice, found.facts, diagnosis),
+            searched=path, solved=path, full=posed.full, free=self.free, judged=not self.free,
+            settings=self._settings(posed), prior=smoothness.words(self.penalty, self.basis),
+            flags=self._flags(posed, choice, found.facts, diagnosis, self._biased(posed, choice, solution)),
         )  # fmt: skip
 
     def at_rest(self) -> StaticProblem:
@@ -275,7 +277,7 @@ class StaticInversion:
             )
 
     def _flags(
-        self, posed: StaticProblem, choice: Choice, facts: Facts, diagnosis: diagnose.Diagnosis
+        self, posed: StaticProblem, choice: Choice, facts: Facts, diagnosis: diagnose.Diagnosis, bias: float | None
     ) -> list[Flag | None]:
         unseen = [c.label for c, column in zip(self.model.loads, posed.H.T, strict=True) if not np.any(column)]
         edf = None if choice.edf is None else choice.edf / diagnosis.frames
@@ -284,7 +286,7 @@ class StaticInversion:
             None if coupled else guards.overridden("E102", "off-diagonal entries", 0, 1),
             guards.null_space(facts["m"], facts["n"], facts["rank"], unseen),
             posed.correlated,
-            guards.over_smoothed(edf, diagnosis.plateau),
+            guards.over_smoothed(edf, diagnosis.plateau, bias),
             guards.recoverable(diagnosis.plateau, diagnosis.seen, edf),
             self._refined(posed, diagnosis),
             *posed.fought(choice, posed.noise.sigma or facts["noise_level"]),
@@ -294,6 +296,19 @@ class StaticInversion:
                 facts["resolution_unit"], facts["peak_bias"],
             ),
         ]  # fmt: skip
+
+    def _biased(self, posed: StaticProblem, choice: Choice, solution: Solution) -> float | None:
+        """What lambda would take from the resultants of the estimated load, over their std, at most; of the last frame.
+
+        None under constraints, and where nothing is known of the error.
+        """
+        if posed.constrained or solution.posterior is None or not choice.lam > 0:
+            return None
+        load = np.asarray(solution.load)
+        lost = np.atleast_2d(posed.base.resolve(load, choice.lam) - load)[-1]
+        totals = np.ones((1, len(lost))) if self.basis is None else np.asarray(self.basis.resultant())
+        std = [np.sqrt(float(solution.posterior.variance(w))) for w in totals]
+        return max((abs(float(w @ lost)) / s for w, s in zip(totals, std, strict=True) if s > 0), default=None)
 
     def _refined(self, posed: StaticProblem, diagnosis: diagnose.Diagnosis) -> Flag | None:
         """W107, where no penalty ties neighbouring loads together."""

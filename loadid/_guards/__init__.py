@@ -24,6 +24,7 @@ from .choice import (
 )
 from .inversion import (
     aliased,
+    cut_off,
     drifting,
     in_motion,
     index_offset,
@@ -52,7 +53,7 @@ from .measurement import (
 )
 
 __all__ = [
-    "absolute_lambda", "aliased", "allowed", "at_the_end", "changing_lambda", "collect", "correlated_noise",
+    "absolute_lambda", "aliased", "allowed", "at_the_end", "changing_lambda", "collect", "correlated_noise", "cut_off",
     "diagonal", "disagreement", "drifting", "fighting", "gaps", "gcv_minimum", "high_pass", "in_motion",
     "index_offset", "interpolated", "inverse_crime", "lost_channels", "memory", "mixed_kinds", "needs_white_noise",
     "no_corner", "no_coverage", "nodal_as_pressure", "noise_source", "not_apart", "not_testable", "not_verified",

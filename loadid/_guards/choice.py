@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from structures._flags import Evidence, Flag, collect
 from structures.errors import InputError
 
 from .._inverse import Array
-from .._inverse.choice import BELOW, Choice
+from .._inverse.choice import BELOW, Choice, contenders, parted
 from .._inverse.constrained.nonnegative import NonNegativeSolution
 from .._inverse.constrained.solver import ConstrainedSolution
 from .._inverse.path import RegularizationPath
@@ -25,20 +26,62 @@ SIGMA_RULES = ("discrepancy", "dof_discrepancy", "upre", "predicted_error", "evi
 FLAT = 1.05  # GCV: highest over lowest within half a decade
 
 
-def parameter(choice: Choice, path: RegularizationPath | None = None) -> tuple[Flag, ...]:
-    """W401 to W407 and W411 of one choice on a path; without one W406 says nothing of other noise levels."""
+MATTERS = 3.0  # change of the load over its std, as norms, from which a doubt about lambda is one about the load
+HALF = 10**0.5  # half a decade
+
+
+def parameter(
+    choice: Choice,
+    path: RegularizationPath | None = None,
+    solved: RegularizationPath | None = None,
+    spread: float | None = None,
+) -> tuple[Flag, ...]:
+    """W401 to W407 and W411 of one choice on a path; without one W406 says nothing of other noise levels.
+
+    Parameters
+    ----------
+    path : RegularizationPath, optional
+        On which lambda was sought.
+    solved : RegularizationPath, optional
+        That of the load.
+    spread : float, optional
+        Norm of the load's std over that of the load: where another lambda moves the load by less than `MATTERS` of it,
+        W407 is not raised, and W401, W402 and W411 are notes.
+    """
+    parts, doubts = disagreement(choice), [no_corner(choice), gcv_minimum(choice), at_the_end(choice)]
+    if solved is not None and spread and (parts or any(doubts)):
+        others = contenders(choice, path)
+        by_rules = parted(choice, solved, others)
+        parts = _apart(parts, by_rules, spread)
+        if any(doubts) and by_rules is not None:
+            near = parted(choice, solved, [choice.lam / HALF, choice.lam * HALF])
+            doubts = [_weighed(flag, max(by_rules, near or 0.0) / spread) for flag in doubts]
     return collect(
         [
-            no_corner(choice),
-            gcv_minimum(choice),
+            *doubts[:2],
             correlated_noise(choice),
             needs_white_noise(choice),
             not_testable(choice),
             noise_source(choice, path),
-            disagreement(choice),
-            at_the_end(choice),
+            parts,
+            doubts[2],
         ]
     )
+
+
+def _apart(flag: Flag | None, moved: float | None, spread: float) -> Flag | None:
+    """W407 with what it does to the load; None where that stays in its band."""
+    if flag is None or moved is None:
+        return flag
+    if moved < MATTERS * spread:
+        return None
+    said = f"{flag.message}; the loads that they give lie up to {moved / spread:.2g} times the std apart"
+    return replace(flag, message=said, effect=moved / spread)
+
+
+def _weighed(flag: Flag | None, effect: float) -> Flag | None:
+    """A doubt about lambda: a note where the load stays in its band."""
+    return None if flag is None else replace(flag, state=effect < MATTERS, effect=effect)
 
 
 def no_corner(choice: Choice) -> Flag | None:
@@ -128,7 +171,7 @@ def not_testable(choice: Choice) -> Flag | None:
         return None
     return Flag("W405", Evidence("noise modes", count, TESTABLE),
                 f"{choice.rule} assumes white noise, which is not testable: {count} noise modes",
-                "measure the unloaded sensors, and state their noise")  # fmt: skip
+                "measure the unloaded sensors, and state their noise", state=True)  # fmt: skip
 
 
 def at_the_end(choice: Choice) -> Flag | None:
@@ -159,6 +202,7 @@ def unexplained(choice: Choice, level: float) -> Flag:
             Option("choice"),
             "); else verify the model with a known load, and measure the noise of the unloaded sensors",
         ),
+        effect=level,
     )
 
 
@@ -172,6 +216,7 @@ def noise_source(choice: Choice, path: RegularizationPath | None = None) -> Flag
             f"the residual shows {ratio:.3g} times the stated noise level ({choice.sigma_source}): the level is too "
             f"low, or the model is wrong; lambda was chosen without it ({choice.rule})",
             "measure the noise of the unloaded sensors again; then verify the model with a known load",
+            effect=float(ratio),
         )
     if choice.sigma is None or choice.rule not in SIGMA_RULES or choice.source.measured:
         return None
@@ -192,6 +237,7 @@ def noise_source(choice: Choice, path: RegularizationPath | None = None) -> Flag
                 "choose another rule with --choice",
             ),
         ),
+        state=True,
     )
 
 

@@ -15,7 +15,7 @@ from structures.errors import InputError, NotIdentifiable
 from .._inverse.diagnosis.identifiability import Refinement, Start
 
 PRESSURES = {"Pa", "kPa", "MPa", "GPa", "bar", "mbar", "psi", "N/m^2", "N/m²", "N/mm^2", "N/mm²"}
-FEW = 3.0  # effective degrees of freedom below which even a resultant is biased
+FEW = 3.0  # periods of the lowest mode below which a record is called short
 AMPLE = 2.0  # effective degrees of freedom over recoverable modes that a good lambda may use ...
 SPARE = 5.0  # ... and some more
 
@@ -58,6 +58,7 @@ def refined(found: Refinement) -> Flag | None:
         Evidence("modes above the noise", found.after, found.before),
         f"n rose from {found.coarse} to {found.fine}; modes above noise stayed {found.after} "
         f"(relative noise {found.eta:.2g})",
+        state=True,
     )
 
 
@@ -91,6 +92,7 @@ def recoverable(plateau: int, rank: int, edf: float | None = None, requested: fl
 def over_smoothed(
     edf: float | None,
     plateau: int,
+    bias: float | None = None,
     resultant: ArrayLike | None = None,
     measured: ArrayLike | None = None,
     std: ArrayLike | None = None,
@@ -103,7 +105,11 @@ def over_smoothed(
     edf : float or None
         Effective degrees of freedom, per frame.
     plateau : int
-        Recoverable modes: with fewer than three of them few are used rightly.
+        Recoverable modes.
+    bias : float, optional
+        What this lambda would take from a resultant of the estimated load, over the std of that. Where the load is one
+        of the prior's it is beyond 3 in less than 0.3 % of all cases: (R - I) g has the covariance P R, P that of the
+        posterior.
     resultant, measured, std : array, shape (R,), optional
         Resultants of the estimate that were not imposed, measured ones, and the std of their difference.
     labels : sequence of str
@@ -121,13 +127,14 @@ def over_smoothed(
                 f"lambda is so large that even the resultant is biased: {name} {ours:.4g}, measured {theirs:.4g}",
                 "lower lambda, or impose the resultant as a constraint; else look for a gain error of the model",
             )
-    if edf is None or not edf < FEW <= plateau:
+    if edf is None or bias is None or not bias > 3:
         return None
     return Flag(
         "W310",
-        Evidence("effective degrees of freedom", float(edf), FEW),
+        Evidence("bias of the resultant over its std", float(bias), 3.0),
         f"lambda is so large that even the resultant is biased: {edf:.2g} effective degrees of freedom are left of "
         f"{plateau} recoverable modes",
+        effect=float(bias),
     )
 
 
@@ -157,15 +164,19 @@ def overridden(code: str, what: str, value: float, threshold: float) -> Flag:
 MEMORY = 0.01  # share of the first response that may be left at the end of a record
 UNSEEN = 1e-8  # static over dynamic gain that is rounding
 PRESENT = 0.05  # share of the largest response from which the first sample is no rest
+SHORTEST, PULSE, REACHES = 32, 0.2, 0.3  # samples that tell; share of them in pulses; of the largest load at the end
 UNREST = 5.0  # times the misfit that chance removes per free motion
 VISIBLE = 0.02  # share of the largest response from which a motion matters
 MOVING = 0.03  # share of the largest response that may be there at the end of a record on the FFT path
 
 
 def memory(
-    decay_rate: float | None, duration: float, h: NDArray[Any] | None = None, frequencies: NDArray[Any] | None = None
-) -> Flag | None:
+    decay_rate: float | None, duration: float, h: NDArray[Any] | None = None, frequencies: NDArray[Any] | None = None,
+    *, periodic: bool = False,
+) -> Flag | None:  # fmt: skip
     """W505: the record is shorter than the memory of the structure, as with light damping.
+
+    A note where the record starts at rest and is inverted as it is; `periodic` transforms need the response to end.
 
     The share of the response left after the record is exp(-decay_rate * duration) where the model knows its slowest
     decay, else the largest value in the last twentieth of the impulse response over the largest of all. The natural
@@ -184,10 +195,40 @@ def memory(
     return Flag(
         "W505",
         Evidence("response left after the record", left, MEMORY),
-        f"the record is shorter than the memory: {left:.1%} of the response is left at its end, "
-        f"so start and end are contaminated{_periods(frequencies, duration)}",
+        f"the record is shorter than the memory: {left:.1%} of the response is left at its end, so "
+        f"{'start and end are contaminated' if periodic else 'any motion from before it would come out as load'}"
+        f"{_periods(frequencies, duration)}",
         f"record longer{_enough(decay_rate, duration)}, begin before the load, or take the start as unknown "
         '(initial="unknown", state-space models)',
+        state=not periodic,
+    )
+
+
+def cut_off(found: Flag | None, load: NDArray[Any], std: NDArray[Any]) -> Flag | None:
+    """W505 of a pulse that reaches the end of a record shorter than the memory: the rest of it is not seen.
+
+    Parameters
+    ----------
+    found : Flag or None
+        What `memory` says of the record.
+    load, std : array, shape (samples, loads)
+    """
+    if found is None or len(load) < SHORTEST:
+        return found
+    size = np.abs(load)
+    largest = np.maximum(size.max(axis=0), np.finfo(float).tiny)
+    end = max(len(load) // 50, 4)
+    clear = np.where(size[-end:] > 3 * std[-end:], size[-end:], 0.0).max(axis=0) / largest
+    pulse = np.mean(size > 0.2 * largest, axis=0) < PULSE
+    worst = float(np.max(np.where(pulse, clear, 0.0)))
+    if worst < REACHES:
+        return found
+    return Flag(
+        "W505",
+        Evidence("load at the end of the record over its largest", worst, REACHES),
+        "a pulse of the load reaches the end of the record, and its response does not: what is shown there is a guess; "
+        f"{found.message}",
+        found.advice,
     )
 
 

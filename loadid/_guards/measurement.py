@@ -25,6 +25,7 @@ def null_space(m: int, n: int, rank: int, unseen: Sequence[str] = ()) -> Flag | 
         Evidence("rank", rank, n),
         f"m = {m} data, n = {n} unknowns, rank r = {rank}, nullity {n - rank}: what lies in ker(H) leaves no trace "
         f"in the data and is set by the prior, so that the answer is one of many{named}",
+        state=not unseen,  # the band holds what the prior sets; a load that nobody sees is another matter
     )
 
 
@@ -49,6 +50,7 @@ def mixed_kinds(channels: Sequence[Channel], known: bool) -> Flag | None:
         "W204",
         Evidence("units", ", ".join(units), "one unit, or a noise std for each"),
         f"{len(units)} kinds of sensor without noise levels: rows are not comparable; each was scaled by its own rms",
+        state=True,
     )
 
 
@@ -172,6 +174,7 @@ def not_verified(certificate: Certificate | None) -> Flag | None:
         "W114",
         Evidence("certificates", 0, 1),
         "forward model not verified: no residual and no parameter rule can find an error of the model",
+        state=True,
     )
 
 
@@ -209,6 +212,7 @@ def no_coverage(coverage: Any) -> Flag | None:
             "W703",
             Evidence("coverage tests", 0, 1),
             "the std covers noise and prior as assumed; its coverage was not tested on this set-up",
+            state=True,
         )
     if share >= level - COVERED:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeGuard
 
@@ -13,7 +13,7 @@ from structures._advice import Advice, Spelling
 from structures.errors import InputError, real, shown
 
 from . import Array, rules
-from .path import RegularizationPath
+from .path import PathPoint, RegularizationPath
 from .problem import NOT_KNOWN, NoiseSource, NoiseSourceLike
 from .rules import Rule, answered, in_words
 from .sweep import ALARM, LARGEST, TESTABLE, Refusal, RuleResult, Sweep, plateau_test, residual_test, smallest_seen
@@ -124,6 +124,7 @@ CORNER = 1.5  # decades by which the corner of the L-curve lies below the lambda
 FACTOR, LARGER = 30.0, 100.0  # Bayes factor that counts as strong; largest noise level that is tried, over the stated
 SPARE, TESTED = 0.2, 10  # share of the data, or number, that a fit leaves for the test of the stated noise level
 BELOW_BY = 3.0  # steps of lambda below a sweep over a part of the range
+RULED_OUT, FAR = 1e-4, 1.5  # evidence over that of the lambda in use; residual over what it leaves, or the noise
 CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
 
 
@@ -360,7 +361,9 @@ def whiteness_of(path: RegularizationPath, asked: dict[str, RuleResult], lam: fl
         found |= {"fine": fine.statistic / fine.threshold, "coarse": coarse.statistic / coarse.threshold}
         found |= {"spent": fine.spent, "left": (1 - fine.spent) * path.m}
     if (plateau := plateau_test(path, larger)) is not None:
-        found |= {"modes": float(plateau.modes), "chance": plateau.chance}
+        own = plateau if larger == lam else plateau_test(path, lam)
+        chance = max(plateau.chance, 0.0 if own is None else own.chance)
+        found |= {"modes": float(plateau.modes), "chance": chance}
     calm = found.get("fine", np.inf) < CALM and (found["spent"] < FEW or found["left"] >= MANY)
     found["followed"] = float(found.get("below", 0.0) > BELOW and found.get("coarse", 0.0) > 1 and not calm)
     return found
@@ -386,24 +389,78 @@ def agreement(
     """
     smallest = None if path is None else smallest_seen(path)
     low, high = (0.0, np.inf) if smallest is None else (BENEATH * float(smallest), 1.0)
-    heard = [next((asked[name].lam for name in kind if asked[name].lam is not None), None) for kind in KINDS]
-    if path is not None and _spends(path, used):
-        heard[2] = None
-    if asked["quasi_optimality"].edge and (heard[1] or 0.0) < 0.5:
-        heard[1] = None
-    if _cornered(asked, used):
-        heard.append(asked["l_curve"].lam)
-    lams = [used, *(lam for lam in heard if lam is not None)]
+    each = voices(asked, used, path)
+    lams = [used, *(lam for lam in each if lam is not None)]
     if len(lams) == 1:
         return float("inf"), "not determined"
     spread = float(np.ptp(np.log10(np.clip(lams, max(low, np.finfo(float).tiny), high))))
     grade = int(np.searchsorted(LIMITS, spread, side="right"))
-    if None in heard[:2]:
+    if None in each[:2]:
         grade = max(grade, 1)
     return spread, GRADES[max(grade, 2) if correlated else grade]
 
 
-def _cornered(asked: dict[str, RuleResult], used: float) -> bool:
+def voices(asked: Mapping[str, RuleResult], used: float, path: RegularizationPath | None = None) -> list[float | None]:
+    """Lambda of each kind of rule, None where it has no voice, as `agreement` counts them."""
+    found = [next((asked[name].lam for name in kind if asked[name].lam is not None), None) for kind in KINDS]
+    if path is not None and _spends(path, used):
+        found[2] = None
+    if asked["quasi_optimality"].edge and (found[1] or 0.0) < 0.5:
+        found[1] = None
+    if _cornered(asked, used):
+        found.append(asked["l_curve"].lam)
+    return found
+
+
+def contenders(choice: Choice, path: RegularizationPath | None = None) -> list[float]:
+    """Lambdas of the rules that the data do not rule out: `voices`, or what other rules found inside their range.
+
+    Where the noise is white, a lambda whose evidence is below `RULED_OUT` of that of the lambda in use is no
+    alternative to it, nor, where the path does not give its evidence, one at which the data are far from explained.
+    """
+    asked = {r.rule: r for r in choice.rules}
+    whole = set(DEFAULT_RULES) <= set(asked)
+    found = voices(asked, choice.lam, path) if whole else [r.lam for r in choice.rules if not r.edge]
+    lams = [lam for lam in found if lam is not None]
+    if path is None or path.stacked or choice.correlated:
+        return lams
+    return [lam for lam in lams if _plausible(path, lam, choice)]
+
+
+def _plausible(path: RegularizationPath, lam: float, choice: Choice) -> bool:
+    point, own = path.at(lam), path.at(choice.lam)
+    sigma = None if choice.shown is not None else choice.sigma
+    known = [x is not None for p in (point, own) for x in (p.objective, p.log_ratio)]
+    if not all(known):
+        return bool(point.residual2 < FAR**2 * max(float(own.residual2), path.m * (sigma or 0.0) ** 2))
+
+    def log(p: PathPoint) -> float:
+        assert p.objective is not None
+        assert p.log_ratio is not None
+        fit = float(p.objective) / sigma**2 if sigma else (path.m - path.null) * np.log(float(p.objective))
+        return -0.5 * (float(p.log_ratio) + fit)
+
+    return bool(log(point) > log(own) + np.log(RULED_OUT))
+
+
+def parted(choice: Choice, path: RegularizationPath, lams: Iterable[float | None]) -> float | None:
+    """Largest change of the load, over its norm, between the lambda in use and some others of its range.
+
+    None where the path has no load to show, or each costs a search of its own.
+    """
+    if path.stacked or path.dear:
+        return None
+    low, high = path.range
+    others = {min(max(lam, low), max(high, low)) for lam in lams if lam is not None} - {choice.lam}
+    try:
+        own = path.solution(choice.lam, None).load
+        moved = [float(np.linalg.norm(path.solution(lam, None).load - own)) for lam in sorted(others)]
+    except InputError:  # windows of a record have no solution of it
+        return None
+    return max(moved, default=0.0) / max(float(np.linalg.norm(own)), np.finfo(float).tiny)
+
+
+def _cornered(asked: Mapping[str, RuleResult], used: float) -> bool:
     """Whether, without a noise level, the L-curve has its corner far below the lambda in use.
 
     A wrong corner is more frequent than a wrong lambda, so that it counts from `CORNER` decades only.

@@ -97,13 +97,18 @@ class MarginalPosterior(DensePosterior):
         Filter factors at the chosen lambda.
     shifts : array, shape (k,) + the shape of the load
         What the load of each lambda differs by from the chosen one, times the root of its weight.
+    expected : float, optional
+        Relative error of the load that is expected, the mean over lambda: the covariance is ruled by its tail.
     """
 
     kind = "marginal"
 
-    def __init__(self, factor: Array, shape: tuple[int, ...], *, resolved: Array, shifts: Array, **given: Any) -> None:
+    def __init__(
+        self, factor: Array, shape: tuple[int, ...], *, resolved: Array, shifts: Array, expected: float | None = None,
+        **given: Any,
+    ) -> None:  # fmt: skip
         super().__init__(factor, shape, **given)
-        self.resolved, self.shifts = resolved, shifts
+        self.resolved, self.shifts, self.expected = resolved, shifts, expected
 
     @property
     def std(self) -> Array:
@@ -128,7 +133,7 @@ class MarginalPosterior(DensePosterior):
     @classmethod
     def from_arrays(cls, tree: dict[str, Any]) -> MarginalPosterior:
         """Inverse of `to_arrays`."""
-        arrays = {k: np.asarray(tree[k]) for k in ("factor", "resolved", "shifts", "passed", "dual") if k in tree}
+        arrays: dict[str, Any] = {k: np.asarray(tree[k]) for k in ("factor", "resolved", "shifts", "passed", "dual") if k in tree}
         return cls(
             arrays.pop("factor"), tuple(tree["shape"]), orthogonal=bool(tree.get("orthogonal", False)),
             frames=tree.get("frames"), **arrays,
@@ -144,14 +149,16 @@ class DrawnPosterior(DensePosterior):
         As in `DensePosterior`.
     face : Posterior
         On the active face, which says what of it is noise.
+    expected : float, optional
+        Relative error of the load that is expected, the mean over the draws.
     """
 
     kind = "drawn"
     approximation = "draws by randomise-then-optimise"
 
-    def __init__(self, factor: Array, shape: tuple[int, ...], face: Any) -> None:
+    def __init__(self, factor: Array, shape: tuple[int, ...], face: Any, expected: float | None = None) -> None:
         super().__init__(factor, shape)
-        self.face = face
+        self.face, self.expected = face, expected
 
     @property
     def noise_std(self) -> Array | None:
@@ -193,16 +200,27 @@ def posterior(path: SVDPath, lam: float, sigma: float | None) -> MarginalPosteri
     variance = scaled.sum(axis=0)
     noise = np.sum(scaled * c**2 / precision, axis=0) / variance
     centre = path.gains(lam)
-    moved = np.stack(
-        [np.sqrt(p) * (path.X @ (path.gains(x) - centre)) for p, x in zip(over.weight, over.lam, strict=True)]
-    )
+    off = np.stack([path.X @ (path.gains(x) - centre) for x in over.lam])
+    moved = np.sqrt(over.weight).reshape(-1, *[1] * (off.ndim - 1)) * off
     shifts = np.swapaxes(moved, 1, -1).reshape(len(moved), *problem.load_shape)
     spread = np.sqrt(variance)
     dual = None if path.orthonormal or path.X.shape[1] == len(path.X) else path.Y / spread
     return MarginalPosterior(
         path.X * spread, problem.shape, passed=noise, dual=dual, orthogonal=path.orthonormal, frames=problem.frames,
         resolved=path.filter_factors(lam), shifts=shifts,
+        expected=_expected(path, over, path.X @ centre, off, over.level[:, None] ** 2 / precision),
     )  # fmt: skip
+
+
+def _expected(path: SVDPath, over: LambdaWeights, load: Array, off: Array, variance: Array) -> float:
+    """Mean over lambda of the relative error of a load, whose differences and modal variances (k, modes) these are."""
+    frames = load.size // len(load)
+    within = frames * variance @ np.sum(path.X**2, axis=0)
+    axes = tuple(range(1, off.ndim))
+    error2 = within + np.sum(off**2, axis=axes)
+    true2 = within + np.sum((load + off) ** 2, axis=axes)
+    share = np.sqrt(error2 / np.maximum(true2, np.finfo(float).tiny))
+    return float(np.sum(over.weight * share) / np.sum(over.weight))
 
 
 def draws(
@@ -237,4 +255,6 @@ def draws(
 def about(load: Array, drawn: Array, face: Any) -> DrawnPosterior:
     """Second moment of draws, (count,) + the shape of the load, about a load with its posterior on the active face."""
     off = (drawn - load).reshape(len(drawn), -1)
-    return DrawnPosterior(np.ascontiguousarray(off.T) / np.sqrt(len(drawn)), load.shape, face)
+    size = np.maximum(np.linalg.norm(drawn.reshape(len(drawn), -1), axis=1), np.finfo(float).tiny)
+    expected = float(np.mean(np.linalg.norm(off, axis=1) / size))
+    return DrawnPosterior(np.ascontiguousarray(off.T) / np.sqrt(len(drawn)), load.shape, face, expected)

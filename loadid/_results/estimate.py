@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures._certificate import Certificate
-from structures._flags import Flag, canonical, codes
+from structures._flags import Flag, canonical, cautions, codes
 from structures.errors import InputError
 
 from .._inverse.choice import Choice
 from .facts import Facts
 from .functionals import Functional, functional, resultants
+from .grades import Grade, grade
 from .summary import NOT_VERIFIED, summary
 
 if TYPE_CHECKING:
@@ -159,6 +160,16 @@ class LoadEstimate:
     def codes(self) -> set[str]:
         """Short codes of the flags, ``{"W114", ...}``."""
         return codes(self.flags)
+
+    @property
+    def grade(self) -> Grade:
+        """How far the load can be trusted, with measured odds: ``str(estimate.grade)`` (`loadid._results.grades`)."""
+        return grade(self)
+
+    @property
+    def cautions(self) -> tuple[Flag, ...]:
+        """Flags that are no notes, by their expected effect on the load."""
+        return tuple(cautions(self.flags))
 
     @property
     def verified(self) -> str:
@@ -323,9 +334,9 @@ class LoadEstimate:
         return inside
 
     # -- words, pictures, files -----------------------------------------------------------------------------------
-    def summary(self) -> str:
-        """What a user must read, as text."""
-        return summary(self)
+    def summary(self, *, details: bool = False) -> str:
+        """What a user must read first, in at most eight lines; `details`: also how it was found, and every flag."""
+        return summary(self, details=details)
 
     def plot(
         self,
@@ -382,6 +393,7 @@ class LoadEstimate:
         tree.pop("posterior")
         tree["peaks"] = [asdict(p) for p in self.peaks]
         tree["verified"] = self.verified
+        tree["grade"] = {**asdict(self.grade), "meaning": self.grade.meaning, "said": str(self.grade)}
         tree = archive.plain(tree)
         return tree if arrays else archive.without_arrays(tree)
 

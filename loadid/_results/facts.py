@@ -56,6 +56,8 @@ class Facts(Mapping[str, Any]):
     resolution, peak_bias, noise_share : float
         Width in `resolution_unit` at which a single load is shown, share of its height that is lost, share of the
         variance at the largest load that is noise (the rest is prior).
+    expected_error : float
+        Relative error that the posterior expects of the load, root mean square; not stated where the std says it.
     trusted_lines, trust_level : float
         Share of the frequency lines that tell every load to this predicted relative error.
     averages, bandwidth, window
@@ -96,6 +98,7 @@ class Facts(Mapping[str, Any]):
     residual_to_noise: float | None = fact("residual / noise")
     resolution: float | None = fact("resolution width", "that of resolution_unit")
     peak_bias: float | None = fact("share of a single-sample peak that is lost")
+    expected_error: float | None = fact("expected error of the load, relative", shown=False)
     trusted_lines: float | None = fact("share of the lines that tell every load")
     trust_level: float | None = fact("to a predicted error of")
     frf_errors: str | None = fact("share of the noise that errors of the FRF make")

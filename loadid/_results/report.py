@@ -32,6 +32,7 @@ from .summary import (
     refusals,
     rules,
     sort,
+    state,
 )
 
 if TYPE_CHECKING:
@@ -134,7 +135,9 @@ def notices(e: LoadEstimate) -> str:
     """What must be known before the result is believed: overridden refusals, verification, band."""
     good = " good" if e.certificate is not None else ""
     text = "".join(f'<p class="notice" role="alert">{escape(line)}</p>' for line in refusals(e))
+    text += f'<p class="notice" role="note">{escape(str(e.grade))}</p>'
     text += f'<p class="notice{good}" role="note">{escape(e.verified)}</p>'
+    text += f'<p class="quiet">{escape(state(e))}</p>'
     if e.allowed:
         text += f'<p class="notice" role="note">{escape(allowed(e))}</p>'
     return text

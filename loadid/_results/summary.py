@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from structures._advice import on_command_line
+from structures._flags import cautions
 from structures.errors import InputError, plain
 
 if TYPE_CHECKING:
@@ -15,12 +17,17 @@ if TYPE_CHECKING:
 
     from .._inverse.choice import Choice
     from .._inverse.diagnosis.diagnose import Diagnosis
-    from .estimate import Axis, LoadEstimate
+    from .estimate import Axis, LoadEstimate, Peak
 
 
 NOT_VERIFIED = "forward model not verified"
 _MANY = 8
 NARROW = 0.9  # share of a pulse inside its 95 % band below which the band is called too narrow there
+CAUTIONS, OTHERS = 3, 4  # that a short summary has room for; loads that it names
+UNTESTED = "LID-W703"
+UNSTATED = ("unknown", "residual")
+NOISE = {"datasheet": "data sheet", "pre_trigger": "quiet part of the record", "quiet": "unloaded record"}
+Z95, DISC95 = 1.959963984540054, math.sqrt(-math.log(0.05))  # half-widths of 95 % bands, of numbers and of moduli
 UNEXPLAINED = "LID-W412"  # the load does not explain its data: said before all else
 
 
@@ -62,8 +69,9 @@ def along(axis: Axis, value: float) -> str:
 
 
 def sort(flags: Iterable[Flag]) -> list[Flag]:
-    """Refusals that were overridden first, then warnings, then notes."""
-    return sorted(flags, key=lambda f: ("EWN".index(f.code[4]), f.code))
+    """Refusals that were overridden first, then warnings by their expected effect on the load, then notes."""
+    flags = list(flags)
+    return [*cautions(flags), *sorted((f for f in flags if f.level == "note"), key=lambda f: f.code)]
 
 
 def pulse_window(estimate: LoadEstimate, load: int) -> tuple[float, float] | None:
@@ -262,13 +270,76 @@ def noise(choice: Choice) -> str:
     return choice.sigma_source if plain else f"sigma {choice.sigma:.3g} ({choice.sigma_source})"
 
 
-def summary(estimate: LoadEstimate, *, command: bool = False) -> str:
-    """All that a user must read, as text of a few lines; `command`: advice in the words of the command line."""
-    lines = [*refusals(estimate), _shape(estimate)]
+def summary(estimate: LoadEstimate, *, details: bool = False, command: bool = False) -> str:
+    """What a user must read first, in at most eight lines; `details`: all that is known besides.
+
+    Line by line: why the answer is not to be used, where that is so; the largest load with its 95 % band and its grade;
+    other loads; resultants; how things were set up; up to three cautions, those first that are expected to matter most.
+    `command`: advice in the words of the command line.
+    """
+    refused = refusals(estimate)
+    shown = [f for f in cautions(estimate.flags) if f.code != UNEXPLAINED]
+    most = CAUTIONS - len(refused)
+    lines = [*refused, *_first(estimate), f"state: {state(estimate)}"]
+    lines += [f"caution: {_caution(flag, command)}" for flag in shown[:most]]
+    if details:
+        return "\n".join([*lines, *_details(estimate, command)])
+    rest = len(estimate.flags) - len(shown[:most]) - len(refused)
+    how = "--details" if command else "summary(details=True)"
+    return "\n".join([*lines, f"how it was found, and {rest} more remark{'s' * (rest != 1)}: {how}"])
+
+
+def state(estimate: LoadEstimate) -> str:
+    """How things were set up, in one line: what was checked, and where the noise level comes from."""
+    certificate, tested = estimate.certificate, not any(f.code == UNTESTED and f.state for f in estimate.flags)
+    model = "model not verified" if certificate is None else "model " + (
+        "checked, and wrong" if certificate.wrong else "verified"
+    )  # fmt: skip
+    parts = [model, "band tested" if tested else "band not tested"]
+    if estimate.choice is not None:
+        kind = estimate.choice.source.kind
+        parts.append(f"noise level: {'from the residual' if kind in UNSTATED else NOISE.get(kind, kind)}")
+    if estimate.validation is not None:
+        parts.append("validated")
+    return "; ".join([*parts, *([allowed(estimate)] if estimate.allowed else [])])
+
+
+def _caution(flag: Flag, command: bool) -> str:
+    message, advice = (on_command_line(x) if command else x for x in (flag.message, flag.advice))
+    return f"{message} ({flag.code.removeprefix('LID-')}). What to do: {advice}"
+
+
+def _first(e: LoadEstimate) -> list[str]:
+    """The largest load with its band and its grade; the others; resultants."""
+    peaks = sorted(e.peaks, key=lambda p: -abs(p.value))
+    kind = "peak " if e.axis is not None else ""
+
+    wide = DISC95 if e.load.dtype.kind == "c" else Z95
+
+    def said(peak: Peak) -> str:
+        at = "" if peak.at is None or e.axis is None else f" at {along(e.axis, peak.at)}"
+        return f"{peak.label} {plus_minus(peak.value, wide * peak.std)} {peak.unit}{at}"
+
+    lines = [f"{kind}{said(peaks[0])} (95 % band); {e.grade}"]
+    if len(peaks) > 1:
+        more = len(peaks) - OTHERS
+        text = ", ".join(said(p) for p in peaks[1:OTHERS]) + (f"; {more} smaller loads not listed" if more > 0 else "")
+        lines.append(f"{kind}{text}")
+    if e.resultants:
+        lines.append("resultants, with 95 % band: " + "; ".join(
+            f"{r.name} {plus_minus(r.value, None if r.std is None else Z95 * r.std)} {r.unit}" for r in e.resultants
+        ))  # fmt: skip
+    return lines
+
+
+def _details(estimate: LoadEstimate, command: bool) -> list[str]:
+    """How the answer was found, and every flag."""
+    lines = [_shape(estimate)]
     for key, word in (("family", "family"), ("prior", "prior")):
         if estimate.provenance.get(key):
             lines.append(f"  {word}: {estimate.provenance[key]}")
     lines += [f"  {line}" for line in _loads(estimate)]
+    lines.append(f"  expected error of the load: {number(estimate.grade.expected, 2)} of its size")
     if estimate.choice is not None:
         lines.append(f"  lambda: {headline(estimate.choice)}")
         lines += [
@@ -278,8 +349,6 @@ def summary(estimate: LoadEstimate, *, command: bool = False) -> str:
     if estimate.facts:
         lines.append("  " + "; ".join(f"{name} {value}" for name, value in facts(estimate)))
     lines += [f"  {line}" for line in diagnosis(estimate)]
-    if estimate.resultants:
-        lines.append("  resultants: " + "; ".join(str(r) for r in estimate.resultants))
     if estimate.facts.band is not None:
         lines.append(f"  the band holds {estimate.facts.band}")
     lines.append(f"  validation: {'level none' if estimate.validation is None else estimate.validation}")
@@ -289,7 +358,7 @@ def summary(estimate: LoadEstimate, *, command: bool = False) -> str:
     lines += [f"  note: {note}" for note in notes(estimate)]
     lines.append(f"  flags: {len(estimate.flags) or 'none'}")
     lines += [f"    {flag.command if command else flag}" for flag in sort(estimate.flags)]
-    return "\n".join(lines)
+    return lines
 
 
 def _shape(e: LoadEstimate) -> str:

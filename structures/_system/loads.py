@@ -379,6 +379,7 @@ def near_support(structure: Structure, loads: Load | Sequence[Load]) -> Flag | N
         Evidence("loads that share an element with a supported DOF", len(names_hit), 0),
         f"{len(names_hit)} of {len(loads)} loads next to a support, which carries part of them: "
         f"{hit_words} beside {held_words}",
+        state=True,
     )
 
 

@@ -7,7 +7,7 @@ import warnings
 
 from loadid import Penalty
 
-from . import impacts, long, static, tracking
+from . import grades, impacts, long, static, tracking
 from .scores import Scored, counts, table
 
 CAMPAIGNS = {"static": static, "impacts": impacts, "long": long, "tracking": tracking}
@@ -16,14 +16,21 @@ CAMPAIGNS = {"static": static, "impacts": impacts, "long": long, "tracking": tra
 def main() -> None:
     """Run one campaign and print its table."""
     parser = argparse.ArgumentParser(prog="python -m tests.campaigns")
-    parser.add_argument("campaign", choices=sorted(CAMPAIGNS))
+    parser.add_argument("campaign", choices=[*sorted(CAMPAIGNS), "grades"])
     parser.add_argument("--problems", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--error", default="none", help="one of those that the campaign knows")
     parser.add_argument("--variance", choices=["constant", "local", "auto"], help="of the load, for impacts")
+    parser.add_argument("--write", action="store_true", help="of grades: what answers state is set to what is measured")
     given = parser.parse_args()
     settings = {"penalty": Penalty("identity", variance=given.variance)} if given.variance else {}
     warnings.simplefilter("ignore")
+    if given.campaign == "grades":
+        of = grades.drawn(given.problems, given.seed)
+        grades.table(of)
+        if given.write:
+            grades.write(of, given.seed)
+        return
     found = list(CAMPAIGNS[given.campaign].run(given.problems, given.seed, given.error, **settings))
     if given.campaign == "tracking":
         tracking.table([s for s in found if isinstance(s, tracking.Followed)])

@@ -186,6 +186,7 @@ def scored(given: Problem, estimate: LoadEstimate) -> Scored:
         given.groups, estimate.choice.verdict, frozenset(estimate.codes),
         float(np.linalg.norm(off) / np.linalg.norm(truth)), float("nan"), z[there], z.ravel(),
         np.concatenate([z[peaks], totals]), float(np.median(std[there]) / np.sqrt(np.mean(off[there] ** 2))),
+        estimate.grade.letter, len(estimate.cautions),
     )  # fmt: skip
 
 

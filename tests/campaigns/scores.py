@@ -36,6 +36,10 @@ class Scored:
         Of forces, moments, impulses.
     width : float
         Median std over the rms error, of the values in the support.
+    letter : str
+        Grade of the answer.
+    cautions : int
+        Flags on it that are no notes.
     """
 
     groups: tuple[str, ...]
@@ -47,6 +51,8 @@ class Scored:
     z_all: Array
     z_resultants: Array
     width: float
+    letter: str = ""
+    cautions: int = 0
 
     @property
     def covered(self) -> float:
@@ -71,13 +77,13 @@ def line(name: str, found: Sequence[Scored]) -> str:
         f"  {np.mean([s.covered < 0.5 for s in found]):5.0%}   {np.mean(total <= Z95):5.0%}"
         f"  {np.mean(total > 3):4.0%} {np.mean(total > 6):5.1%}   {np.median([s.error for s in found]):6.3f}"
         f"  {np.median(ratio) if len(ratio) else np.nan:5.2f} {np.quantile(ratio, 0.9) if len(ratio) else np.nan:5.2f}"
-        f"  {np.median([s.width for s in found]):5.2f}"
+        f"  {np.median([s.width for s in found]):5.2f}  {np.mean([s.cautions for s in found]):5.2f}"
     )
 
 
 HEADING = (
     f"{'':28s} {'n':>4s}   {'band':>5s}  {'there':>5s}  {'<half':>5s}   {'total':>5s}  {'>3':>4s} {'>6':>5s}"
-    f"   {'error':>6s}  {'/best':>5s} {'90 %':>5s}  {'width':>5s}"
+    f"   {'error':>6s}  {'/best':>5s} {'90 %':>5s}  {'width':>5s}  {'flags':>5s}"
 )
 
 
@@ -86,7 +92,7 @@ def table(found: Sequence[Scored], told: Callable[[str], None] = print) -> None:
 
     Columns: values in their 95 % band, of all and where the load is; problems with less than half in their band;
     resultants in the band, beyond 3 and 6 std; load error, over the error at the best lambda (median, 90 %); median std
-    over the rms error.
+    over the rms error; cautions on an answer.
     """
     told(HEADING)
     told(line("all", found))
@@ -94,6 +100,8 @@ def table(found: Sequence[Scored], told: Callable[[str], None] = print) -> None:
         told(line(group, [s for s in found if group in s.groups]))
     for grade in sorted({s.grade for s in found}):
         told(line(f"verdict: {grade}", [s for s in found if s.grade == grade]))
+    for letter in sorted({s.letter for s in found}):
+        told(line(f"grade {letter}", [s for s in found if s.letter == letter]))
     silent = [s for s in found if s.covered < 0.5 or np.any(np.abs(s.z_resultants) > 6)]
     told(f"bands that do not hold, by verdict: {counts(s.grade for s in silent)}")
 

@@ -243,15 +243,16 @@ def scored(given: Problem, estimate: LoadEstimate, oracle: float) -> Scored:
         given.groups, estimate.choice.verdict, frozenset(estimate.codes),
         float(np.linalg.norm(off) / np.linalg.norm(given.truth)), oracle, z[there], z,
         deviations(sums, np.array([f.std for f in totals])),
-        float(np.median(std[there]) / np.sqrt(np.mean(off[there] ** 2))),
+        float(np.median(std[there]) / np.sqrt(np.mean(off[there] ** 2))), estimate.grade.letter, len(estimate.cautions),
     )  # fmt: skip
 
 
-def run(problems: int, seed: int, error: str = "none", **settings: Any) -> Iterator[Scored | str]:
-    """Score of each problem, or why it was refused."""
+def run(problems: int, seed: int, error: str = "none", oracle: bool = True, **settings: Any) -> Iterator[Scored | str]:
+    """Score of each problem, or why it was refused; `oracle`: the best lambda is searched too."""
     for number in range(problems):
         given = problem(seed * 100_000 + number, error)
         try:
-            yield scored(given, given.inversion(**settings).estimate(given.readings), best(given))
+            known = best(given) if oracle else float("nan")
+            yield scored(given, given.inversion(**settings).estimate(given.readings), known)
         except (InputError, NotIdentifiable) as refused:
             yield f"{getattr(refused, 'code', '')} {refused}".splitlines()[0]

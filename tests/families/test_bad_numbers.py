@@ -155,7 +155,7 @@ def test_frames_at_one_lambda_do_not_say_that_it_changed():
 
 
 def test_frames_are_counted_in_words():
-    text = StaticInversion(H, **SETTINGS).estimate(np.stack([Y, 2 * Y])).summary()
+    text = StaticInversion(H, **SETTINGS).estimate(np.stack([Y, 2 * Y])).summary(details=True)
     assert "2 frames, 0 to 1" in text
     assert "at frame 1" in text
 

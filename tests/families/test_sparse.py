@@ -251,7 +251,7 @@ def test_an_estimate_is_kept_whole(tmp_path):
     np.testing.assert_array_equal(again.load, e.load)
     assert again.functional("impulse").std == pytest.approx(e.functional("impulse").std)
     np.testing.assert_allclose(again.posterior.std, e.std)
-    text = e.summary()
+    text = e.summary(details=True)
     assert "few cubic B-splines with knots every 8 samples" in text
     assert "gap" in text
 

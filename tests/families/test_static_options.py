@@ -48,7 +48,7 @@ def test_frames_of_their_own_on_a_basis_have_a_summary():
     model = ForwardModel(beam, gauges(10), bases.patches(beam, 8))
     y = model.static() @ np.linspace(1, 2, 8)
     each = StaticInversion(model, penalty="gradient").estimate(np.stack([y, 1.5 * y]), joint=False)
-    assert "resultants" in each.summary()
+    assert "resultants" in each.summary(details=True)
 
 
 def test_the_bias_under_constraints_stays_unknown_in_a_file(tmp_path):
@@ -147,7 +147,7 @@ def test_many_constrained_values_have_the_band_of_the_active_face():
     model, y = readings()
     many = StaticInversion(model, noise=1e-3, constraints=[NonNegative()]).estimate(np.stack([y] * 20))
     assert np.any(many.std == 0)
-    assert "does not say that it is known" in many.summary()
+    assert "does not say that it is known" in many.summary(details=True)
 
 
 # -- without regularisation -------------------------------------------------------------------------------------------

@@ -214,7 +214,7 @@ def test_the_report_says_what_the_data_can_tell(estimate):
 
 
 def test_the_summary_holds_the_diagnosis(estimate):
-    d, text = estimate.diagnosis, estimate.summary()
+    d, text = estimate.diagnosis, estimate.summary(details=True)
     assert f"i* = {d.plateau} of {d.seen}" in text
     assert f"condition number {d.kappa:.3g} of the visible part, rank 32 and nullity 0" in text
     assert f"100 x buys x {d.decay.buys(100, d.snr):.3g}" in text

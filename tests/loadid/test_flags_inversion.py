@@ -39,13 +39,14 @@ def test_detail_beyond_the_plateau():
 
 
 def test_over_smoothing():
-    flag = flags.over_smoothed(1.4, 9)
+    flag = flags.over_smoothed(1.4, 9, 4.0)
     assert flag is not None
-    assert (flag.code, flag.evidence.value) == ("LID-W310", 1.4)
-    biased = flags.over_smoothed(12.0, 9, [1.0, 70.0], [1.1, 100.0], [0.1, 5.0], ["Fx", "Fz"])
+    assert (flag.code, flag.evidence.value) == ("LID-W310", 4.0)
+    biased = flags.over_smoothed(12.0, 9, 0.1, [1.0, 70.0], [1.1, 100.0], [0.1, 5.0], ["Fx", "Fz"])
     assert biased is not None
     assert "Fz 70, measured 100" in biased.message
     assert biased.evidence.value == pytest.approx(6.0)
-    assert flags.over_smoothed(12.0, 9, [1.0, 99.0], [1.1, 100.0], [0.1, 5.0]) is None
-    assert flags.over_smoothed(1.4, 2) is None  # the data hold no more
+    assert flags.over_smoothed(12.0, 9, 0.1, [1.0, 99.0], [1.1, 100.0], [0.1, 5.0]) is None
+    assert flags.over_smoothed(1.4, 9, 2.0) is None  # few degrees of freedom alone do no harm
+    assert flags.over_smoothed(2.999, 3) is None
     assert flags.over_smoothed(None, 9) is None

@@ -132,7 +132,7 @@ def test_an_estimate_comes_back_from_its_file(which, request, tmp_path):
         for name, value in e.spectrum.to_dict().items():
             other = getattr(again.spectrum, name)
             assert (other is None) if value is None else np.array_equal(other, value), name
-        assert again.summary() == e.summary()
+        assert again.summary(details=True) == e.summary(details=True)
         assert again.codes == e.codes
     json.dumps(e.to_dict(), allow_nan=False)
     short = e.to_dict(arrays=False)
@@ -149,12 +149,12 @@ def test_spectrum_of_a_tree_is_the_same(three):
 
 # -- words and pictures -----------------------------------------------------------------------------------------------
 def test_summary_says_what_every_user_must_know(beam, three, cross):
-    text = beam[1].summary()
+    text = beam[1].summary(details=True)
     for word in ("frequency inversion", "N at", "W507", "antiresonances", "share of the lines", "evidence"):
         assert word in text
-    assert "kept out s2" in three[1].summary()
-    assert "(N)^2/Hz" in cross.summary()
-    assert "averages 20" in cross.summary()
+    assert "kept out s2" in three[1].summary(details=True)
+    assert "(N)^2/Hz" in cross.summary(details=True)
+    assert "averages 20" in cross.summary(details=True)
 
 
 def test_picture_leaves_out_what_is_not_trusted(beam):

@@ -17,7 +17,7 @@ from structures.errors import InputError
 from ... import _guards as guards
 from ..._inverse import marginal
 from ..._inverse import sweep as whiteness
-from ..._inverse.choice import Choice, choose
+from ..._inverse.choice import Choice, choose, residual_level
 from ..._inverse.constrained.path import ConstrainedPath
 from ..._inverse.constrained.solver import soft
 from ..._inverse.diagnosis import diagnose, identifiability
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     pass
 
 DRAWS = 100  # loads of which a band under constraints is made: its std is right to 7 %
+EASED = 0.1  # of the lambda at which a free load explains the data: there the prior no longer holds the load down
 MOST_DRAWN = 400  # values beyond which they would take too long
 
 
@@ -139,21 +140,43 @@ class StaticProblem:
     def facts(self, solution: Solution, diagnosis: diagnose.Diagnosis, *, chosen: bool) -> dict[str, Any]:
         """What is known of a solution beyond what its path tells."""
         load = solution.load
+        expected = getattr(solution.posterior, "expected", None)
         return {
+            **({} if expected is None else {"expected_error": expected}),
             "path": self.solved_by, "m": len(self.H), "n": self.H.shape[1], "band": self.band(chosen),
             "frames": 1 if load.ndim == 1 else len(load), "noise_share": _noise_share(solution.posterior, load),
             "resolution": diagnosis.width, "resolution_unit": diagnosis.width_unit, "peak_bias": diagnosis.peak_bias,
         }  # fmt: skip
 
     def fought(self, choice: Choice, sigma: float) -> list[Flag | None]:
-        """What the constraints did: W308 where they fight the data, W410 where the solver ended on its limit."""
+        """What the constraints did: W308 where they fight the data, W410 where the solver ended on its limit.
+
+        A lambda that was chosen under constraints that are wrong is large, and hides what they do: they are judged
+        where the load without them explains the data.
+        """
         if not self.constrained:
             return []
-        solution = self.path.solve(choice.lam)
+        solution, lam, level = self.path.solve(choice.lam), *self._explained(choice)
+        judged = solution if lam >= choice.lam else self.path.solve(lam)
         return [
-            guards.fighting(solution, self.path.constraints, sigma, self.path.m),
+            guards.fighting(judged, self.path.constraints, level, self.path.m),
             guards.stopped(solution, sigma, self.path.m),
         ]
+
+    def _explained(self, choice: Choice) -> tuple[float, float]:
+        """Lambda at which the data are explained without constraints, and the noise level that says so.
+
+        Of noise that nobody stated: what the fit without constraints leaves, or a tenth of the response.
+        """
+        free, sigma = self.path.unconstrained, self.noise.sigma
+        if sigma is None:
+            own = choose(free)
+            tenth = 0.1 * float(np.sqrt(np.mean(free.problem.y**2)))
+            return min(choice.lam, EASED * own.lam), max(residual_level(free, own.lam) or 0.0, tenth)
+        low, high = free.range
+        lam = np.geomspace(low, high, 40)
+        good = lam[np.asarray(free.at(lam).residual2) <= sigma**2 * free.m]
+        return min(choice.lam, EASED * float(good[-1]) if len(good) else choice.lam), sigma
 
     @property
     def whitening(self) -> NDArray[np.float64]:

@@ -1,0 +1,51 @@
+"""Grades: what makes them, and what is said of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from loadid._results.grades import LETTERS, MEASURED, expected_error
+from structures._flags import Evidence, Flag
+from tests.campaigns import grades
+
+from .made import impact
+
+CAUTION = Flag("W403", Evidence("x", 1.0, 0.0), "the noise is correlated", "measure it")
+REFUTED = Flag("W412", Evidence("x", 9.0, 1.0), "the load does not explain its data", "look at the residual")
+
+
+def of(share: float, *flags: Flag):
+    """An estimate whose std is this share of its load everywhere."""
+    e = impact(flags=list(flags))
+    return replace(e, std=share * abs(e.load), facts={})
+
+
+@pytest.mark.parametrize(("share", "letter"), [(0.02, "A"), (0.2, "B"), (0.6, "C"), (5.0, "D")])
+def test_the_expected_error_makes_the_grade(share, letter):
+    e = of(share)
+    assert e.grade.letter == letter
+    assert expected_error(e) == pytest.approx(share / (1 + share**2) ** 0.5)
+
+
+def test_cautions_lower_it_and_contradiction_is_the_worst():
+    assert of(0.02, CAUTION).grade.letter == "B"
+    assert of(0.6, CAUTION).grade.letter == "C"
+    assert of(0.02, REFUTED).grade.letter == "D"
+    assert of(0.02, replace(CAUTION, state=True)).grade.letter == "A"
+
+
+def test_odds_are_those_of_the_family_and_are_not_made_up():
+    e = of(0.02)
+    known = replace(e, provenance={"family": "deconvolution"}).grade
+    assert known.odds == MEASURED["deconvolution"]["A"]
+    assert f"19 of 20 answers like this one were within {100 * known.odds.within:.0f} %" in str(known)
+    assert "not measured" in str(replace(e, provenance={"family": "harmonic inversion"}).grade)
+
+
+def test_better_grades_were_better():
+    assert set(MEASURED) == set(grades.DRAWN)
+    for odds in MEASURED.values():
+        within = [odds[letter].within for letter in LETTERS[:3] if letter in odds]
+        assert within == sorted(within)
