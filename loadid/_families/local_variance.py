@@ -9,7 +9,7 @@ import numpy as np
 from structures.errors import InputError
 
 from .._inverse.choice import Choice
-from .._inverse.local_prior import LocalPrior, freedom, local_prior, posterior, resolved
+from .._inverse.local_prior import LocalPrior, freedom, local_prior, posterior, resolved, with_errors
 from .._results.facts import Facts
 from .answer import SolvedLoad
 from .histories import half_width
@@ -49,7 +49,10 @@ def learned(posed: Posed, variance: str) -> Learned | None:
         raise InputError("a local variance is learned over the states of a model", where="variance", found=posed.name,
                          expected="a model with state_space()")  # fmt: skip
     prior = local_prior(posed.record, stated=posed.noise.known)
-    return Learned(prior, variance == "local" or prior.asked_for)
+    asked = variance == "local" or prior.asked_for
+    if asked and posed.nuisances is not None:
+        prior = with_errors(prior, posed.nuisances)
+    return Learned(prior, asked)
 
 
 def unasked(choice: Choice) -> Choice:
@@ -78,7 +81,7 @@ def replaced(found: SolvedLoad, learned: Learned, posed: Posed, choice: Choice, 
     }
     if not learned.asked_for:
         return replace(found, facts=Facts.of(facts))
-    load, band, start = posterior(prior)
+    load, band, start = posterior(prior, prior.errors)
     response, residual = posed.compare(load, choice.lam, start)
     at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
     one = np.zeros_like(load)
