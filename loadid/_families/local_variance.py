@@ -8,7 +8,7 @@ import numpy as np
 
 from structures.errors import InputError
 
-from .._inverse.choice import Choice
+from .._inverse.choice import Choice, ungraded
 from .._inverse.local_prior import LocalPrior, freedom, local_prior, posterior, resolved, with_errors
 from .._results.facts import Facts
 from .answer import SolvedLoad
@@ -27,10 +27,13 @@ class Learned:
     prior : LocalPrior
     asked_for : bool
         By the user, or by the data.
+    names : tuple of str
+        Of the errors of the model.
     """
 
     prior: LocalPrior
     asked_for: bool
+    names: tuple[str, ...] = ()
 
 
 def learned(posed: Posed, variance: str) -> Learned | None:
@@ -51,14 +54,31 @@ def learned(posed: Posed, variance: str) -> Learned | None:
     prior = local_prior(posed.record, stated=posed.noise.known)
     asked = variance == "local" or prior.asked_for
     if asked and posed.nuisances is not None:
-        prior = with_errors(prior, posed.nuisances)
+        return Learned(with_errors(prior, posed.nuisances), asked, posed.nuisances.names)
     return Learned(prior, asked)
 
 
-def unasked(choice: Choice) -> Choice:
-    """The choice of lambda where the load is not that of any lambda: its rules are no judgement of it."""
+def unasked(choice: Choice, learned: Learned) -> Choice:
+    """The choice of lambda where the load is not that of any lambda: its rules are no judgement of it.
+
+    A model that the data contradict beyond what it was said to be wrong by has the worst grade.
+    """
+    if learned.prior.contradicted:
+        return replace(ungraded(choice), odds=f"the data contradict the model: {wrong(learned)}")
     odds = "the variance of the load was learned by its evidence; lambda and its rules are those of a constant variance"
     return replace(choice, verdict="not asked", odds=odds)
+
+
+def wrong(learned: Learned) -> str:
+    """What the data tell of the errors of the model, the largest first, in words."""
+    errors, prior = learned.prior.errors, learned.prior
+    beside = f"{prior.misfit:.1%} of the response is of no load and of no error that is known"
+    if errors is None:
+        return beside
+    std = np.sqrt(np.diag(errors.covariance))
+    sure = [i for i in np.argsort(-np.abs(errors.mean)) if abs(errors.mean[i]) > 2 * std[i]]
+    told = [f"{learned.names[i]} {errors.mean[i]:+.1%}" for i in sure[:3]]
+    return ", ".join([*told, beside])
 
 
 def words(learned: Learned | None) -> str:
@@ -92,6 +112,7 @@ def replaced(found: SolvedLoad, learned: Learned, posed: Posed, choice: Choice, 
         "peak_bias": float(np.clip(1 - seen[at[0]], 0.0, 1.0)),
         "edf": freedom(prior),
         "model_misfit": prior.misfit,
+        "model_errors": wrong(learned),
     }
     flags = tuple(flag for flag in found.flags if not flag.code.endswith(SMEARED))
     return replace(found, load=load, std=band.std, posterior=band, bias=None, response=response, residual=residual,

@@ -39,7 +39,9 @@ NOISELESS = 1e-8  # least variance of a learned noise, over the mean square of i
 MEMORIES = (0.0, 2.0, 3.5, 6.0, 12.0, 30.0)  # samples
 FIRST = 3  # which of them is tried first
 ASKED = {0.0: 2.2, 2.0: 2.2, 3.5: 2.2, 6.0: 2.2, 12.0: 6.0}  # memory -> gain for each bump in use that is no chance
-ROUNDS, TOLD = 3, 2.0  # linearisations by errors of the model at most, and the gain in ln evidence that asks for one
+OPENED = 0.03  # misfit with which errors of the model are sought: a fit that explains all by its load tells none
+ROUNDS, TOLD = 5, 2.0  # linearisations by errors of the model at most, and the gain in ln evidence that asks for one
+UNLIKELY, UNKNOWN = 1e-4, 0.05  # odds of errors of the model, and misfit beside them, at which it is contradicted
 RELEARNED = 6  # updates of the variances between two of them
 TINY = np.finfo(float).tiny
 
@@ -100,6 +102,11 @@ class LocalPrior(StationaryPrior):
     told: float = 0.0
 
     @property
+    def contradicted(self) -> bool:
+        """Whether the data tell errors of the model that its prior does not expect, or that are of no kind it knows."""
+        return self.errors is not None and (self.errors.odds < UNLIKELY or self.misfit > UNKNOWN)
+
+    @property
     def participation(self) -> Array:
         """Share of the record over which the variance of each load is spread, (p,)."""
         v = self.given.load / np.maximum(self.given.load.max(axis=0), TINY)
@@ -140,14 +147,18 @@ def with_errors(prior: LocalPrior, nuisances: Nuisances) -> LocalPrior:
     nuisances : Nuisances
         Of the problem whose record it was learned from, without memory.
     """
-    at, told, found = np.zeros(len(nuisances.names)), 0.0, prior
+    fit = prior.fit.on(prior.record)
+    fit.misfit2 = max(fit.misfit2, OPENED**2)
+    fit.climb(0)
+    at, told = np.zeros(len(nuisances.names)), 0.0
+    found = replace(prior, fit=fit, given=fit.variances(), misfit=float(np.sqrt(fit.misfit2)))
     for turn in range(ROUNDS):
         found = replace(found, errors=_linearised(found, nuisances, at))
         assert found.errors is not None
         if turn == ROUNDS - 1 or found.errors.gain < TOLD:
             break
         fit = found.fit.on(with_memory(nuisances.record(found.errors.mean), found.memory))
-        last = fit.climb(RELEARNED, missing=found.misfit > 0)
+        last = fit.climb(RELEARNED, missing=True)
         if not last.evidence > found.fit.evidence:
             break
         told += last.evidence - found.fit.evidence
@@ -174,7 +185,7 @@ def _linearised(prior: LocalPrior, nuisances: Nuisances, at: Array) -> Marginal:
     seen = np.sum(columns**2 / prior.given.noise, axis=(1, 2)) * nuisances.std**2 > SEEN
     every = np.zeros((len(at), *load.shape))
     if not seen.any():
-        return Marginal(at, nuisances.covariance, 0.0 * at, every, 0.0)
+        return Marginal(at, nuisances.covariance, 0.0 * at, every, 0.0, 1.0)
     residual = np.where(prior.fit.there, prior.record.y - response, 0.0)
     part = marginal(columns[seen], solve, residual, nuisances.covariance[np.ix_(seen, seen)], at[seen])
     mean, step, covariance = np.array(at), 0.0 * at, np.array(nuisances.covariance)
@@ -184,7 +195,7 @@ def _linearised(prior: LocalPrior, nuisances: Nuisances, at: Array) -> Marginal:
         part.pulled,
         part.covariance,
     )
-    return Marginal(mean, covariance, step, every, part.gain)
+    return Marginal(mean, covariance, step, every, part.gain, part.odds)
 
 
 def resolved(prior: StationaryPrior, load: Array) -> Array:

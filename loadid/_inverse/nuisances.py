@@ -73,6 +73,8 @@ class Marginal:
         Load that a unit of each parameter is taken for.
     gain : float
         Log likelihood that the step gains.
+    odds : float
+        Probability of being told errors as large as these, where they are of their prior.
     """
 
     mean: Array
@@ -80,6 +82,7 @@ class Marginal:
     step: Array
     pulled: Array
     gain: float
+    odds: float
 
     @property
     def shift(self) -> Array:
@@ -122,4 +125,13 @@ def marginal(
     after = root @ np.linalg.solve(np.eye(k) + root.T @ known @ root, root.T)
     mean = after @ (flat @ residual.ravel() + known @ at)
     step = mean - at
-    return Marginal(mean, after, step, np.array(pulled), 0.5 * float(step @ known @ step))
+    return Marginal(mean, after, step, np.array(pulled), 0.5 * float(step @ known @ step), _odds(mean, root, after))
+
+
+def _odds(mean: Array, root: Array, after: Array) -> float:
+    """Tail of chi squared of a posterior mean, in units of its prior, with as many degrees as the data have told."""
+    from scipy.special import gammaincc
+
+    back = np.linalg.pinv(root)
+    told = np.linalg.matrix_rank(root) - float(np.trace(back @ after @ back.T))
+    return float(gammaincc(max(told, 1.0) / 2, float(np.sum((back @ mean) ** 2)) / 2))
