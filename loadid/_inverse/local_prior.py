@@ -9,7 +9,8 @@ variances of the noise, of an unknown start, and of an error of the model in pro
 ``R_k = r + misfit^2 p_k``, are learned by the same rule.
 
 Raw evidence prefers the local prior on nearly all records, as it has hundreds of numbers more. The stationary one that
-it is compared with has a memory too, up to 30 samples, and its gain is counted for each bump that is in use.
+it is compared with has a memory too, up to 30 samples; its gain is counted for each bump that is in use, and asked to
+be the larger, the larger the share of the record is over which the load acts.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ LEAST = 1e-14  # of the largest variance that is kept
 NOISELESS = 1e-8  # least variance of a learned noise, over the mean square of its channel: the filter's digits
 MEMORIES = (0.0, 2.0, 3.5, 6.0, 12.0, 30.0)  # samples
 FIRST = 3  # which of them is tried first
-ASKED = {0.0: 2.2, 2.0: 2.2, 3.5: 2.2, 6.0: 2.2, 12.0: 6.0}  # memory -> gain for each bump in use that is no chance
+ASKED = 40.0  # gain for each bump in use, over the share of the record in use, that is no chance
+LONGEST = 12.0  # samples: memory of a pulse
 OPENED = 0.03  # misfit with which errors of the model are sought: a fit that explains all by its load tells none
 ROUNDS, TOLD = 5, 2.0  # linearisations by errors of the model at most, and the gain in ln evidence that asks for one
 UNLIKELY, UNKNOWN = 1e-4, 0.05  # odds of errors of the model, and misfit beside them, at which it is contradicted
@@ -119,8 +121,8 @@ class LocalPrior(StationaryPrior):
 
     @property
     def asked_for(self) -> bool:
-        """Whether the data ask for it: the gain is no chance, and the load has no memory beyond a pulse."""
-        return self.gain > ASKED.get(self.memory, np.inf)
+        """Whether the data ask for it: the gain is no chance, of a load that rests, without memory beyond a pulse."""
+        return self.gain > ASKED * float(self.participation.mean()) and self.memory <= LONGEST
 
 
 def posterior(prior: StationaryPrior, errors: Marginal | None = None) -> tuple[Array, LocalVariancePosterior, Array]:
@@ -165,6 +167,8 @@ def with_errors(prior: LocalPrior, nuisances: Nuisances) -> LocalPrior:
         at = found.errors.mean
         found = replace(found, record=fit.record, given=fit.variances(), noise=fit.r, fit=fit, told=told,
                         misfit=float(np.sqrt(fit.misfit2)), updates=found.updates + fit.updates)  # fmt: skip
+    if not found.fit.evidence > prior.fit.evidence:  # the model as it is explains the data better
+        return replace(prior, errors=_linearised(prior, nuisances, np.zeros(len(nuisances.names))))
     return found
 
 

@@ -23,7 +23,7 @@ from ..._inverse.nuisances import Nuisances
 
 Array = NDArray[Any]
 
-ASSUMED = {"gain": 0.02, "frequency": 0.01, "damping": 0.2, "shape": 0.02}  # relative std, where nobody states another
+ASSUMED = {"gain": 0.02, "frequency": 0.01, "damping": 0.2, "shape": 0.05}  # relative std, where nobody states another
 
 
 def nuisances(

@@ -92,8 +92,19 @@ def test_an_exact_model_is_left_alone() -> None:
     assert np.linalg.norm(load - moved) < 0.02 * np.linalg.norm(load)
 
 
-def test_without_parameters_that_are_seen_nothing_changes() -> None:
+def test_parameters_that_are_not_seen_do_nothing() -> None:
     own, _, prior = impacts()
-    blind = Nuisances(("none",), np.eye(1), lambda at: own)
-    found: LocalPrior = with_errors(prior, blind)
-    assert posterior(found, found.errors)[0] == pytest.approx(posterior(prior)[0], abs=1e-12)
+    found: LocalPrior = with_errors(prior, Nuisances(("none",), np.eye(1), lambda at: own))
+    assert found.errors is not None
+    assert not found.errors.shift.any()
+    assert not found.errors.spread.any()
+    assert found.errors.odds == 1.0
+    assert not found.contradicted
+    load = posterior(prior)[0]
+    assert np.linalg.norm(posterior(found, found.errors)[0] - load) < 0.03 * np.linalg.norm(load)
+
+
+def test_an_error_beyond_its_prior_contradicts_the_model() -> None:
+    own, _, _ = impacts()
+    own = replace(own, y=own.y * np.array([1.3, 1.0, 1.0]))
+    assert with_errors(local_prior(own), gains(own, 0.02, 0.02)).contradicted
