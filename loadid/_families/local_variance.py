@@ -9,9 +9,9 @@ import numpy as np
 from structures.errors import InputError
 
 from .._inverse.choice import Choice, ungraded
-from .._inverse.local_prior import LocalPrior, freedom, local_prior, posterior, resolved, with_errors
+from .._inverse.local_prior import LocalPrior, freedom, local_prior, posterior, resolved, unexplained, with_errors
 from .._results.facts import Facts
-from .answer import SolvedLoad
+from .answer import SolvedLoad, beyond_noise
 from .histories import half_width
 from .posing import Posed
 
@@ -115,5 +115,6 @@ def replaced(found: SolvedLoad, learned: Learned, posed: Posed, choice: Choice, 
         "model_errors": wrong(learned),
     }
     flags = tuple(flag for flag in found.flags if not flag.code.endswith(SMEARED))
+    excess = beyond_noise(unexplained(prior), prior.record.data, posed.noise)
     return replace(found, load=load, std=band.std, posterior=band, bias=None, response=response, residual=residual,
-                   facts=Facts.of(facts), flags=flags)  # fmt: skip
+                   facts=Facts.of(facts), flags=flags, excess=excess)  # fmt: skip

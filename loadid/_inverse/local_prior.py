@@ -209,6 +209,13 @@ def resolved(prior: StationaryPrior, load: Array) -> Array:
     return Smoother(r, prior.given).means(response)[1]
 
 
+def unexplained(prior: StationaryPrior) -> float:
+    """Sum of the squares of the whitened data that neither the load nor the errors of the model explain."""
+    e = Smoother(prior.record, prior.given).means(prior.record.y)[3]
+    shown = np.any(prior.record.C != 0, axis=2) | np.any(prior.record.D != 0, axis=2)
+    return float(np.sum(np.where(shown[prior.record.kind], prior.given.noise * e, 0.0) ** 2))
+
+
 def freedom(prior: StationaryPrior) -> float:
     """Effective degrees of freedom of the load."""
     return float(np.sum(prior.given.load * Smoother(prior.record, prior.given, loads=False).smooth().rho_variance))

@@ -25,6 +25,7 @@ from .gaussian.record import WhitenedRecord
 from .gaussian.roots import Array
 
 STEP = 1e-3  # of a finite difference, over the std of the parameter
+PROPER = 1e-12  # variance over the largest below which a combination of parameters is held at zero
 SEEN = 1e-4  # energy over that of the noise up to which one std of a parameter is not seen in the data
 
 
@@ -125,13 +126,14 @@ def marginal(
     after = root @ np.linalg.solve(np.eye(k) + root.T @ known @ root, root.T)
     mean = after @ (flat @ residual.ravel() + known @ at)
     step = mean - at
-    return Marginal(mean, after, step, np.array(pulled), 0.5 * float(step @ known @ step), _odds(mean, root, after))
+    return Marginal(mean, after, step, np.array(pulled), 0.5 * float(step @ known @ step), _odds(mean, w, V, after))
 
 
-def _odds(mean: Array, root: Array, after: Array) -> float:
-    """Tail of chi squared of a posterior mean, in units of its prior, with as many degrees as the data have told."""
+def _odds(mean: Array, w: Array, V: Array, after: Array) -> float:
+    """Tail of chi squared of a posterior mean in units of its prior V diag(w) V', with the degrees that data told."""
     from scipy.special import gammaincc
 
-    back = np.linalg.pinv(root)
-    told = np.linalg.matrix_rank(root) - float(np.trace(back @ after @ back.T))
+    proper = w > PROPER * w.max(initial=0.0)
+    back = V[:, proper].T / np.sqrt(w[proper])[:, None]
+    told = proper.sum() - float(np.trace(back @ after @ back.T))
     return float(gammaincc(max(told, 1.0) / 2, float(np.sum((back @ mean) ** 2)) / 2))
