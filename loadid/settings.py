@@ -48,6 +48,7 @@ CLASSES = ("impact", "service")
 GROUPS = ("loads", "slots")
 ENGINES = ("own", "filterpy")
 PARAMETERS = ("stiffness", "mass", "damping")
+ERRORS = ("gain", "frequency", "damping", "shape")
 MOST = 1000  # samples of a lag
 
 
@@ -180,6 +181,11 @@ class Noise(Setting):
     frf : float, optional
         Relative std of the entries of the FRF, 0 where it is exact; None: what the model states, else learned from the
         lines. `FrequencyInversion`.
+    errors : mapping of str to float, optional
+        Relative std of what the model is wrong by: ``"gain"`` of each sensor and, as large, of all together,
+        ``"frequency"`` and ``"damping"`` of each mode, ``"shape"`` of the lowest at each sensor (of others more, with
+        their wave number); default .02, .01, .2 and .05; 0 leaves one out. `Deconvolution` with a variance of the load
+        that changes with time.
 
     Raises
     ------
@@ -192,6 +198,7 @@ class Noise(Setting):
     interpolation: ArrayLike | None = None
     bias: ArrayLike = 0.0
     frf: float | None = None
+    errors: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
         if self.frf is not None:
@@ -210,6 +217,19 @@ class Noise(Setting):
         self._put("source", NoiseSource.of(self.source))
         self._hold("interpolation", "the interpolation is no matrix of real numbers")
         self._hold("bias", "no drift of the sensors")
+        if self.errors is not None:
+            self._hold_errors()
+
+    def _hold_errors(self) -> None:
+        given: Any = self.errors
+        stds = {k: real(v) for k, v in given.items()} if isinstance(given, Mapping) else {}
+        for name, std in stds.items():
+            if name not in ERRORS or std is None or not 0 <= std < 1:
+                stds = {}
+        if not stds:
+            raise InputError("no errors of a model", where="errors", found=repr(given)[:80],
+                             expected=f"relative std, 0 to below 1, of some of {', '.join(ERRORS)}")  # fmt: skip
+        self._put("errors", MappingProxyType(stds))
 
     @property
     def stated(self) -> bool:

@@ -153,7 +153,7 @@ class Deconvolution:
         local = local_variance.learned(posed, self.settings.penalty.variance)
         if local is not None:
             found = local_variance.replaced(found, local, posed, choice, data.dt)
-            choice = local_variance.unasked(choice) if local.asked_for else choice
+            choice = local_variance.unasked(choice, local) if local.asked_for else choice
         self._progress(1.0, "done")
         return answer(
             self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),

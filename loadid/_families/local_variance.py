@@ -8,10 +8,8 @@ import numpy as np
 
 from structures.errors import InputError
 
-from .._inverse import Array
-from .._inverse.choice import Choice
-from .._inverse.local_prior import LocalPrior, freedom, local_prior, posterior, resolved
-from .._inverse.problem import whitener
+from .._inverse.choice import Choice, ungraded
+from .._inverse.local_prior import LocalPrior, freedom, local_prior, posterior, resolved, unexplained, with_errors
 from .._results.facts import Facts
 from .answer import SolvedLoad, beyond_noise
 from .histories import half_width
@@ -29,10 +27,13 @@ class Learned:
     prior : LocalPrior
     asked_for : bool
         By the user, or by the data.
+    names : tuple of str
+        Of the errors of the model.
     """
 
     prior: LocalPrior
     asked_for: bool
+    names: tuple[str, ...] = ()
 
 
 def learned(posed: Posed, variance: str) -> Learned | None:
@@ -51,13 +52,33 @@ def learned(posed: Posed, variance: str) -> Learned | None:
         raise InputError("a local variance is learned over the states of a model", where="variance", found=posed.name,
                          expected="a model with state_space()")  # fmt: skip
     prior = local_prior(posed.record, stated=posed.noise.known)
-    return Learned(prior, variance == "local" or prior.asked_for)
+    asked = variance == "local" or prior.asked_for
+    if asked and posed.nuisances is not None:
+        return Learned(with_errors(prior, posed.nuisances), asked, posed.nuisances.names)
+    return Learned(prior, asked)
 
 
-def unasked(choice: Choice) -> Choice:
-    """The choice of lambda where the load is not that of any lambda: its rules are no judgement of it."""
+def unasked(choice: Choice, learned: Learned) -> Choice:
+    """The choice of lambda where the load is not that of any lambda: its rules are no judgement of it.
+
+    A model that the data contradict beyond what it was said to be wrong by has the worst grade.
+    """
+    if learned.prior.contradicted:
+        return replace(ungraded(choice), odds=f"the data contradict the model: {wrong(learned)}")
     odds = "the variance of the load was learned by its evidence; lambda and its rules are those of a constant variance"
     return replace(choice, verdict="not asked", odds=odds)
+
+
+def wrong(learned: Learned) -> str:
+    """What the data tell of the errors of the model, the largest first, in words."""
+    errors, prior = learned.prior.errors, learned.prior
+    beside = f"{prior.misfit:.1%} of the response is of no load and of no error that is known"
+    if errors is None:
+        return beside
+    std = np.sqrt(np.diag(errors.covariance))
+    sure = [i for i in np.argsort(-np.abs(errors.mean)) if abs(errors.mean[i]) > 2 * std[i]]
+    told = [f"{learned.names[i]} {errors.mean[i]:+.1%}" for i in sure[:3]]
+    return ", ".join([*told, beside])
 
 
 def words(learned: Learned | None) -> str:
@@ -80,7 +101,7 @@ def replaced(found: SolvedLoad, learned: Learned, posed: Posed, choice: Choice, 
     }
     if not learned.asked_for:
         return replace(found, facts=Facts.of(facts))
-    load, band, start = posterior(prior)
+    load, band, start = posterior(prior, prior.errors)
     response, residual = posed.compare(load, choice.lam, start)
     at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
     one = np.zeros_like(load)
@@ -91,15 +112,9 @@ def replaced(found: SolvedLoad, learned: Learned, posed: Posed, choice: Choice, 
         "peak_bias": float(np.clip(1 - seen[at[0]], 0.0, 1.0)),
         "edf": freedom(prior),
         "model_misfit": prior.misfit,
+        "model_errors": wrong(learned),
     }
     flags = tuple(flag for flag in found.flags if not flag.code.endswith(SMEARED))
+    excess = beyond_noise(unexplained(prior), prior.record.data, posed.noise)
     return replace(found, load=load, std=band.std, posterior=band, bias=None, response=response, residual=residual,
-                   facts=Facts.of(facts), flags=flags,
-                   excess=_excess(posed, np.asarray(response), np.asarray(residual), prior.misfit))  # fmt: skip
-
-
-def _excess(posed: Posed, response: Array, residual: Array, misfit: float) -> float | None:
-    """Residual over the stated noise and the error of the model that was learned, where they never leave so much."""
-    white = whitener(posed.noise.level, residual.shape[1])
-    rest, seen = (float(np.sum(np.nan_to_num(white.apply(x, 1)) ** 2)) for x in (residual, response - residual))
-    return beyond_noise(rest / (1 + misfit**2 * seen / posed.path.m), posed.path.m, posed.noise)
+                   facts=Facts.of(facts), flags=flags, excess=excess)  # fmt: skip

@@ -9,7 +9,8 @@ variances of the noise, of an unknown start, and of an error of the model in pro
 ``R_k = r + misfit^2 p_k``, are learned by the same rule.
 
 Raw evidence prefers the local prior on nearly all records, as it has hundreds of numbers more. The stationary one that
-it is compared with has a memory too, up to 30 samples, and its gain is counted for each bump that is in use.
+it is compared with has a memory too, up to 30 samples; its gain is counted for each bump that is in use, and asked to
+be the larger, the larger the share of the record is over which the load acts.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from .gaussian.local_variance import Smoother, SmootherPass, Variances
 from .gaussian.passes import forward
 from .gaussian.record import WhitenedRecord
 from .gaussian.roots import Array
+from .nuisances import SEEN, Marginal, Nuisances, marginal
 
 HALF, STRIDE = 8, 4  # samples: half-width of a bump, distance of two
 POWER = 0.8  # of the update of bumps
@@ -37,7 +39,12 @@ LEAST = 1e-14  # of the largest variance that is kept
 NOISELESS = 1e-8  # least variance of a learned noise, over the mean square of its channel: the filter's digits
 MEMORIES = (0.0, 2.0, 3.5, 6.0, 12.0, 30.0)  # samples
 FIRST = 3  # which of them is tried first
-ASKED = {0.0: 2.2, 2.0: 2.2, 3.5: 2.2, 6.0: 2.2, 12.0: 6.0}  # memory -> gain for each bump in use that is no chance
+ASKED = 40.0  # gain for each bump in use, over the share of the record in use, that is no chance
+LONGEST = 12.0  # samples: memory of a pulse
+OPENED = 0.03  # misfit with which errors of the model are sought: a fit that explains all by its load tells none
+ROUNDS, TOLD = 5, 2.0  # linearisations by errors of the model at most, and the gain in ln evidence that asks for one
+UNLIKELY, UNKNOWN = 1e-4, 0.05  # odds of errors of the model, and misfit beside them, at which it is contradicted
+RELEARNED = 6  # updates of the variances between two of them
 TINY = np.finfo(float).tiny
 
 
@@ -80,12 +87,26 @@ class LocalPrior(StationaryPrior):
         Variances that were learned beyond the stationary ones.
     updates : int
         Smoother passes, all memories together.
+    fit : Fit
+        As it was learned.
+    errors : Marginal, optional
+        Errors of the model, linearised about the load of `record` and `given`.
+    told : float
+        Log evidence that they gained where the model was moved, by what the data tell of them.
     """
 
     stationary: StationaryPrior
     misfit: float
     bumps: int
     updates: int
+    fit: Fit
+    errors: Marginal | None = None
+    told: float = 0.0
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the data tell errors of the model that its prior does not expect, or that are of no kind it knows."""
+        return self.errors is not None and (self.errors.odds < UNLIKELY or self.misfit > UNKNOWN)
 
     @property
     def participation(self) -> Array:
@@ -100,21 +121,85 @@ class LocalPrior(StationaryPrior):
 
     @property
     def asked_for(self) -> bool:
-        """Whether the data ask for it: the gain is no chance, and the load has no memory beyond a pulse."""
-        return self.gain > ASKED.get(self.memory, np.inf)
+        """Whether the data ask for it: the gain is no chance, of a load that rests, without memory beyond a pulse."""
+        return self.gain > ASKED * float(self.participation.mean()) and self.memory <= LONGEST
 
 
-def posterior(prior: StationaryPrior, gain: float = 0.0) -> tuple[Array, LocalVariancePosterior, Array]:
+def posterior(prior: StationaryPrior, errors: Marginal | None = None) -> tuple[Array, LocalVariancePosterior, Array]:
     """Mean of the load (samples, p), its posterior, and the mean of the first state.
 
     Parameters
     ----------
     prior : LocalPrior or StationaryPrior
-    gain : float
-        Relative std of an error of the gain, as stated or found from repeats.
+    errors : Marginal, optional
+        Of the model, in the load and in its band.
     """
     _, load, _, _, first = Smoother(prior.record, prior.given).means(prior.record.y)
-    return load, LocalVariancePosterior(prior.record, prior.given, load, gain), prior.given.start @ first
+    spread = np.zeros((0, *load.shape)) if errors is None else errors.spread
+    load = load if errors is None else load - errors.shift
+    return load, LocalVariancePosterior(prior.record, prior.given, spread), prior.given.start @ first
+
+
+def with_errors(prior: LocalPrior, nuisances: Nuisances) -> LocalPrior:
+    """The prior with the errors of the model that the data tell, and those that they do not in the band.
+
+    Parameters
+    ----------
+    prior : LocalPrior
+    nuisances : Nuisances
+        Of the problem whose record it was learned from, without memory.
+    """
+    fit = prior.fit.on(prior.record)
+    fit.misfit2 = max(fit.misfit2, OPENED**2)
+    fit.climb(0)
+    at, told = np.zeros(len(nuisances.names)), 0.0
+    found = replace(prior, fit=fit, given=fit.variances(), misfit=float(np.sqrt(fit.misfit2)))
+    for turn in range(ROUNDS):
+        found = replace(found, errors=_linearised(found, nuisances, at))
+        assert found.errors is not None
+        if turn == ROUNDS - 1 or found.errors.gain < TOLD:
+            break
+        fit = found.fit.on(with_memory(nuisances.record(found.errors.mean), found.memory))
+        last = fit.climb(RELEARNED, missing=True)
+        if not last.evidence > found.fit.evidence:
+            break
+        told += last.evidence - found.fit.evidence
+        at = found.errors.mean
+        found = replace(found, record=fit.record, given=fit.variances(), noise=fit.r, fit=fit, told=told,
+                        misfit=float(np.sqrt(fit.misfit2)), updates=found.updates + fit.updates)  # fmt: skip
+    if not found.fit.evidence > prior.fit.evidence:  # the model as it is explains the data better
+        return replace(prior, errors=_linearised(prior, nuisances, np.zeros(len(nuisances.names))))
+    return found
+
+
+def _linearised(prior: LocalPrior, nuisances: Nuisances, at: Array) -> Marginal:
+    """Errors of the model about the load that a prior estimates; what the data cannot see of them is left out."""
+    smoother = Smoother(prior.record, prior.given)
+    _, load, _, _, first = smoother.means(prior.record.y)
+    start = prior.given.start @ first
+
+    def respond(record: WhitenedRecord) -> Array:
+        return forward(record, feedback(record, record.E), load, start[: record.n])[2]
+
+    def solve(data: Array) -> tuple[Array, Array]:
+        _, pulled, _, weighed, _ = smoother.means(data)
+        return weighed, pulled
+
+    response, columns = nuisances.columns(at, respond)
+    seen = np.sum(columns**2 / prior.given.noise, axis=(1, 2)) * nuisances.std**2 > SEEN
+    every = np.zeros((len(at), *load.shape))
+    if not seen.any():
+        return Marginal(at, nuisances.covariance, 0.0 * at, every, 0.0, 1.0)
+    residual = np.where(prior.fit.there, prior.record.y - response, 0.0)
+    part = marginal(columns[seen], solve, residual, nuisances.covariance[np.ix_(seen, seen)], at[seen])
+    mean, step, covariance = np.array(at), 0.0 * at, np.array(nuisances.covariance)
+    mean[seen], step[seen], every[seen], covariance[np.ix_(seen, seen)] = (
+        part.mean,
+        part.step,
+        part.pulled,
+        part.covariance,
+    )
+    return Marginal(mean, covariance, step, every, part.gain, part.odds)
 
 
 def resolved(prior: StationaryPrior, load: Array) -> Array:
@@ -122,6 +207,13 @@ def resolved(prior: StationaryPrior, load: Array) -> Array:
     r = prior.record
     response = forward(r, feedback(r, r.E), np.ascontiguousarray(load, float), np.zeros(r.n))[2]
     return Smoother(r, prior.given).means(response)[1]
+
+
+def unexplained(prior: StationaryPrior) -> float:
+    """Sum of the squares of the whitened data that neither the load nor the errors of the model explain."""
+    e = Smoother(prior.record, prior.given).means(prior.record.y)[3]
+    shown = np.any(prior.record.C != 0, axis=2) | np.any(prior.record.D != 0, axis=2)
+    return float(np.sum(np.where(shown[prior.record.kind], prior.given.noise * e, 0.0) ** 2))
 
 
 def freedom(prior: StationaryPrior) -> float:
@@ -160,7 +252,7 @@ def local_prior(record: WhitenedRecord, *, stated: bool = False, misfit: bool = 
     )
     return LocalPrior(
         evidence, MEMORIES[best], chosen.record, chosen.variances(), chosen.r, constant, float(np.sqrt(chosen.misfit2)),
-        chosen.b.size, sum(one.updates for one in (*still.values(), *local.values())),
+        chosen.b.size, sum(one.updates for one in (*still.values(), *local.values())), chosen,
     )  # fmt: skip
 
 
@@ -172,22 +264,20 @@ class LocalVariancePosterior:
     record : WhitenedRecord
         Its data are not used.
     given : Variances
-    load : array, shape (samples, p)
-        Estimate, of which `gain` is a part.
-    gain : float
-        Relative std of the gain of model and sensors, common to the whole record: a tolerance, not learned.
+    spread : array, shape (k, samples, p)
+        Loads whose outer products are added: what errors of the model do, over the whole record at once.
     """
 
     kind = "local variance"
 
-    def __init__(self, record: WhitenedRecord, given: Variances, load: Array, gain: float = 0.0) -> None:
+    def __init__(self, record: WhitenedRecord, given: Variances, spread: Array) -> None:
         self._smoother = Smoother(replace(record, y=np.zeros_like(record.y)), given)
-        self.load, self.gain, self.shape = np.asarray(load, float), float(gain), (record.samples, record.p)
+        self.spread, self.shape = np.asarray(spread, float), (record.samples, record.p)
 
     @cached_property
     def std(self) -> Array:
         """Standard deviation, shape (samples, loads)."""
-        return np.sqrt(self._smoother.variance + (self.gain * self.load) ** 2)
+        return np.asarray(np.sqrt(self._smoother.variance + np.sum(self.spread**2, axis=0)))
 
     def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
@@ -198,15 +288,15 @@ class LocalVariancePosterior:
         if w.ndim == 3:
             return np.array([self.variance(one) for one in w])
         own = float(np.sum(w * self._smoother.covariance_times(w)))
-        return np.asarray(max(own, 0.0) + (self.gain * float(np.sum(w * self.load))) ** 2)
+        return np.asarray(max(own, 0.0) + float(np.sum(np.tensordot(self.spread, w, 2) ** 2)))
 
     def to_arrays(self) -> dict[str, object]:
         """Plain arrays, for a result file."""
         r, given = self._smoother.record, self._smoother.given
         return {
             "kind": self.kind, "F": r.F, "G": r.G, "C": r.C, "D": r.D, "E": r.E, "samples": r.kind, "free": r.free,
-            "data": r.data, "v": given.load, "noise": given.noise, "start": given.start, "load": self.load,
-            "gain": self.gain,
+            "data": r.data, "v": given.load, "noise": given.noise, "start": given.start,
+            "spread": self.spread,
         }  # fmt: skip
 
     @classmethod
@@ -217,7 +307,9 @@ class LocalVariancePosterior:
         free = np.asarray(tree["free"]).astype(int).reshape(-1)
         record = WhitenedRecord(F, G, C, D, E, kind, np.zeros((len(kind), C.shape[1])), free, int(tree["data"]))
         given = Variances(*(np.asarray(tree[name], float) for name in ("v", "noise", "start")))
-        return cls(record, given, np.asarray(tree["load"], float), float(tree["gain"]))
+        if "spread" in tree:
+            return cls(record, given, np.asarray(tree["spread"], float))
+        return cls(record, given, float(tree["gain"]) * np.asarray(tree["load"], float)[None])  # as first written
 
 
 # -- inside ------------------------------------------------------------------------------------------------------------
@@ -291,6 +383,13 @@ class Fit:
         """As a smoother takes them."""
         noise = np.where(self.there, self.r + self.misfit2 * self.power, 1.0)
         return Variances(self.phi @ self.b + self.floor, noise, np.diag(self.start))
+
+    def on(self, record: WhitenedRecord) -> Fit:
+        """The same variances, to go on with on another record of the same data."""
+        new = Fit(record, self.stated)
+        new.b, new.floor, new.r, new.start = self.b.copy(), self.floor.copy(), self.r.copy(), self.start.copy()
+        new.misfit2, new.power = self.misfit2, self.power
+        return new
 
     def climb(self, most: int, power: float = POWER, missing: bool = False) -> SmootherPass:
         """Update until the evidence gains no more; the last pass, whose variances are kept."""

@@ -62,7 +62,7 @@ def pose(model: Model, data: Data, settings: PosingSettings) -> Posed:
     noise = noises.resolve(settings.noise, model, data)
     if kind == "statespace":
         assert system is not None
-        return states(system, h[late:], late, noise, data, settings)
+        return states(model, system, h[late:], late, noise, data, settings)
     h, values = h[late:], data.values[late:]
     if kind == "dense":
         return dense(h, values, noise, data, settings)

@@ -27,12 +27,13 @@ from ..._inverse.gaussian.coarse import windows_of
 from ..._inverse.gaussian.gains import feedback
 from ..._inverse.gaussian.passes import forward
 from ..._inverse.gaussian.path import StateSpacePath, layout
-from ..._inverse.gaussian.record import Augmented, augment, measured, moving, observed_first
+from ..._inverse.gaussian.record import Augmented, WhitenedRecord, augment, measured, moving, observed_first
 from ..._inverse.gaussian.sized import SizedPath
 from ..._inverse.penalties import names
 from ..._inverse.problem import whiten
 from ..data import Data
 from ..noise import NoiseLevel
+from .model_errors import nuisances
 from .posed import BY_MATRIX, WHOLE, Posed, PosingSettings, measured_response
 
 Array = NDArray[Any]
@@ -56,7 +57,9 @@ def at_rest_in_place(system: StateSpace) -> StateSpace:
     return StateSpace(system.A, B, system.C, D, system.dt, system.hold, sensors=system.sensors, loads=system.loads)
 
 
-def states(system: StateSpace, h: Array, late: int, noise: NoiseLevel, data: Data, settings: PosingSettings) -> Posed:
+def states(
+    model: Model, system: StateSpace, h: Array, late: int, noise: NoiseLevel, data: Data, settings: PosingSettings
+) -> Posed:  # fmt: skip
     """Problem of a state space whose first `late` Markov parameters are zero.
 
     Parameters
@@ -123,8 +126,23 @@ def states(system: StateSpace, h: Array, late: int, noise: NoiseLevel, data: Dat
     def pushing(signed: ArrayLike | None) -> NonNegativeRecord:
         return NonNegativeRecord(own, signed)
 
+    def altered(other: StateSpace, factors: Array) -> WhitenedRecord:
+        if other is system:
+            Ao, Bo, Co, Do = A, B, C, D
+        else:
+            Co, Do = _advanced(other, late)
+            Ao, Bo, Co = _with_constants(other.A, other.B, Co, constants)
+        scale = factors[:, None]
+        again = _systems(Ao, Bo, Co[rows] * scale, Do[..., rows, :] * scale, len(values), settings.penalty.L, **extra)
+        return measured(again, np.where(missing, np.nan, values - known), noise.level)
+
+    wrong = None
+    if settings.penalty.variance != "constant":
+        modal = not seen or seen == constants.shape[1]
+        wrong = nuisances(model, system, rows, settings.noise.errors or {}, modal, altered)
     name, visible = "state space, O(N)", layout(own)
-    return Posed(path, noise, compare, values, name, h[:, rows], visible, full, path.unknowns, judged, pushing, own)
+    return Posed(path, noise, compare, values, name, h[:, rows], visible, full, path.unknowns, judged, pushing, own,
+                 wrong)  # fmt: skip
 
 
 def _constants(data: Data, sensors: int) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ from ..._inverse.constrained.nonnegative import NonNegativeRecord
 from ..._inverse.convolved.padded import SpectralPath
 from ..._inverse.diagnosis import identifiability
 from ..._inverse.gaussian.record import WhitenedRecord
+from ..._inverse.nuisances import Nuisances
 from ..._inverse.path import RegularizationPath
 from ..._inverse.problem import NoiseSource
 from ...settings import Lambda, Noise, Penalty, one_of
@@ -173,6 +174,8 @@ class Posed:
         Numbers of the loads that only push (None: all) -> the same problem under signs.
     record : WhitenedRecord, optional
         The data over the states of the model, where the problem is posed on them.
+    nuisances : Nuisances, optional
+        What the model may be wrong by, where the problem is posed on its states.
     """
 
     path: RegularizationPath
@@ -187,6 +190,7 @@ class Posed:
     judged: RegularizationPath
     pushing: Callable[[ArrayLike | None], NonNegativeRecord] | None = None
     record: WhitenedRecord | None = None
+    nuisances: Nuisances | None = None
 
     @property
     def rank(self) -> int:

@@ -1,0 +1,139 @@
+"""Parameters that nobody asks for, such as errors of the model: linearised about a fit, marginalised with the load.
+
+    y = H(theta) g + e,   theta ~ N(0, Sigma),   H(theta) g = H g + S (theta - theta_),   S_i = dH/dtheta_i g_
+
+The covariance of the data about the fit is K + S Sigma S', K that of load and noise. By Woodbury's identity all follows
+from what the problem without parameters makes of each column: K^-1 S_i, and the load J_i that it would estimate.
+
+    P = (Sigma^-1 + S' K^-1 S)^-1,   d = P (S' K^-1 (y - H g_) - Sigma^-1 theta_),
+    g = g_ - J d,   cov g = cov_0 + J P J'
+
+The prior of the load is taken about the fit: a parameter that only scales the load is learned from nothing, and what
+was said of it before stays in the band. (Joint input-state-parameter estimation by sensitivities: Y. Xu & C. Soize;
+O. Zhang, J. Antoni & E. Foltete treat it by sampling. Laplace's method: D. MacKay, Neural Comput. 4 (1992) 448.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .gaussian.record import WhitenedRecord
+from .gaussian.roots import Array
+
+STEP = 1e-3  # of a finite difference, over the std of the parameter
+PROPER = 1e-12  # variance over the largest below which a combination of parameters is held at zero
+SEEN = 1e-4  # energy over that of the noise up to which one std of a parameter is not seen in the data
+
+
+@dataclass(frozen=True, eq=False)
+class Nuisances:
+    """Parameters of a problem and their prior, of mean zero.
+
+    Parameters
+    ----------
+    names : tuple of str
+    covariance : array, shape (k, k)
+    record : callable
+        Parameters (k,) -> the problem with them.
+    """
+
+    names: tuple[str, ...]
+    covariance: Array
+    record: Callable[[Array], WhitenedRecord]
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations, shape (k,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def columns(self, at: Array, respond: Callable[[WhitenedRecord], Array]) -> tuple[Array, Array]:
+        """Response at some parameters, and its derivative by each, (k, ...); `respond` answers for one load."""
+        base, out = respond(self.record(at)), []
+        for i, std in enumerate(self.std):
+            moved = np.array(at)
+            moved[i] += STEP * std
+            out.append((respond(self.record(moved)) - base) / (STEP * std))
+        return base, np.array(out)
+
+
+@dataclass(frozen=True, eq=False)
+class Marginal:
+    """What data tell of parameters, and what these do to the load.
+
+    Parameters
+    ----------
+    mean : array, shape (k,)
+    covariance : array, shape (k, k)
+    step : array, shape (k,)
+        Mean less the point at which the problem was linearised.
+    pulled : array, shape (k, ...)
+        Load that a unit of each parameter is taken for.
+    gain : float
+        Log likelihood that the step gains.
+    odds : float
+        Probability of being told errors as large as these, where they are of their prior.
+    """
+
+    mean: Array
+    covariance: Array
+    step: Array
+    pulled: Array
+    gain: float
+    odds: float
+
+    @property
+    def shift(self) -> Array:
+        """What the step takes from the load."""
+        return np.asarray(np.tensordot(self.step, self.pulled, 1))
+
+    @cached_property
+    def spread(self) -> Array:
+        """Loads (k, ...) whose outer products are the covariance that the parameters add."""
+        w, V = np.linalg.eigh(self.covariance)
+        return np.asarray(np.tensordot((V * np.sqrt(np.maximum(w, 0.0))).T, self.pulled, 1))
+
+
+def marginal(
+    columns: Array, solve: Callable[[Array], tuple[Array, Array]], residual: Array, covariance: Array, at: Array
+) -> Marginal:
+    """Marginalise parameters of a linearised problem.
+
+    Parameters
+    ----------
+    columns : array, shape (k, ...)
+        Derivative of the data by each.
+    solve : callable
+        Data -> K^-1 times them, and the load that is estimated from them.
+    residual : array
+        Data less the response of the fit.
+    covariance : array, shape (k, k)
+        Before the data.
+    at : array, shape (k,)
+        Where it is linearised.
+    """
+    k = len(columns)
+    weighed, pulled = zip(*(solve(one) for one in columns), strict=True)
+    flat = np.array(weighed).reshape(k, -1)
+    known = flat @ columns.reshape(k, -1).T
+    known = (known + known.T) / 2
+    # Sigma = R R': no inverse of a prior that is nearly singular
+    w, V = np.linalg.eigh(covariance)
+    root = V * np.sqrt(np.maximum(w, 0.0))
+    after = root @ np.linalg.solve(np.eye(k) + root.T @ known @ root, root.T)
+    mean = after @ (flat @ residual.ravel() + known @ at)
+    step = mean - at
+    return Marginal(mean, after, step, np.array(pulled), 0.5 * float(step @ known @ step), _odds(mean, w, V, after))
+
+
+def _odds(mean: Array, w: Array, V: Array, after: Array) -> float:
+    """Tail of chi squared of a posterior mean in units of its prior V diag(w) V', with the degrees that data told."""
+    from scipy.special import gammaincc
+
+    proper = w > PROPER * w.max(initial=0.0)
+    back = V[:, proper].T / np.sqrt(w[proper])[:, None]
+    told = proper.sum() - float(np.trace(back @ after @ back.T))
+    return float(gammaincc(max(told, 1.0) / 2, float(np.sum((back @ mean) ** 2)) / 2))
