@@ -300,8 +300,8 @@ class StaticInversion:
     def _biased(self, posed: StaticProblem, choice: Choice, solution: Solution, sigma: float) -> float | None:
         """What lambda would take from the resultants of the estimated load, over their std, at most; of the last frame.
 
-        None under constraints, and where nothing is known of the error. At a lambda that was given the std is that of the
-        stated noise: what a lambda too large leaves in the residual is no noise.
+        None under constraints, and where nothing is known of the error. At a lambda that was given the std is that of
+        the stated noise: what a lambda too large leaves in the residual is no noise.
         """
         if posed.constrained or solution.posterior is None or not choice.lam > 0:
             return None
