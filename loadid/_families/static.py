@@ -243,7 +243,7 @@ class StaticInversion:
             self, given, replace(found, geometry=self.geometry, diagnosis=diagnosis), choice, known=posed.noise.known,
             searched=path, solved=path, full=posed.full, free=self.free, judged=not self.free,
             settings=self._settings(posed), prior=smoothness.words(self.penalty, self.basis),
-            flags=self._flags(posed, choice, found.facts, diagnosis, self._biased(posed, choice, solution)),
+            flags=self._flags(posed, choice, found.facts, diagnosis, self._biased(posed, choice, solution, sigma)),
         )  # fmt: skip
 
     def at_rest(self) -> StaticProblem:
@@ -297,10 +297,11 @@ class StaticInversion:
             ),
         ]  # fmt: skip
 
-    def _biased(self, posed: StaticProblem, choice: Choice, solution: Solution) -> float | None:
+    def _biased(self, posed: StaticProblem, choice: Choice, solution: Solution, sigma: float) -> float | None:
         """What lambda would take from the resultants of the estimated load, over their std, at most; of the last frame.
 
-        None under constraints, and where nothing is known of the error.
+        None under constraints, and where nothing is known of the error. At a lambda that was given the std is that of
+        the stated noise: what a lambda too large leaves in the residual is no noise.
         """
         if posed.constrained or solution.posterior is None or not choice.lam > 0:
             return None
@@ -308,7 +309,8 @@ class StaticInversion:
         lost = np.atleast_2d(posed.base.resolve(load, choice.lam) - load)[-1]
         totals = np.ones((1, len(lost))) if self.basis is None else np.asarray(self.basis.resultant())
         std = [np.sqrt(float(solution.posterior.variance(w))) for w in totals]
-        return max((abs(float(w @ lost)) / s for w, s in zip(totals, std, strict=True) if s > 0), default=None)
+        own = 1.0 if self.searching or posed.noise.sigma is None or not sigma > 0 else sigma / posed.noise.sigma
+        return max((own * abs(float(w @ lost)) / s for w, s in zip(totals, std, strict=True) if s > 0), default=None)
 
     def _refined(self, posed: StaticProblem, diagnosis: diagnose.Diagnosis) -> Flag | None:
         """W107, where no penalty ties neighbouring loads together."""

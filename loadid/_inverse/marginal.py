@@ -133,7 +133,9 @@ class MarginalPosterior(DensePosterior):
     @classmethod
     def from_arrays(cls, tree: dict[str, Any]) -> MarginalPosterior:
         """Inverse of `to_arrays`."""
-        arrays: dict[str, Any] = {k: np.asarray(tree[k]) for k in ("factor", "resolved", "shifts", "passed", "dual") if k in tree}
+        arrays: dict[str, Any] = {
+            k: np.asarray(tree[k]) for k in ("factor", "resolved", "shifts", "passed", "dual") if k in tree
+        }
         return cls(
             arrays.pop("factor"), tuple(tree["shape"]), orthogonal=bool(tree.get("orthogonal", False)),
             frames=tree.get("frames"), **arrays,
