@@ -25,6 +25,7 @@ from ..settings import Absolute, ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import smoothness
 from .answer import answer, of_path, undetermined
 from .data import Readings, readings
+from .faults import of_static
 from .frozen import Calibration, Frozen, at_rest, calibrate, each_frame, freeze
 from .noise import noise_level
 from .posing.steady import MEETING, StaticProblem, drawn, missing, pose, transfer
@@ -242,6 +243,7 @@ class StaticInversion:
             self, given, replace(found, geometry=self.geometry, diagnosis=diagnosis), choice, known=posed.noise.known,
             searched=path, full=posed.full, free=self.free, judged=not self.free, settings=self._settings(posed),
             prior=smoothness.words(self.penalty, self.basis), flags=self._flags(posed, choice, found.facts, diagnosis),
+            spare=of_static(posed.H, given.values, posed.noise, self.L, given.channels, free=self.free),
         )  # fmt: skip
 
     def at_rest(self) -> StaticProblem:
