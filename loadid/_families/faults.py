@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
+VAGUE = ("other", "one of")  # what is said only of a contradiction ...
+SURE = 4.0  # ... this far beyond what noise and errors of the model leave
 LINES = 2048  # lines that are asked
 QUIET = 0.1  # share of the lines whose power stands for the noise, where it is not known
 TAIL = 0.02  # share of the largest response that may be left at the end of a record
@@ -65,6 +67,8 @@ def sought(given: Overlooked | None) -> tuple[SensorFault, ...]:
         at, fault = only
         who, unit = (given.labels[at],), given.dt if fault.kind == "delay" else 1.0
         kind, size, std = fault.kind, fault.size * unit, fault.std * unit
+    if kind in VAGUE and found.excess < SURE:
+        return ()
     kept = tuple(label for label in given.labels if label not in who)
     return (SensorFault(who, kind, size, std, found.excess, found.without, found.other, kept),)
 
