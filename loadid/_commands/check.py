@@ -156,17 +156,19 @@ def check_pair(findings: Findings, model: Model, record: Record, where: str, res
 
 def contradictions(model: Model, record: Record, h: Any) -> list[Flag]:
     """W214 and W215: sensors that contradict the others, where some are to spare and no sample is missing."""
-    from .. import _guards as flags
-    from .._families.data import gather
-    from .._families.faults import of_record, sought
-    from .._families.noise import resolve
-    from ..settings import Noise
+    import numpy as np
 
-    data = gather(record, None, model, None, allow_missing=True)
-    if data.missing.any() or len(data.rows) <= h.shape[2]:
+    from .. import _guards as flags
+    from .._families.faults import of_record, sought
+    from .._families.noise import STATED, NoiseLevel
+    from .._quality import noise_std
+
+    if np.isnan(record.values).any() or len(record.channels) <= h.shape[2]:
         return []
-    found = sought(of_record(h, data.values, data.dt, resolve(Noise.of(None), model, data), data.channels))
-    return [flags.contradicting(fault) for fault in found]
+    found = model.noise if model.noise is not None else (noise_std(record) or (None,))[0]
+    level = NoiseLevel(np.ones(len(record.channels)) if found is None else found, found is not None, STATED)
+    told = sought(of_record(h, record.values, record.dt, level, record.channels))
+    return [flags.contradicting(fault) for fault in told]
 
 
 def _of(flags: Iterable[Flag], code: str) -> list[Flag]:
