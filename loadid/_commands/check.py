@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 NAMES = {
     code: GUARDS[code]
     for code in (
-        *("W105", "W114", "W201", "W204", "W205", "W206", "W207", "W208", "W209", "W210"),
+        *("W105", "W114", "W201", "W204", "W205", "W206", "W207", "W208", "W209", "W210", "W214"),
         *("W505", "W509", "W702", "W704"),
     )
 }
@@ -141,6 +141,7 @@ def check_pair(findings: Findings, model: Model, record: Record, where: str, res
     lost = np.isnan(used.values).mean(axis=0).tolist()
     findings.run("W210", where, lambda: flags.gaps(lost, used.labels))
     h = model.impulse_response(used.dt, len(used))
+    findings.run("W214", where, lambda: contradictions(model, used, h))
     findings.run("W505", where, lambda: flags.memory(model.decay_rate, used.duration, h, model.natural_frequencies))
     if model.natural_frequencies is not None:
         findings.run("W509", where, lambda: flags.aliased(model.natural_frequencies, used.dt))
@@ -151,6 +152,23 @@ def check_pair(findings: Findings, model: Model, record: Record, where: str, res
         from structures._testing.impact import digests
 
         findings.run("W704", where, lambda: flags.used_for_training(where, training.intersection(digests(used.values))))
+
+
+def contradictions(model: Model, record: Record, h: Any) -> list[Flag]:
+    """W214 and W215: sensors that contradict the others, where some are to spare and no sample is missing."""
+    import numpy as np
+
+    from .. import _guards as flags
+    from .._families.faults import of_record, sought
+    from .._families.noise import STATED, NoiseLevel
+    from .._quality import noise_std
+
+    if np.isnan(record.values).any() or len(record.channels) <= h.shape[2]:
+        return []
+    found = model.noise if model.noise is not None else (noise_std(record) or (None,))[0]
+    level = NoiseLevel(np.ones(len(record.channels)) if found is None else found, found is not None, STATED)
+    told = sought(of_record(h, record.values, record.dt, level, record.channels))
+    return [flags.contradicting(fault) for fault in told]
 
 
 def _of(flags: Iterable[Flag], code: str) -> list[Flag]:

@@ -23,6 +23,7 @@ from .._inverse.diagnosis import identifiability
 from .._inverse.path import RegularizationPath, Solution
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts, provenance
+from .faults import Overlooked, sought
 from .noise import NoiseLevel
 
 if TYPE_CHECKING:
@@ -178,7 +179,7 @@ def answer(
     family: LoadFamily, measured: Measured, found: SolvedLoad, choice: Choice, *, known: bool, prior: str,
     settings: Mapping[str, Any], flags: Iterable[Flag | None], searched: RegularizationPath | None = None,
     solved: RegularizationPath | None = None, full: tuple[float, int, int] | None = None, free: bool = False,
-    judged: bool = True,
+    judged: bool = True, spare: Overlooked | None = None,
 ) -> LoadEstimate:  # fmt: skip
     """The estimate, with the guards that all families share.
 
@@ -202,6 +203,8 @@ def answer(
         Without regularisation.
     judged : bool
         What the rules say of lambda is told.
+    spare : Overlooked, optional
+        What the sensors can tell of each other.
     """
     model, facts = family.model, found.facts
     fewer = None
@@ -210,12 +213,14 @@ def answer(
         lost = [s.label for i, s in enumerate(model.sensors) if i not in used]
         fewer = guards.lost_channels(full, (facts["kappa"], facts["rank"], facts["nullity"]), lost)
     short = free and UNDETERMINED in family.allow and facts["rank"] < facts["n"]
+    faults = sought(spare)
     raised = guards.collect(
         [
             guards.overridden("E306", "rank", facts["rank"], facts["n"]) if short else None,
             *model.flags,
             guards.not_verified(model.certificate),
             *measured.findings,
+            *map(guards.contradicting, faults),
             *found.flags,
             *flags,
             fewer,
@@ -232,7 +237,7 @@ def answer(
     history = provenance(family.name, settings=settings, inputs=measured.inputs, model=model.fingerprint, prior=prior)
     return labelled(
         found, model.loads, measured.channels, choice=choice, flags=raised, allowed=family.allow,
-        certificate=model.certificate, provenance=history,
+        certificate=model.certificate, provenance=history, faults=faults,
     )  # fmt: skip
 
 

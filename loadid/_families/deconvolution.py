@@ -27,6 +27,7 @@ from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import histories, local_variance
 from .answer import SolvedLoad, answer, beyond_noise, of_path, over_time, undetermined
 from .data import Data, gather
+from .faults import Overlooked, of_record
 from .histories import facts as pushing_facts
 from .histories import flags as pushing_flags
 from .histories import half_width, kurtosis, push, signs, without_offsets
@@ -160,6 +161,7 @@ class Deconvolution:
             prior=local_variance.words(local) or _prior(self.settings) + ("" if pushed is None else "; it only pushes"),
             flags=self._flags(posed, choice, data, found), searched=posed.judged, full=posed.full, free=self._free,
             solved=None if pushed is not None else posed.path, judged=local is None or not local.asked_for,
+            spare=self._spare(posed, data),
         )  # fmt: skip
 
     def _found(
@@ -183,6 +185,13 @@ class Deconvolution:
             return replace(found, flags=(*self._impacts(found, data.dt), *found.flags))
         excess = beyond_noise(pushed.residual2, path.m, posed.noise)
         return replace(found, excess=excess, flags=(*pushing_flags(pushed, posed, choice, sigma), *found.flags))
+
+    def _spare(self, posed: Posed, data: Data) -> Overlooked | None:
+        """What the sensors tell of each other: of whole records that start at rest, as h says they do."""
+        whole = not data.missing.any() and len(posed.values) == len(data.values)
+        if not (whole and self.settings.resting and len(data.rows) > posed.h.shape[2]):
+            return None
+        return of_record(posed.h, data.values, data.dt, posed.noise, data.channels)
 
     def _choose(self, posed: Posed) -> Choice:
         """Lambda by the rules: of a long record on windows first, then on the whole."""

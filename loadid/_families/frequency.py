@@ -24,6 +24,7 @@ from .._spellings import takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Signal
 from .answer import SolvedLoad, answer, over_time
 from .data import rows_of
+from .faults import of_lines
 from .posing.fitting import LineFit, LineRule, fit, judged
 from .posing.gathered import LineData, LineSettings, lines_of, response
 
@@ -164,7 +165,7 @@ class FrequencyInversion:
         self._progress(1.0, "done")
         return answer(
             self, line, found, choice, known=line.known, settings=self._named_settings(line), prior=self._prior(),
-            flags=self._flags(solved, line, H[:, line.rows], found),
+            flags=self._flags(solved, line, H[:, line.rows], found), spare=of_lines(line, H[:, line.rows]),
         )  # fmt: skip
 
     # -- saying -----------------------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from ..settings import Absolute, ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import smoothness
 from .answer import answer, of_path, undetermined
 from .data import Readings, readings
+from .faults import of_static
 from .frozen import Calibration, Frozen, at_rest, calibrate, each_frame, freeze
 from .noise import noise_level
 from .posing.steady import MEETING, StaticProblem, drawn, missing, pose, transfer
@@ -244,6 +245,7 @@ class StaticInversion:
             searched=path, solved=path, full=posed.full, free=self.free, judged=not self.free,
             settings=self._settings(posed), prior=smoothness.words(self.penalty, self.basis),
             flags=self._flags(posed, choice, found.facts, diagnosis, self._biased(posed, choice, solution, sigma)),
+            spare=of_static(posed.H, given.values, posed.noise, self.L, given.channels, free=self.free),
         )  # fmt: skip
 
     def at_rest(self) -> StaticProblem:

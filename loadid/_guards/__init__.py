@@ -38,6 +38,7 @@ from .inversion import (
     unfinished,
 )
 from .measurement import (
+    contradicting,
     gaps,
     high_pass,
     interpolated,
@@ -53,10 +54,10 @@ from .measurement import (
 )
 
 __all__ = [
-    "absolute_lambda", "aliased", "allowed", "at_the_end", "changing_lambda", "collect", "correlated_noise", "cut_off",
-    "diagonal", "disagreement", "drifting", "fighting", "gaps", "gcv_minimum", "high_pass", "in_motion",
-    "index_offset", "interpolated", "inverse_crime", "lost_channels", "memory", "mixed_kinds", "needs_white_noise",
-    "no_corner", "no_coverage", "nodal_as_pressure", "noise_source", "not_apart", "not_testable", "not_verified",
-    "null_space", "over_smoothed", "overridden", "parameter", "pulling", "recoverable", "refined", "resolution",
-    "resultant_only", "stopped", "unexplained", "unfinished", "used_for_training",
+    "absolute_lambda", "aliased", "allowed", "at_the_end", "changing_lambda", "collect", "contradicting",
+    "correlated_noise", "cut_off", "diagonal", "disagreement", "drifting", "fighting", "gaps", "gcv_minimum",
+    "high_pass", "in_motion", "index_offset", "interpolated", "inverse_crime", "lost_channels", "memory", "mixed_kinds",
+    "needs_white_noise", "no_corner", "no_coverage", "nodal_as_pressure", "noise_source", "not_apart", "not_testable",
+    "not_verified", "null_space", "over_smoothed", "overridden", "parameter", "pulling", "recoverable", "refined",
+    "resolution", "resultant_only", "stopped", "unexplained", "unfinished", "used_for_training",
 ]  # fmt: skip

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
+from structures._advice import Advice, Spelling
 from structures._certificate import WRONG, Certificate
 from structures._channels import Channel
 from structures._flags import Evidence, Flag
+
+from .._results.faults import SensorFault
 
 CORRELATED = 0.5  # effective over nominal number of data
 LOST = 0.5  # missing share of a channel
@@ -52,6 +55,26 @@ def mixed_kinds(channels: Sequence[Channel], known: bool) -> Flag | None:
         f"{len(units)} kinds of sensor without noise levels: rows are not comparable; each was scaled by its own rms",
         state=True,
     )
+
+
+def contradicting(fault: SensorFault) -> Flag:
+    """W214 of a sensor that contradicts the others, W215 where they contradict each other and none can be named."""
+    evidence = Evidence(
+        "contradiction of the sensors, over what noise and errors of the model leave", fault.excess, 1.0
+    )
+    if fault.kind == "load":
+        return Flag("W215", evidence, f"the sensors contradict each other: {fault}")
+    if fault.kind == "one of":
+        return Flag("W215", evidence, f"the sensors contradict each other: {fault}",
+                    "check these channels (gain, polarity, unit, place, cable), or add a sensor")  # fmt: skip
+    name, kept = fault.channels[0], ", ".join(fault.kept[:8]) + (", ..." if len(fault.kept) > 8 else "")
+    mended = Spelling("estimate again from estimate.faults[0].correct(record)", "correct the channel in the file")
+    dropped = Advice(Spelling(f"leave {name} out (sensors=estimate.faults[0].kept)", f"leave {name} out ({kept} stay)"))
+    advice = (
+        Advice("check the channel, then ", mended) if fault.correctable else Advice("check the channel, or ", dropped)
+    )
+    rest = f"; without that the others agree to {fault.without:.2g} of what noise and errors of the model leave"
+    return Flag("W214", evidence, f"sensor fault: {fault}{rest}", advice)
 
 
 def high_pass(channels: Sequence[Channel], duration: float, recorded: Sequence[Channel] = ()) -> Flag | None:

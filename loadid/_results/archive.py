@@ -20,6 +20,7 @@ from .._inverse.posterior import from_arrays
 from .._inverse.problem import NOT_KNOWN, NoiseSource
 from .._inverse.sweep import RuleResult
 from ..validate._checks import Validation
+from .faults import SensorFault
 from .functionals import LoadSpectrum
 
 if TYPE_CHECKING:
@@ -99,6 +100,7 @@ def to_tree(e: LoadEstimate) -> dict[str, Any]:
     tree["facts"] = dict(e.facts)
     tree["diagnosis"] = None if e.diagnosis is None else e.diagnosis.to_dict()
     tree["validation"] = None if e.validation is None else e.validation.to_dict()
+    tree["faults"] = [f.to_dict() for f in e.faults]
     tree["spectrum"] = None if e.spectrum is None else e.spectrum.to_dict()
     return tree
 
@@ -125,6 +127,7 @@ def arguments(tree: dict[str, Any]) -> dict[str, Any]:
         tree["diagnosis"] = Diagnosis.from_dict(tree["diagnosis"])
     if tree.get("validation") is not None:
         tree["validation"] = Validation.from_dict(tree["validation"])
+    tree["faults"] = [SensorFault.from_dict(f) for f in tree.get("faults") or ()]
     if tree.get("spectrum") is not None:
         tree["spectrum"] = LoadSpectrum.from_dict(tree["spectrum"])
     return tree

@@ -18,6 +18,7 @@ from structures.errors import InputError
 
 from .._inverse.choice import Choice
 from .facts import Facts
+from .faults import SensorFault
 from .functionals import Functional, functional, resultants
 from .grades import Grade, grade
 from .summary import NOT_VERIFIED, summary
@@ -99,6 +100,8 @@ class LoadEstimate:
         What was validated, and at which level.
     spectrum : LoadSpectrum, optional
         What every frequency line tells (`loadid._results.functionals`).
+    faults : sequence of SensorFault
+        Sensors that contradict the others: `SensorFault.correct` gives the readings without the fault.
     facts : Facts
         Numbers that are printed with every result (`loadid._results.facts`); a mapping of them is taken too.
 
@@ -128,6 +131,7 @@ class LoadEstimate:
     diagnosis: Any = field(default=None, repr=False)
     validation: Any = None
     spectrum: Any = field(default=None, repr=False)
+    faults: Sequence[SensorFault] = ()
     facts: Facts = field(default_factory=Facts)
 
     kind_of_facts: ClassVar[type[Facts]] = Facts
@@ -137,7 +141,7 @@ class LoadEstimate:
         for name in ("load", "std", "response", "residual", "bias"):
             if getattr(self, name) is not None:
                 put(self, name, _frozen(getattr(self, name)))
-        for name in ("labels", "units", "sensors", "sensor_units", "flags"):
+        for name in ("labels", "units", "sensors", "sensor_units", "flags", "faults"):
             put(self, name, tuple(getattr(self, name)))
         put(self, "allowed", tuple(canonical(c) for c in self.allowed))
         put(self, "provenance", MappingProxyType(dict(self.provenance)))

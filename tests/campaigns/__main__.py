@@ -7,36 +7,38 @@ import warnings
 
 from loadid import Penalty
 
-from . import grades, impacts, long, static, tracking
-from .scores import Scored, counts, table
+from . import faults, grades, impacts, long, static, tracking
+from .scores import counts, table
 
 CAMPAIGNS = {"static": static, "impacts": impacts, "long": long, "tracking": tracking}
+TABLES = {"tracking": tracking.table}
 
 
 def main() -> None:
     """Run one campaign and print its table."""
     parser = argparse.ArgumentParser(prog="python -m tests.campaigns")
-    parser.add_argument("campaign", choices=[*sorted(CAMPAIGNS), "grades"])
+    parser.add_argument("campaign", choices=[*sorted(CAMPAIGNS), "faults", "grades"])
     parser.add_argument("--problems", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--error", default="none", help="one of those that the campaign knows")
     parser.add_argument("--variance", choices=["constant", "local", "auto"], help="of the load, for impacts")
     parser.add_argument("--write", action="store_true", help="of grades: what answers state is set to what is measured")
+    parser.add_argument("--fault", choices=[*faults.FAULTS, "any"], default="any", help="for faults")
+    parser.add_argument("--family", choices=faults.FAMILIES, default="static", help="for faults")
     given = parser.parse_args()
-    settings = {"penalty": Penalty("identity", variance=given.variance)} if given.variance else {}
     warnings.simplefilter("ignore")
-    if given.campaign == "grades":
+    if given.campaign == "faults":
+        faults.table(list(faults.run(given.problems, given.seed, given.error, fault=given.fault, family=given.family)))
+    elif given.campaign == "grades":
         of = grades.drawn(given.problems, given.seed)
         grades.table(of)
         if given.write:
             grades.write(of, given.seed)
-        return
-    found = list(CAMPAIGNS[given.campaign].run(given.problems, given.seed, given.error, **settings))
-    if given.campaign == "tracking":
-        tracking.table([s for s in found if isinstance(s, tracking.Followed)])
     else:
-        table([s for s in found if isinstance(s, Scored)])
-    print("refused:", counts(s for s in found if isinstance(s, str)))
+        settings = {"penalty": Penalty("identity", variance=given.variance)} if given.variance else {}
+        found = list(CAMPAIGNS[given.campaign].run(given.problems, given.seed, given.error, **settings))
+        TABLES.get(given.campaign, table)([s for s in found if not isinstance(s, str)])
+        print("refused:", counts(s for s in found if isinstance(s, str)))
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from structures._flags import Evidence, table
 from ..sources import PACKAGES, called, modules, parsed, walked
 from . import (
     page,
+    test_faults,
     test_frequency,
     test_frfs,
     test_histories,
@@ -39,7 +40,7 @@ __all__ = ["folder"]  # where the files of some cases go
 
 CASES = [*test_histories.CASES, *test_statics.CASES, *test_locations.CASES, *test_sparse.CASES, *test_spacetime.CASES]
 CASES += [*test_frfs.CASES, *test_frequency.CASES, *test_tracking.CASES, *test_tactile.CASES]
-CASES += [*test_offsets.CASES, *test_unexplained.CASES]
+CASES += [*test_offsets.CASES, *test_unexplained.CASES, *test_faults.CASES]
 CODE_RULES = {"E103", "E301", "E302", "E408"}
 ELSEWHERE = {"E116"}  # tested with the structure
 
