@@ -19,7 +19,6 @@ from structures.errors import InputError, NotIdentifiable
 from .reference import augmented, penalty
 
 NAMES = ["identity", "first_difference", "second_difference"]
-SAMPLES = 200  # of the record that both paths take: its lowest mode rings through all of it
 
 
 def ringing(samples: int, sensors: int = 1, loads: int = 1, damping: float = 0.01) -> NDArray:
@@ -53,15 +52,17 @@ def dense(h: NDArray, y: NDArray, name: str, weight: NDArray | None = None) -> t
     return w[:, None] * H, w * np.nan_to_num(y).ravel(), np.kron(penalty(name, samples), np.eye(loads))
 
 
+def paths(samples: int, name: str) -> tuple[ConvolvedPath, SVDPath]:
+    """One record of this length on both paths."""
+    h, y = record(ringing(samples))
+    T, L = toeplitz(h).reshape(samples, 1, samples), penalties.matrix(name, samples)
+    return ConvolvedPath(h, y, name), SVDPath(LinearProblem.whitened(T, y, [1.0], L, (samples, 1)))
+
+
 @pytest.fixture(scope="module")
 def both() -> dict[str, tuple[ConvolvedPath, SVDPath]]:
     """One record on both paths, by penalty."""
-    h, y = record(ringing(SAMPLES))
-    T, out = toeplitz(h).reshape(SAMPLES, 1, SAMPLES), {}
-    for name in NAMES:
-        L = penalties.matrix(name, SAMPLES)
-        out[name] = ConvolvedPath(h, y, name), SVDPath(LinearProblem.whitened(T, y, [1.0], L, (SAMPLES, 1)))
-    return out
+    return {name: paths(350, name) for name in NAMES}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -134,8 +135,8 @@ def test_scalars_are_those_of_the_dense_path(both: dict[str, tuple[ConvolvedPath
     np.testing.assert_allclose(path.predicted_error(lam, pilot, 1.0), expected, rtol=0.02)
 
 
-def test_rules_choose_what_they_choose_on_the_dense_path(both: dict[str, tuple[ConvolvedPath, SVDPath]]) -> None:
-    path, ref = both["first_difference"]
+def test_rules_choose_what_they_choose_on_the_dense_path() -> None:
+    path, ref = paths(200, "first_difference")
     for sigma in (None, 1.0):
         one, two = (choose(p, None, sigma=sigma, source="given") for p in (path, ref))
         lams = {r.rule: r.lam for r in two.rules}
@@ -149,12 +150,12 @@ def test_rules_choose_what_they_choose_on_the_dense_path(both: dict[str, tuple[C
 @pytest.mark.parametrize("name", NAMES)
 def test_posterior_is_that_of_the_dense_path(both: dict[str, tuple[ConvolvedPath, SVDPath]], name: str) -> None:
     path, ref = both[name]
-    w = np.random.default_rng(0).standard_normal((2, SAMPLES, 1))
+    w = np.random.default_rng(0).standard_normal((2, 350, 1))
     for lam in (1e-3, 0.1):
         a, b = path.solution(lam, 0.7).posterior, ref.solution(lam, 0.7).posterior
         assert isinstance(a, Posterior)
-        np.testing.assert_allclose(a.std, b.std.reshape(SAMPLES, 1), rtol=1e-6)
-        np.testing.assert_allclose(a.noise_std, b.noise_std.reshape(SAMPLES, 1), rtol=1e-4)
+        np.testing.assert_allclose(a.std, b.std.reshape(350, 1), rtol=1e-6)
+        np.testing.assert_allclose(a.noise_std, b.noise_std.reshape(350, 1), rtol=1e-4)
         np.testing.assert_allclose(a.variance(w), b.variance(w), rtol=1e-6)
         np.testing.assert_allclose(a.noise_variance(w), b.noise_variance(w), rtol=1e-6)
         scale = np.abs(b.bias_weights(w)).max()
