@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, cho_solve, cholesky, eigh, expm, qr, solve
+from scipy.linalg import block_diag, cholesky, eigh, expm, qr, solve
 
 from loadid._inverse.gaussian.model import FilterModel
 from structures import Channel, StateSpace
@@ -96,11 +96,7 @@ class Setup:
         A, B0, B1 = self.held(self.Sp, self.dt / fine)
         ahead = np.vstack([load[1:], load[-1:]]) if hold == "foh" else load
         inputs = load @ B0.T + ahead @ B1.T
-        x, states = np.zeros(self.nx), np.empty((len(load), self.nx))
-        for k, u in enumerate(inputs):
-            states[k] = x
-            x = A @ x + u
-        return (states @ self.G.T + load @ self.J.T)[::fine]
+        return (recursion(A, inputs, np.zeros(self.nx)) @ self.G.T + load @ self.J.T)[::fine]
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,11 +281,8 @@ def bm3(seed: int = 0, samples: int = 100_000) -> Tracked:
     load = driven_ar1(rng.standard_normal(samples), pole, sd)
     ambient = rng.standard_normal((samples, 3))
     A, B, G, J = setup.matrices()
-    x, y = np.zeros(16), np.empty((samples, 4))
     push = load @ B.T + ambient @ Be.T + 1e-8 * rng.standard_normal((samples, 16))
-    for k in range(samples):
-        y[k] = G @ x
-        x = A @ x + push[k]
+    y = recursion(A, push, np.zeros(16)) @ G.T
     y += load @ J.T + ambient @ Je.T + 1e-4 * rng.standard_normal((samples, 4))
     return Tracked(
         setup, y, load, Je @ Je.T + 1e-8 * np.eye(4), np.full(16, 1e-2), Be @ Be.T + 1e-16 * np.eye(16), Be @ Je.T
@@ -362,6 +355,15 @@ def d2b(Qv: float = 0.0, seed: int = 42, samples: int = 5001) -> Tracked:
     return Tracked(setup, y, load, sd, np.full(2 * n, 1e-12), np.diag(np.repeat([0.0, Qv], n)))
 
 
+def recursion(A: Array, push: Array, x: Array) -> Array:
+    """States before each sample (samples, n) of ``x <- A x + push``."""
+    states = np.empty((len(push), len(x)))
+    for k, u in enumerate(push):
+        states[k] = x
+        x = A @ x + u
+    return states
+
+
 # -- filters to judge by -----------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False, repr=False)
 class Track:
@@ -393,8 +395,8 @@ def reference(model: FilterModel, y: Array, settle: float = 0.0) -> Track:
         ok = np.isfinite(sample)
         H, Rk, yk = model.H[ok], R[np.ix_(ok, ok)], sample[ok]
         Se = H @ P @ H.T + Rk
-        c = cholesky(Se, lower=True)
-        gain = cho_solve((c, True), H @ P).T
+        c = np.linalg.cholesky(Se)
+        gain = np.linalg.solve(Se, H @ P).T
         I_KH = one - gain @ H
         Pf = I_KH @ P @ I_KH.T + gain @ Rk @ gain.T
         Sk = np.zeros((model.n, len(yk))) if model.S is None else model.S[:, ok]
@@ -415,12 +417,11 @@ def reference(model: FilterModel, y: Array, settle: float = 0.0) -> Track:
         settled = bool(settle) and np.max(np.abs(P_next - P) / np.outer(size, size)) < settle
         P = P_next
         if settled and k + 1 < len(y):  # from here on every sample is the same two products
-            rest, states = slice(k + 1, None), np.empty((len(y) - k - 1, model.n))
-            error = np.empty((len(states), len(R)))
-            for i, yk in enumerate(y[rest]):
-                error[i] = e = yk - H @ x
-                states[i] = last = x + gain @ e
-                x = F @ last + T @ yk
+            rest = slice(k + 1, None)
+            predicted = recursion(F @ I_KH, y[rest] @ (F @ gain + T).T, x)
+            error = y[rest] - predicted @ H.T
+            states = predicted + error @ gain.T
+            last = states[-1]
             nis[rest], count[rest] = np.sum(np.linalg.solve(c, error.T) ** 2, axis=0), len(R)
             normal[rest] = error / np.linalg.norm(c, axis=1)
             loglik[rest] = -0.5 * (nis[rest] + 2 * np.log(np.diag(c)).sum() + len(R) * np.log(2 * np.pi))
@@ -436,23 +437,26 @@ def unbiased(case: Tracked, use_S: bool = True) -> Track:
     S = np.zeros((len(A), len(R))) if case.S is None or not use_S else case.S
     x, P = np.zeros(len(A)), np.diag(case.x0)
     load, std = np.empty_like(case.load), np.empty_like(case.load)
-    fixed = False
     for k, y in enumerate(case.y):
-        if not fixed:
-            Rt = G @ P @ G.T + R
-            W = solve(Rt, J, assume_a="pos")
-            D = solve(J.T @ W, np.eye(J.shape[1]))
-            Mgain = D @ W.T
-            Sbar = A @ P @ G.T + S
-            SR = solve(Rt, Sbar.T, assume_a="pos").T
-            K = SR + (B - SR @ J) @ Mgain
-            P_next = A @ P @ A.T + case.Qx - Sbar @ K.T - K @ Sbar.T + K @ Rt @ K.T
-            P_next = (P_next + P_next.T) / 2
-            fixed = bool(np.max(np.abs(P_next - P)) < 1e-13 * np.max(np.abs(P)))
-            P = P_next
-            sd = np.sqrt(np.diag(D))
+        Rt = G @ P @ G.T + R
+        W = np.linalg.solve(Rt, J)
+        D = np.linalg.solve(J.T @ W, np.eye(J.shape[1]))
+        Mgain = D @ W.T
+        Sbar = A @ P @ G.T + S
+        SR = np.linalg.solve(Rt, Sbar.T).T
+        K = SR + (B - SR @ J) @ Mgain
+        P_next = A @ P @ A.T + case.Qx - Sbar @ K.T - K @ Sbar.T + K @ Rt @ K.T
+        P_next = (P_next + P_next.T) / 2
+        fixed = bool(np.max(np.abs(P_next - P)) < 1e-13 * np.max(np.abs(P)))
+        P = P_next
+        if fixed:  # from here on the gains stay
+            predicted = recursion(A - K @ G, case.y[k:] @ K.T, x)
+            load[k:], std[k:] = (case.y[k:] - predicted @ G.T) @ Mgain.T, np.sqrt(np.diag(D))
+            e = case.y[-1] - G @ predicted[-1]
+            x = A @ predicted[-1] + K @ e
+            break
         e = y - G @ x
-        load[k], std[k] = Mgain @ e, sd
+        load[k], std[k] = Mgain @ e, np.sqrt(np.diag(D))
         x = A @ x + K @ e
     none = np.zeros(len(load))
     return Track(load, std, none, none, none.astype(int), case.y * np.nan, x, P)
@@ -466,10 +470,10 @@ def dual(case: Tracked, q: float, start: float = 1.0) -> Track:
     load, std = np.empty_like(case.load), np.empty_like(case.load)
     for k, y in enumerate(case.y):
         V = V + q
-        gain = solve(J @ V @ J.T + R, J @ V, assume_a="pos").T
+        gain = np.linalg.solve(J @ V @ J.T + R, J @ V).T
         p = p + gain @ (y - G @ x - J @ p)
         V = V - gain @ J @ V
-        gain = solve(G @ P @ G.T + R, G @ P, assume_a="pos").T
+        gain = np.linalg.solve(G @ P @ G.T + R, G @ P).T
         x = x + gain @ (y - G @ x - J @ p)
         P = P - gain @ G @ P
         load[k], std[k] = p, np.sqrt(np.diag(V))

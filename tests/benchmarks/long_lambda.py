@@ -21,7 +21,7 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from itertools import product
 
 import numpy as np
@@ -143,29 +143,53 @@ def errors(path: StateSpacePath, lam: float, p: Problem, others: list[NDArray]) 
     return np.array([error(g[:, 0], p.load) for g in (solved.load, *(path._again(lam, held, y).load for y in others))])
 
 
-def judged(setup: str, layout: str, samples: int, seed: int, stated: bool) -> Judged:
-    """The public call, and what other lambdas would have given."""
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """A problem, its path with the noise level known, and the errors at any lambda: they are the same for all choices.
+
+    Parameters
+    ----------
+    problem : Problem
+    path : StateSpacePath
+    others : list of array
+        Whitened records of other draws of the noise.
+    """
+
+    problem: Problem
+    path: StateSpacePath
+    others: list[NDArray]
+
+    @cache  # noqa: B019 - one is kept at a time
+    def at(self, lam: float) -> tuple[float, float]:
+        """Error of the record, root mean square of those of the other draws."""
+        made = errors(self.path, lam, self.problem, self.others)
+        return float(made[0]), float(np.sqrt(np.mean(made[1:] ** 2)))
+
+
+@lru_cache(maxsize=1)
+def yardstick(setup: str, layout: str, samples: int, seed: int) -> Yardstick:
+    """What choices on one record are measured by."""
     p = problem(setup, layout, samples, seed)
-    begun = time.process_time()
-    family = Deconvolution(p.model, noise=Noise(p.sigma if stated else None, source="data sheet" if stated else None))
-    found = family.estimate(p.record, p.dt)
-    spent = time.process_time() - begun
     known = Deconvolution(p.model, noise=p.sigma)
     path = pose(p.model, gather(p.record, p.dt, p.model, None, allow_missing=True), known.settings).path
     assert isinstance(path, StateSpacePath)
     clean, rng = respond(p.model, p.dt, p.load)[-len(path.record.y) :] / p.sigma, np.random.default_rng(seed)
-    others = [clean + rng.standard_normal(clean.shape) for _ in range(DRAWS)]
+    return Yardstick(p, path, [clean + rng.standard_normal(clean.shape) for _ in range(DRAWS)])
+
+
+def judged(setup: str, layout: str, samples: int, seed: int, stated: bool) -> Judged:
+    """The public call, and what other lambdas would have given."""
+    known = yardstick(setup, layout, samples, seed)
+    p = known.problem
+    begun = time.process_time()
+    family = Deconvolution(p.model, noise=Noise(p.sigma if stated else None, source="data sheet" if stated else None))
+    found = family.estimate(p.record, p.dt)
+    spent = time.process_time() - begun
     chosen = found.choice.lam  # relative: whitening by the noise of like sensors changes it little
-    grid = np.log10(chosen) + np.arange(-20, 11) / 10
-    grid = grid[(grid > -7) & (grid < 0)]
-
-    @cache
-    def at(i: int) -> tuple[float, float]:
-        made = errors(path, float(10 ** grid[i]), p, others)
-        return float(made[0]), float(np.sqrt(np.mean(made[1:] ** 2)))
-
-    best, mean = (smallest(lambda i, of=of: at(i)[of], len(grid)) for of in (0, 1))
-    own = np.sqrt(np.mean(errors(path, chosen, p, others)[1:] ** 2))
+    tenths = round(10 * np.log10(chosen)) + np.arange(-20, 11)
+    tenths = tenths[(tenths > -70) & (tenths < 0)]
+    best, mean = (smallest(lambda i, of=of: known.at(float(10 ** (tenths[i] / 10)))[of], len(tenths)) for of in (0, 1))
+    own = known.at(float(chosen))[1]
     words = f"{found.choice.rule} {found.choice.lam:.2g}, {found.choice.verdict}"
     mine = error(found.load[:, 0], p.load)
     return Judged(mine, min(mine, best), float(own / min(own, mean)), words, spent)

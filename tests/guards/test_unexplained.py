@@ -48,16 +48,16 @@ def noisy(clean: NDArray, seed: int = 0) -> tuple[NDArray, NDArray]:
     return clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape), sigma
 
 
-def pulse() -> NDArray[np.float64]:
+def pulse(samples: int = SAMPLES) -> NDArray[np.float64]:
     """One half sine (samples, 1)."""
-    load = np.zeros((SAMPLES, 1))
+    load = np.zeros((samples, 1))
     load[75:125, 0] = np.sin(np.pi * (np.arange(50) + 0.5) / 50)
     return load
 
 
-def in_time(family: Callable, place: float) -> LoadEstimate:
+def in_time(family: Callable, place: float, samples: int = SAMPLES) -> LoadEstimate:
     """A load at `place` inverted as one at 0.5 m."""
-    clean = model((place,)).state_space(DT).simulate(pulse())
+    clean = model((place,)).state_space(DT).simulate(pulse(samples))
     y, sigma = noisy(clean)
     return family(model(), noise=sigma).estimate(y, DT)
 
@@ -84,7 +84,9 @@ def in_frequency(place: float) -> LoadEstimate:
 FAMILIES = {
     "deconvolution": lambda place: in_time(Deconvolution, place),
     "dense, a lambda of the user": lambda place: in_time(lambda *a, **k: Deconvolution(*a, choice=1e-3, **k), place),
-    "convolved": lambda place: in_time(lambda *a, **k: Deconvolution(*a, choice=Lambda(path="toeplitz"), **k), place),
+    "convolved": lambda place: in_time(
+        lambda *a, **k: Deconvolution(*a, choice=Lambda(path="toeplitz"), **k), place, samples=150
+    ),
     "sparse": lambda place: in_time(SparseDeconvolution, place),
     "static": static,
     "harmonic": harmonic,

@@ -52,15 +52,17 @@ def dense(h: NDArray, y: NDArray, name: str, weight: NDArray | None = None) -> t
     return w[:, None] * H, w * np.nan_to_num(y).ravel(), np.kron(penalty(name, samples), np.eye(loads))
 
 
+def paths(samples: int, name: str) -> tuple[ConvolvedPath, SVDPath]:
+    """One record of this length on both paths."""
+    h, y = record(ringing(samples))
+    T, L = toeplitz(h).reshape(samples, 1, samples), penalties.matrix(name, samples)
+    return ConvolvedPath(h, y, name), SVDPath(LinearProblem.whitened(T, y, [1.0], L, (samples, 1)))
+
+
 @pytest.fixture(scope="module")
 def both() -> dict[str, tuple[ConvolvedPath, SVDPath]]:
     """One record on both paths, by penalty."""
-    h, y = record(ringing(350))
-    T, out = toeplitz(h).reshape(350, 1, 350), {}
-    for name in NAMES:
-        L = penalties.matrix(name, 350)
-        out[name] = ConvolvedPath(h, y, name), SVDPath(LinearProblem.whitened(T, y, [1.0], L, (350, 1)))
-    return out
+    return {name: paths(350, name) for name in NAMES}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -133,8 +135,8 @@ def test_scalars_are_those_of_the_dense_path(both: dict[str, tuple[ConvolvedPath
     np.testing.assert_allclose(path.predicted_error(lam, pilot, 1.0), expected, rtol=0.02)
 
 
-def test_rules_choose_what_they_choose_on_the_dense_path(both: dict[str, tuple[ConvolvedPath, SVDPath]]) -> None:
-    path, ref = both["first_difference"]
+def test_rules_choose_what_they_choose_on_the_dense_path() -> None:
+    path, ref = paths(200, "first_difference")
     for sigma in (None, 1.0):
         one, two = (choose(p, None, sigma=sigma, source="given") for p in (path, ref))
         lams = {r.rule: r.lam for r in two.rules}

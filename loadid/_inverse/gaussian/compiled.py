@@ -1,8 +1,9 @@
 """Loops that numba compiles: the decorator, small products and solves, and when a recursion has converged.
 
 Numba is imported when the first loop is called, not when it is defined: the import takes longer than most problems that
-never need a loop. What it compiles is kept on disk for the next process. Numba's own ``NUMBA_DISABLE_JIT=1`` in the
-environment runs the loops as Python, to debug them.
+never need a loop. What it compiles is kept on disk for the next process. Whole arrays in an expression (``a[:] = b``,
+``np.abs(a).max()``) take seconds to compile, loops over entries a fraction: here they are written out. Numba's own
+``NUMBA_DISABLE_JIT=1`` in the environment runs the loops as Python, to debug them.
 
 Steps of a lightly damped loop beat, rest for a while and go on, and those of a badly conditioned one never fall to
 rounding. Both are told apart from arrival by the rate: what is left after k samples is rho^(2 k) of what was left.
@@ -127,7 +128,41 @@ SQUARINGS = 15
 MARGINAL = 0.01  # decay over the whole record below which a loop counts as one that forgets nothing
 STALLED, SHARE = 1e-12, 0.5  # change of such a loop that no longer falls by this share over half of its history
 NEVER = 1 << 62
-BEGUN = np.array([-1.0, 0.0, np.inf, 0.0])  # what `settled` keeps, before its first look
+KEPT = 4  # numbers that `settled` keeps
+
+
+@Compiled
+def subtract(A: Array, B: Array, out: Array) -> None:
+    """Put A - B into `out`."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            out[i, j] = A[i, j] - B[i, j]
+
+
+@Compiled
+def scale(A: Array, divisor: float, out: Array) -> None:
+    """Put A over a number into `out`, which may be A."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            out[i, j] = A[i, j] / divisor
+
+
+@Compiled
+def largest(A: Array) -> float:
+    """Largest modulus of the entries, NaN where one is."""
+    size = 0.0
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            if np.isnan(A[i, j]):
+                return np.nan
+            size = max(size, abs(A[i, j]))
+    return size
+
+
+@Compiled
+def begin(kept: Array) -> None:
+    """What `settled` keeps, before its first look."""
+    kept[0], kept[1], kept[2], kept[3] = -1.0, 0.0, np.inf, 0.0
 
 
 @Compiled
@@ -136,19 +171,19 @@ def decay(M: Array, a: Array, b: Array) -> float:
 
     From norms of M^k and M^2k, whose ratio is rho^k however far M is from normal.
     """
-    a[:] = M
+    scale(M, 1.0, a)
     log, before = 0.0, 0.0
     for _ in range(SQUARINGS):
-        size = np.abs(a).max()
+        size = largest(a)
         if size == 0.0 or not np.isfinite(size):
             return np.inf
-        a /= size
+        scale(a, size, a)
         log += np.log(size)
         before = log
         multiply(a, a, b)
-        a[:] = b
+        scale(b, 1.0, a)
         log *= 2.0
-    size = np.abs(a).max()
+    size = largest(a)
     if size == 0.0:
         return np.inf
     return float(-(log + np.log(size) - before) / (1 << (SQUARINGS - 1)))

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import BEGUN, Compiled, multiply, settled
+from .compiled import KEPT, Compiled, begin, multiply, settled, subtract
 from .record import WhitenedRecord
 from .roots import Array
 
@@ -202,12 +202,13 @@ def _recursion(
     n, p, m = F.shape[1], G.shape[2], C.shape[1]
     stack, root, height = np.zeros((p + n, m + p + n + spare)), np.zeros((n, n + spare + 1)), n
     closed, right, work, weight = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-    row, logdet, last, steady, since, kept = -1, 0.0, 0.0, False, 0, BEGUN.copy()
+    row, logdet, last, steady, since, kept = -1, 0.0, 0.0, False, 0, np.empty(KEPT)
+    begin(kept)
     for k in range(len(kind) - 1, -1, -1):
         j = kind[k]
         if k + 1 < len(kind) and j != kind[k + 1]:
             steady, since = False, 0
-            kept[:] = BEGUN
+            begin(kept)
         if steady:
             which[k] = row
             logdet += last
@@ -234,6 +235,6 @@ def _recursion(
                 change = max(change, weight[i] * abs(K[row, h, i] - K[row - stride, h, i]))
                 size = max(size, weight[i] * abs(K[row, h, i]))
         multiply(G[j], K[row], closed)
-        closed[:] = F[j] - closed
+        subtract(F[j], closed, closed)
         steady = settled(kept, since, stride, change, size, closed, right, work, len(kind))
     return row + 1, root[:, :height].T, logdet

@@ -57,7 +57,7 @@ def invariant_zeros(A: Array, B: Array, C: Array, D: Array) -> Complex | None:
     n, m, p = len(A), len(C), B.shape[1]
     B, C, D = _scaled(A, B, C, D)
     rng = np.random.default_rng(0)
-    if m < p or _smallest(A, B, C, D, np.exp(2j * np.pi * rng.uniform(0.1, 0.4))) < BLIND:
+    if m < p or _loses_rank(A, B, C, D, np.exp(2j * np.pi * rng.uniform(0.1, 0.4)), BLIND):
         return None
     ends = np.zeros((n + p, n + p))
     ends[:n, :n] = np.eye(n)
@@ -75,7 +75,7 @@ def invariant_zeros(A: Array, B: Array, C: Array, D: Array) -> Complex | None:
         candidates = one[near.any(axis=1)]
     found: list[complex] = []
     for z in candidates:
-        if all(abs(z - w) > _apart(w) for w in found) and _smallest(A, B, C, D, z) < ZERO:
+        if all(abs(z - w) > _apart(w) for w in found) and _loses_rank(A, B, C, D, z, ZERO):
             found.append(complex(z))
     zeros = np.array(found, complex)
     return zeros[np.argsort(np.abs(zeros), kind="stable")]
@@ -131,19 +131,31 @@ def _apart(z: complex) -> float:
     return SAME if abs(z) < OUTER else ALIKE_ZEROS * abs(z)
 
 
-def _smallest(A: Array, B: Array, C: Array, D: Array, z: complex) -> float:
-    """Smallest singular value of the system matrix at z, states divided by the modulus of z outside the circle."""
+def _loses_rank(A: Array, B: Array, C: Array, D: Array, z: complex, level: float) -> bool:
+    """Whether the system matrix at z, states divided by the modulus of z outside the circle, is singular to a level.
+
+    The smallest singular value is at most the smallest diagonal entry of a triangular factor: most zeros end there.
+    """
     size = max(1.0, abs(z))
-    P = np.block([[(A - z * np.eye(len(A))) / size, B], [C / size, D]])
-    return smallest(P)[0]
+    R = _triangle(np.block([[(A - z * np.eye(len(A))) / size, B], [C / size, D]]))
+    return bool(np.abs(np.diag(R)).min() < level) or _of_triangle(R)[0] < level
 
 
 def smallest(M: Array) -> tuple[float, Array]:
     """Smallest singular value of a tall matrix and its right vector: one QR, then inverse iteration."""
-    from scipy.linalg import qr, solve_triangular
+    return _of_triangle(_triangle(M))
 
-    n = M.shape[1]
-    R = qr(M, mode="r", check_finite=False)[0][:n]
+
+def _triangle(M: Array) -> Array:
+    from scipy.linalg import qr
+
+    return np.asarray(qr(M, mode="r", check_finite=False)[0][: M.shape[1]])
+
+
+def _of_triangle(R: Array) -> tuple[float, Array]:
+    from scipy.linalg import solve_triangular
+
+    n = len(R)
     d = np.abs(np.diag(R))
     if d.min() <= 1e-14 * d.max():  # what is singular to rounding is no factor to iterate with
         s, V = np.linalg.svd(R)[1:]

@@ -18,7 +18,18 @@ import numpy as np
 from structures.errors import InputError
 
 from ..posterior import DensePosterior, Posterior, SpectralPosterior, from_arrays
-from .compiled import BEGUN, Compiled, multiply, multiply_by_transposed, settled, solve_upper
+from .compiled import (
+    KEPT,
+    Compiled,
+    begin,
+    largest,
+    multiply,
+    multiply_by_transposed,
+    scale,
+    settled,
+    solve_upper,
+    subtract,
+)
 from .gains import Gains, feedback, gains
 from .passes import Solved, forward, solve
 from .record import WhitenedRecord
@@ -76,20 +87,23 @@ def _recursion(
     moved, fed, old = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
     own, weight, work = np.zeros(q), np.zeros(n), np.zeros((n, n))
     trace, penalty, load, part, k, row, j = 0.0, 0.0, 0.0, 0.0, 0, -1, -1
-    since, kept = 0, BEGUN.copy()
-    inputs_differ = q != p or bool(np.any(E != 0.0)) or bool(np.any(read != eye))
+    since, kept = 0, np.empty(KEPT)
+    inputs_differ = q != p or largest(E) != 0.0
+    if not inputs_differ:
+        subtract(read, eye, square)
+        inputs_differ = largest(square) != 0.0
     while k < samples:
         if which[k] != row or kind[k] != j:
             row, j, since = which[k], kind[k], 0
-            kept[:] = BEGUN
+            begin(kept)
             solve_upper(R[row], eye, half)
             multiply_by_transposed(half, half, inner)  # M^-1
             multiply(G[j], half, push)
             multiply_by_transposed(push, push, fed)
             multiply(G[j], K[row], change)
-            closed[:] = F[j]
-            closed -= change
-            multiply(read, E - K[row], rows)
+            subtract(F[j], change, closed)
+            subtract(E, K[row], fast)
+            multiply(read, fast, rows)
             multiply(read, half, news)
             multiply_by_transposed(news, news, alone)
         multiply(rows, X, product)
@@ -113,8 +127,12 @@ def _recursion(
         if since % stride == 0:
             if since > 0:
                 for i in range(n):  # of each state, what it does to a load or an input
-                    weight[i] = max(np.abs(K[row, :, i]).max(), np.abs(rows[:, i]).max())
-                gap, size = 0.0, np.abs(alone).max()
+                    weight[i] = 0.0
+                    for h in range(p):
+                        weight[i] = max(weight[i], abs(K[row, h, i]))
+                    for h in range(q):
+                        weight[i] = max(weight[i], abs(rows[h, i]))
+                gap, size = 0.0, largest(alone)
                 for i in range(n):
                     for h in range(n):
                         gap = max(gap, weight[i] * weight[h] * abs(X[i, h] - old[i, h]))
@@ -127,11 +145,13 @@ def _recursion(
                         penalty += part
                         k += 1
                     continue
-            old[:] = X
+            scale(X, 1.0, old)
         since += 1
         multiply(closed, X, moved)
         multiply_by_transposed(moved, closed, X)
-        X += fed
+        for i in range(n):
+            for h in range(n):
+                X[i, h] += fed[i, h]
     return trace, penalty
 
 
