@@ -57,7 +57,8 @@ class Facts(Mapping[str, Any]):
         Width in `resolution_unit` at which a single load is shown, share of its height that is lost, share of the
         variance at the largest load that is noise (the rest is prior).
     trusted_lines, trust_level : float
-        Share of the frequency lines that tell every load to this predicted relative error.
+        Share of the frequency lines that tell every load to this predicted relative error; a load that makes less than
+        5 % of the response of a line does not count there.
     averages, bandwidth, window
         Of cross spectra: independent averages, bandwidth of a line (Hz), name of the window.
     held_out : tuple of str
@@ -98,7 +99,7 @@ class Facts(Mapping[str, Any]):
     peak_bias: float | None = fact("share of a single-sample peak that is lost")
     trusted_lines: float | None = fact("share of the lines that tell every load")
     trust_level: float | None = fact("to a predicted error of")
-    frf_errors: str | None = fact("share of the noise that errors of the FRF make")
+    frf_errors: str | None = fact("errors of the FRF")
     averages: float | None = fact("independent averages")
     bandwidth: float | None = fact("bandwidth of a line, Hz", "Hz")
     window: str | None = fact()
