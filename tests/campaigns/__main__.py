@@ -1,4 +1,4 @@
-"""`python -m tests.campaigns static|impacts|frequency [--problems N] [--seed S] [--error KIND]`: the table of one campaign."""
+"""`python -m tests.campaigns static|impacts|frequency [--problems N] [--seed S] [--error KIND]`: one table."""
 
 from __future__ import annotations
 
