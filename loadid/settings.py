@@ -202,11 +202,11 @@ class Noise(Setting):
 
     def __post_init__(self) -> None:
         if self.frf is not None:
-            level = real(self.frf)
-            if level is None or not 0 <= level < 1:
+            share = real(self.frf)
+            if share is None or not 0 <= share < 1:
                 raise InputError("no relative error of an FRF", where="frf", found=repr(self.frf)[:80],
                                  expected="a number from 0 to 1, such as 0.05")  # fmt: skip
-            self._put("frf", level)
+            self._put("frf", share)
         if self.std is not None and not isinstance(self.std, Cholesky):
             level = reals(self.std, what="the noise is no real number", where="noise")
             if not np.all(np.isfinite(level)):

@@ -16,6 +16,7 @@ from structures.errors import InputError, NotIdentifiable, positive
 from .. import _guards as guards
 from .._guards import families as told
 from .._inverse.choice import CLEARLY, named
+from .._inverse.discrepancy import FLOOR, Discrepancy
 from .._inverse.posterior import SpectralPosterior
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts
@@ -31,6 +32,7 @@ from .posing.gathered import LineData, LineSettings, lines_of, response
 Array = NDArray[Any]
 
 BESIDE = 16  # samples around a load that stands out, to which what is missing of it belongs
+MINOR = 0.05  # share of the response's power below which a load is none of a line's
 CLEAR = 5.0  # standard deviations by which a load stands out of a transient
 
 
@@ -46,7 +48,9 @@ class FrequencyInversion:
     Parameters
     ----------
     model : Model
-        Anything that gives ``frf``; a variance of its FRFs (``frf_variance``) enters the weights and the band.
+        Anything that gives ``frf``; a variance of its FRFs (``frf_variance``) enters the weights and the band. Where it
+        states none, errors of the FRF are learned from the lines (`loadid._inverse.discrepancy`), unless
+        ``noise=Noise(frf=...)`` states them; of transients the FRF is taken for exact.
     choice : str, callable, float, None or Lambda
         Rule by name or itself (`loadid.register_rule`), relative lambda (Tikhonov) or threshold (truncated SVD), 0 for
         least squares; None is the evidence of the neighbouring lines (truncated SVD: GCV over them). Who decides, the
@@ -160,7 +164,7 @@ class FrequencyInversion:
         answered = _ANSWERS[line.kind](solved, line, H, spectrum)
         excess = float(np.sqrt(solved.excess))
         held = _held_out(solved, answered.spectrum.cross, kept_out, H)
-        found = replace(answered, facts=self._facts(solved, line, held, spectrum),
+        found = replace(answered, facts=self._facts(solved, line, held, spectrum, H[:, line.rows]),
                         excess=excess if excess > CLEARLY else None)  # fmt: skip
         self._progress(1.0, "done")
         return answer(
@@ -197,13 +201,17 @@ class FrequencyInversion:
             "validation": [self.model.sensors[i].label for i in self.held],
         }  # fmt: skip
 
-    def _facts(self, solved: LineFit, line: LineData, held: dict[str, float], spectrum: LoadSpectrum) -> Facts:
+    def _facts(
+        self, solved: LineFit, line: LineData, held: dict[str, float], spectrum: LoadSpectrum, H: NDArray[Any]
+    ) -> Facts:
         unknowns = solved.identifiable.gain.size
         some = np.isfinite(solved.identifiable.condition)
         rank = int(np.sum(solved.path.c > 0))
         level = float(np.sqrt(np.median(solved.noise)))
         errors = "none stated"
-        if solved.errors is not None:
+        if solved.discrepancy is not None:
+            errors = _learned(solved.discrepancy, solved.path.m - spectrum.load.shape[1])
+        elif solved.errors is not None:
             errors = f"{float(np.sqrt(np.median(solved.errors / solved.total))):.2g} of the noise"
         more: dict[str, Any] = dict(line.facts or {})
         if held:
@@ -213,7 +221,7 @@ class FrequencyInversion:
             nullity=unknowns - rank, edf=float(np.sum(solved.edf)),
             kappa=float(np.median(solved.identifiable.condition[some])) if some.any() else float("inf"),
             residual_to_noise=level if line.known else None, noise_level=level,
-            **line.source.facts, trusted_lines=float(np.mean(spectrum.trust().all(axis=1))), trust_level=self.level,
+            **line.source.facts, trusted_lines=_told(spectrum, H), trust_level=self.level,
             frf_errors=errors, **more,
         )  # fmt: skip
 
@@ -307,6 +315,21 @@ def _hidden(solved: LineFit, history: Array, std: Array, padded: int) -> NDArray
     # far from the pulses what rings on is no bias of this load
     beside = np.asarray(maximum_filter1d(clear != 0, 2 * BESIDE + 1, axis=0))
     return np.where(beside, missing, 0.0)
+
+
+def _told(spectrum: LoadSpectrum, H: NDArray[Any]) -> float:
+    """Share of the lines that tell every load which makes more than a small part of the response there."""
+    made = np.sum(np.abs(H) ** 2, axis=1) * spectrum.expected**2
+    matters = made > MINOR * np.sum(made, axis=1, keepdims=True)
+    return float(np.mean(np.all(spectrum.trust() | ~matters, axis=1) & matters.any(axis=1)))
+
+
+def _learned(found: Discrepancy, spare: float) -> str:
+    """How large errors of the FRF are, and who says so."""
+    source = f"learned from {spare:.0f} spare sensor{'s' * (spare > 1)}"
+    if spare <= 0:
+        source = f"no spare sensor shows them: {FLOOR:.0%} of an entry unless the lines speak against it"
+    return f"{found.entry:.2g} of an entry, {np.sqrt(found.sizes[2]):.2g} of the frequencies ({source})"
 
 
 def _in_order(noise: ArrayLike | None, rows: Array) -> ArrayLike | None:

@@ -1,9 +1,9 @@
 """What is wrong with the FRF of every line: how large it is, learned from the data.
 
-The FRF in use errs: ``Y = (H + E) g + n``. E is random, of a size that nobody states, and has three parts: of every entry
-in proportion to itself (gains, phases, calibration); in proportion to what its line and its sensor are beside their
-neighbours (shapes of modes, noise of a measured FRF), which fills antiresonances; and along the derivative of the FRF
-(natural frequencies, damping), which is largest at resonances. Given loads whose variances v change slowly over the
+The FRF in use errs: ``Y = (H + E) g + n``. E is random, of a size that nobody states, and has three parts: of every
+entry in proportion to itself (gains, phases, calibration); in proportion to the mean of its column on that line (shapes
+of modes, noise of a measured FRF), which fills antiresonances; and along the derivative of the FRF (natural
+frequencies, damping), which is largest at resonances. Given loads whose variances v change slowly over the
 lines, the data of a line are complex normal with covariance
 
     S = H V H^H + nu N + sum_c theta_c C_c(v).
@@ -41,7 +41,7 @@ class Discrepancy:
     Parameters
     ----------
     sizes : array (3,)
-        Relative variances: of entries, of lines and sensors, of the frequencies.
+        Relative variances: of entries, of the mean over the sensors, of the frequencies.
     entries : array, shape (lines, sensors, loads)
         Variance of the entries by the first two.
     slope : array, shape (lines, sensors, loads)

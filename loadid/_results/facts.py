@@ -59,7 +59,8 @@ class Facts(Mapping[str, Any]):
     expected_error : float
         Relative error that the posterior expects of the load, root mean square; not stated where the std says it.
     trusted_lines, trust_level : float
-        Share of the frequency lines that tell every load to this predicted relative error.
+        Share of the frequency lines that tell every load to this predicted relative error; a load that makes less than
+        5 % of the response of a line does not count there.
     averages, bandwidth, window
         Of cross spectra: independent averages, bandwidth of a line (Hz), name of the window.
     held_out : tuple of str
@@ -101,7 +102,7 @@ class Facts(Mapping[str, Any]):
     expected_error: float | None = fact("expected error of the load, relative", shown=False)
     trusted_lines: float | None = fact("share of the lines that tell every load")
     trust_level: float | None = fact("to a predicted error of")
-    frf_errors: str | None = fact("share of the noise that errors of the FRF make")
+    frf_errors: str | None = fact("errors of the FRF")
     averages: float | None = fact("independent averages")
     bandwidth: float | None = fact("bandwidth of a line, Hz", "Hz")
     window: str | None = fact()

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 import warnings
+from typing import Any
+from typing import Any
 
 from loadid import Penalty
 
-from . import faults, grades, impacts, long, static, tracking
+from . import faults, frequency, grades, impacts, long, static, tracking
 from .scores import counts, table
 
-CAMPAIGNS = {"static": static, "impacts": impacts, "long": long, "tracking": tracking}
-TABLES = {"tracking": tracking.table}
+CAMPAIGNS = {"static": static, "impacts": impacts, "long": long, "frequency": frequency, "tracking": tracking}
+TABLES = {"frequency": frequency.table, "tracking": tracking.table}
 
 
 def main() -> None:
@@ -25,6 +27,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="of grades: what answers state is set to what is measured")
     parser.add_argument("--fault", choices=[*faults.FAULTS, "any"], default="any", help="for faults")
     parser.add_argument("--family", choices=faults.FAMILIES, default="static", help="for faults")
+    parser.add_argument("--size", type=float, help="relative size of the error of an FRF, for frequency")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     if given.campaign == "faults":
@@ -35,7 +38,9 @@ def main() -> None:
         if given.write:
             grades.write(of, given.seed)
     else:
-        settings = {"penalty": Penalty("identity", variance=given.variance)} if given.variance else {}
+        settings: dict[str, Any] = {} if given.size is None else {"size": given.size}
+        if given.variance:
+            settings["penalty"] = Penalty("identity", variance=given.variance)
         found = list(CAMPAIGNS[given.campaign].run(given.problems, given.seed, given.error, **settings))
         TABLES.get(given.campaign, table)([s for s in found if not isinstance(s, str)])
         print("refused:", counts(s for s in found if isinstance(s, str)))

@@ -2,10 +2,11 @@
 
 Beams and plates, 1 to 4 loads, none to 4 spare sensors of displacement, velocity, acceleration or all of them; 16 to 60
 lines of a multi-sine or 150 to 500 lines of a broadband load, of random phase and smooth size or complex normal. The
-spectra come from a finer mesh with twice the modes; noise of 0.5 to 5 % of each channel, stated in every second problem.
-`error` is what the FRF table of the user has wrong: every entry of every line by itself ("entry", relative to the entry;
-"level", relative to the rms of its line) or smoothly over the lines ("smooth"), frequencies, damping and shapes of the
-modes ("modal"), a gain, or gain and phase, of each sensor ("gain", "phase").
+spectra come from a finer mesh with twice the modes; noise of 0.5 to 5 % of each channel, stated in every second
+problem. `error` is what the FRF table of the user has wrong: every entry of every line by itself ("entry", relative to
+the entry; "level", relative to the rms of its line) or smoothly over the lines ("smooth"), frequencies (a quarter of
+the size), damping (three times) and shapes of the modes ("modal"), a gain, or gain and phase, of each sensor ("gain",
+"phase").
 """
 
 from __future__ import annotations
@@ -192,8 +193,8 @@ def scored(given: Problem, estimate: LoadEstimate, plain: LoadEstimate) -> LineS
     )  # fmt: skip
 
 
-HEADING = (f"{'':34s} {'n':>4s}   {'trust':>6s} {'before':>6s}  {'band':>5s} {'all':>5s}   {'bad':>5s} {'own':>5s} {'before':>6s}"
-           f"   {'kept':>5s}  {'width':>5s}")  # fmt: skip
+HEADING = (f"{'':34s} {'n':>4s}   {'trust':>6s} {'before':>6s}  {'band':>5s} {'all':>5s}   {'bad':>5s} {'own':>5s}"
+           f" {'before':>6s}   {'kept':>5s}  {'width':>5s}")  # fmt: skip
 
 
 def row(name: str, found: Sequence[LineScored]) -> str:
@@ -218,8 +219,9 @@ def table(found: Sequence[LineScored], told: Callable[[str], None] = print) -> N
     """Print all and each group.
 
     Columns: values trusted, and if the FRF were exact; real and imaginary parts in their 95 % band, of the trusted and
-    of all; trusted values more than 30 % off, relative to the load around the line and to that of the line, and of those
-    trusted if the FRF were exact; kept of these where they are right; median std over the rms error of trusted values.
+    of all; trusted values more than 30 % off, relative to the load around the line and to that of the line, and of
+    those trusted if the FRF were exact; kept of these where they are right; median std over the rms error of trusted
+    values.
     """
     told(HEADING)
     told(row("all", found))
