@@ -160,7 +160,8 @@ def contradictions(model: Model, record: Record, h: Any) -> list[Flag]:
 
     from .. import _guards as flags
     from .._families.faults import of_record, sought
-    from .._families.noise import STATED, NoiseLevel
+    from .._families.noise import NoiseLevel
+    from .._inverse.problem import STATED
     from .._quality import noise_std
 
     if np.isnan(record.values).any() or len(record.channels) <= h.shape[2]:
