@@ -124,11 +124,11 @@ def _fixed_point(
         scaled = both * np.sqrt(np.concatenate([v, v], axis=1))[:, None, :]
         S = scaled @ scaled.conj().swapaxes(1, 2)
         S[:, i, i] += noise + np.einsum("ksj,kj->ks", theta[0] * size + theta[1] * filled, v)
-        inverse = np.linalg.inv(S)
-        a = inverse @ X
+        solved = np.linalg.solve(S, np.concatenate([X, both, np.broadcast_to(np.eye(sensors), S.shape)], axis=2))
+        a, along_both, inverse = np.split(solved, [X.shape[2], X.shape[2] + 2 * loads], axis=2)
         shown, due = np.sum(np.abs(a) ** 2, axis=2), np.einsum("kss->ks", inverse).real
         along = np.sum(np.abs(both.conj().swapaxes(1, 2) @ a) ** 2, axis=2)
-        told = np.einsum("ksj,ksj->kj", both.conj(), inverse @ both).real
+        told = np.einsum("ksj,ksj->kj", both.conj(), along_both).real
         # of each part and load: what the data show of its share of S, and what is due
         parts = [
             np.stack([*(t * np.einsum("ksj,ks->kj", c, of) for t, c in zip(theta, (size, filled), strict=False)),
