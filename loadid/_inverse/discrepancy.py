@@ -27,7 +27,7 @@ from .spectral import window
 
 FLOOR = 0.05  # relative std of an entry of the FRF where the data tell nothing
 FLOORS = np.array([0.5 * FLOOR**2, 0.5 * FLOOR**2, (FLOOR / 10) ** 2])  # of the three parts
-GIVEN = 2.0  # data that show the floor
+GIVEN = 0.5  # data that show the floor
 DATA = 900  # numbers that are asked
 STEPS = 10  # of the fixed point, which then moves by less than chance
 FEW = 8  # lines from which on sizes are learned
@@ -64,7 +64,9 @@ class Discrepancy:
         return float(np.sqrt(np.sum(self.sizes[:2])))
 
 
-def learned(H: Numbers, X: Numbers, power: Array, f: Array, *, known: bool, neighbours: int) -> Discrepancy:
+def learned(
+    H: Numbers, X: Numbers, power: Array, f: Array, *, known: bool, neighbours: int, averages: float = 1.0
+) -> Discrepancy:
     """Errors of the largest evidence, from evenly chosen lines.
 
     Parameters
@@ -76,7 +78,9 @@ def learned(H: Numbers, X: Numbers, power: Array, f: Array, *, known: bool, neig
     f : array, shape (lines,)
         Hz, ascending.
     neighbours : int
-        Lines to either side over which loads and sensors are as large as here.
+        Lines to either side over which loads are as large as here.
+    averages : float
+        Behind the data.
     """
     lines, sensors, loads = H.shape
     root = np.sqrt(power)[..., None]
@@ -84,7 +88,7 @@ def learned(H: Numbers, X: Numbers, power: Array, f: Array, *, known: bool, neig
     slope = _slope(H, f)
     step = max(1, -(-lines // max(DATA // sensors, 40)))
     pick = slice(step // 2, None, step)
-    sizes, v, noise = _fixed_point(H[pick], X[pick], slope[pick], known, max(neighbours // step, 2))
+    sizes, v, noise = _fixed_point(H[pick], X[pick], slope[pick], known, max(neighbours // step, 2), GIVEN / averages)
     at, every = np.arange(lines)[pick], np.arange(lines)
     load = np.exp(np.column_stack([np.interp(every, at, np.log(v[:, j])) for j in range(loads)]))
     entries = sizes[0] * np.abs(H) ** 2 + sizes[1] * _filled(np.abs(H) ** 2)
@@ -103,7 +107,9 @@ def _filled(size: Array) -> Array:
     return np.asarray(np.broadcast_to(np.mean(size, axis=1, keepdims=True), size.shape))
 
 
-def _fixed_point(H: Numbers, X: Numbers, D: Numbers, known: bool, neighbours: int) -> tuple[Array, Array, float]:
+def _fixed_point(
+    H: Numbers, X: Numbers, D: Numbers, known: bool, neighbours: int, given: float
+) -> tuple[Array, Array, float]:
     """Sizes (3,), variances of the loads (lines, loads), noise."""
     lines, sensors, loads = H.shape
     near, _ = window(lines, neighbours)
@@ -118,11 +124,11 @@ def _fixed_point(H: Numbers, X: Numbers, D: Numbers, known: bool, neighbours: in
         scaled = both * np.sqrt(np.concatenate([v, v], axis=1))[:, None, :]
         S = scaled @ scaled.conj().swapaxes(1, 2)
         S[:, i, i] += noise + np.einsum("ksj,kj->ks", theta[0] * size + theta[1] * filled, v)
-        inverse = np.linalg.inv(S)
-        a = inverse @ X
+        solved = np.linalg.solve(S, np.concatenate([X, both, np.broadcast_to(np.eye(sensors), S.shape)], axis=2))
+        a, along_both, inverse = np.split(solved, [X.shape[2], X.shape[2] + 2 * loads], axis=2)
         shown, due = np.sum(np.abs(a) ** 2, axis=2), np.einsum("kss->ks", inverse).real
         along = np.sum(np.abs(both.conj().swapaxes(1, 2) @ a) ** 2, axis=2)
-        told = np.einsum("ksj,ksj->kj", both.conj(), inverse @ both).real
+        told = np.einsum("ksj,ksj->kj", both.conj(), along_both).real
         # of each part and load: what the data show of its share of S, and what is due
         parts = [
             np.stack([*(t * np.einsum("ksj,ks->kj", c, of) for t, c in zip(theta, (size, filled), strict=False)),
@@ -134,7 +140,7 @@ def _fixed_point(H: Numbers, X: Numbers, D: Numbers, known: bool, neighbours: in
         )
         if lines >= FEW:
             seen, expected = (np.sum(v * part, axis=(1, 2)) for part in parts)
-            theta = theta * np.clip((seen + GIVEN * FLOORS / theta) / (expected + GIVEN), 0.1, 10.0)
+            theta = theta * np.clip((seen + given * FLOORS / theta) / (expected + given), 0.1, 10.0)
         noise = max(noise * float(np.sum(shown) / np.sum(due)), least)
         v = v_next + TINY
     return theta, v, noise

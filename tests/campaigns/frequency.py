@@ -78,11 +78,12 @@ def _wrong(rng: np.random.Generator, model: ForwardModel, f: Array, error: str, 
     if error == "modal":
         r, modes = model.reduced, len(model.reduced.lam)
         natural, more = np.exp(size / 4 * rng.standard_normal(modes)), np.exp(3 * size * rng.standard_normal(modes))
-        return replace(
+        made = replace(
             r, lam=r.lam * natural**2, damping=r.damping * natural * more,
             S=r.S + size * np.sqrt(np.mean(r.S**2, axis=0)) * rng.standard_normal(r.S.shape),
             B=r.B + size * np.sqrt(np.mean(r.B**2, axis=1, keepdims=True)) * rng.standard_normal(r.B.shape),
-        ).frf(f)  # fmt: skip
+        )  # fmt: skip
+        return np.asarray(made.frf(f), complex)
     H = model.frf(f)
     if error in ("entry", "smooth"):
         E = normals(rng, *H.shape)
@@ -97,7 +98,7 @@ def _wrong(rng: np.random.Generator, model: ForwardModel, f: Array, error: str, 
     if error in ("gain", "phase"):
         turn = size * rng.standard_normal(H.shape[1]) * (error == "phase")
         return np.asarray(H * ((1 + size * rng.standard_normal(H.shape[1])) * np.exp(1j * turn))[:, None])
-    return H
+    return np.asarray(H, complex)
 
 
 def _load(rng: np.random.Generator, lines: int, count: int) -> Complex:

@@ -9,7 +9,7 @@ import pytest
 
 from loadid import Deconvolution, FrequencyInversion, Record, Spectra
 from loadid._spellings import folded
-from loadid.settings import Signal
+from loadid.settings import Noise, Signal
 from structures import (
     CrossSpectra,
     ForwardModel,
@@ -41,6 +41,12 @@ def estimate(c: Case, known=True, *, stated=True, **settings):
     )
 
 
+def exactly(c: Case, known=True, **settings):
+    """With an FRF that is said to be exact."""
+    given = folded(FrequencyInversion, settings)
+    return FrequencyInversion(model(c.f, c.H), **given, noise=Noise(frf=0.0)).estimate(spectra(c, known))
+
+
 def off(found, expected):
     return float(np.max(np.abs(found - expected)) / np.max(np.abs(expected)))
 
@@ -48,7 +54,7 @@ def off(found, expected):
 # -- against dense problems -------------------------------------------------------------------------------------------
 def test_least_squares_with_its_std():
     c = case(30, 6, 3)
-    e = estimate(c, choice=0)
+    e = exactly(c, choice=0)
     for k in range(30):
         assert e.load[k] == pytest.approx(np.linalg.lstsq(c.H[k], c.Y[k], rcond=None)[0], rel=1e-8)
         R = np.linalg.qr(c.H[k], mode="r")
@@ -62,7 +68,7 @@ def test_least_squares_with_its_std():
 @pytest.mark.parametrize("over", ["line", "band"])
 def test_a_given_lambda_is_ridge_regression(over):
     c, size, lam = case(12, 6, 3), np.array([1.0, 10.0, 0.1]), 0.03
-    e = estimate(c, choice=lam, over=over, size=size)
+    e = exactly(c, choice=lam, over=over, size=size)
     tops = np.array([np.linalg.svd(c.H[k] * size, compute_uv=False)[0] for k in range(12)])
     for k in range(12):
         x = lam * (tops.max() if over == "band" else tops[k])
@@ -74,7 +80,7 @@ def test_a_given_lambda_is_ridge_regression(over):
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_truncation_keeps_that_many_singular_values(count):
     c = case(12, 6, 3)
-    e = estimate(c, method="tsvd", count=count, size=[1, 1, 1])
+    e = exactly(c, method="tsvd", count=count, size=[1, 1, 1])
     for k in range(12):
         U, s, Vh = np.linalg.svd(c.H[k], full_matrices=False)
         kept = Vh[:count].conj().T @ ((U[:, :count].conj().T @ c.Y[k]) / s[:count])
@@ -84,7 +90,7 @@ def test_truncation_keeps_that_many_singular_values(count):
 def test_noise_of_each_line_and_sensor_weighs_the_data():
     c = case(30, 6, 3)
     level = c.sigma * np.random.default_rng(0).uniform(0.2, 5, (30, 6))
-    e = FrequencyInversion(model(c.f, c.H), choice=0).estimate(Spectra(c.f, c.Y, noise=level))
+    e = FrequencyInversion(model(c.f, c.H), choice=0, noise=Noise(frf=0.0)).estimate(Spectra(c.f, c.Y, noise=level))
     for k in range(30):
         w = 1 / level[k]
         assert e.load[k] == pytest.approx(np.linalg.lstsq(c.H[k] * w[:, None], c.Y[k] * w, rcond=None)[0], rel=1e-8)
@@ -152,7 +158,7 @@ def test_the_band_covers_the_truth(kind, error, known):
         if kind == "flat":
             truth = truth[:1] / np.abs(truth[:1]) * np.ones((600, 1))
         c = case(600, 8, 3, seed=seed, truth=truth, error=error)
-        e = estimate(c, known)
+        e = estimate(c, known) if error else exactly(c, known)
         where = e.trust() if kind == "flat" else np.ones((600, 3), bool)
         inside.append(c.inside(e)[where])
     assert 0.925 < np.mean(np.concatenate(inside)) < 0.975
@@ -165,7 +171,7 @@ def test_noise_alone_understates_what_errors_of_the_frf_do():
         found = []
         for seed in range(3):
             c = case(600, 3, 3, seed=seed, error=0.05, noise=0.003)
-            found.append(c.inside(estimate(c, stated=stated)).mean())
+            found.append(c.inside(estimate(c) if stated else exactly(c)).mean())
         covered[stated] = np.mean(found)
     assert covered[True] > 0.925
     assert covered[False] < 0.5
@@ -195,7 +201,7 @@ def test_std_of_each_line_is_the_scatter_over_draws():
     errors, stated = [], []
     for _ in range(60):
         Y = clean + c.sigma * normals(rng, *clean.shape)
-        e = FrequencyInversion(model(c.f, c.H)).estimate(Spectra(c.f, Y, noise=c.sigma))
+        e = FrequencyInversion(model(c.f, c.H), noise=Noise(frf=0.0)).estimate(Spectra(c.f, Y, noise=c.sigma))
         errors.append(np.abs(e.spectrum.naive - c.truth) ** 2)
         stated.append(e.spectrum.naive_std**2)
     ratio = np.sqrt(np.mean(stated, axis=0) / np.mean(errors, axis=0))
@@ -297,7 +303,7 @@ def averaged(c: Case, averages: int, rng, mix=MIX):
 def test_cross_spectra_of_correlated_loads(averages, known):
     """Bias, phase between the loads, and the std against the scatter over draws; where nothing is told, no less."""
     c, rng = case(150, 6, 3), np.random.default_rng(7)
-    family = FrequencyInversion(model(c.f, c.H), noise=c.sigma if known else None)
+    family = FrequencyInversion(model(c.f, c.H), noise=Noise(c.sigma if known else None, frf=0.0))
     found = [family.estimate(averaged(c, averages, rng)) for _ in range(8)]
     load, std, cross = (np.array(v) for v in zip(*((e.load, e.std, e.spectrum.cross) for e in found), strict=True))
     truth = np.diag(POWER).real

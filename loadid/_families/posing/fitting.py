@@ -175,7 +175,7 @@ def fit(
     errors: Array | None = None
     found: Discrepancy | None = None
     if frequencies is not None and variance is None:
-        found = learned(H, X, power, frequencies, known=known, neighbours=rule.neighbours)
+        found = learned(H, X, power, frequencies, known=known, neighbours=rule.neighbours, averages=averages)
         errors = np.einsum("ksj,kj->ks", found.entries, found.load)
         power, known = power if known else power * found.noise, True
     rounds = 1 if variance is None else ROUNDS
