@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import warnings
 from typing import Any
-from typing import Any
 
 from loadid import Penalty
 
