@@ -83,7 +83,7 @@ def test_a_wrong_stiffness_is_flagged_declared_or_found():
     wrong = building(1.02)
     plain = judged(fitted(c, wrong, hold="zoh", prior=MATERN), c)
     declared = judged(fitted(c, wrong, hold="zoh", prior=MATERN, model_error={"stiffness": 0.02}), c)
-    assert plain.cover < 0.5
+    assert plain.cover < 0.6
     assert declared.cover >= 0.93
     assert declared.error == pytest.approx(plain.error, rel=0.2)
     scaled = fitted(c, wrong, hold="zoh", prior=MATERN, scales=["stiffness"])
@@ -140,7 +140,7 @@ def test_a_continuous_truth_is_covered_by_default():
     """Loads run on between samples: the joint hold, which a structural model gets with a Matern prior, knows."""
     c = case(seed=1, fine=20)
     assert judged(fitted(c, building(), prior=MATERN), c).cover >= 0.92
-    assert judged(fitted(c, building(), prior=MATERN, hold="zoh"), c).cover < 0.5
+    assert judged(fitted(c, building(), prior=MATERN, hold="zoh"), c).cover < 0.6
 
 
 @cache

@@ -44,6 +44,8 @@ ALONE = 0.25  # of a ratio, by which it must be ahead of that of every other cha
 SPREAD = 0.7  # of a ratio, that a single hop may give: one spike is no broken sensor
 USUAL = 2.0  # times the normalised squares of the fit, that samples have which a hypothesis explains
 STRANGE = 3.0  # times these, that samples have which do not fit
+SPIKE, FEW = 4.0, 2  # mean normalised square of a sample that may be a spike; how many a hop may have
+SETTLING = 10  # hops at the start and after a channel was missing, which nobody judges
 BACK = 5  # hops of good predictions after which a channel is believed again
 WITHIN = 1.5  # times the variance of the fit, of a good prediction
 LARGEST = 1e6  # entries of all lifted filters, beyond which nothing is watched
@@ -278,7 +280,7 @@ class Watch:
         self._own = np.where(bank.out < 0, 0.0, 2 * np.log(bank.own) + 1)
         self.held: Fault | None = None
         self.masked = False  # kept out by the watch; before, by the gate
-        self.good, self.strange, self.next_swap = 0, 0, 2
+        self.good, self.strange, self.next_swap, self.early = 0, 0, 2, SETTLING
         self.named: list[Fault] = []
         self.unlike, self.kept = 0, 0  # samples that do not fit, channel samples kept out
         self._told()
@@ -359,9 +361,22 @@ class Watch:
     def _full(self) -> None:
         if self.filled == HOP:
             self.filled = 0
-            self.judge(self.buffer)
-            self.decide()
+            self._hop()
             self._told()
+
+    def _hop(self) -> None:
+        """Judge a hop; while a channel is missing nobody does, and afterwards the filters begin anew."""
+        if np.isnan(self.buffer).sum(axis=0).max() > HOP // 2:
+            self.x = np.tile(self.bank.x0, (len(self.x), 1))
+            self._forget()
+            self.early = SETTLING
+            return
+        self.judge(self.buffer)
+        self.early = max(self.early - 1, 0)
+        if self.early:
+            self._forget()
+        else:
+            self.decide()
 
     # -- hops -------------------------------------------------------------------------------------------------------
     def judge(self, Y: Array) -> None:
@@ -369,10 +384,30 @@ class Watch:
         Y = Y[:, self.order]
         self.past = np.concatenate([self.past[-KEPT:], Y[None]])
         self.before = np.concatenate([self.before[-KEPT:], self.x[:1]])
-        z, self.x = self.bank.hop(self.x, Y)
+        Y, z, self.x = self._without_spikes(Y)
         self.keep(*self.said(z, Y, self.bank.out))
         if not np.isfinite(self.x).all():
             self.x = np.where(np.isfinite(self.x).all(axis=1, keepdims=True), self.x, self.bank.x0)
+
+    def _without_spikes(self, Y: Array) -> tuple[Array, Array, Array]:
+        """A hop without the few samples that alone make it loud, what the filters make of it, and their predictions.
+
+        A spike is no broken sensor, and the filter of the answers keeps it out by its gate.
+        """
+        z, ahead = self.bank.hop(self.x, Y)
+        kept, found, next_ones = Y, z, ahead
+        for _ in range(FEW):
+            level = np.mean(np.nan_to_num(found[0]) ** 2, axis=1) / self.usual.squares[0]
+            if level.mean() < USUAL:
+                return kept, found, next_ones
+            loud = np.flatnonzero(level > SPIKE)
+            if not len(loud):
+                break
+            kept = np.array(kept)
+            kept[loud[0]] = np.nan
+            found, next_ones = self.bank.hop(self.x, kept)
+        level = np.mean(np.nan_to_num(found[0]) ** 2, axis=1) / self.usual.squares[0]
+        return (kept, found, next_ones) if level.mean() < USUAL else (Y, z, ahead)
 
     def said(self, z: Array, Y: Array, out: NDArray[np.int_]) -> tuple[Array, Array, Array]:
         """Squares and number of the innovations of used channels; number, sum, squares, moment of left-out ones."""
@@ -581,4 +616,4 @@ MIDDLE = np.arange(HOP) - (HOP - 1) / 2
 LOUD = 1e9  # -2 log of a ratio, at most
 TOP = 1e6  # normalised innovation, beyond which it is no larger
 ARRAYS = ("x", "buffer", "squares", "counts", "apart", "past", "before", "order")
-NUMBERS = ("count", "filled", "good", "strange", "next_swap", "unlike", "kept", "masked")
+NUMBERS = ("count", "filled", "good", "strange", "next_swap", "early", "unlike", "kept", "masked")
