@@ -280,7 +280,7 @@ def summary(estimate: LoadEstimate, *, details: bool = False, command: bool = Fa
     refused = refusals(estimate)
     shown = [f for f in cautions(estimate.flags) if f.code != UNEXPLAINED]
     most = CAUTIONS - len(refused)
-    lines = [*refused, *_first(estimate), f"state: {state(estimate)}"]
+    lines = [*refused, *_first(estimate), f"state: {'; '.join([state(estimate), *notes(estimate)])}"]
     lines += [f"caution: {_caution(flag, command)}" for flag in shown[:most]]
     if details:
         return "\n".join([*lines, *_details(estimate, command)])
@@ -355,7 +355,6 @@ def _details(estimate: LoadEstimate, command: bool) -> list[str]:
     lines.append(f"  verification: {estimate.verified}")
     if estimate.allowed:
         lines.append(f"  {allowed(estimate)}")
-    lines += [f"  note: {note}" for note in notes(estimate)]
     lines.append(f"  flags: {len(estimate.flags) or 'none'}")
     lines += [f"    {flag.command if command else flag}" for flag in sort(estimate.flags)]
     return lines

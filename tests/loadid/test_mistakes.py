@@ -184,7 +184,7 @@ def test_a_contradicting_frequency_is_said_everywhere(run, logs, model, tmp_path
         "identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", "--report", page, "--fs", "2000.0000001"
     )
     assert code == 0, err
-    assert "note: fs = 2000 Hz as stated replaces" in out
+    assert "fs = 2000 Hz as stated replaces" in out
     assert "fs = 2000 Hz as stated replaces" in page.read_text()
     assert "as stated replaces" in run("info", tmp_path / "r.h5")[1]
 
