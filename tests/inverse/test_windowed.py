@@ -91,7 +91,7 @@ def test_the_sweep_begins_where_the_iteration_settles(factored, monkeypatch):
     """A response with a tail of noise, as measured ones have: the scalars are those of a dense SVD."""
     if not factored:
         monkeypatch.setattr("loadid._inverse.convolved.pcg.FACTORED", 0)
-    n, rng = 300, np.random.default_rng(0)
+    n, rng = 600, np.random.default_rng(0)
     t = np.arange(n)
     h = np.diff(np.exp(-0.002 * t) * np.sin(0.3 * (t + 1)), prepend=0.0) + 0.015 * rng.standard_normal(n)
     y = np.convolve(h, np.hanning(20))[:n]

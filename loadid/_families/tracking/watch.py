@@ -211,11 +211,17 @@ def usual(model: FilterModel, Y: Array) -> Usual | None:
     if bank is None or hops - skipped < FEWEST:
         return None
     start = Watch(model, bank, Usual(np.ones(len(bank.out)), np.ones(len(bank.out)), np.zeros(model.m), 1.0))
-    sums = []
+    sums, first = [], skipped
     for k in range(hops):
-        start.judge(Y[k * HOP : (k + 1) * HOP])
-        if k >= skipped:
+        hop = Y[k * HOP : (k + 1) * HOP]
+        if start.missing(hop):
+            first = k + 1 + skipped
+            continue
+        start.judge(hop)
+        if k >= first:
             sums.append((start.squares[-1].copy(), start.counts[-1].copy(), start.apart[-1].copy()))
+    if len(sums) < FEWEST:
+        return None
     squares, counts, apart = (np.array(part) for part in zip(*sums, strict=True))
     level = np.maximum(squares.sum(axis=0) / np.maximum(counts.sum(axis=0), 1), 1e-12)
     there = np.maximum(apart[:, 0].sum(axis=0), 1)
@@ -365,11 +371,8 @@ class Watch:
             self._told()
 
     def _hop(self) -> None:
-        """Judge a hop; while a channel is missing nobody does, and afterwards the filters begin anew."""
-        if np.isnan(self.buffer).sum(axis=0).max() > HOP // 2:
-            self.x = np.tile(self.bank.x0, (len(self.x), 1))
-            self._forget()
-            self.early = SETTLING
+        """Judge a hop, but for those in which a channel is missing, and for some after them."""
+        if self.missing(self.buffer):
             return
         self.judge(self.buffer)
         self.early = max(self.early - 1, 0)
@@ -377,6 +380,15 @@ class Watch:
             self._forget()
         else:
             self.decide()
+
+    def missing(self, Y: Array) -> bool:
+        """Whether a channel is missing in more than a few samples of a hop; the filters then begin anew behind it."""
+        if np.isnan(Y).sum(axis=0).max() <= HOP // 5:
+            return False
+        self.x = np.tile(self.bank.x0, (len(self.x), 1))
+        self._forget()
+        self.early = SETTLING
+        return True
 
     # -- hops -------------------------------------------------------------------------------------------------------
     def judge(self, Y: Array) -> None:
