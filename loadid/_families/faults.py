@@ -22,6 +22,7 @@ Array = NDArray[Any]
 
 VAGUE = ("other", "one of")  # what is said only of a contradiction ...
 SURE = 4.0  # ... this far beyond what noise and errors of the model leave
+MANY = 64  # sensors beyond which each against all others takes too long
 LINES = 2048  # lines that are asked
 QUIET = 0.1  # share of the lines whose power stands for the noise, where it is not known
 TAIL = 0.02  # share of the largest response that may be left at the end of a record
@@ -78,7 +79,7 @@ def of_static(
     H: Array, values: Array, noise: NoiseLevel, L: Array | None, channels: Sequence[Channel], *, free: bool
 ) -> Overlooked | None:
     """Static readings (frames, sensors); `free` without a prior of the loads."""
-    if np.ndim(noise.level) != 1:
+    if np.ndim(noise.level) != 1 or len(H) > MANY:
         return None
     units = [c.unit for c in channels]
     row2 = np.sum(H**2, axis=1)
@@ -104,7 +105,7 @@ def _prior(L: Array | None, loads: int) -> tuple[Array, Array | None]:
 
 def of_lines(line: LineData, H: Array) -> Overlooked | None:
     """Spectra, cross spectra or a transient, with the FRFs of the used sensors."""
-    if line.X.shape[1] <= H.shape[2]:
+    if not H.shape[2] < line.X.shape[1] <= MANY:
         return None
     if line.data is not None:  # a record that ends in motion is damped: its lines alone would not tell
         samples = len(line.data.values)
@@ -131,7 +132,7 @@ def of_record(h: Array, values: Array, dt: float, noise: NoiseLevel, channels: S
     is damped by an exponential window, which a convolution does not mind.
     """
     samples, sensors = values.shape
-    if sensors <= h.shape[2] or np.ndim(noise.level) != 1 or np.any(np.abs(values).max(axis=0) == 0):
+    if not h.shape[2] < sensors <= MANY or np.ndim(noise.level) != 1 or np.any(np.abs(values).max(axis=0) == 0):
         return None
     if len(h) < samples and np.abs(h[-max(len(h) // 50, 1) :]).max() > TAIL * np.abs(h).max():
         return None
