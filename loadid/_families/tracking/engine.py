@@ -369,6 +369,17 @@ class Engine(Judge):
 
     # -- to another filter --------------------------------------------------------------------------------------------
 
+    @property
+    def prediction(self) -> Array:
+        """Mean of the states before the next sample."""
+        if self.phase == "steady" and self.loop is not None:
+            return np.array(self.loop.x)
+        if self.phase == "periodic" and self.beat is not None:
+            return np.array(self.beat.x)
+        if self.ready is not None:
+            return np.array(self.ready.x)
+        return np.array((self.core.start() if self.state is None else self.core.predict(self.state)).x)
+
     def begin(self, ahead: FilterState) -> None:
         """Go on from the prediction of the next sample that another filter has made, without doubts."""
         self.ready, self.state, self.phase = ahead, FilterState(ahead.x, ahead.L, np.full(self.model.m, np.nan)), OFF

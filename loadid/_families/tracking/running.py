@@ -260,6 +260,8 @@ class Running:
 
     def _settled(self, watch: Watch) -> None:
         """Go on from the state that the watch knows, where it takes a channel out."""
+        if watch.settling:
+            watch.start(self._engine.prediction)
         ahead = watch.settle(self._engine.wrong > 0)
         if ahead is not None and self._ring is None:  # else late samples could not be put in their place
             self._engine.begin(ahead)

@@ -46,6 +46,7 @@ USUAL = 2.0  # times the normalised squares of the fit, that samples have which 
 STRANGE = 3.0  # times these, that samples have which do not fit
 SPIKE, FEW = 4.0, 2  # mean normalised square of a sample that may be a spike; how many a hop may have
 SETTLING = 10  # hops at the start and after a channel was missing, which nobody judges
+JUMPED = 4  # hops that no channel explains, after which the state may have jumped
 BACK = 5  # hops of good predictions after which a channel is believed again
 WITHIN = 1.5  # times the variance of the fit, of a good prediction
 LARGEST = 1e6  # entries of all lifted filters, beyond which nothing is watched
@@ -291,6 +292,7 @@ class Watch:
         self.unlike, self.kept = 0, 0  # samples that do not fit, channel samples kept out
         self._told()
         self.reseed: FilterState | None = None
+        self.settling = False  # the filters are to go on from what the filter of the answers predicts
 
     # -- samples ----------------------------------------------------------------------------------------------------
     @property
@@ -331,7 +333,8 @@ class Watch:
             part = slice(k, min(k + HOP - self.filled, len(Y)))
             rows.append(np.repeat(self.row, part.stop - k, axis=0))
             self.add(Y[part])
-            k, changed = part.stop, self.filled == 0 and (self.held is not None or self.reseed is not None)
+            k = part.stop
+            changed = self.filled == 0 and (self.settling or self.held is not None or self.reseed is not None)
         return Y[:k], np.concatenate(rows)
 
     def settle(self, gated: Bits) -> FilterState | None:
@@ -375,11 +378,17 @@ class Watch:
         if self.missing(self.buffer):
             return
         self.judge(self.buffer)
-        self.early = max(self.early - 1, 0)
         if self.early:
+            self.early, strange = self.early - 1, self.strange
             self._forget()
+            self.strange = strange  # its alarm stands meanwhile
+            self.settling = self.early == 0
         else:
             self.decide()
+
+    def start(self, ahead: Array) -> None:
+        """Every filter goes on from a prediction: without a channel some forget their start slowly."""
+        self.x, self.settling = np.tile(ahead, (len(self.x), 1)), False
 
     def missing(self, Y: Array) -> bool:
         """Whether a channel is missing in more than a few samples of a hop; the filters then begin anew behind it."""
@@ -481,14 +490,16 @@ class Watch:
                 if beyond[-1] >= SPREAD * beyond.sum() > 0:  # in this hop alone, until now
                     self._forgive(i)
                     strange = False
-        self.strange = self.strange + 1 if strange else max(self.strange - 1, 0) // 2
+        if len(self.squares) > 1:
+            self.strange = self.strange + 1 if strange else max(self.strange - 1, 0) // 2
         self.unlike += HOP * (self.strange > 1)
         if strange and (silent := self._silent()) is not None:
             self._hold(silent)
             return
         if strange and self.strange >= self.next_swap:
             self.next_swap = 2 * self.strange
-            self._swap()
+            if not self._swap() and self.strange >= JUMPED and explained.min() > USUAL * self.usual.loudest:
+                self.early = SETTLING  # no channel explains it: the state may have jumped
         elif not strange and self.strange == 0:
             self.next_swap = 2
 
@@ -559,10 +570,10 @@ class Watch:
         self._forgive(fault.channel)
         self._forget()
 
-    def _swap(self) -> None:
+    def _swap(self) -> bool:
         """Take two channels the other way round, where that alone makes the last hops usual."""
         if len(self.past) < 3:
-            return
+            return False
         m, tried = self.model.m, []
         for i, j in combinations(range(m), 2):
             order = np.arange(m)
@@ -572,13 +583,14 @@ class Watch:
         cost, x, i, j, order = tried[0]
         second = tried[1][0] if len(tried) > 1 else np.inf
         if cost > USUAL * self.usual.loudest or second < 1.5 * cost:
-            return
+            return False
         self.named += [Fault(int(self.order[i]), int(self.order[j]), "swapped", self.count)]
         self.order = self.order[order]
         self.x = np.tile(x, (len(self.x), 1))
         self._forget()
         if self.acts:
             self.reseed = FilterState(x, self.bank.ahead[0])
+        return True
 
     def _again(self, order: NDArray[np.int_]) -> tuple[float, Array]:
         """Loudness of the last hops with channels in another order, and the prediction after them.
