@@ -21,7 +21,8 @@ def test_a_belief_in_small_displacements_is_offered_as_what_it_is():
     found = tracker.track(c.y[:, :3])
     assert "a belief, not measured" in found.provenance["prior"]
     assert found.provenance["settings"]["dummy"] == 1.0
-    assert found.std[-1, 0] == pytest.approx(tracker.fitted.settled.std[0])
+    wider = tracker.fitted.wider[0]  # what the sensors leave between them
+    assert found.std[-1, 0] == pytest.approx(wider * tracker.fitted.settled.std[0])
     before = tracker.fitted.settled
     tracker.update_model(building())  # the belief goes on with another model
     assert tracker.fitted.settled.std == pytest.approx(before.std, rel=1e-9)
