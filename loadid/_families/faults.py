@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from structures._channels import Channel
 
-from .._inverse.diagnosis.faults import Clock, SensorLines, drifting, suspect, told_apart
+from .._inverse.diagnosis.faults import LineTimes, SensorLines, drifting, suspect, told_apart
 from .._results.faults import SensorFault
 from .noise import NoiseLevel
 
@@ -40,7 +40,7 @@ class Overlooked:
     lines : SensorLines
     labels : tuple of str
         Of the sensors.
-    clock : Clock or None
+    clock : LineTimes or None
         Of lines over frequency.
     dt : float
         Of the clock, s.
@@ -48,7 +48,7 @@ class Overlooked:
 
     lines: SensorLines
     labels: tuple[str, ...]
-    clock: Clock | None = None
+    clock: LineTimes | None = None
     dt: float = 0.0
 
 
@@ -119,7 +119,7 @@ def of_lines(line: LineData, H: Array) -> Overlooked | None:
     y, top = X * np.sqrt(snapshots), float(line.frequencies[-1])
     noise = line.power[pick] if line.known else np.tile(_quiet(y), (len(y), 1))
     dt = 0.5 / top
-    clock = Clock(2 * np.pi * f * dt, None, f <= DRIFTS * top, _longest(len(line.frequencies)))
+    clock = LineTimes(2 * np.pi * f * dt, None, f <= DRIFTS * top, _longest(len(line.frequencies)))
     worth = 2 * min(line.averages, 1e6) / snapshots
     lines = SensorLines(H[pick], y, noise, _size(y), line.known, worth)
     return Overlooked(lines, tuple(c.label for c in line.channels), clock, dt)
@@ -147,7 +147,7 @@ def of_record(h: Array, values: Array, dt: float, noise: NoiseLevel, channels: S
     worth = 2 * energy**2 / float(np.sum(window**4)) / (pieces * length)
     level = np.asarray(noise.level, float) ** 2 * energy if noise.known else _quiet(y)
     f = np.asarray(np.fft.rfftfreq(length), float)
-    clock = Clock(2 * np.pi * f, constant, f <= max(DRIFTS / 2, 3 / samples), _longest(samples))
+    clock = LineTimes(2 * np.pi * f, constant, f <= max(DRIFTS / 2, 3 / samples), _longest(samples))
     lines = SensorLines(H, y, np.tile(level, (len(y), 1)), _size(y), noise.known, worth)
     return Overlooked(lines, tuple(c.label for c in channels), clock, dt)
 

@@ -33,7 +33,7 @@ SHARES = {"A": "19 of 20", "B": "9 of 10", "C": "9 of 10", "D": "half"}  # of wh
 
 
 @dataclass(frozen=True)
-class Odds:
+class GradeOdds:
     """Measured on answers of one family and grade.
 
     Parameters
@@ -49,9 +49,9 @@ class Odds:
     within: float
 
 
-def _stated() -> dict[str, dict[str, Odds]]:
+def _stated() -> dict[str, dict[str, GradeOdds]]:
     rows = tomllib.loads(Path(__file__).with_name("grades.toml").read_text("utf-8"))
-    return {family: {letter: Odds(**odds) for letter, odds in grades.items()} for family, grades in rows.items()}
+    return {family: {letter: GradeOdds(**odds) for letter, odds in grades.items()} for family, grades in rows.items()}
 
 
 MEASURED = _stated()  # family -> grade -> odds
@@ -67,13 +67,13 @@ class Grade:
         ``A`` to ``D``.
     expected : float
         Relative error that is expected of the load, root mean square; 1 where nothing is known of it.
-    odds : Odds or None
+    odds : GradeOdds or None
         What answers of this family and grade were worth; None where nobody measured it.
     """
 
     letter: str
     expected: float
-    odds: Odds | None
+    odds: GradeOdds | None
 
     @property
     def meaning(self) -> str:

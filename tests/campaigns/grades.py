@@ -14,7 +14,7 @@ import numpy as np
 
 import loadid._results.grades as stated
 from loadid import Penalty
-from loadid._results.grades import LETTERS, MEASURED, Odds
+from loadid._results.grades import LETTERS, MEASURED, GradeOdds
 
 from . import impacts, static
 from .scores import Scored
@@ -41,13 +41,13 @@ def drawn(problems: int, seed: int) -> dict[str, list[Scored]]:
     return {family: list(of(family)) for family in DRAWN}
 
 
-def measured(found: Sequence[Scored]) -> dict[str, Odds]:
+def measured(found: Sequence[Scored]) -> dict[str, GradeOdds]:
     """Odds of each grade that enough answers received, in steps of a per cent, upwards."""
     odds = {}
     for letter in LETTERS:
         errors = [s.error for s in found if s.letter == letter]
         if len(errors) >= LEAST:
-            odds[letter] = Odds(len(errors), float(np.ceil(100 * np.quantile(errors, SHARE[letter])) / 100))
+            odds[letter] = GradeOdds(len(errors), float(np.ceil(100 * np.quantile(errors, SHARE[letter])) / 100))
     return odds
 
 

@@ -25,7 +25,7 @@ from ..._inverse.gaussian.steady import SteadyFilter
 from .engine import Engine, Late
 from .fit import TrackerFit
 from .samples import Replay, inside
-from .watch import CONTRADICTING, Fault, Watch, lifted_of
+from .watch import CONTRADICTING, ChannelFault, Watch, lifted_of
 
 PIECES = 40  # at most, then half as many, twice as long
 SHORTEST = 10  # samples of a piece
@@ -189,7 +189,7 @@ class Running:
         return tuple(flag for flag in found if flag is not None)
 
     @property
-    def faults(self) -> tuple[Fault, ...]:
+    def faults(self) -> tuple[ChannelFault, ...]:
         """Channels that were found wrong since the start, in the order in which they were named."""
         return () if self._watch is None else tuple(self._watch.named)
 

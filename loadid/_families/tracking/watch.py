@@ -237,7 +237,7 @@ def usual(model: FilterModel, Y: Array) -> Usual | None:
 
 
 @dataclass(frozen=True)
-class Fault:
+class ChannelFault:
     """A channel that is wrong.
 
     Parameters
@@ -285,10 +285,10 @@ class Watch:
         self.order = np.arange(m)
         self._hops, self._level = np.array(WINDOWS), np.log(usual.squares)
         self._own = np.where(bank.out < 0, 0.0, 2 * np.log(bank.own) + 1)
-        self.held: Fault | None = None
+        self.held: ChannelFault | None = None
         self.masked = False  # kept out by the watch; before, by the gate
         self.good, self.strange, self.next_swap, self.early = 0, 0, 2, SETTLING
-        self.named: list[Fault] = []
+        self.named: list[ChannelFault] = []
         self.unlike, self.kept = 0, 0  # samples that do not fit, channel samples kept out
         self._told()
         self.reseed: FilterState | None = None
@@ -530,7 +530,7 @@ class Watch:
     def _hold(self, i: int) -> None:
         """Keep a channel out from the next sample on; the filter without it, at usual loads, knows the state."""
         f = int(np.flatnonzero(self.bank.out == i)[0])
-        self.held, self.good, self.masked = Fault(i, -1, self._kind(i, f), self.count), 0, False
+        self.held, self.good, self.masked = ChannelFault(i, -1, self._kind(i, f), self.count), 0, False
         self.named.append(self.held)
 
     def _kind(self, i: int, f: int) -> str:
@@ -555,7 +555,7 @@ class Watch:
             return "drift" if moved > 4 * np.sqrt(self.usual.own[f] * 2 / number[-1]) else "offset"
         return "wrong"
 
-    def _returned(self, fault: Fault) -> None:
+    def _returned(self, fault: ChannelFault) -> None:
         """Believe a channel again that is predicted well for long enough."""
         f = int(np.flatnonzero(self.bank.out == fault.channel)[0])
         number, total, squares, _ = self.apart[-1, :, f]
@@ -584,7 +584,7 @@ class Watch:
         second = tried[1][0] if len(tried) > 1 else np.inf
         if cost > USUAL * self.usual.loudest or second < 1.5 * cost:
             return False
-        self.named += [Fault(int(self.order[i]), int(self.order[j]), "swapped", self.count)]
+        self.named += [ChannelFault(int(self.order[i]), int(self.order[j]), "swapped", self.count)]
         self.order = self.order[order]
         self.x = np.tile(x, (len(self.x), 1))
         self._forget()
@@ -630,7 +630,7 @@ class Watch:
             setattr(self, name, np.array(tree[name]))
         for name in NUMBERS:
             setattr(self, name, int(tree[name]))
-        self.named = [Fault(int(c), int(o), str(k), int(s)) for c, o, k, s in tree["named"]]
+        self.named = [ChannelFault(int(c), int(o), str(k), int(s)) for c, o, k, s in tree["named"]]
         self.held = self.named[-1] if tree["held"] else None
         self._told()
 

@@ -381,7 +381,7 @@ CONSTANT = 0.9  # of the slow misfit that a constant explains
 
 
 @dataclass(frozen=True)
-class Fault:
+class LineFault:
     """What is wrong with one sensor.
 
     Parameters
@@ -403,7 +403,7 @@ class Fault:
 
 
 @dataclass(frozen=True, eq=False)
-class Clock:
+class LineTimes:
     """What lines have to do with time.
 
     Parameters
@@ -424,7 +424,7 @@ class Clock:
     longest: float
 
 
-def told_apart(lines: SensorLines, suspicion: Suspicion, clock: Clock | None) -> tuple[int, Fault] | None:
+def told_apart(lines: SensorLines, suspicion: Suspicion, clock: LineTimes | None) -> tuple[int, LineFault] | None:
     """The sensor that is wrong, and its fault: of several suspects the one whose fault is one that sensors have."""
     if suspicion.found is None or not suspicion.sensors:
         return None
@@ -438,7 +438,7 @@ def told_apart(lines: SensorLines, suspicion: Suspicion, clock: Clock | None) ->
     return None
 
 
-def drifting(lines: SensorLines, clock: Clock) -> tuple[Suspicion, int, Fault] | None:
+def drifting(lines: SensorLines, clock: LineTimes) -> tuple[Suspicion, int, LineFault] | None:
     """A sensor with an offset or a drift, which few lines hold: these are asked alone."""
     prepared = _prepared(lines)
     if prepared is None or clock.slow.sum() < 2:
@@ -457,7 +457,7 @@ def drifting(lines: SensorLines, clock: Clock) -> tuple[Suspicion, int, Fault] |
     return found, i, _slow(rest, None if clock.constant is None else clock.constant[clock.slow])
 
 
-def _named(lines: SensorLines, suspicion: Suspicion, found: LeftOut, i: int, clock: Clock | None) -> Fault:
+def _named(lines: SensorLines, suspicion: Suspicion, found: LeftOut, i: int, clock: LineTimes | None) -> LineFault:
     """The fault of a sensor that is wrong."""
     y, p = lines.y[:, i], lines.y[:, i] - found.rest[:, i]
     told, own = found.precision[:, i] > 0, lines.noise[:, i] + suspicion.delta**2 * lines.size[:, i]
@@ -468,7 +468,7 @@ def _named(lines: SensorLines, suspicion: Suspicion, found: LeftOut, i: int, clo
     size = float(np.sum(w * np.abs(p) ** 2))
     chance = float(np.sqrt(suspicion.scale))
     if size <= 0:
-        return Fault("other", 0.0, 0.0)
+        return LineFault("other", 0.0, 0.0)
     gain = float(np.sum(w * (p.conj() * y).real)) / size
     # a gain is known to what noise and errors of the model leave of it
     std = chance * float(np.sqrt(1 / size + suspicion.delta**2 * max(1.0, gain**2)))
@@ -476,11 +476,11 @@ def _named(lines: SensorLines, suspicion: Suspicion, found: LeftOut, i: int, clo
     after = float(np.sum(w * np.abs(y - gain * p) ** 2))
     late = None if clock is None else _delayed(y, p, w, clock)
     if late is not None and late[2] < EXPLAINED * after and 1 / 3 < abs(late[1]) < 3:
-        return Fault("delay", late[0], late[3] * chance, late[1])
+        return LineFault("delay", late[0], late[3] * chance, late[1])
     power = float(np.sum(w * np.abs(y) ** 2))
     follows = np.size(y) > 3 and gain**2 * size > FOLLOWS**2 * power
     if abs(gain) < DEAD and power < QUIET**2 * size + np.size(y) * lines.worth * chance**2 and not follows:
-        return Fault("dead", 0.0, std, gain)
+        return LineFault("dead", 0.0, std, gain)
     if clock is None and lines.y.shape[2] > 3 and (steady := _constant(y, p, w, after)) is not None:
         return steady
     if after > EXPLAINED * before and clock is not None and clock.constant is not None:
@@ -488,22 +488,22 @@ def _named(lines: SensorLines, suspicion: Suspicion, found: LeftOut, i: int, clo
         if np.sum(energy[clock.slow]) > SLOW * np.sum(energy):
             return _slow(y - p, clock.constant)
     if after > EXPLAINED * before and not follows:
-        return Fault("other", 0.0, 0.0, gain)
+        return LineFault("other", 0.0, 0.0, gain)
     return _of_gain(gain, std)
 
 
-def _of_gain(gain: float, std: float) -> Fault:
+def _of_gain(gain: float, std: float) -> LineFault:
     """A gain as polarity, as a mistaken unit, or as what it is."""
     room = max(NEAR * std, BEYOND) * max(1.0, abs(gain)) if abs(gain) >= 1 else max(NEAR * std, BEYOND * abs(gain))
     if abs(gain + 1) <= max(NEAR * std, 0.25):
-        return Fault("polarity", gain, std, gain)
+        return LineFault("polarity", gain, std, gain)
     near = [f for u in UNITS for f in (u, 1 / u, -u, -1 / u) if abs(f - gain) <= min(room, 0.15 * abs(f))]
     if near and (abs(gain) > 1.2 or abs(gain) < 0.8):
-        return Fault("unit", min(near, key=lambda f: abs(f - gain)), std, gain)
-    return Fault("gain", gain, std, gain)
+        return LineFault("unit", min(near, key=lambda f: abs(f - gain)), std, gain)
+    return LineFault("gain", gain, std, gain)
 
 
-def _delayed(y: Array, p: Array, w: Real, clock: Clock) -> tuple[float, float, float, float] | None:
+def _delayed(y: Array, p: Array, w: Real, clock: LineTimes) -> tuple[float, float, float, float] | None:
     """Delay, its gain, what it leaves, its std: the best of a fine grid, refined by a parabola."""
     step = 0.125
     lags = np.arange(-clock.longest, clock.longest + step / 2, step)
@@ -522,20 +522,22 @@ def _delayed(y: Array, p: Array, w: Real, clock: Clock) -> tuple[float, float, f
     return float(lag), float(like[k] / size), own - float(like[k]) ** 2 / size, std
 
 
-def _slow(rest: Array, constant: Array | None) -> Fault:
+def _slow(rest: Array, constant: Array | None) -> LineFault:
     """An offset, or a drift: whether the transform of a constant explains what is left on slow lines."""
     if constant is None:
-        return Fault("drift", 0.0, 0.0)
+        return LineFault("drift", 0.0, 0.0)
     c = constant[:, None]
     offset = float(np.sum((c.conj() * rest).real) / np.sum(np.abs(c) ** 2))
     left = float(np.sum(np.abs(rest - offset * c) ** 2))
     return (
-        Fault("offset", offset, 0.0) if left < (1 - CONSTANT) * np.sum(np.abs(rest) ** 2) else Fault("drift", 0.0, 0.0)
+        LineFault("offset", offset, 0.0)
+        if left < (1 - CONSTANT) * np.sum(np.abs(rest) ** 2)
+        else LineFault("drift", 0.0, 0.0)
     )
 
 
-def _constant(y: Array, p: Array, w: Real, after: float) -> Fault | None:
+def _constant(y: Array, p: Array, w: Real, after: float) -> LineFault | None:
     """An offset over frames."""
     offset = float(np.sum(w * (y - p)) / np.sum(w))
     left = float(np.sum(w * (y - p - offset) ** 2))
-    return Fault("offset", offset, float(np.sqrt(1 / np.sum(w) / y.shape[1]))) if left < 0.5 * after else None
+    return LineFault("offset", offset, float(np.sqrt(1 / np.sum(w) / y.shape[1]))) if left < 0.5 * after else None
