@@ -3,7 +3,7 @@
 Whitened data of lines (one line of a static problem, many of a spectrum) are ``y = H g + n``. The precision of the
 data once the loads are integrated out, ``K = W Z (1 + tau E)^-1 Z^H W``, holds every leave-one-out residual: that of
 sensor i is ``(K y)_i / K_ii`` with variance ``1 / K_ii`` (Cook & Weisberg, Residuals and Influence in Regression,
-1982). One factorisation gives them all.
+1982). One factorisation gives them all, and without a prior what is left when one is dropped, or two are exchanged.
 
 A model is wrong by some per cent, always, and a wrong gain is wrong by as much on every line. So the variance of a
 sensor is that of its noise and ``delta^2`` of its response, and what stands for the error of the model is counted as
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -32,6 +33,7 @@ CLEARLY = 2.0  # times that variance, from which a closer look is taken
 MARGIN = 0.4  # of the limit, by which the best explanation leaves less than the next
 MOST = 24  # sensors beyond which swaps are not tried
 SEEN = 1e-9  # of the precision of a sensor alone: below, the others say nothing about it
+FIRM = 1e-6  # of the precision of two sensors alone: below, their exchange is solved anew
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +116,10 @@ class LeftOut:
         Variance of the loads over that of their prior.
     cost : float
         -2 log evidence of the readings under that prior; 0 without one.
+    K : array, shape (lines, sensors, sensors)
+        Precision of the readings with the loads integrated out.
+    dims : int
+        Its rank.
     """
 
     rest: Array
@@ -124,6 +130,8 @@ class LeftOut:
     excess: Real
     tau: float
     cost: float
+    K: Array
+    dims: int
 
 
 def left_out(lines: SensorLines, delta: float, tau: float | None = None) -> LeftOut:
@@ -134,8 +142,12 @@ def left_out(lines: SensorLines, delta: float, tau: float | None = None) -> Left
     tau : float, optional
         Variance of the loads over that of their prior; default the likeliest.
     """
+    return _predicted(lines, delta, *_precision(lines, lines.noise + delta**2 * lines.size, tau))
+
+
+def _predicted(lines: SensorLines, delta: float, K: Array, dims: int, tau: float, cost: float) -> LeftOut:
+    """Every sensor from all others, with the precision of the readings, its rank, and what it was chosen by."""
     variance = lines.noise + delta**2 * lines.size
-    K, dims, tau, cost = _precision(lines, variance, tau)
     diagonal = np.einsum("kii->ki", K).real
     told = diagonal * variance > SEEN
     precision = np.where(told, diagonal, 0.0)
@@ -157,7 +169,8 @@ def left_out(lines: SensorLines, delta: float, tau: float | None = None) -> Left
     excess = np.divide(misfit, scale * limit, out=np.zeros(len(misfit)), where=limit > 0)
     mean = np.mean(share, axis=1, keepdims=True)
     total = float(_scale(whole[:, None], np.full((len(K), 1), per_line * dims), mean, lines.known)[0])
-    return LeftOut(rest, precision, max(float(whole.sum()), 0.0), total, limit, excess, tau, cost)
+    return LeftOut(rest, precision, max(float(whole.sum()), 0.0), total, limit, excess, tau, cost,
+                   K, dims)  # fmt: skip
 
 
 def _scale(misfit: Real, freedom: Real, share: Real, known: bool) -> Real:
@@ -257,16 +270,50 @@ class Suspicion:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """One hypothesis: these sensors are wrong, or exchanged; what it leaves of the misfit."""
+    """One hypothesis: these sensors are wrong, or exchanged; what it leaves of the misfit.
+
+    Parameters
+    ----------
+    sensors : tuple of int
+    swap : bool
+    all_lines : SensorLines
+        Those that were read.
+    delta : float
+        Relative error of the model.
+    known_misfit : float, optional
+        What it leaves, whitened.
+    precision : tuple, optional
+        Of the lines that it believes, where it is known: see `_precision`.
+    """
 
     sensors: tuple[int, ...]
     swap: bool
-    lines: SensorLines
-    left: LeftOut
+    all_lines: SensorLines
+    delta: float
+    known_misfit: float | None = None
+    precision: tuple[Array, int, float, float] | None = None
+
+    @cached_property
+    def lines(self) -> SensorLines:
+        """The lines that it believes."""
+        if self.swap:
+            return self.all_lines.swapped(*self.sensors)
+        return self.all_lines.of([k for k in range(self.all_lines.sensors) if k not in self.sensors])
+
+    @cached_property
+    def left(self) -> LeftOut:
+        """What it leaves of every sensor: solved only where its misfit is one that counts."""
+        known = self.precision
+        return left_out(self.lines, self.delta) if known is None else _predicted(self.lines, self.delta, *known)
+
+    @property
+    def misfit(self) -> float:
+        """What it leaves, whitened."""
+        return self.left.misfit if self.known_misfit is None else self.known_misfit
 
     def over(self, misfit: float, limit: float) -> float:
         """How much more than this leaves a misfit is, over what chance makes of it."""
-        return (misfit - self.left.misfit) / (self.left.scale * limit) if limit > 0 else 0.0
+        return (misfit - self.misfit) / (self.left.scale * limit) if limit > 0 else 0.0
 
     @property
     def unfit(self) -> float:
@@ -296,12 +343,7 @@ def _searched(lines: SensorLines) -> Suspicion | None:
 def _weighed(lines: SensorLines, delta: float, whole: LeftOut) -> Suspicion | None:
     """Hypotheses at one error of the model: all is well, a sensor is wrong, two are exchanged."""
     m = lines.sensors
-    tried: list[tuple[tuple[int, ...], bool, SensorLines]]
-    tried = [((i,), False, lines.of([k for k in range(m) if k != i])) for i in range(m)]
-    if m <= MOST:
-        tried += [(pair, True, lines.swapped(*pair)) for pair in combinations(range(m), 2)]
-    told = [Explanation(who, swap, some, left_out(some, delta)) for who, swap, some in tried]
-
+    told = [_without(lines, delta, whole, i) for i in range(m)] + (_exchanges(lines, delta, whole) if m <= MOST else [])
     pairs = max(1, m * (m - 1) // 2)
     many = _limit_of_one(pairs, lines.spare) / _limit_of_one(m, lines.spare)  # a chance for each exchange
 
@@ -319,7 +361,7 @@ def _weighed(lines: SensorLines, delta: float, whole: LeftOut) -> Suspicion | No
             else None
         )
     # how much worse each other explanation is than the best, in terms of the best
-    worse = [best.over(_again(e.lines, delta, best, e.left), limit(best)) for e in told]
+    worse = [best.over(_again(e.lines, delta, best, e.misfit), limit(best)) for e in told]
     if not best.swap and (swaps := [k for k, e in enumerate(told) if e.swap and worse[k] <= MARGIN and e.unfit <= 1]):
         best = told[min(swaps, key=lambda k: worse[k])]
     if best.swap:
@@ -333,23 +375,75 @@ def _weighed(lines: SensorLines, delta: float, whole: LeftOut) -> Suspicion | No
                      best.left.scale, left_out(lines, delta, best.left.tau))  # fmt: skip
 
 
+def _without(lines: SensorLines, delta: float, whole: LeftOut, i: int) -> Explanation:
+    """Sensor i is wrong: without a prior, what the others leave is the Schur complement of its precision."""
+    if lines.spread is not None:
+        return Explanation((i,), False, lines, delta)
+    own, across = whole.K[:, i, i].real, np.delete(whole.K[:, :, i], i, axis=1)
+    inverse = np.divide(1.0, own, out=np.zeros(len(own)), where=whole.precision[:, i] > 0)
+    K = np.delete(np.delete(whole.K, i, axis=1), i, axis=2)
+    K -= (inverse[:, None] * across)[:, :, None] * across[:, None].conj()
+    misfit = whole.misfit - lines.worth * float(np.sum(own * np.sum(np.abs(whole.rest[:, i]) ** 2, axis=1)))
+    return Explanation((i,), False, lines, delta, max(misfit, 0.0), (K, max(whole.dims - 1, 0), 0.0, 0.0))
+
+
+def _exchanges(lines: SensorLines, delta: float, whole: LeftOut) -> list[Explanation]:
+    """Every two sensors exchanged.
+
+    Without a prior, two whitened sensors have the block B of the whole precision ``P = I - Q Q^H``. Predicted from all
+    others they are ``p = z - B^-1 (P z)`` with covariance ``B^-1 - I``; each then reads the place of the other.
+    """
+    pairs = list(combinations(range(lines.sensors), 2))
+    if lines.spread is not None:
+        return [Explanation(pair, True, lines, delta) for pair in pairs]
+    # one sensor at a time: there may be many lines
+    misfit = np.concatenate([_of_exchanges(lines, delta, whole, i) for i in range(lines.sensors - 1)])
+    left = [None if np.isnan(x) else float(x) for x in misfit]
+    return [Explanation(pair, True, lines, delta, x) for pair, x in zip(pairs, left, strict=True)]
+
+
+def _of_exchanges(lines: SensorLines, delta: float, whole: LeftOut, i: int) -> Real:
+    """Misfit that exchanges of sensor i with each after it leave; NaN where all others say nothing of the two."""
+    w = 1 / np.sqrt(lines.noise + delta**2 * lines.size)
+    both = np.array([(i, j) for j in range(i + 1, lines.sensors)])
+    of_two = w[:, both]  # (lines, pairs, 2)
+    B = whole.K[:, both[:, :, None], both[:, None]] / (of_two[..., None] * of_two[..., None, :])
+    z = of_two[..., None] * lines.y[:, both]  # (lines, pairs, 2, snapshots)
+    r = (whole.K @ lines.y)[:, both] / of_two[..., None]
+    a, b, c = B[..., 0, 0].real, B[..., 1, 1].real, B[..., 0, 1]
+    determinant = a * b - np.abs(c) ** 2
+    firm = np.all(determinant > FIRM * np.maximum(a + b, FIRM), axis=0)
+    safe = np.where(firm, determinant, 1.0)[..., None, None]
+    inverse = np.stack([np.stack([b + 0j, -c], -1), np.stack([-c.conj(), a + 0j], -1)], -2) / safe
+    gone = inverse @ r
+    ratio = of_two / of_two[..., ::-1]
+    off = z - ratio[..., None] * (z - gone)[..., ::-1, :]
+    S = np.eye(2) + ratio[..., None] * (inverse - np.eye(2))[..., ::-1, ::-1] * ratio[..., None, :]
+    a, b, c = S[..., 0, 0].real, S[..., 1, 1].real, S[..., 0, 1]
+    back = np.stack([b[..., None] * off[..., 0, :] - c[..., None] * off[..., 1, :],
+                     a[..., None] * off[..., 1, :] - c.conj()[..., None] * off[..., 0, :]], -2)  # fmt: skip
+    back = back / np.where(firm, a * b - np.abs(c) ** 2, 1.0)[..., None, None]
+    moved = np.sum((off.conj() * back).real - (r.conj() * gone).real, axis=(0, 2, 3))
+    return np.where(firm, np.maximum(whole.misfit + lines.worth * moved, 0.0), np.nan)
+
+
 def _gained(lines: SensorLines, delta: float, whole: LeftOut, e: Explanation, limit: float) -> float:
     """What an explanation gains over all being well, over the limit of chance.
 
     Under a prior both may choose the size of the loads: the rest pays for the one that all sensors ask for.
     """
     if lines.spread is None or limit <= 0:
-        return e.over(whole.misfit, limit)
+        return e.over(whole.misfit, limit) if whole.misfit > e.misfit else 0.0
     if e.swap:
-        return min(e.over(_again(lines, delta, e, whole), limit), (whole.cost - e.left.cost) / limit)
+        return min(e.over(_again(lines, delta, e, whole.misfit), limit), (whole.cost - e.left.cost) / limit)
     (i,) = e.sensors
     paid = left_out(e.lines, delta, whole.tau).cost - e.left.cost
-    return float(min(e.over(_again(lines, delta, e, whole), limit), whole.excess[i] + paid / limit))
+    return float(min(e.over(_again(lines, delta, e, whole.misfit), limit), whole.excess[i] + paid / limit))
 
 
-def _again(lines: SensorLines, delta: float, e: Explanation, left: LeftOut) -> float:
-    """Misfit of these lines at the size of the loads of an explanation."""
-    return left.misfit if lines.spread is None else left_out(lines, delta, e.left.tau).misfit
+def _again(lines: SensorLines, delta: float, e: Explanation, left: float) -> float:
+    """Misfit of these lines at the size of the loads of an explanation; `left` without a prior."""
+    return left if lines.spread is None else left_out(lines, delta, e.left.tau).misfit
 
 
 def _with_noise(lines: SensorLines) -> SensorLines:
