@@ -347,17 +347,12 @@ class Model:
         InputError
             If the load does not fit the model or holds NaN, or the model has no `impulse_response` at this step.
         """
-        from scipy.signal import fftconvolve
-
         load = frozen(load, "load")
         load = load[:, None] if load.ndim == 1 else load
         if load.ndim != 2 or load.shape[1] != len(self.loads) or len(load) == 0:
             raise bad_load(self, "predict", f"shape {load.shape}", "(samples, loads)")
         h = impulse_of(self, dt, len(load), hold or self.default_hold)
-        response = np.zeros((len(load), len(self.sensors)))
-        for j in range(len(self.loads)):
-            response += fftconvolve(h[:, :, j], load[:, j, None], axes=0)[: len(load)]
-        return response
+        return convolved(h, load)
 
     def _as_stored(self) -> dict[str, Any]:
         """Channels and certificate, as a file keeps them; refuses loads that move."""
@@ -374,6 +369,18 @@ class Model:
             "loads": [{k: getattr(c, k) for k in CHANNEL} for c in self.loads],
             "certificate": None if self.certificate is None else asdict(self.certificate),
         }
+
+
+def convolved(h: ArrayLike, load: ArrayLike) -> NDArray[np.float64]:
+    """Response (samples, sensors) of pulses h (taps, sensors, loads) to a load (samples, loads), as long as the load."""
+    from scipy import fft
+
+    taps, force = np.asarray(h, float), np.asarray(load, float)
+    length = fft.next_fast_len(len(taps) + len(force) - 1, real=True)
+    each = (fft.rfft(taps[:, :, j], length, axis=0) * fft.rfft(force[:, j, None], length, axis=0)
+            for j in range(force.shape[1]))  # fmt: skip
+    lines = sum(each, start=np.zeros((length // 2 + 1, taps.shape[1]), complex))
+    return np.ascontiguousarray(fft.irfft(lines, length, axis=0)[: len(force)])
 
 
 def as_model(given: Any, where: str, *methods: str) -> Model:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .._certificate import Certificate
 from .._channels import Channel
 from .._flags import Evidence, Flag
+from .._model import convolved
 from ..errors import InputError
 from . import kinds
 from .frfs import FrfEstimate, channels_of, estimate
@@ -130,7 +131,6 @@ def held_out(
     The response of the first half segment is left out: it answers to forces before the record.
     """
     from scipy import fft
-    from scipy.signal import fftconvolve
 
     n, labels = spectra.segment, [spectra.labels[i] for i in responses]
     parts = list(tables)
@@ -148,7 +148,7 @@ def held_out(
         h = fft.irfft(_filled(found.H, found.kept), n, axis=0)[: n // 2]
         force = part[:, spectra.index(loads)]
         force = force - force.mean(axis=0)
-        response = sum(fftconvolve(h[:, :, j], force[:, j, None], axes=0)[: len(part)] for j in range(len(loads)))
+        response = convolved(h, force)
         own = part[:, responses] - part[:, responses].mean(axis=0)
         predicted.append(response[n // 2 :])
         measured.append(own[n // 2 :])
