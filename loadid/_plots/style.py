@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, plain, reals
 
-from .._results.summary import NOT_VERIFIED, allowed, overridden, sort
+from .._results.summary import NOT_VERIFIED, allowed, overridden
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,14 +35,15 @@ DENSE = 5000  # points of a line beyond which a vector picture would be larger t
 
 
 def mark(figure: Figure, estimate: LoadEstimate) -> None:
-    """Print on the picture what it must not travel without: verification, overridden refusals, flags."""
+    """Print on the picture what it must not travel without: grade, verification, overridden refusals, cautions."""
     words = [
+        f"grade {estimate.grade.letter}",
         NOT_VERIFIED if estimate.certificate is None else f"forward model verified {estimate.certificate.date[:10]}"
     ]
     if estimate.allowed:
         words.append(allowed(estimate, "OVERRIDDEN"))
-    found = sorted({f.code for f in sort(estimate.flags) if f.level != "note"})
-    words.append("flags: " + (", ".join(c.removeprefix("LID-") for c in found[:14]) or "none"))
+    found = list(dict.fromkeys(f.code.removeprefix("LID-") for f in estimate.cautions))
+    words.append("cautions: " + (", ".join(found[:14]) or "none"))
     if len(found) > 14:
         words[-1] += f" and {len(found) - 14} more"
     color, weight = (ORANGE, "bold") if overridden(estimate) else (INK, "normal")

@@ -133,10 +133,11 @@ def fragment(estimate: LoadEstimate) -> str:
 # -- sections ---------------------------------------------------------------------------------------------------------
 def notices(e: LoadEstimate) -> str:
     """What must be known before the result is believed: overridden refusals, verification, band."""
-    good = " good" if e.certificate is not None else ""
     text = "".join(f'<p class="notice" role="alert">{escape(line)}</p>' for line in refusals(e))
     text += f'<p class="notice" role="note">{escape(str(e.grade))}</p>'
-    text += f'<p class="notice{good}" role="note">{escape(e.verified)}</p>'
+    if e.certificate is not None:
+        kind = "notice" if e.certificate.wrong else "notice good"
+        text += f'<p class="{kind}" role="note">{escape(e.verified)}</p>'
     text += f'<p class="quiet">{escape(state(e))}</p>'
     if e.allowed:
         text += f'<p class="notice" role="note">{escape(allowed(e))}</p>'

@@ -292,7 +292,7 @@ def summary(estimate: LoadEstimate, *, details: bool = False, command: bool = Fa
 def state(estimate: LoadEstimate) -> str:
     """How things were set up, in one line: what was checked, and where the noise level comes from."""
     certificate, tested = estimate.certificate, not any(f.code == UNTESTED and f.state for f in estimate.flags)
-    model = "model not verified" if certificate is None else "model " + (
+    model = NOT_VERIFIED if certificate is None else "forward model " + (
         "checked, and wrong" if certificate.wrong else "verified"
     )  # fmt: skip
     parts = [model, "band tested" if tested else "band not tested"]

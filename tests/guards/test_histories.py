@@ -454,7 +454,7 @@ def test_a_clean_set_up_raises_the_note_alone(seed):
     estimate = Deconvolution(model, allow=Guards(coverage=COVERED)).estimate(record)
     assert estimate.codes == {"N303"}
     assert "ker(H)" not in estimate.flags[0].message
-    assert "flags: none" in "".join(t.get_text() for t in estimate.plot().texts)
+    assert "cautions: none" in "".join(t.get_text() for t in estimate.plot().texts)
     assert check(record, model).flags == []
 
 
