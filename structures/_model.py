@@ -372,7 +372,7 @@ class Model:
 
 
 def convolved(h: ArrayLike, load: ArrayLike) -> NDArray[np.float64]:
-    """Response (samples, sensors) of pulses h (taps, sensors, loads) to a load (samples, loads), as long as the load."""
+    """Response (samples, sensors) of pulses h (taps, sensors, loads) to a load (samples, loads), of its length."""
     from scipy import fft
 
     taps, force = np.asarray(h, float), np.asarray(load, float)
