@@ -144,7 +144,8 @@ def choose(
         Noise level not known and the noise shows itself as correlated (`whiteness_of`): quasi-optimality, which does
         not ask for white noise. A noise level that the data contradict (`contradicted`) is set aside, and robust GCV
         decides: a level far below the true one would let the noise through. One that the evidence makes implausible
-        (`implausible`) is not used either: lambda is then chosen as if nobody had stated it.
+        (`implausible`) is not used either: lambda is then chosen as if nobody had stated it. Under constraints it is
+        the load without them that must contradict.
     sigma : float, optional
         Noise level of the whitened data.
     source : NoiseSource or str, optional
@@ -200,10 +201,11 @@ def decide(
     wanted = named(choice)
     if is_rule(choice) and wanted not in asked:
         asked[str(wanted)] = rules.run(choice, sweep)
-    shown = contradicted(sweep, asked, origin) if wanted is None else None
-    if wanted is None and shown is None and (level := implausible(sweep, origin)) is not None:
-        free = replace(sweep, sigma=None)
-        found = decide(free, None, {name: rules.run(name, free) for name in DEFAULT_RULES}, refine=refine)
+    free, told = _unconstrained(sweep, asked)
+    shown = contradicted(free, told, origin) if wanted is None else None
+    if wanted is None and shown is None and (level := implausible(free, origin)) is not None:
+        unknown = replace(sweep, sigma=None)
+        found = decide(unknown, None, {name: rules.run(name, unknown) for name in DEFAULT_RULES}, refine=refine)
         return replace(found, sigma=sigma, source=origin, shown=level)
     lam, rule = _pick(path, "robust_gcv" if shown is not None else wanted, asked, sigma, refine)
     evidence = whiteness_of(path, asked, lam)
@@ -230,6 +232,14 @@ def decide(
         correlated=correlated,
         shown=shown,
     )
+
+
+def _unconstrained(sweep: Sweep, asked: dict[str, RuleResult]) -> tuple[Sweep, dict[str, RuleResult]]:
+    """Sweep and rules of the load without constraints: what these leave unexplained says nothing of the noise."""
+    if (path := sweep.path.unconstrained) is sweep.path:
+        return sweep, asked
+    free = Sweep.over(path, sweep.sigma)
+    return free, {"robust_gcv": rules.run("robust_gcv", free)}
 
 
 def is_rule(choice: object) -> TypeGuard[str | Rule]:
@@ -260,8 +270,9 @@ def contradicted(sweep: Sweep, asked: dict[str, RuleResult], source: NoiseSource
     """Noise level that the data show, where chance cannot explain that it is above the stated one.
 
     White noise above the stated level shows in the residual of every fit; a load that its penalty does not expect only
-    in those that smooth too much. So every lambda must contradict whose fit leaves `TESTED` data, or `SPARE` of them:
-    by a chi-square test at `CHANCE` with those degrees of freedom, and by a factor of at least `CLEARLY`. None where
+    in those that smooth too much. So every lambda must contradict whose fit leaves `TESTED` data, or as many as there
+    are beyond the unknowns: by a chi-square test at `CHANCE` with those degrees of freedom, and by a factor of at least
+    `CLEARLY`. None where no fit leaves so many (what few data say is left to `implausible`), where
     robust GCV, which would have to stand in, found no optimum or one that spends more (a fit that leaves enough is then
     smoother than the load, and leaves some of it), and where the level itself was estimated from the misfit of the
     model (kind ``residual``).
@@ -272,9 +283,9 @@ def contradicted(sweep: Sweep, asked: dict[str, RuleResult], source: NoiseSource
     enough = np.flatnonzero(left >= SPARE * path.m)
     if not len(enough) or sweep.lam[enough[0]] > found.lam:
         return None
-    least = min(SPARE * path.m, TESTED)
+    least = min(float(left[0]), TESTED) if left[0] >= 1 else TESTED
     level, margin = _levels(sweep, np.flatnonzero(left >= least))
-    if np.any(level <= margin * sigma) or _agrees_below(sweep, least):
+    if not len(level) or np.any(level <= margin * sigma) or _agrees_below(sweep, least):
         return None
     return float(level.min())
 

@@ -257,6 +257,7 @@ def draws(
 def about(load: Array, drawn: Array, face: Any) -> DrawnPosterior:
     """Second moment of draws, (count,) + the shape of the load, about a load with its posterior on the active face."""
     off = (drawn - load).reshape(len(drawn), -1)
-    size = np.maximum(np.linalg.norm(drawn.reshape(len(drawn), -1), axis=1), np.finfo(float).tiny)
-    expected = float(np.mean(np.linalg.norm(off, axis=1) / size))
+    error, size = np.linalg.norm(off, axis=1), np.linalg.norm(drawn.reshape(len(drawn), -1), axis=1)
+    share = np.divide(error, size, out=np.ones(len(size)), where=size > 0)  # all is wrong where no load was drawn
+    expected = float(np.mean(share))
     return DrawnPosterior(np.ascontiguousarray(off.T) / np.sqrt(len(drawn)), load.shape, face, expected)

@@ -118,6 +118,11 @@ class RegularizationPath:
         return np.ndim(self.scale) > 0
 
     @property
+    def unconstrained(self) -> RegularizationPath:
+        """The path of the loads without constraints; itself where it has none."""
+        return self
+
+    @property
     def range(self) -> tuple[float, float]:
         """Sensible interval of relative lambda."""
         raise self._lack("range of lambda")

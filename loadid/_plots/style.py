@@ -38,7 +38,7 @@ def mark(figure: Figure, estimate: LoadEstimate) -> None:
     """Print on the picture what it must not travel without: grade, verification, overridden refusals, cautions."""
     words = [
         f"grade {estimate.grade.letter}",
-        NOT_VERIFIED if estimate.certificate is None else f"forward model verified {estimate.certificate.date[:10]}"
+        NOT_VERIFIED if estimate.certificate is None else f"forward model verified {estimate.certificate.date[:10]}",
     ]
     if estimate.allowed:
         words.append(allowed(estimate, "OVERRIDDEN"))

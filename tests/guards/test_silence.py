@@ -42,8 +42,30 @@ def test_three_loads_that_the_data_determine_raise_nothing() -> None:
 def test_a_sign_constraint_that_fights_the_data_is_named(sensors: int) -> None:
     found = three(PULLING, sensors, constraints=[NonNegative()])
     assert "W308" in named(found)
+    assert "W406" not in named(found)  # the noise level is not what is wrong
     assert found.grade.letter == "D"
     assert "W308" not in three(PUSHING, sensors, constraints=[NonNegative()]).codes
+
+
+def test_a_sign_constraint_is_judged_by_the_noise_that_is_left_where_nobody_stated_it() -> None:
+    for truth, fights in ((PULLING, True), (PUSHING, False)):
+        clean = H @ truth
+        y = clean + 0.01 * np.sqrt(np.mean(clean**2)) * np.random.default_rng(0).standard_normal(len(H))
+        found = StaticInversion(H, constraints=[NonNegative()]).estimate(y)
+        assert ("W308" in named(found)) == fights
+        assert (found.grade.letter == "D") == fights
+
+
+def test_as_many_sensors_as_loads_do_not_contradict_the_noise_level() -> None:
+    """Every fit that leaves something smooths too much: what it leaves tells the load, not the noise."""
+    for seed in range(20):
+        rng = np.random.default_rng([7, seed])
+        G = rng.standard_normal((3, 3)) * 10 ** rng.uniform(-1, 1, 3)
+        clean = G @ rng.standard_normal(3)
+        sigma = 0.01 * float(np.sqrt(np.mean(clean**2)))
+        y = clean + sigma * rng.standard_normal(3)
+        found = StaticInversion(G, noise=Noise(sigma, source="repeatability")).estimate(y)
+        assert not {"W406", "W412"} & named(found)
 
 
 def test_rules_that_disagree_matter_where_the_load_differs() -> None:
@@ -94,7 +116,7 @@ def test_a_model_that_was_not_checked_is_a_state_and_no_caution() -> None:
     found = three(PULLING)
     assert {"W114", "W703"} <= found.codes
     assert {f.level for f in found.flags if f.code in ("LID-W114", "LID-W703")} == {"note"}
-    assert "state: model not verified; band not tested; noise level: repeatability" in found.summary()
+    assert "state: forward model not verified; band not tested; noise level: repeatability" in found.summary()
 
 
 def test_cautions_are_ranked_by_their_effect_and_survive_files() -> None:

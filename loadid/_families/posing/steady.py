@@ -17,7 +17,7 @@ from structures.errors import InputError
 from ... import _guards as guards
 from ..._inverse import marginal
 from ..._inverse import sweep as whiteness
-from ..._inverse.choice import Choice, choose, residual_level
+from ..._inverse.choice import Choice, choose
 from ..._inverse.constrained.path import ConstrainedPath
 from ..._inverse.constrained.solver import soft
 from ..._inverse.diagnosis import diagnose, identifiability
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     pass
 
 DRAWS = 100  # loads of which a band under constraints is made: its std is right to 7 %
+MODEL, CHANCE = 0.03, 0.01  # relative error that every model has; of noise that leaves so little without constraints
 EASED = 0.1  # of the lambda at which a free load explains the data: there the prior no longer holds the load down
 MOST_DRAWN = 400  # values beyond which they would take too long
 
@@ -166,13 +167,14 @@ class StaticProblem:
     def _explained(self, choice: Choice) -> tuple[float, float]:
         """Lambda at which the data are explained without constraints, and the noise level that says so.
 
-        Of noise that nobody stated: what the fit without constraints leaves, or a tenth of the response.
+        Of noise that nobody stated: what the fit without constraints leaves may be this little by chance, and errors of
+        the model leave some of the response.
         """
         free, sigma = self.path.unconstrained, self.noise.sigma
         if sigma is None:
             own = choose(free)
-            tenth = 0.1 * float(np.sqrt(np.mean(free.problem.y**2)))
-            return min(choice.lam, EASED * own.lam), max(residual_level(free, own.lam) or 0.0, tenth)
+            error = MODEL * float(np.sqrt(np.mean(free.problem.y**2)))
+            return min(choice.lam, EASED * own.lam), max(_noise_at_most(free, own.lam), error)
         low, high = free.range
         lam = np.geomspace(low, high, 40)
         good = lam[np.asarray(free.at(lam).residual2) <= sigma**2 * free.m]
@@ -246,6 +248,16 @@ def pose(
         seen = H[scale > 0] / scale[scale > 0, None]
         full = identifiability.layout(np.linalg.svd(seen, compute_uv=False), H.shape[1])
     return StaticProblem(rows, base, path, level, full, given.channels)
+
+
+def _noise_at_most(path: SVDPath, lam: float) -> float:
+    """Noise level that leaves a residual as small as this one with a chance of `CHANCE`."""
+    from scipy.special import gammaincinv
+
+    point = path.at(lam)
+    assert point.left is not None
+    least = 2 * float(gammaincinv(float(point.left) / 2, CHANCE))
+    return float(np.sqrt(point.residual2 / least)) if least > 0 else np.inf
 
 
 def _shown(base: SVDPath) -> float:
