@@ -203,7 +203,7 @@ def decide(
         asked[str(wanted)] = rules.run(choice, sweep)
     free, told = _unconstrained(sweep, asked)
     shown = contradicted(free, told, origin) if wanted is None else None
-    if wanted is None and shown is None and (level := implausible(free, origin)) is not None:
+    if wanted is None and shown is None and (level := implausible(sweep, origin)) is not None:
         unknown = replace(sweep, sigma=None)
         found = decide(unknown, None, {name: rules.run(name, unknown) for name in DEFAULT_RULES}, refine=refine)
         return replace(found, sigma=sigma, source=origin, shown=level)
@@ -270,12 +270,12 @@ def contradicted(sweep: Sweep, asked: dict[str, RuleResult], source: NoiseSource
     """Noise level that the data show, where chance cannot explain that it is above the stated one.
 
     White noise above the stated level shows in the residual of every fit; a load that its penalty does not expect only
-    in those that smooth too much. So every lambda must contradict whose fit leaves `TESTED` data, or as many as there
-    are beyond the unknowns: by a chi-square test at `CHANCE` with those degrees of freedom, and by a factor of at least
-    `CLEARLY`. None where no fit leaves so many (what few data say is left to `implausible`), where
-    robust GCV, which would have to stand in, found no optimum or one that spends more (a fit that leaves enough is then
-    smoother than the load, and leaves some of it), and where the level itself was estimated from the misfit of the
-    model (kind ``residual``).
+    in those that smooth too much. So every lambda must contradict whose fit leaves `TESTED` data, or `SPARE` of them:
+    by a chi-square test at `CHANCE` with those degrees of freedom, and by a factor of at least `CLEARLY`. None where
+    all data can be spent on the load, so that every fit that leaves some may be smoother than it, and the evidence
+    does not ask for more noise either (as in `implausible`); where robust GCV, which would have to stand in, found no
+    optimum or one that spends more (a fit that leaves enough is then smoother than the load, and leaves some of it);
+    and where the level itself was estimated from the misfit of the model (kind ``residual``).
     """
     path, sigma, found, left = sweep.path, sweep.sigma, asked["robust_gcv"], sweep.point.left
     if sigma is None or left is None or found.lam is None or found.edge or source.kind == "residual":
@@ -283,9 +283,11 @@ def contradicted(sweep: Sweep, asked: dict[str, RuleResult], source: NoiseSource
     enough = np.flatnonzero(left >= SPARE * path.m)
     if not len(enough) or sweep.lam[enough[0]] > found.lam:
         return None
-    least = min(float(left[0]), TESTED) if left[0] >= 1 else TESTED
+    if left[0] < 1 and (asked_for := _level_asked_for(sweep)) is not None and asked_for[1] < np.log(FACTOR):
+        return None
+    least = min(SPARE * path.m, TESTED)
     level, margin = _levels(sweep, np.flatnonzero(left >= least))
-    if not len(level) or np.any(level <= margin * sigma) or _agrees_below(sweep, least):
+    if np.any(level <= margin * sigma) or _agrees_below(sweep, least):
         return None
     return float(level.min())
 
@@ -332,10 +334,18 @@ def implausible(sweep: Sweep, source: NoiseSource) -> float | None:
     `FACTOR`; Kass & Raftery, J. Am. Stat. Assoc. 90 (1995) 773). None where the path does not give its evidence, and
     where the level passed a test with `TESTED` data left: the evidence of a load unlike its prior would be no more.
     """
-    point, sigma = sweep.point, sweep.sigma
-    if sigma is None or point.objective is None or point.log_ratio is None or source.kind == "residual":
+    if sweep.sigma is None or source.kind == "residual" or (found := _level_asked_for(sweep)) is None or _passed(sweep):
         return None
-    if sweep.path.stacked or not sweep.whole or _passed(sweep):
+    level, factor = found
+    return level if factor > np.log(FACTOR) and level > CLEARLY * sweep.sigma else None
+
+
+def _level_asked_for(sweep: Sweep) -> tuple[float, float] | None:
+    """Noise level of the largest evidence over every lambda, from the stated one upwards; ln of their Bayes factor."""
+    point, sigma = sweep.point, sweep.sigma
+    if sigma is None or point.objective is None or point.log_ratio is None:
+        return None
+    if sweep.path.stacked or not sweep.whole:
         return None
     from scipy.special import logsumexp
 
@@ -344,9 +354,7 @@ def implausible(sweep: Sweep, source: NoiseSource) -> float | None:
     fit = point.objective[inside, None] / levels**2
     log = -0.5 * (point.log_ratio[inside, None] + fit) - (sweep.path.m - sweep.path.null) * np.log(levels)
     each = logsumexp(log, axis=0)
-    level = float(levels[np.argmax(each)])
-    factor = logsumexp(each) - np.log(len(levels)) - each[0]
-    return level if factor > np.log(FACTOR) and level > CLEARLY * sigma else None
+    return float(levels[np.argmax(each)]), float(logsumexp(each) - np.log(len(levels)) - each[0])
 
 
 def whiteness_of(path: RegularizationPath, asked: dict[str, RuleResult], lam: float) -> dict[str, float]:
