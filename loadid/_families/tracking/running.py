@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from structures._flags import Flag
 from structures.errors import InputError, plain, reals
@@ -25,12 +25,14 @@ from ..._inverse.gaussian.steady import SteadyFilter
 from .engine import Engine, Late
 from .fit import TrackerFit
 from .samples import Replay, inside
-from .watch import CONTRADICTING, ChannelFault, Watch, lifted_of
+from .bank import lifted_of
+from .watch import CONTRADICTING, FAULT, MISFIT, ChannelFault, Watch
 
 PIECES = 40  # at most, then half as many, twice as long
 SHORTEST = 10  # samples of a piece
 FEWEST = 16  # pieces, from which a mean is judged
 ROUNDING = 1e-9  # of a number, below which it is none
+BEYOND = 3.0  # times the largest load of the fit, that a sample with an alarm may say
 SHOWN = 1e-3  # stds of an innovation that a load as large as its prior must add to the mean, to be taken for a mean
 
 
@@ -251,12 +253,37 @@ class Running:
         if self._watch is None:
             return self._placed(sample)
         watch = self._watch
-        answer = self._placed(sample if watch.idle else watch.taken(self._engine.core.sample(sample)))
+        if watch.idle:
+            answer = self._placed(sample)
+        else:
+            row = self._engine.core.sample(sample)
+            answer = self._placed(watch.taken(row))
+            if (mixed := watch.loads(row[None])) is not None:
+                answer = self._either(*answer, mixed[0][0], mixed[1][0])
         self.row_alarms = watch.row
+        if watch.row[0, 0]:
+            answer = self._bounded(*answer, watch.row[0])
         watch.add_one(plain(sample))
         if watch.filled == 0:
             self._settled(watch)
         return answer
+
+    def _either(self, load: Array, std: Array, mixed: Array, spread: Array) -> tuple[Array, Array]:
+        """Loads and std where any of some channels may be wrong; late ones are the filter's, as far off as that says."""
+        if self._late is None:
+            return mixed, spread
+        return load, np.sqrt(spread**2 + (load - mixed) ** 2)
+
+    def _bounded(self, load: Array, std: Array, alarms: NDArray[np.int_]) -> tuple[Array, Array]:
+        """Loads and std (samples, loads), which what has an alarm does not take far beyond those of the fit."""
+        if self.fitted.most is None or self.gate is None:
+            return load, std
+        most = BEYOND * self.fitted.most
+        code = alarms[..., :1]
+        away = ((code == FAULT) | (code == MISFIT)) & (np.abs(load) > most)
+        if not away.any():
+            return load, std
+        return np.where(away, np.clip(load, -most, most), load), np.where(away, np.maximum(std, most), std)
 
     def _settled(self, watch: Watch) -> None:
         """Go on from the state that the watch knows, where it takes a channel out."""
@@ -327,10 +354,13 @@ class Running:
             self._placed_block(Y, load, std, e, progress)
         start = 0
         while self._watch is not None and start < len(Y):
-            taken, alarms = self._watch.feed(Y[start:])
+            taken, alarms, mixed = self._watch.feed(Y[start:])
             part = slice(start, start + len(taken))
             self.row_alarms[part] = alarms
             self._placed_block(taken, load[part], std[part], e[part], progress)
+            if mixed is not None:
+                load[part], std[part] = self._either(load[part], std[part], *mixed)
+            load[part], std[part] = self._bounded(load[part], std[part], alarms)
             if self._watch.filled == 0:
                 self._settled(self._watch)
             start = part.stop
