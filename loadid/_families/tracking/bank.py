@@ -124,16 +124,16 @@ class Lifted:
             x = np.matmul(self.A, x[:, :, None])[:, :, 0] + np.matmul(self.B, taken[:, :, None])[:, :, 0]
         return z, x
 
-    def mixed(self, rows: NDArray[np.int_], x: Array, Y: Array) -> tuple[Array, Array, Array]:
+    def mixed(self, rows: NDArray[np.int_], weights: Array, x: Array, Y: Array) -> tuple[Array, Array, Array]:
         """Loads and std (samples, p) of samples, any of some filters being right, and their predictions (rows, n)."""
         load, std = np.empty((len(Y), len(self.Cp))), np.empty((len(Y), len(self.Cp)))
-        A, B, G, own = self.A[rows], self.B[rows], self.G[rows], np.mean(self.std[rows] ** 2, axis=0)
+        A, B, G, own = self.A[rows], self.B[rows], self.G[rows], weights @ self.std[rows] ** 2
         for t, y in enumerate(Y):
             ahead = x @ self.H.T
             taken = np.where(np.isfinite(y), y, ahead)
             each = x @ self.Cp.T + np.matmul(G, (taken - ahead)[:, :, None])[:, :, 0]
-            load[t] = each.mean(axis=0)
-            std[t] = np.sqrt(own + np.mean((each - load[t]) ** 2, axis=0))
+            load[t] = weights @ each
+            std[t] = np.sqrt(own + weights @ (each - load[t]) ** 2)
             x = np.matmul(A, x[:, :, None])[:, :, 0] + np.matmul(B, taken[:, :, None])[:, :, 0]
         return load, std, x
 

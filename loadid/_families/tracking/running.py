@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures._flags import Flag
 from structures.errors import InputError, plain, reals
 
-from ..._guards.tracking import beyond_the_fit, faulty, kept_out, moved_off, unlike_the_fit
+from ..._guards.tracking import FAR, beyond_the_fit, faulty, kept_out, moved_off, unlike_the_fit
 from ..._inverse.gaussian.exports import FilterpyEngine
 from ..._inverse.gaussian.lag import fixed_lag
 from ..._inverse.gaussian.roots import Array
@@ -26,7 +26,7 @@ from .engine import Engine, Late
 from .fit import TrackerFit
 from .samples import Replay, inside
 from .bank import lifted_of
-from .watch import CONTRADICTING, FAULT, MISFIT, ChannelFault, Watch
+from .watch import CONTRADICTING, FAULT, HUGE, MISFIT, ChannelFault, Watch
 
 PIECES = 40  # at most, then half as many, twice as long
 SHORTEST = 10  # samples of a piece
@@ -211,7 +211,7 @@ class Running:
         if f.usual is None or bank is None or len(bank.out) != len(f.usual.squares):
             return None
         always = CONTRADICTING if any(flag.code == f"LID-W{CONTRADICTING}" for flag in f.flags) else 0
-        return Watch(f.model, bank, f.usual, self.gate is not None, always)
+        return Watch(f.model, bank, f.usual, self.gate is not None, always, f.most)
 
     def _made(self) -> None:
         """Engines of the fit, before their first sample."""
@@ -260,9 +260,8 @@ class Running:
             answer = self._placed(watch.taken(row))
             if (mixed := watch.loads(row[None])) is not None:
                 answer = self._either(*answer, mixed[0][0], mixed[1][0])
-        self.row_alarms = watch.row
-        if watch.row[0, 0]:
-            answer = self._bounded(*answer, watch.row[0])
+        load, std, self.row_alarms = self._bounded(answer[0][None], answer[1][None], watch.row)
+        answer = load[0], std[0]
         watch.add_one(plain(sample))
         if watch.filled == 0:
             self._settled(watch)
@@ -274,16 +273,21 @@ class Running:
             return mixed, spread
         return load, np.sqrt(spread**2 + (load - mixed) ** 2)
 
-    def _bounded(self, load: Array, std: Array, alarms: NDArray[np.int_]) -> tuple[Array, Array]:
-        """Loads and std (samples, loads), which what has an alarm does not take far beyond those of the fit."""
+    def _bounded(self, load: Array, std: Array, alarms: NDArray[np.int_]) -> tuple[Array, Array, NDArray[np.int_]]:
+        """Loads, std (samples, loads) and alarms, none of them far beyond what the fit saw.
+
+        That is `BEYOND` times its largest load where a sample has its alarm, `FAR` times where it has none before.
+        """
         if self.fitted.most is None or self.gate is None:
-            return load, std
-        most = BEYOND * self.fitted.most
-        code = alarms[..., :1]
-        away = ((code == FAULT) | (code == MISFIT)) & (np.abs(load) > most)
-        if not away.any():
-            return load, std
-        return np.where(away, np.clip(load, -most, most), load), np.where(away, np.maximum(std, most), std)
+            return load, std, alarms
+        size, code = np.abs(load), alarms[:, :1]
+        if not (size > BEYOND * self.fitted.most).any():
+            return load, std, alarms
+        wrong = (code == FAULT) | (code == MISFIT)
+        most = np.where(wrong, BEYOND, FAR) * self.fitted.most
+        away = size > most
+        load, std = np.where(away, np.clip(load, -most, most), load), np.where(away, np.maximum(std, most), std)
+        return load, std, np.where(away.any(axis=1, keepdims=True) & ~wrong, (HUGE, 0), alarms)
 
     def _settled(self, watch: Watch) -> None:
         """Go on from the state that the watch knows, where it takes a channel out."""
@@ -360,7 +364,7 @@ class Running:
             self._placed_block(taken, load[part], std[part], e[part], progress)
             if mixed is not None:
                 load[part], std[part] = self._either(load[part], std[part], *mixed)
-            load[part], std[part] = self._bounded(load[part], std[part], alarms)
+            load[part], std[part], self.row_alarms[part] = self._bounded(load[part], std[part], alarms)
             if self._watch.filled == 0:
                 self._settled(self._watch)
             start = part.stop

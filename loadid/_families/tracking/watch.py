@@ -31,13 +31,15 @@ from .bank import HOP, Bits, Lifted, lifted_of
 
 WINDOWS = (1, 2, 4, 8)  # hops
 KEPT = 16  # hops behind the present one at which channels may have been swapped
-SURE = 40.0  # -2 log of the likelihood ratio, at least
+SURE = 80.0  # -2 log of the likelihood ratio, at least
 MORE = 3.0  # times the largest of the fit
 ALONE = 0.25  # of a ratio, by which it must be ahead of that of every other channel
 SPREAD = 0.7  # of a ratio, that a single hop may give: one spike is no broken sensor
 USUAL = 2.0  # times the normalised squares of the fit, that samples have which a hypothesis explains
 STRANGE = 3.0  # times these, that samples have which do not fit
 AGAIN = 2.0  # times what the best hypothesis leaves unexplained, of one that is refuted
+REACHED = 4  # hops at whose ends the loads without a channel are held against those of the fit
+UNLIKELY = 9.0  # -2 log of the odds, of a hypothesis whose loads are far beyond those of the fit
 BACKS = (2, 3, 4)  # hops since channels may have been swapped, beside those kept and half of them
 SPIKE, FEW = 4.0, 2  # mean normalised square of a sample that may be a spike; how many a hop may have
 SETTLING = 10  # hops at the start and after the state may have jumped, which nobody judges
@@ -144,13 +146,17 @@ class Watch:
         Wrong channels are kept out.
     always : int
         Code of the rows in which nothing is found: what the fit has to say.
+    most : array (p,), optional
+        Largest loads of the fit.
     """
 
     def __init__(
-        self, model: FilterModel, bank: Lifted, usual: Usual, acts: bool = True, always: int = 0
+        self, model: FilterModel, bank: Lifted, usual: Usual, acts: bool = True, always: int = 0,
+        most: Array | None = None,
     ) -> None:  # fmt: skip
         q, m = len(bank.out), model.m
         self.model, self.acts, self.always = model, acts, always
+        self.most = np.full(model.p, np.inf) if most is None else most
         self._all, self._fitted = bank, usual
         self.x = np.tile(bank.x0, (q, 1))
         self.count, self.filled, self.buffer = 0, 0, np.zeros((HOP, m))
@@ -167,6 +173,8 @@ class Watch:
         self.named: list[ChannelFault] = []
         self.doubted = np.zeros(m, bool)  # channels any of which may be the wrong one
         self.either = np.zeros((0, len(bank.x0)))  # predictions of the filters without each of them
+        self.weights = np.zeros(0)  # of each of these
+        self.reached = np.zeros((0, m))  # loads without each channel over those of the fit, squared, of the last hops
         self.suspects = np.zeros(m, bool)  # channels that were, since the start
         self.unlike, self.kept = 0, 0  # samples that do not fit, channel samples kept out
         self._told()
@@ -195,7 +203,7 @@ class Watch:
         if not self.acts or not self.doubted.any():
             return None
         rows = np.array([self.bank.without(i) for i in np.flatnonzero(self.doubted)])
-        load, std, self.either = self.bank.mixed(rows, self.either, Y[..., self.order])
+        load, std, self.either = self.bank.mixed(rows, self.weights, self.either, Y[..., self.order])
         return load, std
 
     def taken(self, Y: Array) -> Array:
@@ -328,6 +336,8 @@ class Watch:
         self.before = np.concatenate([self.before[-KEPT:], self.x[:1]])
         Y, z, self.x = self._without_spikes(Y)
         self.keep(*self.said(z, Y, self.bank.out))
+        size = self.x[np.minimum(self.bank.groups[1:, 0], len(self.x) - 1)] @ self.bank.Cp.T / self.most
+        self.reached = np.concatenate([self.reached[1 - REACHED :], np.sum(size**2, axis=1)[None]])
         if not np.isfinite(self.x).all():
             self.x = np.where(np.isfinite(self.x).all(axis=1, keepdims=True), self.x, self.bank.x0)
 
@@ -406,12 +416,14 @@ class Watch:
             right = explained[w] < USUAL * usual
             lead = ratios[w, i] - np.delete(ratios[w], i)
             ahead = lead > ALONE * ratios[w, i]  # or the others leave more unexplained than ever
+            ahead |= np.delete(self.reached.max(axis=0), i) > self.reached[:, i].max() + UNLIKELY
             ahead |= (lead > SURE) & (np.delete(explained[w], i) > max(STRANGE * usual, AGAIN * explained[w, i]))
             if right[i] and over[w, i]:
                 beyond = self._beyond(i, w)
                 lasting = beyond.max() < SPREAD * beyond.sum()
                 if ahead.all() and lasting:
-                    self._hold(i)
+                    if not (strange and self._swap()):  # which explains both with less
+                        self._hold(i)
                     return
                 if ahead.all() and beyond[-1] >= SPREAD * beyond.sum() > 0:  # in this hop alone, until now
                     self._forgive(i)
@@ -436,10 +448,16 @@ class Watch:
         self.unlike += HOP * (self.alarm[0] == MISFIT)
 
     def _doubt(self, some: Bits) -> None:
-        """Any of some channels may be the wrong one from the next sample on."""
+        """Any of some channels may be the wrong one from the next sample on.
+
+        The less so, the larger the loads would have to be beside those of the fit (Gaussian, of such a std).
+        """
         self.doubted, self.suspects = some & self.bank.watched, self.suspects | some
-        rows = [self.bank.without(i) for i in np.flatnonzero(self.doubted)]
-        self.either = self.x[rows].copy()
+        which = np.flatnonzero(self.doubted)
+        self.either = self.x[[self.bank.without(i) for i in which]].copy()
+        size = self.reached.max(axis=0, initial=0.0)[which]
+        likely = np.exp(-0.5 * (size - size.min(initial=np.inf)))
+        self.weights = likely / likely.sum()
 
     def _beyond(self, i: int, window: int) -> Array:
         """What the hops of a window have of a channel beyond chance, in squares of its prediction."""
@@ -552,7 +570,7 @@ class Watch:
         """Begin new windows."""
         self.squares, self.counts, self.apart = self.squares[:0], self.counts[:0], self.apart[:0]
         self.past, self.before, self.strange, self.next_swap = self.past[:0], self.before[:0], 0, 2
-        self.doubted = np.zeros_like(self.doubted)
+        self.doubted, self.reached = np.zeros_like(self.doubted), self.reached[:0]
 
     # -- files ------------------------------------------------------------------------------------------------------
     def to_tree(self) -> dict[str, Any]:
@@ -579,11 +597,12 @@ class Watch:
         self._told()
 
 
-FAULT, MISFIT, CONTRADICTING = 528, 529, 530  # codes of the guards
+HUGE, FAULT, MISFIT, CONTRADICTING = 526, 528, 529, 530  # codes of the guards
 MIDDLE = np.arange(HOP) - (HOP - 1) / 2
 LOUD = 1e9  # -2 log of a ratio, at most
 TOP = 1e6  # normalised innovation, beyond which it is no larger
 ARRAYS = (
-    "x", "buffer", "squares", "counts", "apart", "past", "before", "order", "doubted", "suspects", "either",
+    "x", "buffer", "squares", "counts", "apart", "past", "before", "order", "doubted", "suspects", "either", "weights",
+    "reached",
 )  # fmt: skip
 NUMBERS = ("count", "filled", "good", "strange", "next_swap", "early", "unlike", "kept", "masked")
