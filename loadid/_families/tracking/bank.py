@@ -89,6 +89,11 @@ class Lifted:
         """Channels (m,) without which there is a filter."""
         return np.asarray(self.groups[1:, 0] < len(self.out))
 
+    @cached_property
+    def hypotheses(self) -> NDArray[np.int_]:
+        """Filters (1 + m,) with all channels, then without each, at usual loads; one past them if none."""
+        return self.groups[:, 0]
+
     def without(self, i: int) -> int:
         """The filter without a channel, at usual loads."""
         return int(self.groups[i + 1, 0])

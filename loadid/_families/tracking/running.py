@@ -26,13 +26,12 @@ from .engine import Engine, Late
 from .fit import TrackerFit
 from .samples import Replay, inside
 from .bank import lifted_of
-from .watch import CONTRADICTING, FAULT, HUGE, MISFIT, ChannelFault, Watch
+from .watch import CONTRADICTING, FARTHEST, FAULT, HUGE, MISFIT, ChannelFault, Watch
 
 PIECES = 40  # at most, then half as many, twice as long
 SHORTEST = 10  # samples of a piece
 FEWEST = 16  # pieces, from which a mean is judged
 ROUNDING = 1e-9  # of a number, below which it is none
-BEYOND = 3.0  # times the largest load of the fit, that a sample with an alarm may say
 SHOWN = 1e-3  # stds of an innovation that a load as large as its prior must add to the mean, to be taken for a mean
 
 
@@ -276,15 +275,15 @@ class Running:
     def _bounded(self, load: Array, std: Array, alarms: NDArray[np.int_]) -> tuple[Array, Array, NDArray[np.int_]]:
         """Loads, std (samples, loads) and alarms, none of them far beyond what the fit saw.
 
-        That is `BEYOND` times its largest load where a sample has its alarm, `FAR` times where it has none before.
+        That is `FARTHEST` times its largest load where a sample has its alarm, `FAR` times where it has none before.
         """
         if self.fitted.most is None or self.gate is None:
             return load, std, alarms
         size, code = np.abs(load), alarms[:, :1]
-        if not (size > BEYOND * self.fitted.most).any():
+        if not (size > FARTHEST * self.fitted.most).any():
             return load, std, alarms
         wrong = (code == FAULT) | (code == MISFIT)
-        most = np.where(wrong, BEYOND, FAR) * self.fitted.most
+        most = np.where(wrong, FARTHEST, FAR) * self.fitted.most
         away = size > most
         load, std = np.where(away, np.clip(load, -most, most), load), np.where(away, np.maximum(std, most), std)
         return load, std, np.where(away.any(axis=1, keepdims=True) & ~wrong, (HUGE, 0), alarms)

@@ -39,6 +39,7 @@ USUAL = 2.0  # times the normalised squares of the fit, that samples have which 
 STRANGE = 3.0  # times these, that samples have which do not fit
 AGAIN = 2.0  # times what the best hypothesis leaves unexplained, of one that is refuted
 REACHED = 4  # hops at whose ends the loads without a channel are held against those of the fit
+FARTHEST = 3.0  # times the largest load of the fit, beyond which a channel may be wrong instead
 UNLIKELY = 9.0  # -2 log of the odds, of a hypothesis whose loads are far beyond those of the fit
 BACKS = (2, 3, 4)  # hops since channels may have been swapped, beside those kept and half of them
 SPIKE, FEW = 4.0, 2  # mean normalised square of a sample that may be a spike; how many a hop may have
@@ -171,10 +172,10 @@ class Watch:
         self.masked = False  # kept out by the watch; before, by the gate
         self.good, self.strange, self.next_swap, self.early = 0, 0, 2, SETTLING
         self.named: list[ChannelFault] = []
-        self.doubted = np.zeros(m, bool)  # channels any of which may be the wrong one
-        self.either = np.zeros((0, len(bank.x0)))  # predictions of the filters without each of them
-        self.weights = np.zeros(0)  # of each of these
-        self.reached = np.zeros((0, m))  # loads without each channel over those of the fit, squared, of the last hops
+        self.doubted = np.zeros(1 + m, bool)  # that no channel is wrong, but the load large; that each is
+        self.either = np.zeros((0, len(bank.x0)))  # predictions of the filters of these
+        self.weights = np.zeros(0)  # of each of them
+        self.reached = np.zeros((0, 1 + m))  # their loads over those of the fit, squared, of the last hops
         self.suspects = np.zeros(m, bool)  # channels that were, since the start
         self.unlike, self.kept = 0, 0  # samples that do not fit, channel samples kept out
         self._told()
@@ -196,14 +197,17 @@ class Watch:
         swapped = np.flatnonzero(self.order != np.arange(len(self.order)))
         if len(swapped):
             return FAULT, int(swapped[0]) + 1
-        return (MISFIT, 0) if self.strange > 1 or self.doubted.any() else (self.always, 0)
+        if self.strange > 1:
+            return MISFIT, 0
+        return (HUGE if self.doubted[0] else MISFIT if self.doubted.any() else self.always), 0
 
     def loads(self, Y: Array) -> tuple[Array, Array] | None:
         """Loads and std (samples, p) of samples of a hop while any of some channels may be wrong; None otherwise."""
         if not self.acts or not self.doubted.any():
             return None
-        rows = np.array([self.bank.without(i) for i in np.flatnonzero(self.doubted)])
-        load, std, self.either = self.bank.mixed(rows, self.weights, self.either, Y[..., self.order])
+        load, std, self.either = self.bank.mixed(
+            self.bank.hypotheses[self.doubted], self.weights, self.either, Y[..., self.order]
+        )
         return load, std
 
     def taken(self, Y: Array) -> Array:
@@ -286,7 +290,7 @@ class Watch:
             self.early, strange, doubted = self.early - 1, self.strange, self.doubted
             self._forget()
             self.strange = strange  # its alarm stands meanwhile
-            self._doubt(doubted)
+            self._doubt(doubted[1:], bool(doubted[0]))
             self.settling = self.early == 0
         else:
             self.decide()
@@ -336,7 +340,7 @@ class Watch:
         self.before = np.concatenate([self.before[-KEPT:], self.x[:1]])
         Y, z, self.x = self._without_spikes(Y)
         self.keep(*self.said(z, Y, self.bank.out))
-        size = self.x[np.minimum(self.bank.groups[1:, 0], len(self.x) - 1)] @ self.bank.Cp.T / self.most
+        size = self.x[np.minimum(self.bank.hypotheses, len(self.x) - 1)] @ self.bank.Cp.T / self.most
         self.reached = np.concatenate([self.reached[1 - REACHED :], np.sum(size**2, axis=1)[None]])
         if not np.isfinite(self.x).all():
             self.x = np.where(np.isfinite(self.x).all(axis=1, keepdims=True), self.x, self.bank.x0)
@@ -409,14 +413,15 @@ class Watch:
         usual = self.usual.loudest
         strange = loud > STRANGE * usual and self._last() > STRANGE * usual  # a spike lies back
         over = ratios > SURE + MORE * self.usual.most
-        some = np.zeros(len(self.order), bool)
+        some, none = np.zeros(len(self.order), bool), False
         if over.any():
             w = int(np.argmax(np.where(over, ratios, -np.inf).max(axis=1)))
             i = int(np.argmax(ratios[w]))
             right = explained[w] < USUAL * usual
             lead = ratios[w, i] - np.delete(ratios[w], i)
             ahead = lead > ALONE * ratios[w, i]  # or the others leave more unexplained than ever
-            ahead |= np.delete(self.reached.max(axis=0), i) > self.reached[:, i].max() + UNLIKELY
+            far = self.reached[:, 1:].max(axis=0)
+            ahead |= np.delete(far, i) > far[i] + UNLIKELY
             ahead |= (lead > SURE) & (np.delete(explained[w], i) > max(STRANGE * usual, AGAIN * explained[w, i]))
             if right[i] and over[w, i]:
                 beyond = self._beyond(i, w)
@@ -444,19 +449,24 @@ class Watch:
                 self.early = SETTLING  # no channel explains it: the state may have jumped
         elif not strange and self.strange == 0:
             self.next_swap = 2
-        self._doubt(some if some.any() or self.strange < 2 else self.bank.watched)
+        if not some.any() and self.strange < 2 and np.all(self.reached[-2:, 0] > FARTHEST**2):
+            some, none = explained[0] < USUAL * usual, True
+        unlike = not some.any() and self.strange > 1
+        self._doubt(self.bank.watched if unlike else some, none or unlike)
         self.unlike += HOP * (self.alarm[0] == MISFIT)
 
-    def _doubt(self, some: Bits) -> None:
-        """Any of some channels may be the wrong one from the next sample on.
+    def _doubt(self, some: Bits, none: bool = False) -> None:
+        """Any of some channels may be the wrong one from the next sample on, or none of them.
 
-        The less so, the larger the loads would have to be beside those of the fit (Gaussian, of such a std).
+        A hypothesis is the less likely, the larger its loads are beside those of the fit: Gaussian, of such a std,
+        where something is wrong for sure; where the load may be one that the fit did not know, with the tails of Cauchy.
         """
-        self.doubted, self.suspects = some & self.bank.watched, self.suspects | some
-        which = np.flatnonzero(self.doubted)
-        self.either = self.x[[self.bank.without(i) for i in which]].copy()
-        size = self.reached.max(axis=0, initial=0.0)[which]
-        likely = np.exp(-0.5 * (size - size.min(initial=np.inf)))
+        some = some & self.bank.watched
+        self.suspects = self.suspects | some
+        self.doubted = np.r_[none and bool(some.any()), some]
+        self.either = self.x[self.bank.hypotheses[self.doubted]].copy()
+        size = self.reached.max(axis=0, initial=0.0)[self.doubted]
+        likely = 1 / (1 + size) if none and self.strange < 2 else np.exp(-0.5 * (size - size.min(initial=np.inf)))
         self.weights = likely / likely.sum()
 
     def _beyond(self, i: int, window: int) -> Array:
@@ -487,7 +497,7 @@ class Watch:
         f = self.bank.without(i)
         self.held, self.good, self.masked = ChannelFault(i, -1, self._kind(i, f), self.count), 0, False
         self.named.append(self.held)
-        self._doubt(np.zeros_like(self.doubted))
+        self._doubt(np.zeros(len(self.order), bool))
 
     def _kind(self, i: int, f: int) -> str:
         """What a channel does, in a word."""
