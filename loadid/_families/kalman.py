@@ -188,7 +188,9 @@ class LoadTracker:
         settled = self._settled(model, data.dt)
         bank = tuple((w, m, self._settled(m, data.dt)) for w, m in posing.bank(x, self.errors, scale))
         self._progress(0.9, "testing the innovations")
-        certificate, e, wider, most = self._certified(model, settled, data)
+        lengths = [float(length) / data.dt if isinstance(g, Named) and (length := tuned.words.get(name)) else None
+                   for name, g in ((f"length of load {j + 1}", g) for j, g in enumerate(self.given))]  # fmt: skip
+        certificate, e, wider, most = self._certified(model, settled, data, lengths)
         fitted = TrackerFit(
             model=model,
             settled=settled,
@@ -286,7 +288,7 @@ class LoadTracker:
             raise
 
     def _certified(
-        self, model: Any, settled: SteadyFilter | None, data: Data
+        self, model: Any, settled: SteadyFilter | None, data: Data, lengths: Sequence[float | None]
     ) -> tuple[TrackCertificate, Array, Array | None, Array]:
         Y = np.where(data.missing, np.nan, data.values)[:LONGEST]
         engine = Engine(model, settled, None)
@@ -297,7 +299,7 @@ class LoadTracker:
         constant = np.inf if settled is None else settled.time_constant
         nis = _nis(settled, e[first:])
         shares, wider = _left_out(model, data, first, settled, load)
-        found = certify(e[first:], nis, shares, labels, constant)
+        found = certify(e[first:], nis, shares, labels, constant, lengths)
         banded_one = banded(found, settled, [c.label for c in self.model.loads], data.dt)
         return banded_one, e[first:], wider, np.max(np.abs(load[first:]) + std[first:], axis=0)
 

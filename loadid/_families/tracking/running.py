@@ -22,10 +22,10 @@ from ..._inverse.gaussian.exports import FilterpyEngine
 from ..._inverse.gaussian.lag import fixed_lag
 from ..._inverse.gaussian.roots import Array
 from ..._inverse.gaussian.steady import SteadyFilter
+from .bank import lifted_of
 from .engine import Engine, Late
 from .fit import TrackerFit
 from .samples import Replay, inside
-from .bank import lifted_of
 from .watch import CONTRADICTING, FARTHEST, FAULT, HUGE, MISFIT, ChannelFault, Watch
 
 PIECES = 40  # at most, then half as many, twice as long
@@ -181,11 +181,14 @@ class Running:
         found = (
             kept_out(counts["gated"], counts["samples"] * len(labels), counts["steps"], counts["believed"],
                      dict(zip(labels, beyond.tolist(), strict=True))),
-            beyond_the_fit(getattr(engine, "largest", 0.0)),
+            beyond_the_fit(getattr(engine, "largest", 0.0), 0.0 if self._watch is None else self._watch.far),
             moved_off(self._means.errors(None if f.settled is None else constant(f.settled)), labels),
             None if self._watch is None else faulty([(labels[x.channel], None if x.other < 0 else labels[x.other],
                                                       x.kind, x.sample) for x in self._watch.named], self._watch.acts),
-            None if self._watch is None else unlike_the_fit(self._watch.unlike, self._watch.usual.loudest),
+            None if self._watch is None else unlike_the_fit(
+                self._watch.unlike, self._watch.usual.loudest,
+                [labels[self._watch.order[i]] for i in np.flatnonzero(self._watch.suspects)],
+            ),
         )  # fmt: skip
         return tuple(flag for flag in found if flag is not None)
 
@@ -267,7 +270,7 @@ class Running:
         return answer
 
     def _either(self, load: Array, std: Array, mixed: Array, spread: Array) -> tuple[Array, Array]:
-        """Loads and std where any of some channels may be wrong; late ones are the filter's, as far off as that says."""
+        """Loads and std where any of some channels may be wrong; late ones are the filter's, with that far a band."""
         if self._late is None:
             return mixed, spread
         return load, np.sqrt(spread**2 + (load - mixed) ** 2)

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._guards.tracking import STAYS
 from ..._inverse.gaussian.model import FilterModel, FilterState
 from ..._inverse.gaussian.roots import Array
 from .bank import HOP, Bits, Lifted, lifted_of
@@ -39,7 +40,7 @@ USUAL = 2.0  # times the normalised squares of the fit, that samples have which 
 STRANGE = 3.0  # times these, that samples have which do not fit
 AGAIN = 2.0  # times what the best hypothesis leaves unexplained, of one that is refuted
 REACHED = 4  # hops at whose ends the loads without a channel are held against those of the fit
-FARTHEST = 3.0  # times the largest load of the fit, beyond which a channel may be wrong instead
+FARTHEST = STAYS  # times the largest load of the fit, beyond which a channel may be wrong instead
 UNLIKELY = 9.0  # -2 log of the odds, of a hypothesis whose loads are far beyond those of the fit
 BACKS = (2, 3, 4)  # hops since channels may have been swapped, beside those kept and half of them
 SPIKE, FEW = 4.0, 2  # mean normalised square of a sample that may be a spike; how many a hop may have
@@ -177,6 +178,7 @@ class Watch:
         self.weights = np.zeros(0)  # of each of them
         self.reached = np.zeros((0, 1 + m))  # their loads over those of the fit, squared, of the last hops
         self.suspects = np.zeros(m, bool)  # channels that were, since the start
+        self.far = 0.0  # times the largest load of the fit
         self.unlike, self.kept = 0, 0  # samples that do not fit, channel samples kept out
         self._told()
         self.reseed: FilterState | None = None
@@ -437,10 +439,10 @@ class Watch:
                     some = right & over[w]
         if len(self.squares) > 1:
             self.strange = self.strange + 1 if strange else max(self.strange - 1, 0) // 2
-        if strange and (silent := self._silent()) is not None:
-            if explained[0, silent] < STRANGE * usual or self.strange >= JUMPED:
-                self._hold(silent)
-                return
+        silent = self._silent() if strange else None
+        if silent is not None and (explained[0, silent] < STRANGE * usual or self.strange >= JUMPED):
+            self._hold(silent)
+            return
         if strange and self.strange >= self.next_swap:
             self.next_swap = self.strange + max(self.strange // 2, 1)
             if self._swap():
@@ -451,6 +453,7 @@ class Watch:
             self.next_swap = 2
         if not some.any() and self.strange < 2 and np.all(self.reached[-2:, 0] > FARTHEST**2):
             some, none = explained[0] < USUAL * usual, True
+            self.far = max(self.far, float(np.sqrt(self.reached[-1, 0])))
         unlike = not some.any() and self.strange > 1
         self._doubt(self.bank.watched if unlike else some, none or unlike)
         self.unlike += HOP * (self.alarm[0] == MISFIT)
@@ -459,7 +462,7 @@ class Watch:
         """Any of some channels may be the wrong one from the next sample on, or none of them.
 
         A hypothesis is the less likely, the larger its loads are beside those of the fit: Gaussian, of such a std,
-        where something is wrong for sure; where the load may be one that the fit did not know, with the tails of Cauchy.
+        where something is wrong for sure; with the tails of Cauchy where the load may be one that the fit did not know.
         """
         some = some & self.bank.watched
         self.suspects = self.suspects | some
@@ -588,7 +591,7 @@ class Watch:
         faults = [[f.channel, f.other, f.kind, f.sample] for f in self.named]
         return {
             **{name: getattr(self, name) for name in ARRAYS}, **{name: getattr(self, name) for name in NUMBERS},
-            "named": faults, "held": self.held is not None, "there": self.bank.there,
+            "named": faults, "held": self.held is not None, "there": self.bank.there, "far": self.far,
         }  # fmt: skip
 
     def restore(self, tree: dict[str, Any]) -> None:
@@ -602,6 +605,7 @@ class Watch:
             self._take(bank)
         for name in NUMBERS:
             setattr(self, name, int(tree[name]))
+        self.far = float(tree.get("far", 0.0))
         self.named = [ChannelFault(int(c), int(o), str(k), int(s)) for c, o, k, s in tree["named"]]
         self.held = self.named[-1] if tree["held"] else None
         self._told()
