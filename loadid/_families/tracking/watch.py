@@ -199,9 +199,11 @@ class Watch:
         swapped = np.flatnonzero(self.order != np.arange(len(self.order)))
         if len(swapped):
             return FAULT, int(swapped[0]) + 1
+        either = np.flatnonzero(self.doubted[1:])
+        one = int(self.order[either[0]]) + 1 if len(either) == 1 else 0
         if self.strange > 1:
-            return MISFIT, 0
-        return (HUGE if self.doubted[0] else MISFIT if self.doubted.any() else self.always), 0
+            return MISFIT, one
+        return (HUGE if self.doubted[0] else MISFIT if len(either) else self.always), one
 
     def loads(self, Y: Array) -> tuple[Array, Array] | None:
         """Loads and std (samples, p) of samples of a hop while any of some channels may be wrong; None otherwise."""
@@ -451,9 +453,10 @@ class Watch:
                 self.early = SETTLING  # no channel explains it: the state may have jumped
         elif not strange and self.strange == 0:
             self.next_swap = 2
-        if not some.any() and self.strange < 2 and np.all(self.reached[-2:, 0] > FARTHEST**2):
-            some, none = explained[0] < USUAL * usual, True
-            self.far = max(self.far, float(np.sqrt(self.reached[-1, 0])))
+        beyond = self.reached[-2:] > FARTHEST**2
+        if not some.any() and self.strange < 2 and beyond[:, 0].all():  # unless no other load is possible
+            some, none = (explained[0] < USUAL * usual) & ~beyond[:, 1:].any(axis=0) & self.bank.watched, True
+            self.far = max(self.far, float(np.sqrt(self.reached[-1, 0]) * some.any()))
         unlike = not some.any() and self.strange > 1
         self._doubt(self.bank.watched if unlike else some, none or unlike)
         self.unlike += HOP * (self.alarm[0] == MISFIT)
