@@ -56,7 +56,7 @@ class StreamSummary:
     phase : str
         Of the tracker.
     alarm : tuple of (float, int, int), optional
-        Time from which the rows have had an alarm until the last one, its code and channel (from 1; 0 for none).
+        Time from which the rows have had the alarm of the last one, its code and channel (from 1; 0 for none).
     """
 
     samples: int
@@ -261,14 +261,12 @@ class _Run:
         return len(Y)
 
     def _heard(self, times: Array, alarms: NDArray[np.int_]) -> None:
-        """Since when every row has had its alarm, and what the last one says."""
-        calm = np.flatnonzero(alarms[:, 0] == 0)
-        first = int(calm[-1]) + 1 if len(calm) else 0
-        if first == len(times):
-            self.alarm = None
-            return
-        since = times[first] if len(calm) or self.alarm is None else self.alarm[0]
-        self.alarm = float(since), int(alarms[-1, 0]), int(alarms[-1, 1])
+        """Since when every row has had the alarm of the last one."""
+        code, channel = (int(x) for x in alarms[-1])
+        others = np.flatnonzero(np.any(alarms != alarms[-1], axis=1))
+        goes_on = not len(others) and self.alarm is not None and self.alarm[1:] == (code, channel)
+        if not goes_on:
+            self.alarm = (float(times[int(others[-1]) + 1 if len(others) else 0]), code, channel) if code else None
 
     def _tracked(self, Y: Array, behind: list[Behind]) -> tuple[Array, Array, NDArray[np.int_]]:
         """Loads, stds, alarms of samples, each late row put in its place when it comes: answers that are out stay."""

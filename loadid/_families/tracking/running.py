@@ -203,6 +203,8 @@ class Running:
         self._means = Means(self.fitted.model.m)
         self._ring = Replay(self.replay) if self.replay else None
         self._watch = self._watching()
+        most = np.inf if self.fitted.most is None or self.gate is None else self.fitted.most
+        self._limit = FARTHEST * np.broadcast_to(most, self._p)
         self.row_alarms = np.zeros((0, 2), int)
         self._made()
 
@@ -262,8 +264,10 @@ class Running:
             answer = self._placed(watch.taken(row))
             if (mixed := watch.loads(row[None])) is not None:
                 answer = self._either(*answer, mixed[0][0], mixed[1][0])
-        load, std, self.row_alarms = self._bounded(answer[0][None], answer[1][None], watch.row)
-        answer = load[0], std[0]
+        self.row_alarms = watch.row
+        if not (np.abs(answer[0]) <= self._limit).all():
+            load, std, self.row_alarms = self._bounded(answer[0][None], answer[1][None], watch.row)
+            answer = load[0], std[0]
         watch.add_one(plain(sample))
         if watch.filled == 0:
             self._settled(watch)
@@ -280,13 +284,11 @@ class Running:
 
         That is `FARTHEST` times its largest load where a sample has its alarm, `FAR` times where it has none before.
         """
-        if self.fitted.most is None or self.gate is None:
-            return load, std, alarms
         size, code = np.abs(load), alarms[:, :1]
-        if not (size > FARTHEST * self.fitted.most).any():
+        if (size <= self._limit).all():
             return load, std, alarms
         wrong = (code == FAULT) | (code == MISFIT)
-        most = np.where(wrong, FARTHEST, FAR) * self.fitted.most
+        most = np.where(wrong, 1.0, FAR / FARTHEST) * self._limit
         away = size > most
         load, std = np.where(away, np.clip(load, -most, most), load), np.where(away, np.maximum(std, most), std)
         return load, std, np.where(away.any(axis=1, keepdims=True) & ~wrong, (HUGE, 0), alarms)

@@ -417,7 +417,8 @@ class Watch:
         usual = self.usual.loudest
         strange = loud > STRANGE * usual and self._last() > STRANGE * usual  # a spike lies back
         over = ratios > SURE + MORE * self.usual.most
-        some, none = np.zeros(len(self.order), bool), False
+        some: Bits = np.zeros(len(self.order), bool)
+        none = False
         if over.any():
             w = int(np.argmax(np.where(over, ratios, -np.inf).max(axis=1)))
             i = int(np.argmax(ratios[w]))
@@ -453,12 +454,13 @@ class Watch:
                 self.early = SETTLING  # no channel explains it: the state may have jumped
         elif not strange and self.strange == 0:
             self.next_swap = 2
-        beyond = self.reached[-2:] > FARTHEST**2
-        if not some.any() and self.strange < 2 and beyond[:, 0].all():  # unless no other load is possible
-            some, none = (explained[0] < USUAL * usual) & ~beyond[:, 1:].any(axis=0) & self.bank.watched, True
+        large = self.reached[-2:] > FARTHEST**2
+        if not some.any() and self.strange < 2 and large[:, 0].all():  # unless no other load is possible
+            none, some = True, np.asarray(explained[0] < USUAL * usual) & ~large[:, 1:].any(axis=0) & self.bank.watched
             self.far = max(self.far, float(np.sqrt(self.reached[-1, 0]) * some.any()))
         unlike = not some.any() and self.strange > 1
-        self._doubt(self.bank.watched if unlike else some, none or unlike)
+        if unlike or some.any() or self.doubted.any():
+            self._doubt(self.bank.watched if unlike else some, none or unlike)
         self.unlike += HOP * (self.alarm[0] == MISFIT)
 
     def _doubt(self, some: Bits, none: bool = False) -> None:
