@@ -265,6 +265,24 @@ def show(tracker: Tracker, done: StreamSummary) -> str:
     return "\n".join(lines)
 
 
+ALARMS = {
+    526: "the load is far beyond that of the fit: look whether it can be, or a sensor that sees it alone is wrong",
+    528: "is wrong and kept out, or taken the other way round: look at the sensor and its cable",
+    529: "the samples do not fit, and no single channel explains it: look at all sensors, and whether the structure "
+    "has changed; the band holds what any of them may say",
+    530: "the sensors contradict each other by this model since the fit: check the model",
+}
+
+
+def show_alarm(tracker: Tracker, done: StreamSummary) -> str:
+    """The alarm in which a stream ended, in a line; nothing where it did not."""
+    if done.alarm is None:
+        return ""
+    since, code, channel = done.alarm
+    named = f" channel {tracker.fitted.sensors[channel - 1].label}" if channel else ""
+    return f"alarm since {since:.6g} s (W{code}):{named} {ALARMS.get(code, '')}\n"
+
+
 def show_fit(record: str, tracker: Tracker) -> str:
     """What a fit has found, in words."""
     f = tracker.fitted
@@ -365,13 +383,16 @@ def _told(args: Namespace, tracker: Tracker, done: StreamSummary) -> None:
             "phase": done.phase, "counts": done.counts, "flags": [f.to_dict() for f in tracker.flags],
             "prior": tracker.fitted.words, "tuned": dict(tracker.fitted.numbers),
             "verdict": None if tracker.certificate is None else tracker.certificate.verdict}  # fmt: skip
+    if done.alarm is not None:
+        data["alarm"] = dict(zip(("since", "code", "channel"), done.alarm, strict=True))
     if args.out != "-":
         emit(args, data, show(tracker, done))
-        return
-    from contextlib import redirect_stdout
+    else:
+        from contextlib import redirect_stdout
 
-    with redirect_stdout(sys.stderr):  # standard output is the table
-        emit(args, data, show(tracker, done))
+        with redirect_stdout(sys.stderr):  # standard output is the table
+            emit(args, data, show(tracker, done))
+    sys.stderr.write(show_alarm(tracker, done))
 
 
 command = Command("track", "follow a stream of samples with the loads and their stds", _configure, _run)

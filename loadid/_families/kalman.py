@@ -188,7 +188,9 @@ class LoadTracker:
         settled = self._settled(model, data.dt)
         bank = tuple((w, m, self._settled(m, data.dt)) for w, m in posing.bank(x, self.errors, scale))
         self._progress(0.9, "testing the innovations")
-        certificate, e, wider = self._certified(model, settled, data)
+        lengths = [float(length) / data.dt if isinstance(g, Named) and (length := tuned.words.get(name)) else None
+                   for name, g in ((f"length of load {j + 1}", g) for j, g in enumerate(self.given))]  # fmt: skip
+        certificate, e, wider, most = self._certified(model, settled, data, lengths)
         fitted = TrackerFit(
             model=model,
             settled=settled,
@@ -208,6 +210,7 @@ class LoadTracker:
             recipe=self._recipe(posing, x, scale),
             usual=usual(model, np.where(data.missing, np.nan, data.values)[:LONGEST]),
             wider=wider,
+            most=most,
         )
         self._progress(1.0, "done")
         tracker = Tracker(fitted, self.gate, self._lag(settled), replay=self.online.replay, engine=self.online.engine)
@@ -285,8 +288,8 @@ class LoadTracker:
             raise
 
     def _certified(
-        self, model: Any, settled: SteadyFilter | None, data: Data
-    ) -> tuple[TrackCertificate, Array, Array | None]:
+        self, model: Any, settled: SteadyFilter | None, data: Data, lengths: Sequence[float | None]
+    ) -> tuple[TrackCertificate, Array, Array | None, Array]:
         Y = np.where(data.missing, np.nan, data.values)[:LONGEST]
         engine = Engine(model, settled, None)
         load, std, e = np.empty((len(Y), model.p)), np.empty((len(Y), model.p)), np.full(Y.shape, np.nan)
@@ -296,8 +299,9 @@ class LoadTracker:
         constant = np.inf if settled is None else settled.time_constant
         nis = _nis(settled, e[first:])
         shares, wider = _left_out(model, data, first, settled, load)
-        found = certify(e[first:], nis, shares, labels, constant)
-        return banded(found, settled, [c.label for c in self.model.loads], data.dt), e[first:], wider
+        found = certify(e[first:], nis, shares, labels, constant, lengths)
+        banded_one = banded(found, settled, [c.label for c in self.model.loads], data.dt)
+        return banded_one, e[first:], wider, np.max(np.abs(load[first:]) + std[first:], axis=0)
 
     def _flags(
         self, data: Data, seen: Observability, model: Any, settled: SteadyFilter | None, certificate: TrackCertificate,

@@ -92,6 +92,7 @@ FEW, OFTEN = 10, 2e-3  # channel samples beyond a gate before it is said, and th
 MOST = 4  # channels that are named with them
 AGREE = 0.8  # least share of a channel inside the 95 % band that the others predict
 FAR = 100.0  # times the load of the fit (40 dB) of an event: tuned in the wind and then hit with a hammer is less
+STAYS = 3.0  # times the largest load of the fit
 SHIFTED = (
     8.0  # standard errors of a mean in service: asked at every block, so that 4 would come by chance in a long day
 )
@@ -200,14 +201,23 @@ def kept_out(
     )
 
 
-def beyond_the_fit(size: float) -> Flag | None:
-    """W526: an event of the load was taken up that is far beyond what the fit saw.
+def beyond_the_fit(size: float, times: float = 0.0) -> Flag | None:
+    """W526: an event of the load was taken up that is far beyond what the fit saw, or the load stays there.
 
     Parameters
     ----------
     size : float
         Largest event that was taken up, over the one that makes the load as large as its prior says.
+    times : float
+        Largest load that stayed beyond that of the fit, over it; 0 where none did.
     """
+    if times:
+        return Flag(
+            "W526",
+            Evidence("largest load over that of the fit", float(times), STAYS),
+            f"the load came to {times:.3g} times the largest of the fit and stayed: it is that large, or a sensor that "
+            "alone sees its slow part is wrong; the band holds both",
+        )
     if size <= FAR:
         return None
     return Flag(
@@ -251,10 +261,21 @@ def faulty(faults: Sequence[tuple[str, str | None, str, int]], acts: bool = True
     )
 
 
-def unlike_the_fit(samples: int, loudest: float) -> Flag | None:
-    """W529: samples in service that neither the model nor one wrong channel explains; `loudest` of the fit."""
+def unlike_the_fit(samples: int, loudest: float, suspects: Sequence[str] = ()) -> Flag | None:
+    """W529: samples in service that neither the model nor one wrong channel explains; `loudest` of the fit.
+
+    `suspects`: channels any of which may have been the wrong one.
+    """
     if not samples:
         return None
+    if suspects:
+        return Flag(
+            "W529",
+            Evidence("samples in service that do not fit", float(samples), 0.0),
+            f"for {samples} samples the innovations were larger than in any part of the record of the fit (there at "
+            f"most {loudest:.3g} times their mean): one of {', '.join(suspects)} is wrong, or the structure has "
+            "changed, and the samples do not tell which; the band holds what the others say without each of them",
+        )
     return Flag(
         "W529",
         Evidence("samples in service that do not fit", float(samples), 0.0),

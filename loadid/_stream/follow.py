@@ -55,6 +55,8 @@ class StreamSummary:
         Of the whole stream, earlier runs among them; only what is not zero.
     phase : str
         Of the tracker.
+    alarm : tuple of (float, int, int), optional
+        Time from which the rows have had the alarm of the last one, its code and channel (from 1; 0 for none).
     """
 
     samples: int
@@ -63,6 +65,7 @@ class StreamSummary:
     ended: str
     counts: dict[str, int]
     phase: str
+    alarm: tuple[float, int, int] | None = None
 
 
 def follow(
@@ -130,6 +133,8 @@ class _Run:
         layout = before.get("layout")
         self.lines = Lines(f.sensors, None if layout is None else ColumnLayout.from_tree(layout), units)
         self.clock = Clock(f.dt, tracker.replay)
+        since = before.get("alarm")
+        self.alarm = None if since is None else (float(since[0]), int(since[1]), int(since[2]))
         self.waiting = np.array(before.get("waiting", []), float)  # times of samples that are answered later
         same = before.get("source") == _identity(source)
         heading = before.get("heading")  # of a line whose units may still come
@@ -188,7 +193,9 @@ class _Run:
         if broken is not None:
             raise broken
         counts = self.counts | ({"unfinished": 1} if self.lines.rest.strip() else {})
-        return StreamSummary(samples, time.monotonic() - begun, self.resumed, ended, counts, self.tracker.phase)
+        return StreamSummary(
+            samples, time.monotonic() - begun, self.resumed, ended, counts, self.tracker.phase, self.alarm
+        )
 
     def close(self) -> None:
         self.source.close()
@@ -219,6 +226,7 @@ class _Run:
             "waits": dict(self.source.counts),
             "output": self.output.place(),
             "alarms": self.alarms,
+            "alarm": None if self.alarm is None else list(self.alarm),
         }
         checkpoint.save(self.tracker, self.state, stream)
 
@@ -245,11 +253,20 @@ class _Run:
         times, Y = self.clock.place(stamps, values)
         load, std, alarms = self._tracked(Y, self.clock.behind)
         if len(Y):
+            self._heard(times, alarms)
             answers = self._answered(times, load, std)
             self.output.write(*answers, alarms[len(Y) - len(answers[0]) :] if self.alarms else None)
             if len(answers[0]):
                 watch(*answers)
         return len(Y)
+
+    def _heard(self, times: Array, alarms: NDArray[np.int_]) -> None:
+        """Since when every row has had the alarm of the last one."""
+        code, channel = (int(x) for x in alarms[-1])
+        others = np.flatnonzero(np.any(alarms != alarms[-1], axis=1))
+        goes_on = not len(others) and self.alarm is not None and self.alarm[1:] == (code, channel)
+        if not goes_on:
+            self.alarm = (float(times[int(others[-1]) + 1 if len(others) else 0]), code, channel) if code else None
 
     def _tracked(self, Y: Array, behind: list[Behind]) -> tuple[Array, Array, NDArray[np.int_]]:
         """Loads, stds, alarms of samples, each late row put in its place when it comes: answers that are out stay."""

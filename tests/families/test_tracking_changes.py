@@ -11,6 +11,7 @@ import pytest
 from loadid import LoadTracker, Online, priors
 from loadid._families.tracking.fit import TrackerFit
 from loadid._families.tracking.tracker import Tracker
+from loadid._families.tracking.watch import MISFIT
 from loadid._spellings import folded
 from structures import ForwardModel, InputError, chains, damping, loads, sensors
 from tests.tracked import Tracked, bm2
@@ -162,7 +163,10 @@ def test_a_tracker_goes_on_with_a_stiffness_that_has_changed(from_file, tmp_path
     assert z.max() < 5
     assert updated.counts["gated"] == 0
     old, band, _ = kept.run(y[change:])
-    assert np.mean(np.abs(old - c.load[change:]) / band < 1.96) < 0.5
+    assert np.mean(np.abs(old - c.load[change:]) / band < 1.96) < 0.8
+    assert np.mean(kept.row_alarms[100:, 0] == MISFIT) > 0.9
+    assert np.median(band) > 3 * np.median(std)
+    assert np.linalg.norm(old - c.load[change:]) > 5 * np.linalg.norm(load - c.load[change:])
     updated.save(tmp_path / "u.h5")
     again = Tracker.load(tmp_path / "u.h5", building(0.9))
     assert np.array_equal(again.run(y[:9])[0], updated.run(y[:9])[0])

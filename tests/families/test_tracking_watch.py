@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from loadid._families.tracking.tracker import Tracker
-from loadid._families.tracking.watch import FAULT, MISFIT
+from loadid._families.tracking.watch import FARTHEST, FAULT, MISFIT
 from tests.campaigns.tracking import BEGIN, FAULTS, SOON, followed, service
 
 DRAWN = 500_007  # a chain with four displacement sensors and one load
+TWO = 3_100_020  # a chain with two displacement sensors and one load
 
 
 @cache
@@ -72,7 +73,7 @@ def test_without_a_gate_it_is_said_and_believed():
     assert [f.kind for f in deaf.faults] == ["stuck"]
 
 
-@pytest.mark.parametrize("fault", ["offset", "swapped"])
+@pytest.mark.parametrize("fault", ["offset", "swapped", "drift"])
 def test_rows_blocks_and_a_restart_give_the_same_bits(fault, tmp_path):
     y = service(DRAWN, fault).record
     whole = Tracker(fitted().fitted, fitted().gate)
@@ -115,3 +116,40 @@ def test_what_no_single_channel_explains_has_its_alarm_too():
     tracker.run(y)
     assert np.mean(tracker.row_alarms[BEGIN + SOON :, 0] == MISFIT) > 0.8
     assert "LID-W529" in {f.code for f in tracker.flags}
+
+
+def test_where_no_channel_can_be_told_from_another_the_band_holds_what_each_leaves():
+    """Two sensors, one load, one of them drifts: which one nobody can tell."""
+    given = service(TWO, "drift")
+    tracker = given.tracker()
+    load, std, _ = tracker.run(given.record)
+    late = slice(BEGIN + SOON, None)
+    assert tracker.faults == ()
+    assert np.all(tracker.row_alarms[late, 0] == MISFIT)
+    assert np.mean(np.abs(load - given.truth)[late] < 1.96 * std[late]) > 0.9
+    assert np.sqrt(np.mean(std[late] ** 2)) < 2 * np.sqrt(np.mean((load - given.truth)[late] ** 2))
+    (flag,) = [f for f in tracker.flags if f.code == "LID-W529"]
+    assert "s0, s1" in flag.message
+
+
+def test_a_channel_is_named_while_another_one_is_missing():
+    y = service(DRAWN, "offset").record.copy()
+    (wrong,) = service(DRAWN, "offset").wrong
+    gone = (wrong + 1) % y.shape[1]
+    y[200:, gone] = np.nan
+    tracker = Tracker(fitted().fitted, fitted().gate)
+    tracker.run(y)
+    assert {f.channel for f in tracker.faults} == {wrong}
+    assert tracker.faults[0].sample <= BEGIN + SOON
+    assert not tracker.row_alarms[:BEGIN].any()
+
+
+def test_a_load_with_an_alarm_stays_within_reach_of_those_of_the_fit():
+    y = service(DRAWN).record.copy()
+    y[BEGIN:] += 1e6 * y.std(axis=0) * np.random.default_rng(0).standard_normal(y[BEGIN:].shape)
+    tracker = Tracker(fitted().fitted, fitted().gate)
+    load, std, _ = tracker.run(y)
+    late = slice(BEGIN + SOON, None)
+    assert tracker.fitted.most is not None
+    assert np.all(np.abs(load[late]) <= FARTHEST * tracker.fitted.most)
+    assert np.all(std[late] >= tracker.fitted.most)

@@ -227,3 +227,18 @@ def test_a_new_start_loads_nothing_that_it_does_not_need(made, tmp_path):
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert ran.stdout.splitlines()[-1] == "0"
     assert np.array_equal(table(tmp_path / "o"), expected(made))
+
+
+def test_the_alarm_in_which_a_stream_ends_is_said_in_a_line(made, run, tmp_path):
+    """The run has done what it was asked for: exit 0, in rows and last line what is wrong."""
+    log, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    Y = made[1].copy()
+    Y[300:, 1] = Y[300, 1]
+    log.write_bytes(b"".join(text(made[0], Y)))
+    code, said, err = run("--model", made[3], "--in", log, "--out", out, "--idle", "0", "--json")
+    alarm = json.loads(said)["alarm"]
+    label = made[0].fitted.sensors[1].label
+    assert code == 0
+    assert (alarm["code"], alarm["channel"]) == (528, 2)
+    assert 300 < round(alarm["since"] / made[0].fitted.dt) <= 400
+    assert err.splitlines()[-1].startswith(f"alarm since {alarm['since']:.6g} s (W528): channel {label} is wrong")

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._guards.tracking import CALM, RESTLESS
 from ..._inverse.gaussian.roots import Array
 from ..._inverse.gaussian.steady import SteadyFilter
 
@@ -81,7 +82,11 @@ LAGS = 20
 LEVEL = 0.05
 WIDE = 1.96
 QUARTILE = 0.6745  # std of a normal number whose size has the median one
-INSIDE = 0.90  # least share inside the 95 % band of a sensor that the others predict; more is only cautious
+INSIDE = 0.85  # least share inside the 95 % band of a sensor that the others predict; more is only cautious
+OFF = 0.3  # std of a channel's innovation that its mean may have
+MOVING = 0.9  # largest correlation: less is a load rougher or smoother than its prior, which costs little
+HELD = 6.0  # correlation lengths of a load that a record holds, at least, to tell them
+SHORT = 0.2  # samples of a correlation length, below which a load is white and nothing of it is told
 
 
 @dataclass(frozen=True)
@@ -113,6 +118,8 @@ class TrackCertificate:
         Loads of the bands.
     nyquist : float
         Hz.
+    lengths : tuple of (float or None)
+        Correlation length of each load that the record has told, in samples; None where it was given, or has none.
     """
 
     samples: int
@@ -129,19 +136,29 @@ class TrackCertificate:
     bands: tuple[Bands, ...] = ()
     loads: tuple[str, ...] = ()
     nyquist: float = float("inf")
+    lengths: tuple[float | None, ...] = ()
 
     @property
     def failing(self) -> tuple[str, ...]:
-        """Tests that are not passed, in words."""
+        """Tests that are not passed, in words: of the size of what is wrong, which no length of a record changes."""
         found = []
-        low, high = self.nis_bounds
-        if not low <= self.nis <= high:
-            found.append(f"NIS per channel {self.nis:.3f} (chance: {low:.3f} to {high:.3f})")
-        if self.whiteness > self.whiteness_bound:
-            found.append(f"innovations correlated: {self.whiteness:.3f} (chance: {self.whiteness_bound:.3f})")
+        if not CALM <= self.nis <= RESTLESS:
+            found.append(f"NIS per channel {self.nis:.3f} ({CALM:g} to {RESTLESS:g})")
+        if self.whiteness > MOVING:
+            found.append(f"innovations correlated: {self.whiteness:.3f} (at most {MOVING:g})")
+        for name, mean in zip(self.sensors, self.mean, strict=True):
+            if abs(mean) > OFF:
+                found.append(f"{name} has a mean innovation of {mean:+.2f} stds")
         for name, share in zip(self.sensors, self.left_out, strict=True):
             if share is not None and share < INSIDE:
                 found.append(f"{name} from the others: {share:.0%} inside the 95 % band")
+        for i, length in enumerate(self.lengths):
+            name = self.loads[i] if i < len(self.loads) else f"load {i + 1}"
+            if length is not None and self.samples < HELD * length:
+                found.append(f"the record holds {self.samples / length:.2g} correlation lengths of {name}: another one "
+                             f"may move otherwise (at least {HELD:g})")  # fmt: skip
+            elif length is not None and length < SHORT:
+                found.append(f"the record tells no correlation length of {name}: {length:.2g} samples")
         return tuple(found)
 
     @property
@@ -183,8 +200,12 @@ def certify(
     left_out: Sequence[float | None],
     sensors: Sequence[str],
     time_constant: float,
+    lengths: Sequence[float | None] = (),
 ) -> TrackCertificate:
-    """Certificate of normalised innovations (samples, channels), NaN where missing, and their NIS (samples,)."""
+    """Certificate of normalised innovations (samples, channels), NaN where missing, and their NIS (samples,).
+
+    `lengths`: as `TrackCertificate` has them.
+    """
     from scipy.stats import norm
 
     present = np.isfinite(normalised)
@@ -204,6 +225,7 @@ def certify(
         left_out=tuple(left_out),
         sensors=tuple(sensors),
         time_constant=float(time_constant),
+        lengths=tuple(lengths),
         robust_std=tuple(
             float(np.nanmedian(np.abs(x))) / QUARTILE if np.isfinite(x).any() else 1.0 for x in normalised.T
         ),

@@ -199,6 +199,8 @@ class TrackerFit:
         What the record of the fit gave the watch over the sensors; without it there is none.
     wider : array (loads,), optional
         By which the std of each load is wider than that of the filter, as its sensors leave more between them.
+    most : array (loads,), optional
+        Largest size of each load in the record of the fit.
     """
 
     model: FilterModel
@@ -220,6 +222,7 @@ class TrackerFit:
     stale: bool = False
     usual: Usual | None = None
     wider: Array | None = None
+    most: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "noise_source", NoiseSource.of(self.noise_source) or NOT_KNOWN)

@@ -12,20 +12,21 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from structures._flags import Flag
 from structures.errors import InputError, plain, reals
 
-from ..._guards.tracking import beyond_the_fit, faulty, kept_out, moved_off, unlike_the_fit
+from ..._guards.tracking import FAR, beyond_the_fit, faulty, kept_out, moved_off, unlike_the_fit
 from ..._inverse.gaussian.exports import FilterpyEngine
 from ..._inverse.gaussian.lag import fixed_lag
 from ..._inverse.gaussian.roots import Array
 from ..._inverse.gaussian.steady import SteadyFilter
+from .bank import lifted_of
 from .engine import Engine, Late
 from .fit import TrackerFit
 from .samples import Replay, inside
-from .watch import CONTRADICTING, ChannelFault, Watch, lifted_of
+from .watch import CONTRADICTING, FARTHEST, FAULT, HUGE, MISFIT, ChannelFault, Watch
 
 PIECES = 40  # at most, then half as many, twice as long
 SHORTEST = 10  # samples of a piece
@@ -180,11 +181,14 @@ class Running:
         found = (
             kept_out(counts["gated"], counts["samples"] * len(labels), counts["steps"], counts["believed"],
                      dict(zip(labels, beyond.tolist(), strict=True))),
-            beyond_the_fit(getattr(engine, "largest", 0.0)),
+            beyond_the_fit(getattr(engine, "largest", 0.0), 0.0 if self._watch is None else self._watch.far),
             moved_off(self._means.errors(None if f.settled is None else constant(f.settled)), labels),
             None if self._watch is None else faulty([(labels[x.channel], None if x.other < 0 else labels[x.other],
                                                       x.kind, x.sample) for x in self._watch.named], self._watch.acts),
-            None if self._watch is None else unlike_the_fit(self._watch.unlike, self._watch.usual.loudest),
+            None if self._watch is None else unlike_the_fit(
+                self._watch.unlike, self._watch.usual.loudest,
+                [labels[self._watch.order[i]] for i in np.flatnonzero(self._watch.suspects)],
+            ),
         )  # fmt: skip
         return tuple(flag for flag in found if flag is not None)
 
@@ -199,6 +203,8 @@ class Running:
         self._means = Means(self.fitted.model.m)
         self._ring = Replay(self.replay) if self.replay else None
         self._watch = self._watching()
+        most = np.inf if self.fitted.most is None or self.gate is None else self.fitted.most
+        self._limit = FARTHEST * np.broadcast_to(most, self._p)
         self.row_alarms = np.zeros((0, 2), int)
         self._made()
 
@@ -209,7 +215,7 @@ class Running:
         if f.usual is None or bank is None or len(bank.out) != len(f.usual.squares):
             return None
         always = CONTRADICTING if any(flag.code == f"LID-W{CONTRADICTING}" for flag in f.flags) else 0
-        return Watch(f.model, bank, f.usual, self.gate is not None, always)
+        return Watch(f.model, bank, f.usual, self.gate is not None, always, f.most)
 
     def _made(self) -> None:
         """Engines of the fit, before their first sample."""
@@ -251,12 +257,41 @@ class Running:
         if self._watch is None:
             return self._placed(sample)
         watch = self._watch
-        answer = self._placed(sample if watch.idle else watch.taken(self._engine.core.sample(sample)))
+        if watch.idle:
+            answer = self._placed(sample)
+        else:
+            row = self._engine.core.sample(sample)
+            answer = self._placed(watch.taken(row))
+            if (mixed := watch.loads(row[None])) is not None:
+                answer = self._either(*answer, mixed[0][0], mixed[1][0])
         self.row_alarms = watch.row
+        if not (np.abs(answer[0]) <= self._limit).all():
+            load, std, self.row_alarms = self._bounded(answer[0][None], answer[1][None], watch.row)
+            answer = load[0], std[0]
         watch.add_one(plain(sample))
         if watch.filled == 0:
             self._settled(watch)
         return answer
+
+    def _either(self, load: Array, std: Array, mixed: Array, spread: Array) -> tuple[Array, Array]:
+        """Loads and std where any of some channels may be wrong; late ones are the filter's, with that far a band."""
+        if self._late is None:
+            return mixed, spread
+        return load, np.sqrt(spread**2 + (load - mixed) ** 2)
+
+    def _bounded(self, load: Array, std: Array, alarms: NDArray[np.int_]) -> tuple[Array, Array, NDArray[np.int_]]:
+        """Loads, std (samples, loads) and alarms, none of them far beyond what the fit saw.
+
+        That is `FARTHEST` times its largest load where a sample has its alarm, `FAR` times where it has none before.
+        """
+        size, code = np.abs(load), alarms[:, :1]
+        if (size <= self._limit).all():
+            return load, std, alarms
+        wrong = (code == FAULT) | (code == MISFIT)
+        most = np.where(wrong, 1.0, FAR / FARTHEST) * self._limit
+        away = size > most
+        load, std = np.where(away, np.clip(load, -most, most), load), np.where(away, np.maximum(std, most), std)
+        return load, std, np.where(away.any(axis=1, keepdims=True) & ~wrong, (HUGE, 0), alarms)
 
     def _settled(self, watch: Watch) -> None:
         """Go on from the state that the watch knows, where it takes a channel out."""
@@ -327,10 +362,13 @@ class Running:
             self._placed_block(Y, load, std, e, progress)
         start = 0
         while self._watch is not None and start < len(Y):
-            taken, alarms = self._watch.feed(Y[start:])
+            taken, alarms, mixed = self._watch.feed(Y[start:])
             part = slice(start, start + len(taken))
             self.row_alarms[part] = alarms
             self._placed_block(taken, load[part], std[part], e[part], progress)
+            if mixed is not None:
+                load[part], std[part] = self._either(load[part], std[part], *mixed)
+            load[part], std[part], self.row_alarms[part] = self._bounded(load[part], std[part], alarms)
             if self._watch.filled == 0:
                 self._settled(self._watch)
             start = part.stop

@@ -12,164 +12,44 @@ the fit did not know is no fault of a sensor. The difference (a generalised like
 names nobody, over windows of several lengths that end now. Two channels that are swapped are right in the filter that
 takes them the other way round.
 
-Some samples are one product for each filter (its recursion, lifted over them), and they are judged a hop at a time:
-what a row costs is little more, and the answers do not depend on how samples come in blocks.
+Where no single channel is clearly the one, the loads are those of all that may be (`bank.Lifted.mixed`): the band holds
+them all. Samples are judged a hop at a time, so that answers do not depend on how they come in blocks.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.errors import InputError, NotIdentifiable
-
+from ..._guards.tracking import STAYS
 from ..._inverse.gaussian.model import FilterModel, FilterState
-from ..._inverse.gaussian.roots import Array, lower, solve_lower
-from ..._inverse.gaussian.steady import SteadyFilter, steady
-from .filters import restricted
+from ..._inverse.gaussian.roots import Array
+from .bank import HOP, Bits, Lifted, lifted_of
 
-HOP, LIFT = 20, 5  # samples that are judged at once, and that are one product
-LARGER = 30.0  # times the std of the loads, of those that the fit did not know
 WINDOWS = (1, 2, 4, 8)  # hops
 KEPT = 16  # hops behind the present one at which channels may have been swapped
-SURE = 40.0  # -2 log of the likelihood ratio, at least
+SURE = 80.0  # -2 log of the likelihood ratio, at least
 MORE = 3.0  # times the largest of the fit
 ALONE = 0.25  # of a ratio, by which it must be ahead of that of every other channel
 SPREAD = 0.7  # of a ratio, that a single hop may give: one spike is no broken sensor
 USUAL = 2.0  # times the normalised squares of the fit, that samples have which a hypothesis explains
 STRANGE = 3.0  # times these, that samples have which do not fit
+AGAIN = 2.0  # times what the best hypothesis leaves unexplained, of one that is refuted
+REACHED = 4  # hops at whose ends the loads without a channel are held against those of the fit
+FARTHEST = STAYS  # times the largest load of the fit, beyond which a channel may be wrong instead
+UNLIKELY = 9.0  # -2 log of the odds, of a hypothesis whose loads are far beyond those of the fit
+BACKS = (2, 3, 4)  # hops since channels may have been swapped, beside those kept and half of them
 SPIKE, FEW = 4.0, 2  # mean normalised square of a sample that may be a spike; how many a hop may have
-SETTLING = 10  # hops at the start and after a channel was missing, which nobody judges
+SETTLING = 10  # hops at the start and after the state may have jumped, which nobody judges
+FOUND = 2  # the same where other channels are there than before
 JUMPED = 4  # hops that no channel explains, after which the state may have jumped
 BACK = 5  # hops of good predictions after which a channel is believed again
 WITHIN = 1.5  # times the variance of the fit, of a good prediction
-LARGEST = 1e6  # entries of all lifted filters, beyond which nothing is watched
-Bits = NDArray[np.bool_]
 KINDS = ("wrong", "offset", "drift", "stuck", "dead", "swapped")
-
-
-@dataclass(frozen=True, eq=False)
-class Lifted:
-    """Settled filters of the same states, over a hop: all channels and then without each, usual loads and larger.
-
-    Parameters
-    ----------
-    out : array of int (filters,)
-        Channel that is left out; -1 for none.
-    M : array (filters, LIFT m + n, n + LIFT m)
-        Normalised innovations of some samples and the prediction after, from the prediction before and the samples.
-    A, B, W : array (filters, n, n), (filters, n, m), (filters, m, m)
-        The same sample by sample; what makes innovations normal.
-    H : array (m, n)
-    constant : array (filters,)
-        Logarithm of the determinant of the innovations, without a left-out channel.
-    own : array (filters,)
-        Std with which the left-out channel is predicted, 1 without one.
-    ahead : tuple of array (n, any)
-        Roots of the covariances of the predictions.
-    x0 : array (n,)
-    """
-
-    out: NDArray[np.int_]
-    M: Array
-    A: Array
-    B: Array
-    W: Array
-    H: Array
-    constant: Array
-    own: Array
-    ahead: tuple[Array, ...]
-    x0: Array
-
-    @cached_property
-    def groups(self) -> NDArray[np.int_]:
-        """Filters (1 + m, 2) with all channels, then without each, at usual loads and larger; one past them if none."""
-        found = np.full((1 + len(self.H), 2), len(self.out))
-        for i in range(-1, len(self.H)):
-            its = np.flatnonzero(self.out == i)
-            if len(its):
-                found[i + 1] = its[0], its[-1]
-        return found
-
-    @cached_property
-    def whole(self) -> Lifted:
-        """Those with all channels."""
-        rows = np.flatnonzero(self.out < 0)
-        return replace(
-            self, out=self.out[rows], M=self.M[rows], A=self.A[rows], B=self.B[rows], W=self.W[rows],
-            constant=self.constant[rows], own=self.own[rows], ahead=tuple(self.ahead[i] for i in rows),
-        )  # fmt: skip
-
-    def hop(self, x: Array, Y: Array) -> tuple[Array, Array]:
-        """Normalised innovations (filters, HOP, m) of a hop Y (HOP, m), and the next predictions (filters, n)."""
-        q, m = len(x), Y.shape[1]
-        z, n = np.empty((q, HOP, m)), x.shape[1]
-        if np.isfinite(Y).all():
-            v = np.empty((q, n + LIFT * m, 1))
-            for t in range(0, HOP, LIFT):
-                v[:, :n, 0], v[:, n:, 0] = x, Y[t : t + LIFT].ravel()
-                both = np.matmul(self.M, v)[:, :, 0]
-                z[:, t : t + LIFT], x = both[:, : LIFT * m].reshape(q, LIFT, m), both[:, LIFT * m :]
-            return z, x
-        for t, y in enumerate(Y):  # a channel that is missing is as it is predicted
-            ahead = x @ self.H.T
-            taken = np.where(np.isfinite(y), y, ahead)
-            z[:, t] = np.matmul(self.W, (taken - ahead)[:, :, None])[:, :, 0]
-            x = np.matmul(self.A, x[:, :, None])[:, :, 0] + np.matmul(self.B, taken[:, :, None])[:, :, 0]
-        return z, x
-
-
-def lifted(model: FilterModel) -> Lifted | None:
-    """Filters of a model; None where not two of them exist, where noises are correlated, or where it is too large."""
-    n, m = model.n, model.m
-    if model.S is not None or m < 2 or 2 * (m + 1) * (LIFT * m + n) ** 2 > LARGEST:
-        return None
-    parts: list[tuple[int, SteadyFilter]] = []
-    for size in (1.0, LARGER):
-        wide = replace(model, LQ=size * model.LQ)
-        for i in range(-1, m):
-            try:
-                rest = np.delete(np.arange(m), i) if i >= 0 else np.arange(m)
-                parts.append((i, steady(restricted(wide, rest))))
-            except (NotIdentifiable, InputError):
-                if i < 0:
-                    break
-    if not parts or parts[0][0] >= 0 or len(parts) < 2:
-        return None
-    found = [_one(model, i, part) for i, part in parts]
-    A, B, W, M, constant, own, ahead = zip(*found, strict=True)
-    return Lifted(np.array([i for i, _ in parts]), np.array(M), np.array(A), np.array(B), np.array(W), model.H,
-                  np.array(constant), np.array(own), tuple(ahead), model.x0)  # fmt: skip
-
-
-def _one(model: FilterModel, out: int, settled: SteadyFilter) -> tuple[Any, ...]:
-    """One filter as `Lifted` has it."""
-    n, m = model.n, model.m
-    used = np.array([i for i in range(m) if i != out])
-    K = np.zeros((n, m))
-    K[:, used] = settled.K
-    A, B = model.F @ (np.eye(n) - K @ model.H), model.F @ K
-    ahead = lower(model.F @ settled.L, settled.part.LQ)
-    own = 1.0 if out < 0 else float(np.hypot(np.linalg.norm(model.H[out] @ ahead), np.linalg.norm(model.LR[out])))
-    W = np.zeros((m, m))
-    W[np.ix_(used, used)] = solve_lower(settled.Se_root, np.eye(len(used)))
-    if out >= 0:
-        W[out, out] = 1 / own
-    state = np.hstack([np.eye(n), np.zeros((n, LIFT * m))])
-    rows = []
-    for t in range(LIFT):
-        y = np.zeros((m, n + LIFT * m))
-        y[:, n + t * m : n + (t + 1) * m] = np.eye(m)
-        rows.append(W @ (y - model.H @ state))
-        state = A @ state + B @ y
-    constant = 2 * float(np.sum(np.log(np.abs(np.diag(settled.Se_root)))))
-    return A, B, W, np.vstack([*rows, state]), constant, own, ahead
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,17 +74,15 @@ class Usual:
     loudest: float
 
 
+def _of(known: Usual, bank: Lifted, other: Lifted) -> Usual:
+    """What is usual for the filters of another bank, of which each channel that is there has its own in both."""
+    rows = np.array([bank.groups[i + 1, int(np.any(other.out[:k] == i))] for k, i in enumerate(other.out)])
+    found = rows < len(bank.out)
+    squares, own = (np.where(found, x[np.minimum(rows, len(bank.out) - 1)], 1.0) for x in (known.squares, known.own))
+    return Usual(squares, own, known.most, known.loudest)
+
+
 FEWEST = 10  # hops of a record, from which it tells what is usual
-_LIFTED: WeakKeyDictionary[FilterModel, Lifted | None] = WeakKeyDictionary()
-
-
-def lifted_of(model: FilterModel) -> Lifted | None:
-    """`lifted`, made once for a model."""
-    if model not in _LIFTED:
-        _LIFTED[model] = lifted(model)
-    return _LIFTED[model]
-
-
 def usual(model: FilterModel, Y: Array) -> Usual | None:
     """Of a record (samples, m), NaN where a channel is missing; None where it is too short, or nothing is watched."""
     bank, hops = lifted_of(model), len(Y) // HOP
@@ -215,7 +93,8 @@ def usual(model: FilterModel, Y: Array) -> Usual | None:
     sums, first = [], skipped
     for k in range(hops):
         hop = Y[k * HOP : (k + 1) * HOP]
-        if start.missing(hop):
+        if start.patchy(hop):
+            start.anew()
             first = k + 1 + skipped
             continue
         start.judge(hop)
@@ -269,13 +148,18 @@ class Watch:
         Wrong channels are kept out.
     always : int
         Code of the rows in which nothing is found: what the fit has to say.
+    most : array (p,), optional
+        Largest loads of the fit.
     """
 
     def __init__(
-        self, model: FilterModel, bank: Lifted, usual: Usual, acts: bool = True, always: int = 0
+        self, model: FilterModel, bank: Lifted, usual: Usual, acts: bool = True, always: int = 0,
+        most: Array | None = None,
     ) -> None:  # fmt: skip
         q, m = len(bank.out), model.m
-        self.model, self.bank, self.usual, self.acts, self.always = model, bank, usual, acts, always
+        self.model, self.acts, self.always = model, acts, always
+        self.most = np.full(model.p, np.inf) if most is None else most
+        self._all, self._fitted = bank, usual
         self.x = np.tile(bank.x0, (q, 1))
         self.count, self.filled, self.buffer = 0, 0, np.zeros((HOP, m))
         self.squares, self.counts = np.zeros((0, q)), np.zeros((0, q))  # of the last hops, of used channels
@@ -283,16 +167,28 @@ class Watch:
         self.past = np.zeros((0, HOP, m))  # samples of the last hops, and the predictions before them
         self.before = np.zeros((0, len(bank.x0)))
         self.order = np.arange(m)
-        self._hops, self._level = np.array(WINDOWS), np.log(usual.squares)
-        self._own = np.where(bank.out < 0, 0.0, 2 * np.log(bank.own) + 1)
+        self._hops = np.array(WINDOWS)
+        self._take(bank)
         self.held: ChannelFault | None = None
         self.masked = False  # kept out by the watch; before, by the gate
         self.good, self.strange, self.next_swap, self.early = 0, 0, 2, SETTLING
         self.named: list[ChannelFault] = []
+        self.doubted = np.zeros(1 + m, bool)  # that no channel is wrong, but the load large; that each is
+        self.either = np.zeros((0, len(bank.x0)))  # predictions of the filters of these
+        self.weights = np.zeros(0)  # of each of them
+        self.reached = np.zeros((0, 1 + m))  # their loads over those of the fit, squared, of the last hops
+        self.suspects = np.zeros(m, bool)  # channels that were, since the start
+        self.far = 0.0  # times the largest load of the fit
         self.unlike, self.kept = 0, 0  # samples that do not fit, channel samples kept out
         self._told()
         self.reseed: FilterState | None = None
         self.settling = False  # the filters are to go on from what the filter of the answers predicts
+
+    def _take(self, bank: Lifted) -> None:
+        """Judge by the filters of a bank: those of all channels, or of the ones that are there."""
+        self.bank, self.usual = bank, self._fitted if bank is self._all else _of(self._fitted, self._all, bank)
+        self._level = np.log(self.usual.squares)
+        self._own = np.where(bank.out < 0, 0.0, 2 * np.log(bank.own) + 1)
 
     # -- samples ----------------------------------------------------------------------------------------------------
     @property
@@ -303,7 +199,20 @@ class Watch:
         swapped = np.flatnonzero(self.order != np.arange(len(self.order)))
         if len(swapped):
             return FAULT, int(swapped[0]) + 1
-        return (MISFIT, 0) if self.strange > 1 else (self.always, 0)
+        either = np.flatnonzero(self.doubted[1:])
+        one = int(self.order[either[0]]) + 1 if len(either) == 1 else 0
+        if self.strange > 1:
+            return MISFIT, one
+        return (HUGE if self.doubted[0] else MISFIT if len(either) else self.always), one
+
+    def loads(self, Y: Array) -> tuple[Array, Array] | None:
+        """Loads and std (samples, p) of samples of a hop while any of some channels may be wrong; None otherwise."""
+        if not self.acts or not self.doubted.any():
+            return None
+        load, std, self.either = self.bank.mixed(
+            self.bank.hypotheses[self.doubted], self.weights, self.either, Y[..., self.order]
+        )
+        return load, std
 
     def taken(self, Y: Array) -> Array:
         """Samples (..., m) as the filter is to take them: without a channel that is wrong, the swapped ones back."""
@@ -319,23 +228,26 @@ class Watch:
     def _told(self) -> None:
         """What the rows of the next hop are told, and whether their samples are taken as they are."""
         self.row = np.array([self.alarm])  # code and channel
-        self.idle = not self.acts or (not self.masked and bool(np.all(np.diff(self.order) > 0)))
+        clear = not self.masked and not self.doubted.any()
+        self.idle = not self.acts or (clear and bool(np.all(np.diff(self.order) > 0)))
 
-    def feed(self, Y: Array) -> tuple[Array, NDArray[np.int_]]:
-        """Samples as they are to be taken, and their alarms (samples, 2), up to where there is something to decide."""
+    def feed(self, Y: Array) -> tuple[Array, NDArray[np.int_], tuple[Array, Array] | None]:
+        """Samples as they are to be taken, their alarms (samples, 2), `loads`, up to where there is to decide."""
         if not self.idle:
             Y = Y[: HOP - self.filled]
-            taken, alarms = self.taken(Y), np.repeat(self.row, len(Y), axis=0)
+            taken, alarms, mixed = self.taken(Y), np.repeat(self.row, len(Y), axis=0), self.loads(Y)
             self.add(Y)
-            return taken, alarms
+            return taken, alarms, mixed
         rows, k, changed = [], 0, False
         while k < len(Y) and not changed:
             part = slice(k, min(k + HOP - self.filled, len(Y)))
             rows.append(np.repeat(self.row, part.stop - k, axis=0))
             self.add(Y[part])
             k = part.stop
-            changed = self.filled == 0 and (self.settling or self.held is not None or self.reseed is not None)
-        return Y[:k], np.concatenate(rows)
+            changed = self.filled == 0 and (
+                self.settling or self.held is not None or self.reseed is not None or bool(self.doubted.any())
+            )
+        return Y[:k], np.concatenate(rows), None
 
     def settle(self, gated: Bits) -> FilterState | None:
         """Keep the wrong channel out, unless the gate does already (m,), or it was right in the last hop.
@@ -348,7 +260,7 @@ class Watch:
             return ahead
         if gated[fault.channel] or self.good:
             return None
-        f = int(np.flatnonzero(self.bank.out == fault.channel)[0])
+        f = self.bank.without(fault.channel)
         self.masked = True
         self._told()
         return FilterState(self.x[f].copy(), self.bank.ahead[f])
@@ -375,13 +287,14 @@ class Watch:
 
     def _hop(self) -> None:
         """Judge a hop, but for those in which a channel is missing, and for some after them."""
-        if self.missing(self.buffer):
+        if self._other():
             return
         self.judge(self.buffer)
         if self.early:
-            self.early, strange = self.early - 1, self.strange
+            self.early, strange, doubted = self.early - 1, self.strange, self.doubted
             self._forget()
             self.strange = strange  # its alarm stands meanwhile
+            self._doubt(doubted[1:], bool(doubted[0]))
             self.settling = self.early == 0
         else:
             self.decide()
@@ -390,13 +303,37 @@ class Watch:
         """Every filter goes on from a prediction: without a channel some forget their start slowly."""
         self.x, self.settling = np.tile(ahead, (len(self.x), 1)), False
 
-    def missing(self, Y: Array) -> bool:
-        """Whether a channel is missing in more than a few samples of a hop; the filters then begin anew behind it."""
-        if np.isnan(Y).sum(axis=0).max() <= HOP // 5:
-            return False
+    def patchy(self, Y: Array) -> bool:
+        """Whether a channel that is there is missing in more than a few samples of a hop."""
+        return bool(np.isnan(Y[:, self.bank.there]).sum(axis=0).max() > HOP // 5)
+
+    def anew(self) -> None:
+        """Every filter from its start."""
         self.x = np.tile(self.bank.x0, (len(self.x), 1))
         self._forget()
         self.early = SETTLING
+
+    def _other(self) -> bool:
+        """Whether channels come or go with this hop: filters of those that are there go on behind it.
+
+        Nothing is judged while channels are there in part.
+        """
+        gone = np.isnan(self.buffer).sum(axis=0)
+        part = (gone > HOP // 5) & (gone < HOP)
+        there = gone < HOP
+        if not part.any() and np.array_equal(there[self.order], self.bank.there):
+            return False
+        bank = None if part.any() else lifted_of(self.model, there[self.order])
+        if bank is None:
+            self.anew()
+            return True
+        self._take(bank)
+        self.x = np.tile(bank.x0, (len(bank.out), 1))
+        self._forget()
+        self.squares, self.counts, self.apart = (np.zeros((*s, len(bank.out))) for s in ((0,), (0,), (0, 4)))
+        if self.held is not None and not bank.watched[self.held.channel]:
+            self.held, self.masked = None, False
+        self.early, self.settling = FOUND, True
         return True
 
     # -- hops -------------------------------------------------------------------------------------------------------
@@ -407,6 +344,8 @@ class Watch:
         self.before = np.concatenate([self.before[-KEPT:], self.x[:1]])
         Y, z, self.x = self._without_spikes(Y)
         self.keep(*self.said(z, Y, self.bank.out))
+        size = self.x[np.minimum(self.bank.hypotheses, len(self.x) - 1)] @ self.bank.Cp.T / self.most
+        self.reached = np.concatenate([self.reached[1 - REACHED :], np.sum(size**2, axis=1)[None]])
         if not np.isfinite(self.x).all():
             self.x = np.where(np.isfinite(self.x).all(axis=1, keepdims=True), self.x, self.bank.x0)
 
@@ -450,18 +389,19 @@ class Watch:
         self.apart = np.concatenate([self.apart[-most:], apart[None]])
 
     def ratios(self) -> tuple[Array, float, Array]:
-        """Against each channel in each window (windows, m), how loud the samples are, and without each channel (m,)."""
+        """Against each channel in each window, how loud the samples are, and without each channel: (windows, m)."""
         bank, u = self.bank, self.usual
         hops = self._hops[self._hops <= len(self.squares)]
         squares, counts, apart = (np.add.accumulate(x[::-1])[hops - 1] for x in (self.squares, self.counts, self.apart))
         cost = squares / u.squares + counts * self._level + (hops * HOP)[:, None] * bank.constant
         spread = np.log(np.maximum(apart[:, 2] / np.maximum(apart[:, 0], 1), u.own)) + self._own
         cost = np.concatenate([cost + apart[:, 0] * spread, np.full((len(hops), 1), np.inf)], axis=1)
-        level = np.append(squares[-1] / np.maximum(counts[-1] * u.squares, 1), np.inf)
-        best, explained = cost[:, bank.groups].min(axis=2), level[bank.groups].min(axis=1)
-        found = np.zeros((len(WINDOWS), len(best[0]) - 1))
-        found[: len(hops)] = np.maximum(best[:, :1] - best[:, 1:], -LOUD)
-        return found, float(explained[0]) if len(self.squares) > 1 else 0.0, explained[1:]
+        level = np.concatenate([squares / np.maximum(counts * u.squares, 1), np.full((len(hops), 1), np.inf)], axis=1)
+        best, level = cost[:, bank.groups].min(axis=2), level[:, bank.groups].min(axis=2)
+        found, explained = np.zeros((2, len(WINDOWS), len(best[0]) - 1))
+        found[: len(hops)], explained[: len(hops)] = np.maximum(best[:, :1] - best[:, 1:], -LOUD), level[:, 1:]
+        explained[len(hops) :] = level[-1, 1:]
+        return found, float(level[-1, 0]) if len(self.squares) > 1 else 0.0, explained
 
     def _last(self) -> float:
         """How loud the last hop is."""
@@ -469,44 +409,73 @@ class Watch:
         return float(level[self.bank.out < 0].min())
 
     def decide(self) -> None:
-        """Name a channel, or believe it again."""
+        """Name a channel, or those of which one is wrong, or believe it again."""
         ratios, loud, explained = self.ratios()
         if self.held is not None:
             self._returned(self.held)
             return
-        most = STRANGE * self.usual.loudest
-        strange = loud > most and self._last() > most  # a spike lies back
+        usual = self.usual.loudest
+        strange = loud > STRANGE * usual and self._last() > STRANGE * usual  # a spike lies back
         over = ratios > SURE + MORE * self.usual.most
+        some: Bits = np.zeros(len(self.order), bool)
+        none = False
         if over.any():
             w = int(np.argmax(np.where(over, ratios, -np.inf).max(axis=1)))
             i = int(np.argmax(ratios[w]))
-            others = np.delete(ratios[w], i)
-            clear = bool(over[w, i]) and ratios[w, i] - others.max() > ALONE * ratios[w, i]
-            if clear and explained[i] < USUAL * self.usual.loudest:
+            right = explained[w] < USUAL * usual
+            lead = ratios[w, i] - np.delete(ratios[w], i)
+            ahead = lead > ALONE * ratios[w, i]  # or the others leave more unexplained than ever
+            far = self.reached[:, 1:].max(axis=0)
+            ahead |= np.delete(far, i) > far[i] + UNLIKELY
+            ahead |= (lead > SURE) & (np.delete(explained[w], i) > max(STRANGE * usual, AGAIN * explained[w, i]))
+            if right[i] and over[w, i]:
                 beyond = self._beyond(i, w)
-                if beyond.max() < SPREAD * beyond.sum():
-                    self._hold(i)
+                lasting = beyond.max() < SPREAD * beyond.sum()
+                if ahead.all() and lasting:
+                    if not (strange and self._swap()):  # which explains both with less
+                        self._hold(i)
                     return
-                if beyond[-1] >= SPREAD * beyond.sum() > 0:  # in this hop alone, until now
+                if ahead.all() and beyond[-1] >= SPREAD * beyond.sum() > 0:  # in this hop alone, until now
                     self._forgive(i)
                     strange = False
+                elif lasting:
+                    some = right & over[w]
         if len(self.squares) > 1:
             self.strange = self.strange + 1 if strange else max(self.strange - 1, 0) // 2
-        self.unlike += HOP * (self.strange > 1)
-        if strange and (silent := self._silent()) is not None:
+        silent = self._silent() if strange else None
+        if silent is not None and (explained[0, silent] < STRANGE * usual or self.strange >= JUMPED):
             self._hold(silent)
             return
         if strange and self.strange >= self.next_swap:
-            self.next_swap = 2 * self.strange
-            if not self._swap() and self.strange >= JUMPED and explained.min() > USUAL * self.usual.loudest:
+            self.next_swap = self.strange + max(self.strange // 2, 1)
+            if self._swap():
+                return
+            if self.strange >= JUMPED and explained[-1].min() > USUAL * usual:
                 self.early = SETTLING  # no channel explains it: the state may have jumped
         elif not strange and self.strange == 0:
             self.next_swap = 2
+        large = self.reached[-2:] > FARTHEST**2
+        if not some.any() and self.strange < 2 and large[:, 0].all():  # unless no other load is possible
+            none, some = True, np.asarray(explained[0] < USUAL * usual) & ~large[:, 1:].any(axis=0) & self.bank.watched
+            self.far = max(self.far, float(np.sqrt(self.reached[-1, 0]) * some.any()))
+        unlike = not some.any() and self.strange > 1
+        if unlike or some.any() or self.doubted.any():
+            self._doubt(self.bank.watched if unlike else some, none or unlike)
+        self.unlike += HOP * (self.alarm[0] == MISFIT)
 
-    def _forgive(self, i: int) -> None:
-        """Filters that took a few wrong samples of a channel go on from the one that did not."""
-        f = int(np.flatnonzero(self.bank.out == i)[0])
-        self.x[self.bank.out != i] = self.x[f]
+    def _doubt(self, some: Bits, none: bool = False) -> None:
+        """Any of some channels may be the wrong one from the next sample on, or none of them.
+
+        A hypothesis is the less likely, the larger its loads are beside those of the fit: Gaussian, of such a std,
+        where something is wrong for sure; with the tails of Cauchy where the load may be one that the fit did not know.
+        """
+        some = some & self.bank.watched
+        self.suspects = self.suspects | some
+        self.doubted = np.r_[none and bool(some.any()), some]
+        self.either = self.x[self.bank.hypotheses[self.doubted]].copy()
+        size = self.reached.max(axis=0, initial=0.0)[self.doubted]
+        likely = 1 / (1 + size) if none and self.strange < 2 else np.exp(-0.5 * (size - size.min(initial=np.inf)))
+        self.weights = likely / likely.sum()
 
     def _beyond(self, i: int, window: int) -> Array:
         """What the hops of a window have of a channel beyond chance, in squares of its prediction."""
@@ -514,24 +483,29 @@ class Watch:
         some = self.apart[-max(WINDOWS[window], 2) :][:, :, its]
         return np.asarray(np.maximum(some[:, 2] / self.usual.own[its] - some[:, 0], 0).min(axis=1))
 
+    def _forgive(self, i: int) -> None:
+        """Filters that took a few wrong samples of a channel go on from the one that did not."""
+        f = self.bank.without(i)
+        self.x[self.bank.out != i] = self.x[f]
+
     def _silent(self) -> int | None:
         """The one channel that has stopped to move: no other one need tell."""
-        noise, last = np.linalg.norm(self.model.LR, axis=1), self.past[-1]
-        if len(self.past) < 4 or not np.isfinite(last).all():
-            return None
-        early = self.past[: len(self.past) // 2]
-        if not np.isfinite(early).all():
+        noise = np.linalg.norm(self.model.LR, axis=1)
+        past = np.where(self.bank.there, self.past, 0.0)
+        last, early = past[-1], past[: len(past) // 2]
+        if len(past) < 4 or not np.isfinite(last).all() or not np.isfinite(early).all():
             return None
         moved = np.sqrt(np.median(np.var(early, axis=1), axis=0)) > 5 * noise
         still = moved & ((np.ptp(last, axis=0) < 1e-3 * noise) | (np.std(last, axis=0) < 1.5 * noise))
         found = np.flatnonzero(still)
-        return int(found[0]) if len(found) == 1 and np.any(self.bank.out == found[0]) else None
+        return int(found[0]) if len(found) == 1 and self.bank.watched[found[0]] else None
 
     def _hold(self, i: int) -> None:
         """Keep a channel out from the next sample on; the filter without it, at usual loads, knows the state."""
-        f = int(np.flatnonzero(self.bank.out == i)[0])
+        f = self.bank.without(i)
         self.held, self.good, self.masked = ChannelFault(i, -1, self._kind(i, f), self.count), 0, False
         self.named.append(self.held)
+        self._doubt(np.zeros(len(self.order), bool))
 
     def _kind(self, i: int, f: int) -> str:
         """What a channel does, in a word."""
@@ -557,7 +531,7 @@ class Watch:
 
     def _returned(self, fault: ChannelFault) -> None:
         """Believe a channel again that is predicted well for long enough."""
-        f = int(np.flatnonzero(self.bank.out == fault.channel)[0])
+        f = self.bank.without(fault.channel)
         number, total, squares, _ = self.apart[-1, :, f]
         usual, number = self.usual.own[f], max(number, 1)
         self.good = self.good + 1 if squares / number <= WITHIN * usual else 0
@@ -575,7 +549,7 @@ class Watch:
         if len(self.past) < 3:
             return False
         m, tried = self.model.m, []
-        for i, j in combinations(range(m), 2):
+        for i, j in combinations(np.flatnonzero(self.bank.there).tolist(), 2):
             order = np.arange(m)
             order[[i, j]] = j, i
             tried.append((*self._again(order), i, j, order))
@@ -599,7 +573,7 @@ class Watch:
         """
         best: tuple[float, Array] = (np.inf, self.bank.x0)
         bank, usual = self.bank.whole, self.usual.squares[self.bank.out < 0]
-        for back in (len(self.past), max(len(self.past) // 2, 2)):
+        for back in sorted({len(self.past), max(len(self.past) // 2, 2), *BACKS} & set(range(2, len(self.past) + 1))):
             x, levels = np.tile(self.before[-back], (len(usual), 1)), []
             for Y in self.past[-back:]:
                 z, x = bank.hop(x, Y[:, order])
@@ -614,6 +588,7 @@ class Watch:
         """Begin new windows."""
         self.squares, self.counts, self.apart = self.squares[:0], self.counts[:0], self.apart[:0]
         self.past, self.before, self.strange, self.next_swap = self.past[:0], self.before[:0], 0, 2
+        self.doubted, self.reached = np.zeros_like(self.doubted), self.reached[:0]
 
     # -- files ------------------------------------------------------------------------------------------------------
     def to_tree(self) -> dict[str, Any]:
@@ -621,23 +596,32 @@ class Watch:
         faults = [[f.channel, f.other, f.kind, f.sample] for f in self.named]
         return {
             **{name: getattr(self, name) for name in ARRAYS}, **{name: getattr(self, name) for name in NUMBERS},
-            "named": faults, "held": self.held is not None,
+            "named": faults, "held": self.held is not None, "there": self.bank.there, "far": self.far,
         }  # fmt: skip
 
     def restore(self, tree: dict[str, Any]) -> None:
         """Go on from what `to_tree` gave."""
         for name in ARRAYS:
-            setattr(self, name, np.array(tree[name]))
+            if name in tree:  # those in doubt are newer than the first files
+                setattr(self, name, np.array(tree[name]))
+        self.doubted, self.suspects = self.doubted.astype(bool), self.suspects.astype(bool)
+        there = np.array(tree.get("there", self.bank.there), bool)
+        if (bank := lifted_of(self.model, there)) is not None and not np.array_equal(there, self.bank.there):
+            self._take(bank)
         for name in NUMBERS:
             setattr(self, name, int(tree[name]))
+        self.far = float(tree.get("far", 0.0))
         self.named = [ChannelFault(int(c), int(o), str(k), int(s)) for c, o, k, s in tree["named"]]
         self.held = self.named[-1] if tree["held"] else None
         self._told()
 
 
-FAULT, MISFIT, CONTRADICTING = 528, 529, 530  # codes of the guards
+HUGE, FAULT, MISFIT, CONTRADICTING = 526, 528, 529, 530  # codes of the guards
 MIDDLE = np.arange(HOP) - (HOP - 1) / 2
 LOUD = 1e9  # -2 log of a ratio, at most
 TOP = 1e6  # normalised innovation, beyond which it is no larger
-ARRAYS = ("x", "buffer", "squares", "counts", "apart", "past", "before", "order")
+ARRAYS = (
+    "x", "buffer", "squares", "counts", "apart", "past", "before", "order", "doubted", "suspects", "either", "weights",
+    "reached",
+)  # fmt: skip
 NUMBERS = ("count", "filled", "good", "strange", "next_swap", "early", "unlike", "kept", "masked")
