@@ -18,11 +18,15 @@ ENDS = 0.01  # share of the peak that may be left at the ends of a transient
 TONES = 30.0  # power of a line over the median around it from which it is a harmonic, not a random load
 STRONG = 3.0  # signal over noise of a line that is excited
 FEW = 16  # lines that were picked because they are excited
+MOST = 0.5  # share of the variance of the load that decides its band
 SHARP = 1.0  # bandwidth of the window over that of the sharpest resonance
 
 
 def antiresonance(spectrum: LoadSpectrum, labels: tuple[str, ...]) -> Flag | None:
-    """W507: lines on which the predicted relative std of a load exceeds the stated level."""
+    """W507: lines on which the predicted relative std of a load exceeds the stated level.
+
+    A note: there the load is mostly prior, and its band says so.
+    """
     flagged = ~spectrum.trust()
     if not flagged.any():
         return None
@@ -33,14 +37,35 @@ def antiresonance(spectrum: LoadSpectrum, labels: tuple[str, ...]) -> Flag | Non
         f"{labels[j]}: " + ("all" if share[j] == 1 else f"{share[j]:.1%}, {in_words(spectrum.bands(j))}")
         for j in np.argsort(-share)[:4] if share[j]
     )  # fmt: skip
-    seen, power = spectrum.predicted[:, worst], spectrum.expected**2
-    held = float(np.max(np.sum(power * flagged, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)))
+    seen = spectrum.predicted[:, worst]
     return Flag(
         "W507",
         Evidence("largest predicted relative std", float(np.min([np.max(seen), 1e6])), spectrum.level),
         f"{count} of {lines} lines do not tell some load to {spectrum.level:.0%} ({where}): antiresonances, or no load "
-        f"there. They hold up to {held:.0%} of the power of a load and are shaded; what stands in `load` "
-        "there is mostly prior",
+        f"there. They hold up to {spectrum.untold_power:.0%} of the power of a load and are shaded; what stands in "
+        "`load` there is mostly prior, and its band as wide",
+        state=True,
+    )
+
+
+def frf_by_floor(by_floor: bool, made: NDArray[np.float64], variance: NDArray[np.float64]) -> Flag | None:
+    """W406: the size of the errors of the FRF is not shown by the lines, and makes most of the band.
+
+    Parameters
+    ----------
+    made, variance : array, shape (lines, loads)
+        Variance of the loads that errors of the FRF make, and all of it.
+    """
+    share = float(np.median(made / np.maximum(variance, 1e-300)))
+    if not by_floor or share <= MOST:
+        return None
+    return Flag(
+        "W406",
+        Evidence("share of the variance that errors of the FRF make", share, MOST),
+        f"nothing tells how wrong the FRF is, and that makes {share:.0%} of the variance of the load: 5 % of an entry "
+        "is taken",
+        "state noise=Noise(frf=...), give the FRF its variance, or use more sensors than loads",
+        effect=float(np.sqrt(share)),
     )
 
 

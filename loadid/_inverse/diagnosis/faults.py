@@ -114,6 +114,9 @@ class LeftOut:
         Variance of the loads over that of their prior.
     cost : float
         -2 log evidence of the readings under that prior; 0 without one.
+    silent : array, shape (sensors,)
+        Misfit over its limit that each would have if it read nothing where the others predict what they do: below 1
+        they do not determine it, and hardly anything that is wrong with it can be seen.
     """
 
     rest: Array
@@ -124,6 +127,7 @@ class LeftOut:
     excess: Real
     tau: float
     cost: float
+    silent: Real
 
 
 def left_out(lines: SensorLines, delta: float, tau: float | None = None) -> LeftOut:
@@ -157,7 +161,9 @@ def left_out(lines: SensorLines, delta: float, tau: float | None = None) -> Left
     excess = np.divide(misfit, scale * limit, out=np.zeros(len(misfit)), where=limit > 0)
     mean = np.mean(share, axis=1, keepdims=True)
     total = float(_scale(whole[:, None], np.full((len(K), 1), per_line * dims), mean, lines.known)[0])
-    return LeftOut(rest, precision, max(float(whole.sum()), 0.0), total, limit, excess, tau, cost)
+    due = lines.worth * np.sum(precision * np.sum(np.abs(lines.y - rest) ** 2, axis=2), axis=0)
+    silent = np.divide(due, limit, out=np.zeros(len(due)), where=limit > 0)
+    return LeftOut(rest, precision, max(float(whole.sum()), 0.0), total, limit, excess, tau, cost, silent)
 
 
 def _scale(misfit: Real, freedom: Real, share: Real, known: bool) -> Real:
@@ -274,20 +280,16 @@ class Explanation:
         return float(self.left.excess.max())
 
 
-def suspect(lines: SensorLines) -> Suspicion | None:
-    """Who is wrong; None where all sensors agree within noise and errors of the model, or where none is to spare."""
-    return None if (prepared := _prepared(lines)) is None else _searched(prepared)
-
-
-def _prepared(lines: SensorLines) -> SensorLines | None:
+def prepared(lines: SensorLines) -> SensorLines | None:
     """The lines with the level of their noise, if there is a sensor to spare."""
     if lines.spare < 1 or lines.sensors < 3 or (not lines.known and lines.spare < 2):
         return None
     return lines if lines.known or len(lines.y) == 1 else _with_noise(lines)
 
 
-def _searched(lines: SensorLines) -> Suspicion | None:
-    whole = left_out(lines, FLOOR)
+def suspect(lines: SensorLines, whole: LeftOut | None = None) -> Suspicion | None:
+    """Who is wrong of `prepared` lines; None where all sensors agree within noise and errors of the model."""
+    whole = left_out(lines, FLOOR) if whole is None else whole
     if whole.excess.max() <= SCREEN and whole.scale <= CLEARLY:
         return None
     return _weighed(lines, FLOOR, whole)
@@ -439,20 +441,20 @@ def told_apart(lines: SensorLines, suspicion: Suspicion, clock: LineTimes | None
 
 
 def drifting(lines: SensorLines, clock: LineTimes) -> tuple[Suspicion, int, LineFault] | None:
-    """A sensor with an offset or a drift, which few lines hold: these are asked alone."""
-    prepared = _prepared(lines)
-    if prepared is None or clock.slow.sum() < 2:
+    """A sensor with an offset or a drift, which few of the `prepared` lines hold: these are asked alone."""
+    if clock.slow.sum() < 2:
         return None
-    found = _searched(prepared.on(clock.slow))
+    slow = lines.on(clock.slow)
+    found = suspect(slow)
     if found is None or found.swap or len(found.sensors) != 1 or found.found is None:
         return None
     (i,) = found.sensors
     alone = replace(clock, phase=clock.phase[clock.slow], constant=None, slow=np.ones(int(clock.slow.sum()), bool))
-    fault = _named(prepared.on(clock.slow), found, found.found, i, alone)
+    fault = _named(slow, found, found.found, i, alone)
     if fault.kind in ("gain", "unit", "polarity", "dead", "delay"):
         return found, i, fault
     rest = found.found.rest[:, i]
-    if np.sum(np.abs(rest) ** 2) < MATTERS**2 * np.sum(np.abs(prepared.y[:, i]) ** 2):
+    if np.sum(np.abs(rest) ** 2) < MATTERS**2 * np.sum(np.abs(lines.y[:, i]) ** 2):
         return None
     return found, i, _slow(rest, None if clock.constant is None else clock.constant[clock.slow])
 
