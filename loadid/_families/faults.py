@@ -21,6 +21,7 @@ from .._inverse.diagnosis.faults import (
     prepared,
     suspect,
     told_apart,
+    unlikely,
 )
 from .._results.faults import SensorFault
 from .noise import NoiseLevel
@@ -100,7 +101,7 @@ def _faults(given: Overlooked, lines: SensorLines, whole: LeftOut) -> tuple[Sens
         at, fault = only
         who, unit = (given.labels[at],), given.dt if fault.kind == "delay" else 1.0
         kind, size, std = fault.kind, fault.size * unit, fault.std * unit
-    if kind in VAGUE and found.excess < SURE:
+    if (kind in VAGUE and found.excess < SURE) or (kind == "gain" and not unlikely(lines, size)):
         return ()
     kept = tuple(label for label in given.labels if label not in who)
     return (SensorFault(who, kind, size, std, found.excess, found.without, found.other, kept),)

@@ -31,6 +31,7 @@ LOST = 200.0  # times the variance that is expected, from which no error of a mo
 CLEARLY = 2.0  # times that variance, from which a closer look is taken
 MARGIN = 0.4  # of the limit, by which the best explanation leaves less than the next
 MOST = 24  # sensors beyond which swaps are not tried
+TINY = 1e-12  # gain of a sensor that reads nothing
 SEEN = 1e-9  # of the precision of a sensor alone: below, the others say nothing about it
 
 
@@ -190,6 +191,11 @@ def _limit_of_one(hypotheses: int, dims: int) -> float:
     from scipy.special import fdtri
 
     return float(fdtri(1.0, BELIEF + max(dims - 1, 0), 1 - LEVEL / hypotheses))
+
+
+def unlikely(lines: SensorLines, gain: float) -> bool:
+    """Whether a gain is further from one than an error of the model is by chance once in `LEVEL`, over all sensors."""
+    return bool(abs(gain) < TINY or np.log(abs(gain)) ** 2 > FLOOR**2 * _limit_of_one(lines.sensors, lines.spare))
 
 
 def _precision(lines: SensorLines, variance: Real, tau: float | None) -> tuple[Array, int, float, float]:
