@@ -249,7 +249,7 @@ class FrequencyInversion:
             guards.null_space(facts["m"], facts["n"], facts["rank"]),
             told.contradicted(solved.excess, line.source) if line.known else None,
             told.no_spare_data(line.known, solved.path.m - spectrum.load.shape[1]),
-            told.frf_by_floor(facts["frf_source"] == "floor", solved.frf_part, solved.variance),
+            told.frf_by_floor(facts["frf_source"] == "floor", solved.frf_part, spectrum),
             told.antiresonance(spectrum, labels),
             told.inseparable(spectrum, H / np.sqrt(solved.total)[..., None], strength, labels),
             None if line.data is None else told.leaking(line.data.values, np.asarray(found.residual)),

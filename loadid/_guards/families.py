@@ -18,7 +18,7 @@ ENDS = 0.01  # share of the peak that may be left at the ends of a transient
 TONES = 30.0  # power of a line over the median around it from which it is a harmonic, not a random load
 STRONG = 3.0  # signal over noise of a line that is excited
 FEW = 16  # lines that were picked because they are excited
-MOST = 0.5  # share of the variance of the load that decides its band
+MOST = 0.5  # share of a variance, or of the power of a load, that decides
 SHARP = 1.0  # bandwidth of the window over that of the sharpest resonance
 
 
@@ -48,24 +48,26 @@ def antiresonance(spectrum: LoadSpectrum, labels: tuple[str, ...]) -> Flag | Non
     )
 
 
-def frf_by_floor(by_floor: bool, made: NDArray[np.float64], variance: NDArray[np.float64]) -> Flag | None:
-    """W406: the size of the errors of the FRF is not shown by the lines, and makes most of the band.
+def frf_by_floor(by_floor: bool, made: NDArray[np.float64], spectrum: LoadSpectrum) -> Flag | None:
+    """W406: nothing shows how large errors of the FRF are, and they are what spoils most of a load.
 
     Parameters
     ----------
-    made, variance : array, shape (lines, loads)
-        Variance of the loads that errors of the FRF make, and all of it.
+    made : array, shape (lines, loads)
+        Variance of the loads that errors of the FRF make.
     """
-    share = float(np.median(made / np.maximum(variance, 1e-300)))
+    power = spectrum.expected**2
+    spoilt = (made > MOST * spectrum.std**2) & (spectrum.std > spectrum.level * spectrum.expected)
+    share = float(np.max(np.sum(power * spoilt, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)))
     if not by_floor or share <= MOST:
         return None
     return Flag(
         "W406",
-        Evidence("share of the variance that errors of the FRF make", share, MOST),
-        f"nothing tells how wrong the FRF is, and that makes {share:.0%} of the variance of the load: 5 % of an entry "
-        "is taken",
+        Evidence("share of the power of a load on lines that errors of the FRF spoil", share, MOST),
+        f"nothing tells how wrong the FRF is: 5 % of an entry is taken, which keeps {share:.0%} of a load from being "
+        f"told to {spectrum.level:.0%}",
         "state noise=Noise(frf=...), give the FRF its variance, or use more sensors than loads",
-        effect=float(np.sqrt(share)),
+        effect=1.0,
     )
 
 
@@ -182,7 +184,7 @@ def contradicted(excess: float, source: NoiseSource) -> Flag | None:
 
 
 def no_spare_data(known: bool, spare: int) -> Flag | None:
-    """W406: no noise level, and no more sensors than loads: neighbouring lines alone tell noise from load."""
+    """W406, a note: no noise level, and no more sensors than loads: neighbouring lines alone tell noise from load."""
     if known or spare > 0:
         return None
     return Flag(
@@ -191,6 +193,7 @@ def no_spare_data(known: bool, spare: int) -> Flag | None:
         "the noise level is not known, and no sensor is left over to show it: it comes from how the neighbouring lines "
         "vary with the gain of the FRF",
         "state noise=, or use more sensors than loads",
+        state=True,
     )
 
 

@@ -60,11 +60,11 @@ def stationary(segment: int) -> tuple[Flag, ...]:
 
 
 def alone(stated: float | None) -> tuple[Flag, ...]:
-    """Flags of one sensor and one load, where the error of the FRF is stated or not."""
+    """Flags of one sensor and one load to 4 %, where the error of the FRF is stated or not."""
     c = case(200, 1, 1, noise=0.01)
     noise = None if stated is None else Noise(frf=stated)
     data = Spectra(c.f, c.Y, noise=c.sigma, noise_source="covariance")
-    return tuple(FrequencyInversion(model(c.f, c.H), noise=noise).estimate(data).flags)
+    return tuple(FrequencyInversion(model(c.f, c.H), noise=noise, level=0.04).estimate(data).flags)
 
 
 def harmonic(apart: float, background: float = 0.02) -> tuple[Flag, ...]:
