@@ -194,8 +194,11 @@ def _limit_of_one(hypotheses: int, dims: int) -> float:
 
 
 def unlikely(lines: SensorLines, gain: float) -> bool:
-    """Whether a gain is further from one than an error of the model is by chance once in `LEVEL`, over all sensors."""
-    return bool(abs(gain) < TINY or np.log(abs(gain)) ** 2 > FLOOR**2 * _limit_of_one(lines.sensors, lines.spare))
+    """Whether a gain is further from one than that of a sound model is by chance once in `LEVEL`, over all sensors."""
+    from scipy.special import ndtri
+
+    reach = -FLOOR * ndtri(0.5 * LEVEL / lines.sensors)
+    return bool(abs(gain) < TINY or abs(np.log(abs(gain))) > reach)
 
 
 def _precision(lines: SensorLines, variance: Real, tau: float | None) -> tuple[Array, int, float, float]:
