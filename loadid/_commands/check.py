@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 NAMES = {
     code: GUARDS[code]
     for code in (
-        *("W105", "W114", "W201", "W204", "W205", "W206", "W207", "W208", "W209", "W210", "W214"),
+        *("W105", "W114", "W201", "W204", "W205", "W206", "W207", "W208", "W209", "W210", "W214", "W216"),
         *("W505", "W509", "W702", "W704"),
     )
 }
@@ -113,6 +113,12 @@ def check_model(findings: Findings, model: Model) -> None:
     findings.run("W114", "model", lambda: flags.not_verified(model.certificate))
     for code in ("W207", "W208") if model.frequencies is not None else ():
         findings.run(code, "model", partial(_of, model.flags, code))
+    if model.frequencies is not None:
+        from structures._testing.reciprocity import flags as reciprocal
+
+        f = model.frequencies
+        table = model.frf(f), model.sensors, model.loads, model.frf_variance(f)
+        findings.run("W216", "model", lambda: reciprocal(f, *table))
     structure = model.structure
     if structure is not None:
         from structures._system.loads import near_support
@@ -169,7 +175,7 @@ def contradictions(model: Model, record: Record, h: Any) -> list[Flag]:
     found = model.noise if model.noise is not None else (noise_std(record) or (None,))[0]
     level = NoiseLevel(np.ones(len(record.channels)) if found is None else found, found is not None, STATED)
     told = sought(of_record(h, record.values, record.dt, level, record.channels))
-    return [flags.contradicting(fault) for fault in told]
+    return [flags.contradicting(fault) for fault in told.faults]
 
 
 def _of(flags: Iterable[Flag], code: str) -> list[Flag]:

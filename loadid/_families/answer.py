@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
@@ -213,14 +213,16 @@ def answer(
         lost = [s.label for i, s in enumerate(model.sensors) if i not in used]
         fewer = guards.lost_channels(full, (facts["kappa"], facts["rank"], facts["nullity"]), lost)
     short = free and UNDETERMINED in family.allow and facts["rank"] < facts["n"]
-    faults = sought(spare)
+    heard = sought(spare)
+    if heard.untested:
+        found = replace(found, facts=Facts.of({**facts, "untested_sensors": heard.untested}))
     raised = guards.collect(
         [
             guards.overridden("E306", "rank", facts["rank"], facts["n"]) if short else None,
             *model.flags,
             guards.not_verified(model.certificate),
             *measured.findings,
-            *map(guards.contradicting, faults),
+            *map(guards.contradicting, heard.faults),
             *found.flags,
             *flags,
             fewer,
@@ -237,7 +239,7 @@ def answer(
     history = provenance(family.name, settings=settings, inputs=measured.inputs, model=model.fingerprint, prior=prior)
     return labelled(
         found, model.loads, measured.channels, choice=choice, flags=raised, allowed=family.allow,
-        certificate=model.certificate, provenance=history, faults=faults,
+        certificate=model.certificate, provenance=history, faults=heard.faults,
     )  # fmt: skip
 
 

@@ -11,7 +11,18 @@ from numpy.typing import NDArray
 
 from structures._channels import Channel
 
-from .._inverse.diagnosis.faults import LineTimes, SensorLines, drifting, suspect, told_apart
+from .._inverse.diagnosis.faults import (
+    FLOOR,
+    LeftOut,
+    LineTimes,
+    SensorLines,
+    drifting,
+    left_out,
+    prepared,
+    suspect,
+    told_apart,
+    unlikely,
+)
 from .._results.faults import SensorFault
 from .noise import NoiseLevel
 
@@ -52,13 +63,35 @@ class Overlooked:
     dt: float = 0.0
 
 
-def sought(given: Overlooked | None) -> tuple[SensorFault, ...]:
-    """The fault that the sensors show, if they have any to spare."""
-    if given is None or given.lines.spare < 1:
-        return ()
-    found = suspect(given.lines)
-    only = None if found is None or found.swap else told_apart(given.lines, found, given.clock)
-    if found is None and given.clock is not None and (slow := drifting(given.lines, given.clock)) is not None:
+@dataclass(frozen=True)
+class Sought:
+    """What the sensors of an answer say of each other.
+
+    Parameters
+    ----------
+    faults : tuple of SensorFault
+    untested : tuple of str
+        Sensors that the others do not determine: of these nothing can be said.
+    """
+
+    faults: tuple[SensorFault, ...] = ()
+    untested: tuple[str, ...] = ()
+
+
+def sought(given: Overlooked | None) -> Sought:
+    """The fault that the sensors show, if they have any to spare, and whom they do not test."""
+    lines = None if given is None or given.lines.spare < 1 else prepared(given.lines)
+    if given is None or lines is None:
+        return Sought()
+    whole = left_out(lines, FLOOR)
+    untested = tuple(label for label, due in zip(given.labels, whole.silent, strict=True) if due < 1)
+    return Sought(_faults(given, lines, whole), untested)
+
+
+def _faults(given: Overlooked, lines: SensorLines, whole: LeftOut) -> tuple[SensorFault, ...]:
+    found = suspect(lines, whole)
+    only = None if found is None or found.swap else told_apart(lines, found, given.clock)
+    if found is None and given.clock is not None and (slow := drifting(lines, given.clock)) is not None:
         found, only = slow[0], slow[1:]
     if found is None:
         return ()
@@ -68,7 +101,7 @@ def sought(given: Overlooked | None) -> tuple[SensorFault, ...]:
         at, fault = only
         who, unit = (given.labels[at],), given.dt if fault.kind == "delay" else 1.0
         kind, size, std = fault.kind, fault.size * unit, fault.std * unit
-    if kind in VAGUE and found.excess < SURE:
+    if (kind in VAGUE and found.excess < SURE) or (kind == "gain" and not unlikely(lines, size)):
         return ()
     kept = tuple(label for label in given.labels if label not in who)
     return (SensorFault(who, kind, size, std, found.excess, found.without, found.other, kept),)

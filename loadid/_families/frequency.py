@@ -208,6 +208,7 @@ class FrequencyInversion:
         some = np.isfinite(solved.identifiable.condition)
         rank = int(np.sum(solved.path.c > 0))
         level = float(np.sqrt(np.median(solved.noise)))
+        source = self._frf_source(solved, spectrum.load.shape[1])
         errors = "none stated"
         if solved.discrepancy is not None:
             errors = _learned(solved.discrepancy, solved.path.m - spectrum.load.shape[1])
@@ -222,8 +223,21 @@ class FrequencyInversion:
             kappa=float(np.median(solved.identifiable.condition[some])) if some.any() else float("inf"),
             residual_to_noise=level if line.known else None, noise_level=level,
             **line.source.facts, trusted_lines=_told(spectrum, H), trust_level=self.level,
-            frf_errors=errors, **more,
+            untold_power=spectrum.untold_power,
+            frf_errors=errors, frf_source=source, **more,
         )  # fmt: skip
+
+    def _frf_source(self, solved: LineFit, loads: int) -> str:
+        """Where the size of the errors of the FRF comes from."""
+        if solved.discrepancy is not None:
+            if solved.discrepancy.by_floor:
+                return "floor"
+            return "spare sensors" if solved.path.m > loads else "loads of smooth size"
+        if self.settings.noise.frf is not None:
+            return "stated"
+        if solved.errors is None:
+            return "taken for exact"
+        return "the model's variance"
 
     def _flags(self, solved: LineFit, line: LineData, H: NDArray[Any], found: SolvedLoad) -> list[Flag | None]:
         labels, facts, spectrum = tuple(c.label for c in self.model.loads), found.facts, found.spectrum
@@ -235,6 +249,7 @@ class FrequencyInversion:
             guards.null_space(facts["m"], facts["n"], facts["rank"]),
             told.contradicted(solved.excess, line.source) if line.known else None,
             told.no_spare_data(line.known, solved.path.m - spectrum.load.shape[1]),
+            told.frf_by_floor(facts["frf_source"] == "floor", solved.frf_part, spectrum),
             told.antiresonance(spectrum, labels),
             told.inseparable(spectrum, H / np.sqrt(solved.total)[..., None], strength, labels),
             None if line.data is None else told.leaking(line.data.values, np.asarray(found.residual)),

@@ -18,11 +18,15 @@ ENDS = 0.01  # share of the peak that may be left at the ends of a transient
 TONES = 30.0  # power of a line over the median around it from which it is a harmonic, not a random load
 STRONG = 3.0  # signal over noise of a line that is excited
 FEW = 16  # lines that were picked because they are excited
+MOST = 0.5  # share of a variance, or of the power of a load, that decides
 SHARP = 1.0  # bandwidth of the window over that of the sharpest resonance
 
 
 def antiresonance(spectrum: LoadSpectrum, labels: tuple[str, ...]) -> Flag | None:
-    """W507: lines on which the predicted relative std of a load exceeds the stated level."""
+    """W507: lines on which the predicted relative std of a load exceeds the stated level.
+
+    A note: there the load is mostly prior, and its band says so.
+    """
     flagged = ~spectrum.trust()
     if not flagged.any():
         return None
@@ -33,14 +37,37 @@ def antiresonance(spectrum: LoadSpectrum, labels: tuple[str, ...]) -> Flag | Non
         f"{labels[j]}: " + ("all" if share[j] == 1 else f"{share[j]:.1%}, {in_words(spectrum.bands(j))}")
         for j in np.argsort(-share)[:4] if share[j]
     )  # fmt: skip
-    seen, power = spectrum.predicted[:, worst], spectrum.expected**2
-    held = float(np.max(np.sum(power * flagged, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)))
+    seen = spectrum.predicted[:, worst]
     return Flag(
         "W507",
         Evidence("largest predicted relative std", float(np.min([np.max(seen), 1e6])), spectrum.level),
         f"{count} of {lines} lines do not tell some load to {spectrum.level:.0%} ({where}): antiresonances, or no load "
-        f"there. They hold up to {held:.0%} of the power of a load and are shaded; what stands in `load` "
-        "there is mostly prior",
+        f"there. They hold up to {spectrum.untold_power:.0%} of the power of a load and are shaded; what stands in "
+        "`load` there is mostly prior, and its band as wide",
+        state=True,
+    )
+
+
+def frf_by_floor(by_floor: bool, made: NDArray[np.float64], spectrum: LoadSpectrum) -> Flag | None:
+    """W406: nothing shows how large errors of the FRF are, and they are what spoils most of a load.
+
+    Parameters
+    ----------
+    made : array, shape (lines, loads)
+        Variance of the loads that errors of the FRF make.
+    """
+    power = spectrum.expected**2
+    spoilt = (made > MOST * spectrum.std**2) & (spectrum.std > spectrum.level * spectrum.expected)
+    share = float(np.max(np.sum(power * spoilt, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)))
+    if not by_floor or share <= MOST:
+        return None
+    return Flag(
+        "W406",
+        Evidence("share of the power of a load on lines that errors of the FRF spoil", share, MOST),
+        f"nothing tells how wrong the FRF is: 5 % of an entry is taken, which keeps {share:.0%} of a load from being "
+        f"told to {spectrum.level:.0%}",
+        "state noise=Noise(frf=...), give the FRF its variance, or use more sensors than loads",
+        effect=1.0,
     )
 
 
@@ -157,7 +184,7 @@ def contradicted(excess: float, source: NoiseSource) -> Flag | None:
 
 
 def no_spare_data(known: bool, spare: int) -> Flag | None:
-    """W406: no noise level, and no more sensors than loads: neighbouring lines alone tell noise from load."""
+    """W406, a note: no noise level, and no more sensors than loads: neighbouring lines alone tell noise from load."""
     if known or spare > 0:
         return None
     return Flag(
@@ -166,6 +193,7 @@ def no_spare_data(known: bool, spare: int) -> Flag | None:
         "the noise level is not known, and no sensor is left over to show it: it comes from how the neighbouring lines "
         "vary with the gain of the FRF",
         "state noise=, or use more sensors than loads",
+        state=True,
     )
 
 

@@ -31,6 +31,7 @@ GIVEN = 0.5  # data that show the floor
 DATA = 900  # numbers that are asked
 STEPS = 10  # of the fixed point, which then moves by less than chance
 FEW = 8  # lines from which on sizes are learned
+LEAST = 5.0  # data that show sizes, below which the floor decides
 TINY = 1e-300
 
 
@@ -50,6 +51,8 @@ class Discrepancy:
         Variances of the loads around each line.
     noise : float
         Variance of the whitened noise.
+    shown : float
+        Data that the sizes rest on; of few the floor stands.
     """
 
     sizes: Array
@@ -57,6 +60,12 @@ class Discrepancy:
     slope: NDArray[np.complex128]
     load: Array
     noise: float
+    shown: float
+
+    @property
+    def by_floor(self) -> bool:
+        """Whether too few data show the sizes: the floor stands."""
+        return self.shown < LEAST
 
     @property
     def entry(self) -> float:
@@ -88,11 +97,13 @@ def learned(
     slope = _slope(H, f)
     step = max(1, -(-lines // max(DATA // sensors, 40)))
     pick = slice(step // 2, None, step)
-    sizes, v, noise = _fixed_point(H[pick], X[pick], slope[pick], known, max(neighbours // step, 2), GIVEN / averages)
+    near, given = max(neighbours // step, 2), GIVEN / averages
+    sizes, v, noise, shown = _fixed_point(H[pick], X[pick], slope[pick], known, near, given)
     at, every = np.arange(lines)[pick], np.arange(lines)
     load = np.exp(np.column_stack([np.interp(every, at, np.log(v[:, j])) for j in range(loads)]))
     entries = sizes[0] * np.abs(H) ** 2 + sizes[1] * _filled(np.abs(H) ** 2)
-    return Discrepancy(sizes, entries * root**2, np.sqrt(sizes[2]) * slope * root, load, noise)
+    return Discrepancy(sizes, entries * root**2, np.sqrt(sizes[2]) * slope * root, load, noise,
+                       shown * averages)  # fmt: skip
 
 
 def _slope(H: Numbers, f: Array) -> NDArray[np.complex128]:
@@ -109,15 +120,15 @@ def _filled(size: Array) -> Array:
 
 def _fixed_point(
     H: Numbers, X: Numbers, D: Numbers, known: bool, neighbours: int, given: float
-) -> tuple[Array, Array, float]:
-    """Sizes (3,), variances of the loads (lines, loads), noise."""
+) -> tuple[Array, Array, float, float]:
+    """Sizes (3,), variances of the loads (lines, loads), noise, and how many data show the sizes."""
     lines, sensors, loads = H.shape
     near, _ = window(lines, neighbours)
     size, i = np.abs(H) ** 2, np.arange(sensors)
     filled = _filled(size)
     energy, power = np.sum(size, axis=1), np.sum(np.abs(X) ** 2, axis=(1, 2))
     v = near(power[:, None] * energy) / np.maximum(near(energy**2), TINY) / loads + TINY
-    theta, least = FLOORS, 1.0 if known else 1e-12 * float(np.mean(power)) + TINY
+    rest, theta, least = 0.0, FLOORS, 1.0 if known else 1e-12 * float(np.mean(power)) + TINY
     noise = 1.0 if known else 1e-3 * float(np.mean(power)) / sensors + TINY
     for _ in range(STEPS):
         both = np.concatenate([H, np.sqrt(theta[2]) * D], axis=2)
@@ -140,7 +151,8 @@ def _fixed_point(
         )
         if lines >= FEW:
             seen, expected = (np.sum(v * part, axis=(1, 2)) for part in parts)
+            rest = float(np.sum(expected)) if sensors > 1 else 0.0  # what one reads, loads explain as well
             theta = theta * np.clip((seen + given * FLOORS / theta) / (expected + given), 0.1, 10.0)
         noise = max(noise * float(np.sum(shown) / np.sum(due)), least)
         v = v_next + TINY
-    return theta, v, noise
+    return theta, v, noise, rest

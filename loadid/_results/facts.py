@@ -49,6 +49,9 @@ class Facts(Mapping[str, Any]):
     missing, frf_errors, band, path, solver : str
         In words: samples that are not there, what errors of the FRF add to the noise, what the std holds, how it was
         solved, and by what where loads only push.
+    frf_source : str
+        Who says how large errors of the FRF are: ``"stated"``, ``"the model's variance"``, ``"spare sensors"``,
+        ``"loads of smooth size"``, ``"floor"`` where nothing tells, or ``"taken for exact"``.
     edf, residual_to_noise, noise_level : float
         Effective degrees of freedom of the load; residual over noise, where that is known; noise of the whitened data.
     noise_source, noise_kind : str
@@ -58,11 +61,13 @@ class Facts(Mapping[str, Any]):
         variance at the largest load that is noise (the rest is prior).
     expected_error : float
         Relative error that the posterior expects of the load, root mean square; not stated where the std says it.
-    trusted_lines, trust_level : float
+    trusted_lines, trust_level, untold_power : float
         Share of the frequency lines that tell every load to this predicted relative error; a load that makes less than
-        5 % of the response of a line does not count there.
+        5 % of the response of a line does not count there. Largest share of the power of a load on the other lines.
     averages, bandwidth, window
         Of cross spectra: independent averages, bandwidth of a line (Hz), name of the window.
+    untested_sensors : tuple of str
+        Sensors that the others do not determine: whether these are sound cannot be said.
     held_out : tuple of str
         Prediction error of each sensor that was kept out.
     window_bound : float
@@ -103,9 +108,12 @@ class Facts(Mapping[str, Any]):
     trusted_lines: float | None = fact("share of the lines that tell every load")
     trust_level: float | None = fact("to a predicted error of")
     frf_errors: str | None = fact("errors of the FRF")
+    frf_source: str | None = fact("errors of the FRF by", shown=False)
+    untold_power: float | None = fact("largest share of a load's power on lines that do not tell it")
     averages: float | None = fact("independent averages")
     bandwidth: float | None = fact("bandwidth of a line, Hz", "Hz")
     window: str | None = fact()
+    untested_sensors: tuple[str, ...] | None = fact("sensors that the others do not determine")
     held_out: tuple[str, ...] | None = fact("prediction error of the sensors that were kept out")
     noise_share: float | None = fact("share of the variance at the peak that is noise (the rest is prior)")
     path: str | None = fact("solved by")

@@ -126,6 +126,13 @@ class LoadSpectrum:
             )
         return self.predicted <= level
 
+    @property
+    def untold_power(self) -> float:
+        """Largest share of the expected power of a load that stands on lines which are not trusted."""
+        power = self.expected**2
+        share = np.sum(power * ~self.trust(), axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)
+        return float(np.max(share))
+
     def bands(self, load: int = 0, level: float | None = None) -> tuple[tuple[float, float], ...]:
         """First and last line (Hz) of every stretch that is not trusted, for one load."""
         flagged = np.concatenate([[False], ~self.trust(level)[:, load], [False]])

@@ -88,7 +88,8 @@ class MeasuredModel(FrfModel):
         self.noise_power = None if power is None else checked("noise_power", power, rows, where=type(self).__name__)
         self.hits, self.samples = tuple(records.hits), records.samples or len(self.frequencies) - 1
         self.dt = float(1 / (2 * self.frequencies[-1]))
-        self.flags = (*self.flags, *kinds.whole(self.frequencies, self.H, self.sensors, self.loads))
+        turned = kinds.whole(self.frequencies, self.H, self.sensors, self.loads)
+        self.flags = (*self.flags, *turned, *self._reciprocal())
 
     # -- construction -----------------------------------------------------------------------------------------------
     @classmethod

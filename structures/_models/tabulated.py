@@ -15,13 +15,14 @@ from .._certificate import Certificate
 from .._channels import Channel
 from .._flags import Flag
 from .._model import Model
-from .._testing import kinds
+from .._testing import kinds, reciprocity
 from .._testing.runs import of_spectra, tabulated
 from ..errors import InputError, as_array, digest, lines, plain
 from ..files import _storage as storage
 from .lines import BETWEEN, ascending, checked, cube, index_of, interpolated, interpolation_flag, nearest, one_name_each
 
 if TYPE_CHECKING:
+    from .._testing.reciprocity import FrfFault
     from .._testing.welch import CrossSpectra
 
 
@@ -262,7 +263,8 @@ class FrfModel(Model):
             variance=np.concatenate(variances, axis=2) if len(variances) == len(models) else None,
             flags=tuple(dict.fromkeys(f for m in models for f in m.flags)),
         )
-        return made._between(all(m.interpolate for m in models))
+        made = made._between(all(m.interpolate for m in models))
+        return made if made.sampled else made._like(flags=(*made._given_flags, *made._reciprocal()))
 
     @classmethod
     def _lines(cls, frequencies: ArrayLike) -> NDArray[np.float64]:
@@ -270,10 +272,44 @@ class FrfModel(Model):
         return ascending(frequencies)
 
     def judged(self) -> Self:
-        """The same model with what its phases tell: W207 where it is turned, N207 where that cannot be told."""
+        """The same model with what its phases tell, W207 or N207, and W216 where it is not reciprocal."""
         found = kinds.lines(self.frequencies, self.H, self.sensors, self.loads)
-        known = [f for f in self.flags if f.code not in ("LID-W207", "LID-N207")]
-        return self._like(flags=(*known, *found))
+        known = [f for f in self.flags if f.code not in ("LID-W207", "LID-N207", "LID-W216")]
+        return self._like(flags=(*known, *found, *self._reciprocal()))
+
+    def _reciprocal(self) -> tuple[Flag, ...]:
+        return reciprocity.flags(self.frequencies, self.H, self.sensors, self.loads, self.variance)
+
+    @property
+    def fault(self) -> FrfFault | None:
+        """What explains that the table is not reciprocal; None where it is, or where no two places have both.
+
+        Sensors and loads share a place where their labels name the same DOF (``12+Z``).
+        """
+        return reciprocity.check(self.frequencies, self.H, self.sensors, self.loads, self.variance)
+
+    def corrected(self, fault: FrfFault | None = None) -> Self:
+        """The same model without a fault, default the one that it shows; not yet verified.
+
+        Raises
+        ------
+        InputError
+            No fault, one that no factor and no exchange mends, or one of several that explain it as well, where it
+            is not given.
+        """
+        found = fault or self.fault
+        if found is None or (fault is None and not found.certain):
+            raise InputError(
+                "no fault is known" if found is None else "several faults explain it", where="corrected",
+                found="reciprocal FRFs, or no place that has both sensor and load" if found is None else str(found),
+                expected="one fault", hint="nothing to correct" if found is None else "corrected(model.fault) takes "
+                "the first; or mend what is known to be wrong",
+            )  # fmt: skip
+        labels = [s.label for s in self.sensors], [c.label for c in self.loads]
+        spread = None if self.variance is None else found.corrected(self.variance, *labels, power=2)
+        again = [f for f in self._given_flags if f.code != "LID-W216"]
+        made = self._like(H=found.corrected(self.H, *labels), variance=spread, certificate=None, flags=again)
+        return made.judged()
 
     def at(self, lines: ArrayLike) -> Self:
         """The model on some of its lines: a mask (lines,) of truth values, or frequencies in Hz, ascending.
@@ -356,7 +392,7 @@ class FrfModel(Model):
     @property
     def _given_flags(self) -> tuple[Flag, ...]:
         """Flags that no constructor finds again."""
-        return tuple(f for f in self.flags if not (self.sampled and f.code == "LID-W207"))
+        return tuple(f for f in self.flags if not (self.sampled and f.code in ("LID-W207", "LID-W216")))
 
     # -- the contract -----------------------------------------------------------------------------------------------
     def frf(self, frequencies: ArrayLike) -> NDArray[np.complex128]:

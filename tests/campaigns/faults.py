@@ -72,6 +72,8 @@ class Found:
         Kind that was said, "" for nothing.
     named, kind : bool
         The right sensors were named; the right kind.
+    tested : bool
+        The answer does not say of the sensors at fault that the others do not determine them.
     clean, faulty, corrected : float
         Load error of the sound readings, of the faulty ones, and after correction; NaN where not asked.
     """
@@ -81,6 +83,7 @@ class Found:
     said: str
     named: bool
     kind: bool
+    tested: bool
     clean: float
     faulty: float
     corrected: float
@@ -305,7 +308,8 @@ def scored(given: Problem, *, corrected: bool = True) -> Found:
                     found = found[..., [given.labels.index(k) for k in kept]]
                 again = given.inversion(kept).estimate(found)
             errors[2] = _off(again, given.truth)
-    return Found(given.groups, given.fault, said, named, kind, *errors)
+    tested = not given.culprits & set(estimate.facts.untested_sensors or ())
+    return Found(given.groups, given.fault, said, named, kind, tested, *errors)
 
 
 def run(
@@ -321,18 +325,24 @@ def run(
 
 
 def table(given: Sequence[Found | str], told: Callable[[str], None] = print) -> None:
-    """Print the share of sensors and kinds named right, and the errors, of all, each fault and each group."""
+    """Print the share of sensors and kinds named right, and the errors, of all, each fault and each group.
+
+    *tested*: share of the problems whose sensor at fault is determined by the others, as the answer says, and the share
+    of the sensors named among these.
+    """
     found = [f for f in given if isinstance(f, Found)]
     told(f"refused: {counts(f for f in given if isinstance(f, str))}")
-    told(f"{'':22s}    n   said sensor  kind    clean  faulty corrected /clean  <1.3  what is said")
+    told(f"{'':22s}    n   said sensor  kind  tested sensor    clean  faulty corrected /clean  <1.3  what is said")
     for name in ("all", *sorted({f.fault for f in found}), *sorted({g for f in found for g in f.groups})):
         some = [f for f in found if name in ("all", f.fault) or name in f.groups]
+        tested = [f.named for f in some if f.tested]
         ratio = np.array([f.corrected / f.clean for f in some if np.isfinite(f.corrected)])
         clean, faulty, after = (
             np.nanmedian([getattr(f, k) for f in some] or [np.nan]) for k in ("clean", "faulty", "corrected")
         )
         told(f"{name:22s} {len(some):4d}  {np.mean([bool(f.said) for f in some]):5.0%}"
-             f" {np.mean([f.named for f in some]):6.0%} {np.mean([f.kind for f in some]):5.0%}   {clean:6.3f}"
+             f" {np.mean([f.named for f in some]):6.0%} {np.mean([f.kind for f in some]):5.0%}"
+             f"  {len(tested):6d} {np.mean(tested) if tested else np.nan:6.0%}   {clean:6.3f}"
              f" {faulty:7.3f} {after:9.3f} {np.median(ratio) if len(ratio) else np.nan:6.2f}"
              f" {np.mean(ratio <= 1.3) if len(ratio) else np.nan:5.0%}  "
              + counts(f.said or "nothing" for f in some))  # fmt: skip

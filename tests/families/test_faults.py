@@ -154,3 +154,26 @@ def test_what_one_factorisation_says_of_every_hypothesis_is_what_solving_it_anew
         assert told.misfit == pytest.approx(anew.misfit, rel=1e-9)
         for name in ("rest", "precision", "limit", "excess"):
             np.testing.assert_allclose(getattr(told.left, name), getattr(anew, name), rtol=1e-7, atol=1e-10)
+
+
+def test_a_sensor_that_the_others_do_not_determine_is_said() -> None:
+    """Beyond the loads a cantilever has no strain: a gauge there tells nothing, and nothing tells of it."""
+    beam = beams.beam(length=0.6, section=beams.Section.rectangle(0.04, 0.01), material=beams.materials.steel,
+                      left="clamped", right="free", elements=24)  # fmt: skip
+    gauges = [sensors.StrainGauge(at=x, fibre=0.005, label=f"e{i}") for i, x in enumerate((0.05, 0.12, 0.2, 0.5))]
+    m = ForwardModel(beam, gauges, [loads.Point(at=0.3, direction="Z")])
+    clean = m.static() @ [100.0]
+    noise = np.full(4, 0.01 * np.abs(clean).max())
+    readings = clean + noise * np.random.default_rng(0).standard_normal(4)
+    e = StaticInversion(m, noise=noise).estimate(readings)
+    assert e.facts.untested_sensors == ("e3",)
+    assert not e.faults
+    assert "others do not determine" in e.summary(details=True)
+
+
+@pytest.mark.parametrize("gain", [0.93, 1.07])
+def test_a_gain_that_errors_of_a_model_have_is_no_fault(gain: float) -> None:
+    y = np.array(RECORD.values)
+    y[:, 3] *= gain
+    e = Deconvolution(MODEL).estimate(replace(RECORD, values=y))
+    assert not e.faults

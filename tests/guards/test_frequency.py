@@ -59,6 +59,14 @@ def stationary(segment: int) -> tuple[Flag, ...]:
     return tuple(FrequencyInversion(beam(), signal=Signal("stationary", segment=segment)).estimate(y, DT).flags)
 
 
+def alone(stated: float | None) -> tuple[Flag, ...]:
+    """Flags of one sensor and one load to 4 %, where the error of the FRF is stated or not."""
+    c = case(200, 1, 1, noise=0.01)
+    noise = None if stated is None else Noise(frf=stated)
+    data = Spectra(c.f, c.Y, noise=c.sigma, noise_source="covariance")
+    return tuple(FrequencyInversion(model(c.f, c.H), noise=noise, level=0.04).estimate(data).flags)
+
+
 def harmonic(apart: float, background: float = 0.02) -> tuple[Flag, ...]:
     """Flags of three harmonics of two loads, that look alike but for a share of `apart`."""
     rng = np.random.default_rng(4)
@@ -74,6 +82,9 @@ def harmonic(apart: float, background: float = 0.02) -> tuple[Flag, ...]:
 CASES = [
     Case("W406", lambda: level(5), lambda: level(1), r"lines show 5(\.\d)? times", "too low"),
     Case("W406", lambda: level(0, 3), lambda: level(0, 4), r"no sensor is left over", "unknown"),
+    Case(
+        "W406", lambda: alone(None), lambda: alone(0.02), r"nothing tells how wrong the FRF is.*threshold 0\.5", "FRF"
+    ),
     Case("W507", lambda: deep(1), lambda: deep(4), r"of 200 lines do not tell.*threshold 0\.1"),
     Case("W508", lambda: hit(1000), lambda: hit(4000), r"leakage.*threshold 0\.01", "end"),
     Case("W508", lambda: stationary(1024), lambda: stationary(8192), r"the window averages over", "window"),

@@ -7,6 +7,7 @@ import numpy as np
 from structures import Flag, FrfModel, cross_spectra
 from structures._testing.frfs import estimate
 
+from ..structures.test_reciprocity import LINES, channels, frf
 from .cases import Case, refused
 
 DT = 1e-3
@@ -42,6 +43,14 @@ def transient(height: float) -> tuple[Flag, ...]:
     return cross_spectra(x, DT, segment=512).flags
 
 
+def places(gain: float) -> tuple[Flag, ...]:
+    """Flags of a table of three places that are all struck and read, one of them read times `gain`."""
+    H = frf()
+    H[:, 1] *= gain
+    names = [[c.label for c in some] for some in channels()]
+    return FrfModel.from_frf(LINES, H, kind="accelerance", sensors=names[0], loads=names[1]).flags
+
+
 BAND, FEW = np.linspace(20, 100, 200), np.array([20.0, 50.0, 70.0])
 CASES = [
     Case("W207", lambda: oscillator(BAND, -1), lambda: oscillator(BAND), r"a / 3\+Z.*negative times = \d", "band"),
@@ -67,6 +76,12 @@ CASES = [
         lambda: refused(lambda: shakers(0.0)),
         lambda: refused(lambda: shakers(0.05)),
         r"force.* are one: .*threshold 1e-08",
+    ),
+    Case(
+        "W216",
+        lambda: places(9.80665),
+        lambda: places(1.0),
+        r"not reciprocal: 11\+Z reads 9.807 times what reciprocity says: a factor of units.*threshold",
     ),
     Case("W508", lambda: transient(200.0), lambda: transient(1.0), r"a transient is cut.*threshold 30"),
 ]

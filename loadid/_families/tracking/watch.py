@@ -83,6 +83,8 @@ def _of(known: Usual, bank: Lifted, other: Lifted) -> Usual:
 
 
 FEWEST = 10  # hops of a record, from which it tells what is usual
+
+
 def usual(model: FilterModel, Y: Array) -> Usual | None:
     """Of a record (samples, m), NaN where a channel is missing; None where it is too short, or nothing is watched."""
     bank, hops = lifted_of(model), len(Y) // HOP

@@ -32,6 +32,7 @@ LOST = 200.0  # times the variance that is expected, from which no error of a mo
 CLEARLY = 2.0  # times that variance, from which a closer look is taken
 MARGIN = 0.4  # of the limit, by which the best explanation leaves less than the next
 MOST = 24  # sensors beyond which swaps are not tried
+TINY = 1e-12  # gain of a sensor that reads nothing
 SEEN = 1e-9  # of the precision of a sensor alone: below, the others say nothing about it
 FIRM = 1e-6  # of the precision of two sensors alone: below, their exchange is solved anew
 
@@ -120,6 +121,9 @@ class LeftOut:
         Precision of the readings with the loads integrated out.
     dims : int
         Its rank.
+    silent : array, shape (sensors,)
+        Misfit over its limit that each would have if it read nothing where the others predict what they do: below 1
+        they do not determine it, and hardly anything that is wrong with it can be seen.
     """
 
     rest: Array
@@ -132,6 +136,7 @@ class LeftOut:
     cost: float
     K: Array
     dims: int
+    silent: Real
 
 
 def left_out(lines: SensorLines, delta: float, tau: float | None = None) -> LeftOut:
@@ -169,8 +174,10 @@ def _predicted(lines: SensorLines, delta: float, K: Array, dims: int, tau: float
     excess = np.divide(misfit, scale * limit, out=np.zeros(len(misfit)), where=limit > 0)
     mean = np.mean(share, axis=1, keepdims=True)
     total = float(_scale(whole[:, None], np.full((len(K), 1), per_line * dims), mean, lines.known)[0])
+    due = lines.worth * np.sum(precision * np.sum(np.abs(lines.y - rest) ** 2, axis=2), axis=0)
+    silent = np.divide(due, limit, out=np.zeros(len(due)), where=limit > 0)
     return LeftOut(rest, precision, max(float(whole.sum()), 0.0), total, limit, excess, tau, cost,
-                   K, dims)  # fmt: skip
+                   K, dims, silent)  # fmt: skip
 
 
 def _scale(misfit: Real, freedom: Real, share: Real, known: bool) -> Real:
@@ -197,6 +204,14 @@ def _limit_of_one(hypotheses: int, dims: int) -> float:
     from scipy.special import fdtri
 
     return float(fdtri(1.0, BELIEF + max(dims - 1, 0), 1 - LEVEL / hypotheses))
+
+
+def unlikely(lines: SensorLines, gain: float) -> bool:
+    """Whether a gain is further from one than that of a sound model is by chance once in `LEVEL`, over all sensors."""
+    from scipy.special import ndtri
+
+    reach = -FLOOR * ndtri(0.5 * LEVEL / lines.sensors)
+    return bool(abs(gain) < TINY or abs(np.log(abs(gain))) > reach)
 
 
 def _precision(lines: SensorLines, variance: Real, tau: float | None) -> tuple[Array, int, float, float]:
@@ -321,20 +336,16 @@ class Explanation:
         return float(self.left.excess.max())
 
 
-def suspect(lines: SensorLines) -> Suspicion | None:
-    """Who is wrong; None where all sensors agree within noise and errors of the model, or where none is to spare."""
-    return None if (prepared := _prepared(lines)) is None else _searched(prepared)
-
-
-def _prepared(lines: SensorLines) -> SensorLines | None:
+def prepared(lines: SensorLines) -> SensorLines | None:
     """The lines with the level of their noise, if there is a sensor to spare."""
     if lines.spare < 1 or lines.sensors < 3 or (not lines.known and lines.spare < 2):
         return None
     return lines if lines.known or len(lines.y) == 1 else _with_noise(lines)
 
 
-def _searched(lines: SensorLines) -> Suspicion | None:
-    whole = left_out(lines, FLOOR)
+def suspect(lines: SensorLines, whole: LeftOut | None = None) -> Suspicion | None:
+    """Who is wrong of `prepared` lines; None where all sensors agree within noise and errors of the model."""
+    whole = left_out(lines, FLOOR) if whole is None else whole
     if whole.excess.max() <= SCREEN and whole.scale <= CLEARLY:
         return None
     return _weighed(lines, FLOOR, whole)
@@ -533,20 +544,20 @@ def told_apart(lines: SensorLines, suspicion: Suspicion, clock: LineTimes | None
 
 
 def drifting(lines: SensorLines, clock: LineTimes) -> tuple[Suspicion, int, LineFault] | None:
-    """A sensor with an offset or a drift, which few lines hold: these are asked alone."""
-    prepared = _prepared(lines)
-    if prepared is None or clock.slow.sum() < 2:
+    """A sensor with an offset or a drift, which few of the `prepared` lines hold: these are asked alone."""
+    if clock.slow.sum() < 2:
         return None
-    found = _searched(prepared.on(clock.slow))
+    slow = lines.on(clock.slow)
+    found = suspect(slow)
     if found is None or found.swap or len(found.sensors) != 1 or found.found is None:
         return None
     (i,) = found.sensors
     alone = replace(clock, phase=clock.phase[clock.slow], constant=None, slow=np.ones(int(clock.slow.sum()), bool))
-    fault = _named(prepared.on(clock.slow), found, found.found, i, alone)
+    fault = _named(slow, found, found.found, i, alone)
     if fault.kind in ("gain", "unit", "polarity", "dead", "delay"):
         return found, i, fault
     rest = found.found.rest[:, i]
-    if np.sum(np.abs(rest) ** 2) < MATTERS**2 * np.sum(np.abs(prepared.y[:, i]) ** 2):
+    if np.sum(np.abs(rest) ** 2) < MATTERS**2 * np.sum(np.abs(lines.y[:, i]) ** 2):
         return None
     return found, i, _slow(rest, None if clock.constant is None else clock.constant[clock.slow])
 
