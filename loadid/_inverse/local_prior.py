@@ -32,15 +32,18 @@ from .nuisances import SEEN, Marginal, Nuisances, marginal
 
 HALF, STRIDE = 8, 4  # samples: half-width of a bump, distance of two
 POWER = 0.8  # of the update of bumps
-MOST, TRIED = 60, 12  # updates, and those after which memories are compared
-GAIN = 0.1  # ln evidence of an update below which it is the last
+MOST, TRIED = 14, 10  # updates of bumps, and those after which memories are compared
+GUESSED, SETTLED = 3, 8  # updates of constant variances: from each guess of the noise, and from the best so far
+GAIN = 0.5  # ln evidence of an update below which it is the last
 ENERGY = 16  # samples to each side over which the energy of the response is averaged
 LEAST = 1e-14  # of the largest variance that is kept
 NOISELESS = 1e-8  # least variance of a learned noise, over the mean square of its channel: the filter's digits
 MEMORIES = (0.0, 2.0, 3.5, 6.0, 12.0, 30.0)  # samples
 FIRST = 3  # which of them is tried first
-ASKED = 40.0  # gain for each bump in use, over the share of the record in use, that is no chance
+ASKED = 15.0  # gain for each bump in use, over the share of the record in use, that is no chance
+RESTS, QUIET = 0.5, 1e-2  # share of the record over which every load of impacts rests: variance over its largest
 LONGEST = 12.0  # samples: memory of a pulse
+LEAST_MISFIT = 0.01  # from which it is learned
 OPENED = 0.03  # misfit with which errors of the model are sought: a fit that explains all by its load tells none
 ROUNDS, TOLD = 5, 2.0  # linearisations by errors of the model at most, and the gain in ln evidence that asks for one
 UNLIKELY, UNKNOWN = 1e-4, 0.05  # odds of errors of the model, and misfit beside them, at which it is contradicted
@@ -81,6 +84,8 @@ class LocalPrior(StationaryPrior):
     evidence, memory, record, given, noise
         As in `StationaryPrior`; the evidence is that without `misfit`, to be compared.
     stationary : StationaryPrior
+    compared : array, shape (samples, p)
+        Variances of the load, of that evidence.
     misfit : float
         Error of the model in parts of the response.
     bumps : int
@@ -96,6 +101,7 @@ class LocalPrior(StationaryPrior):
     """
 
     stationary: StationaryPrior
+    compared: Array
     misfit: float
     bumps: int
     updates: int
@@ -111,7 +117,7 @@ class LocalPrior(StationaryPrior):
     @property
     def participation(self) -> Array:
         """Share of the record over which the variance of each load is spread, (p,)."""
-        v = self.given.load / np.maximum(self.given.load.max(axis=0), TINY)
+        v = self.compared / np.maximum(self.compared.max(axis=0), TINY)
         return np.asarray(v.sum(axis=0) ** 2 / (len(v) * np.maximum(np.sum(v**2, axis=0), TINY)))
 
     @property
@@ -120,9 +126,15 @@ class LocalPrior(StationaryPrior):
         return (self.evidence - self.stationary.evidence) / (self.bumps * float(self.participation.mean()))
 
     @property
+    def rest(self) -> float:
+        """Share of the record over which the load that rests least has next to no variance."""
+        return float(np.mean(self.compared < QUIET * self.compared.max(axis=0), axis=0).min())
+
+    @property
     def asked_for(self) -> bool:
-        """Whether the data ask for it: the gain is no chance, of a load that rests, without memory beyond a pulse."""
-        return self.gain > ASKED * float(self.participation.mean()) and self.memory <= LONGEST
+        """Whether the data ask for it: the gain is no chance, all loads rest, without memory beyond a pulse."""
+        chance = ASKED * float(self.participation.mean())
+        return self.gain > chance and self.rest > RESTS and self.memory <= LONGEST
 
 
 def posterior(prior: StationaryPrior, errors: Marginal | None = None) -> tuple[Array, LocalVariancePosterior, Array]:
@@ -221,8 +233,8 @@ def freedom(prior: StationaryPrior) -> float:
     return float(np.sum(prior.given.load * Smoother(prior.record, prior.given, loads=False).smooth().rho_variance))
 
 
-def local_prior(record: WhitenedRecord, *, stated: bool = False, misfit: bool = True) -> LocalPrior:
-    """Learn both priors from a record of a load without penalty (E = 0).
+def local_prior(record: WhitenedRecord, *, stated: bool = False) -> LocalPrior:
+    """Learn both priors from a record of a load without penalty (E = 0), of a model without errors.
 
     Parameters
     ----------
@@ -230,10 +242,8 @@ def local_prior(record: WhitenedRecord, *, stated: bool = False, misfit: bool = 
         Its free states start with a variance each, which is learned.
     stated : bool
         The noise is stated: its whitened variance stays 1.
-    misfit : bool
-        Learn an error of the model in proportion to the response.
     """
-    still = _searched(_constant(record, stated), record, FIRST, MOST, 1.0)
+    still = _searched(_constant(record, stated), record, FIRST, SETTLED, 1.0)
     top = max(still, key=lambda i: still[i].evidence)
     seed = _moved(still[top], record, MEMORIES[top], MEMORIES[top])
     seed.b[:], seed.floor = 0.45 * seed.floor, 0.1 * seed.floor
@@ -241,19 +251,25 @@ def local_prior(record: WhitenedRecord, *, stated: bool = False, misfit: bool = 
     local = _searched(seed, record, top, TRIED, POWER)
     best = max(local, key=lambda i: local[i].evidence)
     chosen = local[best]
-    last = chosen.climb(MOST)
-    evidence = chosen.evidence
-    if misfit:
-        chosen.misfit2 = 1e-4
-        chosen.weigh(last)
-        chosen.climb(MOST, missing=True)
+    chosen.climb(MOST)
+    given = chosen.variances()
     constant = StationaryPrior(
         still[top].evidence, MEMORIES[top], still[top].record, still[top].variances(), still[top].r
     )
     return LocalPrior(
-        evidence, MEMORIES[best], chosen.record, chosen.variances(), chosen.r, constant, float(np.sqrt(chosen.misfit2)),
+        chosen.evidence, MEMORIES[best], chosen.record, given, chosen.r, constant, given.load, 0.0,
         chosen.b.size, sum(one.updates for one in (*still.values(), *local.values())), chosen,
     )  # fmt: skip
+
+
+def with_misfit(prior: LocalPrior) -> LocalPrior:
+    """The prior with an error of the model in proportion to the response, learned beside its variances."""
+    fit = prior.fit.on(prior.record)
+    fit.weigh(fit.climb(0))
+    fit.misfit2 = LEAST_MISFIT**2
+    fit.climb(MOST, missing=True)
+    return replace(prior, given=fit.variances(), noise=fit.r, misfit=float(np.sqrt(fit.misfit2)), fit=fit,
+                   updates=prior.updates + fit.updates)  # fmt: skip
 
 
 class LocalVariancePosterior:
@@ -451,15 +467,18 @@ def _constant(record: WhitenedRecord, stated: bool) -> Fit:
     """Best constant variances of a load with the first memory, from two guesses of the noise."""
     whole = with_memory(record, MEMORIES[FIRST])
     sizes, states = _sizes(whole)
-    fits = []
-    for share in (1.0,) if stated else (0.1, 1e-3):
+    fits, shares = [], (1.0,) if stated else (0.1, 1e-3)
+    for share in shares:
         one = Fit(whole, stated)
         one.floor = np.maximum(one.square.sum() / np.maximum(sizes.sum(axis=0), TINY) / record.p, TINY)
         one.start[record.free] = states[record.free] * one.floor.mean()
         one.r = np.ones(record.m) if stated else np.maximum(share * one.square, TINY)
-        one.climb(MOST, 1.0)
+        one.climb(GUESSED, 1.0)
         fits.append(one)
-    return max(fits, key=lambda one: one.evidence)
+    best = max(fits, key=lambda one: one.evidence)
+    best.climb(SETTLED, 1.0)
+    best.updates = sum(one.updates for one in fits)
+    return best
 
 
 def _moved(old: Fit, record: WhitenedRecord, before: float, memory: float) -> Fit:
