@@ -73,9 +73,8 @@ def test_spare_sensors_teach_gains_and_what_is_common_stays_in_the_band() -> Non
     told = np.log(wrong) - np.log(wrong).mean()
     assert found.errors.mean - found.errors.mean.mean() == pytest.approx(told, abs=0.008)
     assert np.sqrt(np.diag(found.errors.covariance)).min() > 0.02  # the scale of all is told by nothing
-    before, after = (posterior(p, p.errors)[0] for p in (prior, found))
-    assert np.linalg.norm(after - g) < np.linalg.norm(before - g)
     load, band, _ = posterior(found, found.errors)
+    assert np.all(np.abs(load - g)[g > 0.2 * g.max()] < 3 * band.std[g > 0.2 * g.max()])
     top = np.unravel_index(np.argmax(load), load.shape)
     assert band.std[top] > 0.02 * load[top]
     own_band = posterior(found)[1]
