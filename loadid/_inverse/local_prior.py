@@ -243,7 +243,8 @@ def local_prior(record: WhitenedRecord, *, stated: bool = False) -> LocalPrior:
     )
     return LocalPrior(
         chosen.evidence, MEMORIES[best], chosen.record, given, chosen.r, constant, given.load,
-        chosen.correlation(last), 0.0, chosen.b.size, sum(one.updates for one in (*still.values(), *local.values())), chosen,
+        chosen.correlation(last), 0.0, chosen.b.size,
+        sum(one.updates for one in (*still.values(), *local.values())), chosen,
     )  # fmt: skip
 
 
