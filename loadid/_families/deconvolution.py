@@ -58,7 +58,8 @@ class Deconvolution:
     penalty : str, array, None or Penalty
         ``identity, first_difference, second_difference`` (``gradient``, ``laplacian``), a matrix of shape
         (rows, samples * loads), or None for plain least squares, refused where the data do not determine the load;
-        beside it, what else holds the load, and a variance that changes with time, for impacts: `loadid.Penalty`.
+        beside it, what else holds the load, and whether its variance changes with time, as the data ask for where the
+        load is one of impacts, or stays constant: `loadid.Penalty`.
     choice : str, callable, float, None or Lambda
         Rule by name or itself (`loadid.register_rule`), or relative lambda; None chooses as
         `loadid.paths.choose` says. Truncation in place of Tikhonov and the solver: `loadid.Lambda`.
