@@ -317,9 +317,10 @@ class Penalty(Setting):
         not see a constant. State-space path only.
     from_zero : bool
         The load is zero before the record, and a difference penalty counts its first step. State-space path only.
-    variance : {"constant", "local", "auto"}
-        Of the load over the record: the same at every sample, as a penalty has it; learned from the data at every
-        sample, for impacts (`Deconvolution`, identity, a model with states); or whichever the data ask for.
+    variance : {"auto", "constant", "local"}
+        Of the load over the record, for `Deconvolution` with the identity: whichever of the two the data ask for, where
+        the model has states and no lambda or rule is stated; the same at every sample, as a penalty has it; or learned
+        from the data at every sample, for impacts.
 
     Raises
     ------
@@ -331,7 +332,7 @@ class Penalty(Setting):
     size: ArrayLike | None = None
     leak: float | None = None
     from_zero: bool = False
-    variance: str = "constant"
+    variance: str = "auto"
 
     def __post_init__(self) -> None:
         if isinstance(self.L, str):

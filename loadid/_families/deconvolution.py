@@ -32,7 +32,7 @@ from .histories import facts as pushing_facts
 from .histories import flags as pushing_flags
 from .histories import half_width, kurtosis, push, signs, without_offsets
 from .noise import noise_level
-from .posing import UNUSABLE, Posed, PosingSettings, diagonal, pose
+from .posing import UNUSABLE, Posed, PosingSettings, diagonal, on_states, pose
 
 PROCESS = (
     "a load of zero mean and constant variance, white in time",
@@ -58,7 +58,8 @@ class Deconvolution:
     penalty : str, array, None or Penalty
         ``identity, first_difference, second_difference`` (``gradient``, ``laplacian``), a matrix of shape
         (rows, samples * loads), or None for plain least squares, refused where the data do not determine the load;
-        beside it, what else holds the load, and a variance that changes with time, for impacts: `loadid.Penalty`.
+        beside it, what else holds the load, and whether its variance changes with time, as the data ask for where the
+        load is one of impacts, or stays constant: `loadid.Penalty`.
     choice : str, callable, float, None or Lambda
         Rule by name or itself (`loadid.register_rule`), or relative lambda; None chooses as
         `loadid.paths.choose` says. Truncation in place of Tikhonov and the solver: `loadid.Lambda`.
@@ -151,16 +152,17 @@ class Deconvolution:
             keep = self.choice is not None
             pushed, choice = push(posed, choice, sigma, signed, keep, lambda f, t: self._progress(0.7 + 0.2 * f, t))
         found = self._found(posed, choice, sigma, data, pushed)
-        local = local_variance.learned(posed, self.settings.penalty.variance)
-        if local is not None:
-            found = local_variance.replaced(found, local, posed, choice, data.dt)
-            choice = local_variance.unasked(choice, local) if local.asked_for else choice
+        local = local_variance.learned(posed, self.settings, found.load, lambda: self._over_states(posed, data))
+        found = local_variance.replaced(found, local, choice, data.dt)
+        prior, pushes = local_variance.words(local), "" if pushed is None else "; it only pushes"
+        if prior and not isinstance(local, str):
+            choice, posed = local_variance.unasked(choice, local), local.posed
         self._progress(1.0, "done")
         return answer(
             self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),
-            prior=local_variance.words(local) or _prior(self.settings) + ("" if pushed is None else "; it only pushes"),
+            prior=prior or _prior(self.settings) + pushes,
             flags=self._flags(posed, choice, data, found), searched=posed.judged, full=posed.full, free=self._free,
-            solved=None if pushed is not None else posed.path, judged=local is None or not local.asked_for,
+            solved=None if pushed is not None else posed.path, judged=not prior,
             spare=self._spare(posed, data),
         )  # fmt: skip
 
@@ -185,6 +187,9 @@ class Deconvolution:
             return replace(found, flags=(*self._impacts(found, data.dt), *found.flags))
         excess = beyond_noise(pushed.residual2, path.m, posed.noise)
         return replace(found, excess=excess, flags=(*pushing_flags(pushed, posed, choice, sigma), *found.flags))
+
+    def _over_states(self, posed: Posed, data: Data) -> Posed | None:
+        return posed if posed.record is not None else on_states(self.model, data, self.settings)
 
     def _spare(self, posed: Posed, data: Data) -> Overlooked | None:
         """What the sensors tell of each other: of whole records that start at rest, as h says they do."""
@@ -263,7 +268,7 @@ class Deconvolution:
             "penalty": s.penalty.L if isinstance(s.penalty.L, str | None) else "matrix",
             "size": None if s.penalty.size is None else np.asarray(s.penalty.size, float).tolist(),
             "choice": named(self.choice),
-            **({} if s.penalty.variance == "constant" else {"variance": s.penalty.variance}),
+            **({} if s.penalty.variance == "auto" else {"variance": s.penalty.variance}),
             "hold": s.hold,
             "path": posed.name,
             "noise_source": posed.noise.source.text,

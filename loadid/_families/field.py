@@ -94,6 +94,8 @@ class FieldDeconvolution:
         **settings: Any,
     ) -> None:
         held = Penalty.of(time)
+        if held.variance == "auto":  # a variance for each load says nothing of a field between them
+            held = replace(held, variance="constant")
         if not isinstance(held.L, str):
             raise InputError("the penalty in time is a name", where="time", found=type(time).__name__,
                              expected=f"one of {names()}")  # fmt: skip

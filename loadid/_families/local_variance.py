@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-
-from structures.errors import InputError
+from numpy.typing import NDArray
 
 from .._inverse.choice import Choice, ungraded
-from .._inverse.local_prior import LocalPrior, freedom, local_prior, posterior, resolved, unexplained, with_errors
+from .._inverse.local_prior import (
+    LocalPrior,
+    freedom,
+    local_prior,
+    posterior,
+    resolved,
+    unexplained,
+    with_errors,
+    with_misfit,
+)
 from .._results.facts import Facts
 from .answer import SolvedLoad, beyond_noise
 from .histories import half_width
-from .posing import Posed
+from .posing import Posed, PosingSettings
+
+Array = NDArray[Any]
 
 SMEARED = "W311"
+CONSTANT = "asked for by name"
+WINDOW = 9  # samples over which the energy of the load is averaged
+IMPACTS = 0.4  # such a spread beyond which no impacts are sought
+LONGEST = 8192  # samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +41,8 @@ class Learned:
     Parameters
     ----------
     prior : LocalPrior
+    posed : Posed
+        Over the states of the model.
     asked_for : bool
         By the user, or by the data.
     names : tuple of str
@@ -32,30 +50,62 @@ class Learned:
     """
 
     prior: LocalPrior
+    posed: Posed
     asked_for: bool
     names: tuple[str, ...] = ()
 
 
-def learned(posed: Posed, variance: str) -> Learned | None:
-    """Both priors of a problem; None where none is to be learned, or where there are no states to learn it from.
+def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callable[[], Posed | None]) -> Learned | str:
+    """Both priors of a problem, or why none was learned.
 
-    Raises
-    ------
-    InputError
-        Asked for by name, on another path.
+    Parameters
+    ----------
+    posed : Posed
+    settings : PosingSettings
+    load : array, shape (samples, loads)
+        Under one constant variance.
+    states : callable
+        The same problem over the states of the model; None where it has none.
     """
-    if variance == "constant":
-        return None
-    if posed.record is None:
-        if variance == "auto":
-            return None
-        raise InputError("a local variance is learned over the states of a model", where="variance", found=posed.name,
-                         expected="a model with state_space()")  # fmt: skip
-    prior = local_prior(posed.record, stated=posed.noise.known)
-    asked = variance == "local" or prior.asked_for
-    if asked and posed.nuisances is not None:
-        return Learned(with_errors(prior, posed.nuisances), asked, posed.nuisances.names)
-    return Learned(prior, asked)
+    if settings.penalty.variance == "local":
+        assert posed.record is not None
+        prior = local_prior(posed.record, stated=posed.noise.known)
+        return _with_errors(prior, posed)
+    if why := _not_asked(settings, load):
+        return why
+    over = states()
+    if over is None or over.record is None:
+        return "the model has no states to learn it over, or too many"
+    prior = local_prior(over.record, stated=over.noise.known)
+    return _with_errors(prior, over) if prior.asked_for else Learned(prior, over, False)
+
+
+def _with_errors(prior: LocalPrior, posed: Posed) -> Learned:
+    prior = with_misfit(prior)
+    if posed.nuisances is None:
+        return Learned(prior, posed, True)
+    return Learned(with_errors(prior, posed.nuisances), posed, True, posed.nuisances.names)
+
+
+def _not_asked(settings: PosingSettings, load: Array) -> str:
+    """Why a variance that changes with time is out of the question, before one is learned; "" where it is not."""
+    if settings.penalty.variance == "constant":
+        return CONSTANT
+    if not settings.automatic:
+        return "another prior, a lambda or a rule was asked for"
+    if len(load) > LONGEST:
+        return f"beyond {LONGEST} samples learning it costs more than the estimate; variance='local' learns it"
+    if spread(load) > IMPACTS:
+        return "the load acts throughout"
+    return ""
+
+
+def spread(load: Array) -> float:
+    """Share of the record over which the energy of the load is spread, of the load that is spread least."""
+    window = np.ones(WINDOW) / WINDOW
+    energy = np.array([np.convolve(g**2, window, "same") for g in load.T])
+    square = np.maximum(np.sum(energy**2, axis=1), np.finfo(float).tiny)
+    return float(np.min(energy.sum(axis=1) ** 2 / (len(load) * square)))
 
 
 def unasked(choice: Choice, learned: Learned) -> Choice:
@@ -81,19 +131,23 @@ def wrong(learned: Learned) -> str:
     return ", ".join([*told, beside])
 
 
-def words(learned: Learned | None) -> str:
+def words(learned: Learned | str) -> str:
     """The prior in words; "" where it is that of the penalty."""
-    if learned is None or not learned.asked_for:
+    if isinstance(learned, str) or not learned.asked_for:
         return ""
     memory = "white" if not learned.prior.memory else f"smooth over {learned.prior.memory:g} samples"
     return f"a load of zero mean whose variance changes with time, {memory}"
 
 
-def replaced(found: SolvedLoad, learned: Learned, posed: Posed, choice: Choice, dt: float) -> SolvedLoad:
-    """The answer with the load of the local prior, where that is used; the facts name both priors in any case."""
-    prior = learned.prior
+def replaced(found: SolvedLoad, learned: Learned | str, choice: Choice, dt: float) -> SolvedLoad:
+    """The answer with the load of the local prior, where that is used; the facts say which stands, and why."""
+    if isinstance(learned, str):
+        stands = {} if learned == CONSTANT else {"variance": "constant", "variance_because": learned}
+        return replace(found, facts=Facts.of({**found.facts, **stands}))
+    prior, posed = learned.prior, learned.posed
     facts = {
         **found.facts,
+        "variance": "local" if learned.asked_for else "constant",
         "log_evidence_local": prior.evidence,
         "log_evidence_stationary": prior.stationary.evidence,
         "gain_for_each_bump": prior.gain,
@@ -108,6 +162,7 @@ def replaced(found: SolvedLoad, learned: Learned, posed: Posed, choice: Choice, 
     one[at] = 1.0
     seen = resolved(prior, one)[:, at[1]]
     facts |= {
+        "path": posed.name,
         "resolution": half_width(seen) * dt,
         "peak_bias": float(np.clip(1 - seen[at[0]], 0.0, 1.0)),
         "edf": freedom(prior),

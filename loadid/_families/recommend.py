@@ -235,7 +235,7 @@ def recommend(
     known = Noise.of(noise)
     settings: dict[str, Any] = {"hold": hold, "noise": known, "sensors": sensors}
     say(0.0, "Tikhonov")
-    smooth = Deconvolution(model, **settings).estimate(record, dt)
+    smooth = Deconvolution(model, penalty=Penalty(variance="constant"), **settings).estimate(record, dt)
     peaked = [kurtosis(g) for g in smooth.load.T]
     worst = int(np.argmax(peaked))
     seen = _Seen(peaked[worst], pulse_width(smooth.load[:, worst]), 1 - (smooth.facts.peak_bias or 0.0))

@@ -10,7 +10,8 @@ variances of the noise, of an unknown start, and of an error of the model in pro
 
 Raw evidence prefers the local prior on nearly all records, as it has hundreds of numbers more. The stationary one that
 it is compared with has a memory too, up to 30 samples; its gain is counted for each bump that is in use, and asked to
-be the larger, the larger the share of the record is over which the load acts.
+be the larger, the larger the share of the record is over which the load acts; and every load has to rest over half of
+the record, its variance a hundredth of the largest or less.
 """
 
 from __future__ import annotations
@@ -32,19 +33,21 @@ from .nuisances import SEEN, Marginal, Nuisances, marginal
 
 HALF, STRIDE = 8, 4  # samples: half-width of a bump, distance of two
 POWER = 0.8  # of the update of bumps
-MOST, TRIED = 60, 12  # updates, and those after which memories are compared
-GAIN = 0.1  # ln evidence of an update below which it is the last
+MOST, TRIED = 14, 10  # updates of bumps, and those after which memories are compared
+GUESSED, SETTLED = 3, 8  # updates of constant variances: from each guess of the noise, and from the best so far
+GAIN = 0.5  # ln evidence of an update below which it is the last
 ENERGY = 16  # samples to each side over which the energy of the response is averaged
 LEAST = 1e-14  # of the largest variance that is kept
 NOISELESS = 1e-8  # least variance of a learned noise, over the mean square of its channel: the filter's digits
 MEMORIES = (0.0, 2.0, 3.5, 6.0, 12.0, 30.0)  # samples
 FIRST = 3  # which of them is tried first
-ASKED = 40.0  # gain for each bump in use, over the share of the record in use, that is no chance
+ASKED = 15.0  # gain for each bump in use, over the share of the record in use, that is no chance
+RESTS, QUIET = 0.5, 1e-2  # share of the record over which every load of impacts rests: variance over its largest
 LONGEST = 12.0  # samples: memory of a pulse
-OPENED = 0.03  # misfit with which errors of the model are sought: a fit that explains all by its load tells none
-ROUNDS, TOLD = 5, 2.0  # linearisations by errors of the model at most, and the gain in ln evidence that asks for one
+CHANCE = 4.0  # std of such a correlation
+COLOURED = 0.35  # correlation of a residual from sample to sample above which the noise is not white
+LEAST_MISFIT = 0.01  # from which it is learned
 UNLIKELY, UNKNOWN = 1e-4, 0.05  # odds of errors of the model, and misfit beside them, at which it is contradicted
-RELEARNED = 6  # updates of the variances between two of them
 TINY = np.finfo(float).tiny
 
 
@@ -81,6 +84,10 @@ class LocalPrior(StationaryPrior):
     evidence, memory, record, given, noise
         As in `StationaryPrior`; the evidence is that without `misfit`, to be compared.
     stationary : StationaryPrior
+    compared : array, shape (samples, p)
+        Variances of the load, of that evidence.
+    correlation : float
+        Of the residual from one sample to the next, where the response is small, in the worst channel; 0 by chance.
     misfit : float
         Error of the model in parts of the response.
     bumps : int
@@ -91,17 +98,16 @@ class LocalPrior(StationaryPrior):
         As it was learned.
     errors : Marginal, optional
         Errors of the model, linearised about the load of `record` and `given`.
-    told : float
-        Log evidence that they gained where the model was moved, by what the data tell of them.
     """
 
     stationary: StationaryPrior
+    compared: Array
+    correlation: float
     misfit: float
     bumps: int
     updates: int
     fit: Fit
     errors: Marginal | None = None
-    told: float = 0.0
 
     @property
     def contradicted(self) -> bool:
@@ -111,7 +117,7 @@ class LocalPrior(StationaryPrior):
     @property
     def participation(self) -> Array:
         """Share of the record over which the variance of each load is spread, (p,)."""
-        v = self.given.load / np.maximum(self.given.load.max(axis=0), TINY)
+        v = self.compared / np.maximum(self.compared.max(axis=0), TINY)
         return np.asarray(v.sum(axis=0) ** 2 / (len(v) * np.maximum(np.sum(v**2, axis=0), TINY)))
 
     @property
@@ -120,9 +126,16 @@ class LocalPrior(StationaryPrior):
         return (self.evidence - self.stationary.evidence) / (self.bumps * float(self.participation.mean()))
 
     @property
+    def rest(self) -> float:
+        """Share of the record over which the load that rests least has next to no variance."""
+        return float(np.mean(self.compared < QUIET * self.compared.max(axis=0), axis=0).min())
+
+    @property
     def asked_for(self) -> bool:
-        """Whether the data ask for it: the gain is no chance, of a load that rests, without memory beyond a pulse."""
-        return self.gain > ASKED * float(self.participation.mean()) and self.memory <= LONGEST
+        """Whether the data ask for it: no chance, all loads rest, no memory beyond a pulse, and the noise is white."""
+        chance = ASKED * float(self.participation.mean())
+        pulses = self.rest > RESTS and self.memory <= LONGEST
+        return self.gain > chance and pulses and self.correlation < COLOURED
 
 
 def posterior(prior: StationaryPrior, errors: Marginal | None = None) -> tuple[Array, LocalVariancePosterior, Array]:
@@ -132,16 +145,18 @@ def posterior(prior: StationaryPrior, errors: Marginal | None = None) -> tuple[A
     ----------
     prior : LocalPrior or StationaryPrior
     errors : Marginal, optional
-        Of the model, in the load and in its band.
+        Of the model, in the band.
     """
     _, load, _, _, first = Smoother(prior.record, prior.given).means(prior.record.y)
     spread = np.zeros((0, *load.shape)) if errors is None else errors.spread
-    load = load if errors is None else load - errors.shift
     return load, LocalVariancePosterior(prior.record, prior.given, spread), prior.given.start @ first
 
 
 def with_errors(prior: LocalPrior, nuisances: Nuisances) -> LocalPrior:
-    """The prior with the errors of the model that the data tell, and those that they do not in the band.
+    """The prior with errors of the model in its band, as far as the data do not rule them out.
+
+    The load is not moved by what the data tell of them: errors of no kind that the prior knows (modes that the model
+    leaves out) are told as such that it knows, and take the load with them, far beyond the band.
 
     Parameters
     ----------
@@ -149,32 +164,12 @@ def with_errors(prior: LocalPrior, nuisances: Nuisances) -> LocalPrior:
     nuisances : Nuisances
         Of the problem whose record it was learned from, without memory.
     """
-    fit = prior.fit.on(prior.record)
-    fit.misfit2 = max(fit.misfit2, OPENED**2)
-    fit.climb(0)
-    at, told = np.zeros(len(nuisances.names)), 0.0
-    found = replace(prior, fit=fit, given=fit.variances(), misfit=float(np.sqrt(fit.misfit2)))
-    for turn in range(ROUNDS):
-        found = replace(found, errors=_linearised(found, nuisances, at))
-        assert found.errors is not None
-        if turn == ROUNDS - 1 or found.errors.gain < TOLD:
-            break
-        fit = found.fit.on(with_memory(nuisances.record(found.errors.mean), found.memory))
-        last = fit.climb(RELEARNED, missing=True)
-        if not last.evidence > found.fit.evidence:
-            break
-        told += last.evidence - found.fit.evidence
-        at = found.errors.mean
-        found = replace(found, record=fit.record, given=fit.variances(), noise=fit.r, fit=fit, told=told,
-                        misfit=float(np.sqrt(fit.misfit2)), updates=found.updates + fit.updates)  # fmt: skip
-    if not found.fit.evidence > prior.fit.evidence:  # the model as it is explains the data better
-        return replace(prior, errors=_linearised(prior, nuisances, np.zeros(len(nuisances.names))))
-    return found
+    return replace(prior, errors=_linearised(prior, nuisances))
 
 
-def _linearised(prior: LocalPrior, nuisances: Nuisances, at: Array) -> Marginal:
+def _linearised(prior: LocalPrior, nuisances: Nuisances) -> Marginal:
     """Errors of the model about the load that a prior estimates; what the data cannot see of them is left out."""
-    smoother = Smoother(prior.record, prior.given)
+    smoother, at = Smoother(prior.record, prior.given), np.zeros(len(nuisances.names))
     _, load, _, _, first = smoother.means(prior.record.y)
     start = prior.given.start @ first
 
@@ -221,8 +216,8 @@ def freedom(prior: StationaryPrior) -> float:
     return float(np.sum(prior.given.load * Smoother(prior.record, prior.given, loads=False).smooth().rho_variance))
 
 
-def local_prior(record: WhitenedRecord, *, stated: bool = False, misfit: bool = True) -> LocalPrior:
-    """Learn both priors from a record of a load without penalty (E = 0).
+def local_prior(record: WhitenedRecord, *, stated: bool = False) -> LocalPrior:
+    """Learn both priors from a record of a load without penalty (E = 0), of a model without errors.
 
     Parameters
     ----------
@@ -230,30 +225,37 @@ def local_prior(record: WhitenedRecord, *, stated: bool = False, misfit: bool = 
         Its free states start with a variance each, which is learned.
     stated : bool
         The noise is stated: its whitened variance stays 1.
-    misfit : bool
-        Learn an error of the model in proportion to the response.
     """
-    still = _searched(_constant(record, stated), record, FIRST, MOST, 1.0)
+    still = _searched(_constant(record, stated), record, FIRST, SETTLED, 1.0)
     top = max(still, key=lambda i: still[i].evidence)
     seed = _moved(still[top], record, MEMORIES[top], MEMORIES[top])
     seed.b[:], seed.floor = 0.45 * seed.floor, 0.1 * seed.floor
     seed.climb(TRIED)
     local = _searched(seed, record, top, TRIED, POWER)
-    best = max(local, key=lambda i: local[i].evidence)
+    most = max(LONGEST, MEMORIES[top])  # bumps beside a longer memory are pulses cut out of a slow load
+    best = max((i for i in local if MEMORIES[i] <= most), key=lambda i: local[i].evidence)
     chosen = local[best]
     last = chosen.climb(MOST)
-    evidence = chosen.evidence
-    if misfit:
-        chosen.misfit2 = 1e-4
-        chosen.weigh(last)
-        chosen.climb(MOST, missing=True)
+    chosen.weigh(last)
+    given = chosen.variances()
     constant = StationaryPrior(
         still[top].evidence, MEMORIES[top], still[top].record, still[top].variances(), still[top].r
     )
     return LocalPrior(
-        evidence, MEMORIES[best], chosen.record, chosen.variances(), chosen.r, constant, float(np.sqrt(chosen.misfit2)),
-        chosen.b.size, sum(one.updates for one in (*still.values(), *local.values())), chosen,
+        chosen.evidence, MEMORIES[best], chosen.record, given, chosen.r, constant, given.load,
+        chosen.correlation(last), 0.0, chosen.b.size,
+        sum(one.updates for one in (*still.values(), *local.values())), chosen,
     )  # fmt: skip
+
+
+def with_misfit(prior: LocalPrior) -> LocalPrior:
+    """The prior with an error of the model in proportion to the response, learned beside its variances."""
+    fit = prior.fit.on(prior.record)
+    fit.weigh(fit.climb(0))
+    fit.misfit2 = LEAST_MISFIT**2
+    fit.climb(MOST, missing=True)
+    return replace(prior, given=fit.variances(), noise=fit.r, misfit=float(np.sqrt(fit.misfit2)), fit=fit,
+                   updates=prior.updates + fit.updates)  # fmt: skip
 
 
 class LocalVariancePosterior:
@@ -412,6 +414,17 @@ class Fit:
         window = np.full(2 * ENERGY + 1, 1 / (2 * ENERGY + 1))
         self.power = np.array([np.convolve(one, window)[ENERGY:-ENERGY] for one in (response**2).T]).T
 
+    def correlation(self, s: SmootherPass) -> float:
+        """Of the residual from sample to sample, by what is left in the quiet: there no error of the model is seen."""
+        worst = 0.0
+        for c in range(self.record.m):
+            u = np.where(self.there[:, c], 1 / (self.r[c] + self.power[:, c]), 0.0)
+            e = self.r[c] * s.e[:, c] * np.sqrt(u)
+            own = float(np.sum(e[1:] * e[:-1])) / max(float(np.sum(e**2)), TINY)
+            few = float(np.sum(u) / np.sqrt(max(np.sum(u**2), TINY)))  # root of how many samples that is
+            worst = max(worst, own if own * few > CHANCE else 0.0)
+        return worst
+
     def _update(self, s: SmootherPass, power: float) -> None:
         rho2, e2 = s.rho**2, np.where(self.there, s.e**2, 0.0)
         known = np.where(self.there, s.e_variance, 0.0)
@@ -451,15 +464,18 @@ def _constant(record: WhitenedRecord, stated: bool) -> Fit:
     """Best constant variances of a load with the first memory, from two guesses of the noise."""
     whole = with_memory(record, MEMORIES[FIRST])
     sizes, states = _sizes(whole)
-    fits = []
-    for share in (1.0,) if stated else (0.1, 1e-3):
+    fits, shares = [], (1.0,) if stated else (0.1, 1e-3)
+    for share in shares:
         one = Fit(whole, stated)
         one.floor = np.maximum(one.square.sum() / np.maximum(sizes.sum(axis=0), TINY) / record.p, TINY)
         one.start[record.free] = states[record.free] * one.floor.mean()
         one.r = np.ones(record.m) if stated else np.maximum(share * one.square, TINY)
-        one.climb(MOST, 1.0)
+        one.climb(GUESSED, 1.0)
         fits.append(one)
-    return max(fits, key=lambda one: one.evidence)
+    best = max(fits, key=lambda one: one.evidence)
+    best.climb(SETTLED, 1.0)
+    best.updates = sum(one.updates for one in fits)
+    return best
 
 
 def _moved(old: Fit, record: WhitenedRecord, before: float, memory: float) -> Fit:

@@ -25,7 +25,7 @@ from .scores import Array, Scored, deviations
 FINER = 10
 ERRORS = (
     "none", "same model", "gain", "correlated", "frequency", "damping", "place", "late", "clipped", "offset",
-    "overlong", "slow", "harmonic", "random",
+    "overlong", "slow", "harmonic", "random", "swept",
 )  # fmt: skip
 KINDS = ("acceleration", "strain", "displacement", "mixed")
 
@@ -104,6 +104,9 @@ def _history(rng: np.random.Generator, samples: int, error: str) -> Array:
         return np.asarray(np.sin(2 * np.pi * t * rng.uniform(0.02, 0.1)) * np.minimum(t / 20, 1))
     if error == "random":
         return np.interp(t, np.arange(0, n + 4, 4), rng.standard_normal(len(np.arange(0, n + 4, 4))))
+    if error == "swept":
+        rate = np.linspace(rng.uniform(0.002, 0.02), rng.uniform(0.04, 0.15), len(t))
+        return np.asarray(np.sin(2 * np.pi * np.cumsum(rate) / FINER) * np.minimum(t / 20, 1))
     load = np.zeros(len(t))
     for _ in range(int(rng.integers(1, 4))):
         width = rng.uniform(6, 20)
@@ -182,8 +185,9 @@ def scored(given: Problem, estimate: LoadEstimate) -> Scored:
         w[:, j] = given.dt
         total = estimate.functional(w)
         totals.append(float(deviations(np.array(total.value - np.sum(w * truth)), np.array(total.std))))
+    prior = f"{estimate.facts.get('variance', 'constant')} variance"
     return Scored(
-        given.groups, estimate.choice.verdict, frozenset(estimate.codes),
+        (*given.groups, prior), estimate.choice.verdict, frozenset(estimate.codes),
         float(np.linalg.norm(off) / np.linalg.norm(truth)), float("nan"), z[there], z.ravel(),
         np.concatenate([z[peaks], totals]), float(np.median(std[there]) / np.sqrt(np.mean(off[there] ** 2))),
         estimate.grade.letter, len(estimate.cautions),

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from loadid import Deconvolution, Lambda, Noise, Record
+from loadid import Deconvolution, Lambda, Noise, Penalty, Record
 from loadid._spellings import folded
 from structures import (
     Channel,
@@ -354,7 +354,9 @@ def test_posterior_covers_loads_drawn_from_the_prior():
 
 def test_functional_of_the_impulse():
     model, g = make_model(places=(0.3, 0.8)), pulse()
-    estimate = Deconvolution(model).estimate(noisy(model.predict(g, DT), 0.01), dt=DT)
+    estimate = Deconvolution(model, penalty=Penalty(variance="constant")).estimate(
+        noisy(model.predict(g, DT), 0.01), dt=DT
+    )
     impulse = estimate.functional("impulse", window=(0.0, 0.03))
     w = np.zeros((300, 1))
     w[estimate.axis.values <= 0.03] = DT
@@ -409,7 +411,10 @@ def test_the_band_knows_what_regularisation_hides():
     from loadid._commands.demo import model, simulate
 
     simulated = simulate(1)
-    estimate, dt = Deconvolution(model()).estimate(simulated.record), simulated.record.dt
+    estimate, dt = (
+        Deconvolution(model(), penalty=Penalty(variance="constant")).estimate(simulated.record),
+        simulated.record.dt,
+    )
     pulse_only = slice(470, 567)
     found = estimate.functional("impulse", window=(470 * dt, 566.5 * dt))
     miss = found.value - float(simulated.force[pulse_only].sum() * dt)

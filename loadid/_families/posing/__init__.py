@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from .posed import AUTO, UNUSABLE, Posed, PosingSettings, by_prediction, diagona
 
 Array = NDArray[Any]
 
-__all__ = ["UNUSABLE", "Posed", "PosingSettings", "diagonal", "pose"]
+__all__ = ["UNUSABLE", "Posed", "PosingSettings", "diagonal", "on_states", "pose"]
 
 DENSE = 2000  # unknowns of a matrix that fits a desk
 SMALL = 1000  # unknowns up to which a factorisation, which tells more, is about as quick
@@ -71,6 +72,16 @@ def pose(model: Model, data: Data, settings: PosingSettings) -> Posed:
     return lines(h, values, noise, data, settings)
 
 
+def on_states(model: Model, data: Data, settings: PosingSettings) -> Posed | None:
+    """The problem over the states of the model; None where it has none, or too many."""
+    if model.sampled or settings.lam.path != "auto" or not model.gives("state_space"):
+        return None
+    system = state_space_of(model, data.dt, settings.hold)
+    if system is None or len(system.A) > MOST:
+        return None
+    return pose(model, data, replace(settings, lam=replace(settings.lam, path="statespace")))
+
+
 def _kind(model: Model, data: Data, settings: PosingSettings) -> tuple[str, StateSpace | None]:
     """Name of the path, and the state space if it is that one."""
     if model.moving and settings.lam.path in ("auto", "statespace"):
@@ -88,8 +99,7 @@ def _kind(model: Model, data: Data, settings: PosingSettings) -> tuple[str, Stat
         return settings.lam.path, system
     if settings.truncated:
         return ("dense" if unknowns <= DENSE else "fft"), None
-    by_states = settings.special or (settings.penalty.variance == "auto" and model.gives("state_space"))
-    if not settings.named or settings.free or (unknowns <= SMALL and not (gaps or floating or by_states)):
+    if not settings.named or settings.free or (unknowns <= SMALL and not (gaps or floating or settings.special)):
         return "dense", None
     system = state_space_of(model, data.dt, settings.hold)
     if system is not None and (len(system.A) <= MOST or settings.special or settings.penalty.size is not None):

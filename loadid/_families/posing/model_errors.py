@@ -63,8 +63,9 @@ def nuisances(
         theta = np.zeros(len(covariance))
         theta[kept] = at
         f, ratio, shapes, gains = np.split(theta, np.cumsum([modes, modes, count]))
-        moved = _moved(model, system, rows, np.exp(f), np.exp(ratio), shapes.reshape(m, modes))
-        return record(moved if theta[:-m].any() else system, np.exp(gains))
+        if not theta[:-m].any():
+            return record(system, np.exp(gains))
+        return record(_moved(model, system, rows, np.exp(f), np.exp(ratio), shapes.reshape(m, modes)), np.exp(gains))
 
     return Nuisances(tuple(names[i] for i in kept), covariance[np.ix_(kept, kept)], of)
 

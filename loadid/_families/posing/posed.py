@@ -60,8 +60,8 @@ class PosingSettings:
                 found="'tsvd'" if self.truncated else "signs" if self.signed is not False else "a matrix or None",
                 expected="penalty=Penalty('first_difference', size=...) or another name, Tikhonov, no constraints",
             )  # fmt: skip
-        if self.penalty.variance != "constant":
-            self._check_local()
+        if self.penalty.variance == "local" and not self._plain:
+            self._refuse_local()
         if isinstance(self.initial, str):
             one_of("initial", self.initial, ("rest", "unknown"))
         else:
@@ -76,13 +76,22 @@ class PosingSettings:
             raise InputError("a truncated SVD takes no constraints", where="method", found="'tsvd'",
                              expected="method='tikhonov'")  # fmt: skip
 
-    def _check_local(self) -> None:
+    def _refuse_local(self) -> None:
+        raise InputError("a variance that changes with time stands for the penalty", where="variance",
+                         found="another penalty, truncation or signs beside it", hint="leave one of them out",
+                         expected="Penalty('identity', variance='local'), Tikhonov, no constraints")  # fmt: skip
+
+    @property
+    def _plain(self) -> bool:
+        """Nothing is held small but the load, at every sample as much as at others."""
         plain = self.penalty.L == "identity" if isinstance(self.penalty.L, str) else False
         beside = self.penalty.size is not None or self.penalty.leak is not None or self.penalty.from_zero
-        if not plain or beside or self.truncated or self.signed is not False:
-            raise InputError("a variance that changes with time stands for the penalty", where="variance",
-                             found="another penalty, truncation or signs beside it", hint="leave one of them out",
-                             expected="Penalty('identity', variance='local'), Tikhonov, no constraints")  # fmt: skip
+        return plain and not (beside or self.truncated or self.signed is not False)
+
+    @property
+    def automatic(self) -> bool:
+        """Whether the data may ask for a variance that changes with time: no lambda, no rule was asked for by name."""
+        return self.penalty.variance == "auto" and self._plain and self.lam.choice is None
 
     @property
     def free(self) -> bool:
