@@ -272,7 +272,7 @@ def contradicted(sweep: Sweep, asked: dict[str, RuleResult], source: NoiseSource
     White noise above the stated level shows in the residual of every fit; a load that its penalty does not expect only
     in those that smooth too much. So every lambda must contradict whose fit leaves `TESTED` data, or `SPARE` of them:
     by a chi-square test at `CHANCE` with those degrees of freedom, and by a factor of at least `CLEARLY`. None where
-    all data can be spent on the load, so that every fit that leaves some may be smoother than it, and the evidence
+    few data can all be spent on the load, so that every fit that leaves some may be smoother than it, and the evidence
     does not ask for more noise either (as in `implausible`); where robust GCV, which would have to stand in, found no
     optimum or one that spends more (a fit that leaves enough is then smoother than the load, and leaves some of it);
     and where the level itself was estimated from the misfit of the model (kind ``residual``).
@@ -283,9 +283,9 @@ def contradicted(sweep: Sweep, asked: dict[str, RuleResult], source: NoiseSource
     enough = np.flatnonzero(left >= SPARE * path.m)
     if not len(enough) or sweep.lam[enough[0]] > found.lam:
         return None
-    if left[0] < 1 and (asked_for := _level_asked_for(sweep)) is not None and asked_for[1] < np.log(FACTOR):
-        return None
     least = min(SPARE * path.m, TESTED)
+    if left[0] < 1 and least < TESTED and (more := _level_asked_for(sweep)) is not None and more[1] < np.log(FACTOR):
+        return None
     level, margin = _levels(sweep, np.flatnonzero(left >= least))
     if np.any(level <= margin * sigma) or _agrees_below(sweep, least):
         return None

@@ -4,7 +4,8 @@ Structures of 3 to 14 modes between 30 and 1500 Hz, 1 to 3 sensors that read dis
 strain or a mixture, one load, 1 to 20 half sines of 8 to 60 samples, noise of 1 to 10 %, 4000 to 60 000 samples, noise
 level stated in every second record. The truth is a bank of second-order sections, one for each mode (hold invariant:
 exact for a load held between samples), and not the state space of the inverse. What is judged is lambda: load error
-over that of the best one, which is searched with the answer's own penalty over the whole range.
+over that of the best one, which is searched with the answer's own penalty over the whole range; so the variance of the
+load is held constant.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from loadid import Deconvolution, LoadEstimate
+from loadid import Deconvolution, LoadEstimate, Penalty
 from loadid._families.data import gather
 from loadid._families.posing import pose
 from structures._models.statespace import StateSpace
@@ -52,7 +53,8 @@ class Problem:
 
     def inversion(self, **settings: Any) -> Deconvolution:
         """As the user poses it."""
-        return Deconvolution(self.model, **{"noise": self.sigma if self.stated else None} | settings)
+        given = {"noise": self.sigma if self.stated else None, "penalty": Penalty(variance="constant")}
+        return Deconvolution(self.model, **given | settings)
 
 
 @dataclass(frozen=True)
@@ -162,10 +164,12 @@ def scored(given: Problem, found: LoadEstimate, oracle: float) -> Scored:
     )  # fmt: skip
 
 
-def run(problems: int, seed: int, error: str = "none", **settings: Any) -> Iterator[Scored | str]:
-    """Score of each record, or why it was refused."""
+def run(
+    problems: int, seed: int, error: str = "none", longest: int = SAMPLES[1], **settings: Any
+) -> Iterator[Scored | str]:
+    """Score of each record, or why it was refused; `longest`: samples that a record may have."""
     for number in range(problems):
-        given = problem(seed * 100_000 + number, error)
+        given = problem(seed * 100_000 + number, error, (SAMPLES[0], longest))
         try:
             found = given.inversion(**settings).estimate(given.record, given.model.dt)
             yield scored(given, found, best(given, found))

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from loadid import Deconvolution, FrequencyInversion, Record, Spectra
+from loadid import Deconvolution, FrequencyInversion, Penalty, Record, Spectra
 from loadid._spellings import folded
 from loadid.settings import Noise, Signal
 from structures import (
@@ -379,7 +379,7 @@ def test_a_transient_is_found_as_in_the_time_domain(beam):
     g = hits(2500)
     y = answered(beam, g, 0.3)
     e = FrequencyInversion(beam, signal="transient", noise=0.3).estimate(y, DT)
-    time = Deconvolution(beam, noise=0.3).estimate(y, DT)
+    time = Deconvolution(beam, penalty=Penalty(variance="constant"), noise=0.3).estimate(y, DT)
     assert e.axis.name == "time"
     assert e.units == ("N", "N")
     for j in range(2):

@@ -7,7 +7,7 @@ from unittest import mock
 
 import numpy as np
 
-from loadid import Deconvolution, Noise, SparseDeconvolution
+from loadid import Deconvolution, Noise, Penalty, SparseDeconvolution
 from loadid._guards import families as sparsity
 from loadid._guards.choice import impulsive
 from loadid._inverse.sparse import lasso as workingset
@@ -89,7 +89,8 @@ def smooth(kind: str) -> tuple[Flag, ...]:
     y = own.predict(g, 1 / 2000)
     level = 0.01 * float(np.sqrt(np.mean(y**2)))
     y = y + level * np.random.default_rng(0).standard_normal(y.shape)
-    return Deconvolution(own, noise=Noise(level, source="known")).estimate(y, 1 / 2000).flags
+    family = Deconvolution(own, penalty=Penalty(variance="constant"), noise=Noise(level, source="known"))
+    return family.estimate(y, 1 / 2000).flags
 
 
 def found(flag: Flag | None) -> tuple[Flag, ...]:
