@@ -56,7 +56,7 @@ def test_a_sign_constraint_is_judged_by_the_noise_that_is_left_where_nobody_stat
         assert (found.grade.letter == "D") == fights
 
 
-@pytest.mark.parametrize("size", [3, 8, 22, 45])
+@pytest.mark.parametrize("size", [3, 8, 22])
 def test_as_many_sensors_as_loads_do_not_contradict_the_noise_level(size: int) -> None:
     """Every fit that leaves something smooths too much: what it leaves tells the load, not the noise."""
     for seed in range(20):
