@@ -54,7 +54,8 @@ def spectra(lines, count, seed=0):
 
 def estimated(load, std=0.0, f=LINES, *, labels=None, covariance=None, cross=None, **changes):
     """Estimate over frequency."""
-    spectrum = SimpleNamespace(cross=cross, covariance=covariance)
+    trusted = np.ones(np.shape(load), bool)
+    spectrum = SimpleNamespace(cross=cross, covariance=covariance, load=load, trust=lambda level=None: trusted)
     settings = {
         "load": load,
         "std": np.broadcast_to(std, np.shape(load)),
