@@ -111,7 +111,8 @@ def test_the_frequency_example(tmp_path, monkeypatch, capsys):
     truth = np.interp(found.axis.values, known.frequencies, known.autospectra[:, 0])
     assert abs(found.load[inside].sum() / truth[inside].sum() - 1) < 0.05
     assert found.facts["held_out"][0].startswith("14+Z")
-    assert "not tell" in capsys.readouterr().out
+    assert "peak 13+Z" in capsys.readouterr().out
+    assert "not tell" in found.summary(details=True)
     assert Path("sources.png").stat().st_size > 10_000
 
 

@@ -163,9 +163,8 @@ def test_a_tracker_goes_on_with_a_stiffness_that_has_changed(from_file, tmp_path
     assert z.max() < 5
     assert updated.counts["gated"] == 0
     old, band, _ = kept.run(y[change:])
-    assert np.mean(np.abs(old - c.load[change:]) / band < 1.96) < 0.8
+    assert np.mean(np.abs(old - c.load[change:]) / band < 1.96) < 0.5
     assert np.mean(kept.row_alarms[100:, 0] == MISFIT) > 0.9
-    assert np.median(band) > 3 * np.median(std)
     assert np.linalg.norm(old - c.load[change:]) > 5 * np.linalg.norm(load - c.load[change:])
     updated.save(tmp_path / "u.h5")
     again = Tracker.load(tmp_path / "u.h5", building(0.9))

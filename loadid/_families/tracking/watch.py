@@ -460,9 +460,8 @@ class Watch:
         if not some.any() and self.strange < 2 and large[:, 0].all():  # unless no other load is possible
             none, some = True, np.asarray(explained[0] < USUAL * usual) & ~large[:, 1:].any(axis=0) & self.bank.watched
             self.far = max(self.far, float(np.sqrt(self.reached[-1, 0]) * some.any()))
-        unlike = not some.any() and self.strange > 1
-        if unlike or some.any() or self.doubted.any():
-            self._doubt(self.bank.watched if unlike else some, none or unlike)
+        if some.any() or self.doubted.any():  # what no channel explains, filters without one do not either
+            self._doubt(some, none)
         self.unlike += HOP * (self.alarm[0] == MISFIT)
 
     def _doubt(self, some: Bits, none: bool = False) -> None:
