@@ -29,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import FieldDeconvolution, HarmonicInversion, LoadEstimate, Noise
+from loadid._families.field import harmonic_power, mean_power
 from loadid._families.harmonic import complex_load
-from loadid._zones import harmonic_power, mean_power
 from structures import ForwardModel, Structure, bases, sensors
 from structures import beams as risers
 from structures import motion as motions

@@ -59,7 +59,7 @@ INSIDE = {
     "contact_inversion": {"loadid._inverse.diagnosis.identifiability"},
     "bridge_crossing": {"loadid._inverse.gaussian.steady"},
     "impact_location": {"loadid._plots.choosing"},
-    "riser_viv": {"loadid._families.harmonic", "loadid._plots.fields", "loadid._zones"},
+    "riser_viv": {"loadid._families.field", "loadid._families.harmonic", "loadid._plots.fields"},
     "source_identification": {"loadid._results.functionals"},
 }
 

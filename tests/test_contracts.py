@@ -22,7 +22,7 @@ from loadid._inverse import rules
 from loadid._inverse.problem import whiten
 from loadid._inverse.spectral import LinesPath, compress, factor, posterior
 from loadid.paths import LinearProblem, PathPoint, RegularizationPath, Solution, SVDPath, choose
-from loadid.sources._split import SensorSubset
+from loadid.sources._transfer import SensorSubset
 from structures import Channel, ForwardModel, FrfModel, InputError, Model, StateSpace, beams, damping, loads, sensors
 from structures._models.mapped import mapped
 

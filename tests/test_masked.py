@@ -19,10 +19,10 @@ from loadid import (
     compare_domains,
     constraints,
 )
+from loadid._families.field import harmonic_power, mean_power
 from loadid._inverse.diagnosis import picard
 from loadid._inverse.diagnosis import picard as decay
 from loadid._quality import health
-from loadid._zones import harmonic_power, mean_power
 from loadid.sources import _correlation as correlation
 from loadid.sources import _levels as bands
 from loadid.sources import _levels as levels

@@ -358,7 +358,7 @@ def zones(
     t, x : array (samples,), (places,)
         s, m.
     power : array (samples, places)
-        Mean power, as `loadid._zones.mean_power` gives it.
+        Mean power, as `loadid._families.field.mean_power` gives it.
     truth : array, the shape of `power`, optional
     of : str
         Unit of the power.

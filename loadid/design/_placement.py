@@ -85,8 +85,8 @@ class Placement:
         return self.table()
 
     def plot(self, **settings: Any) -> Figure:
-        """Picture of the layout, the worst load marked; see `loadid.design._picture.draw`."""
-        from ._picture import draw
+        """Picture of the layout, the worst load marked; see `loadid.design._comparison.draw`."""
+        from ._comparison import draw
 
         return draw((self.layout,), self.loads_at, outline=self.outline, candidates=self.candidates_at, **settings)
 

@@ -17,12 +17,11 @@ from ._levels import band_power, octave_bands, running_level
 from ._levels import decibels as decibels
 from ._levels import running_rms as running_rms
 from ._levels import time_weighted as time_weighted
-from ._split import Split as Split
-from ._split import split
 from ._synthesis import SynthesisedResponse as SynthesisedResponse
 from ._synthesis import synthesise
+from ._transfer import Split as Split
 from ._transfer import Transfer as Transfer
-from ._transfer import validate_on
+from ._transfer import split, validate_on
 
 __all__ = [
     "band_power", "compare", "compare_estimate", "contributions", "csac", "csf", "faac", "frac", "lac", "mac",

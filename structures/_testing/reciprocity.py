@@ -134,7 +134,7 @@ _WORDS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class ReciprocalPairs:
     """FRFs as mobilities, on lines of which some are asked, and where sensors and loads share places.
 
     Parameters
@@ -260,7 +260,7 @@ def _fed_back(
 # -- the table ---------------------------------------------------------------------------------------------------------
 def _table(
     f: Real, H: Complex, sensors: tuple[Channel, ...], loads: tuple[Channel, ...], variance: Real | None
-) -> Table | None:
+) -> ReciprocalPairs | None:
     rows = {i: d for i, c in enumerate(sensors) if c.quantity in ORDER and (d := _dof(c)) is not None}
     columns = {j: d for j, c in enumerate(loads) if (d := _dof(c)) is not None}
     drive = tuple((i, j) for i, d in rows.items() for j, e in columns.items() if d.key == e.key)
@@ -274,7 +274,7 @@ def _table(
     pick = np.flatnonzero(f > 0)[::step]
     turn = factors(sensors, f[pick], "mobility")
     noise = _floor(H[pick], sensors) if variance is None else variance[pick]
-    return Table(f[pick], H[pick], turn, noise, sensors, loads, pairs, np.array(sign, float), drive,
+    return ReciprocalPairs(f[pick], H[pick], turn, noise, sensors, loads, pairs, np.array(sign, float), drive,
                  {i: rows[i].key for i in rows})  # fmt: skip
 
 
@@ -312,7 +312,7 @@ def _limits(off: Real, std: Real) -> Real:
 
 
 # -- what explains it --------------------------------------------------------------------------------------------------
-def _explained(table: Table, off: Real, std: Real) -> tuple[FrfFault | None, Real]:
+def _explained(table: ReciprocalPairs, off: Real, std: Real) -> tuple[FrfFault | None, Real]:
     """The fault after which all pairs agree as well as chance has it, and what chance leaves of each pair.
 
     A single pair is as well explained by one of its entries, and is looked at more closely.
@@ -340,11 +340,11 @@ def _explained(table: Table, off: Real, std: Real) -> tuple[FrfFault | None, Rea
     return FrfFault("other", tuple(alone or names), (), 1.0, 0.0, 0.0, 0.0), limits
 
 
-def _names(table: Table, pair: np.intp) -> list[str]:
+def _names(table: ReciprocalPairs, pair: np.intp) -> list[str]:
     return [table.sensors[i].label for i, _ in table.pairs[pair]]
 
 
-def _hypotheses(table: Table, out: NDArray[np.intp]) -> Iterator[FrfFault]:
+def _hypotheses(table: ReciprocalPairs, out: NDArray[np.intp]) -> Iterator[FrfFault]:
     """Gains of sensors and exchanges of those that some pair accuses."""
     told = sorted({i for p in out for i, _ in table.pairs[p]})
     for i in told:
@@ -366,12 +366,12 @@ def _hypotheses(table: Table, out: NDArray[np.intp]) -> Iterator[FrfFault]:
         yield FrfFault("exchanged", rows, columns, 1.0, 0.0, 0.0, 0.0)
 
 
-def _without(table: Table, fault: FrfFault) -> Table:
+def _without(table: ReciprocalPairs, fault: FrfFault) -> ReciprocalPairs:
     labels = [c.label for c in table.sensors], [c.label for c in table.loads]
     return replace(table, H=fault.corrected(table.H, *labels))
 
 
-def _gain(table: Table, row: int) -> float:
+def _gain(table: ReciprocalPairs, row: int) -> float:
     """Factor of the entries of a row over their twins."""
     of = [p for p, pair in enumerate(table.pairs) if row in (i for i, _ in pair)]
     first = np.array([table.pairs[p][0][0] == row for p in of])
@@ -388,7 +388,7 @@ def _named(gain: float, sensors: tuple[str, ...], loads: tuple[str, ...]) -> Frf
     return FrfFault("unit" if near else "gain", sensors, loads, factor, 0.0, 0.0, 0.0)
 
 
-def _of_one_pair(table: Table, p: int, good: list[FrfFault]) -> FrfFault:
+def _of_one_pair(table: ReciprocalPairs, p: int, good: list[FrfFault]) -> FrfFault:
     """One pair differs: one of its entries is wrong, or, where its sensors have no other pair, one of these.
 
     A wrong sensor leaves the product of both entries over that of their drive points as it is, a wrong entry does not.
@@ -412,7 +412,7 @@ def _of_one_pair(table: Table, p: int, good: list[FrfFault]) -> FrfFault:
     return replace(entries[first], alternatives=tuple(map(str, (*also, *rest))))
 
 
-def _of_entry(table: Table, entry: tuple[int, int], x: Complex, y: Complex) -> FrfFault:
+def _of_entry(table: ReciprocalPairs, entry: tuple[int, int], x: Complex, y: Complex) -> FrfFault:
     """What is wrong with an entry x that should be y."""
     gain = _ratio(x, y)
     found = _named(gain, (table.sensors[entry[0]].label,), (table.loads[entry[1]].label,))
@@ -427,7 +427,7 @@ def _ratio(x: Complex, y: Complex) -> float:
     return float(np.copysign(np.median(np.abs(x) / np.maximum(np.abs(y), 1e-300)), along))
 
 
-def _peaks(table: Table, twins: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
+def _peaks(table: ReciprocalPairs, twins: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
     """Lines on which the sound entries peak together: those of single modes."""
     M = np.abs(table.mobility) ** 2
     keep = np.ones(M.shape[1:], bool)
@@ -449,7 +449,7 @@ def _minor(twins: tuple[tuple[int, int], tuple[int, int]]) -> Minor:
     return (i, j), (k, m), (i, m), (k, j)
 
 
-def _from_rank_one(table: Table, entry: tuple[int, int], twin: tuple[int, int]) -> float:
+def _from_rank_one(table: ReciprocalPairs, entry: tuple[int, int], twin: tuple[int, int]) -> float:
     """How far an entry is from what all but its twin make of it."""
     (i, j), (_, sensors, loads) = entry, table.H.shape
     minors = [(entry, (k, m), (k, j), (i, m)) for k in range(sensors) for m in range(loads)
@@ -459,7 +459,7 @@ def _from_rank_one(table: Table, entry: tuple[int, int], twin: tuple[int, int]) 
     return _far(table, (entry, twin), minors)
 
 
-def _far(table: Table, twins: Sequence[tuple[int, int]], minors: Sequence[Minor]) -> float:
+def _far(table: ReciprocalPairs, twins: Sequence[tuple[int, int]], minors: Sequence[Minor]) -> float:
     """How far minors are from zero at peaks of single modes: 0 for rank one, 1 for a wrong sign; in the median."""
     at, M = _peaks(table, twins), table.mobility
     if not len(at):

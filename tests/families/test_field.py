@@ -7,14 +7,13 @@ import pytest
 
 from loadid import FieldDeconvolution, HarmonicInversion, InputError, Lambda, Noise, NotIdentifiable
 from loadid._families import smoothness as spatial
-from loadid._families.field import told_apart
+from loadid._families.field import harmonic_power, mean_power, told_apart
 from loadid._families.harmonic import complex_load
 from loadid._inverse import penalties
 from loadid._inverse.gaussian.posterior import MappedPosterior
 from loadid._inverse.posterior import from_arrays
 from loadid._results.estimate import Axis
 from loadid._spellings import folded
-from loadid._zones import harmonic_power, mean_power
 from loadid.paths import toeplitz
 from structures import ForwardModel, ImpulseModel, bases, beams, damping, sensors
 from structures._models.mapped import mapped
