@@ -162,7 +162,7 @@ class FrequencyInversion:
         choice = judged(solved, self.rule, line.known, line.source)
         spectrum = _spectrum(solved, line, self.level)
         answered = _ANSWERS[line.kind](solved, line, H, spectrum)
-        excess = float(np.sqrt(solved.excess))
+        excess = float(np.sqrt(solved.unexplained))
         held = _held_out(solved, answered.spectrum.cross, kept_out, H)
         found = replace(answered, facts=self._facts(solved, line, held, spectrum, H[:, line.rows]),
                         excess=excess if excess > CLEARLY else None)  # fmt: skip
@@ -279,7 +279,7 @@ def _of_cross(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSp
     Averages reduce the chance of loads and noise, not what errors of the FRF and the prior leave open.
     """
     g = solved.load
-    S = g @ g.conj().swapaxes(1, 2) + solved.covariance
+    S = g @ g.conj().swapaxes(1, 2) + solved.missing
     power = np.maximum(np.einsum("kjj->kj", S).real, 0.0)
     lost = np.minimum(solved.frf_part + solved.prior_part, solved.variance)
     chance = (power + solved.variance - lost) ** 2 / line.averages

@@ -192,7 +192,8 @@ def unexplained(choice: Choice, level: float) -> Flag:
     """W412: the residual is `level` times the noise, more than chance allows."""
     found = next((r for r in choice.rules if r.rule == choice.rule), None)
     wall = f", and lambda ends its range ({choice.lam:.3g})" if found is not None and found.edge else ""
-    said = f"the residual is {level:.3g} times the noise ({choice.sigma_source}){wall}"
+    noise = f"the noise ({choice.sigma_source})" if choice.sigma is not None else "what noise and a fair model leave"
+    said = f"the residual is {level:.3g} times {noise}{wall}"
     return Flag(
         "W412",
         Evidence("residual over the noise level", level, 1.0),

@@ -27,6 +27,9 @@ from .spectral import window
 
 FLOOR = 0.05  # relative std of an entry of the FRF where the data tell nothing
 FLOORS = np.array([0.5 * FLOOR**2, 0.5 * FLOOR**2, (FLOOR / 10) ** 2])  # of the three parts
+NODES = ((-2.857, 0.01126), (-1.3556, 0.2221), (1.3556, 0.2221), (2.857, 0.01126))  # Gauss and Hermite, without 0
+NEAREST = 0.05  # to a pole between lines, over the distance of the line
+FAIR = 5.0  # times the floor, which no model that serves its purpose exceeds
 GIVEN = 0.5  # data that show the floor
 DATA = 900  # numbers that are asked
 STEPS = 10  # of the fixed point, which then moves by less than chance
@@ -45,27 +48,51 @@ class Discrepancy:
         Relative variances: of entries, of the mean over the sensors, of the frequencies.
     entries : array, shape (lines, sensors, loads)
         Variance of the entries by the first two.
-    slope : array, shape (lines, sensors, loads)
-        Error of the entries for one std of the frequencies.
+    shift : array, shape (lines, sensors, nodes x loads)
+        Errors of the entries by those of the frequencies, whose covariance is that of the columns of each load.
     load : array, shape (lines, loads)
         Variances of the loads around each line.
     noise : float
         Variance of the whitened noise.
+    H : array, shape (lines, sensors, loads)
     shown : float
         Data that the sizes rest on; of few the floor stands.
     """
 
     sizes: Array
     entries: Array
-    slope: NDArray[np.complex128]
+    shift: NDArray[np.complex128]
     load: Array
     noise: float
+    H: NDArray[np.complex128]
     shown: float
 
     @property
     def by_floor(self) -> bool:
         """Whether too few data show the sizes: the floor stands."""
         return self.shown < LEAST
+
+    @property
+    def fair(self) -> tuple[Array, NDArray[np.complex128]]:
+        """`entries` and `shift` of sizes as a fair model has them: from the floor's to `FAIR` times these."""
+        of, on = (np.sqrt(np.clip(s, f, FAIR**2 * f) / max(s, TINY)) for s, f in zip(
+            (np.sum(self.sizes[:2]), self.sizes[2]), (np.sum(FLOORS[:2]), FLOORS[2]), strict=True))  # fmt: skip
+        return self.entries * of**2, self.shift * on
+
+    def columns(self, load: Array, w: Array) -> NDArray[np.complex128]:
+        """Errors of the shapes at the loads, (lines, sensors, loads), for loads of such sizes.
+
+        With w the weights of the sensors: each load imitates, in equal shares, what errors as large as those of the
+        shapes at the sensors make of all loads.
+        """
+        size = np.linalg.norm(self.H * w[..., None], axis=1)
+        made = np.sqrt(np.mean((size * load) ** 2, axis=1, keepdims=True))
+        return np.asarray(np.sqrt(self.sizes[1]) * (made / np.maximum(size, TINY))[:, None, :] * self.H)
+
+    @property
+    def nodes(self) -> int:
+        """Columns of `shift` for each load."""
+        return int(self.shift.shape[2] // self.load.shape[1])
 
     @property
     def entry(self) -> float:
@@ -99,11 +126,42 @@ def learned(
     pick = slice(step // 2, None, step)
     near, given = max(neighbours // step, 2), GIVEN / averages
     sizes, v, noise, shown = _fixed_point(H[pick], X[pick], slope[pick], known, near, given)
+    shift = _shifted(H, f, float(np.sqrt(sizes[2])))
     at, every = np.arange(lines)[pick], np.arange(lines)
     load = np.exp(np.column_stack([np.interp(every, at, np.log(v[:, j])) for j in range(loads)]))
     entries = sizes[0] * np.abs(H) ** 2 + sizes[1] * _filled(np.abs(H) ** 2)
-    return Discrepancy(sizes, entries * root**2, np.sqrt(sizes[2]) * slope * root, load, noise,
-                       shown * averages)  # fmt: skip
+    return Discrepancy(
+        sizes, entries * root**2, shift * root, load, noise, np.asarray(H * root, complex), shown * averages
+    )
+
+
+def _shifted(H: Numbers, f: Array, size: float) -> NDArray[np.complex128]:
+    """Change of the FRF where its frequencies are off by one std, (lines, sensors, loads x nodes).
+
+    Over a resonance that is no small change: the columns are nodes of a quadrature over the normal distribution.
+    """
+    return np.concatenate([np.sqrt(weight) * (_between(H, f, f * (1 + node * size)) - H)
+                           for node, weight in NODES], axis=2)  # fmt: skip
+
+
+def _between(H: Numbers, f: Array, at: Array) -> NDArray[np.complex128]:
+    """The FRF between its lines: around each a rational function, with one pole for all entries.
+
+    ``H(x) (1 + c x) = H_0 + d x`` through a line and its neighbours; c by least squares over the entries.
+    """
+    if len(f) < 3:
+        return H.copy()
+    at = np.clip(np.where(at > f[-1], 2 * f[-1] - at, np.where(at < f[0], 2 * f[0] - at, at)), f[0], f[-1])  # mirrored
+    near = np.clip(np.searchsorted(0.5 * (f[1:] + f[:-1]), at), 1, len(f) - 2)
+    below, here, above = H[near - 1], H[near], H[near + 1]
+    a, b, x = (np.asarray(z - f[near])[:, None, None] for z in (f[near - 1], f[near + 1], at))
+    bent, turned = (below - here) / a - (above - here) / b, above - below
+    each = 1 / np.maximum(np.mean(np.abs(H) ** 2, axis=0), TINY)  # no unit decides
+    c = np.sum(each * turned.conj() * bent, axis=(1, 2), keepdims=True)
+    c /= np.maximum(np.sum(each * np.abs(turned) ** 2, axis=(1, 2), keepdims=True), TINY)
+    d = 0.5 * ((below * (1 + c * a) - here) / a + (above * (1 + c * b) - here) / b)
+    pole = 1 + c * x
+    return np.asarray((here + d * x) / np.where(np.abs(pole) < NEAREST, NEAREST, pole))
 
 
 def _slope(H: Numbers, f: Array) -> NDArray[np.complex128]:

@@ -375,11 +375,14 @@ def window(lines: int, half: int) -> tuple[Callable[[Numbers], Array], float]:
     return lambda x: convolve1d(np.asarray(x, float), kernel, axis=0, mode="mirror"), float(1 / np.sum(kernel**2))
 
 
-def contradicted(lines: Compressed, averages: float = 1.0) -> tuple[Array, float]:
-    """Variance of the whitened noise where the data show more than the stated 1, else 1; and how much in the middle."""
+def contradicted(lines: Compressed, averages: float = 1.0, expected: Numbers | float = 1.0) -> tuple[Array, float]:
+    """Variance of what no load explains where the data show more than `expected`, else 1; and how much in the middle.
+
+    Both are over what is expected, a number or (lines,): the stated 1 of whitened noise.
+    """
     half = int(np.ceil(2 * ENOUGH / (2 * lines.left * averages)))
     beside, count = window(len(lines.R), half)
-    shown = beside(lines.outside) / lines.left
+    shown = beside(lines.outside / expected) / lines.left
     limit = 1 + DOUBT / np.sqrt(count * lines.left * averages)
     above = shown > limit
     clear = np.max(shown) > _by_chance(count * lines.left * averages, len(shown) / count)

@@ -25,10 +25,11 @@ def level(factor: float, sensors: int = 6) -> tuple[Flag, ...]:
 
 
 def deep(seen: int) -> tuple[Flag, ...]:
-    """Flags of a plate with its antiresonances, or of lines that all are as loud."""
+    """Flags of a plate with its antiresonances, or of lines that all are as loud (an FRF that jumps from one to the
+    next would be a wrong one)."""
     rng = np.random.default_rng(0)
     f, H = frf(200, seen, 1, rng)
-    H = H if seen == 1 else normals(rng, 200, seen, 1)
+    H = H if seen == 1 else np.tile(normals(rng, 1, seen, 1), (200, 1, 1))
     Y = 3 * H[:, :, 0] + 0.03 * normals(rng, 200, seen)
     return tuple(FrequencyInversion(model(f, H)).estimate(Spectra(f, Y, noise=0.03, noise_source="covariance")).flags)
 
