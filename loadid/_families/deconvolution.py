@@ -87,7 +87,7 @@ class Deconvolution:
     @takes(
         penalty=(Penalty, "size leak from_zero variance"),
         choice=(Lambda, "method path"),
-        noise=(Noise, "source"),
+        noise=(Noise, "source errors"),
         allow=(Guards, "coverage load_class"),
     )
     def __init__(

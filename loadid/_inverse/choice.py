@@ -116,6 +116,7 @@ ORDERS = {
     False: ("predicted_error", "robust_gcv", "gcv", "l_curve"),
     True: ("predicted_error", "discrepancy", "upre", "gcv", "l_curve"),
 }
+EXPLAINING = ("predicted_error", "robust_gcv", "evidence")  # of which one stands in for a fit that explains too little
 WIDE, NEAR = 0.2, 1.0  # share of the data that a wide-band load spends; decades within which UPRE then refines it
 BELOW = 0.7  # decades by which a whiteness rule lies below quasi-optimality where it may follow correlated noise
 CHANCE, CLEARLY = 1e-2, 1.3  # of a residual so far above the stated noise; and how far at least
@@ -125,6 +126,9 @@ FACTOR, LARGER = 30.0, 100.0  # Bayes factor that counts as strong; largest nois
 SPARE, TESTED = 0.2, 10  # share of the data, or number, that a fit leaves for the test of the stated noise level
 BELOW_BY = 3.0  # steps of lambda below a sweep over a part of the range
 RULED_OUT, FAR = 1e-4, 1.5  # evidence over that of the lambda in use; residual over what it leaves, or the noise
+NOISY = 0.25  # rms of a residual over that of the data beyond which noise that nobody stated is not what is left
+IMPERFECT, SWOLLEN = 0.1, 3.0  # share of the data (rms) that every model may leave; size of a load over a smoother one
+EARNED = 10.0  # residual that a degree of freedom takes, over what is left for each, from which it is no error
 CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
 
 
@@ -142,10 +146,13 @@ def choose(
         where it cannot run or ends at an edge, discrepancy and UPRE (noise level known) or robust GCV, then GCV and the
         L-curve. Noise level known and more than a fifth of the data spent: UPRE, if it is not more than a decade below.
         Noise level not known and the noise shows itself as correlated (`whiteness_of`): quasi-optimality, which does
-        not ask for white noise. A noise level that the data contradict (`contradicted`) is set aside, and robust GCV
-        decides: a level far below the true one would let the noise through. One that the evidence makes implausible
-        (`implausible`) is not used either: lambda is then chosen as if nobody had stated it. Under constraints it is
-        the load without them that must contradict.
+        not ask for white noise. Where lambda so chosen leaves more than a quarter of the data (rms), noise that would
+        be known: the largest of predicted error, robust GCV and evidence that does not. A level that the data
+        contradict (`contradicted`) is set aside, and robust GCV decides: a level far below the true one would let the
+        noise through. One that the evidence makes implausible (`implausible`) is not used either: lambda is then chosen
+        as if nobody had stated it. Under constraints it is the load without them that must contradict. A load more
+        than three times as large as that of the evidence, which leaves 10 % of the data (rms) or less, and whose other
+        degrees of freedom explain little each, is that of the error of the model: lambda is then that of the evidence.
     sigma : float, optional
         Noise level of the whitened data.
     source : NoiseSource or str, optional
@@ -213,6 +220,10 @@ def decide(
     quasi = asked["quasi_optimality"]
     if choice is None and sigma is None and evidence.get("followed") and quasi.lam is not None:
         lam, rule = quasi.lam, quasi.rule
+    if wanted is None and sigma is None and (other := _explaining(path, asked, lam)) is not None:
+        lam, rule = answered(other), other.rule
+    if wanted is None and (smoother := _as_good(path, asked["evidence"], lam)) is not None:
+        lam, rule = smoother, "evidence"
     spread, verdict = agreement(asked, lam, path, correlated)
     asked["discrepancy"] = _with_sensitivity(asked["discrepancy"], sweep)
     point = path.at(lam)
@@ -232,6 +243,45 @@ def decide(
         correlated=correlated,
         shown=shown,
     )
+
+
+def _explaining(path: RegularizationPath, asked: Mapping[str, RuleResult], lam: float) -> RuleResult | None:
+    """Where `lam` leaves more of the data than anybody's noise is: the smoothest of some rules that does not."""
+    if path.energy is None or path.stacked:
+        return None
+    most = NOISY**2 * float(path.energy)
+
+    def explains(at: float) -> bool:
+        return float(path.at(at).residual2) < most
+
+    if explains(lam):
+        return None
+    running = [asked[name] for name in EXPLAINING if asked[name].lam is not None and not asked[name].edge]
+    return max((r for r in running if explains(answered(r))), key=answered, default=None)
+
+
+def _as_good(path: RegularizationPath, evidence: RuleResult, lam: float) -> float | None:
+    """Lambda of the evidence, the larger one, where `lam` has a load several times larger for nothing.
+
+    That is for a part of the data that every model leaves: what its error leaves is fitted by loads that nearly
+    nothing sees, and they may be hundreds of times too large. Loads that are real and hardly seen, slow ones by
+    accelerometers, explain with few degrees of freedom many times what is left for each.
+    """
+    if path.energy is None or path.stacked or path.dear or evidence.edge or not 0 < lam < (evidence.lam or 0.0):
+        return None
+    smoother, own = path.at(answered(evidence)), path.at(lam)
+    if smoother.left is None or own.left is None:
+        return None
+    least, gained = IMPERFECT**2 * float(path.energy), float(smoother.residual2 - own.residual2)
+    earned = gained * float(smoother.left) > EARNED * float(smoother.residual2) * float(smoother.left - own.left)
+    few = float(own.penalty2) < SWOLLEN**2 * float(smoother.penalty2)
+    if float(smoother.residual2) > least or earned or few:
+        return None
+    try:
+        sizes = [float(np.linalg.norm(path.solution(x, None).load)) for x in (lam, answered(evidence))]
+    except InputError:  # windows of a record have no solution of it
+        return None
+    return evidence.lam if sizes[0] > SWOLLEN * sizes[1] else None
 
 
 def _unconstrained(sweep: Sweep, asked: dict[str, RuleResult]) -> tuple[Sweep, dict[str, RuleResult]]:

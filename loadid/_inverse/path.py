@@ -101,6 +101,8 @@ class RegularizationPath:
         Real numbers in one datum: 2 where the data are complex.
     margin : float or None
         Share of all noise whose residual the discrepancy rule lets pass; None: the mean of all noise.
+    energy : array or None
+        Squared norm of the whitened data; None where no path over a record or readings says it.
     """
 
     m: int
@@ -111,6 +113,7 @@ class RegularizationPath:
     dear: bool = False
     reals: int = 1
     margin: float | None = 0.95
+    energy: Array | float | None = None
 
     @property
     def stacked(self) -> bool:
@@ -247,6 +250,7 @@ class FactoredPath(RegularizationPath):
                              found=f"largest singular value {c.max():.2g}", expected="between 1e-140 and 1e140",
                              hint="check the units")  # fmt: skip
         self._gamma, self._seen, self._beta2 = gamma, seen, np.abs(beta) ** 2
+        self.energy = np.sum(self.weight * self._beta2, axis=-1) + self.outside
         self._cost = np.divide(1.0, c**2, out=np.zeros(c.shape), where=c > 0)
 
     @property

@@ -27,7 +27,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import Deconvolution, Noise
+from loadid import Deconvolution, Noise, Penalty
 from loadid._families.data import gather
 from loadid._families.posing import pose
 from loadid._inverse.gaussian.path import StateSpacePath
@@ -182,7 +182,8 @@ def judged(setup: str, layout: str, samples: int, seed: int, stated: bool) -> Ju
     known = yardstick(setup, layout, samples, seed)
     p = known.problem
     begun = time.process_time()
-    family = Deconvolution(p.model, noise=Noise(p.sigma if stated else None, source="data sheet" if stated else None))
+    noise = Noise(p.sigma if stated else None, source="data sheet" if stated else None)
+    family = Deconvolution(p.model, noise=noise, penalty=Penalty(variance="constant"))  # of which lambda is
     found = family.estimate(p.record, p.dt)
     spent = time.process_time() - begun
     chosen = found.choice.lam  # relative: whitening by the noise of like sensors changes it little

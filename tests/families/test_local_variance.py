@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loadid import Deconvolution, LoadEstimate, Penalty, Record, identify
+from loadid import Deconvolution, LoadEstimate, Noise, Penalty, Record, identify
 from loadid.constraints import NonNegative
 from structures import ForwardModel, ImpulseModel, beams, damping, loads, sensors
 from structures.errors import InputError
@@ -100,6 +100,20 @@ def test_gaps_are_left_out() -> None:
     record = Record(y, DT, model().sensors)
     found = Deconvolution(model(), penalty=Penalty("identity", variance="local")).estimate(record)
     assert np.linalg.norm(found.load - g) < 0.3 * np.linalg.norm(g)
+
+
+def test_errors_of_the_model_are_as_large_as_they_are_said_to_be() -> None:
+    y = data("impacts")[0]
+    others = {"frequency": 0.0, "damping": 0.0, "shape": 0.0}
+    none, small, large = (
+        Deconvolution(model(), noise=Noise(errors=others | {"gain": gain})).estimate(y, DT) for gain in (0.0, 0.02, 0.1)
+    )
+    top = np.unravel_index(np.argmax(none.load), none.load.shape)
+    assert np.array_equal(none.load, large.load)  # they widen the band and move nothing
+    assert none.std[top] < small.std[top] < large.std[top]
+    assert 0.07 * large.load[top] < large.std[top] < 0.2 * large.load[top]  # what all sensors share nobody tells
+    with pytest.raises(InputError, match="gain, frequency, damping, shape"):
+        Deconvolution(model(), noise=Noise(errors={"gian": 0.1}))
 
 
 def test_what_does_not_fit_is_refused() -> None:

@@ -12,10 +12,12 @@ from loadid._inverse import choice as choices
 from loadid._inverse import rules
 from loadid._inverse import rules as odds
 from loadid._inverse.choice import DEFAULT_RULES, agreement
+from loadid._inverse.sweep import LARGEST
 from loadid.paths import LinearProblem, PathPoint, RegularizationPath, RuleResult, SVDPath, choose, toeplitz
+from loadid.settings import Penalty
 from structures.errors import InputError
 from tests.benchmarks.fredholm import NOISES, PROBLEMS
-from tests.campaigns import long
+from tests.campaigns import impacts, long
 
 from .reference import echo
 
@@ -339,3 +341,42 @@ def test_a_noise_level_that_the_data_contradict_is_set_aside(factor: float) -> N
         ratios.append(np.linalg.norm(path.solution(wrong.lam, None).load - g) / min(error))
     assert np.max(ratios) < 2
     assert alarms <= 1
+
+
+@pytest.mark.parametrize(("error", "number"), [("gain", 700100010), ("slow", 700100033)])
+def test_a_fit_that_leaves_a_quarter_of_the_data_gives_way_to_one_that_explains_them(error: str, number: int) -> None:
+    given = impacts.problem(number, error)  # as many sensors as loads, noise not stated: predicted error ends at a wall
+    estimate = given.inversion(penalty=Penalty(variance="constant")).estimate(given.record, given.dt)
+    wall = by_name(estimate.choice)["predicted_error"].lam
+    assert wall is not None
+    assert estimate.choice.lam < 0.1 * wall
+    assert np.linalg.norm(estimate.load - given.truth) < 0.2 * np.linalg.norm(given.truth)
+    assert np.linalg.norm(estimate.residual) < np.linalg.norm(given.record) / 4
+
+
+def test_a_load_that_fits_the_error_of_the_model_gives_way_to_that_of_the_evidence() -> None:
+    given = impacts.problem(750000016, "gain")  # gains 3 % wrong: the load that explains them is ten times the true one
+    estimate = given.inversion(penalty=Penalty(variance="constant")).estimate(given.record, given.dt)
+    assert estimate.choice.rule == "evidence"
+    assert np.linalg.norm(estimate.load - given.truth) < 0.6 * np.linalg.norm(given.truth)
+
+
+def test_a_slow_load_that_accelerometers_hardly_see_is_no_error_of_the_model() -> None:
+    given = impacts.problem(760000023, "slow")  # eighteen times that of the evidence, by seventeen degrees of freedom
+    estimate = given.inversion(penalty=Penalty(variance="constant")).estimate(given.record, given.dt)
+    assert estimate.choice.rule != "evidence"
+    assert np.linalg.norm(estimate.load - given.truth) < 0.2 * np.linalg.norm(given.truth)
+
+
+def test_a_stated_level_may_leave_as_much_as_it_says() -> None:
+    H, g = PROBLEMS["gravity"](64)
+    sigma = float(np.sqrt(np.mean((H @ g) ** 2)))
+    path = SVDPath(LinearProblem.whitened(H, H @ g + sigma * np.random.default_rng(0).standard_normal(64)))
+    assert path.energy is not None
+    assert path.at(choose(path, sigma=sigma).lam).residual2 > path.energy / 3
+
+
+def test_the_energy_of_a_path_is_that_of_its_data() -> None:
+    path = impact()
+    assert path.energy == pytest.approx(np.sum(path.problem.y**2))
+    assert path.at(LARGEST).residual2 == pytest.approx(path.energy, rel=1e-4)

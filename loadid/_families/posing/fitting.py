@@ -25,6 +25,7 @@ from ..._inverse.spectral import (
     LinePrior,
     LinesPath,
     compress,
+    contradicted,
     factor,
     identifiable,
     posterior,
@@ -109,6 +110,12 @@ class LineFit:
         The part of `variance` that is the expected size of what the line does not tell: no average reduces it either.
     blind : array, shape (lines, loads, loads)
         What regularisation takes away from a load: one less the resolution.
+    unexplained : float
+        What no load explains over what noise and a fair model (`Discrepancy.fair`) leave, on the lines that contradict
+        it, else 1 (variances).
+    missing : array, shape (lines, loads, loads)
+        The part of `covariance` that prior and weights leave open: on average the load is larger by it than its
+        estimate. Errors of the FRF that went through the estimator are in the estimate already.
     discrepancy : Discrepancy or None
         Errors of the FRF that nobody stated.
     """
@@ -129,6 +136,8 @@ class LineFit:
     frf_part: NDArray[np.float64]
     prior_part: NDArray[np.float64]
     blind: NDArray[np.complex128]
+    unexplained: float
+    missing: NDArray[np.complex128]
     discrepancy: Discrepancy | None = None
 
     @property
@@ -200,12 +209,15 @@ def fit(
             errors = errors * left_over(second)[:, None]
         if not known:
             power, known = _alone(power * guess.noise[:, None], errors), True
+    excess = guess.excess
+    if found is not None and lines.left:
+        excess = contradicted(lines, averages, _expected(lines, w, power, found))[1]
     told = identifiable(f)
     answer, noise, lam, path, used = _pooled(f, guess, first) if rule.pooled else _ruled(lines, f, guess, rule, known)
     prior_part = _beyond(answer, noise)
     with np.errstate(divide="ignore"):
         naive_variance = np.where(told.gain > 0, noise[:, None], np.inf) / np.where(told.gain > 0, told.gain, 1.0) ** 2
-    frf_part = np.zeros(told.gain.shape)
+    frf_part, missing = np.zeros(told.gain.shape), answer.covariance
     if found is not None:
         assert errors is not None
         made = _Propagated.of(found, answer, lines, w, noise[:, None] * errors)
@@ -219,6 +231,7 @@ def fit(
     return LineFit(
         load=answer.load, covariance=answer.covariance, identifiable=told, expected=np.sqrt(guess.probable),
         noise=noise, total=total, errors=errors, lam=lam, edf=answer.edf, path=path, used=used, excess=guess.excess,
+        unexplained=excess, missing=missing,
         naive_std=np.sqrt(np.maximum(naive_variance, 0.0)), frf_part=frf_part, prior_part=prior_part,
         blind=np.eye(lines.shape[2]) - answer.gain @ lines.R, discrepancy=found,
     )  # fmt: skip
@@ -250,7 +263,9 @@ class _Propagated:
         assert lines.Q is not None
         reduced = lines.Q.conj().swapaxes(1, 2) * w[:, None, :]
         made = (found.entries @ (_square(answer.load) + answer.variance)[..., None])[..., 0]
-        return cls(reduced, reduced @ (found.slope @ answer.load), made, assumed)
+        load = np.sqrt(_square(answer.load))
+        shifted = [shift @ answer.load for shift in np.split(found.shift, found.nodes, axis=2)]
+        return cls(reduced, reduced @ np.concatenate([*shifted, found.columns(load, w)], axis=2), made, assumed)
 
     def covariance(self, gain: Array) -> NDArray[np.complex128]:
         """Of the loads by an estimator (lines, loads, rank), beyond what the weights held."""
@@ -263,6 +278,18 @@ class _Propagated:
         data = self.made - self.assumed if beyond else self.made
         A = gain @ self.reduced
         return np.asarray(((A.real**2 + A.imag**2) @ data[..., None])[..., 0] + _square(gain @ self.moved))
+
+
+def _expected(lines: Compressed, w: Array, power: Array, found: Discrepancy) -> NDArray[np.float64]:
+    """Variance of what no load explains, (lines,), with errors of the FRF as a fair model has them."""
+    assert lines.Q is not None
+    entries, shift = found.fair
+    total = power + np.einsum("ksj,kj->ks", entries, found.load)
+    moved = shift * w[..., None] * np.sqrt(np.tile(found.load, found.nodes))[:, None, :]
+    inside = lines.Q.conj().swapaxes(1, 2) @ moved
+    left = 1 - np.sum(np.abs(lines.Q) ** 2, axis=2)
+    along = np.sum(np.abs(moved) ** 2, axis=(1, 2)) - np.sum(np.abs(inside) ** 2, axis=(1, 2))
+    return np.asarray((np.sum(left * w**2 * total, axis=1) + along) / lines.left)
 
 
 def _square(load: Array) -> NDArray[np.float64]:

@@ -96,6 +96,7 @@ class ConvolvedPath(RegularizationPath):
         kept = np.where(used, y, 0.0) * (1.0 if weight is None else np.asarray(weight, float))
         self.y = np.ascontiguousarray(kept.T)[None]  # (1, sensors, samples)
         self.m, self.null = int(np.sum(used)), self.operator.order * self.operator.loads
+        self.energy = float(np.sum(self.y**2))
         self.scale = np.asarray(largest(self.operator) if scale is None else float(scale))
         if not 1e-140 < float(self.scale) < 1e140:
             raise InputError("the forward model is beyond the range of numbers", where="inverse problem",

@@ -131,6 +131,7 @@ class WindowsPath(StateSpacePath):
         super().__init__(record, quick=True, scale=scale)
         self.count = int(np.sum(weights))
         self.m, self.null = self.count * record.data, self.count * len(record.free)
+        self.energy = float(weights @ np.sum(windows**2, axis=(1, 2)))
         self._limit *= self.count
 
     @property

@@ -165,7 +165,7 @@ class StateSpacePath(RegularizationPath):
 
     def __init__(self, record: WhitenedRecord, *, quick: bool = False, scale: float | None = None) -> None:
         self.record, self.quick = record, quick
-        self.m, self.null = record.data, len(record.free)
+        self.m, self.null, self.energy = record.data, len(record.free), float(np.sum(record.y**2))
         if self.m == 0:
             raise InputError("no data", where="state-space path", found="every sample is missing",
                              expected="some measured samples")  # fmt: skip
