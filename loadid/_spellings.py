@@ -16,7 +16,7 @@ from .settings import Guards, Setting, pasted
 
 F = TypeVar("F", bound=Callable[..., Any])
 FORMER = {"source": "noise_source"}  # field -> argument of release 0.1, where the names differ
-LATER = {"variance", "frf"}  # fields that release 0.1 had not
+LATER = {"variance", "frf", "errors"}  # fields that release 0.1 had not
 ARGUMENTS: dict[str, Arguments] = {}  # of every family
 
 

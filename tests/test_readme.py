@@ -110,9 +110,11 @@ def test_the_frequency_example(tmp_path, monkeypatch, capsys):
     known = cross_spectra(force[::fine, None], dt, segment=2048)
     truth = np.interp(found.axis.values, known.frequencies, known.autospectra[:, 0])
     assert abs(found.load[inside].sum() / truth[inside].sum() - 1) < 0.05
+    assert "LID-W412" not in found.codes
     assert found.facts["held_out"][0].startswith("14+Z")
     assert "peak 13+Z" in capsys.readouterr().out
     assert "not tell" in found.summary(details=True)
+    assert found.grade.letter < "D"
     assert Path("sources.png").stat().st_size > 10_000
 
 

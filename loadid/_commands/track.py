@@ -268,8 +268,8 @@ def show(tracker: Tracker, done: StreamSummary) -> str:
 ALARMS = {
     526: "the load is far beyond that of the fit: look whether it can be, or a sensor that sees it alone is wrong",
     528: "is wrong and kept out, or taken the other way round: look at the sensor and its cable",
-    529: "the samples do not fit, and no single channel explains it: look at all sensors, and whether the structure "
-    "has changed; the band holds what any of them may say",
+    529: "the samples do not fit, and no one channel is known to be the cause: look at the sensors that W529 lists, or "
+    "at all, and whether the structure has changed; the band holds what any of the listed ones may say, no other cause",
     530: "the sensors contradict each other by this model since the fit: check the model",
 }
 

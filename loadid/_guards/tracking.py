@@ -262,9 +262,9 @@ def faulty(faults: Sequence[tuple[str, str | None, str, int]], acts: bool = True
 
 
 def unlike_the_fit(samples: int, loudest: float, suspects: Sequence[str] = ()) -> Flag | None:
-    """W529: samples in service that neither the model nor one wrong channel explains; `loudest` of the fit.
+    """W529: samples in service that the model does not explain, nor one wrong channel for sure; `loudest` of the fit.
 
-    `suspects`: channels any of which may have been the wrong one.
+    `suspects`: channels any of which may have been the wrong one; none where no single one explains the samples.
     """
     if not samples:
         return None
@@ -281,7 +281,8 @@ def unlike_the_fit(samples: int, loudest: float, suspects: Sequence[str] = ()) -
         Evidence("samples in service that do not fit", float(samples), 0.0),
         f"for {samples} samples the innovations were several times larger than in any part of the record of the fit "
         f"(there at most {loudest:.3g} times their mean), and no single channel explains it: the structure has "
-        "changed, several sensors are wrong, or a load acts that the model does not have",
+        "changed or started anew, several sensors are wrong, or a load acts that the model lacks; the loads are "
+        "those of all channels, and their band knows nothing of it",
     )
 
 

@@ -3,7 +3,8 @@
 Beams, plates and chains, 2 to 6 sensors (acceleration, strain, displacement, mixed), 1 or 2 loads (slow, random,
 harmonic, impacts), noise of 0.5 to 5 %. A tracker is fitted to one record and follows another of the same structure.
 The truth has a finer mesh, twice the modes and a step ten times finer, and is sampled behind an anti-alias filter
-without phase. `error` adds what the model does not know (stiffness, damping) or what happens to one sensor in service.
+without phase. `error` adds what the model does not know (stiffness, damping) or what happens to one sensor in service;
+with "exact" the truth has the modes of the model and no others.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from structures.errors import InputError, NotIdentifiable
 from .impacts import FINER, KINDS, _place, _sampled, _sensor, _structure
 from .scores import Z95, Array, counts
 
-MODELS = ("none", "stiffness", "damping")
+MODELS = ("none", "exact", "stiffness", "damping")
 FAULTS = ("offset", "drift", "stuck", "swapped", "dead", "spikes")
 ERRORS = MODELS + FAULTS
 LOADS = ("slow", "random", "harmonic", "impacts")
@@ -125,7 +126,7 @@ def service(seed: int, error: str = "none") -> Service:
         points = [loads.Point(dofs[int(j)], label=f"F{j}") for j in rng.permutation(len(dofs))[:p]]
         modes = max(3, n - int(rng.integers(0, 3)))
         model = ForwardModel(believed, rows, points, modes=modes)
-        true = ForwardModel(structure(True, true_ratio), rows, points)
+        true = model if error == "exact" else ForwardModel(structure(True, true_ratio), rows, points)
     else:
         extents = (length,) if kind == "beam" else (0.5 * length, 0.5 * width * length)
         places = rng.uniform(0.12, 0.88, (count, len(extents)))
@@ -134,7 +135,8 @@ def service(seed: int, error: str = "none") -> Service:
         rows = [_sensor(k, _place(x, extents), f"s{i}") for i, (k, x) in enumerate(zip(kinds, places, strict=True))]
         modes = int(rng.integers(4, 9))
         model = ForwardModel(believed, rows, points, modes=modes)
-        true = ForwardModel(structure(True, true_ratio), rows, points, modes=2 * modes)
+        finer = ForwardModel(structure(True, true_ratio), rows, points, modes=2 * modes)
+        true = model if error == "exact" else finer
     acting = [LOADS[rng.integers(4)] for _ in range(p)]
     size = 10 ** rng.uniform(0, 3)
     fine = [size * np.column_stack([history(rng, k, SAMPLES, draw + j) for j, k in enumerate(acting)]) for _ in "ab"]

@@ -13,6 +13,7 @@ from loadid import (
     Lambda,
     LoadEstimate,
     SparseDeconvolution,
+    Spectra,
     StaticInversion,
 )
 from loadid._inverse.choice import CLEARLY, GRADES, unexplained
@@ -111,6 +112,27 @@ def test_the_right_place_is_explained(case: str) -> None:
     found = FAMILIES[case](0.5)
     assert CODE not in [f.code for f in found.flags]
     assert "NOT TO BE USED" not in found.summary()
+
+
+def on_lines(place: float, stated: bool) -> LoadEstimate:
+    """Spectra whose noise is five times as large on the lower half of the lines."""
+    f, rng = np.linspace(10, 400, 300), np.random.default_rng(3)
+    sigma = np.where(f < 200, 5e-3, 1e-3)[:, None] * np.abs(model((place,)).frf(f)[..., 0]).mean(axis=0)
+    noise = sigma[..., None] * rng.standard_normal((*sigma.shape, 2)) @ np.array([1, 1j]) / np.sqrt(2)
+    spectra = Spectra(f, model((place,)).frf(f)[..., 0] + noise, noise=sigma if stated else None, noise_source="known")
+    return FrequencyInversion(model()).estimate(spectra)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_lines_whose_noise_varies_are_explained(stated: bool) -> None:
+    """Where nobody states the noise it may be larger here than there; a load elsewhere is told all the same."""
+    right, wrong = on_lines(0.5, stated), on_lines(0.3, stated)
+    assert CODE not in right.codes
+    assert right.grade.letter < "C"
+    assert np.median(np.abs(right.load - 1)) < 0.02
+    assert wrong.flags[0].code == CODE
+    assert wrong.grade.letter == "D"
+    assert ("fair model" in wrong.flags[0].message) != stated
 
 
 def test_lambda_far_too_large_is_not_usable() -> None:
