@@ -123,6 +123,7 @@ SLOWEST = 0.6  # shrinkage of such steps beyond which the limit is not extrapola
 EDGE = 3  # points of the sweep that count as its end
 SHORT_NCP = 4000  # data up to which every point of the sweep is asked
 LONGEST_NCP = 300_000  # data; beyond, one transform for each lambda costs more than all other rules together
+ROUNDING = 1e-10  # residual over the largest below which it is rounding
 
 
 # -- functions that are minimised ------------------------------------------------------------------------------------
@@ -397,8 +398,9 @@ def ncp(sweep: Sweep) -> RuleResult:
     rests = sweep.path.residuals(sweep.lam[picks])
     if rests is None:
         raise Refusal("ncp needs the residual of a record, which this path does not define")
-    value = [ncp_statistic(rest.reshape(len(rest), -1))[0] for rest in rests]
-    k = int(np.argmin(value))
+    told = np.array([(ncp_statistic(rest.reshape(len(rest), -1))[0], np.linalg.norm(rest)) for rest in rests])
+    value, size = told.T
+    k = int(np.argmin(np.where(size >= ROUNDING * size.max(), value, np.inf)))  # rounding is as white as noise
     return RuleResult("ncp", float(sweep.lam[picks[k]]), k in (0, len(picks) - 1))
 
 

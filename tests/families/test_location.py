@@ -323,7 +323,7 @@ def test_threads_change_nothing():
         search().locate(struck()),
         LocationSearch(beam(CLEAR), hold="zoh", search=Search(workers=3)).locate(struck()),
     )
-    np.testing.assert_array_equal(threads.scores, alone.scores)
+    np.testing.assert_allclose(threads.scores, alone.scores, rtol=1e-12)  # BLAS rounds by where its arrays lie
     np.testing.assert_array_equal(threads.found, alone.found)
 
 
