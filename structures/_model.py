@@ -45,6 +45,8 @@ class Model:
         Length that its impulse response is known to have.
     hits : tuple
         Tests that it was estimated from.
+    gain_covariance : array (sensors, sensors) or None
+        Of the relative gains of such tests, as their repeats show it.
     structure : Structure or None
         What carries the sensors and the loads, as they are; then `factor`, `reduced` and `shapes` are there too.
     basis : Basis or None
@@ -60,6 +62,7 @@ class Model:
     sampled: bool = False
     samples: int | None = None
     hits: tuple[Any, ...] = ()
+    gain_covariance: NDArray[np.float64] | None = None
     structure: Any = None
     basis: Any = None
     serves: ClassVar[dict[str, str]] = {

@@ -29,17 +29,20 @@ def rows():
 class TestFiveHits:
     def test_whole_record(self, hits):
         errors = [h.error() for h in hits]
-        assert np.mean(errors) <= 0.093
-        assert max(errors) <= 0.104
+        assert np.mean(errors) <= 0.035
+        assert max(errors) <= 0.044
+        assert all(h.estimate.facts["variance"] == "local" for h in hits)
 
     def test_first_samples(self, hits):
-        assert max(h.error(slice(80)) for h in hits) <= 0.065
+        assert max(h.error(slice(80)) for h in hits) <= 0.015
 
     def test_peak(self, hits):
-        assert max(abs(h.peak_error) for h in hits) <= 0.025
+        assert max(abs(h.peak_error) for h in hits) <= 0.01
 
     def test_band(self, hits):
-        assert all(0.90 <= h.covered <= 0.99 for h in hits)
+        assert np.mean([h.covered for h in hits]) >= 0.90
+        std = [h.estimate.std[h.peak, 0] / h.estimate.load[h.peak, 0] for h in hits]
+        assert max(std) <= 0.025  # the hits themselves scatter by 1.0 to 1.5 %
 
     def test_verified_by_the_hits_themselves(self, hits):
         assert all("W114" not in h.estimate.codes for h in hits)
@@ -47,11 +50,11 @@ class TestFiveHits:
 
 
 class TestOtherPriors:
-    def test_few_short_pulses_win_on_the_hits(self, hits):
+    def test_few_short_pulses_come_close_on_the_hits(self, hits):
         others = hammer_log.under_other_priors((1, 2), signs=False)
         found = [few for few, _ in others]
         assert np.mean([h.error() for h in found]) <= 0.05
-        assert all(few.error() < plain.error() for few, plain in zip(found, hits[:2], strict=True))
+        assert all(few.error() < 1.3 * plain.error() for few, plain in zip(found, hits[:2], strict=True))
         assert max(h.error(slice(80)) for h in found) <= 0.03
         assert all(h.estimate.facts["gap"] <= 1e-6 for h in found)
         assert "few B-splines" in hammer_log.priors(hits[:2], others)
@@ -59,8 +62,9 @@ class TestOtherPriors:
 
 class TestTwoHits:
     def test_both_sensors(self, both):
-        assert both[0].error(both[0].around()) <= 0.04
-        assert both[1].error(both[1].around()) <= 0.06
+        assert max(hit.error(hit.around()) for hit in both) <= 0.02
+        assert max(hit.error(offset=hit.offset) for hit in both) <= 0.08
+        assert all(hit.covered >= 0.8 for hit in both)
 
     def test_the_poor_sensor_does_not_hurt(self, both):
         """Both sensors are as good as the good one alone, within a tenth."""
@@ -68,7 +72,7 @@ class TestTwoHits:
         total = [sum(h.error(h.around()) for h in hits) for hits in (both, alone)]
         assert total[0] <= 1.1 * total[1]
         poor = hammer_log.two_hits(("m_1",))
-        assert min(h.error(h.around()) for h in poor) > 0.2
+        assert min(h.error(h.around()) for h in poor) > 0.1
 
     def test_weights_are_stated(self, both):
         assert "roughness" in both[0].estimate.choice.sigma_source

@@ -10,16 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._inverse.choice import Choice, ungraded
-from .._inverse.local_prior import (
-    LocalPrior,
-    freedom,
-    local_prior,
-    posterior,
-    resolved,
-    unexplained,
-    with_errors,
-    with_misfit,
-)
+from .._inverse.convolved.local_lines import LocalLinesPrior, Spectrum, local_lines
+from .._inverse.convolved.padded import SpectralPath
+from .._inverse.local_prior import LocalPrior, local_prior, with_errors, with_misfit
 from .._results.facts import Facts
 from .answer import SolvedLoad, beyond_noise
 from .histories import half_width
@@ -28,10 +21,12 @@ from .posing import Posed, PosingSettings
 Array = NDArray[Any]
 
 SMEARED = "W311"
+RESIDUAL = "residual"  # noise that tests left, which another record may have less of
 CONSTANT = "asked for by name"
 WINDOW = 9  # samples over which the energy of the load is averaged
 IMPACTS = 0.4  # such a spread beyond which no impacts are sought
-LONGEST = 8192  # samples
+LONGEST = 8192  # samples over states
+LONGEST_LINES = 2**18  # samples line by line
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,16 +35,16 @@ class Learned:
 
     Parameters
     ----------
-    prior : LocalPrior
+    prior : LocalPrior or LocalLinesPrior
     posed : Posed
-        Over the states of the model.
+        Over the states of the model, or line by line.
     asked_for : bool
         By the user, or by the data.
     names : tuple of str
         Of the errors of the model.
     """
 
-    prior: LocalPrior
+    prior: LocalPrior | LocalLinesPrior
     posed: Posed
     asked_for: bool
     names: tuple[str, ...] = ()
@@ -67,17 +62,37 @@ def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callabl
     states : callable
         The same problem over the states of the model; None where it has none.
     """
+    if settings.penalty.variance == "local" and isinstance(posed.path, SpectralPath):
+        return _over_lines(posed, posed.path, load, asked=True)
     if settings.penalty.variance == "local":
         assert posed.record is not None
         prior = local_prior(posed.record, stated=posed.noise.known)
         return _with_errors(prior, posed)
-    if why := _not_asked(settings, load):
+    by_lines = posed.measured and isinstance(posed.path, SpectralPath)
+    if why := _not_asked(settings, load, LONGEST_LINES if by_lines else LONGEST):
         return why
+    if by_lines:
+        assert isinstance(posed.path, SpectralPath)
+        return _over_lines(posed, posed.path, load)
     over = states()
     if over is None or over.record is None:
         return "the model has no states to learn it over, or too many"
     prior = local_prior(over.record, stated=over.noise.known)
     return _with_errors(prior, over) if prior.asked_for else Learned(prior, over, False)
+
+
+def _over_lines(posed: Posed, path: SpectralPath, load: Array, asked: bool = False) -> Learned | str:
+    """Both priors of a problem that goes line by line."""
+    known = posed.noise.known
+    stated = known and posed.noise.source.kind != RESIDUAL
+    prior = local_lines(Spectrum.of(path), load, known=known, stated=stated)
+    if isinstance(prior, str):
+        return prior
+    if not (asked or prior.asked_for):
+        return Learned(prior, posed, False)
+    if posed.gains is None:
+        return Learned(prior, posed, True)
+    return Learned(prior.with_gains(posed.gains.covariance), posed, True, posed.gains.names)
 
 
 def _with_errors(prior: LocalPrior, posed: Posed) -> Learned:
@@ -87,14 +102,14 @@ def _with_errors(prior: LocalPrior, posed: Posed) -> Learned:
     return Learned(with_errors(prior, posed.nuisances), posed, True, posed.nuisances.names)
 
 
-def _not_asked(settings: PosingSettings, load: Array) -> str:
+def _not_asked(settings: PosingSettings, load: Array, longest: int) -> str:
     """Why a variance that changes with time is out of the question, before one is learned; "" where it is not."""
     if settings.penalty.variance == "constant":
         return CONSTANT
     if not settings.automatic:
         return "another prior, a lambda or a rule was asked for"
-    if len(load) > LONGEST:
-        return f"beyond {LONGEST} samples learning it costs more than the estimate; variance='local' learns it"
+    if len(load) > longest:
+        return f"beyond {longest} samples learning it costs more than the estimate; variance='local' learns it"
     if spread(load) > IMPACTS:
         return "the load acts throughout"
     return ""
@@ -155,21 +170,21 @@ def replaced(found: SolvedLoad, learned: Learned | str, choice: Choice, dt: floa
     }
     if not learned.asked_for:
         return replace(found, facts=Facts.of(facts))
-    load, band, start = posterior(prior, prior.errors)
+    load, band, start = prior.posterior(prior.errors)
     response, residual = posed.compare(load, choice.lam, start)
     at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
     one = np.zeros_like(load)
     one[at] = 1.0
-    seen = resolved(prior, one)[:, at[1]]
+    seen = prior.resolved(one)[:, at[1]]
     facts |= {
         "path": posed.name,
         "resolution": half_width(seen) * dt,
         "peak_bias": float(np.clip(1 - seen[at[0]], 0.0, 1.0)),
-        "edf": freedom(prior),
+        "edf": prior.freedom(),
         "model_misfit": prior.misfit,
         "model_errors": wrong(learned),
     }
     flags = tuple(flag for flag in found.flags if not flag.code.endswith(SMEARED))
-    excess = beyond_noise(unexplained(prior), prior.record.data, posed.noise)
+    excess = beyond_noise(prior.unexplained(), prior.data, posed.noise)
     return replace(found, load=load, std=band.std, posterior=band, bias=None, response=response, residual=residual,
                    facts=Facts.of(facts), flags=flags, excess=excess)  # fmt: skip

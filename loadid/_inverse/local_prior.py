@@ -16,9 +16,10 @@ the record, its variance a hundredth of the largest or less.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -51,39 +52,26 @@ UNLIKELY, UNKNOWN = 1e-4, 0.05  # odds of errors of the model, and misfit beside
 TINY = np.finfo(float).tiny
 
 
-@dataclass(frozen=True, eq=False)
-class StationaryPrior:
-    """The best load of constant variance.
+class Evident(Protocol):
+    """Anything with an evidence."""
+
+    @property
+    def evidence(self) -> float:
+        """Log likelihood of the whitened data."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Judgement:
+    """Whether a local variance is asked for, by what was learned beside the best constant one.
 
     Parameters
     ----------
     evidence : float
-        Log likelihood of the whitened data.
+        Log likelihood of the whitened data, without `misfit`.
     memory : float
         In samples.
-    record : WhitenedRecord
-        With the memory as states.
-    given : Variances
-    noise : array, shape (m,)
-        Variances of the noise of the whitened channels.
-    """
-
-    evidence: float
-    memory: float
-    record: WhitenedRecord
-    given: Variances
-    noise: Array
-
-
-@dataclass(frozen=True, eq=False)
-class LocalPrior(StationaryPrior):
-    """A load whose variance changes with time, learned from the data.
-
-    Parameters
-    ----------
-    evidence, memory, record, given, noise
-        As in `StationaryPrior`; the evidence is that without `misfit`, to be compared.
-    stationary : StationaryPrior
+    stationary : Evident
+        The best load of constant variance.
     compared : array, shape (samples, p)
         Variances of the load, of that evidence.
     correlation : float
@@ -94,19 +82,18 @@ class LocalPrior(StationaryPrior):
         Variances that were learned beyond the stationary ones.
     updates : int
         Smoother passes, all memories together.
-    fit : Fit
-        As it was learned.
     errors : Marginal, optional
-        Errors of the model, linearised about the load of `record` and `given`.
+        Errors of the model, linearised about the load.
     """
 
-    stationary: StationaryPrior
+    evidence: float
+    memory: float
+    stationary: Evident
     compared: Array
     correlation: float
     misfit: float
     bumps: int
     updates: int
-    fit: Fit
     errors: Marginal | None = None
 
     @property
@@ -138,18 +125,72 @@ class LocalPrior(StationaryPrior):
         return self.gain > chance and pulses and self.correlation < COLOURED
 
 
-def posterior(prior: StationaryPrior, errors: Marginal | None = None) -> tuple[Array, LocalVariancePosterior, Array]:
-    """Mean of the load (samples, p), its posterior, and the mean of the first state.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StationaryPrior:
+    """The best load of constant variance.
 
     Parameters
     ----------
-    prior : LocalPrior or StationaryPrior
-    errors : Marginal, optional
-        Of the model, in the band.
+    evidence : float
+        Log likelihood of the whitened data.
+    memory : float
+        In samples.
+    record : WhitenedRecord
+        With the memory as states.
+    given : Variances
+    noise : array, shape (m,)
+        Variances of the noise of the whitened channels.
     """
-    _, load, _, _, first = Smoother(prior.record, prior.given).means(prior.record.y)
-    spread = np.zeros((0, *load.shape)) if errors is None else errors.spread
-    return load, LocalVariancePosterior(prior.record, prior.given, spread), prior.given.start @ first
+
+    evidence: float
+    memory: float
+    record: WhitenedRecord
+    given: Variances
+    noise: Array
+
+    @property
+    def data(self) -> int:
+        """Number of data."""
+        return self.record.data
+
+    def posterior(self, errors: Marginal | None = None) -> tuple[Array, LocalVariancePosterior, Array]:
+        """Mean of the load (samples, p), its posterior with these errors of the model, and the mean first state."""
+        _, load, _, _, first = Smoother(self.record, self.given).means(self.record.y)
+        spread = np.zeros((0, *load.shape)) if errors is None else errors.spread
+        return load, LocalVariancePosterior(self.record, self.given, spread), self.given.start @ first
+
+    def resolved(self, load: Array) -> Array:
+        """What would be estimated from the noise-free response of a load (samples, p)."""
+        r = self.record
+        response = forward(r, feedback(r, r.E), np.ascontiguousarray(load, float), np.zeros(r.n))[2]
+        return Smoother(r, self.given).means(response)[1]
+
+    def unexplained(self) -> float:
+        """Sum of the squares of the whitened data that neither the load nor the errors of the model explain."""
+        e = Smoother(self.record, self.given).means(self.record.y)[3]
+        shown = np.any(self.record.C != 0, axis=2) | np.any(self.record.D != 0, axis=2)
+        return float(np.sum(np.where(shown[self.record.kind], self.given.noise * e, 0.0) ** 2))
+
+    def freedom(self) -> float:
+        """Effective degrees of freedom of the load."""
+        return float(np.sum(self.given.load * Smoother(self.record, self.given, loads=False).smooth().rho_variance))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LocalPrior(StationaryPrior, Judgement):
+    """A load whose variance changes with time, learned from the data.
+
+    Parameters
+    ----------
+    evidence, memory, record, given, noise
+        As in `StationaryPrior`; the evidence is that without `misfit`, to be compared.
+    stationary, compared, correlation, misfit, bumps, updates, errors
+        As in `Judgement`.
+    fit : Fit
+        As it was learned.
+    """
+
+    fit: Fit
 
 
 def with_errors(prior: LocalPrior, nuisances: Nuisances) -> LocalPrior:
@@ -197,25 +238,6 @@ def _linearised(prior: LocalPrior, nuisances: Nuisances) -> Marginal:
     return Marginal(mean, covariance, step, every, part.gain, part.odds)
 
 
-def resolved(prior: StationaryPrior, load: Array) -> Array:
-    """What would be estimated from the noise-free response of a load (samples, p)."""
-    r = prior.record
-    response = forward(r, feedback(r, r.E), np.ascontiguousarray(load, float), np.zeros(r.n))[2]
-    return Smoother(r, prior.given).means(response)[1]
-
-
-def unexplained(prior: StationaryPrior) -> float:
-    """Sum of the squares of the whitened data that neither the load nor the errors of the model explain."""
-    e = Smoother(prior.record, prior.given).means(prior.record.y)[3]
-    shown = np.any(prior.record.C != 0, axis=2) | np.any(prior.record.D != 0, axis=2)
-    return float(np.sum(np.where(shown[prior.record.kind], prior.given.noise * e, 0.0) ** 2))
-
-
-def freedom(prior: StationaryPrior) -> float:
-    """Effective degrees of freedom of the load."""
-    return float(np.sum(prior.given.load * Smoother(prior.record, prior.given, loads=False).smooth().rho_variance))
-
-
 def local_prior(record: WhitenedRecord, *, stated: bool = False) -> LocalPrior:
     """Learn both priors from a record of a load without penalty (E = 0), of a model without errors.
 
@@ -226,12 +248,16 @@ def local_prior(record: WhitenedRecord, *, stated: bool = False) -> LocalPrior:
     stated : bool
         The noise is stated: its whitened variance stays 1.
     """
-    still = _searched(_constant(record, stated), record, FIRST, SETTLED, 1.0)
+
+    def move(old: Fit, before: float, memory: float) -> Fit:
+        return _moved(old, record, before, memory)
+
+    still = searched(_constant(record, stated), FIRST, SETTLED, 1.0, move)
     top = max(still, key=lambda i: still[i].evidence)
     seed = _moved(still[top], record, MEMORIES[top], MEMORIES[top])
     seed.b[:], seed.floor = 0.45 * seed.floor, 0.1 * seed.floor
     seed.climb(TRIED)
-    local = _searched(seed, record, top, TRIED, POWER)
+    local = searched(seed, top, TRIED, POWER, move)
     most = max(LONGEST, MEMORIES[top])  # bumps beside a longer memory are pulses cut out of a slow load
     best = max((i for i in local if MEMORIES[i] <= most), key=lambda i: local[i].evidence)
     chosen = local[best]
@@ -239,12 +265,13 @@ def local_prior(record: WhitenedRecord, *, stated: bool = False) -> LocalPrior:
     chosen.weigh(last)
     given = chosen.variances()
     constant = StationaryPrior(
-        still[top].evidence, MEMORIES[top], still[top].record, still[top].variances(), still[top].r
-    )
+        evidence=still[top].evidence, memory=MEMORIES[top], record=still[top].record, given=still[top].variances(),
+        noise=still[top].r,
+    )  # fmt: skip
     return LocalPrior(
-        chosen.evidence, MEMORIES[best], chosen.record, given, chosen.r, constant, given.load,
-        chosen.correlation(last), 0.0, chosen.b.size,
-        sum(one.updates for one in (*still.values(), *local.values())), chosen,
+        evidence=chosen.evidence, memory=MEMORIES[best], record=chosen.record, given=given, noise=chosen.r,
+        stationary=constant, compared=given.load, correlation=chosen.correlation(last), misfit=0.0,
+        bumps=chosen.b.size, updates=sum(one.updates for one in (*still.values(), *local.values())), fit=chosen,
     )  # fmt: skip
 
 
@@ -416,32 +443,48 @@ class Fit:
 
     def correlation(self, s: SmootherPass) -> float:
         """Of the residual from sample to sample, by what is left in the quiet: there no error of the model is seen."""
-        worst = 0.0
-        for c in range(self.record.m):
-            u = np.where(self.there[:, c], 1 / (self.r[c] + self.power[:, c]), 0.0)
-            e = self.r[c] * s.e[:, c] * np.sqrt(u)
-            own = float(np.sum(e[1:] * e[:-1])) / max(float(np.sum(e**2)), TINY)
-            few = float(np.sum(u) / np.sqrt(max(np.sum(u**2), TINY)))  # root of how many samples that is
-            worst = max(worst, own if own * few > CHANCE else 0.0)
-        return worst
+        return quiet_correlation(self.r * s.e, self.power, self.r, self.there)
 
     def _update(self, s: SmootherPass, power: float) -> None:
         rho2, e2 = s.rho**2, np.where(self.there, s.e**2, 0.0)
         known = np.where(self.there, s.e_variance, 0.0)
-        self.b *= _ratio(self.phi.T @ rho2, self.phi.T @ s.rho_variance, power)
-        self.floor *= _ratio(rho2.sum(axis=0), s.rho_variance.sum(axis=0), power)
+        self.b *= ratio(self.phi.T @ rho2, self.phi.T @ s.rho_variance, power)
+        self.floor *= ratio(rho2.sum(axis=0), s.rho_variance.sum(axis=0), power)
         least = LEAST * (self.b.max(axis=0) + self.floor)
         self.b[self.b < least] = 0.0
         self.floor = np.maximum(self.floor, least)
         if self.misfit2 > 0.0:
-            self.misfit2 *= float(_ratio(np.sum(self.power * e2), np.sum(self.power * known), power))
+            self.misfit2 *= float(ratio(np.sum(self.power * e2), np.sum(self.power * known), power))
         if not self.stated:
-            self.r *= _ratio(e2.sum(axis=0), known.sum(axis=0), power)
+            self.r *= ratio(e2.sum(axis=0), known.sum(axis=0), power)
             self.r = np.maximum(self.r, np.maximum(NOISELESS * self.square, TINY))
-        self.start *= _ratio(s.start**2, np.diag(s.start_information), power)
+        self.start *= ratio(s.start**2, np.diag(s.start_information), power)
 
 
-def _ratio(up: Any, down: Any, power: float) -> Any:
+def quiet_correlation(rest: Array, power: Array, r: Array, there: Array | None = None) -> float:
+    """Correlation from sample to sample of residuals (samples, m), where the response is small; the worst channel's.
+
+    Parameters
+    ----------
+    rest, power : array, shape (samples, m)
+        Residual and energy of the response.
+    r : array, shape (m,)
+        Variances of the noise.
+    there : array, shape (samples, m), optional
+        Which data there are.
+    """
+    worst, there = 0.0, np.ones(rest.shape, bool) if there is None else there
+    for c in range(rest.shape[1]):
+        u = np.where(there[:, c], 1 / (r[c] + power[:, c]), 0.0)
+        e = rest[:, c] * np.sqrt(u)
+        own = float(np.sum(e[1:] * e[:-1])) / max(float(np.sum(e**2)), TINY)
+        few = float(np.sum(u) / np.sqrt(max(np.sum(u**2), TINY)))  # root of how many samples that is
+        worst = max(worst, own if own * few > CHANCE else 0.0)
+    return worst
+
+
+def ratio(up: Any, down: Any, power: float) -> Any:
+    """Factor of an update."""
     return (np.maximum(up, 0.0) / np.maximum(down, TINY)) ** power
 
 
@@ -487,14 +530,14 @@ def _moved(old: Fit, record: WhitenedRecord, before: float, memory: float) -> Fi
     return new
 
 
-def _searched(first: Fit, record: WhitenedRecord, at: int, most: int, power: float) -> dict[int, Fit]:
+def searched(first: Any, at: int, most: int, power: float, moved: Callable[[Any, float, float], Any]) -> dict[int, Any]:
     """Fits by number of their memory, from `at` on to the side on which the evidence rises, until it falls."""
     fits = {at: first}
     for step in (-1, 1):
         i = at + step
         while 0 <= i < len(MEMORIES):
             before = fits[i - step]
-            fits[i] = _moved(before, record, MEMORIES[i - step], MEMORIES[i])
+            fits[i] = moved(before, MEMORIES[i - step], MEMORIES[i])
             fits[i].climb(most, power)
             if fits[i].evidence < before.evidence:
                 break

@@ -102,8 +102,9 @@ class Marginal:
 
 
 def marginal(
-    columns: Array, solve: Callable[[Array], tuple[Array, Array]], residual: Array, covariance: Array, at: Array
-) -> Marginal:
+    columns: Array, solve: Callable[[Array], tuple[Array, Array]], residual: Array, covariance: Array, at: Array,
+    scale: Array | None = None,
+) -> Marginal:  # fmt: skip
     """Marginalise parameters of a linearised problem.
 
     Parameters
@@ -118,17 +119,23 @@ def marginal(
         Before the data.
     at : array, shape (k,)
         Where it is linearised.
+    scale : array, shape (k,), optional
+        Parameters that together only scale the load: of them nothing is told, as nobody knows its size.
     """
     k = len(columns)
     weighed, pulled = zip(*(solve(one) for one in columns), strict=True)
     flat = np.array(weighed).reshape(k, -1)
     known = flat @ columns.reshape(k, -1).T
-    known = (known + known.T) / 2
+    known, seen = (known + known.T) / 2, flat @ residual.ravel()
+    if scale is not None and scale @ known @ scale > 0:
+        along = known @ scale / (scale @ known @ scale)
+        seen = seen - along * (scale @ seen)
+        known = known - np.outer(along, known @ scale)
     # Sigma = R R': no inverse of a prior that is nearly singular
     w, V = np.linalg.eigh(covariance)
     root = V * np.sqrt(np.maximum(w, 0.0))
     after = root @ np.linalg.solve(np.eye(k) + root.T @ known @ root, root.T)
-    mean = after @ (flat @ residual.ravel() + known @ at)
+    mean = after @ (seen + known @ at)
     step = mean - at
     return Marginal(mean, after, step, np.array(pulled), 0.5 * float(step @ known @ step), _odds(mean, w, V, after))
 

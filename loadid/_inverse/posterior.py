@@ -197,6 +197,7 @@ ELSEWHERE = {  # kind -> module and class that reads it
     "convolved": (".convolved.posterior", "ConvolvedPosterior"),
     "drawn": (".marginal", "DrawnPosterior"),
     "marginal": (".marginal", "MarginalPosterior"),
+    "local variance, lines": (".convolved.local_lines", "LocalLinesPosterior"),
     "local variance": (".local_prior", "LocalVariancePosterior"),
     "mapped": (".gaussian.posterior", "MappedPosterior"),
     "statespace": (".gaussian.posterior", "StateSpacePosterior"),

@@ -433,6 +433,8 @@ class SensorSubset(StandingOn):
         self.sensors: tuple[Channel, ...] = tuple(model.sensors[i] for i in self.rows)
         self.loads, self.flags = model.loads, model.flags
         self.dt, self.frequencies = model.dt, model.frequencies
+        gains = model.gain_covariance
+        self.gain_covariance = None if gains is None else gains[np.ix_(self.rows, self.rows)]
 
     def static(self) -> NDArray[np.float64]:
         """As the model, some rows."""

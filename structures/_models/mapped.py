@@ -98,6 +98,7 @@ class MappedModel(StandingOn):
                              found=f"shape {self.T.shape}", expected=f"finite, ({loads}, unknowns)",
                              hint="one row per load")  # fmt: skip
         self.T.flags.writeable = False
+        self.gain_covariance = model.gain_covariance
         self.sensors, self.certificate, self.flags = model.sensors, model.certificate, model.flags
         self.dt, self.frequencies = model.dt, model.frequencies
         square = self.T.shape[1] == loads and labels is None

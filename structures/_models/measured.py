@@ -86,6 +86,7 @@ class MeasuredModel(FrfModel):
         records = _records(records, old)
         power, rows = records.noise_power, self.H.shape[:2]
         self.noise_power = None if power is None else checked("noise_power", power, rows, where=type(self).__name__)
+        self.gain_covariance = None if records.gains is None else np.asarray(records.gains, float)
         self.hits, self.samples = tuple(records.hits), records.samples or len(self.frequencies) - 1
         self.dt = float(1 / (2 * self.frequencies[-1]))
         turned = kinds.whole(self.frequencies, self.H, self.sensors, self.loads)
@@ -256,9 +257,16 @@ class MeasuredModel(FrfModel):
             **{**moved, "frequencies": f, "H": H}, certificate=self._certified("its window was taken out")
         )
 
+    def with_sensors(self, rows: Sequence[int] | NDArray[np.intp]) -> Self:
+        """The same model with some of its sensors, by index, in the order given."""
+        gains = self.gain_covariance
+        kept = np.asarray(rows, np.intp)
+        return super().with_sensors(kept)._like(gains=None if gains is None else gains[np.ix_(kept, kept)])
+
     def _like(self, **changes: Any) -> Self:
         """The same model with other arguments."""
-        records = TrainingRecords(self.hits, self.samples, changes.pop("noise_power", self.noise_power))
+        power, gains = changes.pop("noise_power", self.noise_power), changes.pop("gains", self.gain_covariance)
+        records = TrainingRecords(self.hits, self.samples, power, gains)
         same = {name: getattr(self, name) for name in ("H", "variance", "coherence", *self.others)}
         return type(self)(**{**same, "flags": self._given_flags, "records": records, **changes})
 
@@ -345,13 +353,13 @@ class MeasuredModel(FrfModel):
 
     # -- files ------------------------------------------------------------------------------------------------------
     def _arguments(self) -> dict[str, Any]:
-        names = ("frequencies", *self.tables, "samples")
+        names = ("frequencies", *self.tables, "samples", "gain_covariance")
         return {name: getattr(self, name) for name in names} | {"hits": [asdict(h) for h in self.hits]}
 
     @classmethod
     def _restored(cls, tree: dict[str, Any]) -> dict[str, Any]:
         hits = tuple(Hit(**{**h, "digests": tuple(h["digests"])}) for h in tree.pop("hits"))
-        records = TrainingRecords(hits, tree.pop("samples"), tree.pop("noise_power"))
+        records = TrainingRecords(hits, tree.pop("samples"), tree.pop("noise_power"), tree.pop("gain_covariance", None))
         return {**tree, "records": records}
 
     def __repr__(self) -> str:

@@ -56,11 +56,15 @@ class TrainingRecords:
         Their length.
     noise_power : array, shape (lines, sensors), optional
         Mean squared residual per sample of record: what one more test will miss by.
+    gains : array, shape (sensors, sensors), optional
+        Covariance of the relative gains of the hits, each against the FRF of the others: what one more test is
+        louder or softer by.
     """
 
     hits: tuple[Hit, ...] = ()
     samples: int | None = None
     noise_power: ArrayLike | None = None
+    gains: ArrayLike | None = None
 
 
 def digests(columns: NDArray[Any]) -> tuple[str, ...]:
@@ -214,7 +218,7 @@ def from_hits(
     return {
         "loads": first.channels[:1],
         "sensors": first.channels[1:],
-        "records": TrainingRecords(tuple(hits), longest, found.pop("noise_power", None)),
+        "records": TrainingRecords(tuple(hits), longest, found.pop("noise_power", None), found.pop("gains", None)),
         **found,
     }
 
@@ -275,7 +279,7 @@ def estimate(force: NDArray[Any], responses: NDArray[Any], dt: float, labels: Se
     Returns
     -------
     dict
-        ``frequencies, H`` and, from two hits on, ``noise_power, variance, coherence, certificate``.
+        ``frequencies, H`` and, from two hits on, ``noise_power, variance, coherence, gains, certificate``.
 
     Notes
     -----
@@ -305,6 +309,7 @@ def estimate(force: NDArray[Any], responses: NDArray[Any], dt: float, labels: Se
         return found
     residual = np.sum(np.abs(Y - H * F[..., None]) ** 2, axis=0) / (n - 1)
     floor = np.finfo(float).eps ** 2 * np.mean(np.abs(Y) ** 2, axis=(0, 1))  # what rounding leaves of exact hits
+    certificate, gains = leave_one_out(F, Y, responses, labels, padded)
     power = np.maximum(smooth_lines(residual, NEIGHBOURS), np.maximum(floor, np.finfo(float).tiny))
     Syy = np.sum(np.abs(Y) ** 2, axis=0)
     return {
@@ -312,28 +317,36 @@ def estimate(force: NDArray[Any], responses: NDArray[Any], dt: float, labels: Se
         "noise_power": power / samples,
         "variance": (power / Sff[:, None])[..., None],
         "coherence": np.minimum(np.abs(Sfy) ** 2 / (Sff[:, None] * np.where(Syy > 0, Syy, 1.0)), 1.0),
-        "certificate": leave_one_out(F, Y, responses, labels, padded),
+        "gains": gains,
+        "certificate": certificate,
     }
 
 
 def leave_one_out(
     F: NDArray[Any], Y: NDArray[Any], responses: NDArray[Any], labels: Sequence[str], padded: int
-) -> Certificate:
-    """Certificate of each hit predicted from the others, from spectra F (hits, lines) and Y (hits, lines, sensors)."""
+) -> tuple[Certificate, NDArray[Any]]:
+    """Each hit predicted from the others, from spectra F (hits, lines) and Y (hits, lines, sensors).
+
+    A certificate, and the covariance (sensors, sensors) of the relative gains that the hits have to it.
+    """
     from scipy import fft
 
     Sff, Sfy = np.sum(np.abs(F) ** 2, axis=0), np.sum(F.conj()[..., None] * Y, axis=0)
-    predicted = []
+    predicted, gains = [], []
     for f, y in zip(F, Y, strict=True):
         rest = Sff - np.abs(f) ** 2  # zero where only this hit has energy
         H = (Sfy - f.conj()[:, None] * y) / np.where(rest > 0, rest, 1.0)[:, None]
-        predicted.append(fft.irfft(H * f[:, None], padded, axis=0)[: responses.shape[1]])
-    return Certificate.compare(
+        response = H * f[:, None]
+        energy = np.sum(np.abs(response) ** 2, axis=0)
+        gains.append(np.sum((response.conj() * y).real, axis=0) / np.where(energy > 0, energy, 1.0) - 1)
+        predicted.append(fft.irfft(response, padded, axis=0)[: responses.shape[1]])
+    certificate = Certificate.compare(
         np.concatenate(predicted),
         np.concatenate(list(responses)),
         labels,
         source=f"{len(F)} hits, each predicted from the others",
     )
+    return certificate, np.array(gains).T @ np.array(gains) / len(F)
 
 
 # -- records ----------------------------------------------------------------------------------------------------------

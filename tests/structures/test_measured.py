@@ -375,8 +375,9 @@ class TestKinds:
     @pytest.mark.parametrize("kind", ["mobility", "receptance"])
     def test_the_load_does_not_depend_on_the_kind(self, kind):
         """The same accelerations, the same structure, its FRF imported as one kind or another."""
-        from loadid import Deconvolution
+        from loadid import Deconvolution, Penalty
 
+        still = Penalty("identity", variance="constant")  # variances are learned in steps, which make rounding larger
         f, H = analytic("accelerance")
         # zero at the Nyquist frequency too: a sampled response is real there
         H = H * np.hanning(2 * len(f) - 1)[len(f) - 1 :]
@@ -386,7 +387,7 @@ class TestKinds:
         loads = []
         for given, name in ((H, "accelerance"), (imported, kind)):
             m = MeasuredModel.from_frf(f, given, kind=name).as_kind("accelerance")
-            loads.append(Deconvolution(m).estimate(y, dt=DT).load)
+            loads.append(Deconvolution(m, penalty=still).estimate(y, dt=DT).load)
         assert np.abs(loads[0] - loads[1]).max() < 1e-9 * np.abs(loads[0]).max()
 
     def test_a_converted_model_of_hits_inverts(self):

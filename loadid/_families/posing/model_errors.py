@@ -7,11 +7,12 @@ proportion to the root of its frequency (waves in bending); it is counted in the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
 
 from structures._model import Model
 from structures._models.discretise import discretise
@@ -23,7 +24,16 @@ from ..._inverse.nuisances import Nuisances
 
 Array = NDArray[Any]
 
+DOUBT = 2  # repeats that what is assumed of a gain counts for
 ASSUMED = {"gain": 0.02, "frequency": 0.01, "damping": 0.2, "shape": 0.05}  # relative std, where nobody states another
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """Relative errors of the gains of sensors: their names and covariance (m, m)."""
+
+    names: tuple[str, ...]
+    covariance: Array
 
 
 def nuisances(
@@ -68,6 +78,30 @@ def nuisances(
         return record(_moved(model, system, rows, np.exp(f), np.exp(ratio), shapes.reshape(m, modes)), np.exp(gains))
 
     return Nuisances(tuple(names[i] for i in kept), covariance[np.ix_(kept, kept)], of)
+
+
+def gains(model: Model, rows: Array, stated: Mapping[str, float]) -> Gains | None:
+    """Errors of the gains of a measured model: as stated, as its repeats show, or as assumed; None where none.
+
+    What is assumed is the mean of an inverse gamma prior of their variance, of `DOUBT` degrees of freedom.
+
+    Parameters
+    ----------
+    rows : array of int
+        Sensors of the model that are used.
+    stated : mapping of str to float
+        Relative std; only that of ``gain`` counts.
+    """
+    size, m = stated.get("gain"), len(rows)
+    shown, hits = model.gain_covariance, sum(hit.used for hit in model.hits)
+    covariance = (ASSUMED["gain"] if size is None else size) ** 2 * (np.eye(m) + 1.0)
+    if size is None and shown is not None and hits > 1:
+        degrees = hits + DOUBT
+        covariance = (DOUBT * covariance / 2 + hits * np.asarray(shown)[np.ix_(rows, rows)]) / degrees
+        covariance *= (stdtrit(degrees, 0.975) / ndtri(0.975)) ** 2  # few repeats: Student's tails, at 95 %
+    if not np.any(covariance):
+        return None
+    return Gains(tuple(f"gain of {model.sensors[i].label}" for i in rows), covariance)
 
 
 def _modes(model: Model, system: StateSpace) -> int:

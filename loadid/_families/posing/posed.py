@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from ..._inverse.problem import NoiseSource
 from ...settings import Lambda, Noise, Penalty, one_of
 from .. import noise as noises
 from ..data import AS_RECORDED, Data
+from .model_errors import Gains, gains
 
 Array = NDArray[Any]
 
@@ -116,8 +117,16 @@ class PosingSettings:
     @property
     def special(self) -> bool:
         """Asks for what only the state-space path gives."""
-        local = self.penalty.variance == "local"
-        return not self.resting or self.penalty.leak is not None or self.penalty.from_zero or local
+        return self._special or self.local
+
+    @property
+    def local(self) -> bool:
+        """A variance of the load that changes with time was asked for."""
+        return self.penalty.variance == "local"
+
+    @property
+    def _special(self) -> bool:
+        return not self.resting or self.penalty.leak is not None or self.penalty.from_zero
 
     def sizes(self, loads: int) -> NDArray[np.float64] | None:
         """Weight of the size of each load beside its differences.
@@ -135,15 +144,16 @@ class PosingSettings:
                              expected=f"a number, or ({loads},)")  # fmt: skip
         return np.array(np.broadcast_to(size, loads), float)
 
-    def refuse_special(self, path: str) -> None:
-        """Refuse a start, a leak or a size on a path that does not know them.
+    def refuse_special(self, path: str, *, local: bool = True) -> None:
+        """Refuse a start, a leak, a size or (`local`) a variance that changes on a path that does not know them.
 
         Raises
         ------
         InputError
             If one was asked for.
         """
-        if self.special or (self.penalty.size is not None and path != "dense"):
+        special = self.special if local else self._special
+        if special or (self.penalty.size is not None and path != "dense"):
             name = "leak" if self.penalty.leak is not None else "from_zero" if self.penalty.from_zero else "size"
             name = "variance" if self.penalty.variance == "local" else name if self.resting else "initial"
             raise InputError(
@@ -185,6 +195,10 @@ class Posed:
         The data over the states of the model, where the problem is posed on them.
     nuisances : Nuisances, optional
         What the model may be wrong by, where the problem is posed on its states.
+    gains : Gains, optional
+        The same of a measured model: the gains of its sensors.
+    measured : bool
+        By lines of measured FRFs.
     """
 
     path: RegularizationPath
@@ -200,6 +214,8 @@ class Posed:
     pushing: Callable[[ArrayLike | None], NonNegativeRecord] | None = None
     record: WhitenedRecord | None = None
     nuisances: Nuisances | None = None
+    gains: Gains | None = None
+    measured: bool = False
 
     @property
     def rank(self) -> int:
@@ -331,7 +347,8 @@ def measured_lines(model: Model, data: Data, settings: PosingSettings) -> Posed:
     variance = model.frf_variance(f)
     variance = None if variance is None else variance[:, data.rows]
     noise = _measured_noise(model, data, settings, H[:, data.rows], model.noise_spectrum(f))
-    return _lines(H, h[: min(samples, model.samples or samples)], data.values, noise, data, settings, variance)
+    posed = _lines(H, h[: min(samples, model.samples or samples)], data.values, noise, data, settings, variance)
+    return replace(posed, gains=gains(model, np.asarray(data.rows), settings.noise.errors or {}), measured=True)
 
 
 def measured_response(

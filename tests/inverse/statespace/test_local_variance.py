@@ -19,7 +19,6 @@ from loadid._inverse.local_prior import (
     bumps,
     input_variance,
     local_prior,
-    posterior,
     with_memory,
 )
 from loadid._inverse.posterior import from_arrays
@@ -166,8 +165,8 @@ def impacts(samples: int = 300, gap: bool = False) -> tuple[WhitenedRecord, NDAr
 @pytest.mark.parametrize("gap", [False, True])
 def test_impacts_of_an_exact_model_are_covered(gap: bool) -> None:
     _, g, found = impacts(gap=gap)
-    load, band, _ = posterior(found)
-    still = posterior(found.stationary)[0]
+    load, band, _ = found.posterior()
+    still = found.stationary.posterior()[0]
     on = g != 0
     error = np.linalg.norm(load - g) / np.linalg.norm(g)
     assert found.asked_for
@@ -195,7 +194,7 @@ def test_units_change_nothing() -> None:
     own, _, found = impacts()
     other = replace(own, G=own.G * 1e-6, D=own.D * 1e-6, y=own.y * 1e-3, C=own.C, E=own.E)
     again = local_prior(replace(other, y=own.y))
-    load, scaled = posterior(found)[0], posterior(again)[0]
+    load, scaled = found.posterior()[0], again.posterior()[0]
     assert scaled * 1e-6 == pytest.approx(load, abs=1e-4 * np.abs(load).max())
     assert again.gain == pytest.approx(found.gain, rel=1e-3)
 
@@ -226,5 +225,5 @@ def test_an_unknown_start_is_learned() -> None:
     errors = []
     for unknown in (True, False):
         own = measured(augment(system.A, system.B, system.C, system.D, unknown_start=unknown), y, np.std(y, axis=0))
-        errors.append(np.linalg.norm(posterior(local_prior(own))[0] - g) / np.linalg.norm(g))
+        errors.append(np.linalg.norm(local_prior(own).posterior()[0] - g) / np.linalg.norm(g))
     assert errors[0] < 0.15 < errors[1]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from loadid._inverse.gaussian.local_variance import Smoother
 from loadid._inverse.gaussian.record import WhitenedRecord
-from loadid._inverse.local_prior import LocalPrior, local_prior, posterior, with_errors, with_misfit
+from loadid._inverse.local_prior import LocalPrior, local_prior, with_errors, with_misfit
 from loadid._inverse.nuisances import Nuisances, marginal
 
 from .test_local_variance import dense, impacts, random_record
@@ -75,11 +75,11 @@ def test_spare_sensors_teach_gains_and_what_is_common_stays_in_the_band() -> Non
     told = np.log(wrong) - np.log(wrong).mean()
     assert found.errors.mean - found.errors.mean.mean() == pytest.approx(told, abs=0.008)
     assert np.sqrt(np.diag(found.errors.covariance)).min() > 0.02  # the scale of all is told by nothing
-    load, band, _ = posterior(found, found.errors)
+    load, band, _ = found.posterior(found.errors)
     assert np.all(np.abs(load - g)[g > 0.2 * g.max()] < 3 * band.std[g > 0.2 * g.max()])
     top = np.unravel_index(np.argmax(load), load.shape)
     assert band.std[top] > 0.02 * load[top]
-    own_band = posterior(found)[1]
+    own_band = found.posterior()[1]
     w = np.ones((300, 1))
     assert float(band.variance(w)) > float(own_band.variance(w)) + (0.02 * load.sum()) ** 2
 
@@ -89,7 +89,7 @@ def test_an_exact_model_is_left_alone() -> None:
     found = with_errors(prior, gains(own, 0.02, 0.02))
     assert found.errors is not None
     assert np.abs(found.errors.mean).max() < 0.02
-    load, moved = posterior(prior)[0], posterior(found, found.errors)[0]
+    load, moved = prior.posterior()[0], found.posterior(found.errors)[0]
     assert np.linalg.norm(load - moved) < 0.02 * np.linalg.norm(load)
 
 
@@ -101,8 +101,8 @@ def test_parameters_that_are_not_seen_do_nothing() -> None:
     assert not found.errors.spread.any()
     assert found.errors.odds == 1.0
     assert not found.contradicted
-    load = posterior(prior)[0]
-    assert np.linalg.norm(posterior(found, found.errors)[0] - load) < 0.03 * np.linalg.norm(load)
+    load = prior.posterior()[0]
+    assert np.linalg.norm(found.posterior(found.errors)[0] - load) < 0.03 * np.linalg.norm(load)
 
 
 def test_an_error_beyond_its_prior_contradicts_the_model() -> None:
