@@ -165,7 +165,7 @@ def contradictions(model: Model, record: Record, h: Any) -> list[Flag]:
     import numpy as np
 
     from .. import _guards as flags
-    from .._families.faults import of_record, sought
+    from .._families.answer import of_record, sought
     from .._families.noise import NoiseLevel
     from .._inverse.problem import STATED
     from .._quality import noise_std

@@ -17,10 +17,9 @@ from structures._flags import Flag, canonical, cautions, codes
 from structures.errors import InputError
 
 from .._inverse.choice import Choice
-from .facts import Facts
+from .facts import Facts, Grade, grade
 from .faults import SensorFault
 from .functionals import Functional, functional, resultants
-from .grades import Grade, grade
 from .summary import NOT_VERIFIED, summary
 
 if TYPE_CHECKING:
@@ -167,7 +166,7 @@ class LoadEstimate:
 
     @property
     def grade(self) -> Grade:
-        """How far the load can be trusted, with measured odds: ``str(estimate.grade)`` (`loadid._results.grades`)."""
+        """How far the load can be trusted, with measured odds: ``str(estimate.grade)`` (`loadid._results.facts`)."""
         return grade(self)
 
     @property

@@ -4,9 +4,9 @@ The noise of a measured model differs from line to line, and its FRFs err by a s
 are put into one spectrum per sensor, and record and impulse responses pass the causal filter that makes it flat: what
 was causal stays so, and what lies beyond the end of the record does not matter.
 
-What a model may be wrong by has a prior: gains of its sensors; frequencies, damping and shapes of its modes. An error of the shape of a mode at a sensor, of a place or of a boundary, grows with the slope of the mode, which
-is in proportion to the root of its frequency (waves in bending); it is counted in the size of the mode at sensors of a
-kind.
+A model may be wrong by gains of its sensors, by frequencies, damping and shapes of its modes, each with a prior. An
+error of the shape of a mode at a sensor, of a place or of a boundary, grows with the slope of the mode, which is in
+proportion to the root of its frequency (waves in bending); it is counted in the size of the mode at sensors of a kind.
 """
 
 from __future__ import annotations
