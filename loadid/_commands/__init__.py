@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 DICTIONARIES = ("dirac", "bspline", "wavelet")
 STARTS = ("rest", "unknown")
 NONE = "none"
+FIT_OPTIONS = ("prior", "noise", "lag", "replay", "scales", "model_error", "start", "gate", "allow_drift")  # of `track`
 PICTURES = ("--plot",)  # options whose suffix names the format
 
 
