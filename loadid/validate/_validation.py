@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures._flags import Flag
 from structures._model import Model
-from structures._testing.impact import digests
-from structures.errors import InputError, plain
+from structures.errors import InputError, digests, plain
 
 from .. import _guards as guards
 from .._quality import require_finite
