@@ -184,8 +184,8 @@ def table(five: list[Rebuilt], two: list[list[Rebuilt]]) -> str:
     lines += [
         f"{'mean':16s} {mean[0]:7.2%} {mean[1]:9.2%}",
         "",
-        "two hits, two accelerometers: one rebuilt from the other, error from 8 samples before to 30 after the peak, and",
-        "of the whole record, less the offset that the force shows at rest",
+        "two hits, two accelerometers: one rebuilt from the other, error from 8 samples before to 30 after the peak,",
+        "and of the whole record, less the offset that the force shows at rest",
         f"{'sensors':12s} {'hit':18s} {'error':>7s} {'whole':>7s} {'peak':>7s} {'pulse in band':>13s}  variance",
     ]
     for hits in two:

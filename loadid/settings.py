@@ -319,8 +319,8 @@ class Penalty(Setting):
         The load is zero before the record, and a difference penalty counts its first step. State-space path only.
     variance : {"auto", "constant", "local"}
         Of the load over the record, for `Deconvolution` with the identity: whichever of the two the data ask for, where
-        the model has states or measured FRFs and no lambda or rule is stated; the same at every sample, as a penalty has it; or learned
-        from the data at every sample, for impacts.
+        the model has states or measured FRFs and no lambda or rule is stated; the same at every sample, as a penalty
+        has it; or learned from the data at every sample, for impacts.
 
     Raises
     ------

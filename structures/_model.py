@@ -215,7 +215,7 @@ class Model:
 
     @property
     def training(self) -> frozenset[str]:
-        """Digests (`structures._testing.impact.digests`) of the responses that it was made from."""
+        """Digests (`structures.errors.digests`) of the responses that it was made from."""
         return frozenset()
 
     @property

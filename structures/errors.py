@@ -381,3 +381,8 @@ def digest(*parts: Any) -> str:
             h.update(repr(part).encode())
         h.update(b"\0")
     return h.hexdigest()
+
+
+def digests(columns: ArrayLike) -> tuple[str, ...]:
+    """sha256 of the samples of each column of an array (samples, columns)."""
+    return tuple(hashlib.sha256(np.ascontiguousarray(c, float).tobytes()).hexdigest() for c in np.asarray(columns).T)

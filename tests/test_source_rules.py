@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from loadid._inverse.convolved.padded import SpectralPath
+from loadid._inverse.convolved.path import SpectralPath
 from loadid._inverse.path import FactoredPath
 from loadid._inverse.spectral import LinesPath, compress, factor, posterior
 from loadid.paths import LinearProblem, SVDPath

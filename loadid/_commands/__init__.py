@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any, Self, TextIO
 
 from structures._flags import explained
 from structures.errors import InputError
-from structures.files._storage import kind_of
 
 from .._inverse import penalties
 
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
 DICTIONARIES = ("dirac", "bspline", "wavelet")
 STARTS = ("rest", "unknown")
 NONE = "none"
+FIT_OPTIONS = ("prior", "noise", "lag", "replay", "scales", "model_error", "start", "gate", "allow_drift")  # of `track`
 PICTURES = ("--plot",)  # options whose suffix names the format
 
 
@@ -264,19 +264,9 @@ def load_model(path: str | Path) -> MeasuredModel | FrfModel | ForwardModel | St
     InputError
         If the file is missing, damaged, or no model.
     """
-    from structures._models.measured import MeasuredModel
-    from structures._models.tabulated import FILE, FrfModel
-    from structures.files import _modelfile as modelfile
-    from structures.files._uff import SUFFIXES
+    from structures.files._modelfile import load_any
 
-    if Path(path).suffix.lower() in SUFFIXES:
-        from structures.files import read_frfs
-
-        return read_frfs(path)
-    kind = kind_of(path) if Path(path).is_file() else None
-    if kind in modelfile.KINDS:
-        return modelfile.load(path)
-    return FrfModel.load(path) if kind == FILE else MeasuredModel.load(path)
+    return load_any(path)
 
 
 def resolved(record: Record, channels: Sequence[str | int], *, where: str) -> list[str]:

@@ -1,68 +1,29 @@
-"""The tracker of ``loadid track``: of a file, of a state that is gone on from, or fitted to a record."""
+"""The tracker of ``loadid track``, loaded when it runs: of a file, of a state to go on from, or fitted to a record."""
 
 from __future__ import annotations
 
 import hashlib
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import ArgumentTypeError, Namespace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from structures._models.tabulated import FILE
 from structures.errors import InputError
+from structures.files import _modelfile as modelfile
+from structures.files import _storage as storage
+from structures.files._uff import SUFFIXES
 
-from . import NONE, UsageError, add_log_options, load_model, names, one_record, positive, settings
-
-if TYPE_CHECKING:
-    from .._families.tracking.tracker import Tracker
-
+from .._families import kalman
+from .._families.tracking import tracker as checkpoint
+from .._families.tracking.tracker import KIND, Tracker
+from .._readers import read
+from .._spellings import folded
+from ..settings import Noise
+from . import FIT_OPTIONS, load_model, names, one_record, positive, settings
 
 COMMAND = "command"  # among the settings of a fit: what it was made from here
 PIECE = 1 << 20
-OPTIONS = ("prior", "noise", "lag", "replay", "scales", "model_error", "start", "gate", "allow_drift")
-
-
-def add_fit_options(parser: ArgumentParser) -> None:
-    """Options that say how a model is tuned."""
-    group = parser.add_argument_group("tuning a model", "with --fit only; all of it is found where nothing is given")
-    group.add_argument(
-        "--prior", type=names, metavar="NAME,...",
-        help="matern32 (default), matern52, ou, random_walk, white: one for all loads, or one for each",
-    )  # fmt: skip
-    group.add_argument(
-        "--noise",
-        metavar="STD,...",
-        help="noise std of each sensor, in its SI unit: numbers in the order of the model, or CH=STD",
-    )
-    group.add_argument("--lag", type=_lag, metavar="N", help="answer N samples late, with what came meanwhile; or auto")
-    group.add_argument("--replay", type=_samples, metavar="N",
-                       help="rows up to N samples late are put in their place (as --lag)")  # fmt: skip
-    group.add_argument("--scales", type=names, metavar="NAME,...", help="tune the model too: stiffness, mass, damping")
-    group.add_argument("--model-error", type=_errors, metavar="NAME=STD,...",
-                       help="relative std of parameters, as stiffness=0.02: widens the band")  # fmt: skip
-    group.add_argument("--start", choices=("rest", "static"), help="the structure before the first sample")
-    group.add_argument(
-        "--gate", type=_gate, metavar="STDS", help="innovation beyond which a sample is doubted; or none"
-    )
-    group.add_argument("--allow-drift", action="store_true", default=None, help="track although the load will drift")
-    add_log_options(parser)
-
-
-def require_fit_options(args: Namespace) -> None:
-    """Nothing, where the options say one thing.
-
-    Raises
-    ------
-    UsageError
-        Neither model nor state; settings of a fit without one.
-    """
-    if args.model is None and args.state is None:
-        raise UsageError("nothing to track with: name a tracker with --model, a model with --model and its record with "
-                         "--fit, or a state with --state")  # fmt: skip
-    if args.fit is not None and args.model is None:
-        raise UsageError("--fit tunes a model: name its file with --model")
-    given = [f"--{name.replace('_', '-')}" for name in (*OPTIONS, "fs", "columns", "axis", "record")
-             if getattr(args, name) not in (None, [])]  # fmt: skip
-    if args.fit is None and given:
-        raise UsageError(f"{given[0]} is a setting of a fit: name its record with --fit, or leave it out")
 
 
 def started(args: Namespace, progress: Any = None) -> tuple[Tracker, dict[str, Any] | None, bool]:
@@ -76,8 +37,6 @@ def started(args: Namespace, progress: Any = None) -> tuple[Tracker, dict[str, A
     NotIdentifiable
         From the fit.
     """
-    from .._families.tracking import tracker as checkpoint
-
     model, state = args.model, args.state
     if state is not None and Path(state).exists():
         tracker, stream = checkpoint.read(_tracker_file(state))
@@ -100,18 +59,10 @@ def started(args: Namespace, progress: Any = None) -> tuple[Tracker, dict[str, A
 
 
 def _fitted(args: Namespace, progress: Any) -> Tracker:
-    from dataclasses import replace
-
-    from .._families.kalman import LoadTracker
-    from .._families.tracking.tracker import Tracker
-    from .._readers import read
-    from .._spellings import folded
-    from ..settings import Noise
-
     made = _made(args)
     model = load_model(args.model)
     model.require("state_space")
-    given: dict[str, Any] = {name: value for name in OPTIONS if (value := getattr(args, name)) is not None}
+    given: dict[str, Any] = {name: value for name in FIT_OPTIONS if (value := getattr(args, name)) is not None}
     if "prior" in given and len(given["prior"]) == 1:
         given["prior"] = given["prior"][0]
     if "noise" in given:
@@ -120,7 +71,7 @@ def _fitted(args: Namespace, progress: Any) -> Tracker:
         given["start"] = 0.0 if given["start"] == "rest" else "static"
     if given.get("gate") == 0:
         given["gate"] = None
-    family = LoadTracker(model, **folded(LoadTracker, given), progress=progress)
+    family = kalman.LoadTracker(model, **folded(kalman.LoadTracker, given), progress=progress)
     found = family.fit(read(args.fit, record=one_record(args), **settings(args)))
     told = replace(found.fitted, settings={**found.fitted.settings, COMMAND: made})
     tracker = Tracker(told, found.gate, found.lag, replay=found.replay, engine=found.engine)
@@ -131,8 +82,6 @@ def _fitted(args: Namespace, progress: Any) -> Tracker:
 # -- is it the same fit? ----------------------------------------------------------------------------------------------
 def _require_same(args: Namespace, tracker: Tracker) -> None:
     """A state is gone on from only where a new start would have made the same tracker."""
-    from .._families.tracking import tracker as checkpoint
-
     if args.model is None:
         return
     where = f"--state {args.state}"
@@ -168,7 +117,7 @@ def _shown(value: Any) -> str:
 
 def _made(args: Namespace, size: int | None = None) -> dict[str, Any]:
     """What a fit is made from: content of the model's file, settings, content of the record, which may have grown."""
-    options = {name: str(value) for name in (*OPTIONS, "fs", "columns", "axis", "record", "unit")
+    options = {name: str(value) for name in (*FIT_OPTIONS, "fs", "columns", "axis", "record", "unit")
                if (value := getattr(args, name)) not in (None, [])}  # fmt: skip
     record = {} if args.fit is None else _digest(args.fit, size)
     return {"model": _digest(args.model)["sha256"], "options": options, "record": record}
@@ -191,22 +140,15 @@ def _digest(path: str, size: int | None = None) -> dict[str, Any]:
 
 def _is_tracker(path: str) -> bool:
     """Whether the file holds a tracker; other kinds of model may become one."""
-    from structures._models.tabulated import FILE
-    from structures.files import _modelfile as modelfile
-    from structures.files._storage import kind_of, read
-    from structures.files._uff import SUFFIXES
-
-    from .._families.tracking.tracker import KIND
-
     if Path(path).suffix.lower() in SUFFIXES:
         return False
-    kind = kind_of(path)
+    kind = storage.kind_of(path)
     if kind is not None and kind not in (KIND, *modelfile.KINDS, FILE, "measured model"):
         raise InputError("this file holds no tracker, and no model to tune", where=path, found=kind,
                          expected=f"{KIND}, or {', '.join(modelfile.KINDS)}",
                          hint="in Python: LoadTracker(model).fit(record).save(file), or model.save(file)")  # fmt: skip
     if kind is None:
-        read(path, KIND)  # refuses what is no file of ours
+        storage.read(path, KIND)  # refuses what is no file of ours
     return kind == KIND
 
 
@@ -225,31 +167,6 @@ def _refuse_fit(args: Namespace) -> None:
 
 
 # -- values -----------------------------------------------------------------------------------------------------------
-def _lag(text: str) -> int | str:
-    return text if text == "auto" else _samples(text, ", nor auto")
-
-
-def _samples(text: str, more: str = "") -> int:
-    if not (text.isascii() and text.isdecimal()):
-        raise ArgumentTypeError(f"{text!r} is no number of samples >= 0{more}")
-    return int(text)
-
-
-def _gate(text: str) -> float:
-    """Stds; 0 stands for no gate."""
-    return 0.0 if text == NONE else positive(text)
-
-
-def _errors(text: str) -> dict[str, float]:
-    found = {}
-    for part in names(text):
-        name, sign, value = part.partition("=")
-        if not sign:
-            raise ArgumentTypeError(f"{part!r} is not NAME=STD, as stiffness=0.02")
-        found[name.strip()] = positive(value)
-    return found
-
-
 def _noise(text: str, sensors: list[str]) -> list[float]:
     """Std of every sensor."""
     parts = names(text)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import structures
 from structures.errors import InputError
 
 from . import Command, add_log_options, channels, emit, read_records, require_outputs, resolved, settings, table
@@ -43,14 +44,14 @@ def calibrate(
     InputError
         From the readers, or when no usable hit is left.
     """
-    from structures._models.measured import MeasuredModel
-
     hits = []
     for path in paths:
         for record in read_records(path, records, reading):
             hits.append(record.select(resolved(record, [force, *responses], where="--force and --response")))
     _require_one_step(hits)
-    return MeasuredModel.from_hits(hits, force=hits[0].labels[0], responses=list(hits[0].labels[1:]))
+    force, *heard = hits[0].labels
+    made: MeasuredModel = structures.MeasuredModel.from_hits(hits, force=force, responses=heard)
+    return made
 
 
 def _require_one_step(hits: Sequence[Record]) -> None:

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from structures.errors import InputError, NotIdentifiable
+from structures.errors import InputError, NotIdentifiable, digests
 
 from .._results.summary import number
 from ..codes import GUARDS
@@ -155,8 +155,6 @@ def check_pair(findings: Findings, model: Model, record: Record, where: str, res
         findings.run("W702", where, lambda: flags.inverse_crime(record.simulated_by, model.fingerprint))
     training = model.training
     if training:
-        from structures._testing.impact import digests
-
         findings.run("W704", where, lambda: flags.used_for_training(where, training.intersection(digests(used.values))))
 
 
@@ -165,7 +163,7 @@ def contradictions(model: Model, record: Record, h: Any) -> list[Flag]:
     import numpy as np
 
     from .. import _guards as flags
-    from .._families.faults import of_record, sought
+    from .._families.answer import of_record, sought
     from .._families.noise import NoiseLevel
     from .._inverse.problem import STATED
     from .._quality import noise_std

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import structures
 from structures._channels import Channel
 from structures.errors import InputError
 
@@ -43,21 +44,18 @@ class Simulated:
 
 def model(elements: int = 30, modes: int = 14) -> ForwardModel:
     """Steel beam with three accelerometers and one force: what the inversion knows."""
-    from structures._elements import beams
-    from structures._elements.members import Material, Section
-    from structures._models.forward import ForwardModel
-    from structures._system import loads, sensors
-    from structures._system.damping import Modal
-
+    beams, sensors = structures.beams, structures.sensors
     beam = beams.simply_supported(
         length=LENGTH,
         elements=elements,
-        section=Section.rectangle(WIDTH, HEIGHT),
-        material=Material(E=210e9, rho=7850.0),
-        damping=Modal(DAMPING),
+        section=beams.Section.rectangle(WIDTH, HEIGHT),
+        material=beams.Material(E=210e9, rho=7850.0),
+        damping=structures.damping.Modal(DAMPING),
     )
     places = [sensors.Accelerometer(at=x, direction="+Z", label=name) for name, x in SENSORS.items()]
-    return ForwardModel(beam, places, [loads.Point(at=HIT_AT, direction="+Z", label="hit")], modes=modes)
+    hit = structures.loads.Point(at=HIT_AT, direction="+Z", label="hit")
+    made: ForwardModel = structures.ForwardModel(beam, places, [hit], modes=modes)
+    return made
 
 
 def simulate(seed: int = 0) -> Simulated:

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import structures
 from structures.files import _storage as storage
 
 from .._results.summary import quantity, summary
@@ -106,9 +107,7 @@ def _log(path: str | Path, records: list[str] | None, reading: dict[str, Any]) -
 
 def _model(path: str | Path) -> dict[str, Any]:
     """What a measured model was made from and what it covers."""
-    from structures._models.measured import MeasuredModel
-
-    model = MeasuredModel.load(path)
+    model = structures.MeasuredModel.load(path)
     return {
         **describe_hits(model),
         "sensors": [{"label": c.label, "unit": c.unit, "quantity": c.quantity} for c in model.sensors],
@@ -125,9 +124,7 @@ def _model(path: str | Path) -> dict[str, Any]:
 
 def _table(path: str | Path) -> dict[str, Any]:
     """What a table of FRFs covers."""
-    from structures._models.tabulated import FrfModel
-
-    model = FrfModel.load(path)
+    model = structures.FrfModel.load(path)
     return {
         "sensors": ", ".join(f"{c.label} [{c.unit}]" for c in model.sensors),
         "loads": ", ".join(f"{c.label} [{c.unit}]" for c in model.loads),

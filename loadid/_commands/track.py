@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 import time
-from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from argparse import ArgumentParser, ArgumentTypeError, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any, TextIO
@@ -14,8 +14,21 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from . import Bar, Command, count, emit, require_outputs, seconds, units
-from ._tracker import add_fit_options, require_fit_options, started
+from . import (
+    FIT_OPTIONS,
+    NONE,
+    Bar,
+    Command,
+    UsageError,
+    add_log_options,
+    count,
+    emit,
+    names,
+    positive,
+    require_outputs,
+    seconds,
+    units,
+)
 
 if TYPE_CHECKING:
     from .._families.tracking.tracker import Tracker
@@ -321,6 +334,76 @@ def _configure(parser: ArgumentParser) -> None:
     add_fit_options(parser)
 
 
+def add_fit_options(parser: ArgumentParser) -> None:
+    """Options that say how a model is tuned."""
+    group = parser.add_argument_group("tuning a model", "with --fit only; all of it is found where nothing is given")
+    group.add_argument(
+        "--prior", type=names, metavar="NAME,...",
+        help="matern32 (default), matern52, ou, random_walk, white: one for all loads, or one for each",
+    )  # fmt: skip
+    group.add_argument(
+        "--noise",
+        metavar="STD,...",
+        help="noise std of each sensor, in its SI unit: numbers in the order of the model, or CH=STD",
+    )
+    group.add_argument("--lag", type=_lag, metavar="N", help="answer N samples late, with what came meanwhile; or auto")
+    group.add_argument("--replay", type=_samples, metavar="N",
+                       help="rows up to N samples late are put in their place (as --lag)")  # fmt: skip
+    group.add_argument("--scales", type=names, metavar="NAME,...", help="tune the model too: stiffness, mass, damping")
+    group.add_argument("--model-error", type=_errors, metavar="NAME=STD,...",
+                       help="relative std of parameters, as stiffness=0.02: widens the band")  # fmt: skip
+    group.add_argument("--start", choices=("rest", "static"), help="the structure before the first sample")
+    group.add_argument(
+        "--gate", type=_gate, metavar="STDS", help="innovation beyond which a sample is doubted; or none"
+    )
+    group.add_argument("--allow-drift", action="store_true", default=None, help="track although the load will drift")
+    add_log_options(parser)
+
+
+def require_fit_options(args: Namespace) -> None:
+    """Nothing, where the options say one thing.
+
+    Raises
+    ------
+    UsageError
+        Neither model nor state; settings of a fit without one.
+    """
+    if args.model is None and args.state is None:
+        raise UsageError("nothing to track with: name a tracker with --model, a model with --model and its record with "
+                         "--fit, or a state with --state")  # fmt: skip
+    if args.fit is not None and args.model is None:
+        raise UsageError("--fit tunes a model: name its file with --model")
+    given = [f"--{name.replace('_', '-')}" for name in (*FIT_OPTIONS, "fs", "columns", "axis", "record")
+             if getattr(args, name) not in (None, [])]  # fmt: skip
+    if args.fit is None and given:
+        raise UsageError(f"{given[0]} is a setting of a fit: name its record with --fit, or leave it out")
+
+
+def _lag(text: str) -> int | str:
+    return text if text == "auto" else _samples(text, ", nor auto")
+
+
+def _samples(text: str, more: str = "") -> int:
+    if not (text.isascii() and text.isdecimal()):
+        raise ArgumentTypeError(f"{text!r} is no number of samples >= 0{more}")
+    return int(text)
+
+
+def _gate(text: str) -> float:
+    """Stds; 0 stands for no gate."""
+    return 0.0 if text == NONE else positive(text)
+
+
+def _errors(text: str) -> dict[str, float]:
+    found = {}
+    for part in names(text):
+        name, sign, value = part.partition("=")
+        if not sign:
+            raise ArgumentTypeError(f"{part!r} is not NAME=STD, as stiffness=0.02")
+        found[name.strip()] = positive(value)
+    return found
+
+
 def _run(args: Namespace) -> int:
     require_fit_options(args)
     source = None if args.source == "-" or args.source.startswith("tcp://") else args.source
@@ -339,6 +422,7 @@ def _run(args: Namespace) -> int:
 def _tracked(args: Namespace, state: StateLock | None, stated: dict[str, str]) -> int:
     from .._stream import follow
     from .._stream.header import TIME
+    from ._tracker import started
 
     with Bar() as bar:
         tracker, stream, fitted = started(args, bar)

@@ -17,8 +17,7 @@ from structures._channels import Channel
 from structures._flags import Flag
 from structures._model import Model
 from structures._models.statespace import STABLE
-from structures._testing.impact import digests
-from structures.errors import InputError, real, reals, shown
+from structures.errors import InputError, digests, real, reals, shown
 
 from .._quality import WITHOUT_GAPS, require_finite
 from .._record import Record, refuse_copies

@@ -25,9 +25,8 @@ from .._results.estimate import LoadEstimate
 from .._spellings import takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import histories, local_variance
-from .answer import SolvedLoad, answer, beyond_noise, of_path, over_time, undetermined
+from .answer import Overlooked, SolvedLoad, answer, beyond_noise, of_path, of_record, over_time, undetermined
 from .data import Data, gather
-from .faults import Overlooked, of_record
 from .histories import facts as pushing_facts
 from .histories import flags as pushing_flags
 from .histories import half_width, kurtosis, push, signs, without_offsets

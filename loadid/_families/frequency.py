@@ -23,9 +23,8 @@ from .._results.facts import Facts
 from .._results.functionals import LEVEL, LoadSpectrum, nearest_zeros
 from .._spellings import takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Signal
-from .answer import SolvedLoad, answer, over_time
+from .answer import SolvedLoad, answer, of_lines, over_time
 from .data import rows_of
-from .faults import of_lines
 from .posing.fitting import LineFit, LineRule, fit, judged
 from .posing.gathered import LineData, LineSettings, lines_of, response
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .._inverse.choice import Choice, ungraded
 from .._inverse.convolved.local_lines import LocalLinesPrior, Spectrum, local_lines
-from .._inverse.convolved.padded import SpectralPath
+from .._inverse.convolved.path import SpectralPath
 from .._inverse.local_prior import LocalPrior, local_prior, with_errors, with_misfit
 from .._results.facts import Facts
 from .answer import SolvedLoad, beyond_noise

@@ -25,7 +25,7 @@ from .._guards import families as told
 from .._guards.choice import IMPULSIVE
 from .._inverse import rules
 from .._inverse.gaussian.records import filter_record
-from .._inverse.sparse import dictionaries
+from .._inverse.sparse.atoms import KNOTS
 from .._record import Record
 from .._results.estimate import LoadEstimate
 from .._spellings import takes
@@ -378,7 +378,7 @@ def _chosen(criteria: Mapping[str, float], load_class: str | None) -> str:
 def _compared(problem: Problem, say: Callable[[float, str], None]) -> tuple[dict[int, float], dict[int, float]]:
     """Information criterion and share in use, of spikes (1) and of B-splines by spacing."""
     first = problem.beginning()
-    spacings = [k for k in dictionaries.KNOTS if k == 1 or k <= first.samples // 8]
+    spacings = [k for k in KNOTS if k == 1 or k <= first.samples // 8]
     scores, shares = {}, {}
     for i, k in enumerate(spacings):
         say(0.3 + 0.5 * i / len(spacings), f"knots every {k} samples" if k > 1 else "spikes")

@@ -24,9 +24,8 @@ from .._results.facts import STATIC, Facts
 from .._spellings import takes
 from ..settings import Absolute, ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import smoothness
-from .answer import answer, of_path, undetermined
+from .answer import answer, of_path, of_static, undetermined
 from .data import Readings, readings
-from .faults import of_static
 from .frozen import Calibration, Frozen, at_rest, calibrate, each_frame, freeze
 from .noise import noise_level
 from .posing.steady import MEETING, StaticProblem, drawn, missing, pose, transfer

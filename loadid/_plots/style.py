@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, plain, reals
+from structures.files._storage import as_path, replace
 
 from .._results.summary import NOT_VERIFIED, allowed, overridden
 
@@ -184,8 +185,6 @@ def finished(figure: Figure, path: str | os.PathLike[str] | None, show: bool) ->
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure to a file whose suffix names the format; the old file stays where that fails."""
-    from structures.files._storage import as_path, replace
-
     replace(as_path(path), rendered(figure, path))
 
 
@@ -206,8 +205,6 @@ def picture_format(path: str | os.PathLike[str]) -> str:
     InputError
         If it names none.
     """
-    from structures.files._storage import as_path
-
     suffix = as_path(path).suffix.lstrip(".").lower()
     if suffix not in FigureCanvasBase.get_supported_filetypes():
         raise InputError(

@@ -15,12 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from structures._certificate import Certificate
 from structures._flags import Flag, canonical, cautions, codes
 from structures.errors import InputError
+from structures.files import _storage as storage
 
 from .._inverse.choice import Choice
-from .facts import Facts
+from .facts import Facts, Grade, grade
 from .faults import SensorFault
 from .functionals import Functional, functional, resultants
-from .grades import Grade, grade
+from .report import fragment, write_report
 from .summary import NOT_VERIFIED, summary
 
 if TYPE_CHECKING:
@@ -167,7 +168,7 @@ class LoadEstimate:
 
     @property
     def grade(self) -> Grade:
-        """How far the load can be trusted, with measured odds: ``str(estimate.grade)`` (`loadid._results.grades`)."""
+        """How far the load can be trusted, with measured odds: ``str(estimate.grade)`` (`loadid._results.facts`)."""
         return grade(self)
 
     @property
@@ -374,13 +375,9 @@ class LoadEstimate:
 
     def report(self, path: str | os.PathLike[str], *, truth: ArrayLike | None = None) -> None:
         """Write one self-contained HTML page."""
-        from .report import write_report
-
         write_report(self, path, truth=truth)
 
     def _repr_html_(self) -> str:
-        from .report import fragment
-
         return fragment(self)
 
     def to_dict(self, *, arrays: bool = True) -> dict[str, Any]:
@@ -403,8 +400,6 @@ class LoadEstimate:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an HDF5 file with checksums, whole or not at all."""
-        from structures.files import _storage as storage
-
         from . import archive
 
         storage.write(path, archive.to_tree(self), archive.KIND)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures._flags import Flag, canonical, codes
+from structures.files import _storage as storage
 
 from .estimate import LoadEstimate
 from .facts import Facts, fact
@@ -248,8 +249,6 @@ class LocationResult:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an HDF5 file with checksums, whole or not at all."""
-        from structures.files import _storage as storage
-
         from . import archive
 
         estimate = None if self.estimate is None else archive.to_tree(self.estimate)

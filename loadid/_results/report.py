@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from structures.errors import InputError, plain
+from structures.files._storage import as_path, replace
 
+from .functionals import in_words
 from .summary import (
     against,
     allowed,
@@ -66,8 +68,6 @@ def write_report(estimate: LoadEstimate, path: str | os.PathLike[str], *, truth:
 
 def write_page(path: str | os.PathLike[str], made: Callable[[], str]) -> None:
     """Write a page, whole or not at all."""
-    from structures.files._storage import as_path, replace
-
     target = as_path(path)
     if not target.resolve().parent.is_dir():  # said before the pictures are drawn
         raise InputError(
@@ -181,7 +181,6 @@ def _lines(e: LoadEstimate) -> str:
     if e.spectrum is None:
         return ""
     from .._plots import lines_figure
-    from .functionals import in_words
 
     s = e.spectrum
     trusted = s.trust()

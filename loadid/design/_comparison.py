@@ -69,8 +69,6 @@ class LayoutComparison:
 
     def plot(self, **settings: Any) -> Figure:
         """Picture of the layouts, the worst load marked; see `loadid.design._comparison.draw`."""
-        from ._comparison import draw
-
         return draw(self.layouts, self.loads_at, outline=self.outline, **settings)
 
     def to_dict(self) -> dict[str, Any]:

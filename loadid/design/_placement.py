@@ -14,7 +14,7 @@ from structures.errors import InputError
 
 from . import _layout as search
 from ._candidates import CandidateSensors, expected, settle
-from ._comparison import checked, of
+from ._comparison import checked, draw, of
 from ._layout import Judged, RowSet, table
 
 if TYPE_CHECKING:
@@ -86,8 +86,6 @@ class Placement:
 
     def plot(self, **settings: Any) -> Figure:
         """Picture of the layout, the worst load marked; see `loadid.design._comparison.draw`."""
-        from ._comparison import draw
-
         return draw((self.layout,), self.loads_at, outline=self.outline, candidates=self.candidates_at, **settings)
 
     def to_dict(self) -> dict[str, Any]:

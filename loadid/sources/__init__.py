@@ -5,7 +5,8 @@ The classes of the answers and the pieces that these are made of can be imported
 
 from ._comparison import BandLevels as BandLevels
 from ._comparison import ResponseComparison as ResponseComparison
-from ._comparison import compare, compare_estimate
+from ._comparison import compare
+from ._comparison import compare_estimate as compare_estimate
 from ._contributions import Contributions as Contributions
 from ._contributions import Shares as Shares
 from ._contributions import contributions
@@ -24,6 +25,6 @@ from ._transfer import Transfer as Transfer
 from ._transfer import split, validate_on
 
 __all__ = [
-    "band_power", "compare", "compare_estimate", "contributions", "csac", "csf", "faac", "frac", "lac", "mac",
+    "band_power", "compare", "contributions", "csac", "csf", "faac", "frac", "lac", "mac",
     "octave_bands", "running_level", "split", "synthesise", "trac", "validate_on",
 ]  # fmt: skip

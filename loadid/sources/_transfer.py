@@ -18,8 +18,7 @@ from structures._flags import Flag
 from structures._model import Model
 from structures._models.mapped import StandingOn
 from structures._models.statespace import StateSpace
-from structures._testing.impact import digests
-from structures.errors import InputError, digest, plain
+from structures.errors import InputError, digest, digests, plain
 
 from .. import _guards as guards
 from .._record import Record

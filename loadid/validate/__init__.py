@@ -7,10 +7,9 @@ from ._checks import DistributionCheck as DistributionCheck
 from ._checks import ResultantCheck as ResultantCheck
 from ._checks import SensorCheck as SensorCheck
 from ._checks import Validation as Validation
-from ._coverage import Coverage as Coverage
-from ._coverage import coverage
 from ._references import Known, PressureMat, ReferenceWrench
+from ._validation import Coverage as Coverage
 from ._validation import HeldOut as HeldOut
-from ._validation import held_out, validate
+from ._validation import coverage, held_out, validate
 
 __all__ = ["Known", "PressureMat", "ReferenceWrench", "coverage", "held_out", "validate"]

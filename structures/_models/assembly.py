@@ -101,15 +101,6 @@ def _columns(structure: Any, loads: Any) -> Any:
     return np.stack([np.broadcast_to(part, (length, free.size)) for part in parts], axis=-1)
 
 
-def arrays(matrix: Any) -> tuple[NDArray[Any], ...]:
-    """Arrays that a matrix is made of, in one form for equal matrices."""
-    if not sparse.issparse(matrix):
-        return (matrix,)
-    coo = matrix.tocoo()
-    order = np.lexsort(coo.coords)
-    return tuple(np.asarray(part)[order] for part in (coo.data, *(c.astype(np.int64) for c in coo.coords)))
-
-
 def _finite(values: NDArray[Any]) -> None:
     """A row or a column that holds NaN is named at once, not found in a result."""
     what = "a sensor row or a load column holds NaN or infinity"

@@ -414,7 +414,7 @@ class ForwardModel(Model):
         """Sha256 of the structure, the rows and columns with their channels, and the settings."""
         settings = list(self.settings.values())
         settings = settings[: len(settings) - (settings[-1] == "modes")]  # modes are what models without a choice have
-        parts = (*placing.arrays(self._S), self._derivative, *placing.arrays(self.columns))
+        parts = (*_arrays(self._S), self._derivative, *_arrays(self.columns))
         return digest("ForwardModel", self.structure.digest, *parts, self.sensors, self.loads, *settings)
 
     # -- inside ---------------------------------------------------------------------------------------------------
@@ -445,3 +445,12 @@ class ForwardModel(Model):
     def _reading(self, f: NDArray[Any]) -> NDArray[np.complex128]:
         """What every sensor makes of a displacement (lines, sensors): its derivative and its high-pass."""
         return np.asarray((2j * np.pi * f[:, None]) ** self._derivative * highpass(f, self._corner))
+
+
+def _arrays(matrix: Any) -> tuple[NDArray[Any], ...]:
+    """Arrays that a matrix is made of, in one form for equal matrices."""
+    if not sparse.issparse(matrix):
+        return (matrix,)
+    coo = matrix.tocoo()
+    order = np.lexsort(coo.coords)
+    return tuple(np.asarray(part)[order] for part in (coo.data, *(c.astype(np.int64) for c in coo.coords)))

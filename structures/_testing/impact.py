@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._advice import Advice, Spelling
 from .._certificate import Certificate
 from .._channels import Channel
-from ..errors import InputError, as_array, own_step
+from ..errors import InputError, as_array, digests, own_step
 from .spectra import checked_decay, exponential, gate, padded_length, smooth_lines, taken_out
 
 SECOND_HIT = 0.2  # share of the main peak that a separate later pulse must reach
@@ -65,11 +64,6 @@ class TrainingRecords:
     samples: int | None = None
     noise_power: ArrayLike | None = None
     gains: ArrayLike | None = None
-
-
-def digests(columns: NDArray[Any]) -> tuple[str, ...]:
-    """sha256 of the samples of each column of an array (samples, columns)."""
-    return tuple(hashlib.sha256(np.ascontiguousarray(c, float).tobytes()).hexdigest() for c in np.asarray(columns).T)
 
 
 def unusable(force: NDArray[Any], responses: NDArray[Any], labels: Sequence[str]) -> str:

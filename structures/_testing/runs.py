@@ -12,10 +12,10 @@ from .._certificate import Certificate
 from .._channels import Channel
 from .._flags import Evidence, Flag
 from .._model import convolved
-from ..errors import InputError
+from ..errors import InputError, digests
 from . import kinds
 from .frfs import FrfEstimate, channels_of, estimate
-from .impact import SILENT, Hit, TrainingRecords, digests
+from .impact import SILENT, Hit, TrainingRecords
 from .welch import CrossSpectra, cross_spectra, gather
 
 

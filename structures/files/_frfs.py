@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .. import units
 from .._channels import Channel, Dof
+from .._models.tabulated import FrfModel
 from .._testing import kinds
 from ..errors import InputError
 from ._hdf5 import MatFile, read_mat
@@ -90,8 +91,6 @@ def read_frfs(
 
 def _model(found: RecordedFrfs, asked: Asked) -> FrfModel:
     """The model, in SI, with described channels; what was decided while reading is logged."""
-    from .._models.tabulated import FrfModel
-
     for note in found.notes:
         logging.getLogger(__name__).info("%s: %s", asked.path, note)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,13 +23,18 @@ from .._flags import Flag
 from .._model import Model, as_model
 from .._models import forward, statespace
 from .._models.forward import ForwardModel
+from .._models.measured import MeasuredModel
 from .._models.statespace import StateSpace
+from .._models.tabulated import FILE as TABLE
+from .._models.tabulated import FrfModel
 from .._system.damping import Damping, Modal, Rayleigh, Structural
 from .._system.loads import Load
 from .._system.sensors import Sensor
 from .._system.structure import Structure
 from ..errors import InputError
 from . import _storage as storage
+from ._frfs import read_frfs
+from ._uff import SUFFIXES
 
 if TYPE_CHECKING:
     from .._system.fields import Span
@@ -136,6 +142,22 @@ def load(path: str | os.PathLike[str]) -> ForwardModel | StateSpace:
         ) from error
     model.certificate = Certificate.stored(tree["certificate"])
     return model
+
+
+def load_any(path: str | os.PathLike[str]) -> MeasuredModel | FrfModel | ForwardModel | StateSpace:
+    """Read a model of any kind that was saved here, or the FRFs of a universal file that states what they are.
+
+    Raises
+    ------
+    InputError
+        A file that is missing, damaged, or no model.
+    """
+    if Path(path).suffix.lower() in SUFFIXES:
+        return read_frfs(path)
+    kind = storage.kind_of(path) if Path(path).is_file() else None
+    if kind in KINDS:
+        return load(path)
+    return FrfModel.load(path) if kind == TABLE else MeasuredModel.load(path)
 
 
 def _forward(tree: Mapping[str, Any]) -> ForwardModel:

@@ -24,7 +24,9 @@ from structures.files._storage import replace as write
 from .._arrays import Array
 from .._pad import padfile
 from .._pad.pad import Pad
+from .._results.film import FPS, encoded, pictures, require_video
 from .._results.forcemap import ForceMap, record
+from .._results.pictures import sequence_figure
 from .._results.report import HOW, numbers, page
 from .._sensors.gelslim import GelSlim
 from .._sensors.linear import MultilayerPad
@@ -357,12 +359,8 @@ def write_all(
         text = page(found.map, truth=truth, wrenches=wrenches, about=about(found), compared=compared)
         ready.append((Path(report), text.encode()))
     if plot is not None:
-        from .._results.pictures import sequence_figure
-
         ready.append((Path(plot), rendered(sequence_figure(found.map, truth=truth, wrenches=wrenches), plot)))
     if video is not None:
-        from .._results.film import FPS, encoded, pictures, require_video
-
         coming = pictures(found.map, truth=truth, progress=progress)
         ready.append((Path(video), encoded(coming, require_video(video), fps=fps or FPS, where=str(video))[0]))
     found.map.save(result)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, ArgumentTypeError, Namespace, RawDescriptionHelpFormatter
 
 from loadid._commands import Bar, Command, UsageError, choice, emit, names, positive, require_outputs, seed
+from structures._flags import known_codes
 
 DEMO = "demo"
 SENSORS = ("multilayer", "gelslim")
@@ -85,8 +86,6 @@ def _demo(args: Namespace) -> int:
 
 
 def _map(args: Namespace) -> int:
-    from structures._flags import known_codes
-
     missing = [words for name, words in REQUIRED if getattr(args, name) is None]
     if missing:
         raise UsageError(f"needed too: {', '.join(missing)} (see loadid tactile --help)")

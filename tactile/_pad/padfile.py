@@ -15,10 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from loadid._inverse.rules import RULES
 from structures.errors import InputError, plain
 
 from .._arrays import Array
 from .._guards import counts
+from .._sensors.observation import DepthMap
+from ..vision._eye import View
+from ..vision._rays import Window
 from . import body as outline
 from .table import TomlTable
 
@@ -93,8 +97,6 @@ class DepthKind:
 
     def map(self, values: Any, zero: Array | float = 0.0) -> DepthMap:
         """Depth map of the numbers of a file, less `zero` (m)."""
-        from .._sensors.observation import DepthMap
-
         return DepthMap(self.factor * np.asarray(plain(values), float) - zero, self.pixel, self.noise, self.centre)
 
 
@@ -201,8 +203,6 @@ def _outline(t: TomlTable) -> Any:
 
 def _view(t: TomlTable) -> View:
     """The camera: a lens, a matrix, or points and their pixels."""
-    from ..vision._eye import View
-
     ways = [name for name in ("focal", "homography", "points") if name in t]
     if len(ways) != 1:
         raise t.refused("", "the camera is not stated", " and ".join(ways) or "none of the ways",
@@ -233,8 +233,6 @@ def _rays(t: TomlTable) -> dict[str, Any]:
 
 
 def _lens(t: TomlTable) -> Any:
-    from ..vision._rays import Window
-
     lens = t.table("lens")
     if lens is None:
         return None
@@ -267,8 +265,6 @@ def _lam(t: TomlTable) -> float | str | None:
     if not isinstance(t.values.get("lam"), str):
         found: float | None = t.number("lam", None)
         return found
-    from loadid._inverse.rules import RULES
-
     rule: str = t.word("lam", tuple(RULES))
     return rule
 

@@ -19,6 +19,7 @@ from structures._flags import Flag
 from structures.errors import InputError
 
 from .._arrays import Array, Mask, shaped
+from .report import write_report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -271,8 +272,6 @@ class ForceMap(LoadEstimate):
 
     def report(self, path: str | os.PathLike[str], *, truth: ArrayLike | None = None) -> None:
         """Write one self-contained HTML page."""
-        from .report import write_report
-
         write_report(self, path, truth=truth)
 
     @classmethod

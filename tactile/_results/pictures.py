@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.quiver import Quiver
 
-    from ..design._evaluation import SkinDesign
+    from ..design import SkinDesign
     from ..metrics._benchmark import BenchmarkRow, BenchmarkTable
     from .forcemap import ForceMap
 

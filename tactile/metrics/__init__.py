@@ -10,9 +10,9 @@ from __future__ import annotations
 # isort: off
 from ._benchmark import BenchmarkRow, BenchmarkTable, Case, NoiseSlope, benchmark, cases, noise_slope  # noqa: F401
 from ._mapped import CellErrors, MapMetrics, ResultantErrors, resultant, to_cells  # noqa: F401
-from ._mapped import cell_errors, compare, compare_resultants, resultant_errors
+from ._mapped import cell_errors, compare, compare_resultants, resultant_errors  # noqa: F401
 from ._measures import centroid, centroid_error, cosine, dma, dtma, dtmb, iou, means, patches  # noqa: F401
 from ._measures import known, peak_ratio, relative_error, snr, spread  # noqa: F401
 # isort: on
 
-__all__ = ["Case", "benchmark", "cases", "cell_errors", "compare", "compare_resultants", "known", "resultant_errors"]
+__all__ = ["Case", "benchmark", "cases", "compare", "compare_resultants", "known", "resultant_errors"]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from loadid.validate import Known
 from structures.errors import InputError, number, one_of, plain, positive
 
 from .._arrays import Array, Index, Mask, shaped
@@ -145,8 +146,6 @@ def known(
     source : str
         What the reference is, in words.
     """
-    from loadid.validate import Known
-
     at = finite(nodes, "nodes")[:, :2]
     total = np.sum([means(p, at, pitch) for p in presses], axis=0) * finite(areas, "areas")[:, None]
     return Known(total.ravel(), source=source)

@@ -22,8 +22,8 @@ from scipy.optimize import minimize, nnls
 
 from loadid._inverse import rules
 from loadid._inverse.constrained.condensed import BlockNormal
-from loadid._inverse.constrained.exchange import gap
 from loadid._inverse.constrained.nonnegative import NonNegativeRecord, discrepancy
+from loadid._inverse.constrained.normal import gap
 from loadid._inverse.convolution import Convolution
 from loadid._inverse.gaussian.path import StateSpacePath
 from loadid._inverse.gaussian.record import WhitenedRecord, augment, record

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid import Deconvolution, SparseDeconvolution, Sparsity
-from loadid._inverse.sparse import dictionaries, lasso
+from loadid._inverse.sparse import lasso
 from loadid._inverse.sparse import lasso as workingset
-from loadid._inverse.sparse.atoms import ShiftedAtoms
+from loadid._inverse.sparse.atoms import ShiftedAtoms, dirac
 from loadid.settings import Noise
 from structures import ImpulseModel
 from tests import halfsine
@@ -46,7 +46,7 @@ def problem(samples: int, width: int = 11) -> tuple[NDArray, NDArray]:
 
 def relative_gap(h: NDArray, y: NDArray, x: NDArray, mu: float) -> float:
     """Duality gap over 1/2 |y|^2, by its formula."""
-    atoms = ShiftedAtoms(h[:, None, None], dictionaries.dirac(len(y)))
+    atoms = ShiftedAtoms(h[:, None, None], dirac(len(y)))
     r = y - atoms.apply(x)
     penalty = lasso.L1(mu)
     return lasso.gap(y, r, penalty.value(x, np.arange(len(x))), penalty.dual_scale(atoms.adjoint(r)))[1]
@@ -54,13 +54,13 @@ def relative_gap(h: NDArray, y: NDArray, x: NDArray, mu: float) -> float:
 
 def ours(h: NDArray, y: NDArray, tol: float) -> lasso.SparseSolution:
     """Everything that a user waits for: operator, mu, solution, gap."""
-    atoms = ShiftedAtoms(h[:, None, None], dictionaries.dirac(len(y)))
+    atoms = ShiftedAtoms(h[:, None, None], dirac(len(y)))
     return workingset.solve(atoms, y, lasso.L1(SHARE * lasso.largest(atoms, y)), tol=tol)
 
 
 def fista(h: NDArray, y: NDArray, mu: float, iterations: int) -> NDArray:
     """Fast proximal gradient with restarts on an FFT operator: what is written first without a matrix."""
-    atoms = ShiftedAtoms(h[:, None, None], dictionaries.dirac(len(y)))
+    atoms = ShiftedAtoms(h[:, None, None], dirac(len(y)))
     bound = float(np.abs(atoms.operator.lines).max() ** 2)
     x = z = np.zeros(len(y))
     t = 1.0

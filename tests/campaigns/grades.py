@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-import loadid._results.grades as stated
-from loadid._results.grades import LETTERS, MEASURED, GradeOdds
+import loadid._results.facts as stated
+from loadid._results.facts import LETTERS, MEASURED, GradeOdds
 
 from . import impacts, static
 from .scores import Scored

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from loadid._inverse.constrained.condensed import BlockNormal
-from loadid._inverse.constrained.exchange import gap
 from loadid._inverse.constrained.nonnegative import NonNegativeRecord, discrepancy, minimise
+from loadid._inverse.constrained.normal import gap
 from loadid._inverse.constrained.path import ConstrainedPath
 from loadid._inverse.gaussian.record import WhitenedRecord, augment, record
 from loadid._inverse.rules import discrepancy_level

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loadid._inverse.convolved.padded import SpectralPath
+from loadid._inverse.convolved.path import SpectralPath
 from loadid._inverse.posterior import DensePosterior, Posterior, SpectralPosterior, from_arrays
 from loadid.paths import LinearProblem, SVDPath, toeplitz
 from structures._testing.spectra import padded_length

@@ -6,10 +6,19 @@ import numpy as np
 import pytest
 
 from loadid._inverse import rules
-from loadid._inverse.sparse import dictionaries, groups, lasso
+from loadid._inverse.sparse import groups, lasso
 from loadid._inverse.sparse import lasso as workingset
 from loadid._inverse.sparse import path as debias
-from loadid._inverse.sparse.atoms import DenseAtoms, MatrixAtoms, ShiftedAtoms
+from loadid._inverse.sparse.atoms import (
+    DenseAtoms,
+    Dictionary,
+    MatrixAtoms,
+    ShiftedAtoms,
+    bspline,
+    daubechies,
+    dirac,
+    wavelet,
+)
 from loadid._inverse.sparse.path import SparsePath, log_supports
 from structures import InputError
 from tests import halfsine
@@ -28,10 +37,10 @@ def decaying(samples: int = SHORT, sensors: int = 2, loads: int = 2) -> np.ndarr
     ).transpose(2, 0, 1)
 
 
-def dictionary(name: str, samples: int = SHORT) -> dictionaries.Dictionary:
+def dictionary(name: str, samples: int = SHORT) -> Dictionary:
     if name == "bspline":
-        return dictionaries.bspline(samples, 5)
-    return dictionaries.dirac(samples) if name == "dirac" else dictionaries.wavelet(samples)
+        return bspline(samples, 5)
+    return dirac(samples) if name == "dirac" else wavelet(samples)
 
 
 def matrix_of(h: np.ndarray, D: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -89,11 +98,11 @@ def test_a_matrix_that_does_not_fit_in_memory_is_refused(monkeypatch):
 def test_the_daubechies_filter_of_two_moments_is_the_closed_form():
     root = np.sqrt(3)
     expected = np.array([1 + root, 3 + root, 3 - root, 1 - root]) / (4 * np.sqrt(2))
-    np.testing.assert_allclose(dictionaries.daubechies(2), expected, atol=1e-12)
+    np.testing.assert_allclose(daubechies(2), expected, atol=1e-12)
 
 
 def test_wavelets_are_orthonormal_inside_the_record_and_complete():
-    words = dictionaries.wavelet(512)
+    words = wavelet(512)
     W = words.synthesise(np.eye(words.atoms))
     inside = np.abs(np.sum(W**2, axis=0) - 1) < 1e-8
     assert inside.sum() > 400
@@ -102,7 +111,7 @@ def test_wavelets_are_orthonormal_inside_the_record_and_complete():
 
 
 def test_splines_sum_to_a_constant_and_bend_like_cubics():
-    words = dictionaries.bspline(200, 8)
+    words = bspline(200, 8)
     g = words.synthesise(np.ones((words.atoms, 1)))[:, 0]
     np.testing.assert_allclose(g[16:176], 1.5, atol=1e-12)
     single = words.families[0].waveform
@@ -149,7 +158,7 @@ def interior_point(A, y, mu, *, labels=None, nonnegative=False) -> float:
 def struck(samples: int = 500, noise: float = 0.05):
     """Spikes on the first samples of the half-sine benchmark, its noise and the whitened data."""
     y, _ = halfsine.record(11, noise, 0, samples)
-    return ShiftedAtoms(halfsine.impulse_response(samples)[:, None, None], dictionaries.dirac(samples)), y
+    return ShiftedAtoms(halfsine.impulse_response(samples)[:, None, None], dirac(samples)), y
 
 
 @pytest.mark.parametrize("nonnegative", [False, True])
@@ -181,7 +190,7 @@ def test_the_minimum_is_that_of_celer():
 @pytest.mark.parametrize("of", ["slot", "load"])
 def test_the_minimum_over_groups_is_that_of_an_interior_point_method(of):
     h = decaying(60)
-    atoms = ShiftedAtoms(h, dictionaries.bspline(60, 3))
+    atoms = ShiftedAtoms(h, bspline(60, 3))
     g = np.zeros((60, 2))
     g[20:26, 0], g[40:43, 1] = 3, -2
     y = atoms.operator.apply(g).reshape(-1) + 0.05 * np.random.default_rng(0).standard_normal(atoms.m)
@@ -226,7 +235,7 @@ def test_an_iterate_that_has_not_converged_says_so(monkeypatch):
 @pytest.mark.parametrize("factor", [1e-6, 1e6])
 def test_units_do_not_change_a_solution(factor):
     atoms, y = struck(300)
-    scaled = ShiftedAtoms(factor * halfsine.impulse_response(300)[:, None, None], dictionaries.dirac(300))
+    scaled = ShiftedAtoms(factor * halfsine.impulse_response(300)[:, None, None], dirac(300))
     first = SparsePath(atoms, y).solve(0.01, 1e-10)
     second = SparsePath(scaled, factor * y).solve(0.01, 1e-10)
     np.testing.assert_allclose(second.x, first.x, atol=1e-7 * np.abs(first.x).max())
@@ -238,7 +247,7 @@ def test_a_long_record_is_solved_as_its_own_convolution_certifies():
     samples, taps = 20_000, 6000
     h = halfsine.impulse_response(taps)
     y, _ = halfsine.record(11, 0.05, 0, samples)
-    atoms = ShiftedAtoms(h[:, None, None], dictionaries.dirac(samples))
+    atoms = ShiftedAtoms(h[:, None, None], dirac(samples))
     mu = 0.02 * lasso.largest(atoms, y)
     found = workingset.solve(atoms, y, lasso.L1(mu), tol=1e-8)
     from scipy.signal import oaconvolve

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from loadid._inverse.convolved.padded import SpectralPath
+from loadid._inverse.convolved.path import SpectralPath
 from loadid.paths import LinearProblem, SVDPath, toeplitz
 from structures._testing.spectra import padded_length
 from structures.errors import InputError, NotIdentifiable

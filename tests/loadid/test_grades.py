@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from loadid._results.grades import LETTERS, MEASURED, expected_error
+from loadid._results.facts import LETTERS, MEASURED, expected_error
 from structures._flags import Evidence, Flag
 from tests.campaigns import grades
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from structures import Channel, FrfModel, InputError, MeasuredModel, TrainingRecords
-from structures._testing.impact import digests
+from structures.errors import digests
 from tests.data import measured
 
 from .impacts import DT, blow, hits, record, response, transfer

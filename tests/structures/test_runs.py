@@ -8,7 +8,7 @@ from scipy import signal
 
 from structures import Channel, FrfModel, InputError, MeasuredModel, NotIdentifiable, cross_spectra
 from structures._flags import codes
-from structures._testing.impact import digests
+from structures.errors import digests
 
 from .impacts import DT, response, transfer
 

@@ -10,8 +10,8 @@ from structures import InputError
 from structures._system.layered import reflections
 from tactile import Pad
 from tactile._pad import body as outline
-from tactile._pad.mesh import placed
 from tactile._pad.meshfiles import elastic, read
+from tactile._pad.pad import placed
 from tests.data import measured
 from tests.structures.test_meshes import tets
 

@@ -18,7 +18,7 @@ from structures.errors import InputError, reals
 from ... import _guards as guards
 from ..._inverse import penalties
 from ..._inverse.constrained.nonnegative import NonNegativeRecord
-from ..._inverse.convolved.padded import SpectralPath
+from ..._inverse.convolved.path import SpectralPath
 from ..._inverse.diagnosis import identifiability
 from ..._inverse.gaussian.record import WhitenedRecord
 from ..._inverse.nuisances import Nuisances

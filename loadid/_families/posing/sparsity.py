@@ -16,8 +16,8 @@ from structures.errors import InputError, NotIdentifiable
 from ..._inverse import rules
 from ..._inverse.choice import ChoiceLike, is_rule, relative
 from ..._inverse.problem import whiten
-from ..._inverse.sparse import dictionaries, path
-from ..._inverse.sparse.atoms import MatrixAtoms, ShiftedAtoms
+from ..._inverse.sparse import path
+from ..._inverse.sparse.atoms import KNOTS, MatrixAtoms, ShiftedAtoms, bspline, dirac, wavelet
 from ..._inverse.sparse.groups import Groups
 from ..._inverse.sparse.lasso import SparseSolution
 from ..._inverse.sparse.path import SparsePath, SupportFit, fit
@@ -107,8 +107,8 @@ class Problem:
             return MatrixAtoms(self.h, dictionary, self.weight)
         if dictionary == "bspline":
             assert knots is not None
-            return ShiftedAtoms(self.h, dictionaries.bspline(self.samples, knots), self.weight)
-        make = dictionaries.dirac if dictionary == "dirac" else dictionaries.wavelet
+            return ShiftedAtoms(self.h, bspline(self.samples, knots), self.weight)
+        make = dirac if dictionary == "dirac" else wavelet
         return ShiftedAtoms(self.h, make(self.samples), self.weight)
 
     def path(self, atoms: Atoms, nonnegative: bool, groups: Groups | None = None) -> SparsePath:
@@ -275,7 +275,7 @@ def _swept(
     if wanted.named == "bspline":
         knots: Any = wanted.knots
         if knots is None or (isinstance(knots, str) and knots == "scan"):
-            knots = [k for k in dictionaries.KNOTS if k <= max(first.samples // 8, 2)]
+            knots = [k for k in KNOTS if k <= max(first.samples // 8, 2)]
         spacings = [int(knots)] if isinstance(knots, int | np.integer) else [int(k) for k in knots]
         beside: list[int] = []
     else:

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from structures.errors import NotIdentifiable
 
-from .exchange import exchange
 from .feasible import Feasible
-from .normal import DenseNormal
+from .normal import DenseNormal, exchange
 from .quadratic import ActiveFace, Quadratic
 
 Array = NDArray[np.float64]

@@ -29,8 +29,7 @@ from ..convolution import PenalizedConvolution
 from ..gaussian.record import WhitenedRecord
 from ..rules import discrepancy_level
 from .condensed import BlockNormal, CondensedRecord, FaceCovariance, cut, face_covariance
-from .exchange import Exchanged, exchange, gap, interior, projected
-from .normal import ConvolvedNormal, NormalFactor, RecordNormal
+from .normal import ConvolvedNormal, Exchanged, NormalFactor, RecordNormal, exchange, gap, interior, projected
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -47,7 +47,7 @@ from ..local_prior import (
 )
 from ..nuisances import Marginal, marginal
 from ..posterior import SpectralPosterior
-from .padded import Lines, SpectralPath
+from .path import Lines, SpectralPath
 
 Array = NDArray[Any]
 
@@ -476,9 +476,7 @@ def widened(where: Array) -> Array:
     return np.flatnonzero(np.convolve(where, np.ones(2 * AROUND + 1), "same") > 0.5)
 
 
-def local_lines(
-    spectrum: Spectrum, load: Array, *, known: bool = False, stated: bool = False
-) -> LocalLinesPrior | str:
+def local_lines(spectrum: Spectrum, load: Array, *, known: bool = False, stated: bool = False) -> LocalLinesPrior | str:
     """Learn both priors from a spectrum, or say why none was learned.
 
     Parameters

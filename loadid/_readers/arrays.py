@@ -1,7 +1,8 @@
-"""HDF5 files in a plain layout, walked so that nothing outside is touched; MAT files, one record a matrix.
+"""Records out of named arrays: NumPy files (.npy, .npz), never unpickled; HDF5 files in a plain layout; MAT files.
 
-Datasets are 2-D (a record each) or 1-D (the channels of their group). Attributes ``fs`` or ``dt``, ``channels`` and
-``units`` stand on the dataset, on its group or on the root; ``unit`` on a 1-D dataset.
+HDF5 is walked so that nothing outside is touched; in MAT files a matrix is a record. Datasets are 2-D (a record each)
+or 1-D (the channels of their group). Attributes ``fs`` or ``dt``, ``channels`` and ``units`` stand on the dataset, on
+its group or on the root; ``unit`` on a 1-D dataset.
 
 Level 5 (-v6, -v7) is parsed here, 7.3 is HDF5 and therefore read in the child. MATLAB has no vectors: a matrix with one
 row or one column is taken as one. Complex arrays, cells and structs are no records; FRFs are a model, which
@@ -10,8 +11,11 @@ row or one column is taken as one. Complex arrays, cells and structs are no reco
 
 from __future__ import annotations
 
+import io
 import math
+import zipfile
 from dataclasses import replace
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -19,9 +23,212 @@ from numpy.typing import NDArray
 
 from structures.files._mat_level5 import is_level5, read_level5
 
-from .npy import NAMES, UNITS, step_of, tables_of, texts_of
-from .source import Options, Source, Table, register
+from .settle import TIME_NAMES, distinct
+from .source import COLUMNS, RATE, Options, Source, Table, register, time_first
 
+RATES = ("fs", "sampling_rate", "sample_rate", "sampling_frequency")
+STEPS = ("dt", "delta_t", "step")
+NAMES = ("channels", "labels", "columns", "names", "channel_names")
+UNITS = ("units", "unit")
+
+
+def tables_of(
+    arrays: dict[str, NDArray[Any]],
+    source: Source,
+    options: Options,
+    *,
+    name: str = "",
+    unit_of: dict[str, str] | None = None,
+) -> list[Table]:
+    """Tables of some arrays that lie together.
+
+    Every 2-D array of numbers is a record of its own; 1-D arrays of one length are the channels of one record; a 1-D
+    array named time is the time of all that have its length. Scalars ``fs`` or ``dt`` give the step, text arrays
+    ``channels`` and ``units`` describe columns. Arrays of more axes are passed over.
+
+    Raises
+    ------
+    InputError
+        1-D arrays of different length, descriptions that do not fit.
+    """
+    dt = step_of(arrays, source)
+    names, units = texts_of(arrays, NAMES, source), texts_of(arrays, UNITS, source)
+    numbers = {
+        k: x for k, x in arrays.items() if x.dtype.kind in "fiu" and x.size and k.lower() not in (*RATES, *STEPS)
+    }
+    single = {k: x for k, x in numbers.items() if x.ndim == 1}
+    times = {k: x for k, x in single.items() if k.lower() in TIME_NAMES}
+    clock = next(iter(times.values()), None)
+    tables = []
+    for key, x in numbers.items():
+        if x.ndim != 2:
+            continue
+        table = time_first(Table(x, name=key, columns=names, dt=dt), source, options)
+        columns = table.values.shape[1]
+        fits = names is not None and len(names) == columns
+        table = replace(
+            table, columns=names if fits else None, units=units if units and len(units) == columns else None
+        )
+        tables.append(_with_clock(table, clock))
+    channels = {k: x for k, x in single.items() if k not in times}
+    if channels:
+        lengths = {k: len(x) for k, x in single.items()}
+        if len(set(lengths.values())) > 1 and not tables:
+            source.refuse("arrays of different length", str(lengths)[:300], "channels of one record, equally long",
+                          "save arrays of one length")  # fmt: skip
+        if len({len(x) for x in channels.values()}) == 1 and len(channels) <= COLUMNS:
+            tables.append(_joined(channels, clock, name or source.path.stem, dt, units, unit_of or {}))
+    return tables
+
+
+def step_of(values: dict[str, Any], source: Source) -> float | None:
+    """Step in s from entries named fs or dt; None where there is none.
+
+    Raises
+    ------
+    InputError
+        If such an entry is no positive number.
+    """
+    for key, x in values.items():
+        short = key.lower().rpartition("/")[2]
+        if short not in (*RATES, *STEPS) or np.size(x) != 1 or np.asarray(x).dtype.kind not in "fiu":
+            continue
+        number = float(np.asarray(x).reshape(-1)[0])
+        if not (np.isfinite(number) and number > 0 and np.isfinite(1 / number)):
+            source.refuse("the step is not positive", f"{key} = {number}", "> 0", RATE)
+        return number if short in STEPS else 1.0 / number
+    return None
+
+
+def texts_of(values: dict[str, Any], keys: tuple[str, ...], source: Source) -> tuple[str, ...] | None:
+    """Texts of the first entry with one of some names."""
+    for key, x in values.items():
+        if key.lower() not in keys or np.asarray(x).dtype.kind not in "US":
+            continue
+        if np.size(x) > COLUMNS:
+            source.refuse("too many names", f"{key}: {np.size(x)}", f"at most {COLUMNS}")
+        flat = np.asarray(x).reshape(-1).tolist()
+        return tuple(t.decode("utf-8", "replace") if isinstance(t, bytes) else str(t) for t in flat)
+    return None
+
+
+def _with_clock(table: Table, clock: NDArray[Any] | None) -> Table:
+    if clock is None or len(clock) != len(table.values):
+        return table
+    columns = distinct(table.columns or ("",) * table.values.shape[1])  # counted before time comes to stand first
+    return replace(
+        table,
+        values=np.column_stack((clock, table.values)),
+        columns=("time", *columns),
+        units=None if table.units is None else (None, *table.units),
+        time=0,
+    )
+
+
+def _joined(
+    channels: dict[str, NDArray[Any]],
+    clock: NDArray[Any] | None,
+    name: str,
+    dt: float | None,
+    units: tuple[str, ...] | None,
+    unit_of: dict[str, str],
+) -> Table:
+    texts: tuple[str | None, ...] = tuple(unit_of.get(k) for k in channels)
+    if units is not None and len(units) == len(channels) and not any(texts):
+        texts = units
+    values = np.column_stack([x.astype(float) for x in channels.values()])
+    table = Table(values, name=name, columns=tuple(channels), units=texts, dt=dt)
+    return _with_clock(table, clock)
+
+
+MEMBERS = 4096
+
+
+@register("NPY", suffixes=(".npy",), sniff=lambda head: head.startswith(b"\x93NUMPY"))
+def load_npy(source: Source, options: Options) -> list[Table]:
+    """The array as one record."""
+    x = array_of(source.data(), source, source.path.name)
+    if x.dtype.kind not in "fiu":
+        source.refuse("the array holds no real numbers", f"dtype {x.dtype}", "float or integer")
+    return [time_first(Table(x, name=source.path.stem), source, options)]
+
+
+@register("NPZ", suffixes=(".npz",), sniff=lambda head: head.startswith(b"PK\x03\x04"))
+def load_npz(source: Source, options: Options) -> list[Table]:
+    """Every 2-D array as a record; 1-D arrays of one length together as one record."""
+    arrays: dict[str, NDArray[Any]] = {}
+    with zipfile.ZipFile(source.path) as archive:
+        members = archive.infolist()
+        if len(members) > MEMBERS:
+            source.refuse("too many arrays", len(members), f"at most {MEMBERS}")
+        source.allow(sum(m.file_size for m in members), "the archive")
+        for member in members:
+            arrays[_key(member.filename, arrays, source)] = array_of(
+                _unpacked(archive, member, source), source, member.filename
+            )
+    return tables_of(arrays, source, options)
+
+
+def array_of(data: bytes, source: Source, what: str) -> NDArray[Any]:
+    """Array of the bytes of an NPY file, which must be as many as its header declares.
+
+    Raises
+    ------
+    InputError
+        Objects (pickled), a damaged header, fewer or more bytes than declared.
+    """
+    file = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(file)
+        readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        if version not in readers:
+            source.refuse("unknown version of the NPY format", f"{what}: {version}", "1.0 or 2.0")
+        shape, fortran, dtype = readers[version](file, max_header_size=10_000)
+    except Exception as error:  # the header is parsed by the tokenizer of Python: anything may come
+        source.refuse("the NPY header is damaged", f"{what}: {str(error)[:200]}", "an undamaged file")
+    if dtype.hasobject:
+        source.refuse("the array holds Python objects, which are never unpickled", what, "numbers or text")
+    if dtype.kind not in "fiubUS" or dtype.itemsize == 0:
+        source.refuse("the array holds no numbers", f"{what}: dtype {dtype}", "float or integer")
+    if any(n < 0 for n in shape):
+        source.refuse("the NPY header is damaged", f"{what}: shape {shape}", "sizes, not negative")
+    count = 1
+    for n in shape:
+        count *= n
+    declared, there = count * dtype.itemsize, len(data) - file.tell()
+    if there != declared:
+        short = there < declared
+        source.refuse(f"truncated: {there // dtype.itemsize} of {count} numbers" if short
+                      else "more bytes than the header declares", f"{what}: {there} bytes of data",
+                      f"{declared} bytes: shape {shape} of {dtype}", "transfer or export the file again")  # fmt: skip
+    flat = np.frombuffer(data, dtype=dtype, count=count, offset=file.tell())
+    return flat.reshape(shape[::-1]).T if fortran else flat.reshape(shape)
+
+
+def _key(name: str, taken: dict[str, Any], source: Source) -> str:
+    parts = PurePosixPath(name).parts
+    if name.startswith("/") or "\\" in name or ".." in parts or ":" in name or not name.endswith(".npy"):
+        source.refuse("a member of the archive is no array", repr(name[:80]), "names such as F.npy")
+    key = name.removesuffix(".npy")
+    if key in taken or not key:
+        source.refuse("a member of the archive has no name of its own", repr(name[:80]), "unique names")
+    return key
+
+
+def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: Source) -> bytes:
+    """Bytes of a member: never more than it declares, and with the right checksum."""
+    if member.flag_bits & 1:
+        source.refuse("the archive is encrypted", member.filename, "a plain archive")
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        source.refuse("unknown compression", f"{member.filename}: method {member.compress_type}", "stored or deflated")
+    with archive.open(member) as file:
+        data = file.read(member.file_size + 1)  # at its end the checksum is compared
+        if len(data) != member.file_size:
+            source.refuse("truncated archive", f"{member.filename}: {len(data)} bytes", f"{member.file_size} bytes")
+    return data
+
+
+# -- HDF5 and MAT files ------------------------------------------------------------------------------------------------
 # deflate, shuffle, fletcher32, szip, lzf: what the library itself brings, and nothing that loads a plug-in
 FILTERS = {1, 2, 3, 4, 32000}
 DEPTH = 16
