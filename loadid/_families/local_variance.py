@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from .._inverse.choice import Choice, ungraded
 from .._inverse.convolved.local_lines import LocalLinesPrior, Spectrum, local_lines
-from .._inverse.convolved.path import SpectralPath
 from .._inverse.local_prior import LocalPrior, local_prior, with_errors, with_misfit
 from .._results.facts import Facts
 from .answer import SolvedLoad, beyond_noise
@@ -62,18 +61,16 @@ def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callabl
     states : callable
         The same problem over the states of the model; None where it has none.
     """
-    if settings.penalty.variance == "local" and isinstance(posed.path, SpectralPath):
-        return _over_lines(posed, posed.path, load, asked=True)
+    if settings.penalty.variance == "local" and posed.spectrum is not None:
+        return _over_lines(posed, posed.spectrum, load, asked=True)
     if settings.penalty.variance == "local":
         assert posed.record is not None
         prior = local_prior(posed.record, stated=posed.noise.known)
         return _with_errors(prior, posed)
-    by_lines = posed.measured and isinstance(posed.path, SpectralPath)
-    if why := _not_asked(settings, load, LONGEST_LINES if by_lines else LONGEST):
+    if why := _not_asked(settings, load, LONGEST if posed.spectrum is None else LONGEST_LINES):
         return why
-    if by_lines:
-        assert isinstance(posed.path, SpectralPath)
-        return _over_lines(posed, posed.path, load)
+    if posed.spectrum is not None:
+        return _over_lines(posed, posed.spectrum, load)
     over = states()
     if over is None or over.record is None:
         return "the model has no states to learn it over, or too many"
@@ -81,11 +78,11 @@ def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callabl
     return _with_errors(prior, over) if prior.asked_for else Learned(prior, over, False)
 
 
-def _over_lines(posed: Posed, path: SpectralPath, load: Array, asked: bool = False) -> Learned | str:
+def _over_lines(posed: Posed, spectrum: Spectrum, load: Array, asked: bool = False) -> Learned | str:
     """Both priors of a problem that goes line by line."""
     known = posed.noise.known
     stated = known and posed.noise.source.kind != RESIDUAL
-    prior = local_lines(Spectrum.of(path), load, known=known, stated=stated)
+    prior = local_lines(spectrum, load, known=known, stated=stated)
     if isinstance(prior, str):
         return prior
     if not (asked or prior.asked_for):

@@ -29,7 +29,7 @@ ASSUMED = {"gain": 0.02, "frequency": 0.01, "damping": 0.2, "shape": 0.05}  # re
 
 
 @dataclass(frozen=True, eq=False)
-class Gains:
+class GainErrors:
     """Relative errors of the gains of sensors: their names and covariance (m, m)."""
 
     names: tuple[str, ...]
@@ -80,7 +80,7 @@ def nuisances(
     return Nuisances(tuple(names[i] for i in kept), covariance[np.ix_(kept, kept)], of)
 
 
-def gains(model: Model, rows: Array, stated: Mapping[str, float]) -> Gains | None:
+def gains(model: Model, rows: Array, stated: Mapping[str, float]) -> GainErrors | None:
     """Errors of the gains of a measured model: as stated, as its repeats show, or as assumed; None where none.
 
     What is assumed is the mean of an inverse gamma prior of their variance, of `DOUBT` degrees of freedom.
@@ -101,7 +101,7 @@ def gains(model: Model, rows: Array, stated: Mapping[str, float]) -> Gains | Non
         covariance *= (stdtrit(degrees, 0.975) / ndtri(0.975)) ** 2  # few repeats: Student's tails, at 95 %
     if not np.any(covariance):
         return None
-    return Gains(tuple(f"gain of {model.sensors[i].label}" for i in rows), covariance)
+    return GainErrors(tuple(f"gain of {model.sensors[i].label}" for i in rows), covariance)
 
 
 def _modes(model: Model, system: StateSpace) -> int:

@@ -18,6 +18,7 @@ from structures.errors import InputError, reals
 from ... import _guards as guards
 from ..._inverse import penalties
 from ..._inverse.constrained.nonnegative import NonNegativeRecord
+from ..._inverse.convolved.local_lines import Spectrum
 from ..._inverse.convolved.path import SpectralPath
 from ..._inverse.diagnosis import identifiability
 from ..._inverse.gaussian.record import WhitenedRecord
@@ -27,7 +28,7 @@ from ..._inverse.problem import NoiseSource
 from ...settings import Lambda, Noise, Penalty, one_of
 from .. import noise as noises
 from ..data import AS_RECORDED, Data
-from .model_errors import Gains, gains
+from .model_errors import GainErrors, gains
 
 Array = NDArray[Any]
 
@@ -195,10 +196,10 @@ class Posed:
         The data over the states of the model, where the problem is posed on them.
     nuisances : Nuisances, optional
         What the model may be wrong by, where the problem is posed on its states.
-    gains : Gains, optional
+    gains : GainErrors, optional
         The same of a measured model: the gains of its sensors.
-    measured : bool
-        By lines of measured FRFs.
+    spectrum : Spectrum, optional
+        The data over lines of measured FRFs, where the problem is posed on them.
     """
 
     path: RegularizationPath
@@ -214,8 +215,8 @@ class Posed:
     pushing: Callable[[ArrayLike | None], NonNegativeRecord] | None = None
     record: WhitenedRecord | None = None
     nuisances: Nuisances | None = None
-    gains: Gains | None = None
-    measured: bool = False
+    gains: GainErrors | None = None
+    spectrum: Spectrum | None = None
 
     @property
     def rank(self) -> int:
@@ -329,7 +330,7 @@ def lines(h: Array, values: Array, noise: noises.NoiseLevel, data: Data, setting
     """
     settings.refuse_special("line by line")
     H = np.fft.rfft(h, padded_length(len(values)), axis=0)
-    return _lines(H, h, values, noises.white(noise, len(values), len(H)), data, settings)
+    return replace(_lines(H, h, values, noises.white(noise, len(values), len(H)), data, settings), spectrum=None)
 
 
 def measured_lines(model: Model, data: Data, settings: PosingSettings) -> Posed:
@@ -347,8 +348,9 @@ def measured_lines(model: Model, data: Data, settings: PosingSettings) -> Posed:
     variance = model.frf_variance(f)
     variance = None if variance is None else variance[:, data.rows]
     noise = _measured_noise(model, data, settings, H[:, data.rows], model.noise_spectrum(f))
-    posed = _lines(H, h[: min(samples, model.samples or samples)], data.values, noise, data, settings, variance)
-    return replace(posed, gains=gains(model, np.asarray(data.rows), settings.noise.errors or {}), measured=True)
+    wrong = gains(model, np.asarray(data.rows), settings.noise.errors or {})
+    h = h[: min(samples, model.samples or samples)]
+    return replace(_lines(H, h, data.values, noise, data, settings, variance), gains=wrong)
 
 
 def measured_response(
@@ -413,7 +415,8 @@ def _lines(
     kappa, _, _ = identifiability.layout(path.c, path.unknowns)
     layout = kappa, path.rank, max(path.unknowns - path.rank, 0)
     compare = by_prediction(values, predict)
-    return Posed(path, noise.noise, compare, values, PADDED, h[:, data.rows], layout, full, path.unknowns, path)
+    return Posed(path, noise.noise, compare, values, PADDED, h[:, data.rows], layout, full, path.unknowns, path,
+                 spectrum=Spectrum.of(path))  # fmt: skip
 
 
 def _measured_noise(
