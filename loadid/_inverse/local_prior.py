@@ -39,6 +39,7 @@ GUESSED, SETTLED = 3, 8  # updates of constant variances: from each guess of the
 GAIN = 0.5  # ln evidence of an update below which it is the last
 ENERGY = 16  # samples to each side over which the energy of the response is averaged
 LEAST = 1e-14  # of the largest variance that is kept
+FARTHEST = 1e6  # factor of one update
 NOISELESS = 1e-8  # least variance of a learned noise, over the mean square of its channel: the filter's digits
 MEMORIES = (0.0, 2.0, 3.5, 6.0, 12.0, 30.0)  # samples
 FIRST = 3  # which of them is tried first
@@ -484,8 +485,9 @@ def quiet_correlation(rest: Array, power: Array, r: Array, there: Array | None =
 
 
 def ratio(up: Any, down: Any, power: float) -> Any:
-    """Factor of an update."""
-    return (np.maximum(up, 0.0) / np.maximum(down, TINY)) ** power
+    """Factor of an update, at most `FARTHEST`: expectations that cancelled to nothing tell no more."""
+    up, down = np.maximum(up, 0.0), np.maximum(down, TINY)
+    return (np.minimum(up, FARTHEST * down) / down) ** power
 
 
 def _sizes(record: WhitenedRecord) -> tuple[Array, Array]:

@@ -340,7 +340,7 @@ def leave_one_out(
         labels,
         source=f"{len(F)} hits, each predicted from the others",
     )
-    return certificate, np.array(gains).T @ np.array(gains) / len(F)
+    return certificate, np.einsum("hi,hj->ij", gains, gains) / len(F)
 
 
 # -- records ----------------------------------------------------------------------------------------------------------

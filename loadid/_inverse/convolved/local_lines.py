@@ -61,6 +61,8 @@ GUESSES = (0.1, 1e-3)  # share of the data that is noise, where nobody says
 LOUDER = 25.0  # power of the noise of a record over that of the tests
 ROUNDS = 3  # of looking for more loads
 ROWS = 2048  # of the band at once
+QUOTIENT = 1e8  # over the median response, of a line that was divided by nothing
+ROUNDING = 1e-13  # variance over that of the response, below which noise is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +90,11 @@ class Spectrum:
 
     @classmethod
     def of(cls, path: SpectralPath) -> Spectrum:
-        """That of a path."""
-        return cls(path.H, path.Y, path.samples, path.padded, path.variance, path.excess)
+        """That of a path; lines at which the force of the test was zero, and its quotient is none, say nothing."""
+        largest = np.abs(path.H).max(axis=(1, 2), keepdims=True)
+        told = largest < QUOTIENT * np.median(largest)
+        H, Y = np.where(told, path.H, 0.0), np.where(told[..., 0], path.Y, 0.0)
+        return cls(H, Y, path.samples, path.padded, path.variance, path.excess)
 
     @cached_property
     def weight(self) -> Array:
@@ -156,10 +161,12 @@ class Weighed:
         """Inverse of S, (lines, m, m), and its ln det."""
         H, m = self.spectrum.H, self.R.shape[1]
         S = np.einsum("kil,l,kjl->kij", H, self.floor, H.conj())
-        S[:, range(m), range(m)] += self.R
+        S[:, range(m), range(m)] += self.R + ROUNDING * np.einsum("kii->k", S).real[:, None]
         if m == 1:
             return 1 / S, np.log(S[:, 0, 0].real)
-        return np.linalg.inv(S), np.linalg.slogdet(S)[1]
+        L = np.linalg.cholesky(S)
+        inverse = np.linalg.solve(S, np.broadcast_to(np.eye(m), S.shape))
+        return inverse, 2 * np.sum(np.log(np.einsum("kii->ki", L).real), axis=1)
 
     @cached_property
     def _weighed(self) -> Lines:
@@ -187,7 +194,8 @@ class Weighed:
     def root(self) -> tuple[Array, Array]:
         """X with W = X X', and the diagonal of the Cholesky factor that it is made of."""
         q = np.sqrt(self.v).reshape(-1)
-        L = linalg.cholesky(np.eye(len(q)) + q[:, None] * self.M * q, lower=True)
+        told = q[:, None] * self.M * q
+        L = linalg.cholesky(told + (1.0 + ROUNDING * np.trace(told)) * np.eye(len(q)), lower=True)
         return np.asarray(linalg.solve_triangular(L, np.diag(q), lower=True).T), np.diag(L)
 
     @cached_property
