@@ -185,6 +185,10 @@ class Posed:
         The data over the states of the model, where the problem is posed on them.
     nuisances : Nuisances, optional
         What the model may be wrong by, where the problem is posed on its states.
+    white : callable, optional
+        Raw data (samples, sensors) -> data of the path; None where they cannot be made one by one.
+    floats : bool
+        Offsets of the data (`Data.offsets`) are unknowns of the path.
     """
 
     path: RegularizationPath
@@ -200,6 +204,8 @@ class Posed:
     pushing: Callable[[ArrayLike | None], NonNegativeRecord] | None = None
     record: WhitenedRecord | None = None
     nuisances: Nuisances | None = None
+    white: Callable[[Array], Array] | None = None
+    floats: bool = False
 
     @property
     def rank(self) -> int:
