@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,7 +148,8 @@ def _taken(data: Data, i: int, offset: Offset) -> Flag:
 CHANCE = 2.7e-3  # of constants as large as these where there are none: three standard deviations of one
 SURE = 3.0  # standard deviations
 LEAST = 1e-9  # of the largest reading, below which a constant is rounding
-ROUNDS = 3  # of constants that are taken off where they are no unknowns of the path
+ROUNDS = 3  # in which constants are taken off and the rest is fitted
+NEAR, SAME = 3.0, 0.1  # standard deviations of a constant that may stay: as an unknown, and where it is none
 ADVICE = "look at the amplifier; nothing to do where the channel is known to have an offset"
 
 
@@ -186,8 +186,8 @@ class Offsets:
             return (Flag("W206", found, f"channels have offsets that are not told from each other and from the load: "
                          f"{'; '.join(each)}{beside}", ADVICE),)  # fmt: skip
         return tuple(
-            Flag("W206", Evidence("offset over its std", float(r), SURE), f"channel {data.channels[i].label}: an offset "
-                 f"of {said[len(data.channels[i].label) + 1:]} was estimated with "
+            Flag("W206", Evidence("offset over its std", float(r), SURE), f"channel {data.channels[i].label}: an "
+                 f"offset of {said[len(data.channels[i].label) + 1:]} was estimated with "
                  f"the load and subtracted: no constant load makes it{beside}", ADVICE)
             for i, r, said in zip(self.channels, ratio, each, strict=True) if r > SURE
         )  # fmt: skip
@@ -232,23 +232,42 @@ def settled(
     blind = blind_to_constants(model, data)
     if blind is None or not blind.any():
         return first
-    known, new = data.floating, np.setdiff1d(np.flatnonzero(blind), data.floating)
+    new = np.setdiff1d(np.flatnonzero(blind), data.floating)
     found = told(first.posed, first.choice.lam, data, new)
-    if found is None or found.chance > CHANCE:
-        return _measured(first, posed, known) if len(known) else first
-    after = first
-    for _ in range(ROUNDS):
-        data = less(data, new, found.mean)
-        problem = posed(data)
-        after = Settled(data, problem, chosen(problem))
-        if problem.floats:
-            break
-        again = told(problem, after.choice.lam, data, new)
-        if again is None or np.all(np.abs(again.mean) <= 0.1 * np.sqrt(np.diag(again.covariance))):
-            break
-        found = again
-    after = _measured(after, posed, np.union1d(known, new))
+    largest = np.abs(data.values[:, new]).max(axis=0)
+    if found is None or found.chance > CHANCE or np.all(np.abs(found.mean) <= LEAST * largest):
+        return _centred(first, posed, chosen) if len(data.floating) else first
+    data = less(data, new, found.mean)
+    problem = posed(data)
+    after = _centred(Settled(data, problem, chosen(problem)), posed, chosen)
     return first if moving(after) else after
+
+
+def _centred(fit: Settled, posed: Callable[[Data], Posed], chosen: Callable[[Posed], Choice]) -> Settled:
+    """The fit of data whose constants are those that it finds, with what is known of these.
+
+    They are found by the same problem without the unknowns. Where they are unknowns, what is not taken off does not
+    matter to the load, but to what is read off the data as they are: scales, windows, where the load acts.
+    """
+    channels, data = fit.data.floating, fit.data
+    for last in range(ROUNDS):
+        bare = posed(replace(data, offsets=())) if fit.posed.floats else fit.posed
+        lam = fit.choice.lam * fit.choice.scale / float(bare.path.scale)
+        found = told(bare, max(lam, bare.path.range[0]) if lam else lam, data, channels)
+        if found is None:
+            return fit
+        std = np.sqrt(np.diag(found.covariance))
+        near = np.all(np.abs(found.mean) <= (NEAR if fit.posed.floats else SAME) * std)
+        if near or last == ROUNDS - 1:
+            break
+        data = less(data, channels, found.mean)
+        problem = posed(data)
+        fit = Settled(data, problem, chosen(problem))
+    if fit.posed.floats:
+        data = less(data, channels, found.mean)
+    offsets = Offsets(channels, np.array(data.offsets)[channels], std, fit.posed.floats)
+    data = replace(data, flags=offsets.flags(data))
+    return Settled(data, replace(fit.posed, values=data.values[-len(fit.posed.values) :]), fit.choice, offsets)
 
 
 def told(posed: Posed, lam: float, data: Data, channels: NDArray[np.int_]) -> Free | None:
@@ -272,10 +291,8 @@ def told(posed: Posed, lam: float, data: Data, channels: NDArray[np.int_]) -> Fr
         left.append(rest)
     point = posed.path.at(lam)
     objective = point.residual2 if point.objective is None else point.objective
-    found = free(np.array(columns), np.array(left), posed.path.residual(lam), float(objective), posed.path.m,
-                 1.0 if posed.noise.known else 0.0)  # fmt: skip
-    largest = np.abs(posed.values[:, channels]).max(axis=0)
-    return None if found is None or np.all(np.abs(found.mean) <= LEAST * largest) else found
+    return free(np.array(columns), np.array(left), posed.path.residual(lam), float(objective), posed.path.m,
+                1.0 if posed.noise.known else 0.0)  # fmt: skip
 
 
 def less(data: Data, channels: NDArray[np.int_], value: Array) -> Data:
@@ -285,20 +302,6 @@ def less(data: Data, channels: NDArray[np.int_], value: Array) -> Data:
     before = np.array(data.offsets) if data.offsets else np.zeros(len(taken))
     values = np.where(data.missing, 0.0, data.values - taken)
     return replace(data, values=values, offsets=tuple((before + taken).tolist()))
-
-
-def _measured(fit: Settled, posed: Callable[[Data], Posed], channels: NDArray[np.int_]) -> Settled:
-    """The fit with the offsets of channels, and its data less these: by the same problem without the unknowns."""
-    bare = posed(replace(fit.data, offsets=())) if fit.posed.floats else fit.posed
-    lam = fit.choice.lam * fit.choice.scale / float(bare.path.scale)
-    found = told(bare, max(lam, bare.path.range[0]) if lam else lam, fit.data, channels)
-    if found is None:
-        return fit
-    data = less(fit.data, channels, found.mean) if fit.posed.floats else fit.data
-    offsets = Offsets(channels, np.array(data.offsets)[channels], np.sqrt(np.diag(found.covariance)), fit.posed.floats)
-    data = replace(data, flags=offsets.flags(data))
-    values = data.values[-len(fit.posed.values) :]
-    return Settled(data, replace(fit.posed, values=values), fit.choice, offsets)
 
 
 def _unit(data: Data, i: int) -> str:

@@ -257,7 +257,7 @@ def measured(systems: Augmented | Sequence[Augmented], y: ArrayLike, noise: Nois
 
 
 def whitened(y: Array, noise: Noise) -> tuple[Array, NDArray[np.intp], list[Array]]:
-    """Whitened data (samples, sensors) of raw ones with NaN; pattern of channels of each sample, root of each pattern."""
+    """Whitened data of raw ones (samples, sensors) with NaN, the pattern of channels of each sample, and its root."""
     patterns, pattern = np.ones((1, y.shape[1]), bool), np.zeros(len(y), np.intp)
     if np.isnan(y).any():
         patterns, places = np.unique(~np.isnan(y), axis=0, return_inverse=True)
