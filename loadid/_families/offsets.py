@@ -233,14 +233,24 @@ def settled(
     if blind is None or not blind.any():
         return first
     new = np.setdiff1d(np.flatnonzero(blind), data.floating)
-    found = told(first.posed, first.choice.lam, data, new)
-    largest = np.abs(data.values[:, new]).max(axis=0)
-    if found is None or found.chance > CHANCE or np.all(np.abs(found.mean) <= LEAST * largest):
+    found = _beyond_chance(first, new)
+    if found is None:
         return _centred(first, posed, chosen) if len(data.floating) else first
     data = less(data, new, found.mean)
     problem = posed(data)
     after = _centred(Settled(data, problem, chosen(problem)), posed, chosen)
     return first if moving(after) else after
+
+
+def _beyond_chance(fit: Settled, channels: NDArray[np.int_]) -> Free | None:
+    """Constants of channels, at the lambda in use or at that of the evidence, which an offset leads astray the least."""
+    evidence = [r.lam for r in fit.choice.rules if r.rule == "evidence" and r.lam is not None]
+    each = [told(fit.posed, lam, fit.data, channels) for lam in dict.fromkeys([fit.choice.lam, *evidence])]
+    found = min((one for one in each if one is not None), key=lambda one: one.chance, default=None)
+    if found is None or found.chance > CHANCE:
+        return None
+    largest = np.abs(fit.data.values[:, channels]).max(axis=0)
+    return found if np.any(np.abs(found.mean) > LEAST * largest) else None
 
 
 def _centred(fit: Settled, posed: Callable[[Data], Posed], chosen: Callable[[Posed], Choice]) -> Settled:

@@ -137,7 +137,7 @@ def dense(h: Array, values: Array, noise: noises.NoiseLevel, data: Data, setting
     if (sizes := settings.sizes(loads)) is not None:
         L = np.vstack([np.eye(n) if L is None else L, np.kron(np.eye(samples), np.diag(sizes))])
     problem, constant = LinearProblem.whitened(T, values, noise.level, L, (samples, loads)), None
-    if len(floating := data.floating) and settings.signed is False:
+    if len(floating := data.floating) and settings.signed is False and not settings.free:
         constant = whiten(np.eye(values.shape[1])[:, floating], noise.level, 0)  # (kept, offsets) at every sample
         problem = problem.without(np.tile(constant, (samples, 1)))
     path = SVDPath(problem, truncated=settings.truncated)
