@@ -22,6 +22,7 @@ from .._inverse.choice import Choice
 from .._inverse.nuisances import Free, free
 from .._quality import OFFSET, quiet_part
 from .data import Data
+from .noise import noise_level
 from .posing import Posed
 
 Array = NDArray[np.float64]
@@ -243,7 +244,7 @@ def settled(
 
 
 def _beyond_chance(fit: Settled, channels: NDArray[np.int_]) -> Free | None:
-    """Constants of channels, at the lambda in use or at that of the evidence, which an offset leads astray the least."""
+    """Constants of channels, at the lambda in use or at that of the evidence, which an offset leads astray least."""
     evidence = [r.lam for r in fit.choice.rules if r.rule == "evidence" and r.lam is not None]
     each = [told(fit.posed, lam, fit.data, channels) for lam in dict.fromkeys([fit.choice.lam, *evidence])]
     found = min((one for one in each if one is not None), key=lambda one: one.chance, default=None)
@@ -266,7 +267,7 @@ def _centred(fit: Settled, posed: Callable[[Data], Posed], chosen: Callable[[Pos
         found = told(bare, max(lam, bare.path.range[0]) if lam else lam, data, channels)
         if found is None:
             return fit
-        std = np.sqrt(np.diag(found.covariance))
+        std = noise_level(fit.posed.path, fit.choice, fit.posed.noise) * found.std
         near = np.all(np.abs(found.mean) <= (NEAR if fit.posed.floats else SAME) * std)
         if near or last == ROUNDS - 1:
             break

@@ -144,13 +144,22 @@ class Free:
     ----------
     mean : array, shape (k,)
     covariance : array, shape (k, k)
+        For noise of unit level.
+    noise2 : float
+        Variance of the noise that the data show, load and parameters taken off.
     chance : float
         Of values as far from zero, where they are zero.
     """
 
     mean: Array
     covariance: Array
+    noise2: float
     chance: float
+
+    @property
+    def std(self) -> Array:
+        """For unit noise, shape (k,)."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 def free(columns: Array, left: Array, residual: Array, objective: float, m: int, least: float) -> Free | None:
@@ -184,8 +193,8 @@ def free(columns: Array, left: Array, residual: Array, objective: float, m: int,
     seen = V.T @ (flat @ residual.ravel())
     explained = float(np.sum(seen**2 / w))
     noise2 = max((objective - explained) / (m - k), least, np.finfo(float).tiny)
-    covariance = noise2 * (V / w) @ V.T / size / size[:, None]
-    return Free(V @ (seen / w) / size, covariance, float(fdtrc(k, m - k, explained / k / noise2)))
+    covariance = (V / w) @ V.T / size / size[:, None]
+    return Free(V @ (seen / w) / size, covariance, noise2, float(fdtrc(k, m - k, explained / k / noise2)))
 
 
 def _odds(mean: Array, w: Array, V: Array, after: Array) -> float:
