@@ -75,7 +75,7 @@ def test_load_band_and_constants_are_those_of_dense_least_squares(path: str, pen
     ratio = found.posterior.std[:, 0] / std[:-2]
     assert np.ptp(ratio) < 1e-8 * ratio.min()
     said = [line.split() for line in found.facts.offsets]
-    assert [line[0] for line in said] == ["s0", "s1"] and all(line[-1] == "m/s^2" for line in said)
+    assert [(line[0], line[-1]) for line in said] == [("s0", "m/s^2"), ("s1", "m/s^2")]
     assert [float(line[1]) for line in said] == pytest.approx(exact[-2:], rel=1e-3)
     level = [float(line[3]) for line in said]
     assert level[0] / level[1] == pytest.approx(std[-2] / std[-1], rel=0.05)  # two digits are printed
@@ -110,7 +110,8 @@ def test_generalised_least_squares() -> None:
     known = C @ inverse @ C.T
     assert found.mean == pytest.approx(np.linalg.solve(known, C @ inverse @ y))
     noise2 = max((y @ inverse @ y - found.mean @ known @ found.mean) / 28, 1.0)
-    assert found.covariance == pytest.approx(np.linalg.inv(known)) and found.noise2 == pytest.approx(noise2)
+    assert found.covariance == pytest.approx(np.linalg.inv(known))
+    assert found.noise2 == pytest.approx(noise2)
     assert found.chance < 1e-3
     assert free(C, 0 * C, inverse @ y, 1.0, 30, 1.0) is None
 
@@ -125,7 +126,8 @@ def test_the_answer_is_that_of_the_record_without_the_constant(stated: bool, var
     answers = [family.estimate(y + off * y.std(axis=0) * [1, 0, -0.5], DT) for off in (0.1, 1.0)]
     for found in answers:
         assert np.linalg.norm(found.load - clean.load) < 0.2 * np.linalg.norm(clean.std)
-        assert len(found.facts.offsets) == 2 and "LID-W206" in [f.code for f in found.flags]
+        assert len(found.facts.offsets) == 2
+        assert "LID-W206" in [f.code for f in found.flags]
     assert np.linalg.norm(answers[0].load - answers[1].load) < 0.02 * np.linalg.norm(clean.std)
 
 
@@ -141,7 +143,7 @@ def test_with_lambda_given_a_constant_changes_nothing() -> None:
 def test_a_displacement_keeps_its_constant() -> None:
     """A static load may have made it: it is the load's."""
     lasers = model(sensors.Displacement, sensors.Displacement)
-    load, y, noise = recorded(lasers, start=0, samples=300)
+    load, noise = np.zeros((300, 1)), recorded(lasers)[2]
     load[5:] = 30.0
     clean = lasers.state_space(DT).simulate(load)
     found = Deconvolution(lasers, noise=noise).estimate(clean + noise * np.random.default_rng(0).standard_normal(
@@ -156,11 +158,12 @@ def test_a_clean_record_is_answered_as_without_the_question(monkeypatch: pytest.
     monkeypatch.setattr(offsets, "told", lambda *given: None)
     found = Deconvolution(TWO, noise=noise).estimate(y, DT)
     assert "offsets" not in asked.facts
-    assert np.array_equal(asked.load, found.load) and np.array_equal(asked.std, found.std)
+    assert np.array_equal(asked.load, found.load)
+    assert np.array_equal(asked.std, found.std)
 
 
 def test_false_alarms_and_bands_over_seeds() -> None:
-    """Loads drawn from the prior: clean records keep their answer but by chance, constants and loads lie in their bands."""
+    """Loads of the prior: clean records keep their answer but by chance, constants and loads lie in their bands."""
     alarms, constants, off, samples = 0, [], [], 160
     H, noise = operator(TWO.state_space(DT), samples)[..., 0], np.array([40.0, 60.0])
     lam = 3e-3 * np.linalg.norm((H / noise[:, None]).reshape(-1, samples), 2)
@@ -176,7 +179,7 @@ def test_false_alarms_and_bands_over_seeds() -> None:
             constants.append((float(line.split()[1]) - true) / float(line.split()[3]))
     assert alarms <= 2
     assert 0.8 < np.sqrt(np.mean(np.square(constants))) < 1.2
-    assert 0.95 < np.sqrt(np.mean(np.square(off))) < 1.05
+    assert 0.9 < np.sqrt(np.mean(np.square(off))) < 1.05  # the noise level of a band is that stated, or above it
 
 
 def test_a_record_that_starts_in_motion_is_said_to(monkeypatch: pytest.MonkeyPatch) -> None:
