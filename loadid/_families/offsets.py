@@ -146,8 +146,9 @@ def _taken(data: Data, i: int, offset: Offset) -> Flag:
                 f"{_unit(data, i)} ({offset.shown_by}) was subtracted: no constant load makes it", ADVICE)  # fmt: skip
 
 
-CHANCE = 2.7e-3  # of constants as large as these where there are none: three standard deviations of one
+CHANCE = 6.3e-5  # of constants as large as these where there are none: four standard deviations of one
 SURE = 3.0  # standard deviations
+BESIDE = 8  # slow lines that a constant has to stand out of
 LEAST = 1e-9  # of the largest reading, below which a constant is rounding
 ROUNDS = 3  # in which constants are taken off and the rest is fitted
 NEAR, SAME = 3.0, 0.1  # standard deviations of a constant that may stay: as an unknown, and where it is none
@@ -246,12 +247,37 @@ def settled(
 def _beyond_chance(fit: Settled, channels: NDArray[np.int_]) -> Free | None:
     """Constants of channels, at the lambda in use or at that of the evidence, which an offset leads astray least."""
     evidence = [r.lam for r in fit.choice.rules if r.rule == "evidence" and r.lam is not None]
-    each = [told(fit.posed, lam, fit.data, channels) for lam in dict.fromkeys([fit.choice.lam, *evidence])]
-    found = min((one for one in each if one is not None), key=lambda one: one.chance, default=None)
-    if found is None or found.chance > CHANCE:
+    values = fit.data.values[:, channels]
+    largest = np.abs(values).max(axis=0)
+    if np.any(np.ptp(values, axis=0) == 0):  # what is nothing else has no constant
         return None
-    largest = np.abs(fit.data.values[:, channels]).max(axis=0)
-    return found if np.any(np.abs(found.mean) > LEAST * largest) else None
+    for lam in dict.fromkeys([fit.choice.lam, *evidence]):
+        found = told(fit.posed, lam, fit.data, channels)
+        if found is None or found.chance() > CHANCE or np.all(np.abs(found.mean) <= LEAST * largest):
+            continue
+        if found.chance(_unrest(fit, lam, channels, found)) <= CHANCE:
+            return found
+    return None
+
+
+def _unrest(fit: Settled, lam: float, channels: NDArray[np.int_], found: Free) -> float:
+    """Mean square of the slowest lines of channels without their constants, over what the fit expects of them.
+
+    Loads that are slower than the prior has them, and noise that grows towards 0 Hz, make constants too, but never
+    alone.
+    """
+    posed, samples = fit.posed, len(fit.posed.values)
+    lines = np.cos(np.pi * np.arange(1, BESIDE + 1)[:, None] * (np.arange(samples) + 0.5) / samples)
+    constants = _responses(posed, lam, fit.data, channels, np.ones((1, samples)))
+    slow = _responses(posed, lam, fit.data, channels, lines)
+    if constants is None or slow is None:
+        return 1.0
+    rest = posed.path.residual(lam).ravel() - found.mean @ constants[1]
+    shared = slow[0] @ constants[1].T
+    expected = np.sum(slow[0] * slow[1], axis=1) - np.sum((shared @ found.covariance) * shared, axis=1)
+    size2 = np.sum(slow[0] ** 2, axis=1)
+    ratio = (slow[0] @ rest) ** 2 / np.maximum(expected, LEAST * size2) / found.noise2
+    return float(np.mean(ratio))
 
 
 def _centred(fit: Settled, posed: Callable[[Data], Posed], chosen: Callable[[Posed], Choice]) -> Settled:
@@ -289,21 +315,32 @@ def told(posed: Posed, lam: float, data: Data, channels: NDArray[np.int_]) -> Fr
     channels : array of int
         Whose constants are no unknowns of this fit.
     """
+    made = _responses(posed, lam, data, channels, np.ones((1, len(posed.values))))
+    if made is None:
+        return None
+    point = posed.path.at(lam)
+    objective = point.residual2 if point.objective is None else point.objective
+    least = 1.0 if posed.noise.known else 0.0
+    return free(*made, posed.path.residual(lam).ravel(), float(objective), posed.path.m, least)
+
+
+def _responses(
+    posed: Posed, lam: float, data: Data, channels: NDArray[np.int_], lines: Array
+) -> tuple[Array, Array] | None:
+    """Histories (k, samples) in each channel as data of the path, and what is left of these: (lines * channels, m)."""
     if posed.white is None or not len(channels):
         return None
     missing, columns, left = data.missing[-len(posed.values) :], [], []
-    for i in channels:
-        raw = np.zeros_like(posed.values)
-        raw[:, i] = ~missing[:, i]
-        columns.append(posed.white(raw))
-        rest = posed.path.left_of(columns[-1], lam)
-        if rest is None:
-            return None
-        left.append(rest)
-    point = posed.path.at(lam)
-    objective = point.residual2 if point.objective is None else point.objective
-    return free(np.array(columns), np.array(left), posed.path.residual(lam), float(objective), posed.path.m,
-                1.0 if posed.noise.known else 0.0)  # fmt: skip
+    for line in lines:
+        for i in channels:
+            raw = np.zeros_like(posed.values)
+            raw[:, i] = np.where(missing[:, i], 0.0, line)
+            columns.append(posed.white(raw))
+            rest = posed.path.left_of(columns[-1], lam)
+            if rest is None:
+                return None
+            left.append(rest)
+    return np.array(columns).reshape(len(columns), -1), np.array(left).reshape(len(left), -1)
 
 
 def less(data: Data, channels: NDArray[np.int_], value: Array) -> Data:

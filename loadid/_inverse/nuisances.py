@@ -147,14 +147,24 @@ class Free:
         For noise of unit level.
     noise2 : float
         Variance of the noise that the data show, load and parameters taken off.
-    chance : float
-        Of values as far from zero, where they are zero.
+    explained : float
+        What they take off the objective.
+    left : int
+        Degrees of freedom of `noise2`.
     """
 
     mean: Array
     covariance: Array
     noise2: float
-    chance: float
+    explained: float
+    left: int
+
+    def chance(self, excess: float = 1.0) -> float:
+        """Of values as far from zero where they are zero, and noise like them has up to this variance over `noise2`."""
+        from scipy.special import fdtrc
+
+        k = len(self.mean)
+        return float(fdtrc(k, self.left, self.explained / k / self.noise2 / max(excess, 1.0)))
 
     @property
     def std(self) -> Array:
@@ -178,8 +188,6 @@ def free(columns: Array, left: Array, residual: Array, objective: float, m: int,
     least : float
         Variance of the noise of these data, which they may contradict upwards alone; 0 where it is not known.
     """
-    from scipy.special import fdtrc
-
     k = len(columns)
     flat = columns.reshape(k, -1)
     size = np.sqrt(np.sum(flat**2, axis=1))
@@ -194,7 +202,7 @@ def free(columns: Array, left: Array, residual: Array, objective: float, m: int,
     explained = float(np.sum(seen**2 / w))
     noise2 = max((objective - explained) / (m - k), least, np.finfo(float).tiny)
     covariance = (V / w) @ V.T / size / size[:, None]
-    return Free(V @ (seen / w) / size, covariance, noise2, float(fdtrc(k, m - k, explained / k / noise2)))
+    return Free(V @ (seen / w) / size, covariance, noise2, explained, m - k)
 
 
 def _odds(mean: Array, w: Array, V: Array, after: Array) -> float:

@@ -64,17 +64,22 @@ def errors(count: int, seed: int) -> None:
         size = np.linalg.norm(given.truth)
         error = [np.linalg.norm(e.load - given.truth) / size for e in (clean, found)]
         inside = [np.mean(np.abs(e.load - given.truth) <= 2 * e.std) for e in (clean, found)]
-        rows.append([error[1] / error[0], *inside, plain, asked, cost, "offsets" in clean.facts, "offsets" in found.facts,
-                     np.array_equal(before.load, clean.load)])  # fmt: skip
+        said = ["offsets" in e.facts for e in (clean, found)]
+        rows.append([error[1] / error[0], *inside, plain, asked, cost, *said, np.array_equal(before.load, clean.load)])
         if not 0.8 < rows[-1][0] < 1.2:
-            print(f"{number}: {len(given.record)} samples, offset {np.abs(off / given.sigma).max():.2g} noise, error "
-                  f"{error[0]:.3f} -> {error[1]:.3f}, grade {clean.grade.letter} -> {found.grade.letter}", flush=True)  # fmt: skip
+            print(
+                f"{number}: {len(given.record)} samples, offset {np.abs(off / given.sigma).max():.2g} noise, error "
+                f"{error[0]:.3f} -> {error[1]:.3f}, grade {clean.grade.letter} -> {found.grade.letter}",
+                flush=True,
+            )
     ratio, one, two, plain, asked, cost, alarms, said, same = np.array(rows, float).T
     print(f"{count} problems: error over that of the clean record, median {np.median(ratio):.3f}, "
           f"> 1.2 in {np.sum(ratio > 1.2)}, > 1.5 in {np.sum(ratio > 1.5)}, > 3 in {np.sum(ratio > 3)}")  # fmt: skip
     print(f"within 2 std: {np.mean(one):.3f} clean, {np.mean(two):.3f} with offsets; said in {np.sum(said):.0f}")
-    print(f"clean records: {np.sum(alarms):.0f} false alarms, the same answer in {np.sum(same):.0f}; CPU "
-          f"{asked.sum() / plain.sum():.2f} of that without asking, {cost.sum() / plain.sum():.2f} with offsets")  # fmt: skip
+    print(
+        f"clean records: {np.sum(alarms):.0f} false alarms, the same answer in {np.sum(same):.0f}; CPU "
+        f"{asked.sum() / plain.sum():.2f} of that without asking, {cost.sum() / plain.sum():.2f} with offsets"
+    )
 
 
 def long_records() -> None:
