@@ -148,6 +148,7 @@ def _taken(data: Data, i: int, offset: Offset) -> Flag:
 
 CHANCE = 6.3e-5  # of constants as large as these where there are none: four standard deviations of one
 SURE = 3.0  # standard deviations
+SMALLER = (0.1, 0.01)  # of the smaller lambda: there the load may make more of a constant, and alarms are fewer
 BESIDE = 8  # slow lines that a constant has to stand out of
 LEAST = 1e-9  # of the largest reading, below which a constant is rounding
 ROUNDS = 3  # in which constants are taken off and the rest is fitted
@@ -245,13 +246,17 @@ def settled(
 
 
 def _beyond_chance(fit: Settled, channels: NDArray[np.int_]) -> Free | None:
-    """Constants of channels, at the lambda in use or at that of the evidence, which an offset leads astray least."""
+    """Constants of channels that are beyond chance at a lambda in use, or at smaller ones: an offset makes it large."""
     evidence = [r.lam for r in fit.choice.rules if r.rule == "evidence" and r.lam is not None]
     values = fit.data.values[:, channels]
     largest = np.abs(values).max(axis=0)
     if np.any(np.ptp(values, axis=0) == 0):  # what is nothing else has no constant
         return None
-    for lam in dict.fromkeys([fit.choice.lam, *evidence]):
+    lams = [fit.choice.lam, *evidence]
+    lams += [
+        max(min(lams) * share, fit.posed.path.range[0]) for share in SMALLER if min(lams) > fit.posed.path.range[0]
+    ]
+    for lam in dict.fromkeys(lams):
         found = told(fit.posed, lam, fit.data, channels)
         if found is None or found.chance() > CHANCE or np.all(np.abs(found.mean) <= LEAST * largest):
             continue
@@ -293,15 +298,14 @@ def _centred(fit: Settled, posed: Callable[[Data], Posed], chosen: Callable[[Pos
         found = told(bare, max(lam, bare.path.range[0]) if lam else lam, data, channels)
         if found is None:
             return fit
-        std = noise_level(fit.posed.path, fit.choice, fit.posed.noise) * found.std
-        near = np.all(np.abs(found.mean) <= (NEAR if fit.posed.floats else SAME) * std)
-        if near or last == ROUNDS - 1:
+        left, std = found.mean, noise_level(fit.posed.path, fit.choice, fit.posed.noise) * found.std
+        if last == ROUNDS - 1 or np.all(np.abs(left) <= (NEAR if fit.posed.floats else SAME) * std):
             break
-        data = less(data, channels, found.mean)
+        data = less(data, channels, left)
         problem = posed(data)
         fit = Settled(data, problem, chosen(problem))
     if fit.posed.floats:
-        data = less(data, channels, found.mean)
+        data = less(data, channels, left)
     offsets = Offsets(channels, np.array(data.offsets)[channels], std, fit.posed.floats)
     data = replace(data, flags=offsets.flags(data))
     return Settled(data, replace(fit.posed, values=data.values[-len(fit.posed.values) :]), fit.choice, offsets)
