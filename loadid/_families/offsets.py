@@ -177,7 +177,7 @@ class Offsets:
 
     def words(self, data: Data) -> tuple[str, ...]:
         """Each with its std and unit."""
-        return tuple(f"{data.channels[i].label} {v:.4g} +- {s:.2g}{_unit(data, i)}"
+        return tuple(f"{data.channels[i].label}: {v:.4g} +- {s:.2g}{_unit(data, i)}"
                      for i, v, s in zip(self.channels, self.value, self.std, strict=True))  # fmt: skip
 
     def flags(self, data: Data) -> tuple[Flag, ...]:
@@ -190,7 +190,7 @@ class Offsets:
                          f"{'; '.join(each)}{beside}", ADVICE),)  # fmt: skip
         return tuple(
             Flag("W206", Evidence("offset over its std", float(r), SURE), f"channel {data.channels[i].label}: an "
-                 f"offset of {said[len(data.channels[i].label) + 1:]} was estimated with "
+                 f"offset of {said[len(data.channels[i].label) + 2 :]} was estimated with "
                  f"the load and subtracted: no constant load makes it{beside}", ADVICE)
             for i, r, said in zip(self.channels, ratio, each, strict=True) if r > SURE
         )  # fmt: skip

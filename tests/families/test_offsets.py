@@ -75,7 +75,7 @@ def test_load_band_and_constants_are_those_of_dense_least_squares(path: str, pen
     ratio = found.posterior.std[:, 0] / std[:-2]
     assert np.ptp(ratio) < 1e-8 * ratio.min()
     said = [line.split() for line in found.facts.offsets]
-    assert [(line[0], line[-1]) for line in said] == [("s0", "m/s^2"), ("s1", "m/s^2")]
+    assert [(line[0], line[-1]) for line in said] == [("s0:", "m/s^2"), ("s1:", "m/s^2")]
     assert [float(line[1]) for line in said] == pytest.approx(exact[-2:], rel=1e-3)
     level = [float(line[3]) for line in said]
     assert level[0] / level[1] == pytest.approx(std[-2] / std[-1], rel=0.05)  # two digits are printed
