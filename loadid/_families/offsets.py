@@ -149,6 +149,7 @@ def _taken(data: Data, i: int, offset: Offset) -> Flag:
 CHANCE = 6.3e-5  # of constants as large as these where there are none: four standard deviations of one
 SURE = 3.0  # standard deviations
 SMALLER = (0.1, 0.01)  # of the smaller lambda: there the load may make more of a constant, and alarms are fewer
+RESTLESS = 10.0  # mean square of slow lines over what is expected, beyond which a fit tells nothing of constants
 BESIDE = 8  # slow lines that a constant has to stand out of
 LEAST = 1e-9  # of the largest reading, below which a constant is rounding
 ROUNDS = 3  # in which constants are taken off and the rest is fitted
@@ -260,7 +261,8 @@ def _beyond_chance(fit: Settled, channels: NDArray[np.int_]) -> Free | None:
         found = told(fit.posed, lam, fit.data, channels)
         if found is None or found.chance() > CHANCE or np.all(np.abs(found.mean) <= LEAST * largest):
             continue
-        if found.chance(_unrest(fit, lam, channels, found)) <= CHANCE:
+        unrest = _unrest(fit, lam, channels, found)
+        if unrest <= RESTLESS and found.chance(unrest) <= CHANCE:
             return found
     return None
 
