@@ -72,6 +72,11 @@ class Data:
         return len(self.values) * self.dt
 
     @property
+    def floating(self) -> NDArray[np.int_]:
+        """Used channels whose offset was subtracted, what is left of which is an unknown."""
+        return np.flatnonzero(self.offsets)
+
+    @property
     def rms(self) -> NDArray[np.float64]:
         """Root mean square of the recorded samples of every channel, shape (used sensors,)."""
         return np.asarray(np.sqrt(np.sum(self.values**2, axis=0) / np.maximum(np.sum(~self.missing, axis=0), 1)))

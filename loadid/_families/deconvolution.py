@@ -22,6 +22,7 @@ from .._inverse.diagnosis import identifiability
 from .._inverse.gaussian.coarse import confirm
 from .._inverse.penalties import order
 from .._results.estimate import LoadEstimate
+from .._results.facts import Facts
 from .._spellings import takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import histories, local_variance
@@ -29,8 +30,9 @@ from .answer import Overlooked, SolvedLoad, answer, beyond_noise, of_path, of_re
 from .data import Data, gather
 from .histories import facts as pushing_facts
 from .histories import flags as pushing_flags
-from .histories import half_width, kurtosis, push, signs, without_offsets
+from .histories import half_width, kurtosis, push, signs
 from .noise import noise_level
+from .offsets import Settled, settled, without_offsets
 from .posing import UNUSABLE, Posed, PosingSettings, diagonal, on_states, pose
 
 PROCESS = (
@@ -138,10 +140,8 @@ class Deconvolution:
         data = gather(record, dt, self.model, self.sensors, allow_missing=True)
         data = without_offsets(data, self.model, at_rest=self.settings.resting, allow=self.settings.allow)
         self._progress(0.1, "posing the problem")
-        posed = pose(self.model, data, self.settings)
-        self._refuse_undetermined(posed)
-        self._progress(0.5, "choosing lambda")
-        choice = self._choose(posed)
+        fit = settled(self.model, data, self._pose, self._choose, self._in_motion)
+        data, posed, choice = fit.data, fit.posed, fit.choice
         self._progress(0.9, "estimating the load")
         posed.path.precompute(choice.lam, lambda f, t: self._progress(0.9 + 0.09 * f, t))
         # a residual above the stated noise is model error: the band must not be narrower than what is seen
@@ -151,6 +151,8 @@ class Deconvolution:
             keep = self.choice is not None
             pushed, choice = push(posed, choice, sigma, signed, keep, lambda f, t: self._progress(0.7 + 0.2 * f, t))
         found = self._found(posed, choice, sigma, data, pushed)
+        if fit.offsets is not None:
+            found = replace(found, facts=Facts.of({**found.facts, "offsets": fit.offsets.words(data)}))
         local = local_variance.learned(posed, self.settings, found.load, lambda: self._over_states(posed, data))
         found = local_variance.replaced(found, local, choice, data.dt)
         prior, pushes = local_variance.words(local), "" if pushed is None else "; it only pushes"
@@ -197,8 +199,18 @@ class Deconvolution:
             return None
         return of_record(posed.h, data.values, data.dt, posed.noise, data.channels)
 
+    def _pose(self, data: Data) -> Posed:
+        posed = pose(self.model, data, self.settings)
+        self._refuse_undetermined(posed)
+        return posed
+
+    def _in_motion(self, fit: Settled) -> bool:
+        sigma = noise_level(fit.posed.path, fit.choice, fit.posed.noise)
+        return self._beginning(fit.posed, fit.choice, fit.data, sigma) is not None
+
     def _choose(self, posed: Posed) -> Choice:
         """Lambda by the rules: of a long record on windows first, then on the whole."""
+        self._progress(0.5, "choosing lambda")
         sigma, source = posed.noise.sigma, posed.noise.source
         if isinstance(self.choice, float) and posed.path.coefficients is None:
             return given(posed.path, self.choice, sigma=sigma, source=source)

@@ -27,7 +27,7 @@ from ..settings import Guards, Lambda, Noise, Search
 from . import noise as noises
 from .data import Data, gather
 from .deconvolution import Deconvolution
-from .histories import without_offsets
+from .offsets import without_offsets
 from .posing.locating import (
     DENSE,
     CandidateLoads,

@@ -29,7 +29,7 @@ from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, Sparsity
 from . import histories
 from .answer import SolvedLoad, answer, beyond_noise, over_time
 from .data import Data, gather
-from .histories import without_offsets
+from .offsets import without_offsets
 from .posing import PosingSettings
 from .posing.sparsity import SparseChoice, Wanted, amplitude_share, choose, pose
 

@@ -140,6 +140,78 @@ def marginal(
     return Marginal(mean, after, step, np.array(pulled), 0.5 * float(step @ known @ step), _odds(mean, w, V, after))
 
 
+TOLD = 1e-10  # share of a column that no load may make, below which its parameter is not told
+
+
+@dataclass(frozen=True, eq=False)
+class Free:
+    """Parameters without a prior, by generalised least squares.
+
+    Parameters
+    ----------
+    mean : array, shape (k,)
+    covariance : array, shape (k, k)
+        For noise of unit level.
+    noise2 : float
+        Variance of the noise that the data show, load and parameters taken off.
+    explained : float
+        What they take off the objective.
+    left : int
+        Degrees of freedom of `noise2`.
+    """
+
+    mean: Array
+    covariance: Array
+    noise2: float
+    explained: float
+    left: int
+
+    def chance(self, excess: float = 1.0) -> float:
+        """Of values as far from zero where they are zero, and noise like them has up to this variance over `noise2`."""
+        from scipy.special import fdtrc
+
+        k = len(self.mean)
+        return float(fdtrc(k, self.left, self.explained / k / self.noise2 / max(excess, 1.0)))
+
+    @property
+    def std(self) -> Array:
+        """For unit noise, shape (k,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def free(columns: Array, left: Array, residual: Array, objective: float, m: int, least: float) -> Free | None:
+    """Parameters ``b`` of ``y = H g + C b + e`` that nothing is known of; None where no data tell them from the load.
+
+    Parameters
+    ----------
+    columns : array, shape (k, ...)
+        Data C that a unit of each makes.
+    left, residual : array, shapes (k, ...), (...)
+        K^-1 times the columns and times the data.
+    objective : float
+        ``y' K^-1 y``.
+    m : int
+        Number of data.
+    least : float
+        Variance of the noise of these data, which they may contradict upwards alone; 0 where it is not known.
+    """
+    k = len(columns)
+    flat = columns.reshape(k, -1)
+    size = np.sqrt(np.sum(flat**2, axis=1))
+    if m <= k or not size.all():
+        return None
+    flat = flat / size[:, None]
+    known = flat @ left.reshape(k, -1).T / size
+    w, V = np.linalg.eigh((known + known.T) / 2)
+    if w[0] <= TOLD:
+        return None
+    seen = V.T @ (flat @ residual.ravel())
+    explained = float(np.sum(seen**2 / w))
+    noise2 = max((objective - explained) / (m - k), least, np.finfo(float).tiny)
+    covariance = (V / w) @ V.T / size / size[:, None]
+    return Free(V @ (seen / w) / size, covariance, noise2, explained, m - k)
+
+
 def _odds(mean: Array, w: Array, V: Array, after: Array) -> float:
     """Tail of chi squared of a posterior mean in units of its prior V diag(w) V', with the degrees that data told."""
     from scipy.special import gammaincc

@@ -152,6 +152,10 @@ class RegularizationPath:
         """Whitened residual (samples, sensors)."""
         raise self._lack("residual")
 
+    def left_of(self, data: Array, lam: float) -> Array | None:
+        """Residual of other whitened data (samples, sensors): K^-1 times them, K = 1 + H (lambda^2 L^T L)^-1 H^T."""
+        return None
+
     def residuals(self, lams: Array) -> Iterable[Array] | None:
         """Whitened residuals (samples, sensors) at some lambdas, near enough to test whiteness; None: no record."""
         return (self.residual(float(lam)) for lam in lams)

@@ -6,7 +6,7 @@ its range, and whitening keeps that range only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -176,6 +176,8 @@ class LinearProblem:
         Shape of the load of one frame.
     dropped : float
         Share of the operator, by its norm, outside the range of a singular noise covariance; whitening dropped it.
+    apart : array, shape (m, k), optional
+        Orthonormal data that further unknowns make: see `without`.
     """
 
     H: Numbers
@@ -184,6 +186,24 @@ class LinearProblem:
     layout: tuple[int, ...]
     shape: tuple[int, ...]
     dropped: float = 0.0
+    apart: Array | None = None
+
+    @property
+    def spent(self) -> int:
+        """Data of a frame that other unknowns take up."""
+        return 0 if self.apart is None else int(self.apart.shape[1])
+
+    def without(self, columns: Array) -> LinearProblem:
+        """The problem with further unknowns that have no prior: responses (m, k), whitened; independent.
+
+        What is at right angles to them decides the load, exactly.
+        """
+        basis = np.linalg.qr(columns)[0]
+        return replace(self, H=_off(basis, self.H), y=_off(basis, self.y), apart=basis)
+
+    def projected(self, data: Array) -> Array:
+        """What further unknowns leave of whitened data (m,)."""
+        return data if self.apart is None else _off(self.apart, data)
 
     @property
     def frames(self) -> int | None:
@@ -241,6 +261,10 @@ class LinearProblem:
             H, y = white.apply(H, axis=-2), white.apply(y, axis=-1)
         data = y.reshape(len(y), -1).T if framed else y.reshape(-1)
         return cls(H.reshape(-1, n), data, L, y.shape, shape or (n,), dropped)
+
+
+def _off(basis: Array, columns: Numbers) -> Numbers:
+    return columns - basis @ (basis.T @ columns)
 
 
 def _penalty(L: Any, n: int) -> Array | None:

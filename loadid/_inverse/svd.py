@@ -278,7 +278,7 @@ class SVDPath(FactoredPath):
         weight = frames * (np.arange(n) < m).astype(float)
         level = self._data if problem.frames is None else np.sqrt(np.mean(self._data**2, axis=1))
         super().__init__(
-            self._cosines, self._sines, level, outside, m * frames,
+            self._cosines, self._sines, level, outside, (m - problem.spent) * frames,
             weight=weight, null=self._kernel * frames, truncated=truncated,
         )  # fmt: skip
 
@@ -371,6 +371,14 @@ class SVDPath(FactoredPath):
         """Whitened residual y - H g, in the layout of the data."""
         rest = self.problem.y - self.problem.H @ (self.X @ self.gains(lam))
         return rest.T.reshape(self.problem.layout)
+
+    def left_of(self, data: Array, lam: float) -> Array:
+        """Residual of other whitened data (samples, sensors)."""
+        y = self.problem.projected(np.asarray(data, float).reshape(-1))
+        beta = self.U.T @ y
+        return ((y - self.U @ beta) + self.U @ (self.rejected(np.array([lam]))[0, : len(beta)] * beta)).reshape(
+            data.shape
+        )
 
     def residuals(self, lams: Array) -> Iterable[Array]:
         """Whitened residuals (samples, sensors) at some lambdas, of one record by one product for a tile of them."""

@@ -80,6 +80,8 @@ class Facts(Mapping[str, Any]):
         Of cross spectra: independent averages, bandwidth of a line (Hz), name of the window.
     untested_sensors : tuple of str
         Sensors that the others do not determine: whether these are sound cannot be said.
+    offsets : tuple of str
+        Constants of channels that no constant load moves, with std and unit, estimated with the load and taken off.
     held_out : tuple of str
         Prediction error of each sensor that was kept out.
     window_bound : float
@@ -126,6 +128,7 @@ class Facts(Mapping[str, Any]):
     bandwidth: float | None = fact("bandwidth of a line, Hz", "Hz")
     window: str | None = fact()
     untested_sensors: tuple[str, ...] | None = fact("sensors that the others do not determine")
+    offsets: tuple[str, ...] | None = fact("offsets of channels, estimated with the load")
     held_out: tuple[str, ...] | None = fact("prediction error of the sensors that were kept out")
     noise_share: float | None = fact("share of the variance at the peak that is noise (the rest is prior)")
     path: str | None = fact("solved by")

@@ -144,4 +144,18 @@ def lasers(offset: float) -> tuple[Flag, ...]:
     return refused(lambda: Deconvolution(model(LASERS, 6), noise=sigma).estimate(y, DT))
 
 
-CASES = [Case("E213", lambda: lasers(0.3), lambda: lasers(0.0), r"off zero before the response \(\d+ quiet samples\)")]
+def struck_at_once(offset: float) -> tuple[Flag, ...]:
+    """Accelerometers without a quiet part."""
+    y, sigma = measured(ACCELEROMETERS, hit(5), offset)
+    return Deconvolution(model(ACCELEROMETERS, 6), noise=sigma).estimate(y[:400], DT).flags
+
+
+CASES = [
+    Case(
+        "W206",
+        lambda: struck_at_once(0.2),
+        lambda: struck_at_once(0.0),
+        r"channel .+: an offset of \S+ \+- \S+ m/s\^2 was estimated with the load and subtracted",
+    ),
+    Case("E213", lambda: lasers(0.3), lambda: lasers(0.0), r"off zero before the response \(\d+ quiet samples\)"),
+]

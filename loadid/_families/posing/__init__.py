@@ -21,7 +21,7 @@ from ..._inverse.svd import SVDPath
 from .. import noise as noises
 from ..data import Data
 from .paths import MOST, TAPS, at_rest_in_place, convolved, convolved_measured, state_space_of, states
-from .posed import AUTO, UNUSABLE, Posed, PosingSettings, by_prediction, diagonal, lines, measured_lines, shift
+from .posed import AUTO, UNUSABLE, Posed, PosingSettings, diagonal, lines, measured_lines, shift
 
 Array = NDArray[Any]
 
@@ -136,7 +136,11 @@ def dense(h: Array, values: Array, noise: noises.NoiseLevel, data: Data, setting
     L = None if settings.penalty.L is None else penalties.matrix(settings.penalty.L, samples, loads)
     if (sizes := settings.sizes(loads)) is not None:
         L = np.vstack([np.eye(n) if L is None else L, np.kron(np.eye(samples), np.diag(sizes))])
-    path = SVDPath(LinearProblem.whitened(T, values, noise.level, L, (samples, loads)), truncated=settings.truncated)
+    problem, constant = LinearProblem.whitened(T, values, noise.level, L, (samples, loads)), None
+    if len(floating := data.floating) and settings.signed is False and not settings.free:
+        constant = whiten(np.eye(values.shape[1])[:, floating], noise.level, 0)  # (kept, offsets) at every sample
+        problem = problem.without(np.tile(constant, (samples, 1)))
+    path = SVDPath(problem, truncated=settings.truncated)
     full = None
     if len(data.rows) < h.shape[1]:
         scale = np.sqrt(np.mean(h**2, axis=(0, 2)))
@@ -157,5 +161,15 @@ def dense(h: Array, values: Array, noise: noises.NoiseLevel, data: Data, setting
             whiten(used, noise.level, 1), whiten(values, noise.level, 1), penalty, signed=signed
         )
 
-    compare = by_prediction(values, predict)
-    return Posed(path, noise, compare, values, "dense SVD", used, layout, full, n, path, pushing)
+    def compare(load: Array, lam: float, start: Array | None) -> tuple[Array, Array]:
+        rest = values - predict(load)
+        if constant is not None:
+            mean = whiten(rest.mean(axis=0), noise.level, 0)
+            rest[:, floating] -= np.linalg.lstsq(constant, mean, rcond=None)[0]
+        return values, rest
+
+    def white(raw: Array) -> Array:
+        return whiten(raw, noise.level, 1)
+
+    return Posed(path, noise, compare, values, "dense SVD", used, layout, full, n, path, pushing, white=white,
+                 floats=constant is not None)  # fmt: skip

@@ -27,7 +27,7 @@ from ..._inverse.gaussian.coarse import windows_of
 from ..._inverse.gaussian.gains import feedback
 from ..._inverse.gaussian.passes import forward
 from ..._inverse.gaussian.path import StateSpacePath, layout
-from ..._inverse.gaussian.record import Augmented, WhitenedRecord, augment, measured, moving, observed_first
+from ..._inverse.gaussian.record import Augmented, WhitenedRecord, augment, measured, moving, observed_first, whitened
 from ..._inverse.gaussian.sized import SizedPath
 from ..._inverse.penalties import names
 from ..._inverse.problem import whiten
@@ -141,13 +141,17 @@ def states(
         modal = not seen or seen == constants.shape[1]
         wrong = nuisances(model, system, rows, settings.noise.errors or {}, modal, altered)
     name, visible = "state space, O(N)", layout(own)
+
+    def white(raw: Array) -> Array:
+        return whitened(np.where(missing, np.nan, raw), noise.level)[0]
+
     return Posed(path, noise, compare, values, name, h[:, rows], visible, full, path.unknowns, judged, pushing, own,
-                 wrong)  # fmt: skip
+                 wrong, white, bool(count))  # fmt: skip
 
 
 def _constants(data: Data, sensors: int) -> NDArray[np.float64]:
     """Columns (sensors, offsets), a constant in one channel each: those whose offset was subtracted."""
-    floating = np.flatnonzero(data.offsets)
+    floating = data.floating
     columns = np.zeros((sensors, len(floating)))
     columns[data.rows[floating], np.arange(len(floating))] = data.rms[floating]
     return columns
@@ -260,7 +264,8 @@ def convolved(
         raise InputError("missing samples take a noise std per sensor, not a covariance", where="noise",
                          found=f"covariance {noise.level.shape}", expected=f"({len(data.rows)},)")  # fmt: skip
     white = whiten(h[:, data.rows], noise.level, 1), whiten(values, noise.level, 1)
-    return _posed(h, *white, values, missing, noise, data, settings)
+    posed = _posed(h, *white, values, missing, noise, data, settings)
+    return replace(posed, white=lambda raw: whiten(np.where(missing, 0.0, raw), noise.level, 1))
 
 
 def _posed(

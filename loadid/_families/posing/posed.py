@@ -200,6 +200,10 @@ class Posed:
         The same of a measured model: the gains of its sensors.
     spectrum : Spectrum, optional
         The data over lines of measured FRFs, where the problem is posed on them.
+    white : callable, optional
+        Raw data (samples, sensors) -> data of the path; None where they cannot be made one by one.
+    floats : bool
+        Offsets of the data (`Data.offsets`) are unknowns of the path.
     """
 
     path: RegularizationPath
@@ -217,6 +221,8 @@ class Posed:
     nuisances: Nuisances | None = None
     gains: GainErrors | None = None
     spectrum: Spectrum | None = None
+    white: Callable[[Array], Array] | None = None
+    floats: bool = False
 
     @property
     def rank(self) -> int:

@@ -21,7 +21,7 @@ from ..path import FactoredPath, PathPoint, RegularizationPath, Solution
 from ..penalties import symbol
 from ..posterior import SpectralPosterior
 from . import posterior as probes
-from .pcg import Circulant, Reached, largest, refined
+from .pcg import Circulant, Reached, Sides, largest, refined, solve
 from .posterior import SWEPT, ConvolvedPosterior, Moments, chain, columns, moments, profile, slopes
 
 Array = NDArray[np.float64]
@@ -194,6 +194,12 @@ class ConvolvedPath(RegularizationPath):
         """Whitened residual (samples, sensors), 0 where data are missing."""
         return self._beside(self._solved(lam).r)
 
+    def left_of(self, data: Array, lam: float) -> Array:
+        """Residual of other whitened data (samples, sensors), 0 where data are missing."""
+        self._check(np.asarray(lam))
+        weight = 1.0 if self.operator.weight is None else self.operator.weight
+        return self._beside(self._left(np.ascontiguousarray(data.T)[None] * weight, lam))
+
     def residuals(self, lams: Array) -> list[Array]:
         """Residuals for the tests of whiteness: exact for one lambda, from cubics between nodes for many."""
         if len(lams) == 1 or self.y.size > KEPT:
@@ -239,6 +245,9 @@ class ConvolvedPath(RegularizationPath):
         if self._kept is None or self._kept[0] != float(lam):
             self._kept = float(lam), refined(self.operator, self._circulant(lam), self.y)
         return self._kept[1]
+
+    def _left(self, y: Array, lam: float) -> Array:
+        return solve(self.operator, self._circulant(lam), Sides(y=y), SCALARS).r
 
     def _moments(self, lam: float) -> Moments:
         return moments(self.y, *self._chain(lam, self.y))

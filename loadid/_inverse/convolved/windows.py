@@ -381,6 +381,9 @@ class WindowedPath(ConvolvedPath):
         q = -float(lam) * float(self.scale) * self.operator.rough(x)
         return Reached(x, self.y - self.operator.convolve(x), q, found.gradient, found.count)
 
+    def _left(self, y: Array, lam: float) -> Array:
+        return y - self.operator.convolve(self._windows(lam).first(y=y[0])[None])
+
     def _chain(self, lam: float, y: Array) -> tuple[list[Array], list[Array], list[Array]]:
         windows, absolute = self._windows(lam, PLAIN), float(lam) * float(self.scale)
         loads: list[Array] = []

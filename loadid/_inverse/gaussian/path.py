@@ -272,6 +272,10 @@ class StateSpacePath(RegularizationPath):
         self._check(np.array([lam]))
         return self.record.y - self._heard(self._solved(lam)[1])
 
+    def left_of(self, data: Array, lam: float) -> Array:
+        """Residual of other whitened data (samples, sensors), 0 where data are missing."""
+        return data - self._heard(self._again(lam, self._solved(lam)[0], data))
+
     def residuals(self, lams: Array) -> list[Array]:
         """Residuals for the tests of whiteness: exact for one lambda, of the nearest node for many."""
         if len(lams) == 1 or self.record.samples > KEPT:

@@ -242,17 +242,10 @@ def measured(systems: Augmented | Sequence[Augmented], y: ArrayLike, noise: Nois
                          hint="declare clipped samples as missing")  # fmt: skip
     noise = np.ones(first.m) if noise is None else noise
     whitener(noise, first.m)  # judged as a whole, whatever is missing
-    patterns, pattern = np.ones((1, first.m), bool), np.zeros(len(y), np.intp)
-    if np.isnan(y).any():
-        patterns, places = np.unique(~np.isnan(y), axis=0, return_inverse=True)
-        pattern = np.asarray(places).reshape(-1)
-    roots, data = [_root(noise, there) for there in patterns], np.zeros(y.shape)
-    for i, (there, root) in enumerate(zip(patterns, roots, strict=True)):
-        own = pattern == i
-        data[own, : root.shape[0]] = _white(noise, there, root, y[own])
+    data, pattern, roots = whitened(y, noise)
     # a fixed system has one kind for each pattern, a moving one for each sample
-    at = np.arange(len(patterns)) if len(each) == 1 else pattern
-    parts = each * len(patterns) if len(each) == 1 else each
+    at = np.arange(len(roots)) if len(each) == 1 else pattern
+    parts = each * len(roots) if len(each) == 1 else each
     kind = pattern if len(each) == 1 else np.arange(len(y))
     C, D = (np.zeros((len(at), first.m, width)) for width in (first.n, first.p))
     for j, one in enumerate(parts):
@@ -261,6 +254,19 @@ def measured(systems: Augmented | Sequence[Augmented], y: ArrayLike, noise: Nois
     total = int(np.array([len(root) for root in roots])[pattern].sum())
     F, G = np.array([one.F for one in parts]), np.array([one.G for one in parts])
     return WhitenedRecord(F, G, C, D, np.ascontiguousarray(first.E), kind.astype(np.int32), data, first.free, total)
+
+
+def whitened(y: Array, noise: Noise) -> tuple[Array, NDArray[np.intp], list[Array]]:
+    """Whitened data of raw ones (samples, sensors) with NaN, the pattern of channels of each sample, and its root."""
+    patterns, pattern = np.ones((1, y.shape[1]), bool), np.zeros(len(y), np.intp)
+    if np.isnan(y).any():
+        patterns, places = np.unique(~np.isnan(y), axis=0, return_inverse=True)
+        pattern = np.asarray(places).reshape(-1)
+    roots, data = [_root(noise, there) for there in patterns], np.zeros(y.shape)
+    for i, (there, root) in enumerate(zip(patterns, roots, strict=True)):
+        own = pattern == i
+        data[own, : root.shape[0]] = _white(noise, there, root, y[own])
+    return data, pattern, roots
 
 
 def moving(
