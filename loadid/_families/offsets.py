@@ -158,7 +158,7 @@ ADVICE = "look at the amplifier; nothing to do where the channel is known to hav
 
 
 @dataclass(frozen=True, eq=False)
-class Offsets:
+class Constants:
     """Constants that were found with the load, in the units of their channels.
 
     Parameters
@@ -206,14 +206,14 @@ class Settled:
     data : Data
     posed : Posed
     choice : Choice
-    offsets : Offsets or None
+    offsets : Constants or None
         None where there are none beyond chance.
     """
 
     data: Data
     posed: Posed
     choice: Choice
-    offsets: Offsets | None = None
+    offsets: Constants | None = None
 
 
 def settled(
@@ -225,7 +225,7 @@ def settled(
     Parameters
     ----------
     data : Data
-        Offsets that are known of taken off.
+        Constants that are known of taken off.
     posed, chosen : callable
         The problem of data, and the lambda of a problem.
     moving : callable
@@ -308,7 +308,7 @@ def _centred(fit: Settled, posed: Callable[[Data], Posed], chosen: Callable[[Pos
         fit = Settled(data, problem, chosen(problem))
     if fit.posed.floats:
         data = less(data, channels, left)
-    offsets = Offsets(channels, np.array(data.offsets)[channels], std, fit.posed.floats)
+    offsets = Constants(channels, np.array(data.offsets)[channels], std, fit.posed.floats)
     data = replace(data, flags=offsets.flags(data))
     return Settled(data, replace(fit.posed, values=data.values[-len(fit.posed.values) :]), fit.choice, offsets)
 

@@ -146,7 +146,7 @@ def states(
         return whitened(np.where(missing, np.nan, raw), noise.level)[0]
 
     return Posed(path, noise, compare, values, name, h[:, rows], visible, full, path.unknowns, judged, pushing, own,
-                 wrong, white, bool(count))  # fmt: skip
+                 wrong, white=white, floats=bool(count))  # fmt: skip
 
 
 def _constants(data: Data, sensors: int) -> NDArray[np.float64]:
