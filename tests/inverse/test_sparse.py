@@ -79,6 +79,24 @@ def test_products_columns_and_gram_blocks_are_those_of_the_matrix(name, missing)
     np.testing.assert_allclose(atoms.histories(support).toarray(), single, atol=1e-14)
 
 
+@pytest.mark.parametrize(("samples", "knots"), [(200, 1), (203, 3), (130, 16)])
+def test_running_sums_are_the_products_of_columns(samples, knots, monkeypatch):
+    """Responses that never die away, at every remainder of the record over the spacing."""
+    h = np.random.default_rng(1).standard_normal((samples, 2, 2))
+    words = dictionaries.dirac(samples) if knots == 1 else dictionaries.bspline(samples, knots)
+    atoms = ShiftedAtoms(h, words)
+    rng = np.random.default_rng(0)
+    rows, columns = rng.permutation(atoms.n), rng.permutation(atoms.n)[: atoms.n // 2]
+    A = atoms.columns(np.arange(atoms.n))
+    expected = A[:, rows].T @ A[:, columns]
+    np.testing.assert_allclose(atoms.gram(rows, columns), expected, atol=1e-13 * np.abs(expected).max())
+    assert len(atoms._sums) == 4
+    monkeypatch.setattr("loadid._inverse.sparse.atoms.TABLE", 0)
+    few = ShiftedAtoms(h, words)
+    np.testing.assert_allclose(few.gram(rows, columns), expected, atol=1e-13 * np.abs(expected).max())
+    assert not few._sums
+
+
 def test_a_matrix_of_the_user_is_a_dictionary():
     h, D = decaying(), np.random.default_rng(0).standard_normal((SHORT, 7))
     atoms = MatrixAtoms(h, D)

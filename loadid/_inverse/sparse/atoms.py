@@ -174,6 +174,7 @@ def daubechies(moments: int) -> Array:
 FADED = 1e-10  # share of the largest response below which it has died away
 LARGEST = 50_000_000  # numbers in the responses to a dictionary that is given as a matrix
 CHUNK = 2048  # rows of columns that are held at once
+TABLE = 20_000_000  # products of two responses that are kept, at all lags and all places of the record's end
 
 
 class Atoms(Protocol):
@@ -284,7 +285,9 @@ class ShiftedAtoms:
 
     A column is a kernel (response to a waveform) that begins at its shift and is cut at the end of the record. The
     product of two columns is the cross-correlation of their kernels at the difference of the shifts, as long as one of
-    them dies away within the record; else, and only then, the columns themselves are multiplied.
+    them dies away within the record; else it is the running sum of their products at that lag, up to the end of the
+    record. Only where shifts lie on no common grid, where data are missing, or where these sums are too many, are the
+    columns themselves multiplied.
 
     Parameters
     ----------
@@ -316,6 +319,9 @@ class ShiftedAtoms:
         self._kernels: dict[int, Array] = {}
         self._alive = np.full(len(self._first), -1)
         self._products: dict[tuple[int, int], Array] = {}
+        self._sums: dict[tuple[int, int], _RunningSums] = {}
+        self._step = np.repeat([f.step for f in dictionary.families], [f.count for f in dictionary.families])
+        self._step = np.repeat(self._step, self.loads)
         self._partial = None if weight is None else np.flatnonzero(np.any(weight != 1, axis=1))
 
     # -- products ---------------------------------------------------------------------------------------------------
@@ -387,7 +393,7 @@ class ShiftedAtoms:
         if not first.all() and second.any():
             block[np.ix_(~first, second)] = self._looked_up(rows[~first], columns[second])
         if not (first.all() or second.all()):
-            block[np.ix_(~first, ~second)] = self._multiplied(rows[~first], columns[~second])
+            block[np.ix_(~first, ~second)] = self._cut(rows[~first], columns[~second])
         return block
 
     def _dies(self, which: Indices) -> Flags:
@@ -437,6 +443,41 @@ class ShiftedAtoms:
         self._products[a, b] = np.concatenate([circular[-self.samples :], circular[: self.samples + 1]])
         return self._products[a, b]
 
+    def _cut(self, rows: Indices, columns: Indices) -> Array:
+        """Block of A^T A of responses that the end of the record cuts."""
+        grid = int(self._step[0])
+        steps = (self.samples // grid + 1) ** 2 * self.loads**2 // 2
+        if self.weight is not None or np.any(self._step != grid) or steps > TABLE:
+            return self._multiplied(rows, columns)
+        i, j = self.shift[rows] >= 0, self.shift[columns] >= 0
+        block = np.empty((len(rows), len(columns)))
+        for left, right in ((~i, ~j), (~i, j), (i, ~j)):  # waveforms that the beginning cuts are kinds of their own
+            if left.any() and right.any():
+                block[np.ix_(left, right)] = self._multiplied(rows[left], columns[right])
+        block[np.ix_(i, j)] = self._summed(rows[i], columns[j], grid)
+        return block
+
+    def _summed(self, rows: Indices, columns: Indices, grid: int) -> Array:
+        """Block of A^T A by running sums, for waveforms that begin on the grid of the dictionary."""
+        block = np.empty((len(rows), len(columns)))
+        for a in np.unique(self._kind[rows]):
+            i = np.flatnonzero(self._kind[rows] == a)
+            for b in np.unique(self._kind[columns]):
+                j = np.flatnonzero(self._kind[columns] == b)
+                first, second = self._begin[rows[i]][:, None], self._begin[columns[j]][None, :]
+                lag, part = first - second, np.empty((len(i), len(j)))
+                later = np.maximum(first, second)
+                for kinds, which in (((a, b), lag >= 0), ((b, a), lag < 0)):
+                    part[which] = self._sums_of(*kinds, grid).at(np.abs(lag[which]), self.samples - later[which])
+                block[np.ix_(i, j)] = part
+        return block
+
+    def _sums_of(self, a: int, b: int, grid: int) -> _RunningSums:
+        if (a, b) not in self._sums:
+            offset = (self.samples - int(self._begin[self._first[a]])) % grid
+            self._sums[a, b] = _RunningSums(self._kernel(a), self._kernel(b), grid, offset)
+        return self._sums[a, b]
+
     def _multiplied(self, rows: Indices, columns: Indices) -> Array:
         """Block of A^T A by multiplying columns, a chunk of samples at a time."""
         block = np.zeros((len(rows), len(columns)))
@@ -449,6 +490,44 @@ class ShiftedAtoms:
             right = self._rows(columns[c], start, stop, self.weight).reshape(-1, len(c))
             block[np.ix_(r, c)] += left.T @ right
         return block
+
+
+class _RunningSums:
+    """``sum_(t < length) a_t b_(t + lag)`` over all sensors, at lags and lengths of a grid; a lag when it is asked for.
+
+    Parameters
+    ----------
+    a, b : array, shape (samples, sensors)
+    grid : int
+        Spacing of the lags and of the lengths, in samples.
+    offset : int
+        Shortest length.
+    """
+
+    def __init__(self, a: Array, b: Array, grid: int, offset: int) -> None:
+        self.a, self.b, self.grid, self.offset = a, b, grid, offset
+        lengths = np.maximum((len(a) - offset) // grid + 1 - np.arange(len(a) // grid + 1), 0)
+        self.first = np.concatenate([[0], np.cumsum(lengths)])  # of the sums of each lag
+        self.sums, self.known = np.empty(self.first[-1]), np.zeros(len(lengths), bool)
+
+    def at(self, lag: Indices, length: Indices) -> Array:
+        """Sums at some lags, each up to its length."""
+        row = lag // self.grid
+        asked = np.zeros(len(self.known), bool)
+        asked[row] = True
+        for k in np.flatnonzero(asked & ~self.known):
+            self._add(int(k))
+        return np.asarray(self.sums[self.first[row] + (length - self.offset) // self.grid])
+
+    def _add(self, k: int) -> None:
+        shift, count = k * self.grid, self.first[k + 1] - self.first[k]
+        stop = self.offset + (count - 1) * self.grid
+        product = np.einsum("ts,ts->t", self.a[:stop], self.b[shift : shift + stop])
+        parts = np.empty(count)
+        parts[0] = product[: self.offset].sum()
+        parts[1:] = product[self.offset :].reshape(-1, self.grid).sum(axis=1)
+        np.cumsum(parts, out=self.sums[self.first[k] : self.first[k + 1]])
+        self.known[k] = True
 
 
 def _convolved(q: Array, waveform: Array) -> Array:

@@ -254,7 +254,7 @@ def _newton(G: Array, a: Indices, slope: Array) -> Array:
     """Newton direction on the active atoms."""
     from scipy.linalg import lapack
 
-    block = G[np.ix_(a, a)]
+    block = G[np.ix_(a, a)].T  # symmetric: the order of columns, which LAPACK takes without a copy
     diagonal = np.diag(block).copy()
     ridge = RIDGE
     while True:

@@ -273,8 +273,9 @@ def fit(atoms: Atoms, y: Array, support: Indices, *, signs: Array | None = None)
 def _factor(atoms: Atoms, y: Array, support: Indices) -> tuple[Array, Array]:
     """R of the columns of the support, and Q^T y."""
     if atoms.m * len(support) <= FACTORISED:
-        Q, R = np.linalg.qr(atoms.columns(support))
-        return _sound(R), Q.T @ y
+        both = np.column_stack([atoms.columns(support), y])  # Q^T y is the last column of its R: no Q is formed
+        R = np.linalg.qr(both, mode="r")[: len(support)]
+        return _sound(R[:, :-1]), R[:, -1]
     from scipy.linalg import cholesky, solve_triangular
 
     # the columns do not fit: `SWEEPS` refinements by the operator keep all digits up to a condition number of 1e5
