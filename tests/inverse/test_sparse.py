@@ -83,7 +83,7 @@ def test_products_columns_and_gram_blocks_are_those_of_the_matrix(name, missing)
 def test_running_sums_are_the_products_of_columns(samples, knots, monkeypatch):
     """Responses that never die away, at every remainder of the record over the spacing."""
     h = np.random.default_rng(1).standard_normal((samples, 2, 2))
-    words = dictionaries.dirac(samples) if knots == 1 else dictionaries.bspline(samples, knots)
+    words = dirac(samples) if knots == 1 else bspline(samples, knots)
     atoms = ShiftedAtoms(h, words)
     rng = np.random.default_rng(0)
     rows, columns = rng.permutation(atoms.n), rng.permutation(atoms.n)[: atoms.n // 2]
