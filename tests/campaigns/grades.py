@@ -15,13 +15,13 @@ import numpy as np
 import loadid._results.facts as stated
 from loadid._results.facts import LETTERS, MEASURED, GradeOdds
 
-from . import impacts, static
+from . import hammer, impacts, static
 from .scores import Scored
 
 LOADS = ("none", "same model", "gain", "frequency", "slow", "harmonic", "swept", "random")
 DRAWN: dict[str, list[tuple[Any, str, dict[str, Any]]]] = {  # family -> campaign, error of the model, settings
     "static inversion": [(static, kind, {"oracle": False}) for kind in ("none", "gain", "place", "stiffness")],
-    "deconvolution": [(impacts, kind, {}) for kind in LOADS],
+    "deconvolution": [*((impacts, kind, {}) for kind in LOADS), *((hammer, kind, {}) for kind in ("none", "slow"))],
 }
 SHARE = {"A": 0.97, "B": 0.9, "C": 0.9, "D": 0.5}  # that `within` is to hold; A has a margin over 19 of 20
 GOOD = 0.1  # relative error of a good answer
