@@ -222,13 +222,17 @@ def _linearised(prior: LocalPrior, nuisances: Nuisances) -> Marginal:
         _, pulled, _, weighed, _ = smoother.means(data)
         return weighed, pulled
 
+    each = np.array([
+        forward(prior.record, feedback(prior.record, prior.record.E), load * one, 0.0 * start[: prior.record.n])[2]
+        for one in np.eye(load.shape[1])
+    ])  # fmt: skip
     response, columns = nuisances.columns(at, respond)
     seen = np.sum(columns**2 / prior.given.noise, axis=(1, 2)) * nuisances.std**2 > SEEN
     every = np.zeros((len(at), *load.shape))
     if not seen.any():
         return Marginal(at, nuisances.covariance, 0.0 * at, every, 0.0, 1.0)
     residual = np.where(prior.fit.there, prior.record.y - response, 0.0)
-    part = marginal(columns[seen], solve, residual, nuisances.covariance[np.ix_(seen, seen)], at[seen])
+    part = marginal(columns[seen], solve, residual, nuisances.covariance[np.ix_(seen, seen)], at[seen], each)
     mean, step, covariance = np.array(at), 0.0 * at, np.array(nuisances.covariance)
     mean[seen], step[seen], every[seen], covariance[np.ix_(seen, seen)] = (
         part.mean,

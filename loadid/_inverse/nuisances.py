@@ -103,7 +103,7 @@ class Marginal:
 
 def marginal(
     columns: Array, solve: Callable[[Array], tuple[Array, Array]], residual: Array, covariance: Array, at: Array,
-    scale: Array | None = None,
+    loads: Array | None = None,
 ) -> Marginal:  # fmt: skip
     """Marginalise parameters of a linearised problem.
 
@@ -119,18 +119,19 @@ def marginal(
         Before the data.
     at : array, shape (k,)
         Where it is linearised.
-    scale : array, shape (k,), optional
-        Parameters that together only scale the load: of them nothing is told, as nobody knows its size.
+    loads : array, shape (p, ...), optional
+        Data that each load makes. Errors that only scale it are not told: its prior is of its own size.
     """
     k = len(columns)
     weighed, pulled = zip(*(solve(one) for one in columns), strict=True)
     flat = np.array(weighed).reshape(k, -1)
     known = flat @ columns.reshape(k, -1).T
     known, seen = (known + known.T) / 2, flat @ residual.ravel()
-    if scale is not None and scale @ known @ scale > 0:
-        along = known @ scale / (scale @ known @ scale)
-        seen = seen - along * (scale @ seen)
-        known = known - np.outer(along, known @ scale)
+    if loads is not None:
+        beside = np.array([solve(one)[0] for one in loads]).reshape(len(loads), -1)
+        size, shared = beside @ loads.reshape(len(loads), -1).T, flat @ loads.reshape(len(loads), -1).T
+        along = np.linalg.lstsq((size + size.T) / 2, shared.T, rcond=None)[0].T
+        seen, known = seen - along @ (beside @ residual.ravel()), known - along @ shared.T
     # Sigma = R R': no inverse of a prior that is nearly singular
     w, V = np.linalg.eigh(covariance)
     root = V * np.sqrt(np.maximum(w, 0.0))

@@ -8,11 +8,12 @@ from typing import Any
 
 from loadid import Penalty
 
-from . import faults, frequency, grades, hammer, impacts, long, static, tracking
+from . import demo, faults, frequency, grades, hammer, impacts, long, static, tracking
 from .scores import counts, table
 
 CAMPAIGNS = {
-    "static": static, "impacts": impacts, "hammer": hammer, "long": long, "frequency": frequency, "tracking": tracking,
+    "static": static, "impacts": impacts, "hammer": hammer, "demo": demo, "long": long, "frequency": frequency,
+    "tracking": tracking,
 }  # fmt: skip
 TABLES = {"frequency": frequency.table, "tracking": tracking.table}
 

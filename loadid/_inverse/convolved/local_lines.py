@@ -454,16 +454,17 @@ class LocalLinesPrior(Judgement):
     def with_gains(self, covariance: Array) -> LocalLinesPrior:
         """The prior with errors of the gains in its band, as far as the data do not rule them out, (m, m)."""
         one, rest = self.fit.whole, self.pass_.R * self.pass_.of_data[1]
-        response = one.Y - rest  # also of what the padding holds
-        columns = np.array([one.pull(response * (np.arange(one.H.shape[1]) == i)) for i in range(one.H.shape[1])])
+        white = fft.rfft(self.pass_.of_data[2], axis=0) / np.sqrt(one.samples)  # also of what the padding holds
+        each = [one.pull(response) for response in (self.fit.spectrum.H * white[:, None, :]).transpose(2, 0, 1)]
+        columns = np.array([sum(each) * at for at in np.eye(one.H.shape[1])])
 
         def solve(data: Array) -> tuple[Array, Array]:
             lines = fft.rfft(data, axis=0) / np.sqrt(one.samples)
             _, E, white = self.pass_.estimate(lines)
             return one.pull(E), self.fit.load(white)
 
-        at, scale = np.zeros(len(columns)), np.ones(len(columns))
-        return replace(self, errors=marginal(columns, solve, one.pull(rest), covariance, at, scale))
+        at = np.zeros(len(columns))
+        return replace(self, errors=marginal(columns, solve, one.pull(rest), covariance, at, np.array(each)))
 
 
 def active(load: Array, most: int) -> Array:

@@ -49,6 +49,14 @@ def test_the_marginal_is_the_dense_gaussian(memory: float) -> None:
     pulled = np.array([loads(a) for a in columns])
     assert found.pulled == pytest.approx(pulled, abs=1e-8 * np.abs(pulled).max())
     assert found.shift == pytest.approx(np.einsum("i,iks->ks", mean - at, pulled), abs=1e-7 * np.abs(pulled).max())
+    # loads of a size that nobody knows are parameters with a wide prior of their own, and take what only scales them
+    each = rng.standard_normal((2, *own.y.shape)) * there
+    sized = marginal(columns, solve, residual, prior, at, each)
+    wide = np.diag([*np.zeros(3), 1e10, 1e10])
+    wide[:3, :3] = prior
+    beside = marginal(np.concatenate([columns, each]), solve, residual, wide, np.r_[at, 0, 0])
+    assert sized.covariance == pytest.approx(beside.covariance[:3, :3], rel=1e-6, abs=1e-9)
+    assert sized.mean == pytest.approx(beside.mean[:3], rel=1e-6, abs=1e-8)
     # the load of the fit is kept: what it is off by on the mean counts beside the scatter
     step = mean - at
     added = np.einsum("iks,ij,jks->ks", pulled, after + np.outer(step, step), pulled)
